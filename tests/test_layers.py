@@ -14,7 +14,10 @@ import jaxbound as jb
 
 PACKAGE = Path(jb.__file__).parent
 FLOORS = (
+    "text",
     "exact",
+    "random",
+    "files",
     "recordings",
     "sets",
     "models",

@@ -19,11 +19,11 @@ from jaxbound.certificates.constant_window import ConstantWindow
 from jaxbound.certificates.exact_window import ExactWindow, Explanation, exact_window
 from jaxbound.certificates.interface import WindowCertificate, certify
 from jaxbound.certificates.witness import Witnessed, rows_of
-from jaxbound.recordings.objecttext import readable
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy
 from jaxbound.relations.sentence import main_terms, relation_text
 from jaxbound.sets.floats.status import Status
+from jaxbound.text.objects import readable
 
 __all__ = ["Certificate"]
 

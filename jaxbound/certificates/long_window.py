@@ -28,10 +28,10 @@ from jaxbound.certificates.interface import certify
 from jaxbound.exact import linalg
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.unknown_directions import unknown_directions, with_direct_states
-from jaxbound.recordings.objecttext import readable
 from jaxbound.relations.bounds import model_bounds
 from jaxbound.relations.sentence import relation_text
 from jaxbound.sets.floats.status import Status
+from jaxbound.text.objects import readable
 
 __all__ = ["LongCertificate", "LongWindow", "Stretch", "exceeds", "stretch"]
 

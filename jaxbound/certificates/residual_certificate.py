@@ -15,10 +15,10 @@ import numpy as np
 from jaxbound.certificates.interface import WindowCertificate, certify
 from jaxbound.certificates.witness import texts
 from jaxbound.consistency.bisection import BUDGET, search
-from jaxbound.recordings.objecttext import readable
 from jaxbound.relations.residual import Residual
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
+from jaxbound.text.objects import readable
 
 __all__ = ["ResidualCertificate"]
 

@@ -20,11 +20,11 @@ from jaxbound.certificates.exact_polynomials import polynomial_window
 from jaxbound.certificates.interface import WindowCertificate, certify
 from jaxbound.certificates.witness import Witnessed, rows_of
 from jaxbound.consistency import parametric_windows
-from jaxbound.recordings.objecttext import readable
 from jaxbound.relations.sentence import main_terms
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips import polynomials
+from jaxbound.text.objects import readable
 
 __all__ = ["Leaf", "UncertainCertificate"]
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from jaxbound.certificates.uncertain_certificate import UncertainCertificate
-from jaxbound.recordings.plaintext import percent, times
 from jaxbound.sets.floats.status import Status
+from jaxbound.text.quantities import percent, times
 
 __all__ = ["certificate_text", "six_digits"]
 

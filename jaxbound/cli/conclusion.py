@@ -10,8 +10,8 @@ import numpy as np
 
 from jaxbound.cli.evaluation import Evaluation
 from jaxbound.cli.terminal import show, write
-from jaxbound.recordings.plaintext import percent, times
 from jaxbound.runs.summary import OUTSIDE, Evidence, Window
+from jaxbound.text.quantities import percent, times
 
 __all__ = ["conclude"]
 

@@ -21,7 +21,6 @@ from jaxbound.diagnosis.result import Result
 from jaxbound.models.modelfile import load_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import refuse_short
-from jaxbound.recordings.plaintext import percent
 from jaxbound.recordings.read import open_source
 from jaxbound.reports.detection import write_report
 from jaxbound.runs.digest import digest
@@ -31,6 +30,7 @@ from jaxbound.runs.refusals import Interrupted
 from jaxbound.runs.sink import Outcome, file_names, write_all
 from jaxbound.runs.streaming import CHUNK, PARTIAL, VERDICTS, all_parts, kept, publish, write_parts
 from jaxbound.runs.summary import Summary, summarised
+from jaxbound.text.quantities import percent
 
 __all__ = [
     "FILES_OF_A_WHOLE",

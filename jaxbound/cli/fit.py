@@ -97,11 +97,11 @@ def run(args: argparse.Namespace) -> int:
     """Fit a model to recordings, write and describe it; return the exit code."""
     with swift_imports():
         from jaxbound.cli.fit_summary import plain_fit, show_fit, signal_columns
+        from jaxbound.files.whole import whole
         from jaxbound.models.modelfile import model_text
         from jaxbound.plots.canvas import to_png
         from jaxbound.plots.fit import plot_fit
         from jaxbound.recordings.read import read_signals
-        from jaxbound.recordings.whole import whole
         from jaxbound.runs.outputs import refuse_targets
         from jaxbound.studies.identification.fitting import fit
 

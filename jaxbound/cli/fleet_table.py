@@ -8,11 +8,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from jaxbound.cli.terminal import show, write
-from jaxbound.recordings.plaintext import cell, percent
 from jaxbound.reports.detection import write_report
 from jaxbound.reports.fleet import fleet_page
 from jaxbound.runs.fleet import UnitResult, fleet_verdict, worst_first
 from jaxbound.runs.summary import LAYOUT, OUTSIDE
+from jaxbound.text.characters import cell
+from jaxbound.text.quantities import percent
 
 __all__ = ["PAGES", "SHOWING", "UNITS", "UnitPages", "conclude_fleet", "write_fleet"]
 

@@ -28,7 +28,7 @@ from jaxbound.cli.terminal import (
     stoppable,
     system_trouble,
 )
-from jaxbound.recordings.plaintext import clipped
+from jaxbound.text.characters import clipped
 
 __all__ = ["COMMANDS", "commands", "main"]
 

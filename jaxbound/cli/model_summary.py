@@ -6,7 +6,6 @@ from typing import Any
 from jaxbound.cli.terminal import show
 from jaxbound.diagnosis.detectability import detectable
 from jaxbound.diagnosis.hints import bound_hints
-from jaxbound.exact.price import duration_text
 from jaxbound.models.system import LinearSystem
 from jaxbound.plots.residuals import distinct_relations
 from jaxbound.relations.cost import elimination_seconds, relation_cost
@@ -14,6 +13,7 @@ from jaxbound.relations.decoupling import isolability, signatures, structured_re
 from jaxbound.relations.redundancy import redundancy
 from jaxbound.relations.sentence import main_terms
 from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.text.quantities import rough_duration
 
 __all__ = ["isolation_text", "plain_model", "show_model"]
 
@@ -200,7 +200,7 @@ def isolation_text(model: LinearSystem, horizon: int, lags: tuple[int, ...] | No
     if seconds > PATIENCE:
         return (
             f"(signatures, isolability and guaranteed sizes are not worked out: that would take "
-            f"{duration_text(seconds)}; jb.isolability(model) and jb.detectable(model, signal, horizon) do "
+            f"{rough_duration(seconds)}; jb.isolability(model) and jb.detectable(model, signal, horizon) do "
             f"it)"
         )
     out = []

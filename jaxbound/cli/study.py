@@ -175,7 +175,7 @@ class _Announced:
         self.is_said = LOUDNESS.get() == QUIET
 
     def __call__(self, share: float) -> None:
-        from jaxbound.exact.price import duration_text
+        from jaxbound.text.quantities import rough_duration
 
         self.step(share)
         now = time.monotonic()
@@ -188,7 +188,7 @@ class _Announced:
         left = (1 - share) * (now - then) / (share - done)
         self.is_said = share > done + 0.02 or now - then > 1
         if self.is_said and left > PATIENCE:
-            say(f"{self.work}: {duration_text(left)} to go; stopped, the same command goes on")
+            say(f"{self.work}: {rough_duration(left)} to go; stopped, the same command goes on")
 
 
 def _sizes(text: str | None) -> list[float] | None:

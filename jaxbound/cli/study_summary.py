@@ -9,9 +9,9 @@ import numpy as np
 
 from jaxbound.cli.terminal import show, write
 from jaxbound.recordings.columns import texts, to_arrow, write_columns
-from jaxbound.recordings.plaintext import cell
 from jaxbound.reports.study import COLUMNS, HEAD, sentence, study_page, study_rows
 from jaxbound.studies.montecarlo.study_result import StudyResult, delay_table, study_table
+from jaxbound.text.characters import cell
 
 __all__ = ["FILES", "conclude_study", "write_study"]
 

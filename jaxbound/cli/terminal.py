@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 
-from jaxbound.recordings.plaintext import clipped, printable
 from jaxbound.runs.refusals import Refused, Stopped
+from jaxbound.text.characters import clipped, printable
 
 __all__ = [
     "BAD_INPUT",

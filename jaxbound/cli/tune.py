@@ -93,11 +93,11 @@ def run(args: argparse.Namespace) -> int:
             tuned_text,
         )
         from jaxbound.cli.window import window_relations
+        from jaxbound.files.whole import whole
         from jaxbound.models.modelfile import load_model
         from jaxbound.plots.canvas import to_png
         from jaxbound.plots.tune import plot_tuning
         from jaxbound.recordings.read import read
-        from jaxbound.recordings.whole import whole
         from jaxbound.runs.outputs import refuse_targets
         from jaxbound.studies.tuning.tuning import tune
 

@@ -12,9 +12,9 @@ from typing import Any, ClassVar, NamedTuple
 import jax
 import numpy as np
 
-from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.status import Status
+from jaxbound.text.objects import readable
 
 __all__ = ["METHODS", "Judged", "Observer", "Open", "WindowTest", "refuse_options"]
 

@@ -14,12 +14,12 @@ import numpy as np
 
 from jaxbound.consistency.drive import windows
 from jaxbound.consistency.interface import Observer
-from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import TOLERATED_STEP, all_starts
 from jaxbound.recordings.table import one_row
 from jaxbound.recordings.tabletime import unlabelled
 from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.text.objects import readable
 
 __all__ = ["Monitor", "MonitorState", "Verdict"]
 

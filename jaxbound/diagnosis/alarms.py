@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.recordings.objecttext import readable
 from jaxbound.relations.sentence import latched, remembers
 from jaxbound.sets.floats.status import Status
+from jaxbound.text.objects import readable
 
 __all__ = [
     "BEGAN_ANEW",

@@ -35,11 +35,11 @@ from jaxbound.models.faults import Fault
 from jaxbound.models.sensor import RECORDER_ULPS
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.expressions import find_column
-from jaxbound.recordings.naming import listed
 from jaxbound.relations.cost import affordable, relation_cost
 from jaxbound.relations.lags import over_all_rows
 from jaxbound.relations.parity import parity_relations
 from jaxbound.relations.sentence import relation_text, remembers
+from jaxbound.text.names import listed
 
 __all__ = ["GuaranteedSize", "always_seen", "detectable", "operating_reach", "visible_sizes", "window_shift"]
 

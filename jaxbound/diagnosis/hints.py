@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.plaintext import percent, times
 from jaxbound.relations.sentence import latched, remembers
 from jaxbound.sets.floats.status import Status
+from jaxbound.text.quantities import percent, times
 
 __all__ = ["bound_hints", "fit_hints", "outgrown", "unfit"]
 

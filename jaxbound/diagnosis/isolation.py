@@ -17,13 +17,13 @@ from jaxbound.diagnosis.detectability import visible_sizes
 from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.recordings.arrays import floats
 from jaxbound.recordings.expressions import find_column
-from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.table import as_table, is_table
 from jaxbound.recordings.tabletime import unlabelled
 from jaxbound.relations.decoupling import Signatures, signatures
 from jaxbound.relations.redundancy import Redundancy
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips.bank import PACKED
+from jaxbound.text.objects import readable
 
 __all__ = ["BankResult", "evaluate", "words_of"]
 

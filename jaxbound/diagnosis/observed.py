@@ -10,9 +10,9 @@ from jaxbound.consistency.drive import drive
 from jaxbound.consistency.interface import Judged
 from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.estimation.observer import Observation, SetObserver
-from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.intervals.interval import Interval
+from jaxbound.text.objects import readable
 
 __all__ = ["ObserverResult"]
 

@@ -13,11 +13,11 @@ from jaxbound.diagnosis.hints import bound_hints, fit_hints
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import missing_hints, rounding_hints
-from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.stillness import still_hints
 from jaxbound.recordings.timestamps import row_label
 from jaxbound.relations.sentence import looked_at
 from jaxbound.sets.floats.status import Status
+from jaxbound.text.objects import readable
 
 __all__ = ["Result", "result_of", "suspected"]
 

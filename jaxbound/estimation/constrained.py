@@ -18,11 +18,11 @@ import numpy as np
 from jaxbound.estimation import constrained_steps, zonotope_steps
 from jaxbound.estimation.blocks import in_blocks
 from jaxbound.estimation.observer import METHODS, SetObserver
-from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.zonotopes import gauges, proof
+from jaxbound.text.objects import readable
 
 __all__ = ["ConstrainedObserver", "ConstrainedState"]
 

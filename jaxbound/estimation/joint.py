@@ -28,10 +28,10 @@ from jaxbound.estimation.parallelotope import OFF, ROUNDED, lasting, paralleloto
 from jaxbound.estimation.window_proof import Prior, Samples, enclosed, reach_before, window_of
 from jaxbound.estimation.window_runs import runs_of
 from jaxbound.estimation.window_search import followed, middle, searched, split
-from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.status import Status
+from jaxbound.text.objects import readable
 
 __all__ = ["JointObserver", "JointState"]
 

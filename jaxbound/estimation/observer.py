@@ -34,13 +34,13 @@ from jaxbound.estimation.zonotope_numbers import (
 from jaxbound.models.intervals import as_intervals
 from jaxbound.models.sensor import input_slip
 from jaxbound.models.unknown_directions import unknown_directions, with_direct_states
-from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording, Signals
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import is_outside_xla
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.zonotopes.zonotope import Zonotope
+from jaxbound.text.objects import readable
 
 __all__ = ["Observation", "ObserverState", "SetObserver", "observe", "observer"]
 

@@ -30,7 +30,6 @@ from jaxbound.estimation.validation_windows import Said, begun, said, slide, wei
 from jaxbound.models.intervals import as_intervals, stacked
 from jaxbound.models.multimodel import MultiModel
 from jaxbound.models.sensor import largest_error
-from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording, Signals
 from jaxbound.recordings.seams import around
 from jaxbound.sets.floats import rounding
@@ -41,6 +40,7 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval, interval
 from jaxbound.sets.linear_systems.ends import ends, interval_of
 from jaxbound.sets.linear_systems.fixed_systems import prepare
+from jaxbound.text.objects import readable
 
 __all__ = ["Validation", "nothing_said", "prepared", "validate"]
 

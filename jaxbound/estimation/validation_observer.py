@@ -10,11 +10,11 @@ import numpy as np
 
 from jaxbound.consistency.interface import Observer
 from jaxbound.estimation.validation import Validation, nothing_said, prepared
-from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import around
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.intervals.interval import Interval
+from jaxbound.text.objects import readable
 
 __all__ = ["ValidationObserver", "ValidationState"]
 
@@ -55,7 +55,7 @@ class ValidationObserver(Observer):
         >>> carry, found = observer.init(), []
         >>> for k in range(8):
         ...     sample = Recording.of(observer.signals, np.ones((1, 1)), y[k : k + 1])
-    ...     carry, judged = observer.fold(carry, sample)
+        ...     carry, judged = observer.fold(carry, sample)
         ...     found.append(judged.faulty[0].tolist())
         >>> found[5]
         [False, True]

@@ -19,7 +19,7 @@ import numpy as np
 
 from jaxbound.exact.linalg import Number, Vector
 from jaxbound.models.plant import number
-from jaxbound.recordings.naming import listed
+from jaxbound.text.names import listed
 
 __all__ = ["Average", "Averaged", "averages_of"]
 

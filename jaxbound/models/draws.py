@@ -3,8 +3,6 @@ are many; the same ones.
 
 What `jax.random` draws with its default keys is a cipher of a count, Threefry. Compiling it takes longer than
 a simulation does: a few numbers are worked out by NumPy instead, bit for bit the same.
-
-Source: Salmon, Moraes, Dror, Shaw 2011, "Parallel random numbers: as easy as 1, 2, 3".
 """
 
 from functools import partial
@@ -13,12 +11,12 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxbound.random.threefry import JAX_ROUNDS, threefry
+
 __all__ = ["normal_draws", "uniform_draws"]
 
 FEW = 2**18
 """Numbers up to which the host draws them: some ten milliseconds."""
-ROTATIONS = (13, 15, 26, 6), (17, 29, 16, 24)
-PARITY = np.uint32(0x1BD11BDA)
 
 
 def uniform_draws(
@@ -52,10 +50,10 @@ def _is_threefry(key):
 def _drawn(key, streams, recordings, size, dtype):
     """Return what `_compiled` does."""
     count = np.arange(max(recordings, size), dtype=np.uint32)
-    k0, k1 = _threefry(key[:1], key[1:], count[:1] * 0, count[:recordings])
+    k0, k1 = threefry((key[:1], key[1:]), (count[:1] * 0, count[:recordings]), JAX_ROUNDS)
     stream = np.array(streams, np.uint32)[:, None]
-    k0, k1 = _threefry(k0, k1, stream * 0, stream)
-    high, low = _threefry(k0[..., None], k1[..., None], count[:1] * 0, count[:size])
+    k0, k1 = threefry((k0, k1), (stream * 0, stream), JAX_ROUNDS)
+    high, low = threefry((k0[..., None], k1[..., None]), (count[:1] * 0, count[:size]), JAX_ROUNDS)
     if dtype == np.float64:
         bits = (high.astype(np.uint64) << np.uint64(32) | low) >> np.uint64(12) | np.uint64(
             0x3FF
@@ -63,20 +61,6 @@ def _drawn(key, streams, recordings, size, dtype):
     else:
         bits = (high ^ low) >> np.uint32(9) | np.uint32(0x3F800000)
     return (bits.view(dtype) - 1) * 2 - 1  # a number in [1, 2) of random digits, moved
-
-
-def _threefry(k0, k1, x0, x1):
-    """Return two words enciphered with a key of two words, all arrays of 32-bit words: twenty rounds, five of
-    them with the key.
-    """
-    keys = k0, k1, k0 ^ k1 ^ PARITY
-    x0, x1 = x0 + k0, x1 + k1
-    for i in range(5):
-        for r in ROTATIONS[i % 2]:
-            x0 = x0 + x1
-            x1 = (x1 << np.uint32(r) | x1 >> np.uint32(32 - r)) ^ x0
-        x0, x1 = x0 + keys[(i + 1) % 3], x1 + keys[(i + 2) % 3] + np.uint32(i + 1)
-    return x0, x1
 
 
 @partial(jax.jit, static_argnums=(2, 3, 4))

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from jaxbound.recordings.expressions import missing_column
-from jaxbound.recordings.objecttext import readable
+from jaxbound.text.objects import readable
 
 __all__ = ["Fault", "refuse_unknown_signal"]
 

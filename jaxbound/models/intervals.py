@@ -14,9 +14,9 @@ from jaxbound.exact.linalg import Number, Vector
 from jaxbound.models.fingerprint import fingerprint
 from jaxbound.models.signals import Each
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.objecttext import readable
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval, interval
+from jaxbound.text.objects import readable
 
 __all__ = ["IntervalSystem", "as_intervals", "interval_system", "stacked"]
 

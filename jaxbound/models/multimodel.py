@@ -10,9 +10,9 @@ import jax
 import numpy as np
 
 from jaxbound.models.intervals import IntervalSystem, as_intervals
-from jaxbound.recordings.objecttext import readable
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval, interval
+from jaxbound.text.objects import readable
 
 __all__ = ["MultiModel"]
 

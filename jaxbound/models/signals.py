@@ -13,7 +13,7 @@ import numpy as np
 from jaxbound.exact.linalg import Number, Vector
 from jaxbound.models.plant import number
 from jaxbound.recordings.expressions import expression, is_expression
-from jaxbound.recordings.naming import listed
+from jaxbound.text.names import listed
 
 __all__ = ["Each", "ModelSignals", "Sensors", "Words", "model_signals", "sensors", "words"]
 

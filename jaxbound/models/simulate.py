@@ -22,11 +22,11 @@ from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.draws import normal_draws, uniform_draws
 from jaxbound.models.faults import Fault, refuse_unknown_signal
 from jaxbound.models.system import LinearSystem
+from jaxbound.random.keys import key_of
 from jaxbound.recordings.arrays import inputs_of, refuse_infinite
-from jaxbound.recordings.objecttext import readable
-from jaxbound.recordings.seeds import key_of
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.sizes import power
+from jaxbound.text.objects import readable
 
 __all__ = ["Trajectory", "simulate"]
 

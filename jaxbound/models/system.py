@@ -16,7 +16,7 @@ from jaxbound.models.plant import Plant, plant
 from jaxbound.models.signals import Each, ModelSignals, Sensors, Words, model_signals, sensors, words
 from jaxbound.models.uncertainty import Uncertainty, centred
 from jaxbound.models.unknown import Bounded, Coupling, without_descriptor
-from jaxbound.recordings.objecttext import readable
+from jaxbound.text.objects import readable
 
 __all__ = ["LinearSystem", "whole_lags"]
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, MatrixLike, Number
-from jaxbound.recordings.objecttext import readable
+from jaxbound.text.objects import readable
 
 __all__ = ["Uncertainty", "centred", "influences"]
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, MatrixLike, Number
 from jaxbound.models.uncertainty import Uncertainty
-from jaxbound.recordings.naming import listed
+from jaxbound.text.names import listed
 
 __all__ = ["Bounded", "Coupling", "decoupled", "explicit", "unbounded_inputs", "without_descriptor"]
 

@@ -11,8 +11,8 @@ import jax
 import numpy as np
 
 from jaxbound.recordings.expressions import Expression, expression, find_column, is_expression
-from jaxbound.recordings.naming import listed
 from jaxbound.recordings.table import as_table, is_table
+from jaxbound.text.names import listed
 
 __all__ = [
     "computed",

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxbound.recordings.plaintext import cell
+from jaxbound.text.characters import cell
 
 __all__ = [
     "categories",

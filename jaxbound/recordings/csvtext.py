@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from jaxbound.recordings.csvlines import BOM, CountedLines, is_blank, is_open, lines_of
-from jaxbound.recordings.naming import listed
 from jaxbound.recordings.timestamps import DIGITS, stamp_kind
+from jaxbound.text.names import listed
 
 __all__ = ["BLANK", "UNCLOSED", "Layout", "cells_of", "is_number", "parse_columns", "parsing", "sniff"]
 

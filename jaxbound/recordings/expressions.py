@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxbound.recordings.naming import listed, shown
+from jaxbound.text.names import listed, quoted
 
 __all__ = [
     "TIMES",
@@ -266,12 +266,12 @@ def expression(text: str) -> Expression:
         (('Supply Temp', 'mixed'), array([2.5, nan]))
     """
     text = text.strip().removeprefix("=").strip()
-    quoted: dict[str, str] = {}
+    ticked: dict[str, str] = {}
 
     def plain(piece):
         word = piece[0]
         if word[0] == "`":
-            return f" {quoted.setdefault(word[1:-1].strip(), f'_{len(quoted)}_in_backticks')} "
+            return f" {ticked.setdefault(word[1:-1].strip(), f'_{len(ticked)}_in_backticks')} "
         return {"&": " and ", "|": " or "}.get(word, word)
 
     code = PIECES.sub(plain, text)
@@ -279,13 +279,13 @@ def expression(text: str) -> Expression:
         tree = ast.parse(code.strip(), mode="eval").body
     except (RecursionError, MemoryError):
         raise ValueError(
-            f"the expression {shown(text)} cannot be read, too long or too deep: compute it beforehand, as a "
-            f"column"
+            f"the expression {quoted(text)} cannot be read, too long or too deep: compute it beforehand, "
+            f"as a column"
         ) from None
     except (SyntaxError, ValueError) as e:
         if "too many nested" in str(e):
             raise ValueError(
-                f"the expression {shown(text)} cannot be read, nested too deeply: compute it beforehand, as "
+                f"the expression {quoted(text)} cannot be read, nested too deeply: compute it beforehand, as "
                 f"a column"
             ) from None
         wrong = (
@@ -293,12 +293,12 @@ def expression(text: str) -> Expression:
             if re.search(r"(?<![<>=!])=(?!=)", code)
             else ("names with blanks, colons or other signs stand in backticks, like `Supply Temp`")
         )
-        raise ValueError(f"the expression {shown(text)} cannot be read: {wrong}") from None
+        raise ValueError(f"the expression {quoted(text)} cannot be read: {wrong}") from None
     called, texts = _checked(text, tree)
     names = {
         node.id: node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and id(node) not in called
     }
-    names |= {key: name for name, key in quoted.items()}
+    names |= {key: name for name, key in ticked.items()}
     if not names:
         raise ValueError(f"the expression {text!r} names no column")
     return Expression(
@@ -354,7 +354,7 @@ def _checked(text, tree):
             and isinstance(node.value, (int, float))
             and not abs(node.value) <= LARGEST
         ):
-            raise ValueError(f"the expression {shown(text)} holds a number beyond the range of floats")
+            raise ValueError(f"the expression {quoted(text)} holds a number beyond the range of floats")
     return called, texts
 
 
@@ -376,7 +376,7 @@ def find_column(wanted: str, present: Iterable[str], where: str) -> str:
     if not found:
         raise ValueError(missing_column(wanted, present, where))
     if len(found) > 1:
-        raise ValueError(f"{len(found)} columns are called {shown(wanted)}: a signal needs exactly one")
+        raise ValueError(f"{len(found)} columns are called {quoted(wanted)}: a signal needs exactly one")
     return found[0]
 
 
@@ -387,8 +387,8 @@ def missing_column(wanted: str, present: Iterable[str], where: str, kind: str = 
     )
     here = listed(list(map(str, present)))
     if near:
-        return f"{where} has no {kind} {shown(wanted)}; did you mean {shown(near[0])}? It has {here}."
-    return f"{where} has no {kind} {shown(wanted)}: it has {here}"
+        return f"{where} has no {kind} {quoted(wanted)}; did you mean {quoted(near[0])}? It has {here}."
+    return f"{where} has no {kind} {quoted(wanted)}: it has {here}"
 
 
 def likely(names: Iterable[str], patterns: Iterable[str]) -> list[str]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxbound.recordings.naming import listed
+from jaxbound.text.names import listed
 
 __all__ = [
     "missing_hints",

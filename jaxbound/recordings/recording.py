@@ -14,11 +14,11 @@ import numpy as np
 from jaxbound.recordings.arrays import computed, float_arrays, is_made, refuse_infinite
 from jaxbound.recordings.columns import to_arrow
 from jaxbound.recordings.expressions import expression, fails, find_column
-from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.seams import all_starts, around, aside, check_period, crossing
 from jaxbound.recordings.table import as_table, is_table, paired
 from jaxbound.recordings.tabletime import row_time
 from jaxbound.recordings.timestamps import row_label, time_label
+from jaxbound.text.objects import readable
 
 __all__ = ["NOWHERE", "Recording", "Signals", "signals_of"]
 

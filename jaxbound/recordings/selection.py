@@ -17,7 +17,7 @@ from jaxbound.recordings.expressions import (
     is_expression,
     likely,
 )
-from jaxbound.recordings.naming import listed
+from jaxbound.text.names import listed
 
 __all__ = ["NO_TIME", "STAMPS", "TELLING", "Wanted", "time_column", "wanted", "where_hints"]
 

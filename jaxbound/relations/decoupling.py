@@ -20,15 +20,16 @@ from math import comb
 import numpy as np
 
 from jaxbound.exact import linalg
+from jaxbound.exact.circuits import circuits
 from jaxbound.exact.linalg import Vector
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.naming import listed
-from jaxbound.recordings.objecttext import readable
 from jaxbound.relations import shift
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy, basis, redundancy
 from jaxbound.relations.shift import Row
+from jaxbound.text.names import listed
+from jaxbound.text.objects import readable
 
 __all__ = [
     "Isolability",
@@ -126,7 +127,7 @@ def _supports(rows: Sequence[Row], columns: Sequence[int]) -> list[tuple[int, ..
         raise ValueError(
             "too many relations to choose from: say which faults each part of the bank is to ignore"
         )
-    return [tuple(j for j, x in enumerate(h) if x) for h in linalg.circuits(a)]
+    return [tuple(j for j, x in enumerate(h) if x) for h in circuits(a)]
 
 
 def _best(model: LinearSystem) -> Redundancy:

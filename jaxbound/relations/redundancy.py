@@ -29,13 +29,13 @@ from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations import shift
 from jaxbound.relations.elimination import eliminate
 from jaxbound.relations.parity import ParityRelation, stated_relations
 from jaxbound.relations.sentence import few_lines
 from jaxbound.relations.shift import Row
+from jaxbound.text.objects import readable
 
 __all__ = ["Redundancy", "basis", "known_side", "redundancy"]
 
@@ -226,7 +226,7 @@ def basis(model: LinearSystem, F: Matrix | None = None, D_v: Matrix | None = Non
         again = []
         for i in waiting:
             through = tuple(x for k in range(j + 1) for x in responses[j - k][i])
-            row, scale = linalg.primitive_scale(reached[i] + through)
+            row, scale = linalg.integers(reached[i] + through)
             held, used = _reduced(list(row), {j * p + i: scale}, kept)
             pivot = next((c for c, x in enumerate(held) if x), None)
             if pivot is None:

@@ -16,10 +16,10 @@ from jax.typing import ArrayLike, DTypeLike
 
 from jaxbound.consistency.bisection import BisectionTest, flat
 from jaxbound.consistency.interface import WindowTest, refuse_options
-from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording, Signals
 from jaxbound.recordings.table import as_table, is_table
 from jaxbound.sets.intervals.interval import Interval, interval, mid
+from jaxbound.text.objects import readable
 
 __all__ = ["Channels", "Residual", "residual"]
 

@@ -23,7 +23,6 @@ from jaxbound.consistency.polynomial_reading import PolynomialReading
 from jaxbound.consistency.reading import forms
 from jaxbound.exact import linalg
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.annihilator import Step, annihilator, generic_rank, rank_over_box
 from jaxbound.relations.bounds import Bounds, changed_bounds, float_bound, model_bounds, reading
@@ -33,6 +32,7 @@ from jaxbound.relations.uncertain_window import Variable, uncertain_window
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.strips.polynomials import closure
+from jaxbound.text.objects import readable
 
 __all__ = ["UncertainRelations", "uncertain_relations"]
 

@@ -14,13 +14,13 @@ from jaxbound.certificates.certificate import Certificate
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.observed import ObserverResult
 from jaxbound.plots.combination import combination
-from jaxbound.recordings.plaintext import clipped, printable
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.reports.chart import VALUES, Piece, Row, band_key, coded, drawn, piece_of, pieces_of, plain
 from jaxbound.reports.clock import axis_of, clock_of
 from jaxbound.runs.digest import Digest
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
+from jaxbound.text.characters import clipped, printable
 
 __all__ = ["charts"]
 

@@ -11,7 +11,6 @@ from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.observed import ObserverResult
 from jaxbound.estimation.observer import SetObserver
 from jaxbound.plots.residuals import distinct_relations
-from jaxbound.recordings.plaintext import duration, factor
 from jaxbound.relations.sentence import looked_at
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.reports.chartdata import charts
@@ -20,6 +19,7 @@ from jaxbound.reports.parts import computed, model_values
 from jaxbound.runs.digest import Digest
 from jaxbound.runs.endings import sizes_text
 from jaxbound.runs.summary import Evidence, Summary
+from jaxbound.text.quantities import duration, factor
 
 __all__ = ["write_report"]
 

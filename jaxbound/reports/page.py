@@ -3,7 +3,8 @@
 import base64
 import functools
 
-from jaxbound.recordings.plaintext import factor, percent, printable
+from jaxbound.text.characters import printable
+from jaxbound.text.quantities import factor, percent
 
 __all__ = ["TITLE", "render"]
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxbound.exact.linalg import Vector
 from jaxbound.models.modelfile import number_text
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.plaintext import percent
+from jaxbound.text.quantities import percent
 
 __all__ = ["computed", "model_values"]
 

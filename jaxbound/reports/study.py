@@ -6,13 +6,13 @@ from typing import cast
 
 import numpy as np
 
-from jaxbound.recordings.plaintext import percent
 from jaxbound.relations.sentence import looked_at
 from jaxbound.reports.chart import even_marks
 from jaxbound.reports.curves import Curve, share_chart
 from jaxbound.reports.page import render
 from jaxbound.reports.parts import computed, model_values
 from jaxbound.studies.montecarlo.study_result import StudyResult, study_table
+from jaxbound.text.quantities import percent
 
 __all__ = ["COLUMNS", "HEAD", "sentence", "study_page", "study_rows"]
 

@@ -8,13 +8,13 @@ from typing import Any, cast
 
 import numpy as np
 
-from jaxbound.recordings.plaintext import duration
 from jaxbound.relations.sentence import looked_at
 from jaxbound.reports.chart import POINTS, Piece, Row, drawn
 from jaxbound.reports.clock import axis_of
 from jaxbound.reports.page import TITLE, render
 from jaxbound.reports.parts import computed, model_values
 from jaxbound.runs.summary import Evidence, Summary
+from jaxbound.text.quantities import duration
 
 __all__ = ["write_page"]
 

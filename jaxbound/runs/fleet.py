@@ -28,7 +28,6 @@ from jaxbound.recordings.csvlines import is_open, split_lines
 from jaxbound.recordings.csvtext import UNCLOSED, cells_of
 from jaxbound.recordings.expressions import missing_column
 from jaxbound.recordings.hints import refuse_short
-from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.read import open_source
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.parity import parity_relations
@@ -36,6 +35,7 @@ from jaxbound.relations.sentence import remembers
 from jaxbound.runs.continuation import Continuation, alone, beside, followed
 from jaxbound.runs.endings import ending_hints
 from jaxbound.runs.summary import CODES, OUTSIDE, Summary, summarised
+from jaxbound.text.objects import readable
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxbound.diagnosis.hints import unfit
-from jaxbound.recordings.objecttext import readable
-from jaxbound.recordings.plaintext import percent, times
 from jaxbound.relations.sentence import remembers
 from jaxbound.sets.floats.status import Status
+from jaxbound.text.objects import readable
+from jaxbound.text.quantities import percent, times
 
 __all__ = [
     "CODES",

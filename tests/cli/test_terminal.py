@@ -16,11 +16,11 @@ from jaxbound.models import modelfile
 from jaxbound.models.modelfile import load_model, template
 from jaxbound.plots.canvas import canvas, to_png
 from jaxbound.recordings.expressions import expression, missing_column
-from jaxbound.recordings.naming import listed
-from jaxbound.recordings.plaintext import cell, clipped, printable
 from jaxbound.recordings.read import read
 from jaxbound.runs.fleet import Unit, UnitResult
 from jaxbound.runs.summary import Summary, Window
+from jaxbound.text.characters import cell, clipped, printable
+from jaxbound.text.names import listed
 
 
 def shell(command, folder):

@@ -8,7 +8,7 @@ import pytest
 from result_case import biased
 
 import jaxbound as jb
-from jaxbound.recordings.seeds import key_of
+from jaxbound.random.keys import key_of
 
 
 @pytest.fixture(scope="module")

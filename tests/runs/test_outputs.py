@@ -22,7 +22,7 @@ from systems import paper
 
 import jaxbound as jb
 from jaxbound.cli import evaluation, main, pipe
-from jaxbound.recordings.checkpoint import Checkpoint
+from jaxbound.files.checkpoint import Checkpoint
 from jaxbound.runs import fleet, judges
 
 MODEL = "# bounds measured by hand\n"  # a comment that no program would write again

@@ -8,7 +8,6 @@ from systems import paper
 
 import jaxbound as jb
 from jaxbound.diagnosis.hints import bound_hints
-from jaxbound.recordings.plaintext import duration, percent, times
 from jaxbound.runs.summary import summarised
 
 
@@ -72,28 +71,6 @@ class TestSummary:
             summary(res, [], self.label)[0] == "too little evidence"
             and summarised(res, [], self.label).worst is None
         )
-
-    def test_numbers_read_well(self):
-        assert [percent(x) for x in (0, 1e-9, 0.1234, 0.99999, 1)] == [
-            "0 %",
-            "<0.1 %",
-            "12.3 %",
-            ">99.9 %",
-            "100 %",
-        ]
-        assert [times(x) for x in (1.0004, 2.149, 12345.6, 3e12)] == [
-            "1.0004 times",
-            "2.15 times",
-            "12,346 times",
-            "3e+12 times",
-        ]
-        assert [duration(x) for x in (0.01, 90, 600, 9000, 10**6)] == [
-            "0.01 s",
-            "90 s",
-            "10 min",
-            "2.5 h",
-            "11.6 d",
-        ]
 
     def test_bounds_that_nobody_can_mean(self):
         assert bound_hints(paper()) == []

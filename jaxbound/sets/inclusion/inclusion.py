@@ -19,7 +19,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.recordings.objecttext import readable
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.probe import refuse_unverified
@@ -27,6 +26,7 @@ from jaxbound.sets.inclusion.derivatives import plain
 from jaxbound.sets.inclusion.jaxprs import Value, evaluate, refuse_unsupported
 from jaxbound.sets.inclusion.lifted import enclose, settled
 from jaxbound.sets.intervals.interval import Interval, add, intersection, interval, matmul, mid, sub
+from jaxbound.text.objects import readable
 
 __all__ = ["Inclusion", "inclusion"]
 

@@ -21,10 +21,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.recordings.objecttext import readable
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals import approximations
 from jaxbound.sets.intervals.bounds import Arrays, Number, bound, check, settled
+from jaxbound.text.objects import readable
 
 __all__ = [
     "Interval",

@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
-from jaxbound.recordings.objecttext import readable
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.unrolled import apart
 from jaxbound.sets.intervals.interval import Interval, Operand, interval
 from jaxbound.sets.linear_systems.hull import orthant_hull
 from jaxbound.sets.linear_systems.kernels import Factored, contract, enclose, factor, preconditioner, times
+from jaxbound.text.objects import readable
 
 __all__ = ["Solution", "Solvability", "solve_interval"]
 

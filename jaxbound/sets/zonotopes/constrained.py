@@ -9,9 +9,9 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.recordings.objecttext import readable
 from jaxbound.sets.intervals.bounds import Arrays
 from jaxbound.sets.zonotopes.zonotope import Zonotope, finite_arrays
+from jaxbound.text.objects import readable
 
 __all__ = ["ConstrainedZonotope", "constrained_zonotope", "parts"]
 

@@ -24,7 +24,6 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.recordings.objecttext import readable
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.intervals.interval import interval, mid, rad
@@ -33,6 +32,7 @@ from jaxbound.sets.zonotopes.constrained import AnySet
 from jaxbound.sets.zonotopes.gauges import gauge_bounds
 from jaxbound.sets.zonotopes.questions import Question, flat, normal, numbers, traced
 from jaxbound.sets.zonotopes.zonotope import refuse_infinite
+from jaxbound.text.objects import readable
 
 __all__ = [
     "Answer",

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.recordings.objecttext import readable
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.bounds import Arrays
 from jaxbound.sets.intervals.interval import Interval
+from jaxbound.text.objects import readable
 
 __all__ = ["Zonotope", "finite_arrays", "refuse_infinite", "zonotope"]
 

@@ -21,7 +21,6 @@ import numpy as np
 from jaxbound.diagnosis.detection import detect
 from jaxbound.models.system import LinearSystem, whole_lags
 from jaxbound.recordings.hints import recorded_step
-from jaxbound.recordings.objecttext import readable
 from jaxbound.relations.parity import parity_relations
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.status import Status
@@ -29,6 +28,7 @@ from jaxbound.studies.identification import filters, regression
 from jaxbound.studies.identification.means import smallest_means
 from jaxbound.studies.identification.realisation import realised, realised_filters
 from jaxbound.studies.identification.records import measured, read_records
+from jaxbound.text.objects import readable
 
 __all__ = ["FitCheck", "Fitted", "fit"]
 

@@ -15,11 +15,11 @@ import jax
 import jax.numpy as jnp
 
 from jaxbound.consistency.reading import Reading
+from jaxbound.random.threefry import Array
 from jaxbound.sets.floats.unrolled import stored
 from jaxbound.sets.strips.separation import Frame, separation_margin
 from jaxbound.sets.strips.strips import strip_margin
 from jaxbound.studies.montecarlo import kernel
-from jaxbound.studies.montecarlo.draws import Array
 from jaxbound.studies.montecarlo.recursion import Plant
 from jaxbound.studies.montecarlo.scenarios import Act
 

@@ -19,9 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency.reading import Reading
+from jaxbound.random.threefry import Array
 from jaxbound.sets.strips.strips import Strips, strip_verdict
 from jaxbound.studies.montecarlo import draws, recursion, scenarios
-from jaxbound.studies.montecarlo.draws import Array
 from jaxbound.studies.montecarlo.recursion import Plant
 from jaxbound.studies.montecarlo.scenarios import Act
 

@@ -29,13 +29,14 @@ from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.faults import Fault
 from jaxbound.models.fingerprint import fingerprint
 from jaxbound.models.system import LinearSystem
+from jaxbound.random.keys import key_of
 from jaxbound.recordings.arrays import inputs_of, refuse_infinite
-from jaxbound.recordings.seeds import key_of
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import parity_relations
 from jaxbound.relations.residual import Residual
 from jaxbound.relations.sentence import remembers
 from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.floats.threads import inherited
 from jaxbound.sets.strips.strips import UNROLLED
 from jaxbound.studies.montecarlo import adversary, kernel, records, recursion, scenarios
 from jaxbound.studies.montecarlo.keeper import Keeper
@@ -394,21 +395,15 @@ def _here(job, tasks):
     _, *others = jax.local_devices(backend="cpu")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     threads = max(1, cores // (1 + len(others)))
-    wide = (
-        jax.dtypes.canonicalize_dtype(np.float64) == np.float64
-    )  # in a context of the caller's thread, perhaps
+    run = inherited(job.run)
     left, waiting = iter(tasks), deque()  # type: ignore[var-annotated]
-
-    def placed(task):
-        with jax.enable_x64(wide):
-            return job.run(task)
 
     with ThreadPoolExecutor(threads) as pool:
         try:
-            waiting.extend(pool.submit(placed, task) for task in islice(left, threads + 2))
+            waiting.extend(pool.submit(run, task) for task in islice(left, threads + 2))
             while waiting:
                 found = waiting.popleft().result()
-                waiting.extend(pool.submit(placed, task) for task in islice(left, 1))
+                waiting.extend(pool.submit(run, task) for task in islice(left, 1))
                 yield found
         finally:
             for one in waiting:

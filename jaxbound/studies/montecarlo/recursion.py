@@ -37,8 +37,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.models.system import LinearSystem
+from jaxbound.random.threefry import Array
 from jaxbound.sets.floats import rounding
-from jaxbound.studies.montecarlo.draws import Array
 
 __all__ = ["Plant", "fits", "plant_of", "reach", "rounding_room", "step"]
 

@@ -14,6 +14,7 @@ from jaxbound.diagnosis.detectability import detectable
 from jaxbound.estimation.observer import SetObserver
 from jaxbound.models.faults import KINDS, Fault, refuse_unknown_signal
 from jaxbound.models.system import LinearSystem
+from jaxbound.random.threefry import Array
 from jaxbound.relations.bounds import model_bounds
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy
@@ -21,7 +22,6 @@ from jaxbound.relations.residual import Residual
 from jaxbound.relations.sentence import remembers
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.studies.montecarlo import recursion
-from jaxbound.studies.montecarlo.draws import Array
 
 __all__ = ["Act", "Relations", "Trial", "act_of", "changed", "largest_input", "trials"]
 

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.objecttext import readable
 from jaxbound.studies.montecarlo.proportions import proportion_interval
 from jaxbound.studies.montecarlo.scenarios import Trial
 from jaxbound.studies.montecarlo.tally import Tally
+from jaxbound.text.objects import readable
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -14,9 +14,8 @@ from numpy.typing import ArrayLike
 
 from jaxbound.diagnosis.detection import detect
 from jaxbound.estimation.observer import SetObserver
+from jaxbound.files.checkpoint import Checkpoint
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.checkpoint import Checkpoint
-from jaxbound.recordings.objecttext import readable
 from jaxbound.relations.bounds import Bounds, model_bounds
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import ParityRelation
@@ -29,6 +28,7 @@ from jaxbound.studies.tuning.confidence import Risk, blocks_of, held_out, risk_o
 from jaxbound.studies.tuning.descent import BLOCK, RATE, default_optimizer, descend, problem_of
 from jaxbound.studies.tuning.parametrization import model_with, moving
 from jaxbound.studies.tuning.scaling import factors, smallest_scale, windows_of, worst
+from jaxbound.text.objects import readable
 
 if TYPE_CHECKING:
     import optax

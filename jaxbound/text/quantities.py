@@ -1,0 +1,65 @@
+"""Numbers as people read them: factors, shares and spans of time."""
+
+__all__ = ["duration", "factor", "percent", "rough_duration", "times"]
+
+UNITS = (("d", 86400, 172800), ("h", 3600, 7200), ("min", 60, 120))
+"""A unit of time, its seconds, and the seconds from which on it is used."""
+YEAR = 3.2e7
+"""Seconds."""
+
+
+def factor(x: float) -> str:
+    """Return "2.2" for a factor, with no more digits than matter."""
+    if x >= 1e9:
+        return f"{x:.2g}"
+    if x >= 1000:
+        return f"{x:,.0f}"
+    short = f"{x:.3g}"
+    if short == "1":  # just above 1 is not 1
+        return f"{x:.7g}"
+    return short
+
+
+def times(x: float) -> str:
+    """Return "2.2 times" for a factor."""
+    return f"{factor(x)} times"
+
+
+def percent(share: float) -> str:
+    """Return a share as text that is 0 % or 100 % only where it is exactly that."""
+    if share in (0, 1):
+        return f"{100 * share:.0f} %"
+    if share < 0.001:
+        return "<0.1 %"
+    if 0.999 < share < 1:
+        return ">99.9 %"
+    return f"{100 * share:.3g} %"
+
+
+def duration(seconds: float) -> str:
+    """Return a time span in units that read well."""
+    for unit, size, least in UNITS:
+        if seconds >= least:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds:.3g} s"
+
+
+def rough_duration(seconds: float) -> str:
+    """Return a duration that was only estimated, as text.
+
+    Example:
+        >>> rough_duration(5.2), rough_duration(500), rough_duration(2e4), rough_duration(1e12)
+        ('about 5 seconds', 'about 8 minutes', 'about 6 hours', 'more than a year')
+    """
+    if seconds > YEAR:
+        return "more than a year"
+    for size, name in ((1, "second"), (60, "minute"), (3600, "hour")):
+        if seconds < 100 * size:
+            return _counted(max(round(seconds / size), 1), name)
+    return _counted(round(seconds / 86400), "day")
+
+
+def _counted(count: int, name: str) -> str:
+    if count == 1:
+        return f"about 1 {name}"
+    return f"about {count} {name}s"
