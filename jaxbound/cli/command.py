@@ -33,8 +33,11 @@ class Command(Protocol):
 
     NAME: str
     HELP: str
-    EXAMPLES: Sequence[tuple[str, str]]
     CODES: str
+
+    @property
+    def EXAMPLES(self) -> Sequence[tuple[str, str]]:
+        """Command lines and their effects."""
 
     def options(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments and options of the command."""

@@ -104,7 +104,7 @@ def evaluate_parts(
             reaches = outgrown(source.model, relations)
             hints = dict.fromkeys((*found.hints, *reaches, *ending_hints(found, found.alarms, sizes)))
             res = summarised(found, found.alarms, found.label, min_coverage, hints, sizes, bool(reaches))
-            about = relations.model, data, source.content, options.method, relations.horizon
+            about = relations.model, Path(data), source.content, options.method, relations.horizon
             write_all(work, Outcome(found, None, found.alarms, res, *about, options.observer_options))
             write_report(
                 work,
@@ -172,7 +172,7 @@ def evaluate(
             alarms,
             found,
             tested,
-            data,
+            Path(data),
             held,
             options.method,
             relations.horizon,

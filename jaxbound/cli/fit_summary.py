@@ -9,8 +9,8 @@ import numpy as np
 
 from jaxbound.cli.terminal import show
 from jaxbound.diagnosis.memory import slowest, suggest_lags
-from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.expressions import expression
+from jaxbound.studies.identification.fitting import Fitted
 
 __all__ = ["plain_fit", "show_fit", "signal_columns"]
 
@@ -67,7 +67,7 @@ def _column_entry(text: str) -> str:
 
 
 def plain_fit(
-    model: LinearSystem,
+    model: Fitted,
     files: Sequence[Path],
     out: Path,
     order: int,
@@ -113,7 +113,7 @@ def _all_finite(numbers):
 
 
 def show_fit(
-    model: LinearSystem,
+    model: Fitted,
     files: Sequence[Path],
     written: Sequence[str],
     order: int,

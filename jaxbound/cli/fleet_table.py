@@ -8,10 +8,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from jaxbound.cli.terminal import show, write
+from jaxbound.diagnosis.alarms import Alarm
+from jaxbound.diagnosis.result import Result
+from jaxbound.recordings.recording import Recording
 from jaxbound.reports.detection import write_report
 from jaxbound.reports.fleet import fleet_page
-from jaxbound.runs.fleet import UnitResult, fleet_verdict, worst_first
-from jaxbound.runs.summary import LAYOUT, OUTSIDE
+from jaxbound.runs.fleet import Unit, UnitResult, fleet_verdict, worst_first
+from jaxbound.runs.summary import LAYOUT, OUTSIDE, Summary
 from jaxbound.text.characters import cell
 from jaxbound.text.quantities import percent
 
@@ -98,17 +101,21 @@ class UnitPages:
         work: the folder of the run, in which they get one of their own.
     """
 
-    def __init__(self, work):
-        self.work, self.numbers = work, {}
+    def __init__(self, work: Path) -> None:
+        self.work = work
+        self.numbers: dict[str, int] = {}
 
-    def number(self, units):
+    def number(self, units: Sequence[Unit]) -> None:
         """Give units their numbers, and no others, before several processes write their pages."""
         (self.work / UNITS).mkdir(exist_ok=True)
         self.numbers = {unit.name: i for i, unit in enumerate(units, 1)}
 
-    def __call__(self, unit, res, recording, alarms, summary):
+    def __call__(
+        self, unit: Unit, res: Result, recording: Recording, alarms: Sequence[Alarm], summary: Summary
+    ) -> str:
         """Write the page of a unit; return its name in the folder of the run, "" without one."""
-        if summary.verdict not in SHOWING or (unit.name not in self.numbers and len(self.numbers) == PAGES):
+        is_full = len(self.numbers) == PAGES and unit.name not in self.numbers
+        if summary.verdict not in SHOWING or is_full:
             return ""
         number = self.numbers.setdefault(unit.name, len(self.numbers) + 1)
         (self.work / UNITS).mkdir(exist_ok=True)

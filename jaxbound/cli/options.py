@@ -66,7 +66,8 @@ class MethodOptions:
     @classmethod
     def of(cls, args: argparse.Namespace) -> "MethodOptions":
         """Return the options of a command line; a command without one of them has its default."""
-        return cls(**{f.name: getattr(args, f.name, f.default) for f in fields(cls)})
+        given = {f.name: getattr(args, f.name) for f in fields(cls) if hasattr(args, f.name)}
+        return cls(**given)
 
     @property
     def observes(self) -> bool:

@@ -10,8 +10,9 @@ __all__ = ["SampleAxis"]
 class SampleAxis:
     """The samples of a Source by number and by time; only those that are asked for are read, where it can."""
 
-    def __init__(self, source: Source):
-        self.source, self.samples = source, source.samples
+    def __init__(self, source: Source) -> None:
+        self.source = source
+        self.samples: int = source.samples or 0  # None where nobody has counted: a report has
         self.is_stamped = self._one(0).stamps is not None
 
     def label(self, k: int) -> str:

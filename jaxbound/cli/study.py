@@ -210,14 +210,15 @@ def _sizes(text: str | None) -> list[float] | None:
         ) from None
 
 
-def _onset(text: str | None) -> tuple[int, ...] | None:
+def _onset(text: str | None) -> tuple[int, int] | None:
     """Read the first and last sample of an onset: lo:hi."""
     pairs = _pairs("--onset", text)
     if pairs is None:
         return None
     if len(pairs) > 1 or not all(x.is_integer() for x in pairs[0]):
         raise Refused(f"--onset needs two whole numbers lo:hi, not {text!r}")
-    return tuple(map(int, pairs[0]))
+    low, high = pairs[0]
+    return int(low), int(high)
 
 
 def _pairs(option: str, text: str | None) -> list[tuple[float, ...]] | None:

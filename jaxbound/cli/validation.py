@@ -175,7 +175,9 @@ def evaluate_validation(
     reaches = outgrown(plant, res, "validation")
     hints = (*recording.hints, *bound_hints(plant), *reaches, *assumed)
     summary = summarised(res, alarms, recording.label, min_coverage, hints, outgrown=bool(reaches))
-    write_all(work, Outcome(res, recording, alarms, summary, plant, data, held, options.method, horizon))
+    write_all(
+        work, Outcome(res, recording, alarms, summary, plant, Path(data), held, options.method, horizon)
+    )
     write_page(work, res, recording, summary, seconds=seconds, progress=lambda share: step("report", share))
     seconds["report"] = time.perf_counter() - start
     return Evaluation(summary, plant, seconds)
