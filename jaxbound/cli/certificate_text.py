@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 
 from jaxbound.certificates.uncertain_certificate import UncertainCertificate
+from jaxbound.models.rows import Kind
+from jaxbound.relations.sentence import row_name
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import percent, times
 
@@ -193,21 +195,12 @@ def _bounds_rows(certificate, labels):
     """Return the disturbances and averages that have a part in the violated relation: they stand behind the
     outputs.
     """
-    window, model = certificate.window, certificate.window.model
-    disturbances = model.g * window.horizon
+    window = certificate.window
     rows = []
-    for i, coefficient in enumerate(certificate.h[len(window.y) :]):
-        if not coefficient:
-            continue
-        if i < disturbances:
-            when, name = labels[i // model.g], f"w{i % model.g + 1}"
-        else:
-            average, run = window.runs[i - disturbances]
-            last = run[-1]
-            sample = last // model.p if last < len(window.y) else (last - len(window.y)) // model.g
-            when, name = labels[sample], model.averages[average].text
-        limits = _limits_text(window.limits[len(window.y) + i])
-        rows.append((when, name, "", *limits, six_digits(coefficient)))
+    for coefficient, row, limits in zip(certificate.h, window.rows, window.limits, strict=True):
+        if coefficient and row.kind is not Kind.READING:
+            when, name = labels[row.last], row_name(window.model, row)
+            rows.append((when, name, "", *_limits_text(limits), six_digits(coefficient)))
     return rows
 
 
