@@ -45,6 +45,7 @@ class Validated:
     found: Validation
     aside: int = 0
     method = "validation"
+    remembers = False  # a page says of it that it looks at windows
 
     relations = property(lambda self: self, doc="Where reports look for the model and the horizon.")
     status = property(lambda self: np.asarray(self.found.status), doc="(T,) int8.")
