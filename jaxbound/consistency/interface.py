@@ -30,7 +30,6 @@ __all__ = [
     "OBSERVER",
     "Judged",
     "LinearRelations",
-    "MethodOptions",
     "Observer",
     "Open",
     "Reach",
@@ -542,18 +541,6 @@ class Observer(Relations, Generic[Carry]):
         raise NotImplementedError(
             "margins are those of windows: detect(observer, ..).margin has what an observer says"
         )
-
-
-class MethodOptions:
-    """How a method is set: a frozen dataclass in the file of the method, its fields with defaults.
-
-    Fields:
-        method: the name of the method, as keywords and the shell take it.
-        words: {field: one sentence for the help of the shell}; the type of an option is that of its field.
-    """
-
-    method: ClassVar[str]
-    words: ClassVar[Mapping[str, str]] = {}
 
 
 FAMILIES: dict[str, Callable[[Any, int | None], Relations]] = {}
