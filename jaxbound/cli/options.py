@@ -11,7 +11,6 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from jaxbound.cli.command import swift_imports
 from jaxbound.cli.terminal import NORMAL, QUIET, VERBOSE, Refused
 
 __all__ = [
@@ -51,8 +50,8 @@ def refuse_unknown_method(method: str, known: str) -> None:
     """Raise Refused for a method that is neither among `known`, with commas, nor registered as a family."""
     if method in known.split(", "):
         return
-    with swift_imports():
-        from jaxbound.consistency.interface import FAMILIES
+    from jaxbound.consistency.interface import FAMILIES  # only now: a help is to be there at once
+
     if method not in FAMILIES:
         raise Refused(f"--method must be one of {', '.join((known, *FAMILIES))}, not {method!r}")
 
