@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency import whole_numbers
-from jaxbound.consistency.interface import Judged, WindowTest
+from jaxbound.consistency.interface import Judged, LinearRelations, WindowTest
 from jaxbound.consistency.reading import gather
 from jaxbound.consistency.strips_on_host import contradicted_by
 from jaxbound.consistency.twice import Twice
@@ -60,6 +60,8 @@ class ExchangeTest(WindowTest):
         reading: how kernels read a window, with the frame of this search; None: that of the relations. steps,
             finer: of `separation.separation_search`.
     """
+
+    relations: LinearRelations
 
     threads = twice = True
     short = 16  # the work grows with the block
@@ -142,6 +144,7 @@ class ExchangeTest(WindowTest):
         """
         (margin,), s = outs, self.horizon
         self._whole_numbers(u, y, margin)
+        assert self.relations.frame is not None
         k = len(self.relations.frame.inner)
         for frame, chosen in self._frames(u, y, left):
             starts = left[chosen]
@@ -208,6 +211,7 @@ class ExchangeTest(WindowTest):
             number = next((i for i in by_inputs.get(inputs, ()) if _fits(frames[i], gone, inputs)), None)
             if number is None:
                 number = len(frames)
+                assert self.relations.frame is not None
                 frames.append(reframe(self.relations.frame, gone, inputs))
                 by_inputs.setdefault(inputs, []).append(number)
             numbers.append(number)

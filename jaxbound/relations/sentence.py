@@ -1,7 +1,6 @@
 """Relations as a reader would write them."""
 
-from typing import Any
-
+from jaxbound.consistency.interface import Reach, Relations
 from jaxbound.exact.linalg import Vector
 from jaxbound.models.rows import Kind, Row
 from jaxbound.models.system import LinearSystem
@@ -13,24 +12,24 @@ FEW = 8
 """Relations that are shown at a prompt."""
 
 
-def remembers(relations: Any) -> bool:
+def remembers(relations: Relations) -> bool:
     """Return whether verdicts rest on all samples before, as those of an observer, and not on windows."""
-    return getattr(relations, "remembers", False)
+    return relations.remembers
 
 
-def latched(relations: Any) -> bool:
+def latched(relations: Relations) -> bool:
     """Return whether a FAULT stays until a gap, as that of an observer that does not begin anew."""
-    return remembers(relations) and not relations.restart
+    return relations.latched
 
 
-def looked_at(relations: Any) -> str:
+def looked_at(relations: Reach) -> str:
     """Say what a verdict of relations, or of an observer, rests on."""
-    if remembers(relations):
+    if relations.remembers:
         return "everything since it began"
     return f"windows of {relations.horizon + 1} samples"
 
 
-def few_lines(relations: Any) -> dict[str, str]:
+def few_lines(relations: Relations) -> dict[str, str]:
     """Return what relations show of themselves at a prompt: their model, and each of them where they are
     few.
     """
