@@ -78,7 +78,7 @@ class Bench:
             json=False,
         )
         try:
-            pipe.follow(args, pieces)
+            pipe.judge_stream(args, pieces)
         except pipe.Refused as e:
             return None, str(e)
         rows = (place / "out" / "verdicts.csv").read_text().splitlines()[1:]

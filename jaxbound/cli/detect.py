@@ -9,7 +9,6 @@ import re
 import shlex
 import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
 from typing import cast
 
 import jax
@@ -33,10 +32,13 @@ from jaxbound.reports.detection import write_report
 from jaxbound.reports.validation import write_page
 from jaxbound.runs.digest import digest
 from jaxbound.runs.endings import ending_hints, sizes_seen
+from jaxbound.runs.judges import Whole
+from jaxbound.runs.loop import follow
 from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.refusals import Interrupted, Refused
 from jaxbound.runs.runfile import VALIDATION
-from jaxbound.runs.sink import Outcome, file_names, write_all
+from jaxbound.runs.sink import Outcome
+from jaxbound.runs.sinks import Beside, close_all, file_names, open_sinks
 from jaxbound.runs.streaming import CHUNK, PARTIAL, VERDICTS, all_parts, kept, publish, write_parts
 from jaxbound.runs.summary import OUTSIDE, Evidence, Summary, Window, summarised
 from jaxbound.text.quantities import percent, times
@@ -132,13 +134,15 @@ def _stream(args, folder, step):
         start = time.perf_counter()
         with folder.work() as work:
             progress = lambda share: step("report", 0.4 * share)
-            found = digest(relations, source, parts, args.method, args.alarm, work / "alarms.csv", progress)
+            sinks = open_sinks(work, whole=False)
+            how = args.method, args.alarm, work / "alarms.csv", progress, sinks
+            found = digest(relations, source, parts, *how)
             sizes = sizes_seen(found, found.alarms)
             reaches = outgrown(source.model, relations)
             hints = dict.fromkeys((*found.hints, *reaches, *ending_hints(found, found.alarms, sizes)))
             res = summarised(found, found.alarms, found.label, args.min_coverage, hints, sizes, bool(reaches))
             about = relations.model, args.data, source.content, args.method, relations.horizon
-            write_all(work, Outcome(found, None, found.alarms, res, *about, observer_options(args)))
+            close_all(sinks, Outcome(found.alarms, res, *about, observer_options(args)))
             write_report(
                 work,
                 found,
@@ -174,28 +178,21 @@ def _evaluate(args, work, step, extra=lambda res: ()):
         refuse_short(args.data, recording.samples, relations.horizon)
         seconds["read"], start = time.perf_counter() - start, time.perf_counter()
         usable_device()
-        res = detect(relations, recording, method=args.method, progress=lambda share: step("test", share))
-    step("test", 1.0)
-    alarms = res.alarms(*args.alarm)
-    seconds["test"], start = time.perf_counter() - start, time.perf_counter()
-    sizes = sizes_seen(res, alarms)
-    reaches = outgrown(stated, relations)
-    hints = dict.fromkeys((*res.hints, *reaches, *again_hints(res), *ending_hints(res, alarms, sizes)))
-    found = summarised(res, alarms, recording.label, args.min_coverage, hints, sizes, bool(reaches))
-    with ThreadPoolExecutor(1) as beside:  # a million verdicts are written while the pictures are drawn
-        outcome = Outcome(
-            res,
-            recording,
-            alarms,
-            found,
-            model,
-            args.data,
-            held,
-            args.method,
-            relations.horizon,
-            observer_options(args),
-        )
-        tables = beside.submit(write_all, work, outcome)
+    with Beside(open_sinks(work)) as sinks:  # a million verdicts are written while the pictures are drawn
+        test = lambda r: detect(relations, r, method=args.method, progress=lambda share: step("test", share))
+        judge = Whole(test)
+        with door():
+            for _ in follow([recording], judge, [sinks]):
+                step("test", 1.0)
+        res = judge.verdicts
+        alarms = res.alarms(*args.alarm)
+        seconds["test"], start = time.perf_counter() - start, time.perf_counter()
+        sizes = sizes_seen(res, alarms)
+        reaches = outgrown(stated, relations)
+        hints = dict.fromkeys((*res.hints, *reaches, *again_hints(res), *ending_hints(res, alarms, sizes)))
+        found = summarised(res, alarms, recording.label, args.min_coverage, hints, sizes, bool(reaches))
+        about = model, args.data, held, args.method, relations.horizon, observer_options(args)
+        sinks.close(Outcome(alarms, found, *about))
         step("report", 0.1)
         write_report(
             work,
@@ -207,7 +204,6 @@ def _evaluate(args, work, step, extra=lambda res: ()):
             extra=extra(res),
             progress=lambda share: step("report", 0.1 + 0.8 * share),
         )
-        tables.result()
     step("report", 1.0)
     seconds["report"] = time.perf_counter() - start
     return found, model, seconds
@@ -228,11 +224,11 @@ def _validate(args, work, step):
         _complete(args.data, recording, horizon)
         seconds["read"], start = time.perf_counter() - start, time.perf_counter()
         usable_device()
-        found = validate(model, recording, horizon=horizon)
-        res = Validated(
-            model, horizon, recording.y, jax.tree.map(np.asarray, found), recording.aside(horizon)
-        )
-    step("test", 1.0)
+        judge = Whole(lambda r: _validated(model, r, horizon))
+        sinks = open_sinks(work)
+        for _ in follow([recording], judge, sinks):
+            step("test", 1.0)
+    res = judge.verdicts
     alarms = res.alarms(*args.alarm)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
     first = (
@@ -255,10 +251,16 @@ def _validate(args, work, step):
     reaches = outgrown(model, res, "validation")
     hints = (*recording.hints, *bound_hints(model), *reaches, *assumed)
     summary = summarised(res, alarms, recording.label, args.min_coverage, hints, outgrown=bool(reaches))
-    write_all(work, Outcome(res, recording, alarms, summary, model, args.data, held, args.method, horizon))
+    close_all(sinks, Outcome(alarms, summary, model, args.data, held, args.method, horizon))
     write_page(work, res, recording, summary, seconds=seconds, progress=lambda share: step("report", share))
     seconds["report"] = time.perf_counter() - start
     return summary, model, seconds
+
+
+def _validated(model, recording, horizon):
+    """Return the Validated of a recording."""
+    found = validate(model, recording, horizon=horizon)
+    return Validated(model, horizon, recording.y, jax.tree.map(np.asarray, found), recording.aside(horizon))
 
 
 def _complete(data, recording, horizon):

@@ -3,7 +3,9 @@ that fractions replay.
 """
 
 import argparse
+import contextlib
 import json
+import sqlite3
 
 import numpy as np
 import pandas as pd
@@ -16,7 +18,7 @@ from jaxbound.cli import pipe as piped
 from jaxbound.diagnosis.alarms import BEGAN_ANEW, ENDINGS
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.read import open_source
-from jaxbound.runs import streaming
+from jaxbound.runs import parts, streaming
 
 T, ONSET = 160, 90
 
@@ -165,11 +167,12 @@ def test_a_pipe_says_what_the_file_says_and_goes_on_behind_a_kill(place, capsysb
         }
         | more
     )
-    assert piped.follow(args(), [b"".join(lines[:70]), None]) == 0
-    note = (place / "pipe/monitor.jsonl").read_text().splitlines()[-1]
-    assert piped.follow(args(), [b"".join(lines[70:100]), *lines[100:]]) == 1
+    assert piped.judge_stream(args(), [b"".join(lines[:70]), None]) == 0
+    with contextlib.closing(sqlite3.connect(place / "pipe/monitor.sqlite")) as database:
+        ((memory,),) = database.execute("SELECT memory FROM checkpoint")
+    assert piped.judge_stream(args(), [b"".join(lines[70:100]), *lines[100:]]) == 1
     assert told(place / "pipe") == told(place / "out"), "the carry is in the state"
-    assert len(json.loads(note)["memory"]["state"]) > 5
+    assert len(json.loads(memory)["judge"]) > 5
     assert b"contradict the model and the samples before them" in capsysbinary.readouterr().err
 
 
@@ -183,9 +186,9 @@ def test_parts_carry_on_and_are_made_again_where_they_are_lost(place, capsys, mo
     observer = jb.observer(jb.load_model("plant.toml"), restart=not method)
     source = open_source(place / "run.parquet", observer.model)
     folder, _ = streaming.write_parts(observer, source, place / "again", "observer")
-    read = lambda: [pd.read_parquet(p).to_csv() for p in streaming.part_files(folder)]
+    read = lambda: [pd.read_parquet(p).to_csv() for p in parts.part_files(folder)]
     before = read()
-    streaming.part_files(folder)[2].unlink()
+    parts.part_files(folder)[2].unlink()
     streaming.write_parts(observer, source, place / "again", "observer")
     assert len(before) == 4 and read() == before
     with pytest.raises(ValueError, match="carries what it knows from each part to the next"):
@@ -256,8 +259,8 @@ def test_windows_that_remember_say_the_same_in_memory_in_parts_through_a_pipe_an
         min_coverage=0.5,
         json=False,
     )
-    assert piped.follow(pipe, [b"".join(lines[:70]), None]) == 0
-    assert piped.follow(pipe, [b"".join(lines[70:100]), *lines[100:]]) == 1
+    assert piped.judge_stream(pipe, [b"".join(lines[:70]), None]) == 0
+    assert piped.judge_stream(pipe, [b"".join(lines[70:100]), *lines[100:]]) == 1
     assert told(place / "pipe") == told(place / "parts") == told(place / "out")
     (place / "units.csv").write_text(
         "unit,model,recording\n" + "".join(f"{unit},plant.toml,run.csv\n" for unit in "abc")
@@ -440,5 +443,5 @@ def test_bounds_found_for_shorter_windows_prove_no_fault(place, capsys, monkeypa
         min_coverage=0.5,
         json=False,
     )
-    assert piped.follow(args, [(place / "run.csv").read_bytes()]) == code
+    assert piped.judge_stream(args, [(place / "run.csv").read_bytes()]) == code
     assert f"{title}: " in capsys.readouterr().err

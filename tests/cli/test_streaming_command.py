@@ -22,7 +22,8 @@ from jaxbound.cli import detect as detecting
 from jaxbound.cli import main
 from jaxbound.recordings.parquet import open_parquet
 from jaxbound.runs import judges
-from jaxbound.runs.streaming import part_files, write_parts
+from jaxbound.runs.parts import part_files
+from jaxbound.runs.streaming import write_parts
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.cli import detect, main
-from jaxbound.cli.pipe import follow
+from jaxbound.cli.pipe import judge_stream
 from jaxbound.runs.summary import LAYOUT, Evidence, Summary, evidence, said, summarised
 
 T = 40
@@ -98,6 +98,7 @@ def test_the_pipe_says_what_detect_says(place, capsys):
     _, whole = shell(capsys, "detect", "m.toml", "run.csv")
     args = argparse.Namespace(
         model="m.toml",
+        data="-",
         horizon=None,
         lags=None,
         method="joint",
@@ -106,7 +107,7 @@ def test_the_pipe_says_what_detect_says(place, capsys):
         min_coverage=0.5,
         json=False,
     )
-    assert follow(args, [(place / "run.csv").read_bytes()]) == 1
+    assert judge_stream(args, [(place / "run.csv").read_bytes()]) == 1
     assert whole["summary"] in " ".join(capsys.readouterr().err.split())
 
 
