@@ -15,7 +15,7 @@ slow: .venv/tested
 	.venv/bin/python -m pytest -n auto -m slow
 
 long: .venv/tested
-	.venv/bin/python -m pytest -n auto -m long
+	.venv/bin/python -m pytest -n auto -m long $(WHERE)
 
 lowest:
 	.ci/versions lowest
@@ -37,7 +37,7 @@ lint: .venv/tested
 
 docs: .venv/installed
 	.venv/bin/pip install --quiet --editable ".[docs]"
-	.venv/bin/mkdocs build --strict
+	.venv/bin/properdocs build --strict
 
 bench: .venv/tested
 	.venv/bin/python -m benchmarks.strips

@@ -5,7 +5,6 @@ What is there is read, judged as one burst and printed: one sample where the sen
 it is ahead.
 """
 
-import argparse
 import csv
 import io
 import json
@@ -13,7 +12,7 @@ import os
 import stat
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
@@ -21,9 +20,10 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.signals import arrivals, ends
 from jaxbound.cli.terminal import door, nobody_reads, say, system_trouble, usable_device
-from jaxbound.cli.window import observer_options, window_relations
+from jaxbound.cli.window import window_relations
 from jaxbound.consistency.monitor import Monitor
 from jaxbound.diagnosis.alarms import forgets_after
 from jaxbound.diagnosis.hints import bound_hints, outgrown, unfit
@@ -33,6 +33,7 @@ from jaxbound.recordings.live import LiveSource
 from jaxbound.recordings.pipetext import PipeText
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import irregular, seam_hints
+from jaxbound.recordings.stream import Stream
 from jaxbound.relations.identity import identity
 from jaxbound.relations.sentence import latched, remembers
 from jaxbound.runs.endings import endings_said
@@ -42,79 +43,107 @@ from jaxbound.runs.loop import Memory, follow
 from jaxbound.runs.outputs import OutputFolder, output_folder, refuse_targets
 from jaxbound.runs.refusals import Refused
 from jaxbound.runs.rows import VERDICTS, RowFile, RowText
-from jaxbound.runs.runfile import VALIDATION
 from jaxbound.runs.sink import Outcome, Sink, Verdicts
 from jaxbound.runs.sinks import close_all, file_names, open_sinks
 from jaxbound.runs.summary import Evidence, Summary, Window, said, unsaid
 from jaxbound.runs.tally import AlarmEnds, Tally, alarm_goes_on
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["judge_stream", "run"]
+__all__ = ["judge_input", "judge_stream"]
 
+STDIN = "-"
 TALKATIVE, QUIET = 20, 60.0  # sentences of a kind at first, then one in so many seconds
 
 
-def run(args: argparse.Namespace) -> int:
-    """Run `jaxbound detect MODEL.toml -`, or with a live source as data; return the exit code."""
-    if args.method == VALIDATION:
-        raise Refused(f"{VALIDATION} reads a recording as a whole: give a file instead of {args.data}")
-    options = {
-        "--chunk": args.chunk is not None,
-        "--alarm": args.alarm != (1, 1),
-        "--part": args.part is not None,
-        "--merge": args.merge,
-        "--overlap": args.overlap is not None,
-    }
-    for option, given in options.items():
-        if given:
-            raise Refused(f"{option} is for recordings: give a file instead of {args.data}")
+def judge_input(
+    model: Path,
+    data: str,
+    options: MethodOptions,
+    *,
+    out: Path | None = None,
+    state: Path | None = None,
+    min_coverage: float = 0.5,
+    as_json: bool = False,
+) -> int:
+    """Judge what comes from standard input, or from a live source, until a signal or its end.
+
+    Args:
+        As of `judge_stream`; data: "-", or the name of a live source, see `live`.
+
+    Returns:
+        The exit code.
+    """
     with ends() as end:
-        return judge_stream(args, lambda stream: arrivals(stream.raw, end), _is_file())
+        return judge_stream(
+            model,
+            lambda stream: arrivals(stream.raw, end),
+            _is_file(),
+            options,
+            data=data,
+            out=out,
+            state=state,
+            min_coverage=min_coverage,
+            as_json=as_json,
+        )
 
 
-def judge_stream(args: argparse.Namespace, chunks: Any, whole: bool = True) -> int:
+def judge_stream(
+    model: Path | str,
+    chunks: Iterable[Any] | Callable[[Stream], Iterable[Any]],
+    whole: bool = True,
+    options: MethodOptions | None = None,
+    *,
+    data: str = STDIN,
+    out: Path | None = None,
+    state: Path | None = None,
+    min_coverage: float = 0.5,
+    as_json: bool = False,
+) -> int:
     """Judge samples as they come; return the exit code.
 
     Args:
-        args: .model, .data, .horizon, .method, .out, .state (paths or None), .min_coverage, .json. chunks: a
-            function of the Stream that gives what arrives, or that itself: bytes of a pipe, readings of a
-            live source; None in it ends the run as a signal does. whole: the last line is complete without a
-            line end, as in a file; in a pipe half of a number may be.
+        model: path of the model file. chunks: what arrives, bytes of a pipe or readings of a live source, or
+            a function of the Stream that gives it; None in it ends the run as a signal does. whole: the last
+            line is complete without a line end, as in a file; in a pipe half of a number may be.
+        options: of the test. data: "-", or the name of a live source. out: folder of the verdicts; state:
+            file to go on from; None: none. min_coverage: least share of decided windows. as_json: verdicts as
+            JSON, else as CSV.
 
     Raises:
         Refused: a model, a header, a sampling period or a state that does not fit, a method without a
             Monitor.
     """
+    options = options or MethodOptions()
     with door(), ExitStack() as opened:
-        folder = opened.enter_context(_folder(args))
-        stated = load_model(args.model)
-        model, relations = window_relations(stated, args, args.model, None, lambda stage, share: None)
+        folder = opened.enter_context(_folder(Path(model), out, state))
+        stated = load_model(model)
+        tested, relations = window_relations(stated, options, model, None, lambda stage, share: None)
         if getattr(relations, "frame", None) is None:  # strips: sooner done than handed to another thread
             jax.config.update("jax_cpu_enable_async_dispatch", False)
         usable_device()
-        judge = Live(Monitor(relations, args.method))
-        state = _state_path(args)
+        judge = Live(Monitor(relations, options.method))
+        path = _state_path(out, state)
         journal = None
-        if state is not None:
-            if args.state is None:
-                refuse_link(state)
-            journal = opened.enter_context(Journal(state, identity(relations, method=args.method)))
+        if path is not None:
+            if state is None:
+                refuse_link(path)
+            journal = opened.enter_context(Journal(path, identity(relations, method=options.method)))
         before = None if journal is None else journal.before
         work: Any = nullcontext()
         if folder is not None:
-            _refuse_former(args)
+            _refuse_former(folder.path, state)
             # a state tells whether the verdicts are its own
             folder.check((VERDICTS, STATE), foreign=before is None)
             work = folder.work()
         with work as place:
-            complaints = _Complaints()
-            stream = _stream(args, relations.model, complaints, before and before["source"], whole)
-            run = opened.enter_context(_LiveRun(args, stated, stream, judge, journal, place))
+            stream = _stream(data, relations.model, _Complaints(), before and before["source"], whole)
+            lines = _Lines(as_json, out is None)
+            run = opened.enter_context(_LiveRun(stated, stream, judge, journal, lines, out, place))
             run.resume()
             if folder is not None:
                 folder.claim(VERDICTS, STATE)
-            summary = run.to_the_end(chunks(stream) if callable(chunks) else chunks)
-            about = model, Path(args.data), None, args.method, relations.horizon, observer_options(args)
+            summary = run.to_the_end(chunks(stream) if callable(chunks) else chunks, min_coverage)
+            about = tested, Path(data), None, options.method, relations.horizon, options.observer_options
             close_all(run.outputs, Outcome([], summary, *about))
         if journal is not None:
             journal.close()
@@ -129,46 +158,46 @@ def _is_file():
         return stat.S_ISREG(os.fstat(0).st_mode)
 
 
-def _stream(args, model, complaints, memory, whole):
+def _stream(data, model, complaints, memory, whole):
     """Return the Stream of the data."""
-    if LiveSource.takes(args.data):
-        return LiveSource(args.data, model).stream(complaints, memory)
+    if LiveSource.takes(data):
+        return LiveSource(data, model).stream(complaints, memory)
     return PipeText(model, complaints, memory, whole)
 
 
-def _state_path(args):
+def _state_path(out, state):
     """Return the path of the checkpoint, or None where none is kept."""
-    if args.state is not None:
-        return Path(args.state)
-    if args.out is not None:
-        return Path(args.out) / STATE
+    if state is not None:
+        return Path(state)
+    if out is not None:
+        return Path(out) / STATE
     return None
 
 
 @contextmanager
-def _folder(args: argparse.Namespace) -> Iterator[OutputFolder | None]:
+def _folder(model: Path, out: Path | None, state: Path | None) -> Iterator[OutputFolder | None]:
     """Make --out a folder that this command may write into; refuse to write over anything that is read."""
-    inputs = [Path(args.model)]
+    inputs = [model]
     if _is_file():
         inputs.append(Path("/dev/stdin"))
     place: Any = nullcontext()
-    if args.out is not None:
-        place = output_folder(args.out, file_names(whole=False), inputs)
+    if out is not None:
+        place = output_folder(out, file_names(whole=False), inputs)
     with place as folder:
-        if args.state is not None:
-            refuse_targets({"--state": Path(args.state)}, inputs, force=True)
-        if folder is not None:
-            state = _state_path(args)
-            if os.path.realpath(state) == os.path.realpath(args.out / VERDICTS):
-                raise Refused(f"--state {state} is where the verdicts are written: give another name")
+        if state is not None:
+            refuse_targets({"--state": Path(state)}, inputs, force=True)
+        if out is not None:
+            path = _state_path(out, state)
+            if os.path.realpath(path) == os.path.realpath(out / VERDICTS):
+                raise Refused(f"--state {path} is where the verdicts are written: give another name")
             folder.check((VERDICTS, STATE), foreign=False)
         yield folder
 
 
-def _refuse_former(args):
+def _refuse_former(out, state):
     """Raise Refused where an earlier jaxbound keeps its state in the folder."""
-    former = Path(args.out) / FORMER
-    if args.state is None and former.exists() and not (Path(args.out) / STATE).exists():
+    former = out / FORMER
+    if state is None and former.exists() and not (out / STATE).exists():
         raise Refused(
             f"{former} is the state of an earlier jaxbound, from which this one cannot go on: choose another "
             "folder, or delete it to begin anew"
@@ -178,16 +207,15 @@ def _refuse_former(args):
 class _LiveRun:
     """One run: its stream, judge, sinks and checkpoint."""
 
-    def __init__(self, args, stated, stream, judge, journal, place):
-        self.args, self.stream, self.judge = args, stream, judge
+    def __init__(self, stated, stream, judge, journal, lines, out, place):
+        self.stream, self.judge, self.lines = stream, judge, lines
         relations = judge.monitor.relations
         self.hints = bound_hints(stated, relations)
         self.outgrown = bool(outgrown(stated, relations))
-        forgets, text = forgets_after(relations), RowText()
         self.tally = Tally(stream.when, relations.horizon)
-        self.alarms = AlarmEnds(forgets)
-        self.lines = _Lines(args, text, self.alarms, forgets)
-        self.file = None if args.out is None else RowFile(args.out / VERDICTS, text, journal.path)
+        self.alarms = AlarmEnds(forgets_after(relations))
+        lines.alarms = self.alarms
+        self.file = None if out is None else RowFile(out / VERDICTS, lines.text, journal.path)
         self.outputs: list[Sink] = [] if place is None else open_sinks(place, whole=False)
         self.sinks = self._named_sinks()
         self.checkpoint = None
@@ -217,7 +245,7 @@ class _LiveRun:
         if self.checkpoint is not None and self.resumed:
             self.checkpoint.resume()
 
-    def to_the_end(self, chunks: Iterable[Any]) -> Summary:
+    def to_the_end(self, chunks: Iterable[Any], min_coverage: float) -> Summary:
         """Judge everything that comes; return the Summary."""
         self.judge.compile()
         if self.resumed:
@@ -226,9 +254,9 @@ class _LiveRun:
             self.lines.flush()
         for _ in follow(self.stream.pieces(chunks), self.judge, [*self.sinks.values()], self.checkpoint):
             pass
-        return self.conclude()
+        return self.conclude(min_coverage)
 
-    def conclude(self) -> Summary:
+    def conclude(self, min_coverage: float) -> Summary:
         """Say what was found and return its Summary."""
         if self.file is not None:
             self.file.force()
@@ -258,7 +286,7 @@ class _LiveRun:
             remembers=observes,
             outgrown=self.outgrown,
         )
-        verdict, sentence = said(numbers, self.stream.label, self.args.min_coverage)
+        verdict, sentence = said(numbers, self.stream.label, min_coverage)
         hints = unsaid([hint for hint in self._hints(counts, margin) if hint], sentence)
         for hint in hints:
             say(hint)
@@ -287,14 +315,16 @@ class _Lines:
     """Lines of verdicts on stdout, a sink.
 
     Args:
-        args: of the command. text: of the rows. alarms: in the same loop, before this sink. forgets: from
-            `forgets_after`.
+        as_json: as JSON, else as CSV. alone: the verdicts are written nowhere else.
+
+    Fields: text: of the rows; alarms: an AlarmEnds in the same loop, before this sink.
     """
 
-    def __init__(self, args: argparse.Namespace, text: RowText, alarms: AlarmEnds, forgets: int | None):
-        self.json, self.alone = args.json, args.out is None
-        self.text, self.alarms, self.forgets = text, alarms, forgets
-        self.header = b"" if args.json else b"time,status,margin\n"
+    def __init__(self, as_json: bool, alone: bool) -> None:
+        self.json, self.alone = as_json, alone
+        self.text = RowText()
+        self.alarms = AlarmEnds(None)
+        self.header = b"" if as_json else b"time,status,margin\n"
         self.texts = False
         self.fresh = b""
 
@@ -341,7 +371,7 @@ class _Lines:
             return rows.replace(b",true\n", b"\n").replace(b",false\n", b"\n")
         on, lines = self.alarms.before, []
         for when, status, margin, _ in csv.reader(io.StringIO(rows.decode())):
-            on, ended = alarm_goes_on(on, Status[status], self.forgets)
+            on, ended = alarm_goes_on(on, Status[status], self.alarms.forgets)
             time = when if self.texts else _number(when)
             line = {"time": time, "status": status, "margin": _number(margin), "ended": ended}
             lines.append(json.dumps(line) + "\n")

@@ -7,10 +7,9 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-import jax
 import numpy as np
 
-from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
+from jaxbound.sets.floats.threads import inherited
 
 __all__ = ["in_blocks"]
 
@@ -25,14 +24,5 @@ def in_blocks(job: Callable[[np.ndarray], T], count: int, size: int) -> list[T]:
     done = [job(first)]  # compiled here, once
     if not others:
         return done
-    wide, outside = (
-        bool(jax.dtypes.canonicalize_dtype(float) == np.float64),
-        is_outside_xla(),
-    )  # of this thread, perhaps
-
-    def beside(block):
-        with jax.enable_x64(wide), outside_xla(outside):
-            return job(block)
-
     with ThreadPoolExecutor(os.cpu_count()) as threads:  # compiled code runs outside the interpreter's lock
-        return done + list(threads.map(beside, others))
+        return done + list(threads.map(inherited(job), others))

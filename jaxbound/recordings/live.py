@@ -7,8 +7,8 @@
 
 `jaxbound detect model.toml plant.py:readings` judges them as they come. What is yielded is anything that
 `Recording.of` takes for one sample or many: a Recording, a table, a dict of columns. In Python the same
-generator needs no more than `for piece in readings(model): state, verdicts = monitor.run(state, piece)`, and
-`detect` takes what ends.
+generator needs no more than `for piece in readings(model): state, verdicts = monitor.run(state, piece)`; and
+one that ends is a recording: `detect(relations, read(readings(model), model))`.
 """
 
 import re
@@ -33,7 +33,7 @@ EPOCH = 1e9  # a time in seconds that large is counted from 1970
 
 
 class LiveSource(Source):
-    """A function that yields recordings, named as `file.py:function`.
+    """A function that yields recordings, named as `file.py:function`, or an iterator of them.
 
     The file is run as Python runs a script that is imported: it is the user's own.
     """
@@ -42,7 +42,9 @@ class LiveSource(Source):
 
     @classmethod
     def takes(cls, data: object) -> bool:
-        """Return whether data are the name of a function in a file that is there."""
+        """Return whether data are an iterator, or the name of a function in a file that is there."""
+        if isinstance(data, Iterator):
+            return True
         named = NAMED.fullmatch(data) if isinstance(data, str) else None
         return named is not None and Path(named[1]).is_file()
 
@@ -53,11 +55,13 @@ class LiveSource(Source):
 
     @property
     def label(self) -> str:
-        """The name of the function."""
-        return str(self.data)
+        """The name of the function; of an iterator its kind."""
+        return self.data if isinstance(self.data, str) else type(self.data).__name__
 
     def stream(self, complain: Complain, memory: dict[str, Any] | None = None) -> "Readings":
         """Return the Stream of what the function yields, behind a memory."""
+        if isinstance(self.data, Iterator):
+            return Readings(self.model, self.data, complain, memory)
         named = NAMED.fullmatch(str(self.data))
         assert named is not None, "the name was taken"
         function = run_path(named[1], run_name=Path(named[1]).stem).get(named[2])

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.again import again_said
 from jaxbound.diagnosis.alarms import check_rule
 from jaxbound.diagnosis.detection import detect
@@ -183,13 +184,13 @@ def detect_dataset(
         path: a Parquet file, or a folder of them that follow each other by name.
         out: folder for `verdicts.parquet`, a folder of files with the columns time, status, margin and
             suspect, one row a sample. A call that was stopped is continued by the same call.
-        method: see `detect`. chunk: samples in memory at once, at least 65 536; verdicts do not
-            depend on it.
-        alarm: (k, n), an alarm needs k FAULT among n windows. progress: called with the share of the work
-            done.
+        method: see `detect`.
+        chunk: samples in memory at once, at least 65 536; verdicts do not depend on it.
+        alarm: (k, n), an alarm needs k FAULT among n windows.
+        progress: called with the share of the work done.
         part: (i, n), test only the i-th of n shares of the recording; others may do theirs at the same time,
             on other machines too, where `out` is one folder for all or their files are brought together.
-            merge: test nothing, report on the shares.
+        merge: test nothing, report on the shares.
         client: of dask.distributed; its workers make the verdicts, and see the recording and `out` by the
             same paths as this process.
         overlap: of an observer, which otherwise is one from the first sample to the last: each part of a
@@ -216,7 +217,7 @@ def detect_dataset(
         >>> found.counts["FAULT"], found.worst[0]
         (1, 2)
     """
-    if not hasattr(relations, "made"):
+    if not isinstance(relations, Relations) or relations.made is None:
         raise TypeError(
             f"detect_dataset needs relations of a model, whose verdicts can be kept, not "
             f"{type(relations).__name__}"

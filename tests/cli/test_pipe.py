@@ -2,10 +2,8 @@
 process ends.
 """
 
-import argparse
 import contextlib
 import errno
-import fcntl
 import io
 import json
 import re
@@ -19,8 +17,9 @@ import pytest
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.cli import detect, main
+from jaxbound.cli import evaluation, main
 from jaxbound.cli import pipe as piped
+from jaxbound.cli.options import MethodOptions
 from jaxbound.recordings.linetext import LineReader
 from jaxbound.relations import identity
 from jaxbound.runs import journal, rows
@@ -58,25 +57,10 @@ def lines(samples, line="{:.2f},{},{},{}\n", head="t,u1,y1,y2\n"):
 def place(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(main, "_configure", lambda: None)
-    monkeypatch.setattr(detect, "write_report", lambda *args, **options: None)
+    monkeypatch.setattr(evaluation, "write_report", lambda *args, **options: None)
     monkeypatch.setattr(journal, "SYNCHRONOUS", "OFF")  # nobody cuts the power of a test
     jb.save_model(paper(), "model.toml")
     return tmp_path
-
-
-def arguments(**changes):
-    given = dict(
-        model="model.toml",
-        data="-",
-        out=None,
-        state=None,
-        horizon=None,
-        lags=None,
-        method="joint",
-        min_coverage=0.5,
-        json=False,
-    )
-    return argparse.Namespace(**(given | changes))
 
 
 @pytest.fixture
@@ -90,9 +74,10 @@ def pipe(capsysbinary, place):
         data = data if isinstance(data, bytes) else data.encode()
         cuts = [0, *sorted(cuts), len(data)]
         capsysbinary.readouterr()
-        code = piped.judge_stream(
-            arguments(**changes), chunks or [data[a:b] for a, b in zip(cuts, cuts[1:], strict=False)], whole
-        )
+        pieces = chunks or [data[a:b] for a, b in zip(cuts, cuts[1:], strict=False)]
+        model = changes.pop("model", "model.toml")
+        test = {name: changes.pop(name) for name in ("method", "horizon", "lags") if name in changes}
+        code = piped.judge_stream(model, pieces, whole, MethodOptions(**test), **changes)
         out, err = (x.decode() for x in capsysbinary.readouterr())
         return code, out.removeprefix("time,status,margin\n"), err.replace("jaxbound: ", "")
 
@@ -194,7 +179,7 @@ class TestVerdicts:
         assert N - 1 - counts["aside"] == aside
 
     def test_json_lines(self, samples, place, pipe):
-        code, out, _ = pipe(lines(samples)[:12], json=True)
+        code, out, _ = pipe(lines(samples)[:12], as_json=True)
         rows = [json.loads(row) for row in out.splitlines()]
         assert (
             code == 0
@@ -210,7 +195,7 @@ class TestVerdicts:
         alarms = res.alarms()
         text = [text[0], *text[1:221]]
         for cuts in ((), sorted(rng.integers(0, len("".join(text)), 9).tolist())):
-            _, out, err = pipe(text, cuts=cuts, json=True)
+            _, out, err = pipe(text, cuts=cuts, as_json=True)
             said = {
                 k: row["ended"] for k, row in enumerate(map(json.loads, out.splitlines())) if row["ended"]
             }
@@ -504,15 +489,17 @@ class TestRestart:
             pipe(text, out=place / "out", horizon=horizon)
         assert saved(place / "out/monitor.sqlite") == kept
 
+    @pytest.mark.posix("locks of files")
     def test_a_file_system_without_locks_keeps_nobody_away(self, samples, place, pipe, monkeypatch):
         def none(file, operation):
             raise OSError(errno.ENOLCK, "No locks available")
 
-        monkeypatch.setattr(fcntl, "flock", none)
+        monkeypatch.setattr("fcntl.flock", none)
         text = lines(samples)[:5]
         code, out, _ = pipe(text, out=place / "out")
         assert code in (0, 1, 3) and (place / "out/verdicts.csv").read_text().count("\n") == len(text)
 
+    @pytest.mark.posix("locks of files")
     def test_two_processes_do_not_write_one_file(self, place):
         with journal.Journal(place / "a", {}) as one, journal.Journal(place / "a", {}) as other:
             one.save({})
@@ -558,6 +545,7 @@ class TestRestart:
         assert "its line 50 is not the one that was judged" in err and len(out.splitlines()) == 1
 
 
+@pytest.mark.posix("signals between processes")
 @pytest.mark.slow
 def test_live_in_another_process_killed_and_stopped(samples, place):
     """Verdicts come while the pipe is open; kill -9 and SIGTERM leave a file that the next process
