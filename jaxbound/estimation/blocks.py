@@ -1,5 +1,5 @@
-"""Recordings side by side in blocks of one size, on all cores: what a block works on stays in the cache, more
-recordings trace nothing.
+"""Recordings side by side on the last axis of arrays, and in blocks of one size on all cores: a block's work stays
+in the cache, more recordings trace nothing.
 """
 
 import os
@@ -12,27 +12,37 @@ import numpy as np
 
 from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
 
-__all__ = ["in_blocks"]
+__all__ = ["chosen", "in_blocks", "repeated"]
 
 T = TypeVar("T")
+
+
+def chosen(tree: T, lanes: np.ndarray) -> T:
+    """Return some recordings of arrays, in the order of memory that all have."""
+    return jax.tree.map(lambda x: np.take(x, lanes, -1), tree)
+
+
+def repeated(tree: T, count: int) -> T:
+    """Return arrays of `count` recordings: of one recording, as many copies."""
+    return jax.tree.map(lambda x: np.repeat(x, count // x.shape[-1], -1), tree)
 
 
 def in_blocks(job: Callable[[np.ndarray], T], count: int, size: int) -> list[T]:
     """Return [job(numbers of recordings) for each block of `count` recordings]; the last one is repeated
     until its block is full.
     """
-    first, *others = (np.minimum(np.arange(a, a + size), count - 1) for a in range(0, max(count, 1), size))
+    starts = range(0, max(count, 1), size)
+    first, *others = (np.minimum(np.arange(start, start + size), count - 1) for start in starts)
     done = [job(first)]  # compiled here, once
     if not others:
         return done
-    wide, outside = (
-        bool(jax.dtypes.canonicalize_dtype(float) == np.float64),
-        is_outside_xla(),
-    )  # of this thread, perhaps
+    # both are settings of this thread
+    wide = bool(jax.dtypes.canonicalize_dtype(float) == np.float64)
+    outside = is_outside_xla()
 
-    def beside(block):
+    def in_thread(block: np.ndarray) -> T:
         with jax.enable_x64(wide), outside_xla(outside):
             return job(block)
 
     with ThreadPoolExecutor(os.cpu_count()) as threads:  # compiled code runs outside the interpreter's lock
-        return done + list(threads.map(beside, others))
+        return done + list(threads.map(in_thread, others))

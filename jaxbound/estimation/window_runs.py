@@ -17,10 +17,10 @@ import numpy as np
 from jaxbound.estimation.ordered import mapped
 from jaxbound.sets.floats import rounding
 
-__all__ = ["Runs", "bounds_of", "runs_of"]
+__all__ = ["AverageRows", "bounds_of", "average_rows"]
 
 
-class Runs(NamedTuple):
+class AverageRows(NamedTuple):
     """The runs of averages in windows of L samples, in float64.
 
     Fields: v (a, L, p), w (a, L, g): what they combine; m, bound (a,); noise (p,): errors that averages speak
@@ -34,8 +34,8 @@ class Runs(NamedTuple):
     noise: Any
 
 
-def runs_of(model: Any, L: int) -> Runs | None:
-    """Return the Runs of a model; None if no average of it fits into so many samples."""
+def average_rows(model: Any, L: int) -> AverageRows | None:
+    """Return the AverageRows of a model; None if no average of it fits into so many samples."""
     rows = []
     for average in getattr(model, "averages", ()):
         measured, i = average.place(model.outputs)
@@ -49,10 +49,10 @@ def runs_of(model: Any, L: int) -> Runs | None:
     if not rows:
         return None
     v, w, m, bound = (np.array(x, float) for x in zip(*rows, strict=True))
-    return Runs(v, w, m, bound, np.array([rounding.round_down(x) for x in model.noise], float))
+    return AverageRows(v, w, m, bound, np.array([rounding.round_down(x) for x in model.noise], float))
 
 
-def bounds_of(runs: Runs, rad: np.ndarray) -> np.ndarray:
+def bounds_of(runs: AverageRows, rad: np.ndarray) -> np.ndarray:
     """Return b (a, N), at least as large as is known, infinite where nothing is said. rad (L, p, N): of
     samples, infinite without one.
     """
