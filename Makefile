@@ -33,10 +33,11 @@ lint: .venv/tested
 	.venv/bin/ruff check .
 	.venv/bin/ruff format --check .
 	.venv/bin/mypy
+	.venv/bin/python .ci/density.py
 
 docs: .venv/installed
 	.venv/bin/pip install --quiet --editable ".[docs]"
-	.venv/bin/mkdocs build --strict
+	.venv/bin/properdocs build --strict
 
 bench: .venv/tested
 	.venv/bin/python -m benchmarks.strips

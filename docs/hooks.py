@@ -19,7 +19,7 @@ import re
 from functools import cache
 from pathlib import Path
 
-from mkdocs.structure.files import File
+from properdocs.structure.files import File
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))

@@ -88,7 +88,7 @@ def test_nothing_is_documented_twice():
 
 
 def test_sections_taken_from_the_readme_are_there():
-    pytest.importorskip("mkdocs")
+    pytest.importorskip("properdocs")
     hooks = script("hooks")
     taken = [heading for page in PAGES for heading in re.findall(r"<!-- README: (.+?) -->", page.read_text())]
     assert taken and all(hooks.section(heading) for heading in taken)
@@ -127,12 +127,12 @@ def test_every_entry_of_a_list_of_fields_is_a_field(docstrings):
 
 @pytest.mark.long
 def test_pages_build_without_a_warning(tmp_path):
-    for package in ("mkdocs", "material", "mkdocstrings"):
+    for package in ("properdocs", "material", "mkdocstrings"):
         pytest.importorskip(package)
     command = [
         sys.executable,
         "-m",
-        "mkdocs",
+        "properdocs",
         "build",
         "--strict",
         "-f",
@@ -146,7 +146,7 @@ def test_pages_build_without_a_warning(tmp_path):
 
 
 def test_links_of_the_readme_work_from_a_page():
-    pytest.importorskip("mkdocs")
+    pytest.importorskip("properdocs")
     moved = script("hooks").moved
     text = "![a](notebooks/a.png) [b](docs/start.md) [c](Makefile) [d](https://x.y)"
     assert moved(text, "../") == "![a](../notebooks/a.png) [b](../start.md) c [d](https://x.y)"
@@ -404,13 +404,13 @@ def test_links_lead_to_places_within_pages():
 
 
 def test_the_gate_of_the_pages_hears_what_it_counts():
-    """mkdocs counts no warning that --quiet hides: with both a build that is wrong succeeds."""
-    (line,) = re.findall("mkdocs build.*", (ROOT / "Makefile").read_text())
+    """ProperDocs counts no warning that --quiet hides: with both a build that is wrong succeeds."""
+    (line,) = re.findall("properdocs build.*", (ROOT / "Makefile").read_text())
     assert "--strict" in line and "--quiet" not in line and "-q" not in line.split()
 
 
 def test_equations_become_mathml_outside_of_code():
-    pytest.importorskip("mkdocs")
+    pytest.importorskip("properdocs")
     pytest.importorskip("latex2mathml")
     drawn = script("hooks").equations("$x_1$ and `$y$` cost 5 $ and 6 $\n```sh\necho $a $b\n```\n$$x = 1$$")
     assert drawn.count("<math") == 2 and "`$y$`" in drawn and "echo $a $b" in drawn and "5 $ and 6 $" in drawn

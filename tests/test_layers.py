@@ -14,9 +14,10 @@ import jaxbound as jb
 
 PACKAGE = Path(jb.__file__).parent
 FLOORS = (
-    "exact",
     "text",
+    "exact",
     "random",
+    "files",
     "recordings",
     "sets",
     "models",

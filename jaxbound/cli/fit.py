@@ -8,12 +8,12 @@ import numpy as np
 
 from jaxbound.cli.terminal import door, progress_bars, show, write
 from jaxbound.diagnosis.memory import slowest, suggest_lags
+from jaxbound.files.whole import whole
 from jaxbound.models.modelfile import model_text
 from jaxbound.plots.canvas import to_png
 from jaxbound.plots.fit import plot_fit
 from jaxbound.recordings.expressions import expression
 from jaxbound.recordings.read import read_signals
-from jaxbound.recordings.whole import whole
 from jaxbound.runs.outputs import refuse_targets
 from jaxbound.studies.identification.fitting import fit
 

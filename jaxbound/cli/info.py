@@ -8,7 +8,6 @@ from jaxbound.cli.terminal import OK, Refused, door, progress_bars, show, write
 from jaxbound.cli.window import window_relations
 from jaxbound.diagnosis.detectability import detectable
 from jaxbound.diagnosis.hints import bound_hints
-from jaxbound.exact.price import duration_text
 from jaxbound.models.modelfile import load_model, template
 from jaxbound.models.system import LinearSystem
 from jaxbound.plots.residuals import distinct_relations
@@ -17,6 +16,7 @@ from jaxbound.relations.decoupling import isolability, signatures, structured_re
 from jaxbound.relations.redundancy import redundancy
 from jaxbound.relations.sentence import main_terms
 from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.text.quantities import rough_duration
 
 __all__ = ["isolation_text", "run"]
 
@@ -187,7 +187,7 @@ def isolation_text(model: LinearSystem, horizon: int, lags: tuple[int, ...] | No
     if seconds > PATIENCE:
         return (
             f"(signatures, isolability and guaranteed sizes are not worked out: that would take "
-            f"{duration_text(seconds)}; "
+            f"{rough_duration(seconds)}; "
             "jb.isolability(model) and jb.detectable(model, signal, horizon) do it)"
         )
     out = []

@@ -28,8 +28,8 @@ from jaxbound.consistency.monitor import Monitor
 from jaxbound.diagnosis.alarms import ENDINGS, NO_DATA, OTHER, endings, forgets_after
 from jaxbound.diagnosis.hints import bound_hints, outgrown, unfit
 from jaxbound.diagnosis.result import suspected
+from jaxbound.files.checkpoint import as_texts, from_texts
 from jaxbound.models.modelfile import load_model
-from jaxbound.recordings.checkpoint import as_texts, from_texts
 from jaxbound.recordings.columns import is_plain, to_arrow, words, write_rows
 from jaxbound.recordings.linetext import FEW
 from jaxbound.recordings.pipetext import PipeText

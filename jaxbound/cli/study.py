@@ -10,7 +10,6 @@ import numpy as np
 from jaxbound.cli.engine import engine_of
 from jaxbound.cli.terminal import LOUDNESS, QUIET, door, progress_bars, say, show, usable_device, write
 from jaxbound.cli.window import OBSERVER, window_relations
-from jaxbound.exact.price import duration_text
 from jaxbound.models.modelfile import load_model
 from jaxbound.recordings.columns import texts, to_arrow, write_columns
 from jaxbound.reports.study import COLUMNS, HEAD, sentence, study_page, study_rows
@@ -19,6 +18,7 @@ from jaxbound.runs.refusals import Refused
 from jaxbound.studies.montecarlo.montecarlo import study
 from jaxbound.studies.montecarlo.study_result import delay_table, study_table
 from jaxbound.text.characters import cell
+from jaxbound.text.quantities import rough_duration
 
 __all__ = ["run"]
 
@@ -96,7 +96,7 @@ class _Announced:
             self.said = share > self.first[1] + 0.02 or now - self.first[0] > 1
             if self.said and left > PATIENCE:
                 work = f"{self.args.n} scenarios of {self.args.samples} samples"
-                say(f"{work}: {duration_text(left)} to go; stopped, the same command goes on")
+                say(f"{work}: {rough_duration(left)} to go; stopped, the same command goes on")
 
 
 def _sizes(text):

@@ -9,11 +9,11 @@ import numpy as np
 
 from jaxbound.cli.terminal import INTERRUPTED, door, progress_bars, say, show, write
 from jaxbound.cli.window import window_relations
+from jaxbound.files.whole import whole
 from jaxbound.models.modelfile import load_model, model_text, number_text
 from jaxbound.plots.canvas import to_png
 from jaxbound.plots.tune import plot_tuning
 from jaxbound.recordings.read import read
-from jaxbound.recordings.whole import whole
 from jaxbound.runs.outputs import refuse_targets
 from jaxbound.studies.tuning.tuning import tune
 

@@ -21,7 +21,7 @@ from jaxbound.consistency.reading import gather
 from jaxbound.consistency.strips_on_host import contradicted_by
 from jaxbound.consistency.twice import Twice
 from jaxbound.consistency.unproved import unproved_margins
-from jaxbound.exact import linalg
+from jaxbound.exact.frames import ExactFrame, reframe
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.sizes import power
@@ -205,7 +205,7 @@ class ExchangeTest(WindowTest):
             number = next((i for i in by_inputs.get(inputs, ()) if _fits(frames[i], gone, inputs)), None)
             if number is None:
                 number = len(frames)
-                frames.append(linalg.reframe(self.relations.frame, gone, inputs))
+                frames.append(reframe(self.relations.frame, gone, inputs))
                 by_inputs.setdefault(inputs, []).append(number)
             numbers.append(number)
         chosen = np.array(numbers)[which.ravel()]
@@ -295,7 +295,7 @@ def _block_of(frame):
     return 64 if min(c, k) * k <= LARGE else 16
 
 
-def rounded_frame(relations: Any, frame: linalg.Frame, dtype: Any) -> separation.Frame:
+def rounded_frame(relations: Any, frame: ExactFrame, dtype: Any) -> separation.Frame:
     """Return a frame in floats, of one of few widths, so that few are compiled."""
     k, more = len(relations.frame.inner), len(frame.inner) - len(relations.frame.inner)
     return separation.frame_of(frame, dtype, k + (power(more) if more > 0 else 0))

@@ -22,6 +22,7 @@ from jaxbound.consistency.drive import drive
 from jaxbound.consistency.interface import WindowTest
 from jaxbound.consistency.unproved import stretch_block
 from jaxbound.exact import linalg
+from jaxbound.exact.circuits import circuits
 from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.recordings.recording import Recording
@@ -161,7 +162,7 @@ def _test(model, s, position, j, dtype):
             f"windows of horizon {s} are too long to work out the unknown inputs of this model: choose a "
             f"shorter horizon"
         )
-    found = [tuple(-x / h[-1] for x in h[:-1]) for h in linalg.circuits(extended) if h[-1]]
+    found = [tuple(-x / h[-1] for x in h[:-1]) for h in circuits(extended) if h[-1]]
     half = [*[float(a + b) or 1.0 for a, b in zip(model.noise, model.resolution, strict=True)] * (s + 1)]
     half += [float(hi - lo) / 2 for lo, hi in model.disturbance] * s
     found.sort(key=lambda h: sum(abs(float(x)) * r for x, r in zip(h, half, strict=True)))

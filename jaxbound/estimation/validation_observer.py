@@ -55,7 +55,7 @@ class ValidationObserver(Observer):
         >>> carry, found = observer.init(), []
         >>> for k in range(8):
         ...     sample = Recording.of(observer.signals, np.ones((1, 1)), y[k : k + 1])
-    ...     carry, judged = observer.fold(carry, sample)
+        ...     carry, judged = observer.fold(carry, sample)
         ...     found.append(judged.faulty[0].tolist())
         >>> found[5]
         [False, True]

@@ -64,7 +64,7 @@ class Subspace:
 
 def subspace(E: Rows) -> Subspace:
     """Return the Subspace of rows E (m, N) of Fractions."""
-    rows, scales = zip(*map(linalg.primitive_scale, E), strict=True)
+    rows, scales = zip(*map(linalg.integers, E), strict=True)
     return Subspace(rows, scales, *_independent(rows))
 
 

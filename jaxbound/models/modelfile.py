@@ -13,10 +13,10 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from jaxbound.files.whole import whole
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.template import template
 from jaxbound.models.uncertainty import Uncertainty, centred
-from jaxbound.recordings.whole import whole
 
 __all__ = ["load_model", "model_text", "number_text", "save_model", "template"]
 

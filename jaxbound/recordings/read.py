@@ -26,9 +26,10 @@ def read(path: Any, model: Any, progress: Callable | None = None) -> Recording:
     time stamps or as an epoch; without a time column the samples are dt apart.
 
     Args:
-        path: of the file or folder, or of a pipe like bash's <(zcat run.csv.gz). model: whose signals are
-            wanted: a LinearSystem, an IntervalSystem, or anything else with names of .inputs and .outputs.
-                progress: called with the share of the work done.
+        path: of the file or folder, or of a pipe like bash's <(zcat run.csv.gz).
+        model: whose signals are wanted: a LinearSystem, an IntervalSystem, or anything else with names of
+            .inputs and .outputs.
+        progress: called with the share of the work done.
 
     Returns:
         A Recording, which every verb takes in the place of u: detect(relations, read("run.csv", model)).

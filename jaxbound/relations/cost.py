@@ -8,9 +8,10 @@ of three or so, which is all that is asked of them.
 
 from math import comb
 
-from jaxbound.exact.price import SECONDS, duration_text
+from jaxbound.exact.price import SECONDS
 from jaxbound.models import window
 from jaxbound.models.system import LinearSystem
+from jaxbound.text.quantities import rough_duration
 
 __all__ = ["BYTES", "affordable", "elimination_seconds", "refuse_many_states", "relation_cost"]
 
@@ -54,7 +55,7 @@ def affordable(model: LinearSystem, horizon: int) -> None:
         middle = (low + high) // 2
         low, high = (middle, high) if fits(middle) else (low, middle)
     seconds, size = relation_cost(model, horizon)
-    needs = f"{duration_text(seconds)} and {size / 1e9:.2g} GB"
+    needs = f"{rough_duration(seconds)} and {size / 1e9:.2g} GB"
     named = str(horizon) if horizon < LONGEST else f"beyond {LONGEST:.0e}"
     few = "leave some uncertainties out, let them be constant, or " if model.uncertainties else ""
     what = f"a window of {model.n} states, {model.p} outputs" + (
@@ -75,7 +76,7 @@ def refuse_many_states(model: LinearSystem) -> None:
         raise ValueError(
             f"a model of {model.n} states is too large: to find its shortest useful horizon in exact numbers "
             f"would take "
-            f"{duration_text(seconds)}; reduce the model first"
+            f"{rough_duration(seconds)}; reduce the model first"
         )
 
 

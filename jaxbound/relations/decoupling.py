@@ -20,6 +20,7 @@ from math import comb
 import numpy as np
 
 from jaxbound.exact import linalg
+from jaxbound.exact.circuits import circuits
 from jaxbound.exact.linalg import Vector
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
@@ -126,7 +127,7 @@ def _supports(rows: Sequence[Row], columns: Sequence[int]) -> list[tuple[int, ..
         raise ValueError(
             "too many relations to choose from: say which faults each part of the bank is to ignore"
         )
-    return [tuple(j for j, x in enumerate(h) if x) for h in linalg.circuits(a)]
+    return [tuple(j for j, x in enumerate(h) if x) for h in circuits(a)]
 
 
 def _best(model: LinearSystem) -> Redundancy:

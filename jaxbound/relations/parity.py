@@ -33,6 +33,8 @@ from jaxbound.consistency.reading import Reading, forms
 from jaxbound.consistency.strips import StripsTest
 from jaxbound.exact import linalg
 from jaxbound.exact.chebyshev import PRIME
+from jaxbound.exact.circuits import circuits
+from jaxbound.exact.frames import ExactFrame, frame
 from jaxbound.exact.linalg import Matrix
 from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model
@@ -79,7 +81,7 @@ class ParityRelation:
     K: Matrix = field(metadata={"static": True})
     circuits: Matrix = field(metadata={"static": True})
     circuits_known: Matrix = field(metadata={"static": True})
-    frame: linalg.Frame | None = field(default=None, metadata={"static": True})
+    frame: ExactFrame | None = field(default=None, metadata={"static": True})
     lags: tuple[int, ...] | None = field(default=None, metadata={"static": True})
 
     def _head(self):
@@ -317,7 +319,7 @@ def parity_relations(
     circuits = _few_circuits(E, SUBSETS if model.constant_tolerance else TESTED)
     report(0.6)
     if not circuits:
-        found = linalg.frame(E, known, progress=lambda share: report(0.6 + 0.4 * share))
+        found = frame(E, known, progress=lambda share: report(0.6 + 0.4 * share))
         searched = dataclasses.replace(
             found, inner=tuple(seen[i] for i in found.inner), outer=tuple(seen[i] for i in found.outer)
         )
@@ -369,8 +371,10 @@ def _few_circuits(E: Matrix, most: int) -> Matrix:
     rank = linalg.rank(E)
     if rank and math.comb(len(E), rank + 1) > SUBSETS:
         return ()
-    circuits = linalg.circuits(E)
-    return tuple(map(linalg.presentable, circuits)) if not rank or len(circuits) <= most else ()
+    every = circuits(E)
+    if rank and len(every) > most:
+        return ()
+    return tuple(map(linalg.presentable, every))
 
 
 def _with_disturbance(model: LinearSystem, horizon: int, relations: Matrix) -> Matrix:

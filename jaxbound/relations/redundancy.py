@@ -226,7 +226,7 @@ def basis(model: LinearSystem, F: Matrix | None = None, D_v: Matrix | None = Non
         again = []
         for i in waiting:
             through = tuple(x for k in range(j + 1) for x in responses[j - k][i])
-            row, scale = linalg.primitive_scale(reached[i] + through)
+            row, scale = linalg.integers(reached[i] + through)
             held, used = _reduced(list(row), {j * p + i: scale}, kept)
             pivot = next((c for c, x in enumerate(held) if x), None)
             if pivot is None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import jax
 
-from jaxbound.recordings.folders import cache_folder
+from jaxbound.files.folders import cache_folder
 
 __all__ = ["use_cache"]
 

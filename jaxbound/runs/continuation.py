@@ -21,7 +21,7 @@ import numpy as np
 
 from jaxbound.consistency.interface import Judged
 from jaxbound.diagnosis.result import Result, result_of
-from jaxbound.recordings.checkpoint import Checkpoint
+from jaxbound.files.checkpoint import Checkpoint
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import TOLERATED_STEP
 from jaxbound.relations.identity import identity

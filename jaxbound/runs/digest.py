@@ -191,13 +191,13 @@ def detect_dataset(
         path: a Parquet file, or a folder of them that follow each other by name.
         out: folder for `verdicts.parquet`, a folder of files with the columns time, status, margin and
             suspect, one row a sample. A call that was stopped is continued by the same call.
-        method: see `detect`. chunk: samples in memory at once, at least 65 536; verdicts do not
-            depend on it.
-        alarm: (k, n), an alarm needs k FAULT among n windows. progress: called with the share of the work
-            done.
+        method: see `detect`.
+        chunk: samples in memory at once, at least 65 536; verdicts do not depend on it.
+        alarm: (k, n), an alarm needs k FAULT among n windows.
+        progress: called with the share of the work done.
         part: (i, n), test only the i-th of n shares of the recording; others may do theirs at the same time,
             on other machines too, where `out` is one folder for all or their files are brought together.
-            merge: test nothing, report on the shares.
+        merge: test nothing, report on the shares.
         client: of dask.distributed; its workers make the verdicts, and see the recording and `out` by the
             same paths as this process.
         overlap: of an observer, which otherwise is one from the first sample to the last: each part of a

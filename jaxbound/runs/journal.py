@@ -16,8 +16,9 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from jaxbound.recordings.checkpoint import refuse_other
-from jaxbound.recordings.whole import lock, whole
+from jaxbound.files.checkpoint import refuse_other
+from jaxbound.files.locks import lock
+from jaxbound.files.whole import whole
 from jaxbound.runs.refusals import Refused
 
 __all__ = ["STATE", "VERDICTS", "Journal"]

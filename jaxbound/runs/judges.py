@@ -8,7 +8,7 @@ from typing import Any
 
 from jaxbound.diagnosis.again import COUNT, decided_again, judged_elsewhere
 from jaxbound.diagnosis.detection import detect
-from jaxbound.recordings.checkpoint import as_texts
+from jaxbound.files.checkpoint import as_texts
 from jaxbound.recordings.recording import Recording
 
 __all__ = ["Carried", "Windows"]

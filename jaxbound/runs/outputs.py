@@ -17,8 +17,9 @@ from contextlib import contextmanager, suppress
 from os import PathLike
 from pathlib import Path
 
+from jaxbound.files.locks import let_go, locked, refuse_link, unshared
+from jaxbound.files.whole import UNFINISHED, whole
 from jaxbound.recordings.parquetfiles import SUFFIXES
-from jaxbound.recordings.whole import UNFINISHED, locked, refuse_link, unshared, whole
 from jaxbound.runs.refusals import Refused
 
 __all__ = ["OutputFolder", "made", "output_folder", "refuse_targets", "shared_folder"]
@@ -120,6 +121,7 @@ def _kept_from_others(path, shared=False):
                 raise
             finally:
                 if unshared(lock):
+                    let_go(lock)
                     (path / LOCK).unlink(missing_ok=True)
 
 

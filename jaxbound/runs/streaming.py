@@ -27,11 +27,11 @@ import numpy as np
 
 from jaxbound.consistency.engine import spread, stretches_for
 from jaxbound.diagnosis.result import suspected
+from jaxbound.files.checkpoint import from_texts, refuse_other
+from jaxbound.files.whole import UNFINISHED, whole
 from jaxbound.models.fingerprint import fingerprint
-from jaxbound.recordings.checkpoint import from_texts, refuse_other
 from jaxbound.recordings.columns import categories, to_arrow
 from jaxbound.recordings.parquet import PARTIAL, VERDICTS, ParquetSource
-from jaxbound.recordings.whole import UNFINISHED, whole
 from jaxbound.relations.identity import identity
 from jaxbound.relations.sentence import remembers
 from jaxbound.runs.judges import Carried, Windows

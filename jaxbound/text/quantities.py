@@ -1,9 +1,11 @@
 """Numbers as people read them: factors, shares and spans of time."""
 
-__all__ = ["duration", "factor", "percent", "times"]
+__all__ = ["duration", "factor", "percent", "rough_duration", "times"]
 
 UNITS = (("d", 86400, 172800), ("h", 3600, 7200), ("min", 60, 120))
 """A unit of time, its seconds, and the seconds from which on it is used."""
+YEAR = 3.2e7
+"""Seconds."""
 
 
 def factor(x: float) -> str:
@@ -40,3 +42,24 @@ def duration(seconds: float) -> str:
         if seconds >= least:
             return f"{seconds / size:.3g} {unit}"
     return f"{seconds:.3g} s"
+
+
+def rough_duration(seconds: float) -> str:
+    """Return a duration that was only estimated, as text.
+
+    Example:
+        >>> rough_duration(5.2), rough_duration(500), rough_duration(2e4), rough_duration(1e12)
+        ('about 5 seconds', 'about 8 minutes', 'about 6 hours', 'more than a year')
+    """
+    if seconds > YEAR:
+        return "more than a year"
+    for size, name in ((1, "second"), (60, "minute"), (3600, "hour")):
+        if seconds < 100 * size:
+            return _counted(max(round(seconds / size), 1), name)
+    return _counted(round(seconds / 86400), "day")
+
+
+def _counted(count: int, name: str) -> str:
+    if count == 1:
+        return f"about 1 {name}"
+    return f"about {count} {name}s"

@@ -341,6 +341,23 @@ class Killed(BaseException):
     """Raised where a process may be killed."""
 
 
+AGAIN = ("from the beginning", "where it stopped", "where it stopped, no header", "somewhere before")
+WITHIN = {"between lines": 1, "in the time": 4, "in a number": 9}
+
+
+def restarts():
+    """Yield (how lines go on, whether they have a time, bytes of the last line that were read), where
+    something tells at which sample they go on.
+    """
+    for again in AGAIN:
+        for timed in (True, False):
+            for name, within in WITHIN.items():
+                lost = again == "somewhere before" or again == "where it stopped, no header" and within == 4
+                if timed or not lost:
+                    label = f"{name}-{'time' if timed else 'no time'}-{again}"
+                    yield pytest.param(again, timed, within, id=label)
+
+
 class TestRestart:
     """A process that ends, is stopped or is killed at any point, and another one that goes on."""
 
@@ -352,14 +369,8 @@ class TestRestart:
             and "asked for. 0 samples" in err
         )
 
-    @pytest.mark.parametrize(
-        "again", ["from the beginning", "where it stopped", "where it stopped, no header", "somewhere before"]
-    )
-    @pytest.mark.parametrize("timed", [True, False], ids=["time", "no time"])
-    @pytest.mark.parametrize("within", [1, 4, 9], ids=["between lines", "in the time", "in a number"])
+    @pytest.mark.parametrize(("again", "timed", "within"), list(restarts()))
     def test_after_a_signal_each_verdict_is_printed_once(self, samples, place, pipe, again, timed, within):
-        if not timed and (again == "somewhere before" or again[-2:] == "er" and within == 4):
-            return  # nothing tells where it goes on
         text = [x if timed else x.partition(",")[2] for x in lines(samples)][:100]
         whole = pipe(text)[1]
         data = "".join(text).encode()

@@ -89,11 +89,9 @@ def test_a_monitor_says_the_same_at_once_and_sample_by_sample(name):
     assert said[s:] == res.status[28 + s : 34].tolist()
 
 
-@pytest.mark.parametrize("name", FAMILIES)
+@pytest.mark.parametrize("name", [name for name in FAMILIES if name != "linearized"])  # which proves nothing
 def test_a_fault_has_a_certificate_for_people_and_as_json(name):
     _, _, res = detected(name)
-    if name == "linearized":
-        return  # proves nothing
     at = int(np.argmax(res.status == jb.Status.FAULT))
     c = res.explain(at)
     document = json.loads(c.to_json())

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from jaxbound.exact import linalg
+from jaxbound.exact.circuits import circuits
 
 OBSERVABILITY = [[1, 0], [1, 1], ["4/5", 1], ["4/5", "6/5"]]  # Adrot 2000, section 5, horizon 1
 
@@ -221,7 +222,7 @@ def test_matmul_refuses_shapes_that_do_not_fit():
 
 def test_empty_matrices_have_empty_answers():
     assert linalg.row_reduce(()) == ((), ()) and linalg.rank(()) == 0
-    assert linalg.left_null_space(()) == () == linalg.circuits(()) == linalg.minimal_span(())
+    assert linalg.left_null_space(()) == () == circuits(()) == linalg.minimal_span(())
     assert linalg.left_null_space(((), ())) == linalg.matrix([[1, 0], [0, 1]])
 
 
@@ -268,7 +269,7 @@ def test_no_basis_spans_fewer_columns_than_the_minimal_one(rng, trial):
 def test_circuits_of_the_paper_are_those_of_the_golden_file(golden):
     want = golden["p0"]["static"]["value"]["circuits_s1_drop_col"]
     want = {linalg.primitive(tuple(map(Fraction, row))) for row in want}
-    assert set(linalg.circuits(linalg.matrix(OBSERVABILITY))) == want and len(want) == 4
+    assert set(circuits(linalg.matrix(OBSERVABILITY))) == want and len(want) == 4
 
 
 @pytest.mark.parametrize("horizon", range(1, 7))
@@ -278,7 +279,7 @@ def test_the_paper_system_has_as_many_circuits_as_subsets_of_n_plus_1_rows(horiz
     for _ in range(horizon + 1):
         rows += linalg.matmul(C, power)
         power = linalg.matmul(A, power)
-    found = linalg.circuits(tuple(rows))
+    found = circuits(tuple(rows))
     assert (
         len(found) == len(set(found)) == comb(2 * (horizon + 1), 3) == [4, 20, 56, 120, 220, 364][horizon - 1]
     )
@@ -288,7 +289,7 @@ def test_the_paper_system_has_as_many_circuits_as_subsets_of_n_plus_1_rows(horiz
 @pytest.mark.parametrize("trial", range(60))
 def test_circuits_are_all_minimal_dependencies_found_by_brute_force(rng, trial):
     rows = small_matrix(rng)
-    found, want = linalg.circuits(linalg.matrix(rows)), brute_circuits(rows)
+    found, want = circuits(linalg.matrix(rows)), brute_circuits(rows)
     supports = [tuple(i for i, x in enumerate(h) if x) for h in found]
     assert supports == sorted(want)
     for h, support in zip(found, supports, strict=True):
@@ -300,9 +301,9 @@ def test_circuits_of_fractions_are_those_of_the_scaled_rows(rng):
         [Fraction(int(x), int(d)) for x in row]
         for row, d in zip(rng.integers(-3, 4, (5, 2)), rng.integers(1, 7, 5), strict=True)
     ]
-    assert is_zero(linalg.matmul(linalg.circuits(linalg.matrix(rows)), rows))
-    assert len(linalg.circuits(linalg.matrix(rows))) == len(
-        linalg.circuits(linalg.matrix([[x * 420 for x in row] for row in rows]))
+    assert is_zero(linalg.matmul(circuits(linalg.matrix(rows)), rows))
+    assert len(circuits(linalg.matrix(rows))) == len(
+        circuits(linalg.matrix([[x * 420 for x in row] for row in rows]))
     )
 
 
@@ -318,9 +319,26 @@ def test_circuits_of_fractions_are_those_of_the_scaled_rows(rng):
     ids=["zero row", "only zero rows", "repeated rows", "independent rows", "no columns"],
 )
 def test_circuits_of_degenerate_matrices(a, count):
-    assert len(linalg.circuits(linalg.matrix(a))) == count
+    assert len(circuits(linalg.matrix(a))) == count
 
 
 def test_numbers_do_not_depend_on_the_precision_of_jax():
     with jax.enable_x64(False):
         assert linalg.matrix(np.array([[0.1]])) == ((Fraction(1, 10),),)
+
+
+def test_products_and_multiples_are_those_of_fractions(rng):
+    a, b = (tuple(Fraction(int(x), int(y)) for x, y in rng.integers(1, 50, (9, 2)) - [25, 0]) for _ in "ab")
+    factor = Fraction(-3, 7)
+    assert linalg.dot(a, b) == sum(x * y for x, y in zip(a, b, strict=True))
+    assert linalg.multiply((a, b), b) == (linalg.dot(a, b), linalg.dot(b, b))
+    assert linalg.add_multiple(a, factor, b) == tuple(x + factor * y for x, y in zip(a, b, strict=True))
+    assert linalg.scale(a, factor) == linalg.add_multiple(linalg.zeros(1, 9)[0], factor, a)
+    assert linalg.matmul(linalg.identity(9), linalg.transpose((a,))) == linalg.transpose((a,))
+    assert linalg.dot((), ()) == 0
+
+
+@pytest.mark.parametrize("x", ["1e400", "-1e-400", Decimal("1e400")])
+def test_a_decimal_far_outside_the_floats_is_refused(x):
+    with pytest.raises(ValueError, match="is not a finite number"):
+        linalg.rational(x)

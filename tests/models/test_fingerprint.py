@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import jaxbound as jb
+from jaxbound.files.checkpoint import differences
 from jaxbound.models.fingerprint import fingerprint
-from jaxbound.recordings.checkpoint import differences
 from jaxbound.relations.identity import identity
 
 FEW = jb.Uncertainty("k", B=[[1], [0]])

@@ -31,21 +31,25 @@ def test_eliminating_unknown_inputs_and_going_back_gives_the_same_relations(shar
     assert jb.redundancy(d).rows == jb.redundancy(m).rows
 
 
+def equations(rng, r, n):
+    """Return E and A (r, n), the last row of E zero: that equation, without x+, leaves the states free."""
+    while True:
+        E, A = draw(rng, r, n), draw(rng, r, n)
+        E[-1] = [Fraction(0)] * n
+        if linalg.rank(E) == r - 1 and linalg.rank([*E[:-1], A[-1]]) == r:
+            return E, A
+
+
 @pytest.mark.parametrize("square", [True, False])
 def test_a_trajectory_of_the_descriptor_system_is_one_of_the_model(square, rng):
     """Equations with and without x+; the trajectory is made by choosing z freely and adjusting u so that
     every equation holds.
     """
-    n, p, T, done = 4, 3, 6, 0
-    while done < 5:
-        r = n if square else 3
-        E, A, C, D = draw(rng, r, n), draw(rng, r, n), draw(rng, p, n), draw(rng, p, r)
-        E[-1] = [Fraction(0)] * n
-        if (
-            linalg.rank(E) < r - 1 or linalg.rank([*E[:-1], A[-1]]) < r
-        ):  # then the equation without x+ may restrict the states
-            continue
-        done += 1
+    n, p, T = 4, 3, 6
+    r = n if square else 3
+    for _ in range(5):
+        E, A = equations(rng, r, n)
+        C, D = draw(rng, p, n), draw(rng, p, r)
         B = [[Fraction(int(i == j)) for j in range(r)] for i in range(r)]
         z = [draw(rng, n, 1) for _ in range(T + 1)]
         u = [[a[0] - b[0] for a, b in zip(times(E, z[k + 1]), times(A, z[k]), strict=True)] for k in range(T)]

@@ -7,15 +7,18 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from counted_calls import TooManyCalls, at_most
 
 import jaxbound as jb
 from jaxbound.estimation.zonotope_numbers import left_inverse
 from jaxbound.exact import linalg
+from jaxbound.exact.circuits import circuits
 from jaxbound.exact.price import refuse_or_say
 from jaxbound.models.modelfile import save_model
 from jaxbound.models.plant import Plant
 from jaxbound.relations.cost import affordable, relation_cost
 
+FEW, MANY = 200_000, 5_000_000  # calls of functions: less than a tenth of a second, and some seconds
 CHAIN = jb.LinearSystem([[0.8, 1], [0, 0.2]], [[0], [1]], [[1, 0], [1, 1]], noise=0.1)
 DISTURBED = jb.LinearSystem([[0.5]], [[1]], [[1], [2]], noise=0.1, disturbance=([[1]], 0.1))
 UNCERTAIN = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1, uncertainties=[jb.Uncertainty("a", A=[[0.1]])])
@@ -33,10 +36,8 @@ def dense(n, p, rng):
 @pytest.mark.parametrize("model", [CHAIN, DISTURBED, UNCERTAIN, UNKNOWN])
 @pytest.mark.parametrize("horizon", [10**9, 10**400])
 def test_an_endless_horizon_is_refused_at_once_with_the_longest_that_will_do(model, horizon):
-    start = time.perf_counter()
-    with pytest.raises(ValueError, match="too long: .* choose a horizon of at most"):
+    with at_most(FEW), pytest.raises(ValueError, match="too long: .* choose a horizon of at most"):
         jb.parity_relations(model, horizon)
-    assert time.perf_counter() - start < 1
 
 
 @pytest.mark.parametrize(
@@ -48,10 +49,8 @@ def test_an_endless_horizon_is_refused_at_once_with_the_longest_that_will_do(mod
     ],
 )
 def test_every_other_door_refuses_an_endless_horizon_at_once(ask):
-    start = time.perf_counter()
-    with pytest.raises(ValueError, match="horizon"):
+    with at_most(FEW), pytest.raises(ValueError, match="horizon"):
         ask()
-    assert time.perf_counter() - start < 1
 
 
 def wide(n, q, rng):
@@ -81,10 +80,8 @@ def wide(n, q, rng):
     ],
 )
 def test_what_would_take_minutes_is_refused_at_once_with_what_to_do(ask, sentence, rng):
-    start = time.perf_counter()
-    with pytest.raises(ValueError, match=sentence):
+    with at_most(MANY), pytest.raises(ValueError, match=sentence):
         ask(rng)
-    assert time.perf_counter() - start < 5
 
 
 def test_what_takes_more_than_a_minute_is_said_first():
@@ -105,6 +102,14 @@ def test_an_observer_of_24_states_is_made_in_seconds(rng):
     start = time.process_time()
     watch = jb.observer(dense(24, 2, rng))
     assert watch.horizon == 11 and time.process_time() - start < 30
+
+
+def test_code_that_calls_more_than_it_may_is_stopped():
+    with pytest.raises(TooManyCalls, match="more than 9 calls"), at_most(9):
+        sum(abs(k) for k in range(10**9))
+    with at_most(30) as calls:
+        sum(abs(k) for k in range(9))
+    assert calls() >= 9
 
 
 @pytest.mark.parametrize("m, n, places", [(4, 4, ()), (5, 3, ()), (8, 5, (2,)), (6, 1, ()), (7, 4, (0, 3))])
@@ -143,10 +148,10 @@ def test_a_longer_window_never_costs_less(sizes, rng):
 
 
 def test_a_model_of_too_many_states_is_refused_at_once():
-    n = 2000
+    n = 1000
     model = jb.LinearSystem.__new__(
         jb.LinearSystem
-    )  # as the door leaves it: reading four million numbers is not what is asked here
+    )  # as the door leaves it: reading a million numbers is not what is asked here
     row = (Fraction(1, 10),) * n
     none = ((),) * n
     plant = Plant(
@@ -162,24 +167,21 @@ def test_a_model_of_too_many_states_is_refused_at_once():
         dt=1.0,
     )
     vars(model).update(plant=plant, horizon=None, lags=None, averages=())
-    start = time.perf_counter()
-    with pytest.raises(ValueError, match="a model of 2000 states is too large"):
+    with at_most(2 * MANY), pytest.raises(ValueError, match="a model of 1000 states is too large"):
         jb.parity_relations(model)
-    assert time.perf_counter() - start < 10
 
 
 def test_few_relations_of_many_states_take_no_minors_of_their_size(rng):
     a = linalg.matrix(rng.integers(-99, 100, (33, 30)))
-    start = time.perf_counter()
-    found = linalg.circuits(a)
-    assert time.perf_counter() - start < 5  # by minors of 30 rows: minutes
+    with at_most(MANY):  # by minors of 30 rows: minutes
+        found = circuits(a)
     assert len(found) == 33 * 32 // 2 and all(not any(x) for x in linalg.matmul(found, a))
 
 
 @pytest.mark.parametrize("shape", [(6, 2), (6, 4), (7, 5), (5, 4), (5, 5)])
 def test_circuits_have_minimal_supports_whichever_way_they_are_found(shape, rng):
     a = linalg.matrix(rng.integers(-1, 2, shape))
-    found = linalg.circuits(a)
+    found = circuits(a)
     supports = [frozenset(i for i, x in enumerate(h) if x) for h in found]
     assert len(set(supports)) == len(found) and not any(x < y for x in supports for y in supports)
     null = linalg.left_null_space(a)

@@ -23,7 +23,7 @@ from systems import paper
 import jaxbound as jb
 from jaxbound.cli import detect as detecting
 from jaxbound.cli import main, pipe
-from jaxbound.recordings.checkpoint import Checkpoint
+from jaxbound.files.checkpoint import Checkpoint
 from jaxbound.runs import fleet, judges
 
 MODEL = "# bounds measured by hand\n"  # a comment that no program would write again

@@ -13,8 +13,8 @@ import jax
 import numpy as np
 
 from jaxbound import __version__
-from jaxbound.recordings.folders import cache_folder
-from jaxbound.recordings.whole import whole
+from jaxbound.files.folders import cache_folder
+from jaxbound.files.whole import whole
 from jaxbound.sets.floats import settings
 from jaxbound.sets.floats.examination import examination
 

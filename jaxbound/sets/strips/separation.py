@@ -33,7 +33,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
-from jaxbound.exact import linalg
+from jaxbound.exact.frames import ExactFrame
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.unrolled import FEW, foremost, stored, summed
 from jaxbound.sets.strips.exchange import WRITTEN_OUT, closeness, long_step, picked, reference, scaled
@@ -73,7 +73,7 @@ class Frame:
     real: Numbers
 
 
-def frame_of(exact_frame: linalg.Frame, dtype: DTypeLike, width: int | None = None) -> Frame:
+def frame_of(exact_frame: ExactFrame, dtype: DTypeLike, width: int | None = None) -> Frame:
     """Round an `exact.Frame`; fill its inner rows up to `width`."""
     c, k = len(exact_frame.outer), len(exact_frame.inner)
     width = k if width is None else width

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.exact import linalg
+from jaxbound.exact.circuits import circuits
 from jaxbound.exact.price import refuse_or_say
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_unverified
@@ -72,9 +73,7 @@ def exact_strips(Z: Zonotope) -> list[tuple[list[Fraction], Fraction]]:
         kernel = linalg.transpose(linalg.left_null_space(linalg.transpose(G)))  # G kernel = 0
         _price(q, q - len(kernel[0]) if kernel else q)
         shadows = (
-            linalg.circuits(kernel)
-            if kernel
-            else tuple(tuple(Fraction(i == j) for j in range(q)) for i in range(q))
+            circuits(kernel) if kernel else tuple(tuple(Fraction(i == j) for j in range(q)) for i in range(q))
         )
         basis, pivots = linalg.row_reduce(
             [(*row, *(Fraction(i == j) for j in range(n))) for i, row in enumerate(G)]

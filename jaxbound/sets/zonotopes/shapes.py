@@ -171,7 +171,7 @@ def volume(Z: Zonotope) -> float:
             f"{q} generators in {n} coordinates have {comb(q, n)} determinants, more than {DETERMINANTS}: "
             f"reduce_order first"
         )
-    columns = [linalg.primitive_scale([Fraction(float(x)) for x in g]) for g in np.asarray(Z.generators).T]
+    columns = [linalg.integers([Fraction(float(x)) for x in g]) for g in np.asarray(Z.generators).T]
     total = Fraction(0)
     for chosen in combinations(columns, n):
         total += abs(Fraction(linalg.determinant([g for g, _ in chosen]), prod(s for _, s in chosen)))

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxbound.recordings.checkpoint import Checkpoint
-from jaxbound.recordings.whole import whole
+from jaxbound.files.checkpoint import Checkpoint
+from jaxbound.files.whole import whole
 from jaxbound.studies.montecarlo.tally import Tally
 
 __all__ = ["Keeper"]

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 
 from jaxbound.diagnosis.detection import detect
 from jaxbound.estimation.observer import SetObserver
+from jaxbound.files.checkpoint import Checkpoint
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.checkpoint import Checkpoint
 from jaxbound.relations.bounds import Bounds, model_bounds
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import ParityRelation

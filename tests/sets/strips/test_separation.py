@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from oracles import Program
 
-from jaxbound.exact import linalg
+from jaxbound.exact import frames
 from jaxbound.sets.strips import separation
 from jaxbound.sets.strips.separation import frame_of, separation_margin
 
@@ -41,7 +41,7 @@ class Case:
         sizes = [Fraction(2) ** int(v) for v in rng.integers(-spread, spread + 1, ROWS)]
         E = [[size * x for x in row] for size, row in zip(sizes, draw(15, 3, ROWS, UNKNOWNS), strict=True)]
         K = [[size * x for x in row] for size, row in zip(sizes, draw(15, 3, ROWS, KNOWN), strict=True)]
-        self.frame = linalg.frame(tuple(map(tuple, E)), tuple(map(tuple, K)))
+        self.frame = frames.frame(tuple(map(tuple, E)), tuple(map(tuple, K)))
         x, self.known = draw(31, 2, N, UNKNOWNS), draw(31, 2, N, KNOWN)
         dot = lambda a, b: sum((p * q for p, q in zip(a, b, strict=True)), Fraction(0))
         self.true = [
@@ -278,7 +278,7 @@ def test_a_coefficient_below_all_floats_still_counts(size):
     least = Fraction(1, 10**320)
     E = ((1, 0), (Fraction(1, 2), least), (0, 1))
     E = tuple(tuple(map(Fraction, row)) for row in E)
-    frame = frame_of(linalg.frame(E, ((Fraction(0),),) * 3), np.float64)
+    frame = frame_of(frames.frame(E, ((Fraction(0),),) * 3), np.float64)
     assert (np.asarray(frame.R) != 0).sum() == 2
     moved = float(least * Fraction(size))
     mid = np.array([[0.0], [moved], [size]])

@@ -1,4 +1,4 @@
-"""What a run keeps so that the same run goes on after a kill, and no other does.
+"""The checkpoint of a run: with it the same run goes on after a kill, and no other does.
 
 With whatever is kept stands its identity: {what it depends on: text}, from `relations.identity`. A run with
 another one is refused.
@@ -9,16 +9,18 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import jax
 import numpy as np
+from numpy.typing import ArrayLike
 
-from jaxbound.recordings.whole import whole
+from jaxbound.files.whole import whole
 
 __all__ = ["Checkpoint", "as_texts", "differences", "from_texts", "refuse_other"]
 
 IDENTITY = "identity"
+Tree = TypeVar("Tree")
 
 
 class Checkpoint:
@@ -28,7 +30,7 @@ class Checkpoint:
         path: of the file, which need not exist. identity: {what the run depends on: text}.
     """
 
-    def __init__(self, path: str | PathLike, identity: Mapping[str, str]) -> None:
+    def __init__(self, path: str | PathLike[str], identity: Mapping[str, str]) -> None:
         self.path, self.identity = Path(path), identity
 
     def load(self) -> dict[str, np.ndarray] | None:
@@ -40,8 +42,8 @@ class Checkpoint:
         if not self.path.exists():
             return None
         try:
-            with open(self.path, "rb") as file, np.load(file, allow_pickle=False) as kept:
-                arrays = {name: kept[name] for name in kept.files}
+            with open(self.path, "rb") as file, np.load(file, allow_pickle=False) as stored:
+                arrays = {name: stored[name] for name in stored.files}
             before = json.loads(str(arrays.pop(IDENTITY, "{}")))
         except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as e:
             why = f"is damaged, or no state of jaxbound ({type(e).__name__})"
@@ -49,33 +51,40 @@ class Checkpoint:
         refuse_other(self.path, before, self.identity)
         return arrays
 
-    def save(self, **arrays: Any) -> None:
+    def save(self, **arrays: ArrayLike) -> None:
         """Write arrays, completely or not at all, in the place of those from before."""
-        with whole(self.path, links=False) as f:
-            np.savez(f, **(arrays | {IDENTITY: np.array(json.dumps(self.identity))}))
+        identity = {IDENTITY: np.array(json.dumps(dict(self.identity)))}
+        with whole(self.path, links=False) as file:
+            np.savez(file, **(arrays | identity))  # type: ignore[arg-type]  # its last option is no array
 
 
-def as_texts(state: Any) -> list[str]:
+def as_texts(state: object) -> list[str]:
     """Return the arrays of a PyTree as texts, fit for JSON."""
     return [np.asarray(x).tobytes().hex() for x in jax.tree.leaves(state)]
 
 
-def from_texts(empty: Any, texts: Sequence[str]) -> Any:
+def from_texts(empty: Tree, texts: Sequence[str]) -> Tree:
     """Return the PyTree that `as_texts` wrote. empty: one of the same shapes and types."""
     leaves, tree = jax.tree.flatten(empty)
-    read = lambda old, text: np.frombuffer(bytes.fromhex(text), np.asarray(old).dtype).reshape(np.shape(old))
-    return jax.tree.unflatten(tree, list(map(read, leaves, texts)))
+    read: list[np.ndarray] = []
+    for leaf, text in zip(leaves, texts, strict=True):
+        like = np.asarray(leaf)
+        read.append(np.frombuffer(bytes.fromhex(text), like.dtype).reshape(like.shape))
+    restored: Tree = jax.tree.unflatten(tree, read)
+    return restored
 
 
-def refuse_other(path: str | PathLike, before: Any, now: Mapping[str, str]) -> None:
-    """Raise ValueError if what is kept in a file is of another identity than what is to go on there."""
-    if changed := differences(before, now):
+def refuse_other(path: str | PathLike[str], before: object, now: Mapping[str, str]) -> None:
+    """Raise ValueError if the identity kept in a file is not that of the run that is to go on there."""
+    changed = differences(before, now)
+    if changed:
         raise ValueError(f"{path} is of another {changed}: choose another place, or delete it to begin anew")
 
 
-def differences(before: Any, now: Mapping[str, str]) -> str:
-    """Return what two identities differ in, as text; empty where they are the same. What is no identity
-    differs in all.
+def differences(before: object, now: Mapping[str, str]) -> str:
+    """Return the names of all entries in which two identities differ, as text; empty where they are the same.
+
+    Anything that is no identity differs in all.
     """
-    before = before if isinstance(before, dict) else {}
-    return " and ".join(what for what in now if before.get(what) != now[what])
+    old = before if isinstance(before, dict) else {}
+    return " and ".join(name for name in now if old.get(name) != now[name])

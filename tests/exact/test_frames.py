@@ -7,7 +7,7 @@ from fractions import Fraction
 import pytest
 from oracles import MODELS, Plant, rational_matrix
 
-from jaxbound.exact import linalg
+from jaxbound.exact import frames
 
 GUST = dict(disturbance=([[0], [1]], 0.1))
 CASES = {
@@ -65,46 +65,46 @@ def check(frame, E, K, absent=(), missing=()):
 @pytest.mark.parametrize("name", CASES)
 def test_a_frame_holds_all_relations_and_nothing_else(name):
     E, K = equation(name)
-    check(linalg.frame(E, K), E, K)
+    check(frames.frame(E, K), E, K)
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_no_coefficient_of_a_frame_exceeds_two(name):
-    frame = linalg.frame(*equation(name))
+    frame = frames.frame(*equation(name))
     assert max(abs(x) for row in frame.R for x in row) <= 2
     assert sorted(frame.inner + frame.outer) == list(range(len(frame.inner) + len(frame.outer)))
 
 
 def test_a_frame_without_unknowns_has_no_inner_rows():
-    frame = linalg.frame(((Fraction(0),), (Fraction(0),)), ((Fraction(3),), (Fraction(0),)))
+    frame = frames.frame(((Fraction(0),), (Fraction(0),)), ((Fraction(3),), (Fraction(0),)))
     assert frame.inner == () and frame.outer == (0, 1) and frame.K == ((3,), (0,))
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_a_changed_frame_holds_all_relations_that_need_nothing_absent(name, rng):
     E, K = equation(name)
-    frame = linalg.frame(E, K)
+    frame = frames.frame(E, K)
     for trial in range(30):
         absent = set(rng.permutation(len(E))[: rng.integers(0, 6)].tolist())
         if trial % 3 == 0:
             absent |= set(rng.choice(frame.inner, min(3, len(frame.inner)), replace=False).tolist())
         missing = tuple(sorted(rng.permutation(len(K[0]))[: rng.integers(0, 4)].tolist()))
-        check(linalg.reframe(frame, absent, missing), E, K, absent, missing)
+        check(frames.reframe(frame, absent, missing), E, K, absent, missing)
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_every_single_row_can_be_absent(name):
     E, K = equation(name)
-    frame = linalg.frame(E, K)
+    frame = frames.frame(E, K)
     for i in range(len(E)):
-        check(linalg.reframe(frame, {i}, ()), E, K, {i})
+        check(frames.reframe(frame, {i}, ()), E, K, {i})
 
 
 def test_rows_that_nothing_can_replace_keep_their_place_and_matter_to_nothing():
     E, K = equation("section 5")
-    frame = linalg.frame(E, K)
+    frame = frames.frame(E, K)
     everything = set(range(2, len(E)))  # two rows are left for two unknowns
-    left = linalg.reframe(frame, everything, ())
+    left = frames.reframe(frame, everything, ())
     assert kernel_size(E, K, everything, ()) == 0
     check(left, E, K, everything)
 
@@ -125,8 +125,8 @@ def test_random_rows_of_low_rank(seed, rng):
     ]
     E = [[*row, row[0] - 2 * row[2]] for row in E] + [[Fraction(0)] * 4] + [E[0] + [E[0][0] - 2 * E[0][2]]]
     K = [[Fraction(int(v)) for v in rng.integers(-3, 4, 2)] for _ in E]
-    frame = linalg.frame(tuple(map(tuple, E)), tuple(map(tuple, K)))
+    frame = frames.frame(tuple(map(tuple, E)), tuple(map(tuple, K)))
     check(frame, E, K)
     for _ in range(10):
         absent = set(rng.permutation(len(E))[:4].tolist())
-        check(linalg.reframe(frame, absent, (0, 1)), E, K, absent, (0, 1))
+        check(frames.reframe(frame, absent, (0, 1)), E, K, absent, (0, 1))

@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 
-from jaxbound.recordings.checkpoint import Checkpoint, differences
+from jaxbound.files.checkpoint import Checkpoint, differences
 
 MINE = {"model": "a", "steps": "3"}
 
