@@ -1,7 +1,7 @@
 """Set-membership estimation: set observers, data validation, multiple models, unknown inputs.
 
-Names are imported when they are first asked for: the command line reads the table of methods before anything is
-computed.
+Names are imported when they are first asked for: the command line reads the table of methods before anything
+is computed.
 """
 
 import importlib

@@ -1,5 +1,5 @@
-"""Recordings side by side on the last axis of arrays, and in blocks of one size on all cores: a block's work stays
-in the cache, more recordings trace nothing.
+"""Recordings side by side on the last axis of arrays, and in blocks of one size on all cores: a block's work
+stays in the cache, more recordings trace nothing.
 """
 
 import os

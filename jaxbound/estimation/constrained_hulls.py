@@ -1,5 +1,6 @@
-"""The linear programs of constrained zonotopes {x = -b + A xi : rows below the first n are 0}: whether any xi is
-left, and between which ends the first n rows are. Proved in float64, for any multipliers that a search found.
+"""The linear programs of constrained zonotopes {x = -b + A xi : rows below the first n are 0}: whether any xi
+is left, and between which ends the first n rows are. Proved in float64, for any multipliers that a search
+found.
 """
 
 from typing import NamedTuple
@@ -66,9 +67,7 @@ def refuted(asked: AskedRows, n: int) -> tuple[np.ndarray, np.ndarray]:
     return wrong, margin
 
 
-def _value_and_reach(
-    rows: Rows, l: np.ndarray, g: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+def _value_and_reach(rows: Rows, l: np.ndarray, g: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Return (value, reach), (S, d) each: l b, and at least |(g - l A) xi| + |l| s with all that rounding may
     add to both.
 

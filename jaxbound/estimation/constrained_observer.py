@@ -1,10 +1,10 @@
-"""The observer that carries a constrained zonotope: samples are kept as equations, until there are too many of
-them.
+"""The observer that carries a constrained zonotope: samples are kept as equations, until there are too many
+of them.
 
 A zonotope forgets of every sample what its shape cannot say; a constrained zonotope keeps the last equations
-and a rest of older ones (`constrained_steps`). Whether anything is left of it is a small linear program, which
-`sets.zonotopes` searches and proves. A zonotope of as many generators goes with it (`SetObserver`): it begins,
-and holds where rounding takes too much.
+and a rest of older ones (`constrained_steps`). Whether anything is left of it is a small linear program,
+which `sets.zonotopes` searches and proves. A zonotope of as many generators goes with it (`SetObserver`): it
+begins, and holds where rounding takes too much.
 
 Source: Scott, Raimondo, Marseglia, Braatz 2016.
 """
@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxbound.estimation import constrained_steps, zonotope_steps
 from jaxbound.estimation.blocks import chosen, in_blocks, repeated
-from jaxbound.estimation.constrained_hulls import Rows, refuted, row_hulls, rows_at
+from jaxbound.estimation.constrained_hulls import refuted, row_hulls, rows_at
 from jaxbound.estimation.contradictions import ended, fresh_behind, is_first, staying
 from jaxbound.estimation.set_observer import ObserverSetup, Piece, SetObserver, checked_weights
 from jaxbound.sets.floats import rounding
@@ -113,8 +113,8 @@ class ConstrainedObserver(SetObserver):
     def _begun_anew(
         self, state: ConstrainedState, samples: Piece, looked: _Looked
     ) -> tuple[zonotope_steps.ZonotopeCarry, constrained_steps.HeldRows, zonotope_steps.Found]:
-        """Return (carry, held, Found) where samples behind a contradiction begin anew, and are looked at again,
-        until no recording has another one.
+        """Return (carry, held, Found) where samples behind a contradiction begin anew, and are looked at
+        again, until no recording has another one.
         """
         wrong = is_first(looked.wrong)
         again = wrong
@@ -137,8 +137,8 @@ class ConstrainedObserver(SetObserver):
     def _latched(
         self, state: ConstrainedState, samples: Piece, looked: _Looked
     ) -> tuple[zonotope_steps.ZonotopeCarry, constrained_steps.HeldRows, zonotope_steps.Found]:
-        """Return (carry, held, Found) where a FAULT stays until a gap; behind it no program is asked, wherever a
-        piece ends.
+        """Return (carry, held, Found) where a FAULT stays until a gap; behind it no program is asked,
+        wherever a piece ends.
         """
         fault = looked.wrong | (looked.found.status == Status.FAULT)
         behind = staying(state.carry.empty, fault, samples.fresh)

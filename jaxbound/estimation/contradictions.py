@@ -32,7 +32,9 @@ def ended(carry: ZonotopeCarry, gone: np.ndarray) -> ZonotopeCarry:
 
 
 def staying(before: np.ndarray, wrong: np.ndarray, fresh: np.ndarray) -> np.ndarray:
-    """Return (T, N): where a FAULT of an earlier sample, or of the piece before (N,), still stays; a gap ends it."""
+    """Return (T, N): where a FAULT of an earlier sample, or of the piece before (N,), still stays; a gap ends
+    it.
+    """
     behind = np.zeros_like(wrong)
     stays = before
     for k in range(len(wrong)):

@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from jaxbound.estimation.method import ObserverMethod, ShellOption, is_whole
+from jaxbound.estimation.counts import is_whole
+from jaxbound.estimation.method import ObserverMethod, ShellOption
 
 if TYPE_CHECKING:
     from jaxbound.estimation.set_observer import ObserverSetup, SetObserver

@@ -1,5 +1,5 @@
-"""The observer that tests windows exactly, each with a first state that lies in the set that the samples before
-it allow.
+"""The observer that tests windows exactly, each with a first state that lies in the set that the samples
+before it allow.
 
 Samples come in blocks of half a window. The window of a sample begins with the block before its own; its
 first state lies in a parallelotope {x : lo <= D x <= hi}, which the window that ended with its own block
@@ -48,8 +48,9 @@ class JointState(NamedTuple):
     """The sets that the observer carries on, recordings on the last axis.
 
     Fields: carry, samples: as of `ObserverState`. window: the last two blocks, so far; prior, held (N,): the
-    set of the first state of the window, and where there is one; mark, marked: of the state in the middle of it,
-    from the zonotope. path, explained: a first state on a trajectory through all samples, and where there is one.
+    set of the first state of the window, and where there is one; mark, marked: of the state in the middle of
+    it, from the zonotope. path, explained: a first state on a trajectory through all samples, and where there
+    is one.
     """
 
     carry: steps.ZonotopeCarry
@@ -129,8 +130,18 @@ class JointObserver(SetObserver):
 
     def _of_all(self, carry: JointState, count: int) -> JointState:
         """Return the carry of `count` recordings; one of a single recording is that of all."""
-        rest = tuple(carry[2:])
-        return JointState(carry.carry, carry.samples, *repeated(rest, count))
+        # the zonotopes are repeated where they are followed: each recording has several
+        return JointState(
+            carry.carry,
+            carry.samples,
+            window=repeated(carry.window, count),
+            prior=repeated(carry.prior, count),
+            held=repeated(carry.held, count),
+            mark=repeated(carry.mark, count),
+            marked=repeated(carry.marked, count),
+            path=repeated(carry.path, count),
+            explained=repeated(carry.explained, count),
+        )
 
     def _next_samples(self, state: JointState) -> int:
         """Return how many samples are tested at once: to the end of a block."""
@@ -168,7 +179,8 @@ class JointObserver(SetObserver):
     def _sharpened(self, state: JointState, number: int) -> Prior:
         """Return the sets of the states in the middle of windows: of the mark, met with what windows say."""
         lanes = np.flatnonzero(state.held)
-        mark, prior, window = (chosen(tree, lanes) for tree in (state.mark, state.prior, state.window))
+        mark, prior = chosen(state.mark, lanes), chosen(state.prior, lanes)
+        window = chosen(state.window, lanes)
         (D, back), n = self._directions(number - 1), self.plant.system.n
         rows = np.concatenate([D, self.programs.strips])
         lo, hi = template(rows, mark.c[None], mark.S[None], mark.r[None])
@@ -208,7 +220,7 @@ class JointObserver(SetObserver):
         return Prior(*(np.where(marked, x, 0) for x in mark)), marked
 
     def _first_prior(self, N: int) -> Prior | None:
-        """Return x0 of N recordings where it has no more generators than states, else its box; None without."""
+        """Return x0 of N recordings, or its box where it has more generators than states."""
         if self.x0 is None:
             return None
         n = self.plant.system.n
@@ -219,8 +231,8 @@ class JointObserver(SetObserver):
         else:
             reach = np.abs(generators.astype(np.float64)).sum(1) * ROUNDED
             sides = np.diag(rounding.round_up(reach, self.plant.dtype))
-        of_each = (np.repeat(x[..., None], N, -1) for x in (center, sides, box))
-        return Prior(*of_each, *self._no_strips(N))
+        c, S, r = (np.repeat(x[..., None], N, -1) for x in (center, sides, box))
+        return Prior(c, S, r, *self._no_strips(N))
 
     def _no_strips(self, N: int) -> tuple[np.ndarray, np.ndarray]:
         """Return (mid, rad) of strips that say nothing."""
@@ -243,13 +255,12 @@ class JointObserver(SetObserver):
 
         parts = zip(*in_blocks(job, len(lanes), ROOM), strict=True)
         ok, x, off = (np.concatenate(part, -1)[..., : len(lanes)] for part in parts)
-        nothing = (np.zeros_like(part) for part in (state.path.c, state.path.S, state.path.r))
-        later = Prior(*nothing, state.path.mid, state.path.rad)
-        later.c[:, lanes] = x
-        later.r[:, lanes] = rounding.round_up(off + np.abs(x - x.astype(self.plant.dtype)), self.plant.dtype)
+        c, r = np.zeros_like(state.path.c), np.zeros_like(state.path.r)
+        c[:, lanes] = x
+        r[:, lanes] = rounding.round_up(off + np.abs(x - x.astype(self.plant.dtype)), self.plant.dtype)
         is_explained = np.zeros_like(state.explained)
         is_explained[lanes] = ok
-        return later, is_explained
+        return state.path._replace(c=c, S=np.zeros_like(state.path.S), r=r), is_explained
 
     def _first_path(self, state: JointState) -> tuple[Prior, np.ndarray]:
         """Return (path, explained) where a trajectory begins anywhere in x0."""
@@ -268,9 +279,7 @@ class JointObserver(SetObserver):
             return False
         return bool(self.model.averages) or bool(self.model.constant_tolerance)
 
-    def _trajectories(
-        self, path: Prior, window: Samples
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _trajectories(self, path: Prior, window: Samples) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return (ok, x, off) of the trajectories that a search finds, see `explained`."""
         gauges = self.programs.gauges(path, window)
         xi, w, _ = split(gauges.z, gauges.window)
@@ -316,7 +325,9 @@ class JointObserver(SetObserver):
         return out
 
     def _carried_on(self, state: JointState, after: steps.ZonotopeCarry, T: int) -> JointState:
-        """Return the state behind T samples: sets that are older than what the zonotopes rest on are given up."""
+        """Return the state behind T samples: sets that are older than what the zonotopes rest on are given
+        up.
+        """
         t = int(state.samples)
         block = t // self.half * self.half
         ages = after.age.reshape(len(self.weights), -1)
@@ -347,9 +358,7 @@ class JointObserver(SetObserver):
         if not self.enclosures:
             return found
         narrower = asked[:, None] & (found.age > 0)[:, None]
-        return found._replace(
-            states=np.where(narrower, np.minimum(states, found.states), found.states)
-        )
+        return found._replace(states=np.where(narrower, np.minimum(states, found.states), found.states))
 
     def _contradicted(
         self,
@@ -447,7 +456,8 @@ def _with_one_way(plant: ObservedPlant) -> ObservedPlant:
         return plant
     if plant.unknown.hidden:
         raise ValueError(
-            'method "joint" needs outputs that show what unknown inputs do at once: use "zonotope" or "strips"'
+            'method "joint" needs outputs that show what unknown inputs do at once: use "zonotope" '
+            'or "strips"'
         )
     return replace(plant, unknown=replace(plant.unknown, ways=plant.unknown.ways[:1]))
 

@@ -1,17 +1,16 @@
 """The options of one way to observe, as a frozen value, and their words for the command line.
 
-A method is one small class here and in the files beside it; `methods` is the table of them. These files import
-nothing heavy: a command line builds its options from them before anything is computed.
+A method is one small class here and in the files beside it; `methods` is the table of them. These files
+import nothing heavy: a command line builds its options from them before anything is computed.
 """
 
 from abc import ABC, abstractmethod
-from numbers import Integral
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 if TYPE_CHECKING:
     from jaxbound.estimation.set_observer import ObserverSetup, SetObserver
 
-__all__ = ["ObserverMethod", "ShellOption", "is_whole"]
+__all__ = ["ObserverMethod", "ShellOption"]
 
 
 class ShellOption(NamedTuple):
@@ -36,8 +35,9 @@ class ObserverMethod(ABC):
     A new method is a frozen dataclass of this kind, in a file that imports nothing heavy, and one line of
     `methods.OBSERVERS`. Its fields are its options.
 
-    name: of `observer(model, method=name)` and of the command line. about: a few words for the help. usual_order:
-    generators a state where nobody asks for another order. shell: its options on the command line.
+    name: of `observer(model, method=name)` and of the command line. about: a few words for the help.
+    usual_order: generators a state where nobody asks for another order. shell: its options on the command
+        line.
     """
 
     name: ClassVar[str]
@@ -48,8 +48,3 @@ class ObserverMethod(ABC):
     @abstractmethod
     def observer(self, setup: "ObserverSetup") -> "SetObserver":
         """Return the observer of this method."""
-
-
-def is_whole(value: object) -> bool:
-    """Return whether an option is a whole number: of Python or of NumPy, not True or False."""
-    return isinstance(value, Integral) and not isinstance(value, bool)

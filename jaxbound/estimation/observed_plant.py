@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 import jax
 import numpy as np
 
-from jaxbound.estimation.method import is_whole
+from jaxbound.estimation.counts import is_whole
 from jaxbound.estimation.zonotope_begin import least_horizon, price, zonotope_begin
 from jaxbound.estimation.zonotope_numbers import free_numbers, numbers
 from jaxbound.estimation.zonotope_steps import Numbers, Start
@@ -24,10 +24,10 @@ ObservedModel: TypeAlias = LinearSystem | IntervalSystem
 class ObservedPlant:
     """A model, and all that follows from it alone. Build it with `observed_plant`.
 
-    Fields: model: as it was given; linear: the LinearSystem with a state for each unknown input that acts on an
-    output at once, or None of an `interval_system`; system: with intervals as its entries; unknown: the
-    directions of unknown inputs, or None; start: how samples alone show the state, or None; past: samples before
-    the first that this takes; dtype: of all that kernels take.
+    Fields: model: as it was given; linear: the LinearSystem with a state for each unknown input that acts on
+    an output at once, or None of an `interval_system`; system: with intervals as its entries; unknown: the
+    directions of unknown inputs, or None; start: how samples alone show the state, or None; past: samples
+    before the first that this takes; dtype: of all that kernels take.
     """
 
     model: ObservedModel
@@ -101,5 +101,7 @@ def _horizon(linear: LinearSystem | None, system: IntervalSystem, unknown: Direc
 def _nothing_shown(h: int | None) -> str:
     """Return why samples alone do not show the state."""
     if h is None:
-        return "the outputs do not show all states, however long one looks: give x0, bounds of the first state"
+        return (
+            "the outputs do not show all states, however long one looks: give x0, bounds of the first state"
+        )
     return f"{h + 1} samples do not show all states, or the parameters are too uncertain for it: give x0"

@@ -18,8 +18,8 @@ from jaxbound.sets.zonotopes.zonotope import Zonotope
 __all__ = ["observe", "observer"]
 
 WEIGHTS = (1.0, 30.0, 1000.0)
-"""Sets side by side where nothing else is asked for: one for faults that are sudden, two for those that last or
-grow slowly.
+"""Sets side by side where nothing else is asked for: one for faults that are sudden, two for those that last
+or grow slowly.
 """
 
 
@@ -38,18 +38,18 @@ def observer(
 
     Args:
         model: a LinearSystem (uncertain parameters, tolerance, noise, disturbance, unknown inputs) or an
-            `interval_system`. Unknown inputs are taken out of each sample by as many outputs as show them, the
-            rest is tested. States that they move unseen are entire ("joint" refuses these). A sample with too few
-            outputs for it ends the enclosure. Bounds of averages are used by "joint" alone, of runs that lie in a
-            window and without unknown inputs; the others look at single samples.
-        method: "zonotope", fast. "strips": one set, least after every sample, whatever weight is. "joint": with
-            the zonotopes, every window of up to `window` samples is tested exactly, its first state within the
-            set that the samples before it allow: sees faults that last or grow slowly almost as well as all
-            samples together could, and costs .3 to 5 milliseconds a sample. With x0 it says CONSISTENT where it
-            has a trajectory through all samples. "constrained": a constrained zonotope, which keeps the last
-            equations of samples and a rest of older ones: nearly as sharp as "joint", in a half to a third of its
-            time; one set, whatever weight is. Or its options as a value: `Joint(window=16)`,
-            `Constrained(constraints=12)`, of `jaxbound.estimation`.
+            `interval_system`. Unknown inputs are taken out of each sample by as many outputs as show them,
+            the rest is tested. States that they move unseen are entire ("joint" refuses these). A sample with
+            too few outputs for it ends the enclosure. Bounds of averages are used by "joint" alone, of runs
+            that lie in a window and without unknown inputs; the others look at single samples.
+        method: "zonotope", fast. "strips": one set, least after every sample, whatever weight is. "joint":
+            with the zonotopes, every window of up to `window` samples is tested exactly, its first state
+            within the set that the samples before it allow: sees faults that last or grow slowly almost as
+            well as all samples together could, and costs .3 to 5 milliseconds a sample. With x0 it says
+            CONSISTENT where it has a trajectory through all samples. "constrained": a constrained zonotope,
+            which keeps the last equations of samples and a rest of older ones: nearly as sharp as "joint", in
+            a half to a third of its time; one set, whatever weight is. Or its options as a value:
+            `Joint(window=16)`, `Constrained(constraints=12)`, of `jaxbound.estimation`.
         order: generators of the zonotope for each state, >= 1: more is sharper and slower. With constraints,
             how many more there are than these. None: 20; 5 with constraints.
         weight: of the samples' bounds in the gain, > 0. 1 makes the set least, in the sum of squares of its

@@ -1,9 +1,9 @@
 """A FAULT of a set observer, decided a second time outside XLA: see `consistency.twice`.
 
 The observer follows the last samples before a FAULT once more, its kernels evaluated in NumPy: 4 of them,
-then 16, 64, 256, 1024, as far back as it began, knowing nothing of the state before. A contradiction among them
-stands. Only a FAULT that rests on more samples than these, or on samples of a piece before that nobody keeps,
-begins with the set that XLA carried to there.
+then 16, 64, 256, 1024, as far back as it began, knowing nothing of the state before. A contradiction among
+them stands. Only a FAULT that rests on more samples than these, or on samples of a piece before that nobody
+keeps, begins with the set that XLA carried to there.
 """
 
 import math
@@ -42,8 +42,10 @@ class Repeatable(Protocol):
     def shown_after(self) -> float: ...
     def init(self) -> Any:
         """Return the state before the first sample."""
+
     def judged(self, carry: Any, piece: Recording) -> tuple[Any, Any]:
         """Return (carry, verdicts) of a piece, decided once."""
+
     def forgetful(self) -> "Repeatable":
         """Return the same observer, which begins knowing nothing."""
 
@@ -61,10 +63,11 @@ class _Doubt:
 
 
 def decided_twice(watch: Repeatable, carry: Any, piece: Recording) -> tuple[Any, Any]:
-    """Return (carry, verdicts) of `watch.judged`, with UNDECIDED in place of a FAULT that is not proved outside
-    XLA; a warning tells of them.
+    """Return (carry, verdicts) of `watch.judged`, with UNDECIDED in place of a FAULT that is not proved
+    outside XLA; a warning tells of them.
 
-    Where one is taken back the observer goes on knowing nothing: the set that XLA carried is not to be trusted.
+    Where one is taken back the observer goes on knowing nothing: the set that XLA carried is not to be
+        trusted.
 
     Args:
         carry: what the observer carried to the piece.
@@ -160,8 +163,8 @@ def _by_samples(watch: Repeatable, piece: Recording, doubts: list[_Doubt], lengt
 
 
 def _by_carry(watch: Repeatable, carry: Any, piece: Recording, doubt: _Doubt) -> bool:
-    """Return whether a FAULT is seen again from the set that XLA carried to a sample not long before it, or to
-    the piece.
+    """Return whether a FAULT is seen again from the set that XLA carried to a sample not long before it, or
+    to the piece.
     """
     alone, own = _of_recording(piece, doubt.recording), _carried_of(watch, carry, doubt.recording)
     near = max(0, doubt.end + 1 - LENGTHS[-1])
@@ -180,7 +183,7 @@ def _lanes(watch: Repeatable, x: Any) -> np.ndarray:
 
 def _ended(watch: Repeatable, carry: Any) -> np.ndarray:
     """Return for each recording that is carried whether it has contradicted before."""
-    return _lanes(watch, carry.carry.empty).any(-2)
+    return np.asarray(_lanes(watch, carry.carry.empty).any(-2))
 
 
 def _carried_of(watch: Repeatable, carry: Any, number: int) -> Any:

@@ -75,8 +75,9 @@ class Observation:
             before, not comparable with the margin of a window. NaN where nothing was tested.
         since (..., T) int: the first sample that the enclosure rests on; -1: there is none.
         state Interval (..., T, n): holds the state of every behaviour that explains the samples from `since`
-            on, this one included; entire where there is none. Of a FAULT: the states that the samples before it
-            allowed. NaN, like the others, where nothing is left: behind a FAULT that stays (restart=False).
+            on, this one included; entire where there is none. Of a FAULT: the states that the samples before
+            it allowed. NaN, like the others, where nothing is left: behind a FAULT that stays
+            (restart=False).
         predicted Interval (..., T, p): of a perfect sensor, as far as the samples before this one tell.
         output Interval (..., T, p): with this sample.
     """
@@ -103,8 +104,8 @@ class ObserverState(NamedTuple):
 class ObserverSetup(NamedTuple):
     """The choices that all methods share.
 
-    Fields: plant; order: generators a state; weight: one or several; restart; x0: the set of the first state, or
-    None. See `observer`.
+    Fields: plant; order: generators a state; weight: one or several; restart; x0: the set of the first state,
+    or None. See `observer`.
     """
 
     plant: ObservedPlant
@@ -219,9 +220,7 @@ class SetObserver(Observer):
             "enclosures": str(self.enclosures),
         }
 
-    def recording(
-        self, u: Any, y: Any = None, starts: ArrayLike = ()
-    ) -> "tuple[SetObserver, Recording]":
+    def recording(self, u: Any, y: Any = None, starts: ArrayLike = ()) -> "tuple[SetObserver, Recording]":
         """Return (this observer, the Recording of its signals)."""
         return self, Recording.of(self.signals, u, y, starts).finite()
 
@@ -359,8 +358,8 @@ class SetObserver(Observer):
     def _followed_alone(
         self, carry: steps.ZonotopeCarry, samples: Piece, room: int
     ) -> tuple[steps.ZonotopeCarry, steps.Found, steps.Read | None]:
-        """Follow one recording, which fills a block with copies of itself: whoever follows a recording sample by
-        sample is in a hurry, and nothing is to be cut.
+        """Follow one recording, which fills a block with copies of itself: whoever follows a recording sample
+        by sample is in a hurry, and nothing is to be cut.
         """
 
         def full(x: np.ndarray) -> np.ndarray:
@@ -415,7 +414,15 @@ class SetObserver(Observer):
             count = min(PIECE, T - first)
             given = samples.cut(first, first + count).filled(PIECE)
             carry, *rest = steps.follow(
-                numbers, start, carry, tuple(given), count, len(self.weights), enclosures, self.restart, self.hulls
+                numbers,
+                start,
+                carry,
+                tuple(given),
+                count,
+                len(self.weights),
+                enclosures,
+                self.restart,
+                self.hulls,
             )
             parts.append(_of_first((rest[0], rest[1]), count))
             first += count
@@ -442,9 +449,10 @@ class SetObserver(Observer):
         if not self.enclosures:
             return Judged(status, margin)
         since = np.where(age > 0, int(before.samples) + np.arange(T) - age + 1, -1)
-        refuted = None
+        refuted: np.ndarray | None = None
         if not self.restart:
-            refuted = np.asarray(before.carry.empty).reshape(len(self.weights), -1).any(0)
+            empty = np.asarray(before.carry.empty).reshape(len(self.weights), -1)
+            refuted = np.asarray(empty.any(0))
         found = emptied(found, refuted)
         n, p = self.plant.system.n, self.plant.system.p
         state = _interval(shaped(found.states), n)

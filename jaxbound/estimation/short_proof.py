@@ -33,8 +33,8 @@ def short_proof(
     `Stretch`: one relation among all of them.
 
     Args:
-        model: that is observed. first_box: (n, 2) bounds of the first state, or None. result: of `detect`, with
-            its observation. at: index of the sample. status: its verdict.
+        model: that is observed. first_box: (n, 2) bounds of the first state, or None. result: of `detect`,
+            with its observation. at: index of the sample. status: its verdict.
 
     Raises:
         NotImplementedError: a verdict other than FAULT, no such window.

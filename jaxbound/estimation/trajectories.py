@@ -21,11 +21,11 @@ Tree = TypeVar("Tree")
 def explained(
     plant: Numbers, path: Prior, samples: Samples, xi: np.ndarray, w: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return (ok (N,), x (n, N), off (n, N)): whether a trajectory is proved to keep all bounds, the state in the
-    middle of the window, and how far the exact one may be off it.
+    """Return (ok (N,), x (n, N), off (n, N)): whether a trajectory is proved to keep all bounds, the state in
+    the middle of the window, and how far the exact one may be off it.
 
-    The trajectory is the exact one of these xi and w, made a little smaller than 1; floats follow it to within
-    `off`. Rounding that widens an enclosure makes a bound tighter here.
+    The trajectory is the exact one of these xi and w, made a little smaller than 1; floats follow it to
+    within `off`. Rounding that widens an enclosure makes a bound tighter here.
 
     Args:
         plant: in float64. path: the sets of the first states. samples: of L steps. xi (k, N), w (L, g, N).
@@ -45,12 +45,7 @@ def explained(
         ok &= _keeps_bounds(plant, now, x, off)
         if j + 1 < L:
             off = _off_later(plant, now, x, off)
-            x = (
-                product(plant.A, x)
-                + product(plant.B, now.v)
-                + plant.w[:, None]
-                + product(plant.W, w[j])
-            )
+            x = product(plant.A, x) + product(plant.B, now.v) + plant.w[:, None] + product(plant.W, w[j])
     return ok, *middle
 
 

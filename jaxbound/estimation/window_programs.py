@@ -17,8 +17,8 @@ from jaxbound.estimation.zonotope_steps import Numbers
 __all__ = ["ROOM", "Gauges", "WindowPrograms"]
 
 ROOM = 32
-"""Windows side by side in the one kernel there is: see `set_observer.BLOCK`. A search ends with the slowest of
-them.
+"""Windows side by side in the one kernel there is: see `set_observer.BLOCK`. A search ends with the slowest
+of them.
 """
 AGAIN, LOST = 2, 1e-3
 """Searches after the first where that lost its trajectory; how far a sample may be off it, as a share of the
@@ -31,8 +31,8 @@ CLOSE = 0.02
 class Gauges(NamedTuple):
     """The gauges of N windows, and the trajectories that were found.
 
-    Fields: value, bound, t (N,): |value| > bound is a contradiction, t < 1 explains in plain floats; z (K, N):
-    the unknowns of the trajectory; window: the program.
+    Fields: value, bound, t (N,): |value| > bound is a contradiction, t < 1 explains in plain floats; z (K,
+    N): the unknowns of the trajectory; window: the program.
     """
 
     value: np.ndarray
@@ -43,8 +43,12 @@ class Gauges(NamedTuple):
 
     def replaced(self, where: np.ndarray, by: "Gauges") -> "Gauges":
         """Return these with others where (N,)."""
-        parts = [np.where(where, new, old) for new, old in zip(by[:4], self[:4], strict=True)]
-        return Gauges(*parts, self.window)
+        return self._replace(
+            value=np.where(where, by.value, self.value),
+            bound=np.where(where, by.bound, self.bound),
+            t=np.where(where, by.t, self.t),
+            z=np.where(where, by.z, self.z),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +79,7 @@ class WindowPrograms:
             best = best.replaced(lost, self._gauges_from(near, prior, samples, window))
         return best
 
-    def _gauges_from(
-        self, z: np.ndarray, prior: Prior, samples: Samples, window: WindowProgram
-    ) -> Gauges:
+    def _gauges_from(self, z: np.ndarray, prior: Prior, samples: Samples, window: WindowProgram) -> Gauges:
         """Return the gauges, searched for from a trajectory z on."""
         n, N = prior.c.shape
         weight, t, z = searched(window, z, CLOSE)
@@ -99,8 +101,8 @@ class WindowPrograms:
         """Return (lo, hi), each (r, N), of D x_J over all that explains windows.
 
         Args:
-            D (r, n): directions. width (r, N): about the widths. J (N,): steps of the state. before: whether it
-                is the state before its sample is looked at.
+            D (r, n): directions. width (r, N): about the widths. J (N,): steps of the state. before: whether
+                it is the state before its sample is looked at.
         """
         rows, N = len(D), prior.c.shape[-1]
         # without unknown inputs the state before its sample is the state
@@ -133,8 +135,8 @@ class WindowPrograms:
     def _close(self, prior: Prior) -> float:
         """Return the gap at which the search for a support is done.
 
-        Several bounds of one first state are nearly parallel: closer to the optimum their multipliers lose their
-        digits.
+        Several bounds of one first state are nearly parallel: closer to the optimum their multipliers lose
+        their digits.
         """
         if self.dtype == np.float32:
             return 1e-4

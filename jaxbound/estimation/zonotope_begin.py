@@ -8,8 +8,9 @@ K0 is a left inverse of O, K = A^h K0, both exact for the middle of the model, s
 
     newest state = K (m - D v - delta) + R q,    R = S - K T.
 
-Within the bounds of the model A^j is off by at most W_j, W_(j+1) = (|A| + wide) W_j + wide |A^j|, which bounds
-the errors of O, T and S; they act on |x| <= (I - |K0| wide_O)^-1 |K0| (|m| + s + |D v| + |T q|), and on q.
+Within the bounds of the model A^j is off by at most W_j, W_(j+1) = (|A| + wide) W_j + wide |A^j|, which
+bounds the errors of O, T and S; they act on |x| <= (I - |K0| wide_O)^-1 |K0| (|m| + s + |D v| + |T q|), and
+on q.
 
 With unknown inputs all of this is said of the plant x+ = M (A x + B v + w) + H (m - D v - delta of the next
 sample), see `models.unknown_directions`: M A takes the place of A, and q holds samples, too.
@@ -39,8 +40,8 @@ Fractions: TypeAlias = Sequence[Sequence[Fraction]]
 class _Middle(NamedTuple):
     """The middle of a plant, exact, and how far its matrices may be from it.
 
-    Fields: A (n, n), C (p, n): of the plant whose unknown inputs are taken out; off_A, off_C: bounds in float64;
-    M (n, n), H (n, p): how they are taken out, or None without any; places: states that are 0 then.
+    Fields: A (n, n), C (p, n): of the plant whose unknown inputs are taken out; off_A, off_C: bounds in
+    float64; M (n, n), H (n, p): how they are taken out, or None without any; places: states that are 0 then.
     """
 
     A: Matrix
@@ -55,8 +56,8 @@ class _Middle(NamedTuple):
 class _Response(NamedTuple):
     """How the newest state follows from samples, inputs and disturbances at the middle of the model, exact.
 
-    Fields: first (n, (h+1) p): K of samples alone; K: with the samples that take unknown inputs out; steps: for
-    each step (n, n) how the state moves with that step's disturbance.
+    Fields: first (n, (h+1) p): K of samples alone; K: with the samples that take unknown inputs out; steps:
+    for each step (n, n) how the state moves with that step's disturbance.
     """
 
     first: Matrix
@@ -68,8 +69,8 @@ class _Response(NamedTuple):
 class _Errors(NamedTuple):
     """Bounds of the errors that uncertain parameters make in O, T and S.
 
-    Fields: state (h + 1 of (n, n)): of powers of A; seen (h + 1 of (p, n)): of C times them; reach: the size of
-    C times them, errors included.
+    Fields: state (h + 1 of (n, n)): of powers of A; seen (h + 1 of (p, n)): of C times them; reach: the size
+    of C times them, errors included.
     """
 
     state: list[np.ndarray]
@@ -84,8 +85,8 @@ def price(n: int, p: int, horizon: int | None) -> None:
         n, p: states and outputs. horizon: None: the least that can do.
 
     Raises:
-        ValueError: more than ten minutes, extrapolated from 8 to 32 states on one core: right within a factor of
-            two or so.
+        ValueError: more than ten minutes, extrapolated from 8 to 32 states on one core: right within a factor
+            of two or so.
     """
     steps = -(-n // max(p, 1)) if horizon is None else horizon + 1
     seconds = 2.5e-6 * n * steps * p * (steps * p + n) * (1 + (steps * n / 10.0) ** 1.2)
@@ -142,8 +143,9 @@ def _middle_plant(
     n, way = system.n, directions.ways[0]
     spread = linalg.zeros(n, n)
     for uncertainty in linear.uncertainties:
-        if uncertainty.A is not None:
-            spread = _matrix_sum(spread, [[abs(x) for x in row] for row in uncertainty.on("A")])
+        rows = uncertainty.on("A")
+        if rows:
+            spread = _matrix_sum(spread, [[abs(x) for x in row] for row in rows])
     off_A = rounding.round_up(np.array(spread, object))
     return _Middle(
         linalg.matmul(way.M, linear.A),
@@ -166,8 +168,8 @@ def zonotope_begin(
     """Return how the newest state follows from h + 1 samples alone, see the module.
 
     Args:
-        linear: the model, or None of an `interval_system`. system: with intervals as its entries. directions: of
-            unknown inputs, or None.
+        linear: the model, or None of an `interval_system`. system: with intervals as its entries. directions:
+            of unknown inputs, or None.
 
     Returns:
         The Start; None if samples do not show the state, or parameters are too uncertain for it.
@@ -185,7 +187,9 @@ def zonotope_begin(
     float64 = numbers(linear, system, np.dtype(np.float64))
     K, off_K = nearest(response.K, dtype)
     U, off_U = nearest(_of_inputs(response, system), dtype)
-    W, off_W = nearest(_beside([linalg.matmul(x, exactly(float64.W)) for x in response.steps], system.n), dtype)
+    W, off_W = nearest(
+        _beside([linalg.matmul(x, exactly(float64.W)) for x in response.steps], system.n), dtype
+    )
     w, off_w = nearest(_of_middle(response, float64), dtype)
     wide = _deviations(plant, system, powers, K0, response, float64)
     if wide is None:
@@ -266,8 +270,8 @@ def _deviations(
     response: _Response,
     float64: Numbers,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Return bounds (n, (h+1) p), (n, (h+1) m), (n,) of what uncertain parameters add to the newest state, for
-    each |m| + s, each |v|, and beside; None where they may add anything.
+    """Return bounds (n, (h+1) p), (n, (h+1) m), (n,) of what uncertain parameters add to the newest state,
+    for each |m| + s, each |v|, and beside; None where they may add anything.
     """
     n, p, h = system.n, system.p, len(powers) - 1
     (B, off_B), (D, off_D) = middle(system.B), middle(system.D)

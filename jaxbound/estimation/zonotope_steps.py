@@ -131,8 +131,8 @@ class ZonotopeCarry(NamedTuple):
 
 
 def unknown(sizes: tuple[int, int, int, int, int], weight: np.ndarray) -> ZonotopeCarry:
-    """Return the ZonotopeCarry of recordings before the first sample, on the host. sizes: n, q, p, m, h; weight (N,),
-    in the dtype of all.
+    """Return the ZonotopeCarry of recordings before the first sample, on the host. sizes: n, q, p, m, h;
+    weight (N,), in the dtype of all.
     """
     (n, q, p, m, h), N, dtype = sizes, len(weight), weight.dtype
     zero = lambda *shape: np.zeros((*shape, N), dtype)

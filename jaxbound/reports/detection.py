@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.observed import ObserverResult
-from jaxbound.estimation.observer import SetObserver
+from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.plots.residuals import distinct_relations
 from jaxbound.relations.sentence import looked_at
 from jaxbound.relations.uncertain import UncertainRelations

@@ -11,11 +11,11 @@ import pytest
 from observer_case import PLANT, inside, program, published, recorded, systems
 
 import jaxbound as jb
-from jaxbound.estimation import observer
-from jaxbound.estimation.observer import SetObserver
+from jaxbound.estimation.methods import OBSERVERS
+from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.recordings.recording import Recording
 
-METHODS = ("zonotope", "strips", *observer.METHODS)
+METHODS = tuple(OBSERVERS)
 """How an observer may carry its set."""
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.diagnosis.detection import detect
-from jaxbound.estimation.observer import SetObserver
+from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.files.checkpoint import Checkpoint
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.bounds import Bounds, model_bounds
