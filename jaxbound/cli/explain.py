@@ -17,9 +17,10 @@ from jaxbound.certificates.uncertain_certificate import UncertainCertificate
 from jaxbound.cli.terminal import LOUDNESS, VERBOSE, door, show, write
 from jaxbound.cli.window import OBSERVER
 from jaxbound.estimation.observer import observer
+from jaxbound.models.rows import Kind
 from jaxbound.recordings.read import open_source
 from jaxbound.relations.parity import parity_relations
-from jaxbound.relations.sentence import main_terms
+from jaxbound.relations.sentence import main_terms, row_name
 from jaxbound.runs.contradiction import refuted_again
 from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.refusals import Refused
@@ -298,18 +299,10 @@ def _samples(c, labels):
                 part = number(-c.k[row]) if c.z is None else number(c.inputs[j][i])
                 rows.append((label, name, "missing" if w.u[row] is None else number(w.u[row]), "", "", part))
     if c.z is None:
-        for i, x in enumerate(c.h[len(w.y) :]):
-            if x:
-                lo, hi = limits[len(w.y) + i]
-                if i < model.g * w.horizon:
-                    when, what = labels[i // model.g], f"w{i % model.g + 1}"
-                else:
-                    a, run = w.runs[i - model.g * w.horizon]
-                    when = labels[
-                        run[-1] // model.p if run[-1] < len(w.y) else (run[-1] - len(w.y)) // model.g
-                    ]
-                    what = model.averages[a].text
-                rows.append((when, what, "", number(lo), number(hi), number(x)))
+        for x, row, ends in zip(c.h, w.rows, limits, strict=True):
+            if x and row.kind is not Kind.READING:
+                lo, hi = ends
+                rows.append((labels[row.last], row_name(model, row), "", number(lo), number(hi), number(x)))
     return rows
 
 

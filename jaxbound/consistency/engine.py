@@ -24,10 +24,10 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Protocol
 
 import jax
-import numpy as np
 
 from jaxbound.sets.floats import settings
 from jaxbound.sets.floats.probe import Unverified
+from jaxbound.sets.floats.threads import has_x64
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -134,10 +134,7 @@ def spread(client: "Client", job: Job, tasks: Sequence) -> Iterator[tuple[int, A
     address = getattr(
         client.scheduler, "address", ""
     )  # a client that lost its scheduler does not know it any more
-    wide, needs = (
-        jax.dtypes.canonicalize_dtype(np.float64) == np.float64,
-        {"resources": {"GPU": 1}} if gpus else {},
-    )
+    wide, needs = has_x64(), {"resources": {"GPU": 1}} if gpus else {}
     # sent once, and a task itself: what is scattered is lost with the worker that holds it
     given = client.submit(_kept, pickle.dumps((job, kind, wide)), pure=False)
     ready, left = as_completed(loop=client.loop), deque(enumerate(tasks))

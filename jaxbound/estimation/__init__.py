@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from jaxbound.estimation.joint import Joint
     from jaxbound.estimation.joint_observer import JointObserver, JointState
     from jaxbound.estimation.method import ObserverMethod
-    from jaxbound.estimation.set_observer import Observation, ObserverState, SetObserver
+    from jaxbound.estimation.set_observer import Observation, ObserverState, SetObserver, ZonotopeObserver
     from jaxbound.estimation.unknown_inputs import UnknownInputs
     from jaxbound.estimation.validation import Validation
     from jaxbound.estimation.validation_observer import ValidationObserver
@@ -35,6 +35,7 @@ __all__ = [
     "Validation",
     "ValidationObserver",
     "WeightedZonotopes",
+    "ZonotopeObserver",
 ]
 
 _HOMES = {
@@ -43,7 +44,7 @@ _HOMES = {
     "joint": "Joint",
     "joint_observer": "JointObserver JointState",
     "method": "ObserverMethod",
-    "set_observer": "Observation ObserverState SetObserver",
+    "set_observer": "Observation ObserverState SetObserver ZonotopeObserver",
     "unknown_inputs": "UnknownInputs",
     "validation": "Validation",
     "validation_observer": "ValidationObserver",

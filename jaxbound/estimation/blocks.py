@@ -10,7 +10,7 @@ from typing import TypeVar
 import jax
 import numpy as np
 
-from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
+from jaxbound.sets.floats.threads import inherited
 
 __all__ = ["chosen", "in_blocks", "repeated"]
 
@@ -36,13 +36,5 @@ def in_blocks(job: Callable[[np.ndarray], T], count: int, size: int) -> list[T]:
     done = [job(first)]  # compiled here, once
     if not others:
         return done
-    # both are settings of this thread
-    wide = bool(jax.dtypes.canonicalize_dtype(float) == np.float64)
-    outside = is_outside_xla()
-
-    def in_thread(block: np.ndarray) -> T:
-        with jax.enable_x64(wide), outside_xla(outside):
-            return job(block)
-
     with ThreadPoolExecutor(os.cpu_count()) as threads:  # compiled code runs outside the interpreter's lock
-        return done + list(threads.map(in_thread, others))
+        return done + list(threads.map(inherited(job), others))

@@ -1,7 +1,7 @@
 """The method "constrained": a constrained zonotope, which keeps the last equations of samples."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from jaxbound.estimation.counts import is_whole
 from jaxbound.estimation.method import ObserverMethod, ShellOption
@@ -37,7 +37,7 @@ class Constrained(ObserverMethod):
         if not is_whole(self.constraints) or self.constraints < 1:
             raise ValueError(f"constraints must be a whole number >= 1, not {self.constraints!r}")
 
-    def observer(self, setup: "ObserverSetup") -> "SetObserver":
+    def observer(self, setup: "ObserverSetup") -> "SetObserver[Any]":
         """Return the observer of this method."""
         from jaxbound.estimation.constrained_observer import constrained_observer
 

@@ -63,7 +63,7 @@ class _Looked(NamedTuple):
 
 @readable
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ConstrainedObserver(SetObserver):
+class ConstrainedObserver(SetObserver[ConstrainedState]):
     """Carries constrained zonotopes. Build it with `observer(model, Constrained())`.
 
     Fields: as of SetObserver; constraints: how many are kept.
@@ -81,13 +81,12 @@ class ConstrainedObserver(SetObserver):
         """How many generators a set has."""
         return super().generators + self.constraints
 
-    def _fresh(self) -> ConstrainedState:
-        """Return the state of an observer that has seen nothing."""
-        begun = super()._fresh()
+    def _with_carry(self, carry: zonotope_steps.ZonotopeCarry) -> ConstrainedState:
+        """Return the state before the first sample, whose zonotopes are known."""
         held = constrained_steps.nothing(
             self.plant.system.n, self.constraints, self.generators, 1, self.plant.dtype
         )
-        return ConstrainedState(begun.carry, begun.samples, held)
+        return ConstrainedState(carry, np.int64(0), held)
 
     def _of_all(self, carry: ConstrainedState, count: int) -> ConstrainedState:
         """Return the carry of `count` recordings; one of a single recording is that of all."""

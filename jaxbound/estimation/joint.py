@@ -1,7 +1,7 @@
 """The method "joint": exact tests of windows whose first state lies in what the samples before them allow."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from jaxbound.estimation.counts import is_whole
 from jaxbound.estimation.method import ObserverMethod, ShellOption
@@ -36,7 +36,7 @@ class Joint(ObserverMethod):
         if not is_whole(self.window) or self.window < SHORTEST or self.window % 2:
             raise ValueError(f"window must be an even number of samples >= 4, not {self.window!r}")
 
-    def observer(self, setup: "ObserverSetup") -> "SetObserver":
+    def observer(self, setup: "ObserverSetup") -> "SetObserver[Any]":
         """Return the observer of this method."""
         from jaxbound.estimation.joint_observer import joint_observer
 

@@ -66,7 +66,7 @@ class JointState(NamedTuple):
 
 @readable
 @dataclass(frozen=True, eq=False, kw_only=True)
-class JointObserver(SetObserver):
+class JointObserver(SetObserver[JointState]):
     """Tests windows whose first state lies in an enclosure. Build it with `observer(model, Joint())`.
 
     Fields: as of SetObserver; window: most samples of a window, even.
@@ -109,9 +109,9 @@ class JointObserver(SetObserver):
         """Return (D, back), (n, n) each, back about the inverse of D, of a block."""
         return self._principal[min(number, SETTLED)]
 
-    def _fresh(self) -> JointState:
-        """Return the state of an observer that has seen nothing."""
-        begun, system, dtype = super()._fresh(), self.plant.system, self.plant.dtype
+    def _with_carry(self, carry: steps.ZonotopeCarry) -> JointState:
+        """Return the state before the first sample, whose zonotopes are known."""
+        system, dtype = self.plant.system, self.plant.dtype
         L, t = self.window, len(self.programs.strips)
 
         def zero(*shape: int) -> np.ndarray:
@@ -126,7 +126,9 @@ class JointObserver(SetObserver):
         )
         nothing = np.zeros(1, bool)
         prior = Prior(zero(system.n), zero(system.n, system.n), zero(system.n), zero(t), zero(t) + np.inf)
-        return JointState(begun.carry, begun.samples, samples, prior, nothing, prior, nothing, prior, nothing)
+        return JointState(
+            carry, np.int64(0), samples, prior, nothing, prior, nothing, path=prior, explained=nothing
+        )
 
     def _of_all(self, carry: JointState, count: int) -> JointState:
         """Return the carry of `count` recordings; one of a single recording is that of all."""

@@ -5,7 +5,7 @@ import nothing heavy: a command line builds its options from them before anythin
 """
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 if TYPE_CHECKING:
     from jaxbound.estimation.set_observer import ObserverSetup, SetObserver
@@ -46,5 +46,5 @@ class ObserverMethod(ABC):
     shell: ClassVar[tuple[ShellOption, ...]] = ()
 
     @abstractmethod
-    def observer(self, setup: "ObserverSetup") -> "SetObserver":
+    def observer(self, setup: "ObserverSetup") -> "SetObserver[Any]":
         """Return the observer of this method."""

@@ -33,7 +33,7 @@ def observer(
     horizon: int | None = None,
     window: int | None = None,
     constraints: int | None = None,
-) -> SetObserver:
+) -> SetObserver[Any]:
     """Return an observer of a model, for `observe`, `detect`, `Monitor` and the shell.
 
     Args:

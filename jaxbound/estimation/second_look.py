@@ -40,7 +40,7 @@ class Repeatable(Protocol):
     def weights(self) -> np.ndarray: ...
     @property
     def shown_after(self) -> float: ...
-    def init(self) -> Any:
+    def begin(self) -> Any:
         """Return the state before the first sample."""
 
     def judged(self, carry: Any, piece: Recording) -> tuple[Any, Any]:
@@ -81,7 +81,7 @@ def decided_twice(watch: Repeatable, carry: Any, piece: Recording) -> tuple[Any,
         return after, judged
     status = np.where(gone, np.int8(Status.UNDECIDED), status).astype(np.int8)
     margin = np.where(gone, 0, judged.margin).astype(np.asarray(judged.margin).dtype)
-    return watch.forgetful().init(), _with_verdicts(judged, status, margin)
+    return watch.forgetful().begin(), _with_verdicts(judged, status, margin)
 
 
 def _with_verdicts(judged: Any, status: np.ndarray, margin: np.ndarray) -> Any:
@@ -156,7 +156,7 @@ def _by_samples(watch: Repeatable, piece: Recording, doubts: list[_Doubt], lengt
         us, ys = (np.stack([last(x, doubt) for doubt in some]) for x in (u, y))
         stretches = Recording(us, ys, NOWHERE, piece.inputs, piece.outputs)
         with outside_xla():
-            _, judged = ignorant.judged(ignorant.init(), stretches)
+            _, judged = ignorant.judged(ignorant.begin(), stretches)
         shown = (judged.status == Status.FAULT).any(-1)
         proved.update(doubt for doubt, yes in zip(some, shown, strict=True) if yes)
     return proved

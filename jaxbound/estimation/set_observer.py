@@ -11,14 +11,15 @@ encloses states as well, is another value (`dataclasses.replace`) that shares th
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, NamedTuple, NoReturn, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, Protocol, Self, TypeVar
 
 import jax
 import numpy as np
+from jax.typing import DTypeLike
 from numpy.typing import ArrayLike
 
 from jaxbound.certificates.interface import evidence
-from jaxbound.consistency.interface import Judged, Observer
+from jaxbound.consistency.interface import Budget, Judged, Observer
 from jaxbound.estimation import zonotope_steps as steps
 from jaxbound.estimation.blocks import in_blocks, repeated
 from jaxbound.estimation.lanes import emptied, joined
@@ -27,7 +28,7 @@ from jaxbound.estimation.second_look import decided_twice
 from jaxbound.estimation.short_proof import short_proof
 from jaxbound.estimation.zonotope_numbers import ROUNDED, FirstSet
 from jaxbound.models.sensor import input_slip
-from jaxbound.recordings.recording import Recording, Signals, signals_of
+from jaxbound.recordings.recording import Recording, SignalModel, signals_of
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import is_outside_xla
 from jaxbound.sets.floats.status import Status
@@ -40,8 +41,9 @@ __all__ = [
     "ObserverState",
     "Piece",
     "SetObserver",
+    "ZonotopeObserver",
     "checked_weights",
-    "set_observer",
+    "zonotope_observer",
 ]
 
 BLOCK = 32
@@ -57,6 +59,21 @@ PIECE = 16
 """Samples that the kernel is compiled for."""
 
 Tree = TypeVar("Tree")
+
+
+class CarriedState(Protocol):
+    """The state of any set observer: its zonotopes, and how many samples there were."""
+
+    @property
+    def carry(self) -> steps.ZonotopeCarry:
+        """The zonotopes, recordings on the last axis."""
+
+    @property
+    def samples(self) -> np.int64:
+        """How many samples there were."""
+
+
+State = TypeVar("State", bound=CarriedState)
 
 
 @readable
@@ -147,15 +164,15 @@ class Piece(NamedTuple):
 
 @readable
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SetObserver(Observer):
+class SetObserver(Observer[State], Generic[State]):
     """Carries the set of states that all samples since the start allow. Build it with `observer`.
 
     Fields: plant: the model with all that follows from it; order; weights; restart; x0: the set of the first
-    state, or None; enclosures: whether `fold` returns an Observation, else verdicts alone; carried: the state
+    state, or None; enclosures: whether `fold` returns an Observation, else verdicts alone; begun: the state
     that it begins with where it goes on, or None.
     """
 
-    method: ClassVar[str] = "observer"
+    batched: ClassVar[bool] = True
     hulls: ClassVar[bool] = False  # whether it needs the enclosures of states, and of samples, itself
 
     plant: ObservedPlant = field(repr=False)
@@ -164,7 +181,7 @@ class SetObserver(Observer):
     restart: bool
     x0: FirstSet | None = field(default=None, repr=False)
     enclosures: bool = False
-    carried: Any = field(default=None, repr=False)
+    begun: State | None = field(default=None, repr=False)
 
     @property
     def model(self) -> ObservedModel:
@@ -172,7 +189,7 @@ class SetObserver(Observer):
         return self.plant.model
 
     @property
-    def signals(self) -> Signals | Any:  # type: ignore[override]
+    def signals(self) -> SignalModel:
         """The model, or Signals with the names of an `interval_system`."""
         return signals_of(self.model)
 
@@ -203,11 +220,6 @@ class SetObserver(Observer):
         first = None if self.x0 is None else tuple(self.x0)
         return "observer", self.order, self.weights, self.restart, first, self.horizon
 
-    @property
-    def relations(self) -> "SetObserver":
-        """This observer: a Result names it in the place of relations."""
-        return self
-
     def _rows(self) -> dict[str, str]:
         """Return what `readable` shows."""
         weights = " ".join(f"{weight:g}" for weight in self.weights)
@@ -220,42 +232,31 @@ class SetObserver(Observer):
             "enclosures": str(self.enclosures),
         }
 
-    def recording(self, u: Any, y: Any = None, starts: ArrayLike = ()) -> "tuple[SetObserver, Recording]":
-        """Return (this observer, the Recording of its signals)."""
-        return self, Recording.of(self.signals, u, y, starts).finite()
-
     def test(
-        self, method: str = "joint", dtype: Any = None, budget: Any = None, compensation: ArrayLike = 0.0
-    ) -> "SetObserver":
+        self,
+        method: str = "joint",
+        dtype: DTypeLike | None = None,
+        budget: Budget = None,
+        compensation: ArrayLike = 0.0,
+    ) -> Self:
         """Return the observer that gives verdicts alone; an observer knows one method.
 
         Raises:
             ValueError: another method than "observer" (or "joint", the default), a budget or a compensation.
         """
-        compensated = bool(np.any(np.asarray(compensation) != 0))
-        if method not in ("joint", self.method) or budget is not None or compensated:
-            raise ValueError(
-                "an observer takes neither method nor budget nor compensation: they belong to windows"
-            )
-        return self.telling(enclosures=False)
+        return super().test(method, dtype, budget, compensation).telling(enclosures=False)
 
-    def telling(self, enclosures: bool) -> "SetObserver":
+    def telling(self, enclosures: bool) -> Self:
         """Return the same observer, whose `fold` returns an Observation, or verdicts alone."""
         return replace(self, enclosures=enclosures)
 
-    def continued(self, carry: Any) -> "SetObserver":
+    def continued(self, carry: State) -> Self:
         """Return the same observer, which begins with a carry that `fold` returned."""
-        return replace(self, carried=carry)
+        return replace(self, begun=carry)
 
-    def forgetful(self) -> "SetObserver":
+    def forgetful(self) -> Self:
         """Return the same observer, which begins knowing nothing."""
-        return replace(self, x0=None, carried=None)
-
-    def margins(self, given: Recording) -> NoReturn:
-        """Raise NotImplementedError: an observer has no derivative."""
-        raise NotImplementedError(
-            "margins are those of windows: detect(observer, ..).margin has what an observer says"
-        )
+        return replace(self, x0=None, begun=None)
 
     @property
     def generators(self) -> int:
@@ -271,28 +272,30 @@ class SetObserver(Observer):
             return np.inf
         return self.plant.past
 
-    def init(self) -> Any:
-        """Return the state before the first sample."""
-        if self.carried is not None:
-            return self.carried
-        return self._fresh()
-
-    def _fresh(self) -> Any:
+    def init(self) -> State:
         """Return the state of an observer that has seen nothing."""
+        return self._with_carry(self._first_carry())
+
+    def _first_carry(self) -> steps.ZonotopeCarry:
+        """Return the zonotopes before the first sample."""
         system = self.plant.system
         sizes = system.n, self.generators, system.p, system.m, self.plant.past
         carry = steps.unknown(sizes, self.weights.astype(self.plant.dtype))
         if self.x0 is not None:
             carry = _begun_in(carry, self.x0.padded(system.n))
-        return ObserverState(carry, np.int64(0))
+        return carry
 
-    def fold(self, carry: Any, piece: Recording) -> tuple[Any, Observation | Judged]:
+    def _with_carry(self, carry: steps.ZonotopeCarry) -> State:
+        """Return the state before the first sample, whose zonotopes are known."""
+        raise NotImplementedError
+
+    def fold(self, carry: State, piece: Recording) -> tuple[State, Observation | Judged]:
         """Take the next samples (..., T, .) of a recording, or of recordings side by side; return (carry,
         Observation or Judged).
         """
         return decided_twice(self, carry, piece)
 
-    def judged(self, carry: Any, piece: Recording) -> tuple[Any, Observation | Judged]:
+    def judged(self, carry: State, piece: Recording) -> tuple[State, Observation | Judged]:
         """Return what `fold` does, by XLA alone: its FAULTs are decided once."""
         lead, samples = self._side_by_side(carry, piece)
         T, count = samples.fresh.shape
@@ -307,20 +310,19 @@ class SetObserver(Observer):
         whole = parts[0] if len(parts) == 1 else jax.tree.map(lambda *x: np.concatenate(x), *parts)
         return state, self._verdicts(whole, lead, T, carry)
 
-    def _of_all(self, carry: Any, count: int) -> Any:
+    def _of_all(self, carry: State, count: int) -> State:
         """Return the carry of `count` recordings; one of a single recording is that of all."""
         return carry
 
-    def _next_samples(self, state: Any) -> int:
+    def _next_samples(self, state: State) -> int:
         """Return how many samples are tested at once."""
-        return np.iinfo(np.int64).max
+        raise NotImplementedError
 
-    def _tested(self, state: Any, samples: Piece) -> tuple[Any, steps.Found]:
+    def _tested(self, state: State, samples: Piece) -> tuple[State, steps.Found]:
         """Return (state, Found) of samples that follow those before."""
-        carry, found, _ = self._followed(state.carry, samples)
-        return ObserverState(carry, state.samples + len(samples.fresh)), found
+        raise NotImplementedError
 
-    def _side_by_side(self, carry: Any, piece: Recording) -> tuple[tuple[int, ...], Piece]:
+    def _side_by_side(self, carry: State, piece: Recording) -> tuple[tuple[int, ...], Piece]:
         """Return (leading shape, samples) of a piece."""
         piece.finite()
         u, y = np.asarray(piece.u), np.asarray(piece.y)
@@ -431,7 +433,7 @@ class SetObserver(Observer):
         return carry, *jax.tree.map(lambda *x: np.concatenate(x), *parts)
 
     def _verdicts(
-        self, found: steps.Found, lead: tuple[int, ...], T: int, before: Any
+        self, found: steps.Found, lead: tuple[int, ...], T: int, before: State
     ) -> Observation | Judged:
         """Return the Observation, or the verdicts, of arrays with time first and recordings last.
 
@@ -467,9 +469,31 @@ class SetObserver(Observer):
         )
 
 
-def set_observer(setup: ObserverSetup) -> SetObserver:
+@readable
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ZonotopeObserver(SetObserver[ObserverState]):
+    """Carries zonotopes alone, one for each weight. Build it with `observer`.
+
+    Fields: as of SetObserver.
+    """
+
+    def _with_carry(self, carry: steps.ZonotopeCarry) -> ObserverState:
+        """Return the state before the first sample, whose zonotopes are known."""
+        return ObserverState(carry, np.int64(0))
+
+    def _next_samples(self, state: ObserverState) -> int:
+        """Return how many samples are tested at once: all of them."""
+        return np.iinfo(np.int64).max
+
+    def _tested(self, state: ObserverState, samples: Piece) -> tuple[ObserverState, steps.Found]:
+        """Return (state, Found) of samples that follow those before."""
+        carry, found, _ = self._followed(state.carry, samples)
+        return ObserverState(carry, state.samples + len(samples.fresh)), found
+
+
+def zonotope_observer(setup: ObserverSetup) -> ZonotopeObserver:
     """Return the observer that carries zonotopes, one a weight."""
-    return SetObserver(
+    return ZonotopeObserver(
         plant=setup.plant,
         order=setup.order,
         weights=checked_weights(setup.weight),
@@ -526,7 +550,7 @@ def _begun_in(carry: steps.ZonotopeCarry, first: FirstSet) -> steps.ZonotopeCarr
 
 @evidence.register
 def _(
-    observer: SetObserver, result: Any, at: tuple[int, ...], status: Status
+    observer: SetObserver[Any], result: Any, at: tuple[int, ...], status: Status
 ) -> tuple[Any, str, np.ndarray, np.ndarray]:
     """Return the shortest window that proves a FAULT, see `short_proof`."""
     return short_proof(observer.model, observer.first_box, result, at, status)

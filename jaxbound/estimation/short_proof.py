@@ -51,7 +51,7 @@ def short_proof(
     u, y = (np.asarray(x)[at[:-1]][: k + 1] for x in (result.u, result.y))
     absolute = int(result.observation.since[at])
     # of an observer that goes on, it may lie before this recording
-    since = absolute - int(result.relations.init().samples)
+    since = absolute - int(result.relations.begin().samples)
     for h in sorted({*(2**i for i in range(LONGEST.bit_length())), k - since}):
         if h > min(k - since, k, LONGEST):
             break

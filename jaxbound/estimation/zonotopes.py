@@ -1,7 +1,7 @@
 """The methods "zonotope" and "strips": sets that are met with one sample after the other."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from jaxbound.estimation.method import ObserverMethod
 
@@ -18,11 +18,11 @@ class WeightedZonotopes(ObserverMethod):
     name: ClassVar[str] = "zonotope"
     about: ClassVar[str] = "fast"
 
-    def observer(self, setup: "ObserverSetup") -> "SetObserver":
+    def observer(self, setup: "ObserverSetup") -> "SetObserver[Any]":
         """Return the observer of this method."""
-        from jaxbound.estimation.set_observer import set_observer
+        from jaxbound.estimation.set_observer import zonotope_observer
 
-        return set_observer(setup)
+        return zonotope_observer(setup)
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,8 @@ class LeastZonotope(ObserverMethod):
     name: ClassVar[str] = "strips"
     about: ClassVar[str] = "one set, least after every sample"
 
-    def observer(self, setup: "ObserverSetup") -> "SetObserver":
+    def observer(self, setup: "ObserverSetup") -> "SetObserver[Any]":
         """Return the observer of this method."""
-        from jaxbound.estimation.set_observer import set_observer
+        from jaxbound.estimation.set_observer import zonotope_observer
 
-        return set_observer(setup._replace(weight=1.0))
+        return zonotope_observer(setup._replace(weight=1.0))

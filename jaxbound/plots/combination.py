@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxbound.certificates.certificate import Certificate
 from jaxbound.models.sensor import RECORDER_ULPS
+from jaxbound.models.window import bounded_sums
 
 __all__ = ["combination"]
 
@@ -34,15 +35,10 @@ def combination(certificate: Certificate, u: np.ndarray, y: np.ndarray) -> tuple
             low, high = lo(j), hi(j)
             value += h[j * p + i] * (low + high) / 2
             width += abs(h[j * p + i]) * (high - low) / 2
-    for x, (a, run) in zip(h[(s + 1) * p + g * s :], window.runs, strict=True):
+    for x, row in zip(h[window.rows.single :], window.rows.of_sums, strict=True):
         if not x:
             continue
-        average = model.averages[a]
-        value_of, width_of = (
-            _averaged(window, average, run, y, s, count)
-            if run[0] < (s + 1) * p
-            else (0.0, float(average.bound))
-        )
+        value_of, width_of = _summed(window, row, y, s, count)
         value += x * value_of
         width += abs(x) * width_of
     for j, x in enumerate(h[(s + 1) * p : (s + 1) * p + g * s]):
@@ -57,16 +53,20 @@ def combination(certificate: Certificate, u: np.ndarray, y: np.ndarray) -> tuple
     return np.concatenate([pad, value]), np.concatenate([pad, np.where(np.isnan(value), np.nan, width)])
 
 
-def _averaged(window, average, run, y, s, count):
-    """Return (middle, half-width) of an average of every window."""
-    first, i = divmod(run[0], window.model.p)
-    ends = [_limits(window, i, np.asarray(y[:, i], float), s, count)]
-    middle, size = np.zeros(count), float(sum(map(abs, average.weights)))
-    for k, f in enumerate(map(float, average.weights)):
-        lo, hi = ends[0][0](first + k), ends[0][1](first + k)
-        middle += f * (lo + hi) / 2
-    rho = (hi - lo) / 2 - float(window.noise[i])
-    return middle, float(average.bound) + size * rho
+def _summed(window, row, y, s, count):
+    """Return (middle, half-width) of a weighted sum of every window."""
+    values, bound = row.values, float(bounded_sums(window.model)[row.number].bound)
+    if not values.measured:
+        return 0.0, bound
+    middle, half = np.zeros(count), bound
+    for i, weights in values.parts:
+        least, most = _limits(window, i, np.asarray(y[:, i], float), s, count)
+        for sample, weight in enumerate(map(float, weights), row.first):
+            lo, hi = least(sample), most(sample)
+            middle += weight * (lo + hi) / 2
+        rho = (hi - lo) / 2 - float(window.noise[i])
+        half = half + float(values.size_of(i)) * rho
+    return middle, half
 
 
 def _limits(window, i, y, s, count):

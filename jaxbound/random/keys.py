@@ -1,6 +1,6 @@
-"""Where random numbers begin: a whole number will do as well as a key."""
+"""Keys of random numbers: a whole number will do as well as a key."""
 
-from typing import Any
+from typing import cast
 
 import jax
 import numpy as np
@@ -8,7 +8,7 @@ import numpy as np
 __all__ = ["key_of"]
 
 
-def key_of(seed: Any) -> jax.Array:
+def key_of(seed: jax.Array | int) -> jax.Array:
     """Return a jax.random key of a whole number, and a key as it is.
 
     Raises:
@@ -22,4 +22,4 @@ def key_of(seed: Any) -> jax.Array:
         return jax.random.key(seed)
     if not hasattr(seed, "dtype") or not hasattr(seed, "shape"):
         raise TypeError(f"key must be a jax.random key or a whole number, not {type(seed).__name__}")
-    return seed
+    return cast(jax.Array, seed)

@@ -1,12 +1,12 @@
-"""How an object shows itself: a few lines at a prompt and a small table in a notebook, whatever it holds.
+"""The text of an object at a prompt and its table in a notebook: a few lines, however much it holds.
 
-Arrays are told by their type and shape; an object of a few numbers is told whole, as Python would build it.
+Arrays are shown by their type and shape; an object of a few numbers is shown whole, as Python would build it.
 """
 
 import dataclasses
 import html
-from collections.abc import Mapping
-from typing import TypeVar
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -15,19 +15,19 @@ from jaxbound.text.characters import printable
 __all__ = ["readable"]
 
 Class = TypeVar("Class", bound=type)
-FEW, ROWS, HEAD, CELL = (
-    8,
-    12,
-    300,
-    110,
-)  # numbers told whole; lines; characters of the first line and of another
+Rows = list[tuple[str, str]]
+
+FEW = 8
+"""Numbers that are written out."""
+ROWS, HEAD, CELL = 12, 300, 110
+"""Most rows; most characters of the first line and of another."""
 
 
 def readable(cls: Class) -> Class:
     """Give a class `__repr__` and `_repr_html_` of at most 2 kB; a decorator above `@dataclass`.
 
-    The class may say what its first line is, `_head(self)`, and what follows, `_rows(self)`: {label: text}. A
-    `__repr__` of its own stays, and is the first line of the table.
+    The class may define its first line, `_head(self)`, and the rows that follow, `_rows(self)`: {label:
+    text}. A `__repr__` of its own stays, and is the first line of the table.
 
     Example:
         >>> @readable
@@ -40,125 +40,161 @@ def readable(cls: Class) -> Class:
           status: float64 (300,)
           method: 'joint'
     """
-    plain = cls.__repr__
-    own = (
-        "__repr__" in vars(cls) and not hasattr(plain, "__wrapped__") and not issubclass(cls, tuple)
-    )  # not the one that is made for it
+    plain = cast(Callable[[object], str], cls.__repr__)
+    # dataclasses and named tuples get a `__repr__` made for them: it is not the author's
+    has_own = "__repr__" in vars(cls) and not hasattr(plain, "__wrapped__") and not issubclass(cls, tuple)
 
-    def told(self):
-        return _told(self, plain, own)
+    def shown(self: object) -> str:
+        if has_own:
+            return _clipped(plain(self), HEAD)
+        whole = _whole(self, plain)
+        if whole:
+            return whole
+        lines = [f"  {label}: {text}" for label, text in _rows(self)]
+        return "\n".join([_head(self), *lines])
 
-    def shown(self):
-        head, rows, whole = told(self)
-        return (
-            whole
-            or (head if own else "")
-            or "\n".join((head, *(f"  {label}: {text}" for label, text in rows)))
-        )
-
-    def table(self):
-        head, rows, whole = told(self)
-        cells = "".join(
-            f'<tr><th scope="row">{html.escape(label)}</th><td>{html.escape(text)}</td></tr>'
-            for label, text in rows
-        )
+    def table(self: object) -> str:
+        head = _clipped(plain(self), HEAD) if has_own else _head(self)
+        cells = "".join(map(_table_row, _rows(self)))
         return f"<table><caption>{html.escape(head)}</caption><tbody>{cells}</tbody></table>"
 
     cls.__repr__, cls._repr_html_ = shown, table  # type: ignore[assignment,attr-defined]
     return cls
 
 
-def _told(thing, plain, own):
-    """Return (first line, [(label, text)], the whole text if it is short)."""
-    parts = _parts(thing)
-    whole = ""
-    if not own and not hasattr(thing, "_head") and sum(map(_count, parts.values())) <= FEW:
-        text = plain(thing)
-        whole = text if len(text) <= HEAD and "\n" not in text else ""
-    if own:
-        head = plain(thing)
-    elif hasattr(thing, "_head"):
-        head = thing._head()
+def _whole(thing: object, plain: Callable[[object], str]) -> str:
+    """Return the plain text of an object of a few numbers; "" for any other."""
+    if hasattr(thing, "_head") or sum(map(_count, _parts(thing).values())) > FEW:
+        return ""
+    text = plain(thing)
+    if len(text) > HEAD or "\n" in text:
+        return ""
+    return text
+
+
+def _head(thing: Any) -> str:
+    """Return the first line: the object's own, or its type and the shape of its first array."""
+    if hasattr(thing, "_head"):
+        return _clipped(thing._head(), HEAD)
+    name = type(thing).__name__
+    for value in map(_lead, _parts(thing).values()):
+        if np.ndim(value):
+            return _clipped(f"{name} {np.shape(value)}", HEAD)
+    return _clipped(name, HEAD)
+
+
+def _rows(thing: Any) -> Rows:
+    """Return (label, text) of the rows below the first line."""
+    if hasattr(thing, "_rows"):
+        rows = thing._rows()
     else:
-        shape = next((np.shape(value) for value in map(_lead, parts.values()) if np.ndim(value)), "")
-        head = f"{type(thing).__name__} {shape}".strip()
-    rows = (
-        thing._rows()
-        if hasattr(thing, "_rows")
-        else {label: _short(value) for label, value in parts.items() if not _empty(value)}
-    )
-    lines = [(label, _clipped(text, CELL)) for label, text in list(rows.items())[:ROWS]]
-    return _clipped(head, HEAD), lines, whole
+        rows = {label: _short(value) for label, value in _parts(thing).items() if not _is_empty(value)}
+    return [(label, _clipped(text, CELL)) for label, text in list(rows.items())[:ROWS]]
 
 
-def _parts(thing):
-    """Return {name: value} of what an object holds and would show."""
+def _table_row(row: tuple[str, str]) -> str:
+    label, text = map(html.escape, row)
+    return f'<tr><th scope="row">{label}</th><td>{text}</td></tr>'
+
+
+def _parts(thing: Any) -> Mapping[str, Any]:
+    """Return {name: value} of an object's visible fields."""
     if dataclasses.is_dataclass(thing):
         return {f.name: getattr(thing, f.name) for f in dataclasses.fields(thing) if f.repr}
-    if isinstance(thing, tuple) and hasattr(thing, "_asdict"):
+    if hasattr(thing, "_asdict"):
         return thing._asdict()
-    return {name: value for name, value in getattr(thing, "__dict__", {}).items() if not name.startswith("_")}
+    attributes = getattr(thing, "__dict__", {})
+    return {name: value for name, value in attributes.items() if not name.startswith("_")}
 
 
-def _lead(value):
-    """Return the array that a value is led by: itself, or the first one of a small object."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+def _is_array(value: object) -> bool:
+    return hasattr(value, "shape") and hasattr(value, "dtype")
+
+
+def _is_record(value: object) -> bool:
+    return dataclasses.is_dataclass(value) and not isinstance(value, type)
+
+
+def _lead(value: object) -> Any:
+    """Return the array that leads a value: itself, or the first one of a small object; 0 without one."""
+    if _is_record(value):
         return next(iter(_parts(value).values()), value)
-    return value if hasattr(value, "shape") and hasattr(value, "dtype") else 0
+    if _is_array(value):
+        return value
+    return 0
 
 
-def _count(value):
-    """Return how many numbers an object holds, or more than a few."""
+def _count(value: Any) -> int:
+    """Return the number of numbers in a value, or more than a few."""
     if hasattr(value, "shape"):
         return int(np.prod(value.shape, dtype=np.int64))
     if isinstance(value, Mapping):
         return sum(map(_count, value.values()))
     if isinstance(value, list | tuple):
-        return sum(map(_count, value)) if len(value) <= FEW else len(value)
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        if len(value) > FEW:
+            return len(value)
+        return sum(map(_count, value))
+    if _is_record(value):
         return sum(map(_count, _parts(value).values()))
-    return 1 if isinstance(value, str | int | float | None) else FEW + 1
+    if isinstance(value, str | int | float | None):
+        return 1
+    return FEW + 1
 
 
-def _empty(value):
+def _is_empty(value: object) -> bool:
     return value is None or (isinstance(value, str | list | tuple | Mapping) and not len(value))
 
 
-def _short(value):
+def _short(value: Any) -> str:
     """Return a value in a few words."""
-    if hasattr(value, "shape") and hasattr(value, "dtype"):
-        if 0 < np.size(value) <= FEW and not _abstract(value):
-            return " ".join(
-                f"{x:.6g}" if isinstance(x, float) else str(x) for x in np.asarray(value).ravel().tolist()
-            )
-        return f"{value.dtype} {tuple(value.shape)}"
+    if _is_array(value):
+        return _short_array(value)
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} {_short(x)}" for key, x in list(value.items())[:FEW]) + (
-            f", ... ({len(value)})" if len(value) > FEW else ""
-        )
+        return _short_mapping(value)
     if isinstance(value, list | tuple) and not hasattr(value, "_fields"):
-        return (
-            ", ".join(map(_short, value))
-            if _count(value) <= FEW
-            else f"{len(value)} of {type(value[0]).__name__}"
-        )
-    if dataclasses.is_dataclass(value) and not isinstance(value, type) and not isinstance(value, str):
+        if _count(value) <= FEW:
+            return ", ".join(map(_short, value))
+        return f"{len(value)} of {type(value[0]).__name__}"
+    if _is_record(value) and not isinstance(value, str):
         lead = _lead(value)
-        return f"{type(value).__name__} {np.shape(lead) if np.ndim(lead) else ''}".strip()
-    if hasattr(value, "numerator") and hasattr(value, "denominator") and not isinstance(value, int):
+        shape = np.shape(lead) if np.ndim(lead) else ""
+        return f"{type(value).__name__} {shape}".strip()
+    is_fraction = hasattr(value, "numerator") and hasattr(value, "denominator") and not isinstance(value, int)
+    if is_fraction or isinstance(value, float):
         return f"{float(value):.6g}"
-    return f"{value:.6g}" if isinstance(value, float) else repr(value)
+    return repr(value)
 
 
-def _abstract(value):
-    """Say whether an array has no numbers yet: inside jit or vmap."""
+def _short_array(value: Any) -> str:
+    if not 0 < np.size(value) <= FEW or _is_abstract(value):
+        return f"{value.dtype} {tuple(value.shape)}"
+    return " ".join(map(_short_number, np.asarray(value).ravel().tolist()))
+
+
+def _short_number(x: object) -> str:
+    if isinstance(x, float):
+        return f"{x:.6g}"
+    return str(x)
+
+
+def _short_mapping(value: Mapping[Any, Any]) -> str:
+    items = [f"{key} {_short(x)}" for key, x in list(value.items())[:FEW]]
+    if len(value) > FEW:
+        items.append(f"... ({len(value)})")
+    return ", ".join(items)
+
+
+def _is_abstract(value: Any) -> bool:
+    """Return whether an array has no numbers yet: inside jit or vmap."""
     try:
         np.asarray(value)
     except Exception:  # whatever a tracer raises, a repr never does
         return True
-    return value.dtype == object
+    return bool(value.dtype == object)
 
 
-def _clipped(text, most):
+def _clipped(text: str, most: int) -> str:
     text = printable(text.replace("\n", "; "))
-    return text if len(text) <= most else f"{text[: most - 4]} ..."
+    if len(text) <= most:
+        return text
+    return f"{text[: most - 4]} ..."

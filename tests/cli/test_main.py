@@ -531,6 +531,7 @@ print(*sys.modules, file=sys.stderr)
             and done.stdout == ""
         )
 
+    @pytest.mark.posix("signals between processes")
     def test_ctrl_c(self, place, shell):
         args, environment = shell
         code = """

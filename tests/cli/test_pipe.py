@@ -4,7 +4,6 @@ process ends.
 
 import argparse
 import errno
-import fcntl
 import io
 import json
 import re
@@ -495,15 +494,17 @@ class TestRestart:
             pipe(text, out=place / "out", horizon=horizon)
         assert (place / "out/monitor.jsonl").read_bytes() == kept
 
+    @pytest.mark.posix("locks of files")
     def test_a_file_system_without_locks_keeps_nobody_away(self, samples, place, pipe, monkeypatch):
         def none(file, operation):
             raise OSError(errno.ENOLCK, "No locks available")
 
-        monkeypatch.setattr(fcntl, "flock", none)
+        monkeypatch.setattr("fcntl.flock", none)
         text = lines(samples)[:5]
         code, out, _ = pipe(text, out=place / "out")
         assert code in (0, 1, 3) and (place / "out/verdicts.csv").read_text().count("\n") == len(text)
 
+    @pytest.mark.posix("locks of files")
     def test_two_processes_do_not_write_one_file(self, place):
         with journal.Journal(place, None, {}) as one, journal.Journal(place, None, {}) as other:
             one.add({})
@@ -536,6 +537,7 @@ class TestRestart:
         assert "its line 50 is not the one that was judged" in err and len(out.splitlines()) == 1
 
 
+@pytest.mark.posix("signals between processes")
 @pytest.mark.slow
 def test_live_in_another_process_killed_and_stopped(samples, place):
     """Verdicts come while the pipe is open; kill -9 and SIGTERM leave a file that the next process

@@ -208,6 +208,7 @@ class TestCommand:
         assert len(part_files(place / "out/verdicts.partial")) == 2
 
 
+@pytest.mark.posix("signals between processes, and /proc")
 @pytest.mark.long
 def test_killed_at_half_and_resumed_in_little_memory(tmp_path):
     """3 million samples in another process: killed without a warning, run again, the verdicts of one piece,

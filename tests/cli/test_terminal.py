@@ -37,11 +37,13 @@ def model(tmp_path):
     return tmp_path
 
 
+@pytest.mark.posix("a shell and /dev/full")
 def test_a_full_device_is_a_sentence_and_exit_code_2(model):
     code, _, err = shell("$J info --template > /dev/full", model)
     assert code == 2 and err == b"jaxbound: cannot write to standard output: no space left on device\n"
 
 
+@pytest.mark.posix("a shell")
 @pytest.mark.parametrize("end", [">&-", "2>&- >/dev/null", "| head -c 1 > /dev/null; exit ${PIPESTATUS[0]}"])
 def test_a_closed_end_is_no_trouble_and_leaves_the_exit_code_alone(model, end):
     code, _, err = shell(f"$J info --template {end}", model)
@@ -65,6 +67,7 @@ def test_control_characters_of_names_reach_no_terminal(model, capsys):
     assert "x1b[2Ja" in err and printable(err, "\n") == err
 
 
+@pytest.mark.posix("named pipes")
 def test_a_recording_comes_through_a_pipe_as_from_its_file(model):
     text = "time,Pump [%],level,flow\n" + "".join(f"{k},50,1.{k},0.{k}\n" for k in range(9))
     (model / "r.csv").write_text(text)
@@ -78,6 +81,7 @@ def test_a_recording_comes_through_a_pipe_as_from_its_file(model):
     assert piped.source == "pipe"
 
 
+@pytest.mark.posix("a shell")
 def test_detect_takes_a_process_substitution(model):
     (model / "r.csv").write_text("time,Pump [%],level,flow\n0,50,1,1\n")
     code, _, err = shell("$J detect m.toml <(cat r.csv) --out o", model)

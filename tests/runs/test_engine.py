@@ -6,7 +6,6 @@ import json
 import os
 import random
 import re
-import resource
 import signal
 import subprocess
 import sys
@@ -147,6 +146,7 @@ class TestSameBytes:
 
 
 class TestCost:
+    @pytest.mark.posix("counts of pages")
     def test_workers_keep_their_memory_for_the_next_chunk(self, client):
         """Else the system clears the same pages again and again, which takes as long as the tests of
         windows.
@@ -156,6 +156,8 @@ class TestCost:
 
 def _pages_of_a_chunk_after_another():
     """Return how many pages the system gives for an array as large as one that was there before."""
+    import resource
+
     for _ in range(2):
         before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
         np.ones(2_000_000)
@@ -183,6 +185,7 @@ class TestTrouble:
             range(30)
         )  # workers are as before
 
+    @pytest.mark.posix("signals between processes")
     def test_a_worker_that_dies_costs_its_task_alone(self, case, one, client, tmp_path):
         r, folder, _, _ = case("section 5")
         killed = []

@@ -77,6 +77,7 @@ def refused(args, sentence, capsys):
     assert out == "" and sentence in err and err.count("\n") == 1, err
 
 
+SIGHUP = getattr(signal, "SIGHUP", None)  # Windows has none
 DETECT = ["detect", "model.toml", "run.csv", "--out", "out"]
 PARQUET = ["detect", "model.toml", "parts", "--out", "out"]
 FIT = ["fit", "run.csv", "--inputs", "u1", "--outputs", "y1", "--horizon", "4", "--out"]
@@ -146,6 +147,7 @@ class TestOneFile:
     def test_two_options_do_not_name_one_file(self, place, capsys):
         refused([*FIT, "a", "--plot", "./a"], "--out and --plot name the same file", capsys)
 
+    @pytest.mark.posix("named pipes")
     def test_a_pipe_or_device_is_no_file_to_replace(self, place, capsys):
         os.mkfifo("pipe")  # never a device of the machine: a red test would replace it
         refused([*FIT, "pipe", "--force"], "must be a file to write", capsys)
@@ -209,6 +211,7 @@ class TestFolder:
             refused(DETECT, f"out/{name} is in the way: it was not written by jaxbound", capsys)
         assert os.listdir(place / "out") == [name]
 
+    @pytest.mark.posix("links that anybody may make")
     def test_a_link_is_no_file_of_ours(self, place, capsys):
         (place / "out").mkdir()
         (place / "out/verdicts.csv").symlink_to(place / "precious")
@@ -241,6 +244,7 @@ class TestFolder:
             refused(["fleet", "units.csv", "--out", "out"], sentence, capsys)
         assert os.listdir(place / "out") == [name] and not (place / "nothing").exists()
 
+    @pytest.mark.posix("links that anybody may make")
     def test_no_link_is_followed_by_a_share(self, parquet, capsys):
         (parquet / "out").mkdir()
         (parquet / "out/.jaxbound-lock").symlink_to(parquet / "model.toml")
@@ -477,6 +481,7 @@ class TestNothingHalf:
         refused(DETECT, "no space left on device", capsys)
         assert sorted(p.name for p in place.iterdir()) == ["model.toml", "run.csv"]
 
+    @pytest.mark.posix("mount")
     def test_a_small_disk(self, place, capsys):
         """A mount point with room for verdicts, not for their report."""
         disk = place / "disk"
@@ -543,13 +548,14 @@ sys.exit(cli.main(["detect", "model.toml", "run.csv", "--out", "out"]))
 """
 
 
+@pytest.mark.posix("signals between processes")
 class TestSignals:
     @pytest.fixture(autouse=True)
     def heard(self):
         """Signals are as a terminal has them, also where the tests themselves run under nohup."""
-        before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+        before = signal.signal(SIGHUP, signal.SIG_DFL)
         yield
-        signal.signal(signal.SIGHUP, before)
+        signal.signal(SIGHUP, before)
 
     def stopped_by(self, number, monkeypatch):
         monkeypatch.setattr(
@@ -557,7 +563,7 @@ class TestSignals:
         )
         return main.main(DETECT)
 
-    @pytest.mark.parametrize("number, code", [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+    @pytest.mark.parametrize("number, code", [(signal.SIGTERM, 143), (SIGHUP, 129)])
     def test_they_clean_up_as_ctrl_c_does(self, place, capsys, monkeypatch, number, code):
         before = signal.getsignal(number)
         assert self.stopped_by(number, monkeypatch) == code and signal.getsignal(number) == before
@@ -567,14 +573,12 @@ class TestSignals:
         )
 
     def test_what_is_ignored_stays_ignored(self, place, capsys, monkeypatch):
-        before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        before = signal.signal(SIGHUP, signal.SIG_IGN)
         try:
-            monkeypatch.setattr(
-                detecting, "write_report", lambda *a, **k: os.kill(os.getpid(), signal.SIGHUP)
-            )
+            monkeypatch.setattr(detecting, "write_report", lambda *a, **k: os.kill(os.getpid(), SIGHUP))
             assert main.main(DETECT) == 0 and (place / "out/verdicts.csv").exists()
         finally:
-            signal.signal(signal.SIGHUP, before)
+            signal.signal(SIGHUP, before)
 
     def test_a_second_signal_does_not_disturb_the_cleaning_up(self, place, capsys, monkeypatch):
         tidy = shutil.rmtree
@@ -585,7 +589,7 @@ class TestSignals:
 
         def stop(*args, **options):
             monkeypatch.setattr(shutil, "rmtree", again)
-            os.kill(os.getpid(), signal.SIGHUP)
+            os.kill(os.getpid(), SIGHUP)
             time.sleep(5)
 
         monkeypatch.setattr(detecting, "write_report", stop)
@@ -645,7 +649,7 @@ class TestSignals:
         }
 
     @pytest.mark.slow
-    @pytest.mark.parametrize("number, code", [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+    @pytest.mark.parametrize("number, code", [(signal.SIGTERM, 143), (SIGHUP, 129)])
     def test_from_a_shell(self, place, number, code):
         process = subprocess.Popen(
             [sys.executable, "-c", SLOW], cwd=place, stdout=subprocess.PIPE, stderr=subprocess.PIPE
@@ -679,6 +683,7 @@ def test_what_lies_beside_a_file_that_is_written_is_not_followed(place, link):
     assert not (place / "new.toml").exists()
 
 
+@pytest.mark.posix("links that anybody may make")
 def test_links_in_the_place_of_what_is_kept_are_not_followed(place):
     (place / "kept").mkdir()
     (place / "first").write_bytes(b"")
@@ -691,6 +696,7 @@ def test_links_in_the_place_of_what_is_kept_are_not_followed(place):
     assert not (place / "nothing").exists()
 
 
+@pytest.mark.posix("named pipes")
 def test_the_library_writes_into_a_pipe_and_does_not_replace_it(place):
     os.mkfifo("pipe")
     reader = os.open("pipe", os.O_RDONLY | os.O_NONBLOCK)
