@@ -4,6 +4,7 @@ A method is one small class here and in the files beside it; `methods` is the ta
 import nothing heavy: a command line builds its options from them before anything is computed.
 """
 
+import html
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -44,6 +45,9 @@ class ObserverMethod(ABC):
     about: ClassVar[str]
     usual_order: ClassVar[float] = 20.0
     shell: ClassVar[tuple[ShellOption, ...]] = ()
+
+    def _repr_html_(self) -> str:
+        return f"<code>{html.escape(repr(self))}</code>"
 
     @abstractmethod
     def observer(self, setup: "ObserverSetup") -> "SetObserver[Any]":

@@ -548,7 +548,7 @@ def _begun_in(carry: steps.ZonotopeCarry, first: FirstSet) -> steps.ZonotopeCarr
     )
 
 
-@evidence.register
+@evidence.register(SetObserver)
 def _(
     observer: SetObserver[Any], result: Any, at: tuple[int, ...], status: Status
 ) -> tuple[Any, str, np.ndarray, np.ndarray]:

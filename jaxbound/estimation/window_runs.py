@@ -6,8 +6,8 @@ Each run is one more row of the window's linear program,
     |m + sum F_v delta + sum F_w w| <= b,
 
 delta being the error of a sample m_j and w a disturbance, from -1 to 1. What rounding adds to the error of a
-sample adds its part to b. Nothing is said of a run with a missing sample, or with a disturbance that no sample
-of the window follows.
+sample adds its part to b. Nothing is said of a run with a missing sample, or with a disturbance that no
+sample of the window follows.
 """
 
 from fractions import Fraction
@@ -26,8 +26,8 @@ __all__ = ["AverageRows", "average_rows", "bounds_of"]
 class AverageRows(NamedTuple):
     """The runs of averages in windows of L samples, in float64.
 
-    Fields: v (a, L, p), w (a, L, g): the weights of errors and of disturbances; m, bound (a,); noise (p,): errors
-    that averages speak of, rounded down.
+    Fields: v (a, L, p), w (a, L, g): the weights of errors and of disturbances; m, bound (a,); noise (p,):
+    errors that averages speak of, rounded down.
     """
 
     v: np.ndarray

@@ -115,7 +115,7 @@ def _alarm_rows(res, recording, alarms, chosen, why):
 
 def _since(res, recording, k):
     """Return the time of the sample that what an observer says of sample k rests on."""
-    first = int(res.observation.since[k]) - int(res.relations.init().samples)
+    first = int(res.observation.since[k]) - int(res.relations.begin().samples)
     return recording.label(first) if first >= 0 else "a recording before"
 
 
