@@ -12,7 +12,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.read import kind_of
 from jaxbound.runs.sink import Outcome, Sink, register
 
-__all__ = ["VALIDATION", "RunRecord", "load_run", "save_run"]
+__all__ = ["VALIDATION", "RunRecord", "is_outgrown", "load_run", "save_run"]
 
 VALIDATION = "validation"  # not a method of `detect`: the shell name of `validate`
 
@@ -35,6 +35,7 @@ class RunRecord(Sink):
             outcome.method,
             outcome.horizon,
             outcome.options,
+            outgrown=outcome.summary.found is not None and outcome.summary.found.outgrown,
         )
 
 
@@ -46,6 +47,7 @@ def save_run(
     method: str,
     horizon: int,
     options: Mapping | None = None,
+    outgrown: bool = False,
 ) -> None:
     """Write run.json and tested_model.toml, with which `load_run` finds again what was tested.
 
@@ -53,7 +55,7 @@ def save_run(
         directory: of the report. model: that was tested. data: path of the recording. digest: its `content`,
             taken before it was read for
         the test: what was written in between can then not pass for it. method, horizon: of the test; options:
-            of an observer.
+            of an observer. outgrown: its windows were longer than those that the bounds were found for.
     """
     data, directory, text = Path(data).resolve(), Path(directory).resolve(), model_text(model).encode()
     named = (
@@ -67,9 +69,15 @@ def save_run(
         "content": digest,
         "model": hashlib.sha256(text).hexdigest(),
         "options": dict(options or {}),
+        "outgrown": outgrown,
     }
     (directory / MODEL).write_bytes(text)
     (directory / RUN).write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
+def is_outgrown(directory: Path) -> bool:
+    """Return whether a report that `load_run` has read is of windows that its bounds were not found for."""
+    return bool(json.loads((Path(directory) / RUN).read_text(encoding="utf-8")).get("outgrown"))
 
 
 def load_run(directory: Path) -> tuple[LinearSystem, Path, str, int, dict]:
