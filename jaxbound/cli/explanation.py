@@ -7,11 +7,12 @@ from typing import Any
 from jaxbound.certificates.interface import certify
 from jaxbound.cli.options import OBSERVER
 from jaxbound.cli.sample_axis import SampleAxis
+from jaxbound.consistency.interface import FAMILIES
 from jaxbound.estimation.observer import observer
 from jaxbound.recordings.read import open_source
 from jaxbound.relations.parity import parity_relations
 from jaxbound.runs.contradiction import refuted_again
-from jaxbound.runs.runfile import VALIDATION, load_run
+from jaxbound.runs.runfile import VALIDATION, is_outgrown, load_run
 
 __all__ = ["Explained", "explain_window"]
 
@@ -22,12 +23,14 @@ class Explained:
 
     Fields:
         certificate: that `certify` gives. sample: the last of the window. labels: the times of its samples.
+        outgrown: its bounds were found from data for shorter windows, so that a FAULT proves no fault.
         ambiguity: a sentence, or "", where the number that was asked for could be meant as a time.
     """
 
     certificate: Any
     sample: int
     labels: list[str]
+    outgrown: bool
     ambiguity: str
 
 
@@ -59,7 +62,10 @@ def explain_window(directory: str | Path, at: str) -> Explained:
         if method == OBSERVER:
             certificate, part = refuted_again(observer(model, **options), source, k)
         else:
-            relations = parity_relations(model, horizon if model.lags is None else None)
+            if method in FAMILIES:
+                relations = FAMILIES[method](model, horizon)
+            else:
+                relations = parity_relations(model, horizon if model.lags is None else None)
             part = source.read(k - horizon, k + 1)
             if part.across(horizon)[horizon]:
                 raise ValueError("a window across a gap in time is MISSING")
@@ -68,4 +74,4 @@ def explain_window(directory: str | Path, at: str) -> Explained:
         raise ValueError(f"{axis.label(k)} (sample {k}): {e}") from None
     first = part.samples - certificate.window.horizon - 1
     labels = [part.label(j) for j in range(first, part.samples)]
-    return Explained(certificate, k, labels, axis.also_a_time(at))
+    return Explained(certificate, k, labels, is_outgrown(Path(directory)), axis.also_a_time(at))

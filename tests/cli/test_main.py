@@ -22,6 +22,7 @@ from jaxbound.cli import evaluation, main
 from jaxbound.consistency import interface
 from jaxbound.models.modelfile import load_model, save_model, template
 from jaxbound.runs.runfile import VALIDATION
+from jaxbound.runs.verdictfiles import VerdictTable
 
 HEADER = "t,u1,y1,y2"
 FILES = {"verdicts.csv", "alarms.csv", "report.html", "run.json", "tested_model.toml", ".jaxbound.json"}
@@ -310,9 +311,12 @@ BAD_USAGE = {
     "coverage of 2": ([*DETECT, "--min-coverage", "2"], "--min-coverage needs a share"),
     "chunks of CSV": ([*DETECT, "--chunk", "9"], "--chunk is for Parquet: good.csv is read as a whole"),
     "chunk of nothing": ([*DETECT, "--chunk", "0"], "--chunk needs a whole number >= 1"),
-    "unknown option": ([*DETECT, "--speed", "9"], "unrecognized arguments: --speed 9"),
+    "unknown option": (
+        [*DETECT, "--speed", "9"],
+        "there is no option --speed of jaxbound detect",
+    ),
     "no --out": (["detect", "model.toml", "good.csv"], "the following arguments are required: --out"),
-    "unknown command": (["detekt"], "invalid choice: 'detekt'"),
+    "unknown command": (["detekt"], r"there is no command 'detekt' \(did you mean detect\?\)"),
     "fit without outputs": (["fit", "good.csv"], "the following arguments are required: --outputs, --out"),
     "info of nothing": (["info"], "needs either a model file or --template"),
     "out is a file": (
@@ -389,7 +393,7 @@ class TestBadInput:
         def full(*args, **kwargs):
             raise OSError(28, "No space left on device", "verdicts.csv")
 
-        monkeypatch.setattr(evaluation, "write_all", full)
+        monkeypatch.setattr(VerdictTable, "add", full)
         self.refused(place, DETECT, "out: no space left on device", capsys, monkeypatch)
 
 
