@@ -10,11 +10,13 @@ a sample adds its part to b. Nothing is said of a run with a missing sample, or 
 sample of the window follows.
 """
 
+from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxbound.estimation.ordered import mapped
+from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import bounded_sums, window_rows
 from jaxbound.sets.floats import rounding
 
@@ -37,12 +39,12 @@ class Runs(NamedTuple):
 
 def runs_of(model: Any, L: int) -> Runs | None:
     """Return the Runs of a model; None if no average of it fits into so many samples."""
-    if not getattr(model, "averages", ()):
+    if not isinstance(model, LinearSystem):  # models of intervals have no bounds of sums
         return None
     rows, found = window_rows(model, L - 1), []
     bounds = [rounding.round_up(bounded.bound) for bounded in bounded_sums(model)]
     for row in rows.of_sums:
-        v, w, middle = np.zeros((L, model.p)), np.zeros((L, model.g)), 0
+        v, w, middle = np.zeros((L, model.p)), np.zeros((L, model.g)), Fraction(0)
         for x in rows.terms(row):
             if x.measured:
                 v[x.sample, x.number] = float(x.weight)
