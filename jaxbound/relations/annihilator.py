@@ -27,7 +27,7 @@ import numpy as np
 
 from jaxbound.exact import linalg
 from jaxbound.exact.sparse import null_space, pivot_columns
-from jaxbound.relations.polynomial import Exponents, PolynomialMatrix, Terms, monomials
+from jaxbound.relations.polynomial import Exponents, PolynomialMatrix, Terms, graded, monomials
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_other_modes
 
@@ -185,19 +185,14 @@ def _matrix(kept: Sequence[Kept], E: PolynomialMatrix) -> PolynomialMatrix:
             divisor = -divisor
         for (beta, j), x in g.items():
             terms.setdefault(beta, {})[i, j] = x / divisor
-    ordered = {beta: terms[beta] for beta in sorted(terms, key=_by_order)}
+    ordered = {beta: terms[beta] for beta in sorted(terms, key=graded)}
     return PolynomialMatrix(len(kept), E.rows, E.variables, ordered)
-
-
-def _by_order(beta: Exponents) -> tuple:
-    """Return the key by which monomials are sorted: the order, then the first variables first."""
-    return sum(beta), tuple(-e for e in beta)
 
 
 def _place(coefficient: tuple[Exponents, int]) -> tuple:
     """Return the key by which coefficients (monomial, column) are sorted."""
     beta, column = coefficient
-    return *_by_order(beta), column
+    return *graded(beta), column
 
 
 def _fewest(kept: list[Kept], E: PolynomialMatrix, points: Points, target: int) -> list[Kept]:
