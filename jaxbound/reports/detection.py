@@ -7,9 +7,10 @@ from functools import singledispatch
 from pathlib import Path
 from typing import Any, cast
 
+from jaxbound.consistency.interface import LinearRelations
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.observed import ObserverResult
-from jaxbound.estimation.observer import SetObserver
+from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.plots.residuals import distinct_relations
 from jaxbound.relations.sentence import looked_at
 from jaxbound.relations.uncertain import UncertainRelations
@@ -115,7 +116,7 @@ def _alarm_rows(res, recording, alarms, chosen, why):
 
 def _since(res, recording, k):
     """Return the time of the sample that what an observer says of sample k rests on."""
-    first = int(res.observation.since[k]) - int(res.relations.init().samples)
+    first = int(res.observation.since[k]) - int(res.relations.begin().samples)
     return recording.label(first) if first >= 0 else "a recording before"
 
 
@@ -188,6 +189,8 @@ def _tested(relations):
         count = len(relations.variables)
         about = f"they are polynomials of order {relations.order} in {count} uncertain numbers"
         return "; ".join((about, *relations.notes))
+    if not isinstance(relations, LinearRelations):
+        return "; ".join(relations.notes)
     if relations.frame is None:
         return f"{len(relations.circuits)} combinations are tested"
     most = "the combination that speaks most against a window is searched for"

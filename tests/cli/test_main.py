@@ -18,10 +18,11 @@ import pytest
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.cli import detect, main
+from jaxbound.cli import evaluation, main
 from jaxbound.consistency import interface
 from jaxbound.models.modelfile import load_model, save_model, template
 from jaxbound.runs.runfile import VALIDATION
+from jaxbound.runs.verdictfiles import VerdictTable
 
 HEADER = "t,u1,y1,y2"
 FILES = {"verdicts.csv", "alarms.csv", "report.html", "run.json", "tested_model.toml", ".jaxbound.json"}
@@ -310,9 +311,12 @@ BAD_USAGE = {
     "coverage of 2": ([*DETECT, "--min-coverage", "2"], "--min-coverage needs a share"),
     "chunks of CSV": ([*DETECT, "--chunk", "9"], "--chunk is for Parquet: good.csv is read as a whole"),
     "chunk of nothing": ([*DETECT, "--chunk", "0"], "--chunk needs a whole number >= 1"),
-    "unknown option": ([*DETECT, "--speed", "9"], "unrecognized arguments: --speed 9"),
+    "unknown option": (
+        [*DETECT, "--speed", "9"],
+        "there is no option --speed of jaxbound detect",
+    ),
     "no --out": (["detect", "model.toml", "good.csv"], "the following arguments are required: --out"),
-    "unknown command": (["detekt"], "invalid choice: 'detekt'"),
+    "unknown command": (["detekt"], r"there is no command 'detekt' \(did you mean detect\?\)"),
     "fit without outputs": (["fit", "good.csv"], "the following arguments are required: --outputs, --out"),
     "info of nothing": (["info"], "needs either a model file or --template"),
     "out is a file": (
@@ -389,7 +393,7 @@ class TestBadInput:
         def full(*args, **kwargs):
             raise OSError(28, "No space left on device", "verdicts.csv")
 
-        monkeypatch.setattr(detect, "write_all", full)
+        monkeypatch.setattr(VerdictTable, "add", full)
         self.refused(place, DETECT, "out: no space left on device", capsys, monkeypatch)
 
 
@@ -398,13 +402,13 @@ class TestOtherEnds:
         def stop(*args, **kwargs):
             raise KeyboardInterrupt
 
-        monkeypatch.setattr(detect, "write_report", stop)
+        monkeypatch.setattr(evaluation, "write_report", stop)
         code, out, err = run(place, "detect", "model.toml", "good.csv", "--out", "out", capsys=capsys)
         assert (code, out, err) == (130, "", "jaxbound: interrupted: nothing was written\n")
         assert {p.name for p in place.iterdir()} == {"model.toml", "good.csv", "faulty.csv"}
 
     def test_our_own_mistake_is_70_with_a_traceback_in_a_file(self, place, capsys, monkeypatch):
-        monkeypatch.setattr(detect, "write_report", lambda *a, **k: 1 / 0)
+        monkeypatch.setattr(evaluation, "write_report", lambda *a, **k: 1 / 0)
         code, out, err = run(place, "detect", "model.toml", "good.csv", "--out", "out", capsys=capsys)
         assert (
             code == 70 and out == "" and err.count("\n") == 1 and "internal error, ZeroDivisionError" in err
@@ -536,9 +540,9 @@ print(*sys.modules, file=sys.stderr)
         args, environment = shell
         code = """
 import signal, sys, time
-from jaxbound.cli import detect as detecting, main as cli
+from jaxbound.cli import evaluation, main as cli
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell makes background jobs ignore it
-detecting.write_report = lambda *a, **k: (sys.stdout.write("ready"), sys.stdout.flush(), time.sleep(60))
+evaluation.write_report = lambda *a, **k: (sys.stdout.write("ready"), sys.stdout.flush(), time.sleep(60))
 sys.exit(cli.main(["detect", "model.toml", "good.csv", "--out", "out"]))
 """
         process = subprocess.Popen(

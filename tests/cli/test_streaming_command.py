@@ -18,11 +18,11 @@ from streaming_case import N, Stop, recording, stopped_after, verdicts, write
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.cli import detect as detecting
-from jaxbound.cli import main
+from jaxbound.cli import evaluation, main
 from jaxbound.recordings.parquet import open_parquet
 from jaxbound.runs import judges
-from jaxbound.runs.streaming import part_files, write_parts
+from jaxbound.runs.parts import part_files
+from jaxbound.runs.streaming import write_parts
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def place(tmp_path, monkeypatch, tmp_path_factory):
 @pytest.fixture
 def unreported(monkeypatch):
     """Leave out the pictures and the page, which take longer than everything else."""
-    monkeypatch.setattr(detecting, "write_report", lambda *args, **options: None)
+    monkeypatch.setattr(evaluation, "write_report", lambda *args, **options: None)
 
 
 DETECT = ["detect", "model.toml", "run", "--out", "out"]
@@ -184,7 +184,7 @@ class TestCommand:
             raise KeyboardInterrupt
 
         with monkeypatch.context() as patch:
-            patch.setattr(detecting, "write_report", stop)
+            patch.setattr(evaluation, "write_report", stop)
             assert main.main(DETECT) == 130
         assert (
             "interrupted: 100 % of the verdicts are kept in out/verdicts.partial" in capsys.readouterr().err

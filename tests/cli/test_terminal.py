@@ -9,9 +9,10 @@ import threading
 import numpy as np
 import pytest
 
-from jaxbound.cli import info, main, terminal
-from jaxbound.cli.fleet import write_fleet
-from jaxbound.cli.usage import EXAMPLES
+from jaxbound.cli import main, terminal
+from jaxbound.cli.fleet_table import write_fleet
+from jaxbound.cli.main import COMMANDS
+from jaxbound.models import modelfile
 from jaxbound.models.modelfile import load_model, template
 from jaxbound.plots.canvas import canvas, to_png
 from jaxbound.recordings.expressions import expression, missing_column
@@ -154,7 +155,7 @@ def test_too_little_memory_is_a_sentence(capsys, monkeypatch, model):
     def greedy(path):
         raise MemoryError("Unable to allocate 8 TiB")
 
-    monkeypatch.setattr(info, "load_model", greedy)
+    monkeypatch.setattr(modelfile, "load_model", greedy)
     assert main.main(["info", str(model / "m.toml")]) == 2
     assert "more memory than there is" in capsys.readouterr().err
 
@@ -164,16 +165,17 @@ def test_no_command_shows_the_help_on_stdout_and_asks_on_stderr(capsys):
     out, err = capsys.readouterr()
     assert (
         out.startswith("usage: jaxbound")
-        and all(f"\n    {name} " in out for name in EXAMPLES)
+        and all(f"\n    {name} " in out for name in main.commands())
         and err.count("\n") == 1
     )
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
-def test_every_command_has_examples_that_its_parser_takes_and_a_word_on_every_parameter(name, capsys):
-    for line, about in EXAMPLES[name]:
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.NAME)
+def test_every_command_has_examples_that_its_parser_takes_and_a_word_on_every_parameter(command, capsys):
+    name = command.NAME
+    for line, about in command.EXAMPLES:
         words = shlex.split(line.rpartition("| ")[2].removesuffix(" > plant.toml"))
-        assert about and main._parse(words[1:]).module and words[0] == "jaxbound"
+        assert about and main._parse(words[1:]).run is command.run and words[0] == "jaxbound"
     assert main.main([name, "--help"]) == 0
     out = capsys.readouterr().out
     assert "examples:\n  " in out and "exit code" in out and "-q, --quiet" in out and "-v, --verbose" in out
@@ -204,7 +206,7 @@ def test_quiet_prints_the_first_line_and_verbose_each_stage(model, capsys):
 
 
 def test_an_internal_error_says_its_traceback_with_v(model, capsys, monkeypatch):
-    monkeypatch.setattr(info, "load_model", lambda path: 1 / 0)
+    monkeypatch.setattr(modelfile, "load_model", lambda path: 1 / 0)
     monkeypatch.setattr(main.tempfile, "tempdir", str(model))
     assert main.main(["info", str(model / "m.toml")]) == 70 and "Traceback" not in capsys.readouterr().err
     assert (

@@ -19,15 +19,15 @@ from streaming_case import parts_of, recording, write
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.cli import fleet as fleet_command
-from jaxbound.cli import main
+from jaxbound.cli import engine as engine_of_commands
+from jaxbound.cli import fleet_table, main
 from jaxbound.consistency import engine
 from jaxbound.consistency.engine import connected, spread
 from jaxbound.recordings import contents
 from jaxbound.recordings.parquet import ParquetSource, open_parquet
 from jaxbound.runs import streaming
 from jaxbound.runs.digest import detect_dataset
-from jaxbound.runs.streaming import part_files
+from jaxbound.runs.parts import part_files
 
 pytestmark = pytest.mark.usefixtures("small")
 WRITTEN = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d \+0000")  # when a page was written
@@ -106,7 +106,7 @@ class TestSameBytes:
 
     def test_a_fleet_with_its_pages(self, client, tmp_path, monkeypatch):
         monkeypatch.setattr(main, "_configure", lambda: None)
-        monkeypatch.setattr(fleet_command, "PAGES", 2)
+        monkeypatch.setattr(fleet_table, "PAGES", 2)
         rng, lines = np.random.default_rng(3), ["unit,model,recording"]
         jb.save_model(paper(dt=1), tmp_path / "m.toml")
         for i in range(12):
@@ -119,7 +119,7 @@ class TestSameBytes:
         (tmp_path / "fleet.csv").write_text("\n".join(lines) + "\n")
         argv = ["fleet", str(tmp_path / "fleet.csv"), "--out"]
         assert main.main([*argv, str(tmp_path / "alone")]) == 1
-        monkeypatch.setattr(fleet_command, "engine_of", lambda args: nullcontext(client))
+        monkeypatch.setattr(engine_of_commands, "engine", lambda *args: nullcontext(client))
         assert main.main([*argv, str(tmp_path / "spread")]) == 1
         files = lambda name: {
             str(p.relative_to(tmp_path / name)): WRITTEN.sub("", p.read_text())

@@ -21,8 +21,7 @@ from streaming_case import recording, shrink, write
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.cli import detect as detecting
-from jaxbound.cli import main, pipe
+from jaxbound.cli import evaluation, main, pipe
 from jaxbound.files.checkpoint import Checkpoint
 from jaxbound.runs import fleet, judges
 
@@ -42,7 +41,7 @@ def place(tmp_path, monkeypatch):
     """
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(main, "_configure", lambda: None)
-    monkeypatch.setattr(detecting, "write_report", lambda *args, **options: None)
+    monkeypatch.setattr(evaluation, "write_report", lambda *args, **options: None)
     jb.save_model(paper(name="paper"), tmp_path / "model.toml")
     (tmp_path / "model.toml").write_text(MODEL + (tmp_path / "model.toml").read_text())
     (tmp_path / "run.csv").write_text(csv_text())
@@ -316,7 +315,7 @@ class TestFolder:
 
     @pytest.mark.parametrize("state", ["out/verdicts.csv", "out/../out/verdicts.csv", "model.toml"])
     def test_a_state_is_no_other_file(self, place, capsys, monkeypatch, state):
-        monkeypatch.setattr(pipe, "_chunks", lambda *args: [csv_text().encode()])
+        monkeypatch.setattr(pipe, "arrivals", lambda *args: [csv_text().encode()])
         with untouched(place / "model.toml"):
             assert main.main(["detect", "model.toml", "-", "--out", "out", "--state", state]) == 2
         out, err = capsys.readouterr()
@@ -327,7 +326,7 @@ class TestFolder:
         )
 
     def test_a_state_may_lie_in_a_folder_that_is_made(self, place, capsysbinary, monkeypatch):
-        monkeypatch.setattr(pipe, "_chunks", lambda *args: [csv_text().encode()])
+        monkeypatch.setattr(pipe, "arrivals", lambda *args: [csv_text().encode()])
         assert main.main(["detect", "model.toml", "-", "--out", "out", "--state", "out/s.jsonl"]) == 0
         assert {p.name for p in (place / "out").iterdir()} == {
             ".jaxbound.json",
@@ -510,7 +509,7 @@ class TestNothingHalf:
         def meanwhile(*args, **options):
             codes.append(main.main(DETECT))
 
-        monkeypatch.setattr(detecting, "write_report", meanwhile)
+        monkeypatch.setattr(evaluation, "write_report", meanwhile)
         assert main.main(DETECT) == 0 and codes == [2]
         assert (
             f"another jaxbound, process {os.getpid()}, is writing into out: wait for it"
@@ -542,8 +541,8 @@ class TestNothingHalf:
 
 SLOW = """
 import os, signal, sys, time
-from jaxbound.cli import detect as detecting, main as cli
-detecting.write_report = lambda *a, **k: (sys.stdout.write("ready"), sys.stdout.flush(), time.sleep(60))
+from jaxbound.cli import evaluation, main as cli
+evaluation.write_report = lambda *a, **k: (sys.stdout.write("ready"), sys.stdout.flush(), time.sleep(60))
 sys.exit(cli.main(["detect", "model.toml", "run.csv", "--out", "out"]))
 """
 
@@ -559,7 +558,7 @@ class TestSignals:
 
     def stopped_by(self, number, monkeypatch):
         monkeypatch.setattr(
-            detecting, "write_report", lambda *a, **k: (os.kill(os.getpid(), number), time.sleep(5))
+            evaluation, "write_report", lambda *a, **k: (os.kill(os.getpid(), number), time.sleep(5))
         )
         return main.main(DETECT)
 
@@ -575,7 +574,7 @@ class TestSignals:
     def test_what_is_ignored_stays_ignored(self, place, capsys, monkeypatch):
         before = signal.signal(SIGHUP, signal.SIG_IGN)
         try:
-            monkeypatch.setattr(detecting, "write_report", lambda *a, **k: os.kill(os.getpid(), SIGHUP))
+            monkeypatch.setattr(evaluation, "write_report", lambda *a, **k: os.kill(os.getpid(), SIGHUP))
             assert main.main(DETECT) == 0 and (place / "out/verdicts.csv").exists()
         finally:
             signal.signal(SIGHUP, before)
@@ -592,7 +591,7 @@ class TestSignals:
             os.kill(os.getpid(), SIGHUP)
             time.sleep(5)
 
-        monkeypatch.setattr(detecting, "write_report", stop)
+        monkeypatch.setattr(evaluation, "write_report", stop)
         assert main.main(DETECT) == 129 and not (place / "out").exists()
 
     def test_a_fleet_keeps_what_was_tested(self, place, capsys, monkeypatch):

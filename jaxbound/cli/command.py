@@ -1,0 +1,168 @@
+"""A command of the shell: what its file holds, and the parser that it fills.
+
+A file of this folder that is a command has the names of `Command`. It imports the code that computes inside
+`run`, under `swift_imports`: help and completion read all commands, and wait for none of that.
+"""
+
+import argparse
+import difflib
+import gc
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, NoReturn, Protocol
+
+from jaxbound.cli.options import add_loudness
+from jaxbound.cli.terminal import Refused, write
+
+__all__ = [
+    "EXIT_CODES",
+    "Command",
+    "Formatter",
+    "Parser",
+    "add_command",
+    "end_of_help",
+    "nearest",
+    "swift_imports",
+]
+
+EXIT_CODES = (
+    "exit codes: 0 no fault, 1 fault found, 2 bad input or usage, 3 too little evidence or outside bounds "
+    "that were fitted to shorter windows, 70 internal error, 130 interrupted, and as shells count 129 by "
+    "SIGHUP, 143 by SIGTERM"
+)
+"""Exit codes of a command that tests recordings."""
+
+
+class Command(Protocol):
+    """A command: a module with these names.
+
+    Fields:
+        NAME: as one types it. HELP: one sentence for the list of commands.
+        EXAMPLES: (command line, its effect). CODES: its exit codes, the end of its help.
+    """
+
+    NAME: str
+    HELP: str
+    CODES: str
+
+    @property
+    def EXAMPLES(self) -> Sequence[tuple[str, str]]:
+        """Command lines and their effects."""
+
+    def options(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments and options of the command."""
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Do the work; return the exit code."""
+
+
+class Formatter(argparse.HelpFormatter):
+    """Keeps paragraphs apart, and lines that are examples as they are."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        paragraphs = []
+        for paragraph in text.split("\n\n"):
+            is_example = "\n  " in paragraph
+            paragraphs.append(paragraph if is_example else super()._fill_text(paragraph, width, indent))
+        return "\n\n".join(paragraphs)
+
+
+class Parser(argparse.ArgumentParser):
+    """Reports wrong usage in one sentence."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise Refused instead of printing the usage."""
+        if message.startswith("argument "):
+            message = message.removeprefix("argument ").replace(": ", " ", 1)
+        raise Refused(f"{message}; see {self.prog} --help")
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: Any = None
+    ) -> tuple[Any, list[str]]:
+        """Parse; an option that there is not comes before one that is missing.
+
+        Raises:
+            Refused: an unknown option or command, with the nearest one.
+        """
+        words = sys.argv[1:] if args is None else list(args)
+        if self.commands:
+            self._refuse_unknown_command(words)
+        else:
+            self._refuse_unknown_option(words)
+        return super().parse_known_args(words, namespace)
+
+    @property
+    def commands(self) -> list[str]:
+        """The commands of a parser that has some."""
+        for action in self._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                return list(action.choices)
+        return []
+
+    def _refuse_unknown_command(self, words: list[str]) -> None:
+        name = next(iter(words), "")
+        if not name or name.startswith("-") or name in self.commands:
+            return
+        raise Refused(f"there is no command {name!r}{nearest(name, self.commands)}; see {self.prog} --help")
+
+    def _refuse_unknown_option(self, words: list[str]) -> None:
+        options = [option for action in self._actions for option in action.option_strings]
+        for word in words:
+            if word == "--":  # what follows are no options
+                return
+            name = word.partition("=")[0]
+            is_option = name.startswith("--") and " " not in name
+            if is_option and not any(option.startswith(name) for option in options):
+                near = nearest(name, options)
+                raise Refused(f"there is no option {name} of {self.prog}{near}; see {self.prog} --help")
+
+    def _print_message(self, message: str, file: object = None) -> None:
+        """Print help and version as everything is printed."""
+        if message:
+            write(message)
+
+
+def nearest(word: str, known: Sequence[str]) -> str:
+    """Return a question for the nearest of the known words, "" where none is near.
+
+    Example:
+        >>> nearest("detct", ["detect", "demo"])
+        ' (did you mean detect?)'
+    """
+    near = difflib.get_close_matches(word, known, n=1)
+    return f" (did you mean {near[0]}?)" if near else ""
+
+
+def add_command(choices: "argparse._SubParsersAction[Parser]", command: Command) -> None:
+    """Add the parser of a command to those of the command line."""
+    parser = choices.add_parser(
+        command.NAME, help=command.HELP, formatter_class=Formatter, epilog=end_of_help(command)
+    )
+    command.options(parser)
+    add_loudness(parser)
+    parser.set_defaults(run=command.run)
+
+
+def end_of_help(command: Command) -> str:
+    """Return the examples and exit codes of a command."""
+    lines = ["examples:"]
+    for line, effect in command.EXAMPLES:
+        lines += [f"  {line}", f"      {effect}"]
+    return "\n".join(lines) + "\n\n" + command.CODES
+
+
+@contextmanager
+def swift_imports() -> Iterator[None]:
+    """Import without the garbage collector, a fifth sooner.
+
+    What is imported stays: the collector need not look through it again and again, neither now nor later.
+    """
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+        gc.freeze()
+    finally:
+        if was_enabled:
+            gc.enable()
