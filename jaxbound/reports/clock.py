@@ -10,34 +10,12 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["Clock", "axis_of", "clock_of", "ticks"]
+from jaxbound.text.characters import printable
+
+__all__ = ["Clock", "axis_of", "clock_of", "shown_time"]
 
 EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
 ORDERS = ("Ymd", "dmY", "mdY", "")
-STEPS = (
-    1,
-    2,
-    5,
-    10,
-    15,
-    30,
-    60,
-    120,
-    300,
-    600,
-    900,
-    1800,
-    3600,
-    7200,
-    10800,
-    21600,
-    43200,
-    86400,
-    172800,
-    432000,
-    864000,
-)
-MONTHS = (1, 2, 3, 6, 12, 24, 60, 120, 240, 600, 1200)
 ISO = ("Y4", "-", "m2", "-", "d2", " ", "H2", ":", "M2", ":", "S2")
 TRIED = 9  # labels that a pattern is checked with
 
@@ -76,7 +54,8 @@ class Clock:
 
     def plain(self) -> dict[str, Any]:
         """Return the fields as JSON has them."""
-        return dict(vars(self))
+        shown = {"tokens": [printable(token) for token in self.tokens], "before": printable(self.before)}
+        return vars(self) | shown
 
 
 def axis_of(recording: Any, samples: int, step: float) -> tuple[np.ndarray, Clock]:
@@ -92,6 +71,15 @@ def axis_of(recording: Any, samples: int, step: float) -> tuple[np.ndarray, Cloc
     stamps = getattr(recording, "stamps", None)
     step = float(np.median(np.diff(time))) if samples > 1 else step
     return time, clock_of(recording.label, time, None if stamps is None else stamps[0], samples, step)
+
+
+def shown_time(recording: Any, samples: int) -> np.ndarray:
+    """Return the time (T,) of a picture: datetime64, else s; numbers of samples where a clock goes back."""
+    stamps = getattr(recording, "stamps", None)
+    time = recording.time if stamps is None else stamps
+    if time is None or not (np.asarray(time)[1:] > np.asarray(time)[:-1]).all():
+        return np.arange(samples, dtype=float)
+    return np.asarray(time)
 
 
 def clock_of(label: Callable[[int], str], time: np.ndarray, stamp: Any, samples: int, step: float) -> Clock:
@@ -179,36 +167,3 @@ def _written(tokens, seconds):
         else:
             out += token
     return out
-
-
-def ticks(clock: Clock, first: float, last: float, most: int = 6) -> list[tuple[float, str]]:
-    """Return (time, text) of at most so many round times from `first` to `last`."""
-    span = last - first
-    if not span > 0:
-        return [(first, clock.text(first))]
-    if clock.tokens:
-        step = float(next((size for size in STEPS if span / size < most), 0))
-        if not step:
-            return [(x, clock.text(x)) for x in _months(clock.base, first, last, most)]
-    else:
-        power = 10.0 ** math.floor(math.log10(span / most))
-        step = next(n * power for n in (1, 2, 5, 10, 20) if span / (n * power) < most)
-        step = max(step, 1.0) if clock.before else step
-    n = math.ceil((first + clock.base) / step - 1e-9)
-    found = []
-    while n * step <= last + clock.base + 1e-9 * span:
-        found.append((n * step - clock.base, clock.text(n * step - clock.base)))
-        n += 1
-    return found
-
-
-def _months(base, first, last, most):
-    """Return the first days of months, so many months apart that there are not too many."""
-    step = next((n for n in MONTHS if (last - first) / (n * 2_629_746) < most), MONTHS[-1])
-    month = lambda n: float(np.datetime64(n, "M").astype("datetime64[s]").astype(np.int64)) - base
-    begin = int(np.datetime64(math.floor(first + base), "s").astype("datetime64[M]").astype(np.int64))
-    n, found = -(-begin // step) * step, []
-    while month(n) <= last:
-        found += [month(n)] if month(n) >= first else []
-        n += step
-    return found
