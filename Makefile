@@ -15,7 +15,7 @@ slow: .venv/tested
 	.venv/bin/python -m pytest -n auto -m slow
 
 long: .venv/tested
-	.venv/bin/python -m pytest -n auto -m long
+	.venv/bin/python -m pytest -n auto -m long $(WHERE)
 
 lowest:
 	.ci/versions lowest

@@ -168,7 +168,7 @@ for _name, _options in OBSERVERS.items():
 @case("detect short paving")
 def short_paving():
     plant = model(PAPER, ERRORS)
-    return jb.detect(jb.parity_relations(plant), *recording(plant, 60), method="paving", budget=200)
+    return jb.detect(jb.parity_relations(plant), *recording(plant, 60), method="paving", budget=(3, 200))
 
 
 @case("detect uncertain linearized")
@@ -181,7 +181,7 @@ def uncertain_linearized():
 def uncertain_paving():
     plant = FAMILIES["uncertain"][0]()
     relations = jb.parity_relations(plant, horizon=2)
-    return jb.detect(relations, *recording(plant, 40), method="paving", budget=200)
+    return jb.detect(relations, *recording(plant, 40), method="paving", budget=(3, 200))
 
 
 @case("bank")
@@ -208,8 +208,9 @@ def residual():
 
 @case("evaluate")
 def evaluate():
-    plant = model(PAPER, ERRORS)
-    return jb.evaluate(jb.structured_relations(plant), *recording(plant))
+    residuals = np.random.default_rng(4).normal(size=(40, 3)) * [1.0, 2.0, 3.0]
+    table = np.array([[1, 0, 1], [0, 1, 1], [1, 1, 0]])
+    return jb.evaluate(residuals, np.array([2.0, 3.0, 4.0]), table)
 
 
 @case("validate")
@@ -235,7 +236,7 @@ def unknown_inputs():
 @case("detectable")
 def detectable():
     plant = model(SLOW_PLANT, PUSHED)
-    kinds = "y1:bias", "y1:drift", "u1:bias"
+    kinds = "y1", "y2", "u1"
     return [
         jb.detectable(plant, kind, **window)
         for kind in kinds

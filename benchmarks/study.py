@@ -10,7 +10,7 @@ import numpy as np
 
 import jaxbound as jb
 from benchmarks import opponents, timing
-from jaxbound.cli.demo import demo_model
+from jaxbound.cli.demonstration import demo_model
 
 SAMPLES, HOLD = 200, 20
 

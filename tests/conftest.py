@@ -23,19 +23,29 @@ def pytest_configure(config):
 
     Hypothesis draws from the test's name too, but for JAXBOUND_SEED=fresh.
     """
-    gc.set_threshold(
-        20_000, 20, 20
-    )  # a twelfth of all time went into looking for garbage among what jax keeps
+    # a twelfth of all time went into looking for garbage among what jax keeps
+    gc.set_threshold(20_000, 20, 20)
     hypothesis.settings.register_profile(
-        "named", derandomize=os.environ.get("JAXBOUND_SEED") != "fresh", deadline=None
+        "named",
+        derandomize=os.environ.get("JAXBOUND_SEED") != "fresh",
+        deadline=None,
+        print_blob=True,  # a failure says how to repeat it, with fresh draws too
     )
     hypothesis.settings.load_profile("named")
     if not hasattr(config, "cache"):  # pytest was told to keep none
         return
     jax.config.update("jax_compilation_cache_dir", str(config.cache.mkdir("kernels")))
-    jax.config.update(
-        "jax_persistent_cache_min_compile_time_secs", 0
-    )  # small ones too: eager code is made of them
+    # small ones too: eager code is made of them
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+
+
+def pytest_collection_modifyitems(items):
+    """Skip, where the system is not POSIX, the tests marked `posix("what they need")`."""
+    if os.name == "posix":
+        return
+    for item in items:
+        for marker in item.iter_markers("posix"):
+            item.add_marker(pytest.mark.skip(reason=f"needs {marker.args[0]}, which this system lacks"))
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 what cannot be read is said.
 """
 
-import argparse
 import json
 import shutil
 from collections import Counter
@@ -11,7 +10,7 @@ import pytest
 from healthy_variants import READERS, TOML, Variant
 
 import jaxbound as jb
-from jaxbound.cli import detect, main, pipe
+from jaxbound.cli import evaluation, main, pipe
 
 
 class Polars:
@@ -66,19 +65,8 @@ class Bench:
         data = v.text()
         cuts = sorted(v.draw.randrange(len(data)) for _ in range(v.draw.choice((0, 3, 40))))
         pieces = [data[a:b] for a, b in zip([0, *cuts], [*cuts, len(data)], strict=True)]
-        args = argparse.Namespace(
-            model=self.folder / "model.toml",
-            data="-",
-            out=place / "out",
-            state=None,
-            horizon=None,
-            lags=None,
-            method="joint",
-            min_coverage=0.5,
-            json=False,
-        )
         try:
-            pipe.follow(args, pieces)
+            pipe.follow(self.folder / "model.toml", pieces, out=place / "out")
         except pipe.Refused as e:
             return None, str(e)
         rows = (place / "out" / "verdicts.csv").read_text().splitlines()[1:]
@@ -162,7 +150,7 @@ class Bench:
 @pytest.fixture
 def bench(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(main, "_configure", lambda: None)
-    monkeypatch.setattr(detect, "write_report", lambda *args, **options: None)
+    monkeypatch.setattr(evaluation, "write_report", lambda *args, **options: None)
     return Bench(tmp_path, capsys)
 
 

@@ -59,6 +59,20 @@ def test_continuous_integration_calls_what_is_there():
         "newest",
     }
     assert all((ROOT / script).is_file() for script in re.findall(r"run: (\.ci/\w+)", text))
+    assert "--durations=40" in (ROOT / ".ci" / "run").read_text()
+    assert set(re.findall(r"\b(\w+)-latest", text)) == {"ubuntu", "macos", "windows"}
+
+
+def test_every_mark_that_leaves_tests_out_runs_in_a_scheduled_job():
+    """Slow tests in .ci/run, long ones at night, in shares that together leave none out."""
+    nightly = (ROOT / ".github" / "workflows" / "nightly.yml").read_text()
+    assert "schedule:" in nightly and "make long WHERE=" in nightly
+    assert "make slow" in (ROOT / ".ci" / "run").read_text()
+    folders, ignored = (set(re.findall(pattern, nightly)) for pattern in (r" (tests/\w+)", r"=(tests/\w+)"))
+    assert folders == ignored and all((ROOT / folder).is_dir() for folder in folders)
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    left_out = re.findall(r"not (\w+)", project["tool"]["pytest"]["ini_options"]["addopts"])
+    assert left_out == ["slow", "long"]
 
 
 def test_what_builds_the_package_is_there_for_its_tests():

@@ -40,6 +40,9 @@ def reached(statements):
                 return False  # what follows is not reached where the test, or the round, ends here
             if leaves(s.body) or leaves(s.orelse):
                 return reached(statements[i + 1 :])
+        elif isinstance(s, ast.Try) and s.handlers and reached(s.orelse):
+            if reached(s.body) or all(reached(handler.body) for handler in s.handlers):
+                return True
         elif isinstance(s, ast.For | ast.While | ast.With | ast.Try):
             if isinstance(s, ast.With) and any(map(asserts, s.items)) or reached(s.body):
                 return True
@@ -202,6 +205,7 @@ BAD = [
     "if x:\n    assert y\nelse:\n    pass",
     "for x in z:\n    if x:\n        continue\n    assert y",
     "if x:\n    return\nassert y",
+    "try:\n    f()\nexcept E:\n    assert x",
     "assert y if x is None else x is not None",
     "if x is None:\n    assert x is None\nelse:\n    assert y",
     "assert x == 1 or x != 1",
@@ -215,6 +219,7 @@ GOOD = [
     "assert y",
     "if x:\n    assert y\nelse:\n    assert z",
     "if x:\n    assert y\nassert n",
+    "try:\n    f()\nexcept E:\n    assert x\nelse:\n    assert y",
     "for x in z:\n    if x:\n        continue\n    assert y\nassert n",
     "if x:\n    assert z\n    return\nassert y",
     "assert y if x is None else x is not z",

@@ -9,8 +9,7 @@ import pandas as pd
 import pytest
 
 import jaxbound as jb
-from jaxbound.cli import detect as detecting
-from jaxbound.cli import main
+from jaxbound.cli import evaluation, main
 from jaxbound.models.modelfile import load_model, save_model
 from jaxbound.recordings.read import read, read_signals
 from jaxbound.runs import fleet
@@ -53,7 +52,7 @@ def detect(tmp_path, monkeypatch, capsys):
     --json prints or stderr).
     """
     monkeypatch.setattr(main, "_configure", lambda: None)
-    monkeypatch.setattr(detecting, "write_report", lambda *args, **options: None)
+    monkeypatch.setattr(evaluation, "write_report", lambda *args, **options: None)
 
     def run(t, u, y, model=None, name="run.csv"):
         model, _ = model or thermal(), capsys.readouterr()

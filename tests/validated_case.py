@@ -5,7 +5,7 @@ tested with.
 import numpy as np
 
 import jaxbound as jb
-from jaxbound.cli.validate import Validated
+from jaxbound.cli.validation import Validated
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.intervals.interval import Interval
 

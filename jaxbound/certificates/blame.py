@@ -71,11 +71,10 @@ def _error_that_holds(window, h, i):
     for j, (d, rho) in enumerate(window.readings()):
         if j % window.model.p == i and h[j]:
             terms.append((abs(h[j]), rho + d if h[j] > 0 else rho - d))
-    steady = ZERO  # of averages, whose bounds grow by as much an error
-    for j in range(len(h) - len(window.runs), len(h)):
-        a, rows = window.runs[j - len(h)]
-        if h[j] and rows and rows[0] < len(window.y) and rows[0] % window.model.p == i:
-            steady += abs(h[j]) * sum(map(abs, window.model.averages[a].weights))
+    steady = ZERO  # of sums, whose bounds grow by as much an error
+    for j, row in enumerate(window.rows.of_sums, window.rows.single):
+        if h[j] and row.values.measured:
+            steady += abs(h[j]) * row.values.size_of(i)
     if not terms and not steady:
         return None
     reach -= sum(a * stretched(c, sigma) for a, c in terms)

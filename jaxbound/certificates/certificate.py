@@ -151,12 +151,12 @@ class Certificate(Witnessed, WindowCertificate):
     def _relation_dict(self, h, output=0, error=None):
         w, model = self.window, self.window.model
         k, residual, width = (w if error is None else w.with_error(output, error)).relation(h)
-        count, none = len(w.y), [Fraction(0)] * max(model.g, model.m)
-        rest = count + model.g * w.horizon
-        averaged = {"a": tuple(h[rest:])} if w.runs else {}
-        return averaged | {
-            "h": rows_of(h[:count], model.p),
-            "g": self._every_sample(h[count:rest], none[: model.g]),
+        readings, single = w.rows.readings, w.rows.single
+        none = [Fraction(0)] * max(model.g, model.m)
+        of_sums = {"a": tuple(h[single:])} if w.rows.of_sums else {}
+        return of_sums | {
+            "h": rows_of(h[:readings], model.p),
+            "g": self._every_sample(h[readings:single], none[: model.g]),
             "k": self._every_sample(k, none[: model.m]),
             "residual": residual,
             "width": width,

@@ -16,9 +16,10 @@ from fractions import Fraction
 from typing import Any
 
 from jaxbound.certificates.blame import DIGITS
-from jaxbound.certificates.exact_window import ExactWindow, Explanation, dot
+from jaxbound.certificates.exact_window import ExactWindow, Explanation
 from jaxbound.exact import linalg
 from jaxbound.exact.chebyshev import chebyshev
+from jaxbound.exact.linalg import dot
 
 __all__ = ["ConstantWindow"]
 
@@ -50,7 +51,7 @@ class ConstantWindow(ExactWindow):
             add(j, 1, unknowns[j], own(j % p, rho - d), reach - self.drive[j], reach)
             add(j, -1, unknowns[j], own(j % p, rho + d), reach + self.drive[j], reach)
         for j in range(len(self.y), len(self.limits)):
-            lo, hi = self.limits[j]
+            lo, hi = self.known_limits(j)
             add(j, 1, unknowns[j], (ZERO,) * p, (lo + hi) / 2 - self.drive[j], (hi - lo) / 2)
         for i in range(p):
             lo, hi = self._ends(i)
@@ -76,8 +77,9 @@ class ConstantWindow(ExactWindow):
             reach = dot([abs(x) for x, _, _ in mine], [rho for _, _, rho in mine])
             low += min(g * (middle - reach) for g in self._ends(i))
             high += max(g * (middle + reach) for g in self._ends(i))
-        for x, limit in zip(h[len(self.y) :], self.limits[len(self.y) :], strict=True):
-            low, high = low + min(x * v for v in limit), high + max(x * v for v in limit)
+        for number, x in enumerate(h[len(self.y) :], len(self.y)):
+            lo, hi = self.known_limits(number)
+            low, high = low + min(x * lo, x * hi), high + max(x * lo, x * hi)
         return self.action(h), (low + high) / 2 - dot(h, self.drive), (high - low) / 2
 
     def gains(self, z: Sequence[Fraction]) -> tuple[Fraction, ...] | None:
@@ -98,11 +100,12 @@ class ConstantWindow(ExactWindow):
 
     def explained_by(self, z: Sequence[Fraction]) -> bool:
         """Return True if unknowns z and some gains keep every row within its limits."""
-        rest = slice(len(self.y), None)
-        inside = all(
-            lo <= v <= hi for (lo, hi), v in zip(self.limits[rest], self.rows_at(z)[rest], strict=True)
-        )
-        return inside and self.gains(z) is not None
+        true = self.rows_at(z)
+        for number in range(len(self.y), len(true)):
+            lo, hi = self.known_limits(number)
+            if not lo <= true[number] <= hi:
+                return False
+        return self.gains(z) is not None
 
     def _ends(self, i):
         return 1 / (1 + self.tolerance[i]), 1 / (1 - self.tolerance[i])

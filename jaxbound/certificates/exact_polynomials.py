@@ -22,8 +22,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxbound.certificates.exact_window import ExactWindow, dot, exact_window
+from jaxbound.certificates.exact_window import ExactWindow, exact_window
 from jaxbound.exact.chebyshev import subspace
+from jaxbound.exact.linalg import dot
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.relations.uncertain_window import uncertain_window
 from jaxbound.sets.floats import rounding

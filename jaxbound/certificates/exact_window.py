@@ -10,23 +10,25 @@ The sensors' intervals are those of `models.sensor`, here as lo, hi: a reading y
 / (1 + sigma).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
-from math import lcm
 from typing import Any, Self
 
 import numpy as np
 
 from jaxbound.exact import linalg
 from jaxbound.exact.chebyshev import chebyshev, subspace
+from jaxbound.exact.linalg import dot
 from jaxbound.models import window
+from jaxbound.models.rows import Row, WindowRows
 from jaxbound.models.sensor import RECORDER_ULPS
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.window import window_rows
 from jaxbound.sets.floats import rounding
 
-__all__ = ["ExactWindow", "Explanation", "dot", "exact_samples", "exact_window", "stretched"]
+__all__ = ["ExactWindow", "Explanation", "exact_samples", "exact_window", "stretched"]
 
 ZERO = Fraction(0)
 
@@ -88,95 +90,90 @@ class ExactWindow:
         known = [ZERO if v is None else v - offset[j % m] for j, v in enumerate(u)]
         return replace(self, u=u, drive=tuple(dot(row, known) for row in self.forms[1]))
 
+    @cached_property
+    def rows(self) -> WindowRows:
+        """The rows of the window: see `models.rows`."""
+        return window_rows(self.model, self.horizon, self.lags)
+
     def readings(self) -> list[tuple[Fraction | None, Fraction]]:
         """Return (d, rho) of each sample: its deviation from the offset (None where missing) and the largest
         |delta|.
         """
-        p = self.model.p
-        out: list[tuple[Fraction | None, Fraction]] = [(None, ZERO)] * len(self.y)
+        p, offset = self.model.p, self.model.offset["y"]
+        rho = []
         for i in range(p):
-            samples = self.y[i::p]
-            rho = (
-                self.noise[i]
-                + self.resolution[i]
-                + self.recorded(i)
-                + self.floor
-                + (self.error[i] if self.error else 0)
-            )
-            for j, v in enumerate(samples):
-                out[j * p + i] = None if v is None else v - self.model.offset["y"][i], rho
+            rho.append(self.noise[i] + self.rounded[i] + self.floor)
+        out = []
+        for j, v in enumerate(self.y):
+            out.append((None if v is None else v - offset[j % p], rho[j % p]))
         return out
 
-    def recorded(self, i: int) -> Fraction:
-        """Return what the recorder may have rounded away of a sample of output i: by the largest one that is
-        looked at.
-        """
-        samples = [v for v in self.y[i :: self.model.p] if v is not None]
-        runs = (
-            rows for _, rows in _runs(self.model, self.horizon) if self.looked(rows) and rows[0] < len(self.y)
-        )
-        samples += [self.whole[j] for rows in runs if rows[0] % self.model.p == i for j in rows]
-        return (
-            RECORDER_ULPS
-            * self.unit
-            * (max((abs(v) for v in samples if v is not None), default=ZERO) + self.noise[i])
-        )
-
-    def looked(self, rows: tuple) -> bool:
-        """Return whether an average of these rows is looked at."""
-        return (
-            rows[0] >= len(self.y)
-            or self.lags is None
-            or self.horizon - rows[-1] // self.model.p in self.lags
-        )
-
     @cached_property
-    def runs(self) -> tuple:
-        """(number of the average, rows that it combines, or None where it is not looked at or a sample is
-        missing) of each average row.
+    def rounded(self) -> list[Fraction]:
+        """The largest |delta| of each output beyond its noise: resolution, what the recorder rounds away of
+        the largest sample that is looked at, and the error that is allowed to it.
         """
-        found = []
-        for a, rows in _runs(self.model, self.horizon):
-            there = rows[0] >= len(self.y) or all(self.whole[j] is not None for j in rows)
-            found.append((a, rows if there and self.looked(rows) else ()))
-        return tuple(found)
+        p = self.model.p
+        largest = [ZERO] * p
+        for j, v in enumerate(self.y):
+            if v is not None:
+                largest[j % p] = max(largest[j % p], abs(v))
+        for row in self.rows.of_sums:
+            if row.seen and row.values.measured:
+                for x in self.rows.terms(row):
+                    largest[x.number] = max(largest[x.number], abs(self.whole[x.row] or ZERO))
+        rounded = []
+        for i, most in enumerate(largest):
+            slip = self.resolution[i] + RECORDER_ULPS * self.unit * (most + self.noise[i])
+            rounded.append(slip + self.error[i] if self.error else slip)
+        return rounded
 
-    def averaged(self, number: int) -> tuple | None:
-        """Return (lo, hi) of an average row, None where a sample of it is missing or it is not looked at."""
-        a, rows = self.runs[number]
-        average, p = self.model.averages[a], self.model.p
-        if not rows:
+    def has_samples(self, row: Row) -> bool:
+        """Return whether a sum is looked at and has all its samples."""
+        if not row.values.measured:
+            return True
+        return row.seen and all(self.whole[x.row] is not None for x in self.rows.terms(row))
+
+    def _ends_of_sum(self, row: Row) -> tuple[Fraction, Fraction] | None:
+        """Return (lo, hi) of a sum, None where a sample of it is missing or it is not looked at."""
+        if not self.has_samples(row):
             return None
-        size = sum(map(abs, average.weights), ZERO)
-        rad, middle = self.average[a] + 10 * (len(rows) + size) * self.floor, ZERO
-        if rows[0] < len(self.y):
-            i = rows[0] % p
-            rad += size * (self.resolution[i] + self.recorded(i) + (self.error[i] if self.error else 0))
-            middle = dot(average.weights, [self.whole[j] - self.model.offset["y"][i] for j in rows])
+        values, middle = row.values, ZERO
+        rad = self.average[row.number] + 10 * (values.terms + values.size) * self.floor
+        if values.measured:
+            offset, terms = self.model.offset["y"], self.rows.terms(row)
+            for i, _ in values.parts:
+                rad += values.size_of(i) * self.rounded[i]
+            middle = dot([x.weight for x in terms], [self.whole[x.row] - offset[x.number] for x in terms])
         return middle - rad, middle + rad
 
     @cached_property
-    def limits(self) -> list:
+    def limits(self) -> list[tuple[Fraction, Fraction] | None]:
         """(lo, hi) of each row of (Y, w), in deviations from the offset; None where a sample is missing."""
-        out = []
-        for row, (d, rho) in enumerate(self.readings()):
-            sigma = self.tolerance[row % self.model.p]
+        out: list[tuple[Fraction, Fraction] | None] = []
+        for (d, rho), row in zip(self.readings(), self.rows.all, strict=False):
+            sigma = self.tolerance[row.number]
             out.append(None if d is None else (-stretched(rho - d, sigma), stretched(rho + d, sigma)))
         out += [(lo - self.floor, hi + self.floor) for lo, hi in self.disturbance] * self.horizon
-        return out + [self.averaged(j) for j in range(len(self.runs))]
+        return out + [self._ends_of_sum(row) for row in self.rows.of_sums]
+
+    def known_limits(self, number: int) -> tuple[Fraction, Fraction]:
+        """Return (lo, hi) of a row that has its samples."""
+        ends = self.limits[number]
+        assert ends is not None, f"row {number} lacks a sample"
+        return ends
 
     def solve(self, start: Any = None) -> Explanation:
         """Return the Explanation of this window. `start`: the reference of a similar one (same samples
         missing).
         """
         rows = tuple(i for i, x in enumerate(self.limits) if x is not None)
-        ends = [self.limits[i] for i in rows]
-        best = chebyshev(
-            self.space(rows),
-            [(lo + hi) / 2 - self.drive[i] for i, (lo, hi) in zip(rows, ends, strict=True)],
-            [(hi - lo) / 2 for lo, hi in ends],
-            start,
-        )
+        middles, radii = [], []
+        for i in rows:
+            lo, hi = self.known_limits(i)
+            middles.append((lo + hi) / 2 - self.drive[i])
+            radii.append((hi - lo) / 2)
+        best = chebyshev(self.space(rows), middles, radii, start)
         full = [ZERO] * len(self.limits)
         for i, x in zip(rows, best.h, strict=True):
             full[i] = x
@@ -211,12 +208,12 @@ class ExactWindow:
 
     def relation(self, h: Sequence[Fraction]) -> tuple[tuple[Fraction, ...], Fraction, Fraction]:
         """Return (k, residual, width) of a relation h that annihilates E and needs no missing sample."""
-        used = [(x, *self.limits[i]) for i, x in enumerate(h) if x]
-        middle = dot([x / 2 for x, _, _ in used] * 2, [lo for _, lo, _ in used] + [hi for _, _, hi in used])
-        width = dot(
-            [abs(x) / 2 for x, _, _ in used] * 2, [-lo for _, lo, _ in used] + [hi for _, _, hi in used]
-        )
-        return self.action(h), middle - dot(h, self.drive), width
+        used = [i for i, x in enumerate(h) if x]
+        weights = [h[i] for i in used]
+        limits = [self.known_limits(i) for i in used]
+        twice_middle = dot(weights, [lo + hi for lo, hi in limits])
+        twice_width = dot(map(abs, weights), [hi - lo for lo, hi in limits])
+        return self.action(h), twice_middle / 2 - dot(h, self.drive), twice_width / 2
 
     def rows_at(self, z: Sequence[Fraction]) -> tuple[Fraction, ...]:
         """Return the true (Y, w), in deviations, that unknowns z = (x, w, v, missing inputs) give."""
@@ -235,15 +232,6 @@ class ExactWindow:
     def explained_by(self, z: Sequence[Fraction]) -> bool:
         """Return True if unknowns z keep every row within its limits."""
         return all(x is None or x[0] <= v <= x[1] for x, v in zip(self.limits, self.rows_at(z), strict=True))
-
-
-def dot(a: Iterable[Fraction], b: Iterable[Fraction]) -> Fraction:
-    """Return the sum of products exactly: one common denominator, so that nothing is reduced in between."""
-    pairs = [(x, y) for x, y in zip(a, b, strict=True) if x and y]
-    common = lcm(*(x.denominator * y.denominator for x, y in pairs))
-    return Fraction(
-        sum(x.numerator * y.numerator * (common // (x.denominator * y.denominator)) for x, y in pairs), common
-    )
 
 
 def stretched(v: Fraction, sigma: Fraction) -> Fraction:
@@ -290,11 +278,6 @@ def exact_samples(relations: Any, u: np.ndarray, y: np.ndarray) -> dict[str, Any
         "whole": whole,
         "lags": relations.lags,
     }
-
-
-@lru_cache(maxsize=16)
-def _runs(model, horizon):
-    return window.runs(model, horizon)
 
 
 @lru_cache(maxsize=16)

@@ -23,9 +23,10 @@ from typing import Any
 import numpy as np
 
 from jaxbound.certificates.certificate import Certificate
-from jaxbound.certificates.exact_window import ExactWindow, Explanation, dot, exact_samples
+from jaxbound.certificates.exact_window import ExactWindow, Explanation, exact_samples
 from jaxbound.certificates.interface import certify
 from jaxbound.exact import linalg
+from jaxbound.exact.linalg import dot
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.unknown_directions import unknown_directions, with_direct_states
 from jaxbound.relations.bounds import model_bounds
@@ -98,7 +99,7 @@ class LongWindow(ExactWindow):
             raise ValueError("the relation leaves the first state over")
         if self._unknown_left(h):
             raise ValueError("the relation leaves an unknown input over")
-        used = [(x, *ends) for x, ends in zip(h, self.limits, strict=True) if x]
+        used = [(x, *self.known_limits(i)) for i, x in enumerate(h) if x]
         used += [(-x, *ends) for x, ends in zip(left, self.first or (), strict=False) if x]
         known = [
             ZERO if v is None else v - self.model.offset["u"][j % self.model.m] for j, v in enumerate(self.u)
@@ -233,7 +234,7 @@ def _program(window: LongWindow) -> tuple[float, np.ndarray]:
     for j, v in enumerate(window.u):
         inputs[j // m.m, j % m.m] = 0 if v is None else float(v) - offset[j % m.m]
     there = [i for i, ends in enumerate(window.limits[: (s + 1) * p]) if ends is not None]
-    ends = np.array([[float(v) for v in window.limits[i]] for i in there]).reshape(-1, 2)
+    ends = np.array([[float(v) for v in window.known_limits(i)] for i in there]).reshape(-1, 2)
     w_ends = np.array([[float(v) for v in pair] for pair in window.disturbance] * s).reshape(-1, 2)
     w_mid, w_rad = w_ends.mean(1), np.diff(w_ends, axis=1)[:, 0] / 2
     # scaled: states by nothing, disturbances by their half-widths; variables (states, unknown inputs,

@@ -6,9 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from jaxbound.models.rows import WeightedSum
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.window import bounded_sums
 
-__all__ = ["plain_model", "plain_names", "plain_samples"]
+__all__ = ["plain_model", "plain_names", "plain_samples", "plain_sums"]
 
 MATRICES = ("A", "B", "C", "D", "G", "F", "D_v")
 
@@ -17,12 +19,8 @@ def plain_model(model: LinearSystem) -> dict[str, Any]:
     """Return the numbers of a LinearSystem, matrices at the middle of its parameters, as
     `checker.claim.claimed` takes them.
     """
-    averages = []
-    for average in model.averages:
-        measured, number = average.place(model.outputs)
-        averages.append(
-            {"output": measured, "number": number, "weights": average.weights, "bound": average.bound}
-        )
+    bounded = bounded_sums(model)
+    sums = [one.weighted_sum(model.outputs) for one in bounded]
     uncertainties = []
     for parameter in model.uncertainties:
         uncertainties.append(
@@ -35,11 +33,27 @@ def plain_model(model: LinearSystem) -> dict[str, Any]:
         "noise": model.noise,
         "resolution": model.resolution,
         "disturbance": model.disturbance,
-        "averages": averages,
+        "averages": plain_sums(sums, [one.bound for one in bounded]),
         "constant": model.constant_tolerance,
         "uncertainties": uncertainties,
         "lags": model.lags,
     }
+
+
+def plain_sums(sums: Sequence[WeightedSum], bounds: Sequence[Fraction]) -> list[dict[str, Any]]:
+    """Return bounded sums as the checker takes them."""
+    plain = []
+    for values, bound in zip(sums, bounds, strict=True):
+        ((number, weights),) = values.parts
+        plain.append(
+            {
+                "output": Fraction(values.measured),
+                "number": Fraction(number),
+                "weights": weights,
+                "bound": bound,
+            }
+        )
+    return plain
 
 
 def plain_names(

@@ -7,10 +7,9 @@ from fractions import Fraction
 from typing import Any
 
 from jaxbound.certificates.checker.claim import statement
-from jaxbound.certificates.exact_window import dot
-from jaxbound.certificates.plain import plain_names
+from jaxbound.certificates.plain import plain_names, plain_sums
+from jaxbound.exact.linalg import dot
 from jaxbound.models.sensor import RECORDER_ULPS
-from jaxbound.models.window import runs as window_runs
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["Witnessed", "rows_of"]
@@ -99,7 +98,7 @@ class Witnessed:
             "recorder": RECORDER_ULPS * w.unit,
             "floor": w.floor,
             **({} if w.lags is None else {"lags": tuple(map(Fraction, w.lags))}),
-            **self._averages(),
+            **self._sums(),
             "u": self._every_sample(w.u, [None] * model.m),
             "y": rows_of(w.y, model.p),
             "witness": None if self.z is None else self._witness_dict(self.z),
@@ -111,25 +110,18 @@ class Witnessed:
         said = statement(verdict.name, names, numbers)
         return {"certificate": verdict.name, "statement": said, "names": names, "numbers": texts(numbers)}
 
-    def _averages(self):
-        """Return what bounds say of averages: {"averages": one each}, {"runs": rows that count}, nothing
-        without any.
+    def _sums(self):
+        """Return what bounds say of sums: {"averages": one each}, {"runs": rows that count}, nothing without
+        any.
         """
-        w, model = self.window, self.window.model
-        if not model.averages:
+        w = self.window
+        if not w.rows.sums:
             return {}
-        places = [a.place(model.outputs) for a in model.averages]
-        told = [
-            {"output": Fraction(measured), "number": Fraction(number), "weights": a.weights, "bound": b}
-            for a, b, (measured, number) in zip(model.averages, w.average, places, strict=True)
-        ]
-        first = lambda rows: rows[0] // model.p if rows[0] < len(w.y) else (rows[0] - len(w.y)) // model.g
-        runs = window_runs(model, w.horizon)
-        ends = [
-            {"average": Fraction(a), "first": Fraction(first(rows)) if w.looked(rows) else None}
-            for a, rows in runs
-        ]
-        return {"averages": told, "runs": ends, "all_y": rows_of(w.whole, model.p)}
+        sums = plain_sums(w.rows.sums, w.average)
+        runs = []
+        for row in w.rows.of_sums:
+            runs.append({"average": Fraction(row.number), "first": Fraction(row.first) if row.seen else None})
+        return {"averages": sums, "runs": runs, "all_y": rows_of(w.whole, w.model.p)}
 
     def _with(self, z):
         """Return a certificate of another witness."""

@@ -1,407 +1,296 @@
-"""The commands `jaxbound detect` and `jaxbound demo`: from files to verdicts, a report and an exit code.
-
-A report is written completely or not at all, see `outputs`.
-"""
+"""The command `jaxbound detect`: a recording against a model, with verdicts, a report and an exit code."""
 
 import argparse
-import json
-import re
-import shlex
-import threading
-import time
-from concurrent.futures import ThreadPoolExecutor
-from typing import cast
+from typing import TYPE_CHECKING
 
-import jax
-import numpy as np
+from jaxbound.cli.command import EXIT_CODES, swift_imports
+from jaxbound.cli.options import (
+    METHODS,
+    OBSERVER,
+    MethodOptions,
+    add_alarm,
+    add_engine,
+    add_json,
+    add_method,
+    add_observer,
+    add_windows,
+    named,
+    path,
+    some_of,
+    whole_number,
+)
+from jaxbound.cli.terminal import Refused, door, progress_bars
 
-from jaxbound.cli.engine import engine_of, refuse_engine
-from jaxbound.cli.share import opened, refuse_shares, run_share
-from jaxbound.cli.terminal import door, progress_bars, show, usable_device, write
-from jaxbound.cli.validate import Validated
-from jaxbound.cli.window import OBSERVER, observer_options, window_relations
-from jaxbound.consistency.interface import METHODS
-from jaxbound.diagnosis.again import again_hints
-from jaxbound.diagnosis.detection import detect
-from jaxbound.diagnosis.hints import bound_hints, outgrown
-from jaxbound.estimation.validation import least_horizon, validate
-from jaxbound.models.modelfile import load_model, save_model
-from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.hints import refuse_short
-from jaxbound.recordings.read import kind_of, open_source
-from jaxbound.reports.detection import write_report
-from jaxbound.reports.validation import write_page
-from jaxbound.runs.digest import digest
-from jaxbound.runs.endings import ending_hints, sizes_seen
-from jaxbound.runs.outputs import output_folder
-from jaxbound.runs.refusals import Interrupted, Refused
-from jaxbound.runs.runfile import VALIDATION
-from jaxbound.runs.sink import Outcome, file_names, write_all
-from jaxbound.runs.streaming import CHUNK, PARTIAL, VERDICTS, all_parts, kept, publish, write_parts
-from jaxbound.runs.summary import OUTSIDE, Evidence, Summary, Window, summarised
-from jaxbound.text.quantities import percent, times
+if TYPE_CHECKING:
+    from jaxbound.cli.evaluation import Evaluation
 
-__all__ = ["conclude", "run_demo", "run_detect"]
+NAME = "detect"
+HELP = "test a recording against a model and write a report"
+VALIDATION = "validation"  # `runs.runfile` has it too, and imports more than a help can wait for
+STDIN = "-"
+EXAMPLES = (
+    (
+        "jaxbound detect plant.toml run.csv --out report/",
+        "verdicts, alarms and one page with charts; exit code 1 if a fault is proved",
+    ),
+    (
+        "jaxbound detect plant.toml run.csv --out report/ --alarm 3/5 -q",
+        "one sentence; an alarm needs 3 FAULT among 5 windows",
+    ),
+    (
+        "jaxbound detect plant.toml recordings/ --out report/",
+        "a folder of Parquet files, larger than memory",
+    ),
+    (
+        "jaxbound detect plant.toml run.csv --out report/ --method observer",
+        "against all samples since it began: slow faults",
+    ),
+    (
+        "jaxbound detect plant.toml run.csv --out report/ --method validation",
+        "which sensor is wrong, and what it should have shown",
+    ),
+    ("logger | jaxbound detect plant.toml - --out live/", "line by line, each verdict at once"),
+)
+SHARES = (
+    ". In shares, by three machines that see one folder: jaxbound detect plant.toml recordings/ --out "
+    "report --part 1/3, the same with --part 2/3 and --part 3/3, in any order, then with --merge; what was "
+    "killed goes on when it is started again"
+)
+PIPE = (
+    ". With -: SIGINT (Ctrl-C), SIGTERM and SIGHUP end the input. Stopped in any way, kill -9 too, and "
+    "started again with the same --out, verdicts.csv holds each line that was taken once, whether the "
+    "sender begins again (what was judged is known by the first line and its number, or by its time) or "
+    "goes on. On standard output each verdict stands once, after kill -9 at least once, if --out or --state "
+    "is given. What the pipe held when its reader was killed is lost, unless the sender sends it again"
+)
+CODES = EXIT_CODES + SHARES + PIPE
 
-FORMER = (
-    "margin.png",
-    "residuals.png",
-    *(f"output{i}.png" for i in range(1, 13)),
-)  # pictures of an earlier version, which do not belong to a new report
-COLOUR = {
-    "no fault": "bold green",
-    "fault": "bold red",
-    "too little evidence": "bold yellow",
-    OUTSIDE: "bold yellow",
-}
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments and options."""
+    parser.add_argument(
+        "model",
+        type=path,
+        metavar="MODEL.toml",
+        help="the plant and its bounds: from fit, tune, or written by hand",
+    )
+    parser.add_argument(
+        "data",
+        type=named,
+        metavar="DATA",
+        help="a CSV file, a Parquet file, a folder of Parquet files, which follow each other by name, or -: "
+        "lines of CSV from standard input, each judged as it comes, its verdict on standard output",
+    )
+    parser.add_argument(
+        "--out",
+        type=path,
+        metavar="DIR",
+        help="folder for verdicts, alarms.csv and report.html; with -, if given, for verdicts.csv and "
+        "monitor.jsonl",
+    )
+    parser.add_argument(
+        "--state",
+        type=path,
+        metavar="FILE",
+        help="with -: where to remember how to go on (default: DIR/monitor.jsonl)",
+    )
+    parser.add_argument(
+        "--chunk",
+        type=whole_number(1),
+        metavar="N",
+        help="Parquet: samples in memory at once, 65536 at least (default: 1000000)",
+    )
+    parser.add_argument(
+        "--part",
+        type=some_of("i", "2/3"),
+        metavar="i/n",
+        help="Parquet: judge only the i-th of n shares, i from 1 to n, and write its verdicts into DIR, "
+        "beside shares made at the same time or on other machines; exit code 0",
+    )
+    parser.add_argument(
+        "--merge",
+        action="store_true",
+        help="Parquet: judge nothing and report on the shares in DIR: the verdicts, the report and the "
+        "exit code of one command without --part",
+    )
+    parser.add_argument(
+        "--overlap",
+        type=whole_number(0),
+        metavar="N",
+        help="Parquet and observer: judge each million samples by an observer of its own that begins N "
+        "samples earlier, which can be shared but remembers less (default: one observer)",
+    )
+    add_engine(parser)
+    add_method(
+        parser,
+        "; observer carries everything since it began on; validation bounds states and outputs, names the "
+        "faulty sensor and says what it should have shown",
+    )
+    add_windows(parser)
+    add_alarm(parser)
+    add_json(parser)
+    add_observer(parser)
 
 
-def run_detect(args: argparse.Namespace) -> int:
-    """Run `jaxbound detect`; return the exit code."""
-    if args.data == "-":
-        refuse_engine(args, "is for Parquet: samples through a pipe are judged as they come")
-        from jaxbound.cli import pipe
+def run(args: argparse.Namespace) -> int:
+    """Test a recording and write its report; return the exit code."""
+    if args.data == STDIN:
+        return _run_pipe(args)
+    with swift_imports():
+        from jaxbound.cli.conclusion import conclude
+        from jaxbound.cli.share import judge_share
+        from jaxbound.recordings.read import kind_of
 
-        return pipe.run(args)
+    _refuse_what_is_for_pipes(args)
+    with door(OSError):
+        kind = kind_of(args.data)
+    _refuse_shares(args, kind.parts)
+    _refuse_engine_of_a_whole(args, kind.parts)
+    if args.part is not None:
+        return judge_share(
+            args.model,
+            args.data,
+            args.out,
+            MethodOptions.of(args),
+            args.part,
+            chunk=args.chunk,
+            overlap=args.overlap,
+            as_json=args.json,
+        )
+    if args.chunk is not None and args.method == VALIDATION:
+        raise Refused(f"--chunk is for other methods: {VALIDATION} reads {args.data} as a whole")
+    if args.chunk is not None and not kind.parts:
+        raise Refused(f"--chunk is for Parquet: {args.data} is read as a whole")
+    in_parts = kind.parts and args.method != VALIDATION
+    evaluation = _evaluate_parts(args) if in_parts else _evaluate_whole(args)
+    return conclude(evaluation, args.data, args.out, as_json=args.json)
+
+
+def _run_pipe(args: argparse.Namespace) -> int:
+    """Judge the lines of standard input as they come; return the exit code."""
+    _refuse_engine(args, "is for Parquet: samples through a pipe are judged as they come")
+    if args.method == VALIDATION:
+        raise Refused(f"{VALIDATION} reads a recording as a whole: give a file instead of -")
+    options_of_files = {
+        "--chunk": args.chunk is not None,
+        "--alarm": args.alarm != (1, 1),
+        "--part": args.part is not None,
+        "--merge": args.merge,
+        "--overlap": args.overlap is not None,
+    }
+    for option, is_there in options_of_files.items():
+        if is_there:
+            raise Refused(f"{option} is for recordings: give a file instead of -")
+    with swift_imports():
+        from jaxbound.cli.pipe import judge_input
+    return judge_input(
+        args.model,
+        MethodOptions.of(args),
+        out=args.out,
+        state=args.state,
+        min_coverage=args.min_coverage,
+        as_json=args.json,
+    )
+
+
+def _evaluate_parts(args: argparse.Namespace) -> "Evaluation":
+    """Test a Parquet recording chunk by chunk and write its report."""
+    from jaxbound.cli.evaluation import FILES_OF_PARTS, evaluate_parts
+    from jaxbound.runs.outputs import output_folder
+
+    with (
+        door(),
+        output_folder(args.out, FILES_OF_PARTS, (args.model, args.data)) as folder,
+        progress_bars(("relations", "test", "report")) as step,
+    ):
+        return evaluate_parts(
+            folder,
+            step,
+            args.model,
+            args.data,
+            args.out,
+            MethodOptions.of(args),
+            alarm=args.alarm,
+            min_coverage=args.min_coverage,
+            chunk=args.chunk,
+            overlap=args.overlap,
+            merge=args.merge,
+            scheduler=args.scheduler,
+            workers=args.workers,
+        )
+
+
+def _evaluate_whole(args: argparse.Namespace) -> "Evaluation":
+    """Test a recording that is read as a whole and write its report."""
+    from jaxbound.cli.evaluation import FILES_OF_A_WHOLE, FORMER, evaluate
+    from jaxbound.cli.validation import evaluate_validation
+    from jaxbound.runs.outputs import output_folder
+    from jaxbound.runs.streaming import VERDICTS
+
+    validates = args.method == VALIDATION
+    method = evaluate_validation if validates else evaluate
+    stages = ("read", "test", "report") if validates else ("read", "relations", "test", "report")
+    with door(OSError), output_folder(args.out, FILES_OF_A_WHOLE, (args.model, args.data)) as folder:
+        with folder.work() as work, progress_bars(stages) as step:
+            evaluation = method(
+                work,
+                step,
+                args.model,
+                args.data,
+                MethodOptions.of(args),
+                alarm=args.alarm,
+                min_coverage=args.min_coverage,
+            )
+        for name in (VERDICTS, *FORMER):
+            folder.remove(name)
+    return evaluation
+
+
+def _refuse_what_is_for_pipes(args: argparse.Namespace) -> None:
+    """Raise Refused for a file without --out, with --state, or with a method that there is not."""
     if args.out is None:
         raise Refused("the following arguments are required: --out; see jaxbound detect --help")
     if args.state is not None:
         raise Refused("--state is for samples that come through a pipe: give - as DATA")
-    if args.method not in (*METHODS, OBSERVER, VALIDATION):
-        raise Refused(
-            f"--method must be one of {', '.join((*METHODS, OBSERVER, VALIDATION))}, not {args.method!r}"
-        )
-    with door(OSError):
-        kind = kind_of(args.data)
-    refuse_shares(args, kind)
-    if args.method == VALIDATION or not kind.parts:
-        refuse_engine(args, f"is for Parquet and other methods: {args.data} is read as a whole")
-    if args.part is not None or args.merge:
-        refuse_engine(args, "spreads the work itself: leave out --part and --merge")
+    methods = f"{METHODS}, {OBSERVER}, {VALIDATION}"
+    if args.method not in methods.split(", "):
+        raise Refused(f"--method must be one of {methods}, not {args.method!r}")
+
+
+def _refuse_shares(args: argparse.Namespace, has_parts: bool) -> None:
+    """Raise Refused for --part, --merge or --overlap where there are no parts, or none that can be shared."""
+    shared = []
     if args.part is not None:
-        return run_share(args)
-    if args.method == VALIDATION:
-        if args.chunk is not None:
-            raise Refused(f"--chunk is for other methods: {VALIDATION} reads {args.data} as a whole")
-        found = _report(args, _validate, ("read", "test", "report"))
-    elif kind.parts:
-        names, inputs = (
-            (VERDICTS, "alarms.csv", *file_names(whole=False), "report.html"),
-            (args.model, args.data),
+        shared.append("--part")
+    if args.merge:
+        shared.append("--merge")
+    if len(shared) > 1:
+        raise Refused("--merge reports on what --part makes: give one of the two")
+    if shared and args.method == VALIDATION:
+        raise Refused(f"{shared[0]} is for other methods: {VALIDATION} reads {args.data} as a whole")
+    if shared and args.method == OBSERVER and args.overlap is None:
+        raise Refused(
+            f"{shared[0]} is for windows: an observer carries what it knows from sample to sample, its work "
+            f"can be shared only where --overlap N lets one begin anew N samples before each part"
         )
-        with (
-            door(),
-            output_folder(args.out, names, inputs) as folder,
-            progress_bars(("relations", "test", "report")) as step,
-        ):
-            found = _stream(args, folder, step)
-    elif args.chunk is not None:
-        raise Refused(f"--chunk is for Parquet: {args.data} is read as a whole")
-    else:
-        found = _report(args, _evaluate, ("read", "relations", "test", "report"))
-    return conclude(args, *found)
+    if args.overlap is not None:
+        if args.method != OBSERVER:
+            raise Refused(f"--overlap is for --method {OBSERVER}: windows know how far they reach back")
+        shared.append("--overlap")
+    if shared and not has_parts:
+        raise Refused(f"{shared[0]} is for Parquet: {args.data} is read as a whole")
 
 
-def _report(args, how, stages):
-    """Let `how` read a recording as a whole, test it and write its report; return what the conclusion
-    needs.
-    """
-    names, inputs = (*file_names(), "report.html"), (args.model, args.data)
-    with door(OSError), output_folder(args.out, names, inputs) as folder:
-        with folder.work() as work, progress_bars(stages) as step:
-            found = how(args, work, step)
-        for name in (VERDICTS, *FORMER):
-            folder.remove(name)
-    return found
+def _refuse_engine_of_a_whole(args: argparse.Namespace, has_parts: bool) -> None:
+    """Raise Refused for --workers or --scheduler where the work cannot be spread, or is spread otherwise."""
+    if args.method == VALIDATION or not has_parts:
+        _refuse_engine(args, f"is for Parquet and other methods: {args.data} is read as a whole")
+    if args.part is not None or args.merge:
+        _refuse_engine(args, "spreads the work itself: leave out --part and --merge")
 
 
-def _stream(args, folder, step):
-    """Test a Parquet recording chunk by chunk and write everything into the OutputFolder; return what the
-    conclusion needs.
-    """
-    source, relations = opened(args, step)
-    seconds: dict[str, float] = {}
-    try:
-        if args.merge:
-            parts = all_parts(relations, source, args.out, args.method, args.overlap)
-        else:
-            chunk, progress = args.chunk or CHUNK, lambda share: step("test", share)
-            with engine_of(args) as client:
-                wanted = relations, source, args.out, args.method, chunk, progress
-                parts, seconds = write_parts(*wanted, client=client, overlap=args.overlap)
-        start = time.perf_counter()
-        with folder.work() as work:
-            progress = lambda share: step("report", 0.4 * share)
-            found = digest(relations, source, parts, args.method, args.alarm, work / "alarms.csv", progress)
-            sizes = sizes_seen(found, found.alarms)
-            reaches = outgrown(source.model, relations)
-            hints = dict.fromkeys((*found.hints, *reaches, *ending_hints(found, found.alarms, sizes)))
-            res = summarised(found, found.alarms, found.label, args.min_coverage, hints, sizes, bool(reaches))
-            about = relations.model, args.data, source.content, args.method, relations.horizon
-            write_all(work, Outcome(found, None, found.alarms, res, *about, observer_options(args)))
-            write_report(
-                work,
-                found,
-                found,
-                found.alarms,
-                res,
-                seconds=seconds,
-                progress=lambda share: step("report", 0.4 + 0.6 * share),
-            )
-    except KeyboardInterrupt:
-        if done := kept(args.out / PARTIAL, source.samples):
-            share, where = percent(done / source.samples), args.out / PARTIAL
-            raise Interrupted(
-                f"interrupted: {share} of the verdicts are kept in {where}; the same command goes on from "
-                f"there"
-            ) from None
-        raise
-    publish(folder)
-    for name in ("verdicts.csv", *FORMER):
-        folder.remove(name)
-    seconds["report"] = time.perf_counter() - start
-    return res, source.model, seconds
-
-
-def _evaluate(args, work, step, extra=lambda res: ()):
-    """Read, test and write everything into the folder `work`; return what the conclusion needs."""
-    seconds, start = {}, time.perf_counter()
-    with door():
-        stated = load_model(args.model)
-        source = open_source(args.data, stated)
-        held, recording = source.content, source.read(progress=lambda share: step("read", share))
-        model, relations = window_relations(stated, args, args.data, recording.samples, step)
-        refuse_short(args.data, recording.samples, relations.horizon)
-        seconds["read"], start = time.perf_counter() - start, time.perf_counter()
-        usable_device()
-        res = detect(relations, recording, method=args.method, progress=lambda share: step("test", share))
-    step("test", 1.0)
-    alarms = res.alarms(*args.alarm)
-    seconds["test"], start = time.perf_counter() - start, time.perf_counter()
-    sizes = sizes_seen(res, alarms)
-    reaches = outgrown(stated, relations)
-    hints = dict.fromkeys((*res.hints, *reaches, *again_hints(res), *ending_hints(res, alarms, sizes)))
-    found = summarised(res, alarms, recording.label, args.min_coverage, hints, sizes, bool(reaches))
-    with ThreadPoolExecutor(1) as beside:  # a million verdicts are written while the pictures are drawn
-        outcome = Outcome(
-            res,
-            recording,
-            alarms,
-            found,
-            model,
-            args.data,
-            held,
-            args.method,
-            relations.horizon,
-            observer_options(args),
-        )
-        tables = beside.submit(write_all, work, outcome)
-        step("report", 0.1)
-        write_report(
-            work,
-            res,
-            recording,
-            alarms,
-            found,
-            seconds=seconds,
-            extra=extra(res),
-            progress=lambda share: step("report", 0.1 + 0.8 * share),
-        )
-        tables.result()
-    step("report", 1.0)
-    seconds["report"] = time.perf_counter() - start
-    return found, model, seconds
-
-
-def _validate(args, work, step):
-    """Read, validate and write everything into the folder `work`; return what the conclusion needs."""
-    seconds, start = {}, time.perf_counter()
-    with door():
-        model = load_model(args.model)
-        source = open_source(args.data, model)
-        held, recording = source.content, source.read(progress=lambda share: step("read", share))
-        if args.lags is not None:
-            raise ValueError(
-                f"--lags is for other methods: {VALIDATION} takes every sample of a recording in turn"
-            )
-        horizon = least_horizon(model.n, model.p) if args.horizon is None else args.horizon
-        _complete(args.data, recording, horizon)
-        seconds["read"], start = time.perf_counter() - start, time.perf_counter()
-        usable_device()
-        found = validate(model, recording, horizon=horizon)
-        res = Validated(
-            model, horizon, recording.y, jax.tree.map(np.asarray, found), recording.aside(horizon)
-        )
-    step("test", 1.0)
-    alarms = res.alarms(*args.alarm)
-    seconds["test"], start = time.perf_counter() - start, time.perf_counter()
-    first = (
-        f"the first {horizon + 1} "
-        f"{'complete samples, here and behind each gap,' if len(recording.starts) else 'samples'}"
-    )
-    assumed = [
-        f"{first} are taken to be free of faults: a fault there may stay unseen, or blame a healthy sensor"
-    ]
-    if model.m:
-        assumed.append(
-            "inputs are taken as recorded: where an actuator did something else, a healthy sensor is named"
-        )
-    if res.first_fault is not None:
-        assumed.append(
-            f"from {recording.label(res.first_fault)} on, the first FAULT, bands hold the true values only "
-            f"if "
-            "every faulty sample was found: a band may follow a sensor that stays wrong"
-        )
-    reaches = outgrown(model, res, "validation")
-    hints = (*recording.hints, *bound_hints(model), *reaches, *assumed)
-    summary = summarised(res, alarms, recording.label, args.min_coverage, hints, outgrown=bool(reaches))
-    write_all(work, Outcome(res, recording, alarms, summary, model, args.data, held, args.method, horizon))
-    write_page(work, res, recording, summary, seconds=seconds, progress=lambda share: step("report", share))
-    seconds["report"] = time.perf_counter() - start
-    return summary, model, seconds
-
-
-def _complete(data, recording, horizon):
-    """Raise ValueError if a sample that validation cannot do without is missing; where nothing is known there
-    is a gap, which it can.
-    """
-    u, y, needs = recording.u, recording.y, "every sample of every input is needed"
-    known = ~(np.isnan(u).any(1) & np.isnan(y).all(1))
-    lost = [(recording.inputs, np.isnan(u) & known[:, None], needs)]
-    if known[: horizon + 1].all() and not recording.across(horizon)[horizon]:
-        begin = f"the first {horizon + 1} samples say where the state is: begin the recording later"
-        lost.append((recording.outputs, np.isnan(y[: horizon + 1]), begin))
-    for names, missing, why in lost:
-        for k, j in np.argwhere(missing)[:1]:
-            raise ValueError(
-                f"{data}: {names[j]} is missing at {recording.label(k)}, and for validation {why}"
-            )
-
-
-def conclude(
-    args: argparse.Namespace, summary: Summary, model: LinearSystem, seconds: dict[str, float]
-) -> int:
-    """Print what was found and return the exit code."""
-    if args.json:
-        rounded = {k: round(v, 3) for k, v in seconds.items()}
-        plain = summary.plain(data=str(args.data), seconds=rounded, out=str(args.out))
-        write(json.dumps(plain, indent=2, allow_nan=False) + "\n")
-        return summary.exit_code
-    found, counts = cast(Evidence, summary.found), summary.counts  # a recording was tested
-    rows = [
-        (
-            "samples" if found.remembers else "windows",
-            ", ".join(
-                f"{counts[s]} {s}" for s in ("FAULT", "CONSISTENT", "UNDECIDED", "MISSING") if counts[s]
-            ),
-        )
-    ]
-    if found.remembers:
-        rows.append(
-            (
-                "tested",
-                f"{percent(found.tested)} of {found.windows} samples, by an observer of all samples before "
-                f"them",
-            )
-        )
-    elif found.faulty is None:
-        by = f"by the {found.method} test over {found.horizon + 1} samples each"
-        rows.append(("decided", f"{percent(found.decided)} of {found.windows} windows, {by}"))
-    else:
-        rows.append(
-            ("faulty", ", ".join(f"{name} in {n} samples" for name, n in found.faulty.items()) or "no sensor")
-        )
-    proved = counts["FAULT"] and found.faulty is None and not model.uncertainties
-    command = f"jaxbound explain {shlex.quote(str(args.out))} --at "
-    first = summary.first_alarm
-    rows.append(("alarms", f"{found.alarms}" + (f", the first at {first}" if found.alarms else "")))
-    if proved and found.alarms and re.fullmatch(r"\S+ s|\d{4}-\d\d-\d\d[ T][\d:.]+", first):
-        rows[-1] = (
-            "alarms",
-            f"{rows[-1][1]}: {command}{shlex.quote(first.removesuffix(' s') + 's' * first.endswith(' s'))}",
-        )
-    if np.isfinite(summary.margin):
-        at, margin = cast(Window, summary.worst).time, summary.margin
-        what = (
-            f"bounds needed: {times(1 - margin)} the stated ones"
-            if margin < 0
-            else f"{percent(1 - margin)} of the bounds are used"
-        )
-        if found.remembers:
-            what = (
-                f"beyond what the samples before allow by {times(1 - margin)}"
-                if margin < 0
-                else f"{percent(1 - margin)} of it is used"
-            )
-        rows.append(
-            (
-                "worst" if found.remembers else "worst window" if margin < 0 else "tightest",
-                f"{at}: margin {margin:.3g}, {what}",
-            )
-        )
-    if proved:
-        rows.append(("proof" if summary.verdict == "fault" else "why", f"{command}{found.at}"))
-    rows += [("hint", h) for h in summary.hints]
-    rows += [
-        ("seconds", ", ".join(f"{name} {s:.1f}" for name, s in seconds.items())),
-        ("report", str(args.out / "report.html")),
-    ]
-    show(summary.sentence, COLOUR[summary.verdict], rows)
-    return summary.exit_code
-
-
-def _load_plotting():
-    """Import matplotlib while the data are read: it takes as long as testing a million windows."""
-    import matplotlib.backends.backend_agg
-    import matplotlib.figure  # noqa: F401
-
-
-def run_demo(args: argparse.Namespace) -> int:
-    """Run `jaxbound demo`; return the exit code."""
-    from jaxbound.cli import demo
-
-    threading.Thread(target=_load_plotting, daemon=True).start()
-    names = ("model.toml", "run.csv", *file_names(), "report.html", "figure_1.png", "figure_2.png")
-    stages = ("simulate", "read", "relations", "test", "report")
-    with (
-        door(OSError),
-        output_folder(args.out, names) as folder,
-        folder.work() as work,
-        progress_bars(stages) as step,
-    ):
-        with door():
-            usable_device()
-        run = demo.demo_run(jax.random.key(2000))
-        rates, (false_alarms, clean) = demo.detection_rates(
-            args.runs, jax.random.key(5), lambda share: step("simulate", share)
-        )
-        save_model(demo.demo_model(), work / "model.toml")
-        demo.write_run(work / "run.csv", run)
-
-        detecting = argparse.Namespace(
-            model=work / "model.toml",
-            data=work / "run.csv",
-            horizon=None,
-            lags=None,
-            method="joint",
-            alarm=(1, 1),
-            order=None,
-            latched=False,
-            min_coverage=0.5,
-        )
-        extra = lambda res: demo.sections(work, run, res, rates, false_alarms, clean, args.runs)
-        found, *_ = _evaluate(detecting, work, step, extra)
-    again = [
-        "jaxbound",
-        "detect",
-        *(str(args.out / f) for f in ("model.toml", "run.csv")),
-        "--out",
-        str(args.out),
-    ]
-    rows = [
-        ("false alarms", f"{false_alarms} in {clean} windows without a fault ({args.runs} runs)"),
-        ("report", str(args.out / "report.html")),
-        ("try it", shlex.join(again)),
-    ]
-    show(f"Section 5 of Adrot, Maquin, Ragot 2000. {found.sentence}", "bold", rows, demo.rate_table(rates))
-    return 0
+def _refuse_engine(args: argparse.Namespace, why: str) -> None:
+    """Raise Refused if --scheduler or --workers is given. why: the sentence behind the option's name."""
+    for option, value in (("--scheduler", args.scheduler), ("--workers", args.workers)):
+        if value is not None:
+            raise Refused(f"{option} {why}")

@@ -1,159 +1,47 @@
-"""The command `jaxbound example`: recordings to try the other commands on, simulated, so that what is true of
-them is known.
-
-heater  a laboratory of two heaters and two sensors, like the small ones that teach control: three healthy
-recordings and one in which
-        a sensor jumps; truth.toml is the model that made them, with the bounds within which everything was
-        drawn
-tank    the model file that `jaxbound info --template` prints, and a recording in which its level sensor reads
-too much for a minute
-"""
+"""The command `jaxbound example`: recordings to try the other commands on."""
 
 import argparse
-import math
-from collections.abc import Callable
 from pathlib import Path
 
-import jax
-import numpy as np
-
+from jaxbound.cli.command import swift_imports
+from jaxbound.cli.options import path
 from jaxbound.cli.terminal import OK, Refused, door, show
-from jaxbound.models.faults import Fault
-from jaxbound.models.modelfile import load_model, save_model, template
-from jaxbound.models.simulate import simulate
-from jaxbound.models.system import LinearSystem
-from jaxbound.runs.outputs import output_folder
 
-__all__ = ["EXAMPLES", "heater_model", "run"]
+NAME = "example"
+HELP = "write recordings to try the other commands on"
+EXAMPLES = (
+    ("jaxbound example", "which examples there are"),
+    ("jaxbound example heater", "writes heater/healthy_1.csv and others"),
+)
+CODES = "exit codes: 0, or 2 bad input"
 
-JUMP, ONSET = 0.8, 60  # degC added to T1, from which sample of jump.csv on
 
-
-def heater_model() -> LinearSystem:
-    """Return the laboratory: heaters H1 and H2 in %, their temperatures as states, sensors T1 and T2 that
-    follow with a lag of 20 s.
-
-    Example:
-        >>> heater_model()
-        LinearSystem('two heaters': 4 states, inputs ['Q1', 'Q2'], outputs ['T1', 'T2'], dt=3 s)
-    """
-    return LinearSystem(
-        [[0.976, 0.006, 0, 0], [0.006, 0.976, 0, 0], [0.14, 0, 0.86, 0], [0, 0.14, 0, 0.86]],
-        [[0.016, 0.0], [0.0, 0.009], [0.0, 0.0], [0.0, 0.0]],
-        [[0, 0, 1, 0], [0, 0, 0, 1]],
-        dt=3,
-        noise=0.1,
-        resolution=0.005,
-        disturbance=([[1, 0], [0, 1], [0, 0], [0, 0]], 0.01),
-        inputs=["Q1", "Q2"],
-        outputs=["T1", "T2"],
-        states=["H1", "H2", "S1", "S2"],
-        units={"Q1": "%", "Q2": "%", "T1": "degC", "T2": "degC"},
-        offset={"y": 21},
-        columns={
-            "Q1": "Heater 1",
-            "Q2": "Heater 2",
-            "T1": "Temperature 1",
-            "T2": "Temperature 2",
-            "time": "Time (s)",
-        },
-        name="two heaters",
-        provenance={name: "simulated: true" for name in ("model", "noise", "resolution", "disturbance")},
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments and options."""
+    parser.add_argument(
+        "name", nargs="?", metavar="NAME", help="heater or tank; without it, the examples are listed"
     )
-
-
-def _heater(folder):
-    """Write three healthy recordings of ten minutes, the third once more with a jump, and the true model."""
-    model = heater_model()
-    save_model(model, folder / "truth.toml")
-    for number in (1, 2, 3):
-        levels = (
-            np.random.default_rng(number).integers(0, 17, (20, 2)) * 5.0
-        )  # each heater gets a new level every 30 to 90 s
-        lasts = np.random.default_rng(10 + number).integers(10, 31, (20, 2))
-        u = np.stack([np.repeat(levels[:, i], lasts[:, i])[:201] for i in (0, 1)], 1)
-        for name, faults in (("jump.csv", [Fault("T1", "bias", JUMP, ONSET)]), (f"healthy_{number}.csv", [])):
-            if number == 3 or not faults:
-                y = simulate(model, u, jax.random.key(number), faults=faults).y
-                _write(folder / name, model, u, np.asarray(y))
-    rows = ["unit,model,recording", "lab 1,plant.toml,healthy_3.csv", "lab 2,plant.toml,jump.csv"]
-    (folder / "units.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
-    return [
-        ("healthy_1.csv", "10 minutes at 3 s: heaters Q1, Q2 in %, temperatures T1, T2 in degC"),
-        ("healthy_2.csv", "the same on another day"),
-        ("healthy_3.csv", "and another one, kept for the test"),
-        ("jump.csv", f"healthy_3.csv with {JUMP:g} degC added to T1 from sample {ONSET}, {3 * ONSET} s, on"),
-        (
-            "units.csv",
-            "a table of two units for jaxbound fleet, with the model that jaxbound fit is to write",
-        ),
-        ("truth.toml", "the model that made them, with the bounds within which everything was drawn"),
-    ]
-
-
-def _tank(folder):
-    """Write the template of a model file and a recording to it in which the level reads too much for a
-    minute.
-    """
-    (folder / "tank.toml").write_text(template(), encoding="utf-8")
-    model = load_model(folder / "tank.toml")
-    u = 50 + np.repeat(np.random.default_rng(1).integers(0, 6, (15, 1)) / 2, 20, 0)
-    run = simulate(model, u, jax.random.key(1), faults=[Fault("level", "bias", 0.5, 200, 260)])
-    _write(folder / "tank.csv", model, u, np.asarray(run.y))
-    return [
-        ("tank.toml", "the commented model file of jaxbound info --template"),
-        (
-            "tank.csv",
-            "5 minutes at 1 s; the level sensor reads 0.5 m too much from 200 s to 260 s: windows of 16 "
-            "samples show all of it",
-        ),
-    ]
-
-
-EXAMPLES: dict[str, tuple[str, Callable[[Path], list[tuple[str, str]]], tuple[str, ...], str]] = {
-    "heater": (
-        "a laboratory with two heaters: three healthy recordings, one with a fault",
-        _heater,
-        ("healthy_1.csv", "healthy_2.csv", "healthy_3.csv", "jump.csv", "units.csv", "truth.toml"),
-        'jaxbound fit healthy_1.csv healthy_2.csv --inputs "Q1=Heater 1,Q2=Heater 2" '
-        '--outputs "T1=Temperature 1,T2=Temperature 2" --out plant.toml',
-    ),
-    "tank": (
-        "a model file to fill in, with a recording to it",
-        _tank,
-        ("tank.toml", "tank.csv"),
-        "jaxbound detect tank.toml tank.csv --horizon 15 --out report/",
-    ),
-}
-"""By name: what it is, the function that writes it into a folder, its files, and what to try first."""
-
-
-def _write(path, model, u, y):
-    """Write a recording as CSV, time first; an output is rounded by no more than its resolution, without one
-    it stands in full.
-    """
-    places = [-math.floor(math.log10(2 * r)) if r else None for r in map(float, model.resolution)]
-    text = lambda row: ",".join(
-        repr(float(x)) if n is None else f"{x:.{n}f}" for x, n in zip(row, places, strict=True)
-    )
-    names = [model.column(name) for name in (*model.inputs, *model.outputs)]
-    rows = [f"{k * model.dt:g},{','.join(f'{x:g}' for x in u[k])},{text(y[k])}" for k in range(len(y))]
-    path.write_text(
-        "\n".join([",".join([model.columns.get("time", "Time (s)"), *names]), *rows]) + "\n", encoding="utf-8"
+    parser.add_argument(
+        "--out", type=path, metavar="DIR", help="folder for the files (default: one of that name)"
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `jaxbound example [NAME] [--out DIR]`; return the exit code."""
+    """List the examples, or write one into a folder; return the exit code."""
+    with swift_imports():
+        from jaxbound.cli.examples import EXAMPLES as EXAMPLE_SETS
+        from jaxbound.runs.outputs import output_folder
+
     if args.name is None:
-        listed = [(name, about) for name, (about, *_) in EXAMPLES.items()]
-        show("examples", "bold", listed, text="\njaxbound example heater writes its files into heater/")
+        table = [(example.name, example.about) for example in EXAMPLE_SETS.values()]
+        show("examples", "bold", table, text="\njaxbound example heater writes its files into heater/")
         return OK
-    if args.name not in EXAMPLES:
-        raise Refused(f"there is no example {args.name!r}: choose one of {', '.join(EXAMPLES)}")
-    about, write_files, names, first = EXAMPLES[args.name]
+    if args.name not in EXAMPLE_SETS:
+        raise Refused(f"there is no example {args.name!r}: choose one of {', '.join(EXAMPLE_SETS)}")
+    example = EXAMPLE_SETS[args.name]
     out = args.out or Path(args.name)
-    with door(), output_folder(out, names) as folder, folder.work() as work:
-        rows = write_files(work)
-    show(f"{args.name}: {about}, in {out}", "bold", rows, text=f"\ntry:\n  cd {out}\n  {first}")
+    with door(), output_folder(out, example.files) as folder, folder.work() as work:
+        rows = example.write(work)
+    first = f"\ntry:\n  cd {out}\n  {example.first}"
+    show(f"{example.name}: {example.about}, in {out}", "bold", rows, text=first)
     return OK

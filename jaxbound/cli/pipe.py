@@ -4,7 +4,6 @@ What is there is read, judged as one burst and printed: one sample where the sen
 it is ahead.
 """
 
-import argparse
 import csv
 import io
 import json
@@ -22,8 +21,9 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.terminal import ENDS, door, nobody_reads, say, system_trouble, usable_device
-from jaxbound.cli.window import observer_options, window_relations
+from jaxbound.cli.window import window_relations
 from jaxbound.consistency.monitor import Monitor
 from jaxbound.diagnosis.alarms import ENDINGS, NO_DATA, OTHER, endings, forgets_after
 from jaxbound.diagnosis.hints import bound_hints, outgrown, unfit
@@ -40,12 +40,11 @@ from jaxbound.runs.endings import endings_said
 from jaxbound.runs.journal import STATE, VERDICTS, Journal
 from jaxbound.runs.outputs import output_folder, refuse_targets
 from jaxbound.runs.refusals import Refused
-from jaxbound.runs.runfile import VALIDATION
 from jaxbound.runs.sink import Outcome, file_names, write_all
 from jaxbound.runs.summary import Evidence, Summary, Window, said, unsaid
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["follow", "run"]
+__all__ = ["follow", "judge_input"]
 
 AT_ONCE = 1 << 18  # bytes read at once
 PIPE = 1 << 20  # bytes that the pipe should hold
@@ -53,77 +52,85 @@ NAMES, FAULT = [x.name for x in Status], int(Status.FAULT)
 TALKATIVE, QUIET = 20, 60.0  # sentences of a kind at first, then one in so many seconds
 
 
-def run(args: argparse.Namespace) -> int:
-    """Run `jaxbound detect MODEL.toml -`; return the exit code."""
-    if args.method == VALIDATION:
-        raise Refused(f"{VALIDATION} reads a recording as a whole: give a file instead of -")
-    options = {
-        "--chunk": args.chunk is not None,
-        "--alarm": args.alarm != (1, 1),
-        "--part": args.part is not None,
-        "--merge": args.merge,
-        "--overlap": args.overlap is not None,
-    }
-    for option, given in options.items():
-        if given:
-            raise Refused(f"{option} is for recordings: give a file instead of -")
+def judge_input(
+    model: Path,
+    options: MethodOptions,
+    *,
+    out: Path | None = None,
+    state: Path | None = None,
+    min_coverage: float = 0.5,
+    as_json: bool = False,
+) -> int:
+    """Judge the lines of standard input, see `follow`; return the exit code."""
     with door(OSError):
         whole = stat.S_ISREG(os.fstat(0).st_mode)
     with _signals() as (stopped, woken):
-        return follow(args, _chunks(0, stopped, woken), whole)
+        chunks = _chunks(0, stopped, woken)
+        return follow(
+            model, chunks, whole, options, out=out, state=state, min_coverage=min_coverage, as_json=as_json
+        )
 
 
-def follow(args: argparse.Namespace, chunks: Iterable[bytes | None], whole: bool = True) -> int:
+def follow(
+    model: Path | str,
+    chunks: Iterable[bytes | None],
+    whole: bool = True,
+    options: MethodOptions | None = None,
+    *,
+    out: Path | None = None,
+    state: Path | None = None,
+    min_coverage: float = 0.5,
+    as_json: bool = False,
+) -> int:
     """Judge bytes as they come; return the exit code.
 
     Args:
-        args: .model, .horizon, .method, .out, .state (paths or None), .min_coverage, .json. chunks: iterable
-            of bytes; None in it ends the run as a signal does. whole: the last line is complete without a
-            line end, as in a file; in a pipe half of a number may be.
+        model: path of the model file. chunks: iterable of bytes; None in it ends the run as a signal does.
+        whole: the last line is complete without a line end, as in a file; in a pipe half of a number may be.
+        options: of the test. out: folder of the verdicts; state: file to go on from; None: none.
+        min_coverage: least share of decided windows. as_json: verdicts as JSON, else as CSV.
 
     Raises:
         Refused: a model, a header, a sampling period or a state that does not fit, a method without a
             Monitor.
     """
-    with door(), _place(args) as folder:
-        stated = load_model(args.model)
-        model, relations = window_relations(stated, args, args.model, None, lambda stage, share: None)
+    options = options or MethodOptions()
+    with door(), _place(model, out, state) as folder:
+        stated = load_model(model)
+        tested, relations = window_relations(stated, options, model, None, lambda stage, share: None)
         if getattr(relations, "frame", None) is None:  # strips: sooner done than handed to another thread
             jax.config.update("jax_cpu_enable_async_dispatch", False)
         usable_device()
-        monitor = Monitor(relations, args.method)
-        with Journal(args.out, args.state, identity(relations, method=args.method)) as journal:
+        monitor = Monitor(relations, options.method)
+        with Journal(out, state, identity(relations, method=options.method)) as journal:
             if folder is not None:
                 folder.claim(VERDICTS, STATE)
-            found = _Run(args, monitor, journal, stated).to_the_end(chunks, whole)
+            run = _Run(monitor, journal, stated, out is not None, min_coverage, as_json)
+            found = run.to_the_end(chunks, whole)
         if folder is not None:
-            about = model, Path(args.data), None, args.method, relations.horizon, observer_options(args)
+            about = tested, Path("-"), None, options.method, relations.horizon, options.observer_options
             with folder.work() as work:
                 write_all(work, Outcome(None, None, [], found, *about))
     return found.exit_code
 
 
 @contextmanager
-def _place(args):
+def _place(model, out, state):
     """Make --out a folder whose verdicts this command may write, and see to it that nothing that is read is
     written.
     """
-    inputs = [Path(args.model), *([Path("/dev/stdin")] if stat.S_ISREG(os.fstat(0).st_mode) else [])]
-    with (
-        nullcontext()
-        if args.out is None
-        else output_folder(args.out, file_names(whole=False), inputs) as folder
-    ):
-        if args.state is not None:
-            refuse_targets({"--state": Path(args.state)}, inputs, force=True)
+    inputs = [Path(model), *([Path("/dev/stdin")] if stat.S_ISREG(os.fstat(0).st_mode) else [])]
+    with nullcontext() if out is None else output_folder(out, file_names(whole=False), inputs) as folder:
+        if state is not None:
+            refuse_targets({"--state": Path(state)}, inputs, force=True)
         if folder is None:
             yield None
             return
-        state = args.out / STATE if args.state is None else Path(args.state)
-        if os.path.realpath(state) == os.path.realpath(args.out / VERDICTS):
-            raise Refused(f"--state {state} is where the verdicts are written: give another name")
+        journal = out / STATE if state is None else Path(state)
+        if os.path.realpath(journal) == os.path.realpath(out / VERDICTS):
+            raise Refused(f"--state {journal} is where the verdicts are written: give another name")
         folder.check(
-            (VERDICTS, STATE), foreign=not state.exists()
+            (VERDICTS, STATE), foreign=not journal.exists()
         )  # a state tells whether the verdicts are its own
         yield folder
         folder.settle(VERDICTS, STATE)
@@ -132,14 +139,15 @@ def _place(args):
 class _Run:
     """One run: what it counts, says and remembers."""
 
-    def __init__(self, args, monitor, journal, stated):
+    def __init__(self, monitor, journal, stated, is_written, min_coverage, as_json):
         self.hints, self.outgrown = (
             bound_hints(stated, monitor.relations),
             bool(outgrown(stated, monitor.relations)),
         )
         before = journal.before or {}
-        self.args, self.monitor, self.journal, self.spoken = args, monitor, journal, {}
-        self.header = b"" if args.json else b"time,status,margin\n"
+        self.monitor, self.journal, self.spoken = monitor, journal, {}
+        self.is_written, self.min_coverage, self.as_json = is_written, min_coverage, as_json
+        self.header = b"" if as_json else b"time,status,margin\n"
         self.text = PipeText(monitor.relations.model, self.complain, before.get("text"))
         empty = monitor.init()
         self.state = from_texts(empty, before["state"]) if before else empty
@@ -232,7 +240,7 @@ class _Run:
 
     def _printed(self, rows):
         """Return rows of verdicts.csv as they go to stdout."""
-        if not self.args.json or not rows:
+        if not self.as_json or not rows:
             return rows.replace(b",true\n", b"\n").replace(b",false\n", b"\n")
         number = lambda x: float(x) if x else None
         when = str if self.text.reader.is_text else number
@@ -263,7 +271,7 @@ class _Run:
                 nobody_reads()
             if not isinstance(e, BrokenPipeError):
                 raise Refused(f"cannot write to standard output: {system_trouble(e)}") from e
-            if self.args.out is None:
+            if not self.is_written:
                 raise KeyboardInterrupt("nobody reads the verdicts any more: stopped") from None
 
     def complain(self, kind, sentence):
@@ -310,7 +318,7 @@ class _Run:
             remembers=observes,
             outgrown=self.outgrown,
         )
-        verdict, sentence = said(numbers, self._label, self.args.min_coverage)
+        verdict, sentence = said(numbers, self._label, self.min_coverage)
         said_of_it = unsaid(every, sentence)
         for hint in said_of_it:
             say(hint)

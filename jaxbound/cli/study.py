@@ -1,58 +1,143 @@
 """The command `jaxbound study`: a Monte-Carlo study of a monitor, from a model file to tables and a page."""
 
 import argparse
-import json
 import time
+from collections.abc import Callable
 
-import jax
-import numpy as np
+from jaxbound.cli.command import swift_imports
+from jaxbound.cli.options import (
+    METHODS,
+    MethodOptions,
+    add_engine,
+    add_json,
+    add_observer,
+    add_windows,
+    path,
+    whole_number,
+)
+from jaxbound.cli.terminal import LOUDNESS, OK, QUIET, Refused, door, progress_bars, say, usable_device
 
-from jaxbound.cli.engine import engine_of
-from jaxbound.cli.terminal import LOUDNESS, QUIET, door, progress_bars, say, show, usable_device, write
-from jaxbound.cli.window import OBSERVER, window_relations
-from jaxbound.models.modelfile import load_model
-from jaxbound.recordings.columns import texts, to_arrow, write_columns
-from jaxbound.reports.study import COLUMNS, HEAD, sentence, study_page, study_rows
-from jaxbound.runs.outputs import output_folder
-from jaxbound.runs.refusals import Refused
-from jaxbound.studies.montecarlo.montecarlo import study
-from jaxbound.studies.montecarlo.study_result import delay_table, study_table
-from jaxbound.text.characters import cell
-from jaxbound.text.quantities import rough_duration
-
-__all__ = ["run"]
-
-NAMES = ("summary.csv", "summary.parquet", "delays.parquet", "report.html")
-MOST = 10_000  # sizes of a fault
+NAME = "study"
+HELP = "simulate a million scenarios and count what is detected"
+EXAMPLES = (
+    (
+        "jaxbound study plant.toml --faults T1:bias,T2:drift --n 10000 --out study/",
+        "sizes around those that are guaranteed",
+    ),
+    (
+        "jaxbound study plant.toml --faults T1:bias --sizes 0.1:1:10 --at vertices --out study/",
+        "ten sizes; unknowns at their bounds",
+    ),
+)
+CODES = (
+    "exit codes: 0, 2 bad input, 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM (the same "
+    "command goes on)"
+)
+MOST_SIZES = 10_000  # of a fault
 PATIENCE = 20.0
 """Seconds that a study may take without being announced."""
 
 
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments and options."""
+    parser.add_argument(
+        "model", type=path, metavar="MODEL.toml", help="the plant and the bounds of its monitor"
+    )
+    parser.add_argument(
+        "--faults",
+        required=True,
+        metavar="F,F",
+        help="like y1:bias,y2:gain,u1:bias; kinds as in a simulation",
+    )
+    parser.add_argument(
+        "--sizes",
+        metavar="LO:HI:COUNT",
+        help="or numbers with commas (default: twelve around the guaranteed size)",
+    )
+    parser.add_argument(
+        "--n",
+        type=whole_number(1),
+        default=100_000,
+        metavar="N",
+        help="scenarios, spread over faults and sizes (default: 100000)",
+    )
+    parser.add_argument(
+        "--out",
+        type=path,
+        required=True,
+        metavar="DIR",
+        help="folder for summary.csv, delays.parquet and report.html",
+    )
+    parser.add_argument(
+        "--samples",
+        type=whole_number(1, 10**6),
+        default=200,
+        metavar="T",
+        help="of a scenario (default: 200)",
+    )
+    parser.add_argument(
+        "--onset",
+        metavar="LO:HI",
+        help="the fault starts at a sample LO <= k < HI (default: the second quarter)",
+    )
+    parser.add_argument(
+        "--at",
+        default="uniform",
+        help="unknowns: uniform (default), vertices of their bounds, or adversarial",
+    )
+    add_windows(parser)
+    parser.add_argument(
+        "--method", default="joint", help=f"of the monitor: {METHODS} (default: joint), or observer"
+    )
+    add_observer(parser)
+    parser.add_argument(
+        "--seed", type=whole_number(0), default=0, metavar="K", help="of the scenarios (default: 0)"
+    )
+    parser.add_argument(
+        "--input-range",
+        metavar="LO:HI",
+        help="levels of the inputs, one pair for all or one each with commas (default: the ranges that the "
+        "model file states, which fit writes, else from 1 below the operating point to 1 above)",
+    )
+    parser.add_argument(
+        "--hold",
+        type=whole_number(1),
+        default=20,
+        metavar="H",
+        help="samples that a level lasts (default: 20)",
+    )
+    add_engine(parser)
+    parser.add_argument("--rows", action="store_true", help="keep a row for each scenario in DIR/scenarios/")
+    add_json(parser)
+
+
 def run(args: argparse.Namespace) -> int:
-    """Run `jaxbound study`; return the exit code."""
+    """Count what a monitor detects, write tables and a page; return the exit code."""
     start = time.perf_counter()
-    sizes, span = _sizes(args.sizes), _pairs("--input-range", args.input_range)
-    onset = _pairs("--onset", args.onset)
-    if onset is not None and (len(onset) > 1 or not all(x.is_integer() for x in onset[0])):
-        raise Refused(f"--onset needs two whole numbers lo:hi, not {args.onset!r}")
+    with swift_imports():
+        from jaxbound.cli.engine import engine
+        from jaxbound.cli.study_summary import FILES, conclude_study, write_study
+        from jaxbound.cli.window import window_relations
+        from jaxbound.models.modelfile import load_model
+        from jaxbound.runs.outputs import output_folder
+        from jaxbound.studies.montecarlo.montecarlo import study
+
+    sizes = _sizes(args.sizes)
+    ranges = _pairs("--input-range", args.input_range)
+    onset = _onset(args.onset)
     faults = [f.strip() for f in args.faults.split(",") if f.strip()]
     stages = progress_bars(("relations", "study", "report"))
     with (
         door(),
-        output_folder(args.out, NAMES, (args.model,)) as folder,
+        output_folder(args.out, FILES, (args.model,)) as folder,
         stages as step,
-        engine_of(args) as client,
+        engine(args.scheduler, args.workers) as client,
     ):
         model = load_model(args.model)
         usable_device()
-        model, relations = window_relations(model, args, "--samples", args.samples, step)
-        span = span[0] if span is not None and len(span) == 1 else span
-        onset = None if onset is None else tuple(map(int, onset[0]))
-        by, progress = (
-            "joint" if args.method == OBSERVER else args.method,
-            _Announced(args, lambda share: step("study", share)),
-        )
-        res = study(
+        options = MethodOptions.of(args)
+        model, relations = window_relations(model, options, "--samples", args.samples, step)
+        result = study(
             model,
             faults,
             args.n,
@@ -62,61 +147,81 @@ def run(args: argparse.Namespace) -> int:
             sizes=sizes,
             onset=onset,
             at=args.at,
-            input_range=span,
+            input_range=ranges[0] if ranges is not None and len(ranges) == 1 else ranges,
             hold=args.hold,
-            method=by,
-            progress=progress,
+            method="joint" if options.observes else args.method,
+            progress=_Announced(args.n, args.samples, lambda share: step("study", share)),
             out=args.out,
             rows=args.rows,
             client=client,
         )
-        counted = time.perf_counter() - start
+        seconds = time.perf_counter() - start
         step("report", 0.2)
         with folder.work() as work:
-            _write(work, res, args.seed, counted)
+            write_study(work, result, args.seed, seconds)
         folder.remove("study.png")  # of an earlier version
         step("report", 1.0)
-    _conclude(args, res, counted)
-    return 0
+    conclude_study(result, args.out, seconds, as_json=args.json)
+    return OK
 
 
 class _Announced:
     """Progress of a study that says once, when a first part of it is counted, how long the rest will take."""
 
-    def __init__(self, args, step):
-        self.args, self.step, self.first, self.said = args, step, None, LOUDNESS.get() == QUIET
+    def __init__(self, scenarios: int, samples: int, step: Callable[[float], object]):
+        self.work = f"{scenarios} scenarios of {samples} samples"
+        self.step = step
+        self.first: tuple[float, float] | None = None  # (time, share) behind the first part
+        self.is_said = LOUDNESS.get() == QUIET
 
-    def __call__(self, share):
+    def __call__(self, share: float) -> None:
+        from jaxbound.text.quantities import rough_duration
+
         self.step(share)
         now = time.monotonic()
         if self.first is None:
             self.first = now, share  # what is compiled is compiled now
-        elif not self.said and share > self.first[1]:
-            left = (1 - share) * (now - self.first[0]) / (share - self.first[1])
-            self.said = share > self.first[1] + 0.02 or now - self.first[0] > 1
-            if self.said and left > PATIENCE:
-                work = f"{self.args.n} scenarios of {self.args.samples} samples"
-                say(f"{work}: {rough_duration(left)} to go; stopped, the same command goes on")
+            return
+        then, done = self.first
+        if self.is_said or share <= done:
+            return
+        left = (1 - share) * (now - then) / (share - done)
+        self.is_said = share > done + 0.02 or now - then > 1
+        if self.is_said and left > PATIENCE:
+            say(f"{self.work}: {rough_duration(left)} to go; stopped, the same command goes on")
 
 
-def _sizes(text):
+def _sizes(text: str | None) -> list[float] | None:
     """Read sizes: lo:hi:count, or numbers with commas."""
+    import numpy as np
+
     if text is None:
         return None
     try:
-        if ":" in text:
-            lo, hi, count = text.split(":")
-            if int(count) > MOST:
-                raise Refused(f"--sizes asks for {int(count)} sizes of a fault: at most {MOST} are studied")
-            return np.linspace(float(lo), float(hi), int(count)).tolist()
-        return [float(x) for x in text.split(",")]
+        if ":" not in text:
+            return [float(x) for x in text.split(",")]
+        lo, hi, count = text.split(":")
+        if int(count) > MOST_SIZES:
+            raise Refused(f"--sizes asks for {int(count)} sizes of a fault: at most {MOST_SIZES} are studied")
+        return np.linspace(float(lo), float(hi), int(count)).tolist()
     except ValueError:
         raise Refused(
             f"--sizes needs lo:hi:count, like 0.1:1:10, or numbers with commas, not {text!r}"
         ) from None
 
 
-def _pairs(option, text):
+def _onset(text: str | None) -> tuple[int, int] | None:
+    """Read the first and last sample of an onset: lo:hi."""
+    pairs = _pairs("--onset", text)
+    if pairs is None:
+        return None
+    if len(pairs) > 1 or not all(x.is_integer() for x in pairs[0]):
+        raise Refused(f"--onset needs two whole numbers lo:hi, not {text!r}")
+    low, high = pairs[0]
+    return int(low), int(high)
+
+
+def _pairs(option: str, text: str | None) -> list[tuple[float, ...]] | None:
     """Read lo:hi, or several such pairs with commas."""
     if text is None:
         return None
@@ -124,59 +229,6 @@ def _pairs(option, text):
         pairs = [tuple(map(float, part.split(":"))) for part in text.split(",")]
     except ValueError:
         pairs = [()]
-    if any(len(p) != 2 for p in pairs):
+    if any(len(pair) != 2 for pair in pairs):
         raise Refused(f"{option} needs lo:hi, like -1:1, not {text!r}")
     return pairs
-
-
-def _write(work, res, seed, seconds):
-    """Write the tables and the page of a study."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    found, delays = study_table(res), delay_table(res)
-    write_columns(work / "summary.csv", {name: _column(x, cell) for name, x in found.items()})
-    columns = {name: _column(x) for name, x in delays.items()}
-    columns["delay"] = columns["delay"].cast(pa.int64())
-    for name, table in (("summary", {name: _column(x) for name, x in found.items()}), ("delays", columns)):
-        pq.write_table(pa.Table.from_arrays(list(table.values()), list(table)), work / f"{name}.parquet")
-    (work / "report.html").write_text(study_page(res, seed, seconds), encoding="utf-8")
-
-
-def _column(values, written=str):
-    """Return numbers, or texts as they are written, as a pyarrow array."""
-    if values.dtype != object:
-        return to_arrow(values)
-    names = list(dict.fromkeys(values))
-    return texts([written(name) for name in names]).take(to_arrow(np.array([names.index(v) for v in values])))
-
-
-def _conclude(args, res, seconds):
-    if args.json:
-        false, clean = res.false_alarms
-        known = lambda x: None if isinstance(x, float) and not np.isfinite(x) else x
-        columns = {name: list(map(known, x.tolist())) for name, x in study_table(res).items()}
-        cells = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-        told = {
-            "scenarios": res.scenarios,
-            "samples": res.samples,
-            "at": res.at,
-            "horizon": res.horizon,
-            "false_alarms": false,
-            "clean_windows": clean,
-            "cells": cells,
-            "report": str(args.out / "report.html"),
-        }
-        write(json.dumps(told, indent=1, default=float) + "\n")
-        return
-    speed = (
-        f"{res.scenarios * res.samples / max(seconds, 1e-9) / 1e6:.3g} million samples a second on "
-        f"{jax.local_device_count()} device"
-    )
-    rows = [
-        ("study", sentence(res)),
-        ("columns", COLUMNS),
-        ("seconds", f"{seconds:.1f}, {speed}"),
-        ("report", str(args.out / "report.html")),
-    ]
-    show(res.model.name, "bold", rows, table=[HEAD, *study_rows(res)])

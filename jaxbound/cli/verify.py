@@ -1,23 +1,58 @@
-"""The command `jaxbound verify`: whether a certificate proves what it says of a model and a recording."""
+"""The command `jaxbound verify`: whether a certificate proves its statement of a model and a recording."""
 
 import argparse
 import json
 
-from jaxbound.certificates.checker.script import CONFIRMED, NOT_CONFIRMED, REFUSED, load
-from jaxbound.certificates.verification import verify, window_of
+from jaxbound.cli.command import swift_imports
+from jaxbound.cli.options import path
 from jaxbound.cli.terminal import door, say, show
-from jaxbound.models.modelfile import load_model
-from jaxbound.recordings.read import open_source
 
-__all__ = ["run"]
+NAME = "verify"
+HELP = "check a certificate against a model and a recording, in exact fractions"
+EXAMPLES = (
+    (
+        "jaxbound verify report/certificate-60.json --model report/tested_model.toml --data run.csv",
+        "inequalities built anew from model and samples, in exact fractions",
+    ),
+)
+CODES = (
+    "exit codes: 0 confirmed, 1 not confirmed: it proves nothing, or something else than of this model and "
+    "these data, and the sentence says what differs; 2 bad input or usage"
+)
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments and options."""
+    parser.add_argument(
+        "certificate", type=path, metavar="CERTIFICATE.json", help="that jaxbound explain wrote"
+    )
+    parser.add_argument(
+        "--model",
+        type=path,
+        required=True,
+        metavar="MODEL.toml",
+        help="the plant and its bounds: DIR/tested_model.toml where options of the report changed its window",
+    )
+    parser.add_argument(
+        "--data",
+        type=path,
+        required=True,
+        metavar="DATA",
+        help="the recording: a CSV file, a Parquet file or a folder",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `jaxbound verify CERTIFICATE.json --model MODEL.toml --data DATA`; return the exit code: 0
-    confirmed, 1 not confirmed.
+    """Check a certificate; return the exit code: 0 confirmed, 1 not confirmed.
 
     Only the samples of the window are read (a CSV file: all).
     """
+    with swift_imports():
+        from jaxbound.certificates.checker.script import CONFIRMED, NOT_CONFIRMED, REFUSED, load
+        from jaxbound.certificates.verification import verify, window_of
+        from jaxbound.models.modelfile import load_model
+        from jaxbound.recordings.read import open_source
+
     with door():
         model = load_model(args.model)
         source = open_source(args.data, model)

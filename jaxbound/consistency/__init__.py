@@ -1,6 +1,25 @@
 """Can anything within the bounds explain a window? One file a test, one driver for all."""
 
-from jaxbound.consistency.interface import Judged, Observer, WindowTest
+from jaxbound.consistency.interface import (
+    Judged,
+    MethodOptions,
+    Observer,
+    Relations,
+    Verdicts,
+    WindowTest,
+    family,
+)
 from jaxbound.consistency.monitor import Monitor, MonitorState, Verdict
 
-__all__ = ["Judged", "Monitor", "MonitorState", "Observer", "Verdict", "WindowTest"]
+__all__ = [
+    "Judged",
+    "MethodOptions",
+    "Monitor",
+    "MonitorState",
+    "Observer",
+    "Relations",
+    "Verdict",
+    "Verdicts",
+    "WindowTest",
+    "family",
+]

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from jaxbound.consistency import whole_numbers
-from jaxbound.consistency.interface import Judged, WindowTest
+from jaxbound.consistency.interface import Judged, LinearRelations, WindowTest
 from jaxbound.consistency.reading import gather
 from jaxbound.consistency.strips import StripsTest
 from jaxbound.consistency.strips_on_host import host_strips
@@ -32,10 +32,11 @@ class BankTest(WindowTest):
         NotImplementedError: constant tolerances. ValueError: too many relations.
     """
 
+    relations: LinearRelations
     gathered = False
     replayed = False
 
-    def __init__(self, relations: Any, dtype: Any) -> None:
+    def __init__(self, relations: LinearRelations, dtype: Any) -> None:
         super().__init__(relations, "box", dtype)
         if relations.model.constant_tolerance:
             raise NotImplementedError(

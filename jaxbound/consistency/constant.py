@@ -25,7 +25,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.interface import WindowTest
+from jaxbound.consistency.interface import LinearRelations, WindowTest
 from jaxbound.consistency.reading import gather
 from jaxbound.consistency.strips_on_host import host_strips
 from jaxbound.recordings.recording import Recording
@@ -52,6 +52,8 @@ class ConstantTest(WindowTest):
     The sign of the margin is that of the verdict, its size that of the best gains found: 1 - t, t not below
     the true factor, but seldom 30 % above it.
     """
+
+    relations: LinearRelations
 
     @property
     def block(self) -> int:

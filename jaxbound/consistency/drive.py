@@ -11,6 +11,7 @@ import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -45,8 +46,26 @@ def drive(
         size: windows at once; None: as the test says.
     """
     if isinstance(test, Observer):
-        return test.fold(test.init(), given)[1]
+        return _folded(test, given)
     return windows(test, given.u, given.y, given.starts, progress, size)
+
+
+def _folded(observer: Observer[Any], given: Recording) -> Any:
+    """Return what an observer judges of one recording, or of each recording of a batch."""
+    lead = given.y.shape[:-2]
+    if not lead or observer.batched:
+        return observer.fold(observer.begin(), given)[1]
+    each = [observer.fold(observer.begin(), _alone(given, at))[1] for at in np.ndindex(*lead)]
+    if not each:
+        nothing = np.empty(given.y.shape[:-1])
+        return Judged(nothing.astype(np.int8), nothing)
+    join = lambda *parts: np.stack(parts).reshape(*lead, *np.shape(parts[0]))
+    return jax.tree.map(join, *each)
+
+
+def _alone(given: Recording, at: tuple[int, ...]) -> Recording:
+    """Return one recording of a batch."""
+    return replace(given, u=np.asarray(given.u)[at], y=np.asarray(given.y)[at])
 
 
 def windows(
@@ -159,7 +178,7 @@ def _stretches(test, u, y, length, gone, size, report):
         collect(*done)
     for out, (_, nothing) in zip(outs, kinds, strict=True):
         (out if samples == length else out.reshape(-1, length))[..., gone] = nothing
-    test.settle(u, y, outs, NOWHERE, None, report)
+    test.settle(u, y, outs, NOWHERE, _left_open, report)
     return outs
 
 
@@ -241,6 +260,11 @@ def _placed(test, devices):
     if devices not in known:
         known[devices] = everywhere(test.constants, devices)
     return known[devices]
+
+
+def _left_open(test, starts):
+    """Return the starts of windows that no other test judges: all."""
+    return starts
 
 
 def _padded(x, first, length):

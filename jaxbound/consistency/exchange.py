@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency import whole_numbers
-from jaxbound.consistency.interface import Judged, WindowTest
+from jaxbound.consistency.interface import Judged, LinearRelations, WindowTest
 from jaxbound.consistency.reading import gather
 from jaxbound.consistency.strips_on_host import contradicted_by
 from jaxbound.consistency.twice import Twice
@@ -60,6 +60,8 @@ class ExchangeTest(WindowTest):
         reading: how kernels read a window, with the frame of this search; None: that of the relations. steps,
             finer: of `separation.separation_search`.
     """
+
+    relations: LinearRelations
 
     threads = twice = True
     short = 16  # the work grows with the block
@@ -122,7 +124,7 @@ class ExchangeTest(WindowTest):
         """Return which windows of a block the combinations that the search found contradict; see
         `contradicted_by`.
         """
-        if self.reading.filters:
+        if self.reading.window.sums:
             return np.zeros(len(at), bool)
         u, y = (x[..., at] for x in block)
         return contradicted_by(self.reading, self.reading.shape, u, y, np.asarray(found[0])[:, at])
@@ -142,6 +144,7 @@ class ExchangeTest(WindowTest):
         """
         (margin,), s = outs, self.horizon
         self._whole_numbers(u, y, margin)
+        assert self.relations.frame is not None
         k = len(self.relations.frame.inner)
         for frame, chosen in self._frames(u, y, left):
             starts = left[chosen]
@@ -192,7 +195,10 @@ class ExchangeTest(WindowTest):
         if not len(starts):
             return []
         gathered = gather(u, y, starts, self.lags, self.horizon)
-        missing, absent = np.isnan(gathered[0]).reshape(-1, len(starts)).T, self.reading.absent(gathered[1]).T
+        missing, absent = (
+            np.isnan(gathered[0]).reshape(-1, len(starts)).T,
+            self.reading.window.absent(gathered[1]).T,
+        )
         patterns, which = np.unique(np.concatenate([absent, missing], 1), axis=0, return_inverse=True)
         rows = absent.shape[1]
         frames, numbers = [self.relations.frame], []
@@ -205,6 +211,7 @@ class ExchangeTest(WindowTest):
             number = next((i for i in by_inputs.get(inputs, ()) if _fits(frames[i], gone, inputs)), None)
             if number is None:
                 number = len(frames)
+                assert self.relations.frame is not None
                 frames.append(reframe(self.relations.frame, gone, inputs))
                 by_inputs.setdefault(inputs, []).append(number)
             numbers.append(number)

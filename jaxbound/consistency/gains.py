@@ -116,6 +116,7 @@ class GainsTest(ExchangeTest):
         """Return the margins of windows u (lags, m, N), y (s + 1, p, N): 0 where the budget does not
         decide.
         """
+        assert self.relations.frame is not None
         constants = jax.device_put((reading, PATIENCE * (len(self.relations.frame.inner) + 10), FINER))
         lo, hi = (np.asarray(x) for x in gain_bounds(reading, np)[:2])
         first = np.array(margin)

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.interface import Open, WindowTest
+from jaxbound.consistency.interface import LinearRelations, Open, WindowTest
 from jaxbound.consistency.strips_on_host import host_strips
 from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.models.window import input_lags
@@ -63,6 +63,8 @@ class PavingTest(WindowTest):
     Args:
         budget: (q, boxes): stop at r > q - 1, and after so many boxes a window; None: `BUDGET`.
     """
+
+    relations: LinearRelations
 
     padded = sharded = False
     block = short = 2**14

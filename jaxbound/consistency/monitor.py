@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from jaxbound.consistency.drive import windows
-from jaxbound.consistency.interface import Observer
+from jaxbound.consistency.interface import Observer, Relations, WindowTest, relations_of
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import TOLERATED_STEP, all_starts
 from jaxbound.recordings.table import one_row
@@ -95,7 +95,7 @@ class Monitor:
 
     def __init__(
         self,
-        relations: Any,
+        relations: Relations,
         method: str = "joint",
         dtype: Any = None,
         budget: Any = None,
@@ -105,16 +105,16 @@ class Monitor:
         if self._observer is not None:
             self.relations, self.method = relations, "observer"
             return
-        if not hasattr(relations, "test"):
-            raise TypeError(
-                f"a Monitor needs relations, not {type(relations).__name__}: Monitor(parity_relations(model))"
-            )
+        relations_of(relations, "a Monitor", "Monitor(parity_relations(model))")
         refuse_unverified()
         self.dtype = np.dtype(jax.dtypes.canonicalize_dtype(float if dtype is None else dtype))
-        self._test = relations.test(method, self.dtype, budget, compensation)
+        test = relations.test(method, self.dtype, budget, compensation)
+        assert isinstance(test, WindowTest)
+        self._test = test
         self.relations, self.method = self._test.relations, self._test.method
         model = self.relations.model
-        self._names, self._dt = (model.inputs, model.outputs), model.dt
+        self._names = model.inputs, model.outputs
+        self._dt: float = np.nan if model.dt is None else model.dt
 
     def _head(self):
         return f"Monitor ({self.method}) of {repr(self.relations).splitlines()[0]}"

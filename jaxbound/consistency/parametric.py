@@ -51,6 +51,7 @@ class ParametricTest(WindowTest):
         ValueError: a budget that is no whole number >= 1, an allowance that is none.
     """
 
+    relations: Any  # UncertainRelations, of the floor above
     sharded = False
     constants = None
 

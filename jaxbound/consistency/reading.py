@@ -1,28 +1,30 @@
-"""What a kernel needs of a relation, and how it reads a window."""
+"""Relations as kernels read them, and the rows of windows in floats.
+
+One of three evaluators of `models.rows`: middles, radii and the magnitudes that rounding errors are relative
+to, on arrays over windows, inside a kernel.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.models import sensor
+from jaxbound.models.rows import WindowRows
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.strips.separation import Frame
 from jaxbound.sets.strips.strips import Strips
 
-__all__ = ["Filter", "Reading", "forms", "gather"]
+__all__ = ["Reading", "forms", "gather"]
 
-Filter: TypeAlias = tuple[bool, int, tuple[float, ...]]
-"""A combination of consecutive samples: whether of an output or of a disturbance, its number, weights, the
-oldest sample first.
-"""
+Samples = TypeVar("Samples", np.ndarray, jax.Array)
 AVERAGING = 16
-"""Terms of an average that the error bound of one row pays for, with a magnitude as large again: see
-`Reading.block`.
+"""Terms of a sum that the error bound of one row pays for, with a magnitude as large again: see
+`Reading._summed`.
 """
 
 
@@ -32,9 +34,8 @@ class Reading:
     """Everything a kernel needs of a relation: arrays are traced, so models of one shape share a compilation.
 
     Fields: shape, the Strips of a few circuits or the Frame of an exchange search; tolerance, noise,
-    resolution, offset_y (p,); disturbance (g, 2); offset_u (m,); horizon; lags, the samples of u in a window;
-    looks: at outputs so many samples before the
-    last, None: at all. average (a,), filters: bounds of averages and what they combine.
+    resolution, offset_y (p,); disturbance (g, 2); offset_u (m,); window: its rows; lags, the samples of u in
+    a window; average (a,): bounds of the sums of the window.
     """
 
     shape: Strips | Frame
@@ -44,55 +45,26 @@ class Reading:
     disturbance: jax.Array
     offset_u: jax.Array
     offset_y: jax.Array
-    horizon: int = field(metadata={"static": True})
+    window: WindowRows = field(metadata={"static": True})
     lags: int = field(metadata={"static": True})
-    looks: tuple[int, ...] | None = field(default=None, metadata={"static": True})
     average: jax.Array | np.ndarray = field(default_factory=lambda: np.zeros(0))
-    filters: tuple[Filter, ...] = field(default=(), metadata={"static": True})
+
+    @property
+    def horizon(self) -> int:
+        """A window has horizon + 1 samples."""
+        return self.window.horizon
 
     @property
     def lift(self) -> jax.Array:
         """At least every factor that multiplies a row after its own rounding."""
         return sensor.lift(self.tolerance)
 
-    def seen(self, y: Any) -> Any:
+    def seen(self, y: Samples) -> Samples:
         """Return the samples y (s + 1, p, N) of windows, NaN where they are not looked at."""
-        if self.looks is None:
+        if self.window.lags is None:
             return y
-        kept = np.isin(self.horizon - np.arange(self.horizon + 1), self.looks)[:, None, None]
-        return (np if isinstance(y, np.ndarray) else jnp).where(kept, y, np.asarray(np.nan, y.dtype))
-
-    def used(self) -> np.ndarray:
-        """Return (s + 1, p) bool: the samples of outputs that are looked at, alone or in an average."""
-        used = np.ones((self.horizon + 1, len(self.noise)), bool)
-        if self.looks is not None:
-            used[:] = np.isin(self.horizon - np.arange(self.horizon + 1), self.looks)[:, None]
-            for (measured, i, weights), ends in zip(self.filters, self.ends(), strict=True):
-                for end in ends if measured else ():
-                    used[end + 1 - len(weights) : end + 1, i] = True
-        return used
-
-    def ends(self) -> list[list[int]]:
-        """Return for each average the samples at which it ends in a window, all of them, looked at or not."""
-        samples = (self.horizon, self.horizon + 1)
-        return [list(range(len(weights) - 1, samples[measured])) for measured, _, weights in self.filters]
-
-    def absent(self, y: np.ndarray) -> np.ndarray:
-        """Return (rows, N) bool: which rows of windows y (s + 1, p, N) lack a sample."""
-        N, gone = y.shape[2], np.isnan(y)
-        parts = [
-            np.isnan(self.seen(y)).reshape(-1, N),
-            np.zeros((self.horizon * len(self.disturbance), N), bool),
-        ]
-        for (measured, i, weights), ends in zip(self.filters, self.ends(), strict=True):
-            for end in ends:
-                lost = gone[end + 1 - len(weights) : end + 1, i].any(0) if measured else np.zeros(N, bool)
-                parts.append(
-                    (lost | (measured and self.looks is not None and self.horizon - end not in self.looks))[
-                        None
-                    ]
-                )
-        return np.concatenate(parts)
+        xp = np if isinstance(y, np.ndarray) else jnp
+        return xp.where(self.window.kept[:, None, None], y, np.asarray(np.nan, y.dtype))
 
     def silenced(self, known: list) -> jax.Array:
         """Say which windows lack a known value that some circuit needs: the circuits that are left do not
@@ -108,7 +80,7 @@ class Reading:
         """Return the rows of all windows of a stretch, u (N + s, m), y (N + s, p): see `rows`; as arrays for
         strips that run in a scan.
         """
-        if self.filters or isinstance(self.shape, Strips) and self.shape.supports is None:
+        if self.window.sums or isinstance(self.shape, Strips) and self.shape.supports is None:
             return self.block(*self.windows(u, y))
         count = y.shape[0] - self.horizon
         return self.rows(
@@ -131,7 +103,7 @@ class Reading:
         operations, whatever s.
         """
         whole, y = y, self.seen(y)
-        taken = whole if self.looks is None else jnp.where(self.used()[:, :, None], whole, jnp.nan)
+        taken = whole if self.window.lags is None else jnp.where(self.window.used[:, :, None], whole, jnp.nan)
         largest = jnp.max(jnp.where(jnp.isnan(taken), 0, abs(taken)), 0, keepdims=True)
         tolerance, noise, resolution, offset = (
             x[None, :, None] for x in (self.tolerance, self.noise, self.resolution, self.offset_y)
@@ -145,16 +117,18 @@ class Reading:
                 jnp.concatenate([x, *[w] * self.horizon])
                 for x, w in zip(rows, self._disturbance(y[0, 0]), strict=True)
             ]
-        for number in range(len(self.filters)):
+        for number in range(len(self.window.sums)):
             rows = [
                 jnp.concatenate(pair)
-                for pair in zip(rows, self._averaged(number, whole, largest[0]), strict=True)
+                for pair in zip(rows, self._summed(number, whole, largest[0]), strict=True)
             ]
         known = [u - self.offset_u[None, :, None], abs(u) + abs(self.offset_u)[None, :, None]]
         return *rows, *(x.reshape(-1, y.shape[2]) for x in known)
 
-    def _averaged(self, number, y, largest):
-        """Return (mid, rad, scale) of the runs of one average, (runs, N) each, NaN in mid and scale where a
+    def _summed(
+        self, number: int, y: jax.Array, largest: jax.Array
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Return (mid, rad, scale) of the runs of one sum, (runs, N) each, NaN in mid and scale where a
         sample is missing.
 
         The middle, a sum of n products, is off by (n + 4) u S and the radius by (n + 8) u S with S the
@@ -162,32 +136,55 @@ class Reading:
         `rounding.residual_error` pay for that: 32 u (1 + n / 16) S beyond what it pays for any row. What
         underflows costs less than the floor in the radius.
         """
-        measured, i, weights = self.filters[number]
-        dtype, N, n, runs = y.dtype, y.shape[2], len(weights), max(len(self.ends()[number]), 0)
-        total, tiny = sum(map(abs, weights)), float(rounding.tiny(dtype)) * 6
-        bound, one = self.average[number] + tiny * (n + sum(map(abs, weights))), jnp.ones((runs, N), dtype)
-        if not measured or not runs:
+        values, runs = self.window.sums[number], self.window.runs(number)
+        dtype, tiny = y.dtype, float(rounding.tiny(y.dtype)) * 6
+        parts = [(i, tuple(map(float, weights))) for i, weights in values.parts]
+        n, total = values.samples * len(parts), sum(_size(weights) for _, weights in parts)
+        bound, one = self.average[number] + tiny * (n + total), jnp.ones((len(runs), y.shape[2]), dtype)
+        if not values.measured or not runs:
             rad = bound * one
             return 0 * one, rad, (2 + n / AVERAGING) * rad
-        unit = rounding.unit(dtype)
-        rho = self.resolution[i] + sensor.RECORDER_ULPS * unit * (
-            jnp.minimum(largest[i], np.finfo(dtype).max) + self.noise[i]
-        )
+        slips = [self._slip(i, largest) for i, _ in parts]
+        sums: tuple[jax.Array, ...] = ()
+        for i, weights in parts:
+            sums = self._added(sums, one, weights, y, i)
+        mid, magnitude = sums
+        rad = bound * one
+        for (_, weights), slip in zip(parts, slips, strict=True):
+            rad = rad + np.asarray(_size(weights), dtype) * slip[None]
+        looked = np.array([row.seen for row in runs])[:, None]
+        scale = jnp.where(looked, (2 + n / AVERAGING) * (magnitude + rad), jnp.nan)
+        return jnp.where(jnp.isnan(scale), jnp.nan, mid), rad, scale
+
+    def _slip(self, i: int, largest: jax.Array) -> jax.Array:
+        """Return (N,), how much resolution and recorder may have rounded away of a sample of output i."""
+        ulps = sensor.RECORDER_ULPS * rounding.unit(largest.dtype)
+        top = np.finfo(largest.dtype).max
+        return self.resolution[i] + ulps * (jnp.minimum(largest[i], top) + self.noise[i])
+
+    def _added(
+        self,
+        sums: tuple[jax.Array, ...],
+        one: jax.Array,
+        weights: tuple[float, ...],
+        y: jax.Array,
+        i: int,
+    ) -> tuple[jax.Array, ...]:
+        """Return (sums, their magnitudes), (runs, N) each as `one`, with the weighted samples of output i
+        added.
+        """
+        runs = len(one)
         d, size = y[:, i] - self.offset_y[i], abs(y[:, i]) + abs(self.offset_y[i])
-        factors = np.asarray(weights, dtype)
+        factors = np.asarray(weights, y.dtype)
 
         def add(k, sums):
-            take = lambda x: jax.lax.dynamic_slice_in_dim(x, k, runs, 0)
+            def take(x):
+                return jax.lax.dynamic_slice_in_dim(x, k, runs, 0)
+
             f = jnp.asarray(factors)[k]
             return sums[0] + f * take(d), sums[1] + jnp.abs(f) * take(size)
 
-        mid, magnitude = jax.lax.fori_loop(0, n, add, (0 * one, 0 * one))
-        rad = bound * one + np.asarray(total, dtype) * rho[None]
-        looked = np.array(
-            [self.looks is None or self.horizon - end in self.looks for end in self.ends()[number]]
-        )[:, None]
-        scale = jnp.where(looked, (2 + n / AVERAGING) * (magnitude + rad), jnp.nan)
-        return jnp.where(jnp.isnan(scale), jnp.nan, mid), rad, scale
+        return jax.lax.fori_loop(0, len(weights), add, sums or (0 * one, 0 * one))
 
     def _disturbance(self, like):
         """Return (mid, rad, scale) of one sample of the disturbances, (g, N) each."""
@@ -206,10 +203,7 @@ class Reading:
         """
         per_output, nothing = [], jnp.full_like(y[0][0], jnp.nan)
         for i in range(len(self.noise)):
-            samples = [
-                now[i] if self.looks is None or self.horizon - j in self.looks else nothing
-                for j, now in enumerate(y)
-            ]
+            samples = [now[i] if self.window.looked_at(j) else nothing for j, now in enumerate(y)]
             per_output.append(
                 sensor.true_value(
                     samples, self.tolerance[i], self.noise[i], self.resolution[i], self.offset_y[i]
@@ -224,6 +218,11 @@ class Reading:
         known = [v - self.offset_u[i] for now in u for i, v in enumerate(now)]
         known_scale = [abs(v) + abs(self.offset_u[i]) for now in u for i, v in enumerate(now)]
         return mid, rad, scale, known, known_scale
+
+
+def _size(weights: tuple[float, ...]) -> float:
+    """Return the sum of magnitudes."""
+    return sum(map(abs, weights))
 
 
 def gather(u: np.ndarray, y: np.ndarray, starts: np.ndarray, lags: int, horizon: int) -> tuple:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency import whole_numbers
-from jaxbound.consistency.interface import WindowTest
+from jaxbound.consistency.interface import LinearRelations, WindowTest
 from jaxbound.consistency.reading import gather
 from jaxbound.consistency.strips_on_host import host_strips
 from jaxbound.consistency.unproved import stretch_block, unproved_margins
@@ -27,6 +27,8 @@ class StripsTest(WindowTest):
     """Tests windows circuit by circuit ("joint": both verdicts are proofs) or relation by relation
     ("box").
     """
+
+    relations: LinearRelations
 
     gathered = False
     replayed = False

@@ -17,12 +17,12 @@ N terms. S, and what the recorder rounded away, are those of the largest sample 
 and one number for all its windows.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from jaxbound.models.rows import Kind
 from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.sets.floats import rounding
 
@@ -32,19 +32,6 @@ BLOCK = 2**13
 """Windows at once: their rows stay in the cache."""
 DENSE = 4
 """Windows are gathered where fewer than one in so many is asked for, else cut out as stretches."""
-
-
-@dataclass(frozen=True)
-class _Row:
-    """Where a row is found.
-
-    Fields: kind: "output", "disturbance" or "average"; number: of that; shift: samples from the first one of
-    the window.
-    """
-
-    kind: str
-    number: int
-    shift: int
 
 
 @dataclass(frozen=True)
@@ -63,15 +50,13 @@ class _Series:
 class HostStrips:
     """Strips and the bounds of a relation in float64, for NumPy. Build it with `host_strips`.
 
-    Fields: strips: ((numbers of rows, coefficients, numbers of inputs, coefficients), ..), one a strip; rows:
-    of a window, in order;
+    Fields: strips: ((numbers of rows, coefficients, numbers of inputs, coefficients), ..), one a strip;
     reading: in float64; recorded: the float type of the recording; gains: ((lo, hi), ..) of g = 1 / (1 +
     theta), one an output, where tolerances keep one value over a window: rows are then those of g = 1, and it
     multiplies their sum.
     """
 
     strips: tuple
-    rows: tuple
     reading: Any
     recorded: np.dtype
     gains: tuple = ()
@@ -96,14 +81,23 @@ class HostStrips:
         dense = DENSE * len(starts) >= end - begin
         at = starts - begin
         cut = (lambda x, shift: x[shift : shift + end - begin]) if dense else (lambda x, shift: x[shift + at])
-        series = {("output", i): self._output(y[span, i], i) for i in range(y.shape[1])}
-        series |= {("average", a): self._average(y[span], a) for a in range(len(self.reading.filters))}
-        series |= {("disturbance", j): self._disturbance(j) for j in range(len(self.reading.disturbance))}
+        series = self._series(y[span])
         inputs = [self._input(u[span, i], i) for i in range(u.shape[1])]
         found = [self._strip(strip, series, inputs, cut, u.shape[1]) for strip in self.strips]
         shape = end - begin if dense else len(starts)
         found = [np.broadcast_to(x, shape) for x in found]
         return np.stack([x[at] for x in found] if dense else found)
+
+    def _series(self, y):
+        """Return {(kind, number): _Series} of all rows over samples y."""
+        series = {}
+        for i in range(y.shape[1]):
+            series[Kind.READING, i] = self._reading(y[:, i], i)
+        for j in range(len(self.reading.disturbance)):
+            series[Kind.DISTURBANCE, j] = self._disturbance(j)
+        for number in range(len(self.reading.window.sums)):
+            series[Kind.SUM, number] = self._sum(y, number)
+        return series
 
     def _strip(self, strip, series, inputs, cut, m):
         """Return whether one strip contradicts windows."""
@@ -111,12 +105,12 @@ class HostStrips:
         sums: dict = {}
         size = 0.0
         for i, c in zip(rows, h, strict=True):
-            row = self.rows[i]
-            if row is None:
+            row = self.reading.window.all[i]
+            if not row.seen:
                 return np.False_
             x = series[row.kind, row.number]
-            lo, hi = (cut(end, row.shift) if isinstance(end, np.ndarray) else end for end in (x.lo, x.hi))
-            gain = row.number if self.gains and row.kind == "output" else None
+            lo, hi = (cut(end, row.first) if isinstance(end, np.ndarray) else end for end in (x.lo, x.hi))
+            gain = row.number if self.gains and row.kind is Kind.READING else None
             below, above = sums.get(gain, (0.0, 0.0))
             sums[gain] = below + c * (lo if c > 0 else hi), above + c * (hi if c > 0 else lo)
             size += abs(c) * x.size
@@ -142,7 +136,7 @@ class HostStrips:
             most = most + np.maximum(lo * above, hi * above)
         return least, most
 
-    def _output(self, y, i):
+    def _reading(self, y, i):
         """Return the _Series of an output, from its samples."""
         r = self.reading
         y = y.astype(np.float64, copy=False)
@@ -168,24 +162,25 @@ class HostStrips:
         tiny = float(rounding.tiny(np.float64))
         return _Series(lo - tiny, hi + tiny, max(abs(lo), abs(hi)) + tiny)
 
-    def _average(self, y, a):
-        """Return the _Series of an average, at the sample with which its run begins."""
-        r = self.reading
-        measured, i, weights = r.filters[a]
-        total, bound, tiny = sum(map(abs, weights)), float(r.average[a]), float(rounding.tiny(np.float64))
-        half = bound + 12 * tiny * (len(weights) + total)
-        if not measured:
+    def _sum(self, y, number):
+        """Return the _Series of a sum, at the sample with which its run begins."""
+        r, values = self.reading, self.reading.window.sums[number]
+        total = sum(_size(weights) for _, weights in values.parts)
+        tiny = float(rounding.tiny(np.float64))
+        half = float(r.average[number]) + 12 * tiny * (values.terms + total)
+        if not values.measured:
             return _Series(-half, half, half)
-        y = y[:, i].astype(np.float64, copy=False)
-        largest, offset, noise = _largest(y), float(r.offset_y[i]), float(r.noise[i])
-        rho = float(r.resolution[i]) + self._rounded(largest + noise)
-        half += total * rho
-        runs = max(len(y) - len(weights) + 1, 0)
-        middle = np.zeros(runs)
-        for lag, f in enumerate(weights):
-            middle += float(f) * (y[lag : lag + runs] - offset)
-        size = total * (largest + abs(offset)) + half
-        half += float(rounding.unit(np.float64)) * (2 * len(weights) + 16) * size
+        runs = max(len(y) - values.samples + 1, 0)
+        middle, size = np.zeros(runs), 0.0
+        for i, weights in values.parts:
+            samples = y[:, i].astype(np.float64, copy=False)
+            largest, offset, noise = _largest(samples), float(r.offset_y[i]), float(r.noise[i])
+            half += _size(weights) * (float(r.resolution[i]) + self._rounded(largest + noise))
+            size += _size(weights) * (largest + abs(offset))
+            for lag, f in enumerate(weights):
+                middle += float(f) * (samples[lag : lag + runs] - offset)
+        size += half
+        half += float(rounding.unit(np.float64)) * (2 * values.terms + 16) * size
         padded = np.full(len(y), np.nan)
         padded[:runs] = middle
         return _Series(padded - half, padded + half, 2 * size)
@@ -195,6 +190,11 @@ class HostStrips:
         slip = None if self.recorded == np.float64 else input_slip(u).astype(np.float64)
         u, offset = u.astype(np.float64, copy=False), float(self.reading.offset_u[i])
         return (u - offset if offset else u), slip, _largest(u) + abs(offset)
+
+
+def _size(weights):
+    """Return the sum of magnitudes."""
+    return sum(abs(float(x)) for x in weights)
 
 
 def _between(d, rho, sigma):
@@ -309,20 +309,4 @@ def host_strips(
         gains = tuple(
             (1 / (1 + t) * (1 - 1e-15), 1 / (1 - t) * (1 + 1e-15)) for t in map(float, reading.tolerance)
         )
-    return HostStrips(strips, tuple(_rows(reading)), reading, np.dtype(recorded), gains)
-
-
-def _rows(reading: Any) -> Iterator[_Row | None]:
-    """Yield where each row of a window is found; None where it is not looked at."""
-    s = reading.horizon
-    for j in range(s + 1):
-        looked = reading.looks is None or s - j in reading.looks
-        for i in range(len(reading.noise)):
-            yield _Row("output", i, j) if looked else None
-    for _ in range(s):
-        for j in range(len(reading.disturbance)):
-            yield _Row("disturbance", j, 0)
-    for a, ((measured, _, weights), ends) in enumerate(zip(reading.filters, reading.ends(), strict=True)):
-        for end in ends:
-            looked = not measured or reading.looks is None or s - end in reading.looks
-            yield _Row("average", a, end + 1 - len(weights)) if looked else None
+    return HostStrips(strips, reading, np.dtype(recorded), gains)

@@ -3,8 +3,8 @@ scales.
 
 Where a sensor has no noise, its bound is what the recorder rounds away: as thin as the rounding of a residual
 in floats, which then decides nothing. Samples and bounds are floats, coefficients rationals, so that a test
-multiplied by all denominators compares integers. Rows i are known up to lo_i <= t_i <= hi_i, as in
-`exact_window`; the bounds' floor, the smallest normal number, is left out of every CONSISTENT.
+multiplied by all denominators compares integers. Rows i are known up to lo_i <= t_i <= hi_i (`whole_rows`);
+the bounds' floor, the smallest normal number, is left out of every CONSISTENT.
 
     strips      |sum_i h_i (hi_i + lo_i) - 2 k v| <= sum_i |h_i| (hi_i - lo_i)      for all of them, or not
     search      as in `separation`: h and d need only be nearly right and come from floats; z = m_outer - R
@@ -14,8 +14,8 @@ Blocks of windows at once, as NumPy arrays of Python's integers: some microsecon
 with such a set come here.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import ceil, lcm
 from typing import Any
@@ -25,8 +25,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency.reading import gather
-from jaxbound.models.sensor import RECORDER_ULPS, input_slip
-from jaxbound.models.window import runs as window_runs
+from jaxbound.consistency.whole_rows import WholeRows, whole_rows
+from jaxbound.exact.frames import ExactFrame
+from jaxbound.exact.integers import places, quotients, ratios, total, whole_floats
+from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips import separation
@@ -40,6 +42,10 @@ or in float32 by 0.01.
 """
 UNDECIDED = np.int8(Status.UNDECIDED)  # an enumeration would be three times as slow to compare
 BLOCK = 2**12
+HELD = 900
+"""Bits of a float that z may have before the point."""
+TOGETHER = 64
+"""Windows that are searched for at once."""
 SEARCHES = (1.0, 3e-4, 0.03)
 """Searches for h and d, see `separation.exchange_search`."""
 
@@ -122,7 +128,7 @@ def exact_strips(relations: Any, test: Any, strips: tuple, u: np.ndarray, y: np.
             (Y, w) and over U.
         u (lags, m, N), y (s + 1, p, N): samples of N windows, NaN where missing.
     """
-    return _strips(_rows_of(relations.model, test, u, y), strips, y.dtype)
+    return _strips(whole_rows(relations.model, test, u, y), strips, y.dtype)
 
 
 def exact_search(relations: Any, test: Any, frame: Any, u: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -134,239 +140,276 @@ def exact_search(relations: Any, test: Any, frame: Any, u: np.ndarray, y: np.nda
     parts = [slice(i, i + BLOCK) for i in range(0, y.shape[2], BLOCK)]
     return np.concatenate(
         [
-            _searched(_rows_of(relations.model, test, u[..., part], y[..., part]), frame, y.dtype)
+            _searched(whole_rows(relations.model, test, u[..., part], y[..., part]), frame, y.dtype)
             for part in parts
         ]
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Rows in integers, to be divided by `scale`, and multiplied by their entry of `factor`.
-
-    Fields: twice, spread: hi + lo and hi - lo of each row, arrays (N,) of integers; factor: Fractions; known,
-    slip (l, N): v and how far it may be off; absent (rows, N), missing (l, N): bool; scale: an integer;
-    floor: a Fraction, at least what is left out of a row's half-width.
-    """
-
-    twice: list
-    spread: list
-    factor: list
-    known: np.ndarray
-    slip: np.ndarray
-    absent: np.ndarray
-    missing: np.ndarray
-    scale: int
-    floor: Fraction
-
-
-def _rows_of(model, test, u, y):
-    """Return the _Rows of windows u (lags, m, N), y (s + 1, p, N)."""
-    samples, p, N = y.shape
-    whole_y, y = y, test.seen(y)
-    used = np.where(test.used()[:, :, None], whole_y, np.nan)
-    shift = -int(np.log2(float(RECORDER_ULPS * rounding.unit(y.dtype))))  # a power of two
-    bounds = [
-        np.asarray(x, np.float64)
-        for x in (test.noise, test.resolution, np.ravel(test.disturbance), test.average)
-    ]
-    slip = input_slip(np.where(np.isnan(u), 0, u))
-    whole = lcm(*(x.denominator for x in (*model.offset["u"], *model.offset["y"])))
-    power = max(0, shift + max(map(_places, (u, slip, used, *bounds))))
-    integers = lambda x: _integers(x, power) * whole
-    offset = {name: [int(x * whole) << power for x in values] for name, values in model.offset.items()}
-    noise, resolution, w, average = map(integers, bounds)
-    missing = np.isnan(u)
-    Y, U = integers(np.where(np.isnan(used), 0, used)), integers(np.where(missing, 0, u))
-    nothing, rows = np.zeros(0, object), samples * p
-    twice, spread, factor = [nothing] * rows, [nothing] * rows, [Fraction(0)] * rows
-    for i in range(p):
-        sigma = Fraction(float(test.tolerance[i]))
-        over, under = (int((1 + sign * sigma) * sigma.denominator) for sign in (1, -1))
-        either = np.array([under, over], object)  # which may be too long for 64 bits
-        rho = noise[i] + resolution[i] + ((np.abs(Y[:, i]).max(0) + noise[i]) >> shift)
-        for j in range(samples):
-            d = Y[j, i] - offset["y"][i]
-            above, below = rho + d, rho - d
-            hi = (
-                above * either[(above > 0).astype(int)]
-            )  # times (1 - sigma)(1 + sigma) and the denominator of sigma
-            lo = -below * either[(below > 0).astype(int)]
-            twice[j * p + i], spread[j * p + i] = hi + lo, hi - lo
-            factor[j * p + i] = Fraction(sigma.denominator, over * under)
-    for lo, hi in zip(*(np.tile(w[side::2], test.horizon) for side in (0, 1)), strict=True):
-        twice.append(np.full(N, hi + lo, object))
-        spread.append(np.full(N, hi - lo, object))
-        factor.append(Fraction(1))
-    slack, runs = Fraction(0), window_runs(model, test.horizon)
-    for a, run in runs:  # a weighted sum of rows, weights as whole numbers over one denominator
-        weights = model.averages[a].weights
-        common = lcm(*(x.denominator for x in weights))
-        f, size = [int(x * common) for x in weights], sum(map(abs, weights))
-        half, middle = common * average[a] + np.zeros(N, object), np.zeros(N, object)
-        slack = max(slack, 10 * (len(f) + size) * Fraction(float(rounding.tiny(y.dtype))))
-        if run[0] < samples * p:
-            i = run[0] % p
-            rho = resolution[i] + ((np.abs(Y[:, i]).max(0) + noise[i]) >> shift)
-            half = half + int(size * common) * rho
-            middle = _total(x * (Y[j // p, i] - offset["y"][i]) for x, j in zip(f, run, strict=True))
-        twice.append(2 * middle)
-        spread.append(2 * half)
-        factor.append(Fraction(1, common))
-    known = U - np.array(offset["u"], object).reshape(1, -1, 1)
-    largest = max(1 / (1 - Fraction(float(x))) for x in test.tolerance)
-    known, slip, missing = (x.reshape(-1, N) for x in (known, integers(slip), missing))
-    floor = max(2 * largest * Fraction(float(rounding.tiny(y.dtype))), slack)
-    return _Rows(twice, spread, factor, known, slip, test.absent(whole_y), missing, whole << power, floor)
-
-
-def _strips(rows, strips, dtype):
+def _strips(rows: WholeRows, strips: tuple[Matrix, Matrix], dtype: Any) -> np.ndarray:
+    """Return (N,) margins of all strips (h, k) together."""
     N = rows.absent.shape[1]
-    needed = np.array([[bool(x) for x in k] for k in strips[1]], bool).any(0)
-    gauge, out, inside = np.full(N, -1.0), np.zeros(N, bool), ~rows.missing[needed].any(0)
+    gauge, out, inside = np.full(N, -1.0), np.zeros(N, bool), ~_silenced(rows, strips[1])
     for h, k in zip(*strips, strict=True):
-        support, inputs = (np.flatnonzero([bool(x) for x in v]) for v in (h, k))
-        exact = [h[i] * rows.factor[i] for i in support] + [k[b] for b in inputs]
-        common = lcm(*(x.denominator for x in exact))
-        exact = [int(x * common) for x in exact]
-        middle = _total(x * rows.twice[i] for i, x in zip(support, exact, strict=False))
-        middle = abs(
-            middle - _total(2 * x * rows.known[b] for b, x in zip(inputs, exact[len(support) :], strict=True))
-        )
-        width = _total(abs(x) * rows.spread[i] for i, x in zip(support, exact, strict=False))
-        slip = _total(2 * abs(x) * rows.slip[b] for b, x in zip(inputs, exact[len(support) :], strict=True))
-        floor = ceil(2 * rows.floor * sum(abs(h[i]) for i in support) * common * rows.scale)
-        present = ~(rows.absent[support].any(0) | rows.missing[inputs].any(0))
-        out |= present & (middle - width - slip > floor).astype(bool)
+        strip = _whole_strip(rows, h, k)
+        middle, width, slip = strip.reach(rows)
+        present = strip.present(rows)
+        out |= present & (middle - width - slip > strip.floor).astype(bool)
         inside &= (middle + slip <= width).astype(bool) | ~present
-        gauge = np.where(present, np.maximum(gauge, _ratio(middle, width)), gauge)
+        gauge = np.where(present, np.maximum(gauge, ratios(middle, width)), gauge)
     return np.where(gauge < 0, np.nan, _signed(1 - gauge, out, inside, dtype))
 
 
-def _searched(rows, frame, dtype):
-    """Search in floats, from exact z and radii, and compare in integers what is found."""
-    c, k, N = len(frame.outer), len(frame.inner), rows.absent.shape[1]
-    inner, outer = list(frame.inner), list(frame.outer)
-    common = lcm(
-        *(x.denominator for x in rows.factor), *(x.denominator for row in (*frame.R, *frame.K) for x in row)
-    )
-    R, K = ([[int(x * common) for x in row] for row in M] for M in (frame.R, frame.K))
-    share = [int(x * common) for x in rows.factor]
-    twice, spread = (
-        [x * f for x, f in zip(values, share, strict=True)] for values in (rows.twice, rows.spread)
-    )
-    unit = 2 * rows.scale * common  # of twice and spread; z and outer radii are larger by `common` once more
-    z = [
-        common * twice[j]
-        - _total(x * twice[i] for x, i in zip(R[a], inner, strict=True) if x)
-        - _total(2 * x * common * v for x, v in zip(K[a], rows.known, strict=True) if x)
-        for a, j in enumerate(outer)
-    ]
-    slip = [
-        _total(2 * abs(x) * common * v for x, v in zip(row, rows.slip, strict=True) if x)
-        + np.zeros(N, object)
-        for row in K
-    ]
-    present = np.array(frame.used, bool)[:, None] & ~rows.absent[outer]
-    real = ~rows.absent[inner]
-    lacking = np.array([[bool(x) for x in row] for row in R], int).reshape(c, k) @ ~real
-    lacking = (
-        lacking
-        + np.array([[bool(x) for x in row] for row in K], int).reshape(c, len(rows.known)) @ rows.missing
-    )
-    usable = (np.where(present, lacking, 0).sum(0) == 0) & present.any(0)
-    top = max(abs(int(v)) for values in (z, *spread) for v in np.ravel(values))
-    fold = 1 << max(0, top.bit_length() - (unit * common).bit_length() - 900)  # so that floats hold z / fold
-    least = float(rounding.tiny(np.float64)) * 2.0**20
-    floats = lambda values, over, fill, where: np.where(
-        where, np.array([_quotient(v, over) for v in values]).reshape(len(values), N), fill
-    )
-    z_float = floats(z, unit * common * fold, 0.0, present)
-    r_outer = np.maximum(floats([spread[j] for j in outer], unit * fold, 1.0, present), least)
-    r_inner = np.maximum(floats([spread[i] for i in inner], unit * fold, 1.0, real), least)
-    R_float = np.array([[float(x) for x in row] for row in frame.R]).reshape(c, k)
+def _silenced(rows: WholeRows, inputs: Matrix) -> np.ndarray:
+    """Return (N,) bool: which windows miss an input that some strip needs."""
+    needed = np.zeros(len(rows.missing), bool)
+    for k in inputs:
+        needed |= _nonzero(k)
+    return np.any(rows.missing[needed], 0)
+
+
+@dataclass(frozen=True)
+class _WholeStrip:
+    """One strip, its coefficients multiplied by their common denominator.
+
+    Fields: support, inputs: numbers of rows and inputs; h, k: their coefficients; floor: at least the part of
+    its width that rows leave out.
+    """
+
+    support: np.ndarray
+    inputs: np.ndarray
+    h: list[int]
+    k: list[int]
+    floor: int
+
+    def reach(self, rows: WholeRows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return (|middle|, half-width, how far inputs may be off) (N,), each times two."""
+        behind = total(x * rows.twice[i] for i, x in zip(self.support, self.h, strict=True))
+        driven = total(2 * x * rows.known[b] for b, x in zip(self.inputs, self.k, strict=True))
+        width = total(abs(x) * rows.spread[i] for i, x in zip(self.support, self.h, strict=True))
+        slip = total(2 * abs(x) * rows.slip[b] for b, x in zip(self.inputs, self.k, strict=True))
+        return abs(behind - driven), width, slip
+
+    def present(self, rows: WholeRows) -> np.ndarray:
+        """Return (N,) bool: which windows have all samples that it needs."""
+        return ~(rows.absent[self.support].any(0) | rows.missing[self.inputs].any(0))
+
+
+def _whole_strip(rows: WholeRows, h: Vector, k: Vector) -> _WholeStrip:
+    """Return the strip h (Y, w) = k U in whole numbers."""
+    support, inputs = np.flatnonzero(_nonzero(h)), np.flatnonzero(_nonzero(k))
+    on_rows = [h[i] * rows.factor[i] for i in support]
+    on_inputs = [k[b] for b in inputs]
+    common = _common((on_rows, on_inputs))
+    size = sum(abs(h[i]) for i in support)
+    floor = ceil(2 * rows.floor * size * common * rows.scale)
+    whole_h, whole_k = _times((on_rows, on_inputs), common)
+    return _WholeStrip(support, inputs, whole_h, whole_k, floor)
+
+
+def _searched(rows: WholeRows, frame: ExactFrame, dtype: Any) -> np.ndarray:
+    """Return (N,) margins, by what a search in floats finds and integers prove."""
+    image = _whole_image(rows, frame)
+    N = rows.absent.shape[1]
+    approximate, usable = _in_floats(image, frame), _usable(rows, frame, image)
     out, inside, gauge = np.zeros(N, bool), np.zeros(N, bool), np.zeros(N)
     for finer in SEARCHES:
         left = np.flatnonzero(usable & ~out & ~inside)
         if not len(left):
             break
-        fill = np.resize(left, -(-len(left) // 64) * 64)
-        for part in np.split(fill, len(fill) // 64):
-            given = (x[:, part] for x in (z_float, r_outer, r_inner, present))
-            h, d, _ = map(np.asarray, _candidates(R_float, *given, np.ones(len(part)), finer))
-            take = lambda values, part=part: [v[part] for v in values]
-            z_i, slip_i, s_outer, s_inner = map(
-                take, (z, slip, [spread[j] for j in outer], [spread[i] for i in inner])
-            )
-            h, d = np.where(present[:, part] & np.isfinite(h), h, 0), np.where(np.isfinite(d), d, 0)
-            power = _places(h)
-            h_i = _integers(h, power)
-            across = [_total(R[a][i] * h_i[a] for a in range(c) if R[a][i]) for i in range(k)]
-            width = _total(common * abs(x) * s for x, s in zip(h_i, s_outer, strict=True))
-            width = width + _total(abs(x) * s for x, s in zip(across, s_inner, strict=True))
-            residual = abs(_total(x * v for x, v in zip(h_i, z_i, strict=True)))
-            lost = _total(abs(x) * v for x, v in zip(h_i, slip_i, strict=True))
-            reach = _total(abs(x) * common for x in h_i) + _total(map(abs, across))
-            out[part] |= (residual - width - lost > reach * ceil(unit * rows.floor)).astype(bool)
-            gauge[part] = np.maximum(gauge[part], _ratio(residual, width))
-            power = _places(d)
-            d_i, one = _integers(d, power) * fold, 1 << power
-            fits = ~out[part]
-            for i in range(k):
-                fits &= (abs(d_i[i]) * unit <= s_inner[i] * one).astype(bool) | ~real[i, part]
-            for a in range(c):
-                gap = abs(z_i[a] * one - unit * _total(R[a][i] * d_i[i] for i in range(k) if R[a][i]))
-                fits &= (gap + slip_i[a] * one <= common * s_outer[a] * one).astype(bool) | ~present[a, part]
-            inside[part] |= fits
+        for part in _full_parts(left):
+            windows = image.of(part)
+            h, d = approximate.search(part, finer)
+            contradicted, size = windows.contradicted(h)
+            out[part] |= contradicted
+            gauge[part] = np.maximum(gauge[part], size)
+            # what is contradicted is not explained, whatever rounding makes of d
+            inside[part] |= windows.explained(d, approximate.fold) & ~out[part]
     margin = np.where(usable, _signed(1 - gauge, out, inside, dtype), 0)
-    return np.where(present.any(0), margin, np.nan)
+    return np.where(image.present.any(0), margin, np.nan)
+
+
+def _full_parts(left: np.ndarray) -> list[np.ndarray]:
+    """Return the numbers of windows in parts of one size, some of them twice: searches then compile once."""
+    count = -(-len(left) // TOGETHER)
+    return np.split(np.resize(left, count * TOGETHER), count)
+
+
+@dataclass(frozen=True, eq=False)
+class _WholeImage:
+    """The set of a frame in integers: |z - R d| <= outer for some |d| <= inner.
+
+    Radii and d are multiplied by `unit`, z and its slip by `unit` and `common`.
+
+    Fields: R (c, k): entries times `common`; z, slip (c lists of (N,)): the value of each relation at the
+    middles, and how far inputs may put it off; outer (c lists), inner (k lists): radii of rows; present (c,
+    N), real (k, N): which rows there are; floor: at least what radii leave out.
+    """
+
+    R: list[list[int]]
+    z: list[np.ndarray]
+    slip: list[np.ndarray]
+    outer: list[np.ndarray]
+    inner: list[np.ndarray]
+    present: np.ndarray
+    real: np.ndarray
+    unit: int
+    common: int
+    floor: int
+
+    def of(self, part: np.ndarray) -> "_WholeImage":
+        """Return the image of some windows."""
+
+        def taken(values: list[np.ndarray]) -> list[np.ndarray]:
+            return [v[part] for v in values]
+
+        return replace(
+            self,
+            z=taken(self.z),
+            slip=taken(self.slip),
+            outer=taken(self.outer),
+            inner=taken(self.inner),
+            present=self.present[:, part],
+            real=self.real[:, part],
+        )
+
+    def contradicted(self, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return (which windows the combinations h (c, N) contradict, the gauges that they show)."""
+        # searches leave numbers of absent rows open, and may fail
+        h = np.where(self.present & np.isfinite(h), h, 0)
+        whole = whole_floats(h, places(h))
+        across = [self._column(i, whole) for i in range(len(self.inner))]
+        width = total(self.common * abs(x) * s for x, s in zip(whole, self.outer, strict=True))
+        width = width + total(abs(x) * s for x, s in zip(across, self.inner, strict=True))
+        residual = abs(total(x * v for x, v in zip(whole, self.z, strict=True)))
+        lost = total(abs(x) * v for x, v in zip(whole, self.slip, strict=True))
+        reach = total(abs(x) * self.common for x in whole) + total(map(abs, across))
+        contradicted = (residual - width - lost > reach * self.floor).astype(bool)
+        return contradicted, ratios(residual, width)
+
+    def explained(self, d: np.ndarray, fold: int) -> np.ndarray:
+        """Return which windows inner rows d (k, N), to be multiplied by `fold`, explain."""
+        d = np.where(np.isfinite(d), d, 0)
+        power = places(d)
+        whole, one = whole_floats(d, power) * fold, 1 << power
+        fits = np.ones(self.present.shape[1], bool)
+        for i, radius in enumerate(self.inner):
+            fits &= (abs(whole[i]) * self.unit <= radius * one).astype(bool) | ~self.real[i]
+        for a, radius in enumerate(self.outer):
+            moved = self.unit * total(x * whole[i] for i, x in enumerate(self.R[a]) if x)
+            gap = abs(self.z[a] * one - moved)
+            most = self.common * radius * one
+            fits &= (gap + self.slip[a] * one <= most).astype(bool) | ~self.present[a]
+        return fits
+
+    def _column(self, i: int, whole: np.ndarray) -> Any:
+        """Return what combinations do with an inner row."""
+        return total(row[i] * whole[a] for a, row in enumerate(self.R) if row[i])
+
+
+def _whole_image(rows: WholeRows, frame: ExactFrame) -> _WholeImage:
+    """Return the image of windows in a frame."""
+    inner, outer = list(frame.inner), list(frame.outer)
+    common = lcm(_common((rows.factor,)), _common(frame.R), _common(frame.K))
+    R, K, (share,) = _times(frame.R, common), _times(frame.K, common), _times((rows.factor,), common)
+    twice = [x * f for x, f in zip(rows.twice, share, strict=True)]
+    spread = [x * f for x, f in zip(rows.spread, share, strict=True)]
+    nothing = np.zeros(rows.absent.shape[1], object)
+    z, slip = [], []
+    for a, j in enumerate(outer):
+        through = total(x * twice[i] for x, i in zip(R[a], inner, strict=True) if x)
+        driven = total(2 * x * common * v for x, v in zip(K[a], rows.known, strict=True) if x)
+        z.append(common * twice[j] - through - driven)
+        off = total(2 * abs(x) * common * v for x, v in zip(K[a], rows.slip, strict=True) if x)
+        slip.append(off + nothing)
+    unit = 2 * rows.scale * common
+    return _WholeImage(
+        R,
+        z,
+        slip,
+        [spread[j] for j in outer],
+        [spread[i] for i in inner],
+        np.array(frame.used, bool)[:, None] & ~rows.absent[outer],
+        ~rows.absent[inner],
+        unit,
+        common,
+        ceil(unit * rows.floor),
+    )
+
+
+def _usable(rows: WholeRows, frame: ExactFrame, image: _WholeImage) -> np.ndarray:
+    """Return (N,) bool: which windows have every inner row and input that their relations need."""
+    c, k = len(frame.outer), len(frame.inner)
+    through = np.array([_nonzero(row) for row in frame.R], int).reshape(c, k)
+    driven = np.array([_nonzero(row) for row in frame.K], int).reshape(c, len(rows.known))
+    lacking = through @ ~image.real + driven @ rows.missing
+    return (np.where(image.present, lacking, 0).sum(0) == 0) & image.present.any(0)
+
+
+@dataclass(frozen=True, eq=False)
+class _FloatImage:
+    """A _WholeImage in float64, z and radii divided by `fold` so that floats hold them."""
+
+    R: np.ndarray
+    z: np.ndarray
+    outer: np.ndarray
+    inner: np.ndarray
+    present: np.ndarray
+    fold: int
+
+    def search(self, part: np.ndarray, finer: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return (h, d) of some windows, nearly right; see `separation.exchange_search`."""
+        given = (x[:, part] for x in (self.z, self.outer, self.inner, self.present))
+        h, d, _ = _candidates(self.R, *given, np.ones(len(part)), finer)
+        return np.asarray(h), np.asarray(d)
+
+
+def _in_floats(image: _WholeImage, frame: ExactFrame) -> _FloatImage:
+    """Return the image in floats."""
+    c, k = len(image.outer), len(image.inner)
+    N = image.present.shape[1]
+    top = max(abs(int(v)) for values in (*image.z, *image.outer, *image.inner) for v in values)
+    fold = 1 << max(0, top.bit_length() - (image.unit * image.common).bit_length() - HELD)
+    least = float(rounding.tiny(np.float64)) * 2.0**20
+
+    def floats(values: list[np.ndarray], over: int, there: np.ndarray, otherwise: float) -> np.ndarray:
+        quotients_of = np.array([quotients(v, over) for v in values]).reshape(len(values), N)
+        return np.where(there, quotients_of, otherwise)
+
+    return _FloatImage(
+        np.array([[float(x) for x in row] for row in frame.R]).reshape(c, k),
+        floats(image.z, image.unit * image.common * fold, image.present, 0.0),
+        np.maximum(floats(image.outer, image.unit * fold, image.present, 1.0), least),
+        np.maximum(floats(image.inner, image.unit * fold, image.real, 1.0), least),
+        image.present,
+        fold,
+    )
 
 
 @jax.jit
 def _candidates(R, z, r_outer, r_inner, present, one, finer):
-    radius, counts = (
-        jnp.concatenate([r_outer, r_inner]),
-        jnp.concatenate([present, jnp.ones_like(r_inner, bool)]),
-    )
+    radius = jnp.concatenate([r_outer, r_inner])
+    counts = jnp.concatenate([present, jnp.ones_like(r_inner, bool)])
     return separation.exchange_search(R, z, radius, counts, one, 20 * (len(r_inner) + 10), finer)
 
 
-def _signed(margin, out, inside, dtype):
-    """Give margins the sign that was proved, 0 where none was."""
+def _signed(margin: np.ndarray, out: np.ndarray, inside: np.ndarray, dtype: Any) -> np.ndarray:
+    """Return margins with the sign that was proved, 0 where none was."""
     least = np.finfo(dtype).eps
-    return np.where(out, np.minimum(margin, -least), np.where(inside, np.maximum(margin, least), 0)).astype(
-        dtype
-    )
+    proved = np.where(out, np.minimum(margin, -least), np.where(inside, np.maximum(margin, least), 0))
+    return proved.astype(dtype)
 
 
-def _total(parts):
-    """Add arrays of integers; 0 for none."""
-    return sum(parts, 0)
+def _nonzero(row: Vector) -> np.ndarray:
+    """Return which entries of a row are not 0."""
+    return np.array([bool(x) for x in row], bool)
 
 
-def _ratio(x, y):
-    """Return x / y of integers >= 0 as floats, 0 where both are 0."""
-    cut = max(0, int(max(x.max(), y.max())).bit_length() - 1000)
-    x, y = ((v >> cut).astype(np.float64) for v in (x, y))
-    with np.errstate(divide="ignore"):
-        return np.where(x == 0, 0, x / np.where((x == 0) & (y == 0), 1, y))
+def _common(rows: Iterable[Iterable[Fraction]]) -> int:
+    """Return the common denominator of rows of Fractions."""
+    return lcm(*(x.denominator for row in rows for x in row))
 
 
-def _quotient(x, divisor):
-    """Return integers divided by one as floats."""
-    return np.array([int(v) / divisor for v in x], np.float64)
-
-
-def _places(x):
-    """Return the smallest n >= 0 for which all finite floats times 2^n are surely integers."""
-    x = np.asarray(x, np.float64)
-    x = x[np.isfinite(x) & (x != 0)]
-    return max(0, 53 - int(np.frexp(x)[1].min())) if x.size else 0
-
-
-def _integers(x, power):
-    """Return finite floats times 2^power, which makes them integers, as an array of Python's."""
-    mantissa, exponent = np.frexp(np.asarray(x, np.float64))
-    return (mantissa * 2.0**53).astype(np.int64).astype(object) << np.where(
-        mantissa == 0, 0, exponent + (power - 53)
-    ).astype(object)
+def _times(rows: Iterable[Iterable[Fraction]], common: int) -> list[list[int]]:
+    """Return rows multiplied by a number that makes them whole."""
+    return [[int(x * common) for x in row] for row in rows]

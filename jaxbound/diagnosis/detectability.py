@@ -23,15 +23,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.certificates.exact_window import dot
 from jaxbound.diagnosis.observer_sizes import least_seen
 from jaxbound.estimation.observer import SetObserver, observer
 from jaxbound.exact import linalg
 from jaxbound.exact.chebyshev import chebyshev, subspace
+from jaxbound.exact.linalg import dot
 from jaxbound.exact.price import SECONDS
 from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.faults import Fault
+from jaxbound.models.rows import Kind
 from jaxbound.models.sensor import RECORDER_ULPS
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.expressions import find_column
@@ -48,6 +49,7 @@ ROUNDING = RECORDER_ULPS + 256
 """Unit roundoffs of a reading that a verdict may lose: what the recording rounds away, and the error bounds
 of up to some 100 terms.
 """
+UNIT = Fraction(1, 2**53)
 NEGLIGIBLE = 10**6
 SETTLED = 4
 """Longer windows that bring less than 0.1 % after which the search for the best horizon ends."""
@@ -292,38 +294,45 @@ def window_shift(
     """Return for each row of a window: its shift by a fault of size 1, twice its half-width, and what the
     fault adds to that.
     """
-    _, K = window.unknowns(model, s)
-    unit, floor = Fraction(1, 2**53), Fraction(float(np.finfo(np.float64).tiny))
-    stretch = [1 / (1 - t * t) for t in model.tolerance]
-    widths, rows = [], (s + 1) * model.p
-    for i in range(model.p):
-        rho = (
-            model.noise[i]
-            + model.resolution[i]
-            + ROUNDING * unit * (reach[i] + abs(model.offset["y"][i]) + model.noise[i])
-            + floor
-        )
-        widths.append(2 * stretch[i] * (rho + model.tolerance[i] * max(reach[i], rho)))
-    widths = widths * (s + 1) + [hi - lo + 2 * floor for lo, hi in model.disturbance] * s
-    runs = [(model.averages[a], run) for a, run in window.runs(model, s)]
-    for average, run in runs:
-        size, i = sum(map(abs, average.weights), ZERO), run[0] % model.p
-        worn = (
-            ROUNDING * unit * (reach[i] + abs(model.offset["y"][i]) + model.noise[i]) + model.resolution[i]
-            if run[0] < rows
-            else ZERO
-        )
-        widths.append(2 * (average.bound + size * worn + 10 * (len(run) + size) * floor))
+    rows = window.window_rows(model, s)
+    widths = _widths(model, rows, reach)
     if signal not in model.outputs:
-        return (
-            [sum(row[model.inputs.index(signal) :: model.m], ZERO) for row in K],
-            widths,
-            [ZERO] * len(widths),
-        )
+        K = window.unknowns(model, s)[1]
+        driven = model.inputs.index(signal)
+        return [sum(row[driven :: model.m], ZERO) for row in K], widths, [ZERO] * len(widths)
     i = model.outputs.index(signal)
-    shift = [stretch[i] if j < rows and j % model.p == i else ZERO for j in range(len(widths) - len(runs))]
-    shift += [dot(average.weights, [shift[j] for j in run]) for average, run in runs]
+    stretch = 1 / (1 - model.tolerance[i] ** 2)
+    shift = []
+    for row in rows:
+        moved = [x.weight for x in rows.terms(row) if x.measured and x.number == i]
+        shift.append(stretch * sum(moved, ZERO))
     return shift, widths, [model.tolerance[i] * x for x in shift]
+
+
+def _widths(model, rows, reach):
+    """Return twice the half-width of each row at the end of the operating range."""
+    floor = Fraction(float(np.finfo(np.float64).tiny))
+    rounded, of_output = [], []
+    for i, tolerance in enumerate(model.tolerance):
+        size = reach[i] + abs(model.offset["y"][i]) + model.noise[i]
+        rounded.append(model.resolution[i] + ROUNDING * UNIT * size)
+        rho = model.noise[i] + rounded[i] + floor
+        of_output.append(2 * (rho + tolerance * max(reach[i], rho)) / (1 - tolerance * tolerance))
+    of_disturbance = [hi - lo + 2 * floor for lo, hi in model.disturbance]
+    bounds = [bounded.bound for bounded in window.bounded_sums(model)]
+    widths = []
+    for row in rows:
+        if row.kind is Kind.READING:
+            widths.append(of_output[row.number])
+        elif row.kind is Kind.DISTURBANCE:
+            widths.append(of_disturbance[row.number])
+        else:
+            values = row.values
+            half = bounds[row.number] + 10 * (values.terms + values.size) * floor
+            if values.measured:
+                half += sum((values.size_of(i) * rounded[i] for i, _ in values.parts), ZERO)
+            widths.append(2 * half)
+    return widths
 
 
 def _size(model, signal, s, reach, lags):
@@ -331,7 +340,7 @@ def _size(model, signal, s, reach, lags):
     that sees it.
     """
     E = window.unknowns(model, s)[0]
-    seen = window.seen_rows(model, s, range(s + 1) if lags is None else lags)
+    seen = window.window_rows(model, s, lags).seen
     shift, widths, spread = ([x[i] for i in seen] for x in window_shift(model, signal, s, reach))
     space, size = subspace([E[i] for i in seen]), None
     best = chebyshev(space, shift, widths)

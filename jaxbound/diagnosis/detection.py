@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.consistency.drive import drive
+from jaxbound.consistency.interface import Relations, relations_of
 from jaxbound.diagnosis import isolation, observed  # noqa: F401 (the Results of a bank and of an observer)
 from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.sets.floats.probe import refuse_unverified
@@ -19,7 +20,7 @@ __all__ = ["detect", "margins"]
 
 
 def detect(
-    relations: Any,
+    relations: Relations,
     u: Any,
     y: Any = None,
     method: str = "joint",
@@ -77,10 +78,7 @@ def detect(
         >>> jb.detect(jb.parity_relations(m), [[0.0], [0.0]], [[0.0, 0.0], [0.5, 0.0]]).status
         array([0, 3], dtype=int8)
     """
-    if not hasattr(relations, "test"):
-        raise TypeError(
-            f"detect needs relations, not {type(relations).__name__}: detect(parity_relations(model), u, y)"
-        )
+    relations_of(relations, "detect", "detect(parity_relations(model), u, y)")
     if isinstance(u, jax.core.Tracer) or isinstance(y, jax.core.Tracer):
         raise TypeError(
             "detect drives compiled kernels from the host and cannot run inside jit, vmap or grad: give it "
@@ -99,7 +97,7 @@ def detect(
     return result_of(kind, judged, *about, aside=given.aside(test.horizon), recorded=recorded)
 
 
-def margins(relations: Any, u: Any, y: Any = None, starts: ArrayLike = ()) -> jax.Array:
+def margins(relations: Relations, u: Any, y: Any = None, starts: ArrayLike = ()) -> jax.Array:
     """Return the signed margin of every window, 1 - t: t is the factor on all half-widths at which the window
     just becomes consistent.
 
@@ -125,11 +123,7 @@ def margins(relations: Any, u: Any, y: Any = None, starts: ArrayLike = ()) -> ja
         >>> jax.grad(loss)(r.bounds)["noise"].round(2)
         Array([20.], dtype=float...)
     """
-    if not hasattr(relations, "test"):
-        raise TypeError(
-            f"margins needs relations from parity_relations, not {type(relations).__name__}; "
-            f"detect(...).margin has them"
-        )
+    relations_of(relations, "margins", "margins(parity_relations(model), u, y)")
     relations, given = relations.recording(u, y, starts)
     if given.y.shape[-2] <= relations.horizon:
         return jnp.full(given.y.shape[:-1], jnp.nan, given.y.dtype)

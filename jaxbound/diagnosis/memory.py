@@ -143,7 +143,7 @@ def _sizes(model: LinearSystem, lags: tuple[int, ...], reach: Any) -> dict[str, 
     from scipy.sparse import csr_array, hstack, vstack
 
     s = lags[-1]
-    seen = window.seen_rows(model, s, lags)
+    seen = window.window_rows(model, s, lags).seen
     E = np.array(
         [[float(x) for x in row] for i, row in enumerate(window.unknowns(model, s)[0]) if i in set(seen)]
     )

@@ -224,14 +224,17 @@ def _made(method, window, constraints, model, order, weight, *given):
 
 
 @readable
-class SetObserver(Observer):
+class SetObserver(Observer[ObserverState]):
     """Carries the set of states that all samples since the start allow. Build it with `observer`.
 
     Fields: model; order; weights; restart; horizon: samples without a verdict at the start, or None;
     enclosures: whether `fold` returns an Observation, else verdicts alone.
     """
 
-    method = "observer"
+    batched = True
+    model: Any
+    restart: bool
+    horizon: int
     hulls = False  # whether it needs the enclosures of states, and what is read, itself
     _carried: Any = None  # what it begins with where it goes on
     usual_order = 20.0

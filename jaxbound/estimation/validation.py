@@ -74,6 +74,11 @@ class Validation:
     corrected: Interval
     status: jax.Array | np.ndarray
 
+    @property
+    def margin(self) -> np.ndarray:
+        """(..., T), NaN: validation measures none."""
+        return np.full(np.shape(self.status), np.nan)
+
 
 def validate(
     model: Any,

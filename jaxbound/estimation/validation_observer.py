@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxbound.consistency.interface import Observer
 from jaxbound.estimation.validation import Validation, nothing_said, prepared
-from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.recording import Recording, SignalModel
 from jaxbound.recordings.seams import around
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.intervals.interval import Interval
@@ -32,7 +32,7 @@ class ValidationState(NamedTuple):
 
 
 @readable
-class ValidationObserver(Observer):
+class ValidationObserver(Observer[ValidationState]):
     """Encloses the state, finds the sensor that does not fit: `validate`, sample by sample.
 
     Args:
@@ -61,6 +61,9 @@ class ValidationObserver(Observer):
         [False, True]
     """
 
+    horizon: int
+    model: SignalModel
+
     def __init__(
         self,
         model: Any,
@@ -71,6 +74,7 @@ class ValidationObserver(Observer):
     ) -> None:
         refuse_unverified()
         self.signals, self._slide = prepared(model, horizon, method, correction)
+        self.model = self.signals
         self.horizon, self.x0 = self._slide.s, x0
 
     def init(self) -> ValidationState:

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxbound.estimation.ordered import mapped
+from jaxbound.models.window import bounded_sums, window_rows
 from jaxbound.sets.floats import rounding
 
 __all__ = ["Runs", "bounds_of", "runs_of"]
@@ -36,19 +37,23 @@ class Runs(NamedTuple):
 
 def runs_of(model: Any, L: int) -> Runs | None:
     """Return the Runs of a model; None if no average of it fits into so many samples."""
-    rows = []
-    for average in getattr(model, "averages", ()):
-        measured, i = average.place(model.outputs)
-        lo, hi = (0, 0) if measured else model.disturbance[i]
-        weights = [float(x if measured else x * (hi - lo) / 2) for x in average.weights]
-        middle = float(sum(average.weights) * (hi + lo) / 2)
-        for first in range(L - (not measured) - len(weights) + 1):
-            v, w = np.zeros((L, model.p)), np.zeros((L, model.g))
-            (v if measured else w)[first : first + len(weights), i] = weights
-            rows.append((v, w, middle, rounding.round_up(average.bound)))
-    if not rows:
+    if not getattr(model, "averages", ()):
         return None
-    v, w, m, bound = (np.array(x, float) for x in zip(*rows, strict=True))
+    rows, found = window_rows(model, L - 1), []
+    bounds = [rounding.round_up(bounded.bound) for bounded in bounded_sums(model)]
+    for row in rows.of_sums:
+        v, w, middle = np.zeros((L, model.p)), np.zeros((L, model.g)), 0
+        for x in rows.terms(row):
+            if x.measured:
+                v[x.sample, x.number] = float(x.weight)
+            else:
+                lo, hi = model.disturbance[x.number]
+                w[x.sample, x.number] = float(x.weight * (hi - lo) / 2)
+                middle += x.weight * (hi + lo) / 2
+        found.append((v, w, float(middle), bounds[row.number]))
+    if not found:
+        return None
+    v, w, m, bound = (np.array(x, float) for x in zip(*found, strict=True))
     return Runs(v, w, m, bound, np.array([rounding.round_down(x) for x in model.noise], float))
 
 

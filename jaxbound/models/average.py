@@ -19,6 +19,7 @@ import numpy as np
 
 from jaxbound.exact.linalg import Number, Vector
 from jaxbound.models.plant import number
+from jaxbound.models.rows import WeightedSum
 from jaxbound.text.names import listed
 
 __all__ = ["Average", "Averaged", "averages_of"]
@@ -40,6 +41,11 @@ class Average:
         """Return (whether it is of an output, the number of that output or disturbance)."""
         measured = self.signal in outputs
         return measured, list(outputs).index(self.signal) if measured else int(self.signal[1:]) - 1
+
+    def weighted_sum(self, outputs: Sequence[str]) -> WeightedSum:
+        """Return the sum that is bounded, its signal by its number."""
+        measured, number = self.place(outputs)
+        return WeightedSum(measured, ((number, self.weights),))
 
     @property
     def is_mean(self) -> bool:

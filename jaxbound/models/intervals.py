@@ -61,6 +61,34 @@ class IntervalSystem:
     m = property(lambda self: self.B.shape[1], doc="Number of inputs.")
     p = property(lambda self: self.C.shape[0], doc="Number of outputs.")
 
+    @property
+    def name(self) -> str:
+        """What messages call it: an interval system has no name of its own."""
+        return "interval system"
+
+    @property
+    def resolution(self) -> tuple[float, ...]:
+        """The steps of the recorder: none is stated that could be too small."""
+        return (np.inf,) * self.p
+
+    @property
+    def dt(self) -> None:
+        """The sampling period: not stated."""
+        return None
+
+    @property
+    def columns(self) -> dict[str, str]:
+        """The columns that are stated: none."""
+        return {}
+
+    def column(self, signal: str) -> str:
+        """Return the column of a recording that holds a signal: its name."""
+        return signal
+
+    def unit(self, signal: str) -> str:
+        """Return no unit: none is stated."""
+        return ""
+
 
 def interval_system(
     A: Entries,

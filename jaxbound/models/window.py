@@ -14,24 +14,25 @@ feedthrough D.
 Source: Adrot, Maquin, Ragot 2000, (3), (10), (12).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from fractions import Fraction
+from functools import lru_cache
 
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector
+from jaxbound.models.rows import BoundedSum, Row, WindowRows
 from jaxbound.models.system import LinearSystem
 
 __all__ = [
+    "bounded_sums",
     "disturbance_form",
     "first_form",
     "input_lags",
-    "row_count",
-    "runs",
     "second_form",
-    "seen_rows",
     "unbounded",
     "unknown_lags",
     "unknowns",
+    "window_rows",
 ]
 
 ZERO = Fraction(0)
@@ -47,46 +48,16 @@ def unknown_lags(model: LinearSystem, horizon: int) -> int:
     return (horizon + 1 if model.has_direct_unknown else horizon) if model.d else 0
 
 
-def seen_rows(model: LinearSystem, horizon: int, lags: Sequence[int]) -> tuple[int, ...]:
-    """Return the numbers of the rows of (Y, w) in a window that looks at its outputs only so many samples
-    before its last.
-    """
-    outputs = ((horizon - lag) * model.p + i for lag in sorted(lags, reverse=True) for i in range(model.p))
-    first, measured = (horizon + 1) * model.p + model.g * horizon, (horizon + 1) * model.p
-    ends = (
-        first + i
-        for i, (_, rows) in enumerate(runs(model, horizon))
-        if rows[-1] >= measured or horizon - rows[-1] // model.p in lags
-    )
-    return *outputs, *range(measured, first), *ends
+def bounded_sums(model: LinearSystem) -> tuple[BoundedSum, ...]:
+    """Return the bounds of a model on sums of errors, in the order of their rows."""
+    return model.averages
 
 
-def runs(model: LinearSystem, horizon: int) -> list[tuple[int, tuple[int, ...]]]:
-    """Return (number of the average, rows of (Y, w) that it combines) for every run of consecutive samples
-    that lies in a window.
-
-    With lags an average is looked at where it ends at a sample that is looked at; it uses every sample of its
-    run.
-    """
-    found = []
-    for number, average in enumerate(model.averages):
-        measured, place = average.place(model.outputs)
-        first = place if measured else (horizon + 1) * model.p + place
-        width, samples, length = (
-            (model.p, horizon + 1, len(average.weights))
-            if measured
-            else (model.g, horizon, len(average.weights))
-        )
-        found += [
-            (number, tuple(first + width * j for j in range(k, k + length)))
-            for k in range(samples - length + 1)
-        ]
-    return found
-
-
-def row_count(model: LinearSystem, horizon: int) -> int:
-    """Return how many rows bounds speak of in a window: outputs, disturbances, averages."""
-    return (horizon + 1) * model.p + model.g * horizon + len(runs(model, horizon))
+@lru_cache(maxsize=64)
+def window_rows(model: LinearSystem, horizon: int, lags: tuple[int, ...] | None = None) -> WindowRows:
+    """Return the rows of a model's windows of horizon + 1 samples. lags: see `parity_relations`."""
+    sums = tuple(bounded.weighted_sum(model.outputs) for bounded in bounded_sums(model))
+    return WindowRows(model.p, model.g, horizon, lags, sums)
 
 
 def unbounded(model: LinearSystem, horizon: int) -> Matrix:
@@ -142,7 +113,7 @@ def unknowns(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
     """Return (E, K): all that bounds speak of in a window, on its unknowns and inputs, for an exact plant.
 
     The rows are the (s+1)p true outputs Y and the gs disturbances w, which count as rows of their own: (Y, w)
-    = E (x_k, w, v) + K U, E = [O V G_v; 0 I 0], K = [H; 0]; then those of the averages, a = F (Y, w):
+    = E (x_k, w, v) + K U, E = [O V G_v; 0 I 0], K = [H; 0]; then those of bounded sums, a = F (Y, w):
     weighted sums of rows before.
     """
     O, H = first_form(model, horizon)
@@ -155,14 +126,17 @@ def unknowns(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
     )
     lags = model.m * input_lags(model, horizon)
     E, K = tuple(o + w + v for o, w, v in zip(O, V, G_v, strict=True)) + own, H + ((ZERO,) * lags,) * count
-    F = [_spread(model.averages[a].weights, rows, len(E)) for a, rows in runs(model, horizon)]
+    rows = window_rows(model, horizon)
+    F = [_spread(rows, row) for row in rows.of_sums]
     return E + linalg.matmul(F, E), K + linalg.matmul(F, K)
 
 
-def _spread(weights: Vector, rows: Sequence[int], count: int) -> list[Fraction]:
-    """Return weights of some rows as a weight of each of so many rows."""
-    of = dict(zip(rows, weights, strict=True))
-    return [of.get(i, ZERO) for i in range(count)]
+def _spread(rows: WindowRows, row: Row) -> list[Fraction]:
+    """Return a row's weight of each row that speaks of one sample."""
+    weights = [ZERO] * rows.single
+    for term in rows.terms(row):
+        weights[term.row] = term.weight
+    return weights
 
 
 def second_form(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix, Matrix, Matrix]:

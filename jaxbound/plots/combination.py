@@ -10,6 +10,7 @@ import numpy as np
 from jaxbound.certificates.certificate import Certificate
 from jaxbound.certificates.exact_window import ExactWindow, exact_window
 from jaxbound.models.sensor import RECORDER_ULPS
+from jaxbound.models.window import bounded_sums
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.sets.intervals.interval import Interval
 
@@ -49,11 +50,10 @@ def combination(certificate: Certificate, u: np.ndarray, y: np.ndarray) -> tuple
     value = samples.middle[:, used] @ h[used]
     width = samples.half[:, used] @ abs(h[used])
 
-    for weight, (a, run) in zip(h[outputs + disturbed :], window.runs, strict=True):
+    for weight, row in zip(h[window.rows.single :], window.rows.of_sums, strict=True):
         if not weight:
             continue
-        bound = float(model.averages[a].bound)
-        middle, half = _average(window, samples, a, run) if run[0] < outputs else (0.0, bound)
+        middle, half = _sum(window, samples, row)
         value = value + weight * middle
         width = width + abs(weight) * half
 
@@ -182,13 +182,18 @@ def _readings(window, error, lo, hi):
     return least - error + offset, most + error + offset
 
 
-def _average(window, samples, a, run):
-    """Return (middle, half-width) of a mean of true outputs over a run of samples of every window."""
-    average, p = window.model.averages[a], window.model.p
-    weights = _floats(average.weights)
-    columns = run[0] + p * np.arange(len(weights))
-    error = samples.half[:, columns[-1]] - float(window.noise[run[0] % p])
-    return samples.middle[:, columns] @ weights, float(average.bound) + abs(weights).sum() * error
+def _sum(window, samples, row):
+    """Return (middle, half-width) of a weighted sum of true outputs in every window."""
+    p, values, bound = window.model.p, row.values, float(bounded_sums(window.model)[row.number].bound)
+    if not values.measured:
+        return 0.0, bound
+    middle, half = 0.0, bound
+    for i, weights in values.parts:
+        columns = p * (row.first + np.arange(len(weights))) + i
+        middle = middle + samples.middle[:, columns] @ _floats(weights)
+        error = samples.half[:, columns[-1]] - float(window.noise[i])
+        half = half + float(values.size_of(i)) * error
+    return middle, half
 
 
 def _disturbances(window):

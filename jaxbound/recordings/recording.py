@@ -6,8 +6,9 @@ can forget it: the names of its columns, gaps in the time of its rows, samples t
 out, samples that are masked or null.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -20,10 +21,48 @@ from jaxbound.recordings.tabletime import row_time
 from jaxbound.recordings.timestamps import row_label, time_label
 from jaxbound.text.objects import readable
 
-__all__ = ["NOWHERE", "Recording", "Signals", "signals_of"]
+__all__ = ["NOWHERE", "Recording", "SignalModel", "Signals", "signals_of"]
 
 NOWHERE = np.zeros(0, np.int64)
 EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
+
+
+class SignalModel(Protocol):
+    """Names of the signals of any model: by them recordings are read and verdicts are shown."""
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the inputs."""
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the outputs."""
+
+    @property
+    def m(self) -> int:
+        """Number of inputs."""
+
+    @property
+    def p(self) -> int:
+        """Number of outputs."""
+
+    @property
+    def columns(self) -> Mapping[str, str]:
+        """{signal, "time" or "where": column of a recording} where it is called otherwise."""
+
+    @property
+    def dt(self) -> float | None:
+        """Sampling period in s; None: not known."""
+
+    @property
+    def name(self) -> str:
+        """Name of the model."""
+
+    def column(self, signal: str) -> str:
+        """Return the column of a recording that holds a signal."""
+
+    def unit(self, signal: str) -> str:
+        """Return the unit of a signal, or an empty string."""
 
 
 @dataclass(frozen=True)
@@ -34,13 +73,16 @@ class Signals:
     step of the recording.
     """
 
-    inputs: tuple
-    outputs: tuple
-    columns: dict
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    columns: dict[str, str]
     dt: float | None = None
     stated = "you gave"  # who says what dt is
 
+    name = ""
+
     m = property(lambda self: len(self.inputs))
+    p = property(lambda self: len(self.outputs))
     resolution = property(
         lambda self: (np.inf,) * len(self.outputs)
     )  # nothing is stated that could be too small
@@ -48,6 +90,10 @@ class Signals:
     def column(self, signal: str) -> str:
         """Return the column of a recording that holds a signal."""
         return self.columns.get(signal, signal)
+
+    def unit(self, signal: str) -> str:
+        """Return no unit: none is stated."""
+        return ""
 
 
 def signals_of(model: Any) -> Any:

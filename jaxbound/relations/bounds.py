@@ -10,9 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike, DTypeLike
 
-from jaxbound.consistency.reading import Filter, Reading
+from jaxbound.consistency.reading import Reading
 from jaxbound.models import window
-from jaxbound.models.average import Average
 from jaxbound.models.system import LinearSystem
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.strips.separation import Frame
@@ -45,8 +44,9 @@ def model_bounds(model: LinearSystem) -> Bounds:
         bounds["disturbance"] = np.stack([rounding.round_down(list(lo)), rounding.round_up(list(hi))], 1)
     if model.uncertainties:
         bounds["parameters"] = np.ones(len(model.uncertainties))
-    if model.averages:
-        bounds["average"] = rounding.round_up([a.bound for a in model.averages])
+    sums = window.bounded_sums(model)
+    if sums:
+        bounds["average"] = rounding.round_up([bounded.bound for bounded in sums])
     for bound in bounds.values():
         bound.setflags(write=False)
     return {**bounds}
@@ -64,7 +64,7 @@ def checked_bound(model: LinearSystem, name: str, value: ArrayLike) -> np.ndarra
     elif kind == "disturbance":
         names = tuple(f"w{j + 1}" for j in range(model.g))
     elif kind == "average":
-        names = tuple(a.text for a in model.averages)
+        names = tuple(bounded.text for bounded in window.bounded_sums(model))
     else:
         names = tuple(u.name for u in model.uncertainties)
     shape = np.shape(value)
@@ -131,14 +131,7 @@ def reading(
         taken(lo_hi.astype(dtype)),
         nearest(model.offset["u"]).astype(dtype),
         nearest(model.offset["y"]).astype(dtype),
-        horizon,
+        window.window_rows(model, horizon, lags),
         window.input_lags(model, horizon),
-        lags,
         taken(float_bound(bounds.get("average", np.zeros(0)), dtype)),
-        tuple(_filter(model, a) for a in model.averages),
     )
-
-
-def _filter(model: LinearSystem, average: Average) -> Filter:
-    """Return an average as kernels take it."""
-    return *average.place(model.outputs), tuple(map(float, average.weights))

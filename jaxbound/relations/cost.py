@@ -34,8 +34,9 @@ def relation_cost(model: LinearSystem, horizon: int) -> tuple[float, float]:
     if model.uncertainties:
         terms = _terms(model, s)
         return 4e-3 * terms, 1e3 * terms
-    averaged = sum(s + a.place(model.outputs)[0] for a in model.averages)
-    rows = (s + 1) * model.p + model.g * s + averaged
+    rows = (s + 1) * model.p + model.g * s
+    for bounded in window.bounded_sums(model):
+        rows += s + bounded.weighted_sum(model.outputs).measured  # no more runs than samples
     columns = model.n + model.g * s + model.d * window.unknown_lags(model, s)
     known, left = model.m * window.input_lags(model, s), max(rows - columns, 0)
     sparse = 2.5e-6 * columns * min(columns, rows) * rows * (1 + _digits(model) * s / 100 * (model.g > 0))

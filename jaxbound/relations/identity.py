@@ -2,23 +2,16 @@
 known again.
 """
 
-from typing import Any
-
 import jax
 import numpy as np
 
+from jaxbound.consistency.interface import Relations
 from jaxbound.models.fingerprint import fingerprint
-from jaxbound.relations.parity import ParityRelation
-from jaxbound.relations.redundancy import Redundancy
-from jaxbound.relations.residual import Residual
-from jaxbound.relations.uncertain import UncertainRelations
 
 __all__ = ["identity"]
 
 
-def identity(
-    relations: ParityRelation | UncertainRelations | Redundancy | Residual | Any, **also: object
-) -> dict[str, str]:
+def identity(relations: Relations, **also: object) -> dict[str, str]:
     """Return {what: text} of all that the verdicts of relations depend on besides the recording, fit for
     JSON.
 
@@ -31,7 +24,7 @@ def identity(
     """
     from jaxbound import __version__
 
-    if not hasattr(relations, "made"):
+    if relations.made is None:
         raise TypeError(
             f"nothing tells one {type(relations).__name__} from another: what is found with it cannot be "
             f"kept and taken up"

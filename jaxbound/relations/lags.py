@@ -37,16 +37,19 @@ def lagged(model: LinearSystem, horizon: int, lags: Sequence[int]) -> tuple[Matr
     """Return relations W Y = K U of an exact plant, without disturbances, over the outputs at some samples
     only.
     """
-    seen = [i for i in window.seen_rows(model, horizon, lags) if i < (horizon + 1) * model.p]
+    rows = window.window_rows(model, horizon, tuple(lags))
+    seen = [i for i in rows.seen if i < rows.readings]
     free, H = window.unbounded(model, horizon), window.first_form(model, horizon)[1]
     found = tuple(
         map(linalg.presentable, linalg.minimal_span(linalg.left_null_space(tuple(free[i] for i in seen))))
     )
-    whole = tuple(over_all_rows(row, seen, model, horizon)[: (horizon + 1) * model.p] for row in found)
+    whole = tuple(over_all_rows(row, seen, model, horizon)[: rows.readings] for row in found)
     return whole, linalg.matmul(whole, H) if H[0] and whole else tuple(() for _ in whole)
 
 
 def over_all_rows(row: Vector, seen: Sequence[int], model: LinearSystem, horizon: int) -> Vector:
-    """Return a row over some rows of (Y, w, averages) as one over all."""
-    at = dict(zip(seen, row, strict=True))
-    return tuple(at.get(i, ZERO) for i in range(window.row_count(model, horizon)))
+    """Return coefficients of the rows that are seen as coefficients of all rows of a window."""
+    whole = [ZERO] * len(window.window_rows(model, horizon))
+    for i, coefficient in zip(seen, row, strict=True):
+        whole[i] = coefficient
+    return tuple(whole)

@@ -28,7 +28,15 @@ from jaxbound.consistency.constant import ConstantTest
 from jaxbound.consistency.exchange import ExchangeTest
 from jaxbound.consistency.gains import GainsTest
 from jaxbound.consistency.gridding import PavingTest
-from jaxbound.consistency.interface import WindowTest, refuse_options
+from jaxbound.consistency.interface import (
+    METHODS,
+    Budget,
+    Compensation,
+    LinearRelations,
+    Starts,
+    WindowTest,
+    refuse_options,
+)
 from jaxbound.consistency.reading import Reading, forms
 from jaxbound.consistency.strips import StripsTest
 from jaxbound.exact import linalg
@@ -62,7 +70,7 @@ beyond, an exchange search is faster."""
 @readable
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class ParityRelation:
+class ParityRelation(LinearRelations):
     """Independent parity relations over a window of horizon + 1 samples. Build it with `parity_relations`.
 
     Fields: bounds {"tolerance": (p,), "noise": (p,)}, and "disturbance": (g, 2) if the model has one (floats,
@@ -73,7 +81,7 @@ class ParityRelation:
     outputs; None: always.
     """
 
-    bounds: Bounds
+    bounds: Bounds = field()  # no default, whatever the family of all relations has
     model: LinearSystem = field(metadata={"static": True})
     horizon: int = field(metadata={"static": True})
     form: str = field(metadata={"static": True})
@@ -106,6 +114,16 @@ class ParityRelation:
         return self.form, self.lags
 
     @property
+    def methods(self) -> tuple[str, ...]:
+        """The methods of `test`: "joint" alone knows bounds of averages."""
+        return METHODS[:1] if self.model.averages else METHODS[:3]
+
+    @property
+    def searched(self) -> bool:
+        """Whether a search decides the windows: where circuits are too many to be tested one by one."""
+        return self.frame is not None
+
+    @property
     def window(self) -> dict[str, Any]:
         """How `parity_relations` and `detectable` are asked for these windows: {"horizon": s}, or {"lags":
         lags}.
@@ -134,7 +152,7 @@ class ParityRelation:
         return reading(shape, self.model, self.horizon, self.bounds, dtype, self.lags)
 
     def test(
-        self, method: str, dtype: DTypeLike, budget: int | None = None, compensation: ArrayLike = 0.0
+        self, method: str, dtype: DTypeLike, budget: Budget = None, compensation: Compensation = 0.0
     ) -> WindowTest:
         """Return the WindowTest by which a method decides windows; see `detect`.
 
@@ -144,7 +162,7 @@ class ParityRelation:
         refuse_options(method, budget, compensation)
         if self._moving is not None:
             return self._moving.test(method, dtype, budget, compensation)
-        if self.model.averages and method != "joint":
+        if window.bounded_sums(self.model) and method != "joint":
             raise ValueError(f"averages are tested by method 'joint': {method!r} looks at single samples")
         if method == "paving":
             return PavingTest(self, dtype, budget)
@@ -158,9 +176,7 @@ class ParityRelation:
             return ExchangeTest(self, dtype)
         return StripsTest(self, method, dtype)
 
-    def recording(
-        self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()
-    ) -> tuple[Self, Recording]:
+    def recording(self, u: object, y: object = None, starts: Starts = ()) -> tuple[Self, Recording]:
         """Return (relations, Recording) of what is given: see `Recording.of`."""
         return self, Recording.of(self.model, u, y, starts)
 
@@ -177,7 +193,7 @@ class ParityRelation:
         """
         return dataclasses.replace(self, bounds=changed_bounds(self.model, self.bounds, bounds))
 
-    def external(self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()) -> jax.Array:
+    def external(self, u: object, y: object = None, starts: Starts = ()) -> jax.Array:
         """Return p_ext (..., T, count), the residuals, NaN where a window is incomplete. Not rounded: for
         plots and studies.
 
@@ -188,7 +204,7 @@ class ParityRelation:
         """
         return self._forms(u, y, starts)[0]
 
-    def internal(self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()) -> Interval:
+    def internal(self, u: object, y: object = None, starts: Starts = ()) -> Interval:
         """Return the Interval (..., T, count) that each residual alone may have when the sensors are healthy.
         Not rounded: for plots.
 
@@ -308,13 +324,13 @@ def parity_relations(
     else:
         samples, K = _second(model, horizon)
         W = _with_disturbance(model, horizon, samples)
-    W = _beside_averages(model, horizon, W)
+    W = _beside_sums(model, horizon, W)
     if not W:
         raise ValueError(_without_relation(model, horizon, lags))
     report(0.5)
     bounds = model_bounds(model)
     E, known = window.unknowns(model, horizon)
-    seen = range(len(E)) if lags is None else window.seen_rows(model, horizon, lags)
+    seen = window.window_rows(model, horizon, lags).seen
     E, known = tuple(E[i] for i in seen), tuple(known[i] for i in seen)
     circuits = _few_circuits(E, SUBSETS if model.constant_tolerance else TESTED)
     report(0.6)
@@ -356,13 +372,13 @@ def stated_relations(model: LinearSystem, horizon: int, samples: Matrix, K: Matr
     """Return given relations samples Y = K U of an exact plant as a ParityRelation, to be tested one by one
     (method "box").
     """
-    W = _beside_averages(model, horizon, _with_disturbance(model, horizon, samples))
+    W = _beside_sums(model, horizon, _with_disturbance(model, horizon, samples))
     return ParityRelation(model_bounds(model), model, horizon, "stated", W, K, (), ())
 
 
-def _beside_averages(model: LinearSystem, horizon: int, relations: Matrix) -> Matrix:
-    """Append to relations the coefficients of the averages: none."""
-    nothing = (ZERO,) * len(window.runs(model, horizon))
+def _beside_sums(model: LinearSystem, horizon: int, relations: Matrix) -> Matrix:
+    """Append to relations the coefficients of bounded sums: none."""
+    nothing = (ZERO,) * len(window.window_rows(model, horizon).of_sums)
     return tuple(row + nothing for row in relations)
 
 

@@ -21,10 +21,10 @@ from math import gcd
 from typing import Self
 
 import numpy as np
-from jax.typing import ArrayLike, DTypeLike
+from jax.typing import DTypeLike
 
 from jaxbound.consistency.bank import BankTest
-from jaxbound.consistency.interface import WindowTest, refuse_options
+from jaxbound.consistency.interface import Budget, Compensation, Relations, Starts, WindowTest, refuse_options
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models.conversion import ModelLike, as_model
@@ -44,7 +44,7 @@ METHODS = ("window", "elimination")
 
 @readable
 @dataclass(frozen=True, eq=False)
-class Redundancy:
+class Redundancy(Relations):
     """Relations M(q) (y; u) = 0 of a model. Build them with `redundancy` or `structured_relations`.
 
     Fields: model; rows: a row of p + m polynomials in q for each relation (`relations.shift`); insensitive:
@@ -54,6 +54,8 @@ class Redundancy:
     model: LinearSystem
     rows: tuple[Row, ...]
     insensitive: tuple[tuple[str, ...], ...]
+
+    methods = ("box",)
 
     def _head(self):
         return f"{type(self).__name__}: {self.count} relations, {self.model.p} outputs, {self.model.m} inputs"
@@ -125,7 +127,7 @@ class Redundancy:
         return stated_relations(self.model, self.horizon, *self.windows())
 
     def test(
-        self, method: str, dtype: DTypeLike, budget: int | None = None, compensation: ArrayLike = 0.0
+        self, method: str, dtype: DTypeLike, budget: Budget = None, compensation: Compensation = 0.0
     ) -> WindowTest:
         """Return the WindowTest by which a method decides windows; see `detect`.
 
@@ -139,9 +141,7 @@ class Redundancy:
         refuse_options(method, budget, compensation)
         return BankTest(self.relations, dtype)
 
-    def recording(
-        self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()
-    ) -> tuple[Self, Recording]:
+    def recording(self, u: object, y: object = None, starts: Starts = ()) -> tuple[Self, Recording]:
         """Return (relations, Recording) of what is given: see `Recording.of`."""
         return self, Recording.of(self.model, u, y, starts)
 

@@ -15,7 +15,15 @@ import numpy as np
 from jax.typing import ArrayLike, DTypeLike
 
 from jaxbound.consistency.bisection import BisectionTest, flat
-from jaxbound.consistency.interface import WindowTest, refuse_options
+from jaxbound.consistency.interface import (
+    METHODS,
+    Budget,
+    Compensation,
+    Relations,
+    Starts,
+    WindowTest,
+    refuse_options,
+)
 from jaxbound.recordings.recording import Recording, Signals
 from jaxbound.recordings.table import as_table, is_table
 from jaxbound.sets.intervals.interval import Interval, interval, mid
@@ -28,35 +36,54 @@ __all__ = ["Channels", "Residual", "residual"]
 class Channels:
     """Names of the signals that a residual reads; None: those of the recording."""
 
-    inputs: tuple[str, ...] | None
-    outputs: tuple[str, ...] | None
+    stated_inputs: tuple[str, ...] | None
+    stated_outputs: tuple[str, ...] | None
     dt: float
     name: str
 
+    inputs = property(lambda self: self.stated_inputs or (), doc="Names of the inputs, as far as known.")
+    outputs = property(lambda self: self.stated_outputs or (), doc="Names of the outputs, as far as known.")
+
     m = property(lambda self: len(self.inputs), doc="Number of inputs.")
     p = property(lambda self: len(self.outputs), doc="Number of outputs.")
+
+    @property
+    def named(self) -> bool:
+        """Whether the signals have names."""
+        return self.stated_inputs is not None and self.stated_outputs is not None
+
+    @property
+    def columns(self) -> dict[str, str]:
+        """The columns that are stated: none."""
+        return {}
 
     def column(self, signal: str) -> str:
         """Return the column of a signal: its name."""
         return signal
 
+    def unit(self, signal: str) -> str:
+        """Return no unit: none is stated."""
+        return ""
+
     def of(self, u: Any, y: Any) -> Self:
         """Return these channels with the names that are missing taken from the columns of u and y, or
         numbered.
         """
-        if y is None and None in (self.inputs, self.outputs):
+        if y is None and not self.named:
             if not hasattr(u, "outputs"):
                 raise ValueError(
                     "nothing says which columns are what: name the signals, residual(f, box, s, inputs=, "
                     "outputs=)"
                 )
             return dataclasses.replace(
-                self, inputs=self.inputs or u.inputs, outputs=self.outputs or u.outputs
+                self,
+                stated_inputs=self.inputs or u.inputs,
+                stated_outputs=self.outputs or u.outputs,
             )
         return dataclasses.replace(
             self,
-            inputs=_names(u, "u") if self.inputs is None else self.inputs,
-            outputs=_names(y, "y") if self.outputs is None else self.outputs,
+            stated_inputs=_names(u, "u") if self.stated_inputs is None else self.inputs,
+            stated_outputs=_names(y, "y") if self.stated_outputs is None else self.outputs,
         )
 
 
@@ -71,7 +98,7 @@ def _names(data: object, letter: str) -> tuple[str, ...]:
 
 @readable
 @dataclass(frozen=True, eq=False)
-class Residual:
+class Residual(Relations):
     """f(z, u_window, y_window) = 0 for some z in a box. Build it with `residual`.
 
     Fields: f; box: Interval (n,); horizon s: a window has s + 1 samples; model: Channels, the names of the
@@ -82,6 +109,8 @@ class Residual:
     box: Interval
     horizon: int
     model: Channels
+
+    methods = METHODS[0], METHODS[2]
 
     @property
     def bounds(self) -> dict[str, np.ndarray]:
@@ -107,18 +136,16 @@ class Residual:
         lo, hi = np.moveaxis(np.asarray(bounds["parameters"]), -1, 0)
         return dataclasses.replace(self, box=_bounded(interval(lo, hi)))
 
-    def recording(
-        self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()
-    ) -> tuple[Self, Recording]:
+    def recording(self, u: object, y: object = None, starts: Starts = ()) -> tuple[Self, Recording]:
         """Return (relations, recording): the residual with the names of the signals that it lacks, taken from
         what becomes a Recording.
         """
         model = self.model.of(u, y)
-        signals = Signals(model.inputs or (), model.outputs or (), {})
+        signals = Signals(model.inputs, model.outputs, {})
         return dataclasses.replace(self, model=model), Recording.of(signals, u, y, starts)
 
     def test(
-        self, method: str, dtype: DTypeLike, budget: int | None = None, compensation: ArrayLike = 0.0
+        self, method: str, dtype: DTypeLike, budget: Budget = None, compensation: Compensation = 0.0
     ) -> WindowTest:
         """Return the WindowTest by which a method decides windows; see `detect`.
 
@@ -150,14 +177,14 @@ class Residual:
         Raises:
             ValueError: the signals have no names yet.
         """
-        if self.model.inputs is None or self.model.outputs is None:
+        if not self.model.named:
             raise ValueError(
                 "the number of residuals depends on that of the signals: name them, residual(f, box, s, "
                 "inputs=, outputs=)"
             )
         return self.shape(self.model.m, self.model.p)
 
-    def external(self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()) -> jax.Array:
+    def external(self, u: object, y: object = None, starts: Starts = ()) -> jax.Array:
         """Return f at the middle of the box, (..., T, count), NaN where a window is incomplete. Not rounded:
         for plots and studies.
 

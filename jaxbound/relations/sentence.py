@@ -1,35 +1,35 @@
 """Relations as a reader would write them."""
 
-from typing import Any
-
+from jaxbound.consistency.interface import Reach, Relations
 from jaxbound.exact.linalg import Vector
-from jaxbound.models import window
+from jaxbound.models.rows import Kind, Row
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.window import bounded_sums, window_rows
 
-__all__ = ["few_lines", "latched", "looked_at", "main_terms", "relation_text", "remembers"]
+__all__ = ["few_lines", "latched", "looked_at", "main_terms", "relation_text", "remembers", "row_name"]
 
 FEW = 8
 """Relations that are shown at a prompt."""
 
 
-def remembers(relations: Any) -> bool:
+def remembers(relations: Relations) -> bool:
     """Return whether verdicts rest on all samples before, as those of an observer, and not on windows."""
-    return getattr(relations, "remembers", False)
+    return relations.remembers
 
 
-def latched(relations: Any) -> bool:
+def latched(relations: Relations) -> bool:
     """Return whether a FAULT stays until a gap, as that of an observer that does not begin anew."""
-    return remembers(relations) and not relations.restart
+    return relations.latched
 
 
-def looked_at(relations: Any) -> str:
+def looked_at(relations: Reach) -> str:
     """Say what a verdict of relations, or of an observer, rests on."""
-    if remembers(relations):
+    if relations.remembers:
         return "everything since it began"
     return f"windows of {relations.horizon + 1} samples"
 
 
-def few_lines(relations: Any) -> dict[str, str]:
+def few_lines(relations: Relations) -> dict[str, str]:
     """Return what relations show of themselves at a prompt: their model, and each of them where they are
     few.
     """
@@ -95,19 +95,38 @@ def _size(term):
 def relation_text(model: LinearSystem, horizon: int, h: Vector, k: Vector) -> str:
     """Return one relation h Y - k U = 0 as text."""
     at = [f"[k-{horizon - j}]" if j < horizon else "[k]" for j in range(horizon + 1)]
-    count = (horizon + 1) * model.p
-    terms = [(x, model.outputs[i % model.p] + at[i // model.p]) for i, x in enumerate(h[:count])]
-    averaged = count + model.g * horizon
-    terms += [(x, f"w{i % model.g + 1}" + at[i // model.g]) for i, x in enumerate(h[count:averaged])]
-    for x, (a, rows) in zip(h[averaged:], window.runs(model, horizon), strict=False):
-        last = rows[-1] // model.p if rows[-1] < count else (rows[-1] - count) // model.g
-        terms.append((x, f"({model.averages[a].text})" + at[last]))
-    terms += [(-x, model.inputs[i % model.m] + at[i // model.m]) for i, x in enumerate(k)]
+    terms = []
+    for x, row in zip(h, window_rows(model, horizon), strict=False):  # stated relations may leave rows out
+        if x:
+            name = row_name(model, row)
+            terms.append((x, (f"({name})" if row.kind is Kind.SUM else name) + at[row.last]))
+    for i, x in enumerate(k):
+        if x:
+            terms.append((-x, model.inputs[i % model.m] + at[i // model.m]))
     out = ""
     for x, signal in terms:
-        if x:
-            sign = ("- " if x < 0 else "") if not out else (" - " if x < 0 else " + ")
-            size = abs(x)
-            factor = "" if size == 1 else f"{size} " if size.denominator == 1 else f"{float(size):.6g} "
-            out += sign + factor + signal
+        out += _sign(x, first=not out) + _factor(abs(x)) + signal
     return out + " = 0"
+
+
+def row_name(model: LinearSystem, row: Row) -> str:
+    """Return the name of the values that a row speaks of."""
+    if row.kind is Kind.READING:
+        return model.outputs[row.number]
+    if row.kind is Kind.DISTURBANCE:
+        return f"w{row.number + 1}"
+    return bounded_sums(model)[row.number].text
+
+
+def _sign(x, first):
+    """Return the sign of a term, with its blanks."""
+    if first:
+        return "- " if x < 0 else ""
+    return " - " if x < 0 else " + "
+
+
+def _factor(size):
+    """Return the factor of a term, nothing for 1."""
+    if size == 1:
+        return ""
+    return f"{size} " if size.denominator == 1 else f"{float(size):.6g} "

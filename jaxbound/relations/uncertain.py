@@ -8,7 +8,7 @@ Source: Ploix, Adrot 2006, (4)-(6).
 
 import dataclasses
 import functools
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Self
 
@@ -17,7 +17,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike, DTypeLike
 
-from jaxbound.consistency.interface import WindowTest, refuse_options
+from jaxbound.consistency.interface import (
+    METHODS,
+    Budget,
+    Compensation,
+    Relations,
+    Starts,
+    WindowTest,
+    refuse_options,
+)
 from jaxbound.consistency.parametric import ParametricTest
 from jaxbound.consistency.polynomial_reading import PolynomialReading
 from jaxbound.consistency.reading import forms
@@ -43,7 +51,7 @@ LOSSES = 64
 @readable
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class UncertainRelations:
+class UncertainRelations(Relations):
     """Parity relations with uncertain parameters over a window of horizon + 1 samples. Build it with
     `parity_relations`.
 
@@ -57,7 +65,7 @@ class UncertainRelations:
     notes: sentences for the user.
     """
 
-    bounds: Bounds
+    bounds: Bounds = field()  # no default, whatever the family of all relations has
     model: LinearSystem = field(metadata={"static": True})
     horizon: int = field(metadata={"static": True})
     variables: tuple[Variable, ...] = field(metadata={"static": True})
@@ -66,6 +74,8 @@ class UncertainRelations:
     steps: tuple[Step, ...] = field(metadata={"static": True})
     complete: str = field(metadata={"static": True})
     notes: tuple[str, ...] = field(metadata={"static": True})
+
+    methods = METHODS
 
     def _head(self):
         return (
@@ -80,11 +90,6 @@ class UncertainRelations:
     def count(self) -> int:
         """Number of relations."""
         return self.N.rows
-
-    @property
-    def lags(self) -> None:
-        """None: a window looks at every sample."""
-        return None
 
     @property
     def form(self) -> str:
@@ -123,7 +128,7 @@ class UncertainRelations:
         )
 
     def test(
-        self, method: str, dtype: DTypeLike, budget: int | None = None, compensation: ArrayLike = 0.0
+        self, method: str, dtype: DTypeLike, budget: Budget = None, compensation: Compensation = 0.0
     ) -> WindowTest:
         """Return the WindowTest by which a method decides windows; see `detect`.
 
@@ -133,9 +138,7 @@ class UncertainRelations:
         refuse_options(method, budget, compensation, linear=True)
         return ParametricTest(self, method, dtype, budget, compensation)
 
-    def recording(
-        self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()
-    ) -> tuple[Self, Recording]:
+    def recording(self, u: object, y: object = None, starts: Starts = ()) -> tuple[Self, Recording]:
         """Return (relations, Recording) of what is given: see `Recording.of`."""
         return self, Recording.of(self.model, u, y, starts)
 
@@ -217,7 +220,7 @@ class UncertainRelations:
         complete = "sampled" if wider and self.complete == "proved" else self.complete
         return dataclasses.replace(self, bounds=fresh, complete=complete)
 
-    def external(self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()) -> jax.Array:
+    def external(self, u: object, y: object = None, starts: Starts = ()) -> jax.Array:
         """Return (..., T, count), the residuals at the middle of all bounds, NaN where a window is
         incomplete. Not rounded: for plots.
 
@@ -226,7 +229,7 @@ class UncertainRelations:
         """
         return self._forms(u, y, starts)[0]
 
-    def internal(self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()) -> Interval:
+    def internal(self, u: object, y: object = None, starts: Starts = ()) -> Interval:
         """Return the Interval (..., T, count) that contains each residual alone when the plant is healthy.
         Not rounded: for plots.
 

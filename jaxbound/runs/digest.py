@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.again import again_said
 from jaxbound.diagnosis.alarms import check_rule
 from jaxbound.diagnosis.detection import detect
@@ -224,7 +225,7 @@ def detect_dataset(
         >>> found.counts["FAULT"], found.worst[0]
         (1, 2)
     """
-    if not hasattr(relations, "made"):
+    if not isinstance(relations, Relations) or relations.made is None:
         raise TypeError(
             f"detect_dataset needs relations of a model, whose verdicts can be kept, not "
             f"{type(relations).__name__}"

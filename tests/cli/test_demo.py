@@ -4,7 +4,8 @@ import jax
 import pytest
 
 import jaxbound as jb
-from jaxbound.cli import demo, main
+from jaxbound.cli import demonstration as demo
+from jaxbound.cli import main
 from jaxbound.models.modelfile import load_model
 from jaxbound.recordings.read import read
 

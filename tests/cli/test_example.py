@@ -6,7 +6,7 @@ import pytest
 import jaxbound as jb
 from jaxbound.certificates.interface import certify
 from jaxbound.cli import main
-from jaxbound.cli.example import EXAMPLES, JUMP, ONSET
+from jaxbound.cli.examples import EXAMPLES, JUMP, ONSET
 
 
 @pytest.fixture(autouse=True)
@@ -22,7 +22,7 @@ def table(path):
 
 def test_the_laboratory_keeps_its_bounds_and_has_one_fault(place, capsys):
     assert main.main(["example", "heater"]) == 0
-    assert sorted(p.name for p in (place / "heater").glob("[!.]*")) == sorted(EXAMPLES["heater"][2])
+    assert sorted(p.name for p in (place / "heater").glob("[!.]*")) == sorted(EXAMPLES["heater"].files)
     model = jb.load_model("heater/truth.toml")
     relations = jb.parity_relations(model)
     for name in ("healthy_1.csv", "healthy_2.csv", "healthy_3.csv"):
@@ -44,7 +44,9 @@ def test_files_are_the_same_each_time_and_nothing_of_others_is_replaced(place, c
     assert (place / "tank/tank.csv").read_bytes() == (place / "again/tank.csv").read_bytes()
     res = jb.detect(jb.parity_relations(m := jb.load_model("tank/tank.toml")), jb.read("tank/tank.csv", m))
     assert (res.status[:200] != jb.Status.FAULT).all() and (res.status[200:260] == jb.Status.FAULT).any()
-    assert f" {EXAMPLES['tank'][3]}\n" in capsys.readouterr().out and "--horizon 15" in EXAMPLES["tank"][3]
+    assert (
+        f" {EXAMPLES['tank'].first}\n" in capsys.readouterr().out and "--horizon 15" in EXAMPLES["tank"].first
+    )
     relations, run = jb.parity_relations(m, 15), jb.read("tank/tank.csv", m)
     proved = [
         certify(relations, run.u[k - 15 : k + 1], run.y[k - 15 : k + 1], "joint").proves

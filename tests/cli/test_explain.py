@@ -14,7 +14,7 @@ from systems import paper
 
 import jaxbound as jb
 from jaxbound.cli import main
-from jaxbound.cli.explain import certificate_of
+from jaxbound.cli.explanation import explain_window
 from jaxbound.models.modelfile import save_model
 from jaxbound.recordings.csvfiles import CsvFile
 from jaxbound.sets.floats.status import Status
@@ -135,7 +135,8 @@ def test_every_window_has_the_verdict_of_the_report(place):
     data = np.array(rows, dtype=float)
     res = jb.detect(jb.parity_relations(paper()), data[:, 1:2], data[:, 2:], starts=[50])
     for k in [*range(1, 50), *range(51, 60)]:  # a gap lies before sample 50
-        c, sample, _ = certificate_of(place / "out", str(k))
+        explained = explain_window(place / "out", str(k))
+        c, sample = explained.certificate, explained.sample
         assert (
             sample == k
             and c.status == res.status[k]

@@ -9,7 +9,7 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.cli import main
-from jaxbound.cli.fit import signals
+from jaxbound.cli.fit_summary import signal_columns
 
 
 @pytest.fixture
@@ -153,7 +153,7 @@ def test_a_sensor_that_stands_still_is_named(place, capsys):
 
 
 def test_signals_are_columns_or_expressions_with_names():
-    assert signals("--inputs", "a, b=2*a, c=arctan2(a, `d, e`), `d, e`, T1=Temperature 1, f=a==1") == [
+    assert signal_columns("--inputs", "a, b=2*a, c=arctan2(a, `d, e`), `d, e`, T1=Temperature 1, f=a==1") == [
         "a",
         ("b", "= 2*a"),
         ("c", "= arctan2(a, `d, e`)"),

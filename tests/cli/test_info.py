@@ -4,7 +4,7 @@ import json
 
 import jaxbound as jb
 from jaxbound.cli import main
-from jaxbound.cli.info import isolation_text
+from jaxbound.cli.model_summary import isolation_text
 
 TANK = dict(
     A=[["9/10", 0], [0, "4/5"]],

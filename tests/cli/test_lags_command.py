@@ -106,7 +106,7 @@ def test_fit_keeps_lags_tune_moves_bounds_under_them_and_a_fleet_takes_them(plac
 
 
 def test_fit_says_that_a_plant_remembers_longer_than_its_windows():
-    from jaxbound.cli.fit import _memory
+    from jaxbound.cli.fit_summary import _memory
 
     slow = jb.LinearSystem([["0.98"]], [[1]], [[1]], noise=0.1, outputs="T", horizon=8)
     assert "--lags 0,1," in _memory(slow)[0][1] and "T 0." in _memory(slow)[0][1]
@@ -119,12 +119,15 @@ OBSERVES = "--method observer --observer joint --span 16 --order 5 --horizon 4 -
 @pytest.mark.parametrize("options", ["--lags 0,4", "--method box --horizon 3", OBSERVES])
 def test_the_command_that_reports_on_all_shares_makes_the_same_test(options):
     from jaxbound.cli.main import commands
-    from jaxbound.cli.share import _again
+    from jaxbound.cli.options import MethodOptions
+    from jaxbound.cli.share import same_test
 
     parse = lambda *more: commands()["detect"].parse_args(
         ["m.toml", "d", "--out", "o", *options.split(), *more]
     )
-    told = shlex.split(_again(parse("--part", "1/2"), "--merge"))
+    args = parse("--part", "1/2")
+    again = same_test(args.model, args.data, args.out, MethodOptions.of(args), args.overlap, "--merge")
+    told = shlex.split(again)
     assert told[:2] == ["jaxbound", "detect"] and commands()["detect"].parse_args(told[2:]) == parse(
         "--merge"
     )

@@ -18,7 +18,7 @@ import pytest
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.cli import detect, main
+from jaxbound.cli import evaluation, main
 from jaxbound.consistency import interface
 from jaxbound.models.modelfile import load_model, save_model, template
 from jaxbound.runs.runfile import VALIDATION
@@ -389,7 +389,7 @@ class TestBadInput:
         def full(*args, **kwargs):
             raise OSError(28, "No space left on device", "verdicts.csv")
 
-        monkeypatch.setattr(detect, "write_all", full)
+        monkeypatch.setattr(evaluation, "write_all", full)
         self.refused(place, DETECT, "out: no space left on device", capsys, monkeypatch)
 
 
@@ -398,13 +398,13 @@ class TestOtherEnds:
         def stop(*args, **kwargs):
             raise KeyboardInterrupt
 
-        monkeypatch.setattr(detect, "write_report", stop)
+        monkeypatch.setattr(evaluation, "write_report", stop)
         code, out, err = run(place, "detect", "model.toml", "good.csv", "--out", "out", capsys=capsys)
         assert (code, out, err) == (130, "", "jaxbound: interrupted: nothing was written\n")
         assert {p.name for p in place.iterdir()} == {"model.toml", "good.csv", "faulty.csv"}
 
     def test_our_own_mistake_is_70_with_a_traceback_in_a_file(self, place, capsys, monkeypatch):
-        monkeypatch.setattr(detect, "write_report", lambda *a, **k: 1 / 0)
+        monkeypatch.setattr(evaluation, "write_report", lambda *a, **k: 1 / 0)
         code, out, err = run(place, "detect", "model.toml", "good.csv", "--out", "out", capsys=capsys)
         assert (
             code == 70 and out == "" and err.count("\n") == 1 and "internal error, ZeroDivisionError" in err
@@ -531,13 +531,14 @@ print(*sys.modules, file=sys.stderr)
             and done.stdout == ""
         )
 
+    @pytest.mark.posix("signals between processes")
     def test_ctrl_c(self, place, shell):
         args, environment = shell
         code = """
 import signal, sys, time
-from jaxbound.cli import detect as detecting, main as cli
+from jaxbound.cli import evaluation, main as cli
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell makes background jobs ignore it
-detecting.write_report = lambda *a, **k: (sys.stdout.write("ready"), sys.stdout.flush(), time.sleep(60))
+evaluation.write_report = lambda *a, **k: (sys.stdout.write("ready"), sys.stdout.flush(), time.sleep(60))
 sys.exit(cli.main(["detect", "model.toml", "good.csv", "--out", "out"]))
 """
         process = subprocess.Popen(

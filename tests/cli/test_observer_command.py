@@ -2,8 +2,8 @@
 that fractions replay.
 """
 
-import argparse
 import json
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -13,6 +13,7 @@ from check_certificate import confirm
 import jaxbound as jb
 from jaxbound.cli import main
 from jaxbound.cli import pipe as piped
+from jaxbound.cli.options import MethodOptions
 from jaxbound.diagnosis.alarms import BEGAN_ANEW, ENDINGS
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.read import open_source
@@ -147,27 +148,10 @@ def test_explain_proves_a_contradiction_by_the_shortest_window_that_shows_it(pla
 def test_a_pipe_says_what_the_file_says_and_goes_on_behind_a_kill(place, capsysbinary):
     detect("-q", out="out")
     lines = (place / "run.csv").read_bytes().splitlines(keepends=True)
-    args = lambda **more: argparse.Namespace(
-        **{
-            "model": "plant.toml",
-            "data": "-",
-            "out": place / "pipe",
-            "state": None,
-            "horizon": None,
-            "lags": None,
-            "method": "observer",
-            "order": None,
-            "latched": False,
-            "min_coverage": 0.5,
-            "observer": None,
-            "span": None,
-            "json": False,
-        }
-        | more
-    )
-    assert piped.follow(args(), [b"".join(lines[:70]), None]) == 0
+    follow = partial(piped.follow, "plant.toml", options=MethodOptions("observer"), out=place / "pipe")
+    assert follow([b"".join(lines[:70]), None]) == 0
     note = (place / "pipe/monitor.jsonl").read_text().splitlines()[-1]
-    assert piped.follow(args(), [b"".join(lines[70:100]), *lines[100:]]) == 1
+    assert follow([b"".join(lines[70:100]), *lines[100:]]) == 1
     assert told(place / "pipe") == told(place / "out"), "the carry is in the state"
     assert len(json.loads(note)["memory"]["state"]) > 5
     assert b"contradict the model and the samples before them" in capsysbinary.readouterr().err
@@ -241,23 +225,10 @@ def test_windows_that_remember_say_the_same_in_memory_in_parts_through_a_pipe_an
     monkeypatch.setattr(streaming, "LEAST", 1)
     assert detect("-q", *JOINT, "--chunk", "33", out="parts", data="run.parquet") == 1
     lines = (place / "run.csv").read_bytes().splitlines(keepends=True)
-    pipe = argparse.Namespace(
-        model="plant.toml",
-        data="-",
-        out=place / "pipe",
-        state=None,
-        horizon=None,
-        lags=None,
-        method="observer",
-        order=None,
-        latched=False,
-        observer="joint",
-        span=8,
-        min_coverage=0.5,
-        json=False,
-    )
-    assert piped.follow(pipe, [b"".join(lines[:70]), None]) == 0
-    assert piped.follow(pipe, [b"".join(lines[70:100]), *lines[100:]]) == 1
+    options = MethodOptions("observer", observer="joint", span=8)
+    follow = partial(piped.follow, "plant.toml", options=options, out=place / "pipe")
+    assert follow([b"".join(lines[:70]), None]) == 0
+    assert follow([b"".join(lines[70:100]), *lines[100:]]) == 1
     assert told(place / "pipe") == told(place / "parts") == told(place / "out")
     (place / "units.csv").write_text(
         "unit,model,recording\n" + "".join(f"{unit},plant.toml,run.csv\n" for unit in "abc")
@@ -273,7 +244,7 @@ def test_an_observer_has_the_order_that_is_asked_for(place, capsys, monkeypatch)
     def run(observer, *more, **options):
         raise ValueError(f"an observer of order {observer.order}")
 
-    monkeypatch.setattr("jaxbound.cli.detect.detect", run)
+    monkeypatch.setattr("jaxbound.cli.evaluation.detect", run)
     assert detect("--order", "8", out="out") == 2
     assert "an observer of order 8" in capsys.readouterr().err
 
@@ -282,7 +253,7 @@ def test_a_study_is_given_the_observer_that_is_asked_for(place, capsys, monkeypa
     def study(model, faults, n, seed, relations, **more):
         raise ValueError(f"{type(relations).__name__} of {relations.window}, {relations.restart}")
 
-    monkeypatch.setattr("jaxbound.cli.study.study", study)
+    monkeypatch.setattr("jaxbound.studies.montecarlo.montecarlo.study", study)
     assert (
         main.main(
             [
@@ -425,20 +396,6 @@ def test_bounds_found_for_shorter_windows_prove_no_fault(place, capsys, monkeypa
     assert unit["verdict"] == verdict and unit["summary"] == found["summary"]
     assert detect("--json", out="parts", data="run.parquet") == code
     assert json.loads(capsys.readouterr().out)["verdict"] == verdict
-    args = argparse.Namespace(
-        model="plant.toml",
-        data="-",
-        horizon=None,
-        lags=None,
-        method="observer",
-        out=None,
-        state=None,
-        order=None,
-        latched=False,
-        observer=None,
-        span=None,
-        min_coverage=0.5,
-        json=False,
-    )
-    assert piped.follow(args, [(place / "run.csv").read_bytes()]) == code
+    options = MethodOptions("observer")
+    assert piped.follow("plant.toml", [(place / "run.csv").read_bytes()], options=options) == code
     assert f"{title}: " in capsys.readouterr().err

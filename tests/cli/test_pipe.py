@@ -2,9 +2,7 @@
 process ends.
 """
 
-import argparse
 import errno
-import fcntl
 import io
 import json
 import re
@@ -17,8 +15,9 @@ import pytest
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.cli import detect, main
+from jaxbound.cli import evaluation, main
 from jaxbound.cli import pipe as piped
+from jaxbound.cli.options import MethodOptions
 from jaxbound.recordings.linetext import LineReader
 from jaxbound.relations import identity
 from jaxbound.runs import journal
@@ -56,24 +55,9 @@ def lines(samples, line="{:.2f},{},{},{}\n", head="t,u1,y1,y2\n"):
 def place(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(main, "_configure", lambda: None)
-    monkeypatch.setattr(detect, "write_report", lambda *args, **options: None)
+    monkeypatch.setattr(evaluation, "write_report", lambda *args, **options: None)
     jb.save_model(paper(), "model.toml")
     return tmp_path
-
-
-def arguments(**changes):
-    given = dict(
-        model="model.toml",
-        data="-",
-        out=None,
-        state=None,
-        horizon=None,
-        lags=None,
-        method="joint",
-        min_coverage=0.5,
-        json=False,
-    )
-    return argparse.Namespace(**(given | changes))
 
 
 @pytest.fixture
@@ -87,9 +71,10 @@ def pipe(capsysbinary, place):
         data = data if isinstance(data, bytes) else data.encode()
         cuts = [0, *sorted(cuts), len(data)]
         capsysbinary.readouterr()
-        code = piped.follow(
-            arguments(**changes), chunks or [data[a:b] for a, b in zip(cuts, cuts[1:], strict=False)], whole
-        )
+        pieces = chunks or [data[a:b] for a, b in zip(cuts, cuts[1:], strict=False)]
+        model = changes.pop("model", "model.toml")
+        test = {name: changes.pop(name) for name in ("method", "horizon", "lags") if name in changes}
+        code = piped.follow(model, pieces, whole, MethodOptions(**test), **changes)
         out, err = (x.decode() for x in capsysbinary.readouterr())
         return code, out.removeprefix("time,status,margin\n"), err.replace("jaxbound: ", "")
 
@@ -185,7 +170,7 @@ class TestVerdicts:
         assert N - 1 - note["aside"] == aside
 
     def test_json_lines(self, samples, place, pipe):
-        code, out, _ = pipe(lines(samples)[:12], json=True)
+        code, out, _ = pipe(lines(samples)[:12], as_json=True)
         rows = [json.loads(row) for row in out.splitlines()]
         assert (
             code == 0
@@ -201,7 +186,7 @@ class TestVerdicts:
         alarms = res.alarms()
         text = [text[0], *text[1:221]]
         for cuts in ((), sorted(rng.integers(0, len("".join(text)), 9).tolist())):
-            _, out, err = pipe(text, cuts=cuts, json=True)
+            _, out, err = pipe(text, cuts=cuts, as_json=True)
             said = {
                 k: row["ended"] for k, row in enumerate(map(json.loads, out.splitlines())) if row["ended"]
             }
@@ -495,15 +480,17 @@ class TestRestart:
             pipe(text, out=place / "out", horizon=horizon)
         assert (place / "out/monitor.jsonl").read_bytes() == kept
 
+    @pytest.mark.posix("locks of files")
     def test_a_file_system_without_locks_keeps_nobody_away(self, samples, place, pipe, monkeypatch):
         def none(file, operation):
             raise OSError(errno.ENOLCK, "No locks available")
 
-        monkeypatch.setattr(fcntl, "flock", none)
+        monkeypatch.setattr("fcntl.flock", none)
         text = lines(samples)[:5]
         code, out, _ = pipe(text, out=place / "out")
         assert code in (0, 1, 3) and (place / "out/verdicts.csv").read_text().count("\n") == len(text)
 
+    @pytest.mark.posix("locks of files")
     def test_two_processes_do_not_write_one_file(self, place):
         with journal.Journal(place, None, {}) as one, journal.Journal(place, None, {}) as other:
             one.add({})
@@ -536,6 +523,7 @@ class TestRestart:
         assert "its line 50 is not the one that was judged" in err and len(out.splitlines()) == 1
 
 
+@pytest.mark.posix("signals between processes")
 @pytest.mark.slow
 def test_live_in_another_process_killed_and_stopped(samples, place):
     """Verdicts come while the pipe is open; kill -9 and SIGTERM leave a file that the next process

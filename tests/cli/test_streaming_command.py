@@ -18,8 +18,7 @@ from streaming_case import N, Stop, recording, stopped_after, verdicts, write
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.cli import detect as detecting
-from jaxbound.cli import main
+from jaxbound.cli import evaluation, main
 from jaxbound.recordings.parquet import open_parquet
 from jaxbound.runs import judges
 from jaxbound.runs.streaming import part_files, write_parts
@@ -39,7 +38,7 @@ def place(tmp_path, monkeypatch, tmp_path_factory):
 @pytest.fixture
 def unreported(monkeypatch):
     """Leave out the pictures and the page, which take longer than everything else."""
-    monkeypatch.setattr(detecting, "write_report", lambda *args, **options: None)
+    monkeypatch.setattr(evaluation, "write_report", lambda *args, **options: None)
 
 
 DETECT = ["detect", "model.toml", "run", "--out", "out"]
@@ -184,7 +183,7 @@ class TestCommand:
             raise KeyboardInterrupt
 
         with monkeypatch.context() as patch:
-            patch.setattr(detecting, "write_report", stop)
+            patch.setattr(evaluation, "write_report", stop)
             assert main.main(DETECT) == 130
         assert (
             "interrupted: 100 % of the verdicts are kept in out/verdicts.partial" in capsys.readouterr().err
@@ -208,6 +207,7 @@ class TestCommand:
         assert len(part_files(place / "out/verdicts.partial")) == 2
 
 
+@pytest.mark.posix("signals between processes, and /proc")
 @pytest.mark.long
 def test_killed_at_half_and_resumed_in_little_memory(tmp_path):
     """3 million samples in another process: killed without a warning, run again, the verdicts of one piece,

@@ -1,6 +1,5 @@
 """The command `jaxbound study`."""
 
-import argparse
 import json
 
 import pandas as pd
@@ -137,7 +136,7 @@ def test_a_long_study_says_beforehand_how_long_it_takes(first, said, monkeypatch
         [8.0, 8.0 + first, 8.0 + 3 * first, 8.0 + 4 * first]
     )  # the first of a hundred and fifty parts is compiled before
     monkeypatch.setattr(command.time, "monotonic", lambda: next(now))
-    announced = command._Announced(argparse.Namespace(n=100_000, samples=200), lambda share: None)
+    announced = command._Announced(100_000, 200, lambda share: None)
     for part in (1, 2, 4, 5):
         announced(part / 150)
     err = capsys.readouterr().err

@@ -9,9 +9,10 @@ import threading
 import numpy as np
 import pytest
 
-from jaxbound.cli import info, main, terminal
-from jaxbound.cli.fleet import write_fleet
-from jaxbound.cli.usage import EXAMPLES
+from jaxbound.cli import main, terminal
+from jaxbound.cli.fleet_table import write_fleet
+from jaxbound.cli.main import COMMANDS
+from jaxbound.models import modelfile
 from jaxbound.models.modelfile import load_model, template
 from jaxbound.plots.canvas import canvas, to_png
 from jaxbound.recordings.expressions import expression, missing_column
@@ -37,11 +38,13 @@ def model(tmp_path):
     return tmp_path
 
 
+@pytest.mark.posix("a shell and /dev/full")
 def test_a_full_device_is_a_sentence_and_exit_code_2(model):
     code, _, err = shell("$J info --template > /dev/full", model)
     assert code == 2 and err == b"jaxbound: cannot write to standard output: no space left on device\n"
 
 
+@pytest.mark.posix("a shell")
 @pytest.mark.parametrize("end", [">&-", "2>&- >/dev/null", "| head -c 1 > /dev/null; exit ${PIPESTATUS[0]}"])
 def test_a_closed_end_is_no_trouble_and_leaves_the_exit_code_alone(model, end):
     code, _, err = shell(f"$J info --template {end}", model)
@@ -65,6 +68,7 @@ def test_control_characters_of_names_reach_no_terminal(model, capsys):
     assert "x1b[2Ja" in err and printable(err, "\n") == err
 
 
+@pytest.mark.posix("named pipes")
 def test_a_recording_comes_through_a_pipe_as_from_its_file(model):
     text = "time,Pump [%],level,flow\n" + "".join(f"{k},50,1.{k},0.{k}\n" for k in range(9))
     (model / "r.csv").write_text(text)
@@ -78,6 +82,7 @@ def test_a_recording_comes_through_a_pipe_as_from_its_file(model):
     assert piped.source == "pipe"
 
 
+@pytest.mark.posix("a shell")
 def test_detect_takes_a_process_substitution(model):
     (model / "r.csv").write_text("time,Pump [%],level,flow\n0,50,1,1\n")
     code, _, err = shell("$J detect m.toml <(cat r.csv) --out o", model)
@@ -150,7 +155,7 @@ def test_too_little_memory_is_a_sentence(capsys, monkeypatch, model):
     def greedy(path):
         raise MemoryError("Unable to allocate 8 TiB")
 
-    monkeypatch.setattr(info, "load_model", greedy)
+    monkeypatch.setattr(modelfile, "load_model", greedy)
     assert main.main(["info", str(model / "m.toml")]) == 2
     assert "more memory than there is" in capsys.readouterr().err
 
@@ -160,16 +165,17 @@ def test_no_command_shows_the_help_on_stdout_and_asks_on_stderr(capsys):
     out, err = capsys.readouterr()
     assert (
         out.startswith("usage: jaxbound")
-        and all(f"\n    {name} " in out for name in EXAMPLES)
+        and all(f"\n    {name} " in out for name in main.commands())
         and err.count("\n") == 1
     )
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
-def test_every_command_has_examples_that_its_parser_takes_and_a_word_on_every_parameter(name, capsys):
-    for line, about in EXAMPLES[name]:
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.NAME)
+def test_every_command_has_examples_that_its_parser_takes_and_a_word_on_every_parameter(command, capsys):
+    name = command.NAME
+    for line, about in command.EXAMPLES:
         words = shlex.split(line.rpartition("| ")[2].removesuffix(" > plant.toml"))
-        assert about and main._parse(words[1:]).module and words[0] == "jaxbound"
+        assert about and main._parse(words[1:]).run is command.run and words[0] == "jaxbound"
     assert main.main([name, "--help"]) == 0
     out = capsys.readouterr().out
     assert "examples:\n  " in out and "exit code" in out and "-q, --quiet" in out and "-v, --verbose" in out
@@ -200,7 +206,7 @@ def test_quiet_prints_the_first_line_and_verbose_each_stage(model, capsys):
 
 
 def test_an_internal_error_says_its_traceback_with_v(model, capsys, monkeypatch):
-    monkeypatch.setattr(info, "load_model", lambda path: 1 / 0)
+    monkeypatch.setattr(modelfile, "load_model", lambda path: 1 / 0)
     monkeypatch.setattr(main.tempfile, "tempdir", str(model))
     assert main.main(["info", str(model / "m.toml")]) == 70 and "Traceback" not in capsys.readouterr().err
     assert (

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxbound as jb
-from jaxbound.cli import tune as tuned
+from jaxbound.cli import tune_summary as tuned
 from jaxbound.cli.main import main
 from tests import tuning_case
 from tests.interruptions import interrupted_descend

@@ -7,8 +7,7 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.consistency import Judged, WindowTest
-from jaxbound.consistency.interface import refuse_options
-from jaxbound.recordings.recording import Recording
+from jaxbound.consistency.interface import Relations, refuse_options
 
 MODEL = jb.LinearSystem(None, None, None, D=[[1]], noise=1.0)  # names of signals
 
@@ -31,16 +30,13 @@ class StepTest(WindowTest):
         return run(steps, blocks)
 
 
-class Steps:
+class Steps(Relations):
     """The output moves by at most a limit from one sample to the next."""
 
-    model, horizon, count = MODEL, 1, 1
+    model, horizon = MODEL, 1
 
     def __init__(self, limit):
         self.limit = limit
-
-    def recording(self, u, y=None, starts=()):
-        return self, Recording.of(self.model, u, y, starts)
 
     def test(self, method, dtype, budget=None, compensation=0.0):
         refuse_options(method, budget, compensation)

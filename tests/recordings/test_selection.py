@@ -12,7 +12,7 @@ from streaming_case import shrink, verdicts
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.cli import detect, main
+from jaxbound.cli import evaluation, main
 from jaxbound.models.modelfile import load_model, model_text, save_model
 from jaxbound.recordings.parquet import open_parquet
 from jaxbound.recordings.read import read, read_signals
@@ -236,7 +236,7 @@ class TestFiles:
         self, tmp_path, rng, kind, capsys, monkeypatch
     ):
         monkeypatch.setattr(main, "_configure", lambda: None)
-        monkeypatch.setattr(detect, "write_report", lambda *args, **options: None)
+        monkeypatch.setattr(evaluation, "write_report", lambda *args, **options: None)
         columns, _ = table(rng=rng)
         columns["fan"][50:350] = 0
         save_model(model(), tmp_path / "m.toml")
@@ -261,7 +261,7 @@ class TestFiles:
 
     def test_nothing_left(self, tmp_path, capsys, monkeypatch):
         monkeypatch.setattr(main, "_configure", lambda: None)
-        monkeypatch.setattr(detect, "write_report", lambda *args, **options: None)
+        monkeypatch.setattr(evaluation, "write_report", lambda *args, **options: None)
         columns, _ = table(40)
         save_model(model(), tmp_path / "m.toml")
         data = csv(tmp_path / "a.csv", columns | {"fan": np.zeros(40)})

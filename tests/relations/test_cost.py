@@ -235,7 +235,7 @@ def test_a_recording_too_short_is_found_out_before_relations_are_made(tmp_path, 
 
 
 def test_info_of_many_states_says_what_it_leaves_out(rng):
-    from jaxbound.cli.info import isolation_text
+    from jaxbound.cli.model_summary import isolation_text
 
     text = isolation_text(dense(60, 2, rng), 30)
     assert "not worked out" in text and "would take about" in text

@@ -1,7 +1,7 @@
 """Relations as a reader would write them: long ones by their largest terms, everywhere."""
 
 import jaxbound as jb
-from jaxbound.cli.info import isolation_text
+from jaxbound.cli.model_summary import isolation_text
 from jaxbound.relations.sentence import main_terms
 
 

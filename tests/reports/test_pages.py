@@ -17,7 +17,7 @@ from page_case import foreign
 
 import jaxbound as jb
 from jaxbound import reports
-from jaxbound.cli.validate import Validated
+from jaxbound.cli.validation import Validated
 from jaxbound.reports import page
 from jaxbound.reports.detection import write_report
 from jaxbound.reports.fleet import fleet_page

@@ -13,7 +13,7 @@ import pytest
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.cli import detect, fleet, main
+from jaxbound.cli import evaluation, fleet_table, main
 from jaxbound.diagnosis.alarms import ENDINGS, NO_LONGER, ONSET_LEFT
 from jaxbound.diagnosis.detectability import always_seen
 from jaxbound.runs.endings import ending_hints, sizes_text
@@ -86,7 +86,7 @@ def test_page_table_and_json_of_a_lasting_bias_say_repaired_or_lasting(place, ca
 
 
 def test_the_terminal_says_so_too_and_not_where_the_fault_is_seen_while_it_lasts(place, monkeypatch, capsys):
-    monkeypatch.setattr(detect, "write_report", lambda *args, **options: None)
+    monkeypatch.setattr(evaluation, "write_report", lambda *args, **options: None)
     assert main.main(["detect", "model.toml", "bias.csv", "--out", "out"]) == 1
     assert "may have ended because the onset left the window: repaired or lasting" in capsys.readouterr().out
     assert main.main(["detect", "model.toml", "gain.csv", "--out", "out"]) == 1
@@ -100,7 +100,7 @@ def test_the_terminal_says_so_too_and_not_where_the_fault_is_seen_while_it_lasts
 def test_parquet_says_the_same(place, monkeypatch, capsys):
     import pandas as pd
 
-    monkeypatch.setattr(detect, "write_report", lambda *args, **options: None)
+    monkeypatch.setattr(evaluation, "write_report", lambda *args, **options: None)
     pd.read_csv("bias.csv", dtype=str).map(float).to_parquet("bias.parquet")
     found = {}
     for name in ("bias.csv", "bias.parquet"):
@@ -123,7 +123,7 @@ def test_a_fleet_says_why_the_last_alarm_is_over(place, capsys):
     assert sum(units["A"]["ended"].values()) == units["A"]["alarms"] and ONSET_LEFT in units["A"]["ended"]
     assert "windows of 2 samples alone cannot tell" in units["A"]["hints"][-1]
     rows = {row["unit"]: row for row in csv.DictReader((place / "fleet/fleet.csv").read_text().splitlines())}
-    assert rows["A"]["ended"] == ONSET_LEFT and fleet.FIELDS[-1] == "ended"
+    assert rows["A"]["ended"] == ONSET_LEFT and fleet_table.FIELDS[-1] == "ended"
     assert f"The last alarm: {ONSET_LEFT}." in (place / "fleet/fleet.html").read_text()
 
 

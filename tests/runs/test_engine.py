@@ -6,7 +6,6 @@ import json
 import os
 import random
 import re
-import resource
 import signal
 import subprocess
 import sys
@@ -20,8 +19,8 @@ from streaming_case import parts_of, recording, write
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.cli import fleet as fleet_command
-from jaxbound.cli import main
+from jaxbound.cli import engine as engine_of_commands
+from jaxbound.cli import fleet_table, main
 from jaxbound.consistency import engine
 from jaxbound.consistency.engine import connected, spread
 from jaxbound.recordings import contents
@@ -107,7 +106,7 @@ class TestSameBytes:
 
     def test_a_fleet_with_its_pages(self, client, tmp_path, monkeypatch):
         monkeypatch.setattr(main, "_configure", lambda: None)
-        monkeypatch.setattr(fleet_command, "PAGES", 2)
+        monkeypatch.setattr(fleet_table, "PAGES", 2)
         rng, lines = np.random.default_rng(3), ["unit,model,recording"]
         jb.save_model(paper(dt=1), tmp_path / "m.toml")
         for i in range(12):
@@ -120,7 +119,7 @@ class TestSameBytes:
         (tmp_path / "fleet.csv").write_text("\n".join(lines) + "\n")
         argv = ["fleet", str(tmp_path / "fleet.csv"), "--out"]
         assert main.main([*argv, str(tmp_path / "alone")]) == 1
-        monkeypatch.setattr(fleet_command, "engine_of", lambda args: nullcontext(client))
+        monkeypatch.setattr(engine_of_commands, "engine", lambda *args: nullcontext(client))
         assert main.main([*argv, str(tmp_path / "spread")]) == 1
         files = lambda name: {
             str(p.relative_to(tmp_path / name)): WRITTEN.sub("", p.read_text())
@@ -147,6 +146,7 @@ class TestSameBytes:
 
 
 class TestCost:
+    @pytest.mark.posix("counts of pages")
     def test_workers_keep_their_memory_for_the_next_chunk(self, client):
         """Else the system clears the same pages again and again, which takes as long as the tests of
         windows.
@@ -156,6 +156,8 @@ class TestCost:
 
 def _pages_of_a_chunk_after_another():
     """Return how many pages the system gives for an array as large as one that was there before."""
+    import resource
+
     for _ in range(2):
         before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
         np.ones(2_000_000)
@@ -183,6 +185,7 @@ class TestTrouble:
             range(30)
         )  # workers are as before
 
+    @pytest.mark.posix("signals between processes")
     def test_a_worker_that_dies_costs_its_task_alone(self, case, one, client, tmp_path):
         r, folder, _, _ = case("section 5")
         killed = []

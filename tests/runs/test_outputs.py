@@ -21,8 +21,7 @@ from streaming_case import recording, shrink, write
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.cli import detect as detecting
-from jaxbound.cli import main, pipe
+from jaxbound.cli import evaluation, main, pipe
 from jaxbound.files.checkpoint import Checkpoint
 from jaxbound.runs import fleet, judges
 
@@ -42,7 +41,7 @@ def place(tmp_path, monkeypatch):
     """
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(main, "_configure", lambda: None)
-    monkeypatch.setattr(detecting, "write_report", lambda *args, **options: None)
+    monkeypatch.setattr(evaluation, "write_report", lambda *args, **options: None)
     jb.save_model(paper(name="paper"), tmp_path / "model.toml")
     (tmp_path / "model.toml").write_text(MODEL + (tmp_path / "model.toml").read_text())
     (tmp_path / "run.csv").write_text(csv_text())
@@ -77,6 +76,7 @@ def refused(args, sentence, capsys):
     assert out == "" and sentence in err and err.count("\n") == 1, err
 
 
+SIGHUP = getattr(signal, "SIGHUP", None)  # Windows has none
 DETECT = ["detect", "model.toml", "run.csv", "--out", "out"]
 PARQUET = ["detect", "model.toml", "parts", "--out", "out"]
 FIT = ["fit", "run.csv", "--inputs", "u1", "--outputs", "y1", "--horizon", "4", "--out"]
@@ -146,6 +146,7 @@ class TestOneFile:
     def test_two_options_do_not_name_one_file(self, place, capsys):
         refused([*FIT, "a", "--plot", "./a"], "--out and --plot name the same file", capsys)
 
+    @pytest.mark.posix("named pipes")
     def test_a_pipe_or_device_is_no_file_to_replace(self, place, capsys):
         os.mkfifo("pipe")  # never a device of the machine: a red test would replace it
         refused([*FIT, "pipe", "--force"], "must be a file to write", capsys)
@@ -209,6 +210,7 @@ class TestFolder:
             refused(DETECT, f"out/{name} is in the way: it was not written by jaxbound", capsys)
         assert os.listdir(place / "out") == [name]
 
+    @pytest.mark.posix("links that anybody may make")
     def test_a_link_is_no_file_of_ours(self, place, capsys):
         (place / "out").mkdir()
         (place / "out/verdicts.csv").symlink_to(place / "precious")
@@ -241,6 +243,7 @@ class TestFolder:
             refused(["fleet", "units.csv", "--out", "out"], sentence, capsys)
         assert os.listdir(place / "out") == [name] and not (place / "nothing").exists()
 
+    @pytest.mark.posix("links that anybody may make")
     def test_no_link_is_followed_by_a_share(self, parquet, capsys):
         (parquet / "out").mkdir()
         (parquet / "out/.jaxbound-lock").symlink_to(parquet / "model.toml")
@@ -477,6 +480,7 @@ class TestNothingHalf:
         refused(DETECT, "no space left on device", capsys)
         assert sorted(p.name for p in place.iterdir()) == ["model.toml", "run.csv"]
 
+    @pytest.mark.posix("mount")
     def test_a_small_disk(self, place, capsys):
         """A mount point with room for verdicts, not for their report."""
         disk = place / "disk"
@@ -505,7 +509,7 @@ class TestNothingHalf:
         def meanwhile(*args, **options):
             codes.append(main.main(DETECT))
 
-        monkeypatch.setattr(detecting, "write_report", meanwhile)
+        monkeypatch.setattr(evaluation, "write_report", meanwhile)
         assert main.main(DETECT) == 0 and codes == [2]
         assert (
             f"another jaxbound, process {os.getpid()}, is writing into out: wait for it"
@@ -537,27 +541,28 @@ class TestNothingHalf:
 
 SLOW = """
 import os, signal, sys, time
-from jaxbound.cli import detect as detecting, main as cli
-detecting.write_report = lambda *a, **k: (sys.stdout.write("ready"), sys.stdout.flush(), time.sleep(60))
+from jaxbound.cli import evaluation, main as cli
+evaluation.write_report = lambda *a, **k: (sys.stdout.write("ready"), sys.stdout.flush(), time.sleep(60))
 sys.exit(cli.main(["detect", "model.toml", "run.csv", "--out", "out"]))
 """
 
 
+@pytest.mark.posix("signals between processes")
 class TestSignals:
     @pytest.fixture(autouse=True)
     def heard(self):
         """Signals are as a terminal has them, also where the tests themselves run under nohup."""
-        before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+        before = signal.signal(SIGHUP, signal.SIG_DFL)
         yield
-        signal.signal(signal.SIGHUP, before)
+        signal.signal(SIGHUP, before)
 
     def stopped_by(self, number, monkeypatch):
         monkeypatch.setattr(
-            detecting, "write_report", lambda *a, **k: (os.kill(os.getpid(), number), time.sleep(5))
+            evaluation, "write_report", lambda *a, **k: (os.kill(os.getpid(), number), time.sleep(5))
         )
         return main.main(DETECT)
 
-    @pytest.mark.parametrize("number, code", [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+    @pytest.mark.parametrize("number, code", [(signal.SIGTERM, 143), (SIGHUP, 129)])
     def test_they_clean_up_as_ctrl_c_does(self, place, capsys, monkeypatch, number, code):
         before = signal.getsignal(number)
         assert self.stopped_by(number, monkeypatch) == code and signal.getsignal(number) == before
@@ -567,14 +572,12 @@ class TestSignals:
         )
 
     def test_what_is_ignored_stays_ignored(self, place, capsys, monkeypatch):
-        before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        before = signal.signal(SIGHUP, signal.SIG_IGN)
         try:
-            monkeypatch.setattr(
-                detecting, "write_report", lambda *a, **k: os.kill(os.getpid(), signal.SIGHUP)
-            )
+            monkeypatch.setattr(evaluation, "write_report", lambda *a, **k: os.kill(os.getpid(), SIGHUP))
             assert main.main(DETECT) == 0 and (place / "out/verdicts.csv").exists()
         finally:
-            signal.signal(signal.SIGHUP, before)
+            signal.signal(SIGHUP, before)
 
     def test_a_second_signal_does_not_disturb_the_cleaning_up(self, place, capsys, monkeypatch):
         tidy = shutil.rmtree
@@ -585,10 +588,10 @@ class TestSignals:
 
         def stop(*args, **options):
             monkeypatch.setattr(shutil, "rmtree", again)
-            os.kill(os.getpid(), signal.SIGHUP)
+            os.kill(os.getpid(), SIGHUP)
             time.sleep(5)
 
-        monkeypatch.setattr(detecting, "write_report", stop)
+        monkeypatch.setattr(evaluation, "write_report", stop)
         assert main.main(DETECT) == 129 and not (place / "out").exists()
 
     def test_a_fleet_keeps_what_was_tested(self, place, capsys, monkeypatch):
@@ -645,7 +648,7 @@ class TestSignals:
         }
 
     @pytest.mark.slow
-    @pytest.mark.parametrize("number, code", [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+    @pytest.mark.parametrize("number, code", [(signal.SIGTERM, 143), (SIGHUP, 129)])
     def test_from_a_shell(self, place, number, code):
         process = subprocess.Popen(
             [sys.executable, "-c", SLOW], cwd=place, stdout=subprocess.PIPE, stderr=subprocess.PIPE
@@ -679,6 +682,7 @@ def test_what_lies_beside_a_file_that_is_written_is_not_followed(place, link):
     assert not (place / "new.toml").exists()
 
 
+@pytest.mark.posix("links that anybody may make")
 def test_links_in_the_place_of_what_is_kept_are_not_followed(place):
     (place / "kept").mkdir()
     (place / "first").write_bytes(b"")
@@ -691,6 +695,7 @@ def test_links_in_the_place_of_what_is_kept_are_not_followed(place):
     assert not (place / "nothing").exists()
 
 
+@pytest.mark.posix("named pipes")
 def test_the_library_writes_into_a_pipe_and_does_not_replace_it(place):
     os.mkfifo("pipe")
     reader = os.open("pipe", os.O_RDONLY | os.O_NONBLOCK)

@@ -14,8 +14,7 @@ from streaming_case import N, Stop, parts_of, recording, stopped_after, verdicts
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.cli import detect as detecting
-from jaxbound.cli import main
+from jaxbound.cli import evaluation, main
 from jaxbound.recordings import contents
 from jaxbound.recordings.parquet import ParquetSource, open_parquet
 from jaxbound.runs import judges
@@ -289,7 +288,7 @@ def place(tmp_path, monkeypatch, case):
     """Return a folder with model.toml and the recording run, in which commands run."""
     monkeypatch.setattr(main, "_configure", lambda: None)
     monkeypatch.setattr(
-        detecting, "write_report", lambda work, *args, **options: (work / "report.html").touch()
+        evaluation, "write_report", lambda work, *args, **options: (work / "report.html").touch()
     )
     monkeypatch.chdir(tmp_path)
     jb.save_model(paper(), tmp_path / "model.toml")

@@ -1,6 +1,5 @@
 """Outputs: a new one is one small class, which every command that tests a recording writes."""
 
-import argparse
 import json
 from pathlib import Path
 
@@ -57,20 +56,9 @@ def test_a_new_output_is_one_small_class(place, plain, options):
 
 
 def test_a_pipe_writes_a_new_output_where_it_ends(place, plain):
-    args = dict(
-        model="model.toml",
-        data="-",
-        out=Path("out"),
-        state=None,
-        horizon=None,
-        lags=None,
-        method="joint",
-        min_coverage=0.5,
-        json=False,
-    )
     head, *rows = (place / "run.csv").read_bytes().splitlines(True)
     for part, samples in ((rows[:5], 5), (rows[5:], 8)):  # the second process goes on behind the first
-        assert pipe.follow(argparse.Namespace(**args), [head, *part]) == 1
+        assert pipe.follow("model.toml", [head, *part], out=Path("out")) == 1
         found = json.loads((place / "out/summary.json").read_text())
         assert sum(found["counts"].values()) == found["samples"] == samples and found["worst"]["sample"] == 3
     assert "summary.json" in (place / "out/.jaxbound.json").read_text()

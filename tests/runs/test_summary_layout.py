@@ -1,6 +1,5 @@
 """One Summary for every command: the same layout of JSON, the same words for the same verdicts."""
 
-import argparse
 import json
 
 import numpy as np
@@ -8,7 +7,7 @@ import pandas as pd
 import pytest
 
 import jaxbound as jb
-from jaxbound.cli import detect, main
+from jaxbound.cli import evaluation, main, validation
 from jaxbound.cli.pipe import follow
 from jaxbound.runs.summary import LAYOUT, Evidence, Summary, evidence, said, summarised
 
@@ -40,8 +39,8 @@ def place(tmp_path, monkeypatch):
     """Leave a model, a recording with a gap, an excluded stretch and a fault, and a fleet of it in a folder;
     draw nothing.
     """
-    for name in ("write_report", "write_page"):
-        monkeypatch.setattr(detect, name, lambda *args, **options: None)
+    for home, name in ((evaluation, "write_report"), (validation, "write_page")):
+        monkeypatch.setattr(home, name, lambda *args, **options: None)
     monkeypatch.setattr(main, "_configure", lambda: None)
     u, x = np.sin(np.arange(T)), np.zeros(T)
     for k in range(1, T):
@@ -96,17 +95,7 @@ def test_every_command_has_one_layout(place, capsys):
 
 def test_the_pipe_says_what_detect_says(place, capsys):
     _, whole = shell(capsys, "detect", "m.toml", "run.csv")
-    args = argparse.Namespace(
-        model="m.toml",
-        horizon=None,
-        lags=None,
-        method="joint",
-        out=None,
-        state=None,
-        min_coverage=0.5,
-        json=False,
-    )
-    assert follow(args, [(place / "run.csv").read_bytes()]) == 1
+    assert follow("m.toml", [(place / "run.csv").read_bytes()]) == 1
     assert whole["summary"] in " ".join(capsys.readouterr().err.split())
 
 

@@ -112,12 +112,13 @@ def _reading(j, i, t, reading, gains):
 
 
 def _averages(c, seen):
-    for k, ((_, average, ends), run) in enumerate(zip(runs_of(c), c.get("runs", []), strict=True)):
+    for k, (_, terms, ends) in enumerate(runs_of(c)):
         if ends is None:
             continue
         total = Polynomial({})
-        for j, weight in enumerate(average["weights"], int(run["first"])):
-            total = total + seen[j][0 if average["output"] else 1][int(average["number"])] * weight
+        for measured, j, i, weight in terms:
+            true, w = seen[j]
+            total = total + (true if measured else w)[i] * weight
         lo, hi = ends
         yield _row(f"average{k}", total, lo, hi, ("a", 0, k))
 
@@ -193,10 +194,10 @@ def combination(c: dict[str, Any], r: dict[str, Any], rows: Sequence[Row]) -> li
 def _with_averages(c, r):
     """Return the multipliers of true outputs, a row for each sample, averages written out."""
     out = [list(row) for row in r["h"]]
-    for (x, average, _), run in zip(runs_of(c, r.get("a")), c.get("runs", []), strict=True):
-        if x and average["output"]:
-            for j, weight in enumerate(average["weights"], int(run["first"])):
-                out[j][int(average["number"])] += x * weight
+    for x, terms, _ in runs_of(c, r.get("a")):
+        for measured, j, i, weight in terms:
+            if measured:
+                out[j][i] += x * weight
     return out
 
 

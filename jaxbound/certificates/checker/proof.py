@@ -141,9 +141,9 @@ def _sensor_error(c, e):
     insist(set(e) == SENSOR_ERROR, "a number of a sensor's error is missing or unknown")
     i = int(e["output"])
     multipliers = [row[i] for row in e["relation"]["h"]]
-    for x, average, _ in runs_of(c, e["relation"].get("a")):
-        if average["output"] and average["number"] == i:
-            multipliers.append(x)
+    for run in runs_of(c, e["relation"].get("a")):
+        if any(measured and number == i for measured, _, number, _ in run.terms):
+            multipliers.append(run.multiplier)
     if e["smallest"] is None:
         insist(
             not any(multipliers) and _factor(c, e["relation"]) > 1,
@@ -239,11 +239,12 @@ def _single(c, r):
     out = {"h": [list(row) for row in r["h"]], "g": [list(row) for row in r["g"]], "k": r["k"]}
     if "x" in r:
         out["x"] = r["x"]
-    for (x, average, _), run in zip(runs_of(c, r.get("a")), c.get("runs", []), strict=True):
-        if x:
-            insist(run["first"] is not None, "an average is not looked at")
-            for j, weight in enumerate(average["weights"], int(run["first"])):
-                out["h" if average["output"] else "g"][j][int(average["number"])] += x * weight
+    for x, terms, _ in runs_of(c, r.get("a")):
+        if not x:
+            continue
+        insist(bool(terms), "an average is not looked at")
+        for measured, j, number, weight in terms:
+            out["h" if measured else "g"][j][number] += x * weight
     return out
 
 
@@ -281,12 +282,13 @@ def _explain(c: dict, witness: dict, error: tuple | None = None, v: Sequence[F] 
 
 
 def _averages_kept(c, witness, error):
-    for (_, average, ends), run in zip(runs_of(c, None, error), c.get("runs", []), strict=True):
+    for _, terms, ends in runs_of(c, None, error):
         if ends is None:
             continue
-        i, first, total = int(average["number"]), int(run["first"]), F(0)
-        rows = witness["outputs" if average["output"] else "disturbances"]
-        offset = c["offset_y"][i] if average["output"] else F(0)
-        for j, weight in enumerate(average["weights"], first):
-            total += weight * (rows[j][i] - offset)
+        total = F(0)
+        for measured, j, i, weight in terms:
+            if measured:
+                total += weight * (witness["outputs"][j][i] - c["offset_y"][i])
+            else:
+                total += weight * witness["disturbances"][j][i]
         insist(ends[0] <= total <= ends[1], "an average is out of its bound")

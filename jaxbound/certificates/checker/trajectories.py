@@ -6,9 +6,9 @@ The words are those of `proof`, c the numbers that a certificate claims.
 
 from collections.abc import Iterator, Sequence
 from fractions import Fraction as F
-from typing import Any
+from typing import Any, NamedTuple
 
-__all__ = ["add", "dots", "follow", "insist", "limits", "now", "runs_of", "turned"]
+__all__ = ["Run", "add", "dots", "follow", "insist", "limits", "now", "runs_of", "turned"]
 
 ROUNDED = 10
 """Smallest normal numbers by which an average is widened for each of its samples."""
@@ -71,33 +71,56 @@ def limits(
     return out
 
 
+class Run(NamedTuple):
+    """A run of an average: a bounded sum of true values, in deviations.
+
+    Fields: multiplier, in a relation; terms: [(whether of an output, sample, number, weight)], none where the
+    run is not looked at; ends: (lo, hi), None where it says nothing.
+    """
+
+    multiplier: F
+    terms: list[tuple[bool, int, int, F]]
+    ends: tuple[F, F] | None
+
+
 def runs_of(
     c: dict[str, Any], multipliers: Sequence[F] | None = None, error: tuple | None = None
-) -> Iterator[tuple]:
-    """Yield (multiplier, average, [lo, hi] or None where it says nothing) of each run of an average, in
-    deviations of true values.
-    """
+) -> Iterator[Run]:
+    """Yield the Run of each run of an average."""
     runs = c.get("runs", [])
     for x, run in zip([F(0)] * len(runs) if multipliers is None else multipliers, runs, strict=True):
         average = c["averages"][int(run["average"])]
-        yield x, average, _run_ends(c, average, run["first"], error)
+        terms = _terms(average, run["first"])
+        yield Run(x, terms, _run_ends(c, average["bound"], terms, error))
 
 
-def _run_ends(c, average, first, error):
+def _terms(average, first):
+    """Return [(whether of an output, sample, number, weight)] of a run, none where it is not looked at."""
+    if first is None:
+        return []
+    measured, number = bool(average["output"]), int(average["number"])
+    return [(measured, j, number, weight) for j, weight in enumerate(average["weights"], int(first))]
+
+
+def _run_ends(c, bound, terms, error):
     """Return (lo, hi) of the weighted sum over a run, None where it is not looked at or a reading is
     missing.
     """
-    if first is None:
+    if not terms:
         return None
-    i, size, middle = int(average["number"]), sum(map(abs, average["weights"])), F(0)
-    rad = average["bound"] + ROUNDED * (len(average["weights"]) + size) * c["floor"]
-    if average["output"]:
-        rad += size * (_delta(c, i, error) - c["noise"][i] - c["floor"])
-        for j, weight in enumerate(average["weights"], int(first)):
+    middle = F(0)
+    sizes: dict[int, F] = {}
+    rad = bound + ROUNDED * len(terms) * c["floor"]
+    for measured, j, i, weight in terms:
+        rad += ROUNDED * abs(weight) * c["floor"]
+        if measured:
             y = c["all_y"][j][i]
             if y is None:
                 return None
             middle += weight * (y - c["offset_y"][i])
+            sizes[i] = sizes.get(i, F(0)) + abs(weight)
+    for i, size in sizes.items():
+        rad += size * (_delta(c, i, error) - c["noise"][i] - c["floor"])
     return middle - rad, middle + rad
 
 
@@ -112,14 +135,14 @@ def _delta(c, i, error):
 
 def _looked_at(c, i):
     """Yield the size of each reading of an output that is looked at, alone or in an average."""
-    rows = list(c["y"])
+    readings = [row[i] for row in c["y"]]
     for run in c.get("runs", []):
-        average, first = c["averages"][int(run["average"])], run["first"]
-        if average["output"] and average["number"] == i and first is not None:
-            rows += c["all_y"][int(first) : int(first) + len(average["weights"])]
-    for row in rows:
-        if row[i] is not None:
-            yield abs(row[i])
+        for measured, j, number, _ in _terms(c["averages"][int(run["average"])], run["first"]):
+            if measured and number == i:
+                readings.append(c["all_y"][j][i])
+    for y in readings:
+        if y is not None:
+            yield abs(y)
 
 
 def dots(rows: Any, vector: Sequence) -> list:

@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 from jaxbound.consistency.devices import everywhere, on_devices
 from jaxbound.consistency.engine import in_order
 from jaxbound.consistency.exchange import ExchangeTest
+from jaxbound.consistency.interface import relations_of
 from jaxbound.consistency.strips import StripsTest
 from jaxbound.estimation.observer import SetObserver
 from jaxbound.models.conversion import ModelLike, as_model
@@ -248,21 +249,15 @@ def _named(relations: Relations, model: LinearSystem) -> Relations:
     """Give a residual whose signals have no names those of the plant, in its order; see `Channels`."""
     if not isinstance(relations, Residual):
         return relations
-    inputs, outputs = relations.model.inputs, relations.model.outputs
-    inputs, outputs = (
-        own if own is not None else plant for own, plant in ((inputs, model.inputs), (outputs, model.outputs))
-    )
-    return dataclasses.replace(
-        relations, model=dataclasses.replace(relations.model, inputs=inputs, outputs=outputs)
-    )
+    channels = relations.model
+    inputs = model.inputs if channels.stated_inputs is None else channels.inputs
+    outputs = model.outputs if channels.stated_outputs is None else channels.outputs
+    named = dataclasses.replace(channels, stated_inputs=inputs, stated_outputs=outputs)
+    return dataclasses.replace(relations, model=named)
 
 
 def _check(model, relations, n, samples, hold, at, method, confidence):
-    if not hasattr(relations, "test"):
-        raise TypeError(
-            f"a study needs relations that `detect` takes, from parity_relations for example, not "
-            f"{type(relations).__name__}"
-        )
+    relations_of(relations, "a study", "study(model, .., relations=parity_relations(model))")
     if method == "linearized":
         raise ValueError(
             "method 'linearized' neglects terms and proves no FAULT, which is what a study counts: use "

@@ -1,0 +1,106 @@
+"""A command of the shell: what its file holds, and the parser that it fills.
+
+A file of this folder that is a command has the names of `Command`. It imports the code that computes inside
+`run`, under `swift_imports`: help and completion read all commands, and wait for none of that.
+"""
+
+import argparse
+import gc
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import NoReturn, Protocol
+
+from jaxbound.cli.options import add_loudness
+from jaxbound.cli.terminal import Refused, write
+
+__all__ = ["EXIT_CODES", "Command", "Formatter", "Parser", "add_command", "end_of_help", "swift_imports"]
+
+EXIT_CODES = (
+    "exit codes: 0 no fault, 1 fault found, 2 bad input or usage, 3 too little evidence or outside bounds "
+    "that were fitted to shorter windows, 70 internal error, 130 interrupted, and as shells count 129 by "
+    "SIGHUP, 143 by SIGTERM"
+)
+"""Exit codes of a command that tests recordings."""
+
+
+class Command(Protocol):
+    """A command: a module with these names.
+
+    Fields:
+        NAME: as one types it. HELP: one sentence for the list of commands.
+        EXAMPLES: (command line, its effect). CODES: its exit codes, the end of its help.
+    """
+
+    NAME: str
+    HELP: str
+    CODES: str
+
+    @property
+    def EXAMPLES(self) -> Sequence[tuple[str, str]]:
+        """Command lines and their effects."""
+
+    def options(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments and options of the command."""
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Do the work; return the exit code."""
+
+
+class Formatter(argparse.HelpFormatter):
+    """Keeps paragraphs apart, and lines that are examples as they are."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        paragraphs = []
+        for paragraph in text.split("\n\n"):
+            is_example = "\n  " in paragraph
+            paragraphs.append(paragraph if is_example else super()._fill_text(paragraph, width, indent))
+        return "\n\n".join(paragraphs)
+
+
+class Parser(argparse.ArgumentParser):
+    """Reports wrong usage in one sentence."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise Refused instead of printing the usage."""
+        if message.startswith("argument "):
+            message = message.removeprefix("argument ").replace(": ", " ", 1)
+        raise Refused(f"{message}; see {self.prog} --help")
+
+    def _print_message(self, message: str, file: object = None) -> None:
+        """Print help and version as everything is printed."""
+        if message:
+            write(message)
+
+
+def add_command(choices: "argparse._SubParsersAction[Parser]", command: Command) -> None:
+    """Add the parser of a command to those of the command line."""
+    parser = choices.add_parser(
+        command.NAME, help=command.HELP, formatter_class=Formatter, epilog=end_of_help(command)
+    )
+    command.options(parser)
+    add_loudness(parser)
+    parser.set_defaults(run=command.run)
+
+
+def end_of_help(command: Command) -> str:
+    """Return the examples and exit codes of a command."""
+    lines = ["examples:"]
+    for line, effect in command.EXAMPLES:
+        lines += [f"  {line}", f"      {effect}"]
+    return "\n".join(lines) + "\n\n" + command.CODES
+
+
+@contextmanager
+def swift_imports() -> Iterator[None]:
+    """Import without the garbage collector, a fifth sooner.
+
+    What is imported stays: the collector need not look through it again and again, neither now nor later.
+    """
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+        gc.freeze()
+    finally:
+        if was_enabled:
+            gc.enable()

@@ -1,0 +1,196 @@
+"""A recording against a model: read, tested and written with its report, as a whole or in parts.
+
+A report is written completely or not at all, see `outputs`.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from jaxbound.cli.engine import engine
+from jaxbound.cli.options import MethodOptions
+from jaxbound.cli.share import opened
+from jaxbound.cli.terminal import door, usable_device
+from jaxbound.cli.window import window_relations
+from jaxbound.diagnosis.again import again_hints
+from jaxbound.diagnosis.detection import detect
+from jaxbound.diagnosis.hints import outgrown
+from jaxbound.diagnosis.result import Result
+from jaxbound.models.modelfile import load_model
+from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.hints import refuse_short
+from jaxbound.recordings.read import open_source
+from jaxbound.reports.detection import write_report
+from jaxbound.runs.digest import digest
+from jaxbound.runs.endings import ending_hints, sizes_seen
+from jaxbound.runs.outputs import OutputFolder
+from jaxbound.runs.refusals import Interrupted
+from jaxbound.runs.sink import Outcome, file_names, write_all
+from jaxbound.runs.streaming import CHUNK, PARTIAL, VERDICTS, all_parts, kept, publish, write_parts
+from jaxbound.runs.summary import Summary, summarised
+from jaxbound.text.quantities import percent
+
+__all__ = [
+    "FILES_OF_A_WHOLE",
+    "FILES_OF_PARTS",
+    "FORMER",
+    "Evaluation",
+    "evaluate",
+    "evaluate_parts",
+]
+
+FILES_OF_A_WHOLE = (*file_names(), "report.html")
+FILES_OF_PARTS = (VERDICTS, "alarms.csv", *file_names(whole=False), "report.html")
+# Pictures of an earlier version, which do not belong to a new report.
+FORMER = ("margin.png", "residuals.png", *(f"output{i}.png" for i in range(1, 13)))
+
+Step = Callable[[str, float], object]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A recording that was tested.
+
+    Fields: summary: Summary. model: LinearSystem. seconds: {stage: its time}.
+    """
+
+    summary: Summary
+    model: LinearSystem
+    seconds: dict[str, float]
+
+
+def evaluate_parts(
+    folder: OutputFolder,
+    step: Step,
+    model: Path,
+    data: Path | str,
+    out: Path,
+    options: MethodOptions,
+    *,
+    alarm: tuple[int, int] = (1, 1),
+    min_coverage: float = 0.5,
+    chunk: int | None = None,
+    overlap: int | None = None,
+    merge: bool = False,
+    scheduler: str | None = None,
+    workers: int | None = None,
+) -> Evaluation:
+    """Test a Parquet recording chunk by chunk and write everything into a folder.
+
+    Args:
+        folder: of the report, at the path out. step: told of progress. model, data: paths.
+        options: of the test. alarm: (k, n), k FAULT among n windows.
+        min_coverage: least share of decided windows.
+        chunk: samples in memory at once. overlap: of an observer, samples before each part. merge: the parts
+        are there, judged before. scheduler, workers: of dask, which then do the work.
+    """
+    source, relations = opened(model, data, options, step)
+    seconds: dict[str, float] = {}
+    try:
+        if merge:
+            parts = all_parts(relations, source, out, options.method, overlap)
+        else:
+            progress = lambda share: step("test", share)
+            wanted = relations, source, out, options.method, chunk or CHUNK, progress
+            with engine(scheduler, workers) as client:
+                parts, seconds = write_parts(*wanted, client=client, overlap=overlap)
+        start = time.perf_counter()
+        with folder.work() as work:
+            progress = lambda share: step("report", 0.4 * share)
+            found = digest(relations, source, parts, options.method, alarm, work / "alarms.csv", progress)
+            sizes = sizes_seen(found, found.alarms)
+            reaches = outgrown(source.model, relations)
+            hints = dict.fromkeys((*found.hints, *reaches, *ending_hints(found, found.alarms, sizes)))
+            res = summarised(found, found.alarms, found.label, min_coverage, hints, sizes, bool(reaches))
+            about = relations.model, Path(data), source.content, options.method, relations.horizon
+            write_all(work, Outcome(found, None, found.alarms, res, *about, options.observer_options))
+            write_report(
+                work,
+                found,
+                found,
+                found.alarms,
+                res,
+                seconds=seconds,
+                progress=lambda share: step("report", 0.4 + 0.6 * share),
+            )
+    except KeyboardInterrupt:
+        if done := kept(out / PARTIAL, source.samples):
+            share, where = percent(done / source.samples), out / PARTIAL
+            raise Interrupted(
+                f"interrupted: {share} of the verdicts are kept in {where}; the same command goes on from "
+                f"there"
+            ) from None
+        raise
+    publish(folder)
+    for name in ("verdicts.csv", *FORMER):
+        folder.remove(name)
+    seconds["report"] = time.perf_counter() - start
+    return Evaluation(res, source.model, seconds)
+
+
+def evaluate(
+    work: Path,
+    step: Step,
+    model: Path,
+    data: Path | str,
+    options: MethodOptions,
+    *,
+    alarm: tuple[int, int] = (1, 1),
+    min_coverage: float = 0.5,
+    sections: Callable[[Result], Sequence[tuple]] | None = None,
+) -> Evaluation:
+    """Read a recording as a whole, test it and write everything into a folder.
+
+    Args:
+        work: the folder. step: told of progress. model, data: paths. options: of the test.
+        alarm: (k, n), k FAULT among n windows. min_coverage: least share of decided windows.
+        sections: more sections of the report, made from the Result.
+    """
+    seconds, start = {}, time.perf_counter()
+    with door():
+        stated = load_model(model)
+        source = open_source(data, stated)
+        held, recording = source.content, source.read(progress=lambda share: step("read", share))
+        tested, relations = window_relations(stated, options, data, recording.samples, step)
+        refuse_short(data, recording.samples, relations.horizon)
+        seconds["read"], start = time.perf_counter() - start, time.perf_counter()
+        usable_device()
+        res = detect(relations, recording, method=options.method, progress=lambda share: step("test", share))
+    step("test", 1.0)
+    alarms = res.alarms(*alarm)
+    seconds["test"], start = time.perf_counter() - start, time.perf_counter()
+    sizes = sizes_seen(res, alarms)
+    reaches = outgrown(stated, relations)
+    hints = dict.fromkeys((*res.hints, *reaches, *again_hints(res), *ending_hints(res, alarms, sizes)))
+    found = summarised(res, alarms, recording.label, min_coverage, hints, sizes, bool(reaches))
+    with ThreadPoolExecutor(1) as beside:  # a million verdicts are written while the pictures are drawn
+        outcome = Outcome(
+            res,
+            recording,
+            alarms,
+            found,
+            tested,
+            Path(data),
+            held,
+            options.method,
+            relations.horizon,
+            options.observer_options,
+        )
+        tables = beside.submit(write_all, work, outcome)
+        step("report", 0.1)
+        write_report(
+            work,
+            res,
+            recording,
+            alarms,
+            found,
+            seconds=seconds,
+            extra=() if sections is None else sections(res),
+            progress=lambda share: step("report", 0.1 + 0.8 * share),
+        )
+        tables.result()
+    step("report", 1.0)
+    seconds["report"] = time.perf_counter() - start
+    return Evaluation(found, tested, seconds)

@@ -1,0 +1,71 @@
+"""The certificate of one window of a report, proved anew from its samples in exact rationals."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from jaxbound.certificates.interface import certify
+from jaxbound.cli.options import OBSERVER
+from jaxbound.cli.sample_axis import SampleAxis
+from jaxbound.estimation.observer import observer
+from jaxbound.recordings.read import open_source
+from jaxbound.relations.parity import parity_relations
+from jaxbound.runs.contradiction import refuted_again
+from jaxbound.runs.runfile import VALIDATION, load_run
+
+__all__ = ["Explained", "explain_window"]
+
+
+@dataclass(frozen=True)
+class Explained:
+    """The certificate of one window of a report.
+
+    Fields:
+        certificate: that `certify` gives. sample: the last of the window. labels: the times of its samples.
+        ambiguity: a sentence, or "", where the number that was asked for could be meant as a time.
+    """
+
+    certificate: Any
+    sample: int
+    labels: list[str]
+    ambiguity: str
+
+
+def explain_window(directory: str | Path, at: str) -> Explained:
+    """Return the certificate of one window of a report.
+
+    Args:
+        directory: that `jaxbound detect` wrote. at: the sample at which the window ends, as text: its number,
+            or its time.
+
+    Raises:
+        OSError, ValueError, NotImplementedError: with a sentence for the user.
+    """
+    model, data, method, horizon, options = load_run(Path(directory))
+    if method == VALIDATION:
+        raise ValueError(
+            f"{directory} was validated, where a verdict rests on all samples before it: there is a "
+            f"certificate of a window only by other methods: jaxbound detect --method joint, to another "
+            f"folder"
+        )
+    source = open_source(data, model)
+    axis = SampleAxis(source)
+    k = axis.find(at)
+    if k < horizon:
+        raise ValueError(
+            f"sample {k} is too early: the first window ends at sample {horizon}, {axis.label(horizon)}"
+        )
+    try:
+        if method == OBSERVER:
+            certificate, part = refuted_again(observer(model, **options), source, k)
+        else:
+            relations = parity_relations(model, horizon if model.lags is None else None)
+            part = source.read(k - horizon, k + 1)
+            if part.across(horizon)[horizon]:
+                raise ValueError("a window across a gap in time is MISSING")
+            certificate = certify(relations, part.u, part.y, method)
+    except ValueError as e:
+        raise ValueError(f"{axis.label(k)} (sample {k}): {e}") from None
+    first = part.samples - certificate.window.horizon - 1
+    labels = [part.label(j) for j in range(first, part.samples)]
+    return Explained(certificate, k, labels, axis.also_a_time(at))

@@ -1,0 +1,217 @@
+"""A fitted model on the terminal and as JSON, and the signals that --inputs and --outputs name."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxbound.cli.terminal import show
+from jaxbound.diagnosis.memory import slowest, suggest_lags
+from jaxbound.recordings.expressions import expression
+from jaxbound.studies.identification.fitting import Fitted
+
+__all__ = ["plain_fit", "show_fit", "signal_columns"]
+
+MEMORY = 1.5  # times the window that a plant must remember before longer windows are spoken of
+COMMA = re.compile(r",(?=(?:[^`]*`[^`]*`)*[^`]*$)(?![^()]*\))")  # outside of backticks and brackets
+ASSIGNED = re.compile(r"\s*([^=<>!`'\"]+?)\s*=(?!=)\s*(.+?)\s*")
+QUOTED = re.compile(r"`([^`]+)`")
+
+
+def signal_columns(option: str, text: str) -> list[str | tuple[str, str]]:
+    """Return the signals of an option: names, or (name, column) where it says name=column or name=expression.
+
+    Raises:
+        ValueError: an empty entry.
+
+    Example:
+        >>> signal_columns("--inputs", "fan, lift=Tsup - `T mixed`, T1=Temperature 1")
+        ['fan', ('lift', '= Tsup - `T mixed`'), ('T1', 'Temperature 1')]
+    """
+    if not text.strip():
+        return []
+    entries = [entry.strip() for entry in COMMA.split(text)]
+    if not all(entries):
+        raise ValueError(
+            f"{option} needs names, or name=column or name=expression, with commas between them: {text!r} "
+            f"has an empty entry"
+        )
+    return [_signal_column(entry) for entry in entries]
+
+
+def _signal_column(entry: str) -> str | tuple[str, str]:
+    """Read one entry of --inputs or --outputs."""
+    if assigned := ASSIGNED.fullmatch(entry):
+        name, column = assigned.groups()
+        return name, _column_entry(column)
+    if quoted := QUOTED.fullmatch(entry):
+        return quoted[1]
+    return entry
+
+
+def _column_entry(text: str) -> str:
+    """Return the entry of a model file for a signal: "= expression", or the name of a column, which may have
+    blanks in it.
+    """
+    if quoted := QUOTED.fullmatch(text):
+        return quoted[1]
+    try:
+        expression(text)
+    except ValueError:
+        return text
+    if text.isidentifier():
+        return text
+    return f"= {text}"
+
+
+def plain_fit(
+    model: Fitted,
+    files: Sequence[Path],
+    out: Path,
+    order: int,
+    average: int | None,
+    hints: Sequence[str],
+) -> dict[str, Any]:
+    """Return what --json prints of a model fitted to files."""
+    check = model.check
+    held_out = check.held_out and _all_finite(check.held_out)
+    recordings = []
+    for file, numbers in zip(files, check.recordings, strict=True):
+        recordings.append({"data": str(file)} | _all_finite(numbers))
+    return {
+        "out": str(out),
+        "order": order,
+        "horizon": model.horizon,
+        "states": model.n,
+        "dt": model.dt,
+        "method": check.method,
+        "noise": _by_output(model, model.noise),
+        "resolution": _by_output(model, model.resolution),
+        "smallest": check.smallest,
+        "safety": check.safety,
+        "held_out": held_out,
+        "average": average,
+        "means": {a.signal: float(a.bound) for a in model.averages},
+        "smallest_mean": check.smallest_mean,
+        "recordings": recordings,
+        "jump": _all_finite(check.jump),
+        "steady": _all_finite(check.steady),
+        "warnings": list(check.sentences),
+        "hints": list(hints),
+    }
+
+
+def _by_output(model, bounds):
+    return dict(zip(model.outputs, map(float, bounds), strict=True))
+
+
+def _all_finite(numbers):
+    """Return numbers by name, None for what is not finite: JSON has no such number."""
+    return {name: x if np.isfinite(x) else None for name, x in numbers.items()}
+
+
+def show_fit(
+    model: Fitted,
+    files: Sequence[Path],
+    written: Sequence[str],
+    order: int,
+    held_out: float,
+    hints: Sequence[str],
+) -> None:
+    """Print what was found in files. written: the files that were written; held_out: share of each file."""
+    check = model.check
+    rows = [
+        ("model", f"{model.n} states, order {order}, coefficients by {check.method}"),
+        (
+            "windows",
+            f"{_window_text(model)} samples, {model.dt:g} s apart: all of them CONSISTENT, by the proved "
+            f"test",
+        ),
+    ]
+    for file, numbers in zip(files, check.recordings, strict=True):
+        rows.append((str(file), _recording_text(numbers)))
+    rows.append(("held out", _held_out_text(check.held_out, held_out)))
+    rows += _memory(model)
+    rows.append(("safety", f"{check.safety:g} times the smallest bounds"))
+    means = []
+    for a in model.averages:
+        means.append(f"{a.text} within {float(a.bound):.4g} {model.unit(a.signal)}".rstrip())
+    if means:
+        rows.append(("averages", ", ".join(means)))
+    rounded = []
+    for name, r in zip(model.outputs, model.resolution, strict=True):
+        if r:
+            rounded.append(f"{float(r):.6g} of {name}")
+    if rounded:
+        part = "that much of the bound is what the recorder rounds away"
+        rows.append(("resolution", f"{', '.join(rounded)}: {part}"))
+    rows.append(("written", " and ".join(written)))
+    rows += [("caution", sentence) for sentence in check.sentences]
+    rows += [("hint", hint) for hint in hints]
+    several = "s" if len(check.recordings) > 1 else ""
+    headline = f"{model.name}: fitted to {len(check.recordings)} recording{several}"
+    show(headline, "bold", rows, table=_bounds_table(model))
+
+
+def _bounds_table(model):
+    """Return the bounds of each output, and the errors that are always seen with them."""
+    check = model.check
+    table = [("output", "smallest bound", "written", "jump always seen", "steady error always seen")]
+    for name, noise, resolution in zip(model.outputs, model.noise, model.resolution, strict=True):
+        jump, steady = (_size(model, sizes, name) for sizes in (check.jump, check.steady))
+        table.append((name, f"{check.smallest[name]:.4g}", f"{float(noise + resolution):.4g}", jump, steady))
+    return table
+
+
+def _size(model, sizes, name):
+    if not np.isfinite(sizes[name]):
+        return "never"
+    return f"{sizes[name]:.3g} {model.unit(name)}".rstrip()
+
+
+def _window_text(model):
+    """Return how many samples a window looks at."""
+    if model.lags is None:
+        return f"{model.horizon + 1}"
+    return f"{len(model.lags)} of {model.horizon + 1}"
+
+
+def _recording_text(numbers):
+    if not numbers["windows"]:
+        return "no window"
+    return f"{numbers['windows']} windows, {100 * numbers['used']:.3g} % of the bounds used"
+
+
+def _held_out_text(unseen, share):
+    """Return what a first fit made of the samples that it had not seen."""
+    if unseen is None:
+        return "nothing"
+    return (
+        f"a first fit, to the first {100 * (1 - share):.3g} % of each, found {100 * unseen['fault']:.3g} % "
+        f"FAULT in {unseen['windows']} windows of the rest, which used {100 * unseen['growth']:.3g} % of its "
+        f"bounds; the model is fitted to all"
+    )
+
+
+def _memory(model):
+    """Return a line on lags where the plant remembers longer than its windows: they may see smaller lasting
+    errors.
+    """
+    if model.lags is not None or slowest(model) < MEMORY * (model.horizon + 1):
+        return []
+    try:
+        lags = suggest_lags(model)
+    except ValueError:  # none of them would help
+        return []
+    sizes = []
+    for name in model.outputs:
+        sizes.append(f"{name} {lags.sizes[lags][name]:.3g} {model.unit(name)}".rstrip())
+    return [
+        (
+            "memory",
+            f"the plant remembers longer than a window: fitted again with --lags {','.join(map(str, lags))} "
+            f"it would see lasting errors from about {', '.join(sizes)} on, if its bounds hardly grew",
+        )
+    ]

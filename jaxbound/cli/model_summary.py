@@ -1,0 +1,245 @@
+"""A model file's contents, and what can be detected and isolated with it, on the terminal and as JSON."""
+
+import math
+from typing import Any
+
+from jaxbound.cli.terminal import show
+from jaxbound.diagnosis.detectability import detectable
+from jaxbound.diagnosis.hints import bound_hints
+from jaxbound.models.system import LinearSystem
+from jaxbound.plots.residuals import distinct_relations
+from jaxbound.relations.cost import elimination_seconds, relation_cost
+from jaxbound.relations.decoupling import isolability, signatures, structured_relations
+from jaxbound.relations.redundancy import redundancy
+from jaxbound.relations.sentence import main_terms
+from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.text.quantities import rough_duration
+
+__all__ = ["isolation_text", "plain_model", "show_model"]
+
+SENSOR_BOUNDS = ("tolerance", "noise", "resolution")
+SIGNALS = 12
+"""Up to here relations of minimal support are looked for and every pair of faults is listed."""
+PATIENCE = 60.0
+"""Seconds, roughly, beyond which tables are left to whoever asks for them."""
+
+
+def show_model(model: LinearSystem, relations: Any) -> None:
+    """Print a model, its relations, and the faults that they see and tell apart."""
+    rows = [
+        ("states", f"{model.n}: {', '.join(model.states)}"),
+        ("inputs", f"{model.m}: {_signals_text(model, model.inputs)}"),
+        ("outputs", f"{model.p}: {_signals_text(model, model.outputs)}"),
+        ("dt", f"{model.dt:g} s"),
+        ("matrices", f"{_matrices_text(model)}   {_origin(model, 'model')}"),
+        *_bounds_rows(model),
+        ("offset", _nonzero_text(model.inputs + model.outputs, model.offset["u"] + model.offset["y"])),
+    ]
+    for name, column in model.columns.items():
+        is_signal = name in model.inputs + model.outputs
+        rows.append((f"column of {name}" if is_signal else name, column))
+    rows += _relations_rows(relations)
+    rows += [("hint", hint) for hint in bound_hints(model)]
+    distinct = distinct_relations(relations)
+    if len(distinct) < relations.count:
+        rows.append(("", f"the {len(distinct)} below and the same some samples earlier"))
+    lines = relations.text().splitlines()
+    text = "\n".join(main_terms(lines[j]) for j in distinct)
+    if not model.uncertainties:
+        text += f"\n\n{isolation_text(model, relations.horizon, _lags(relations))}"
+    show(model.name, "bold", rows, text=text)
+
+
+def _signals_text(model, names):
+    signals = []
+    for name in names:
+        unit = model.unit(name)
+        signals.append(f"{name} [{unit}]" if unit else name)
+    return ", ".join(signals) or "none"
+
+
+def _matrices_text(model):
+    direct = "present" if model.has_feedthrough else "zero"
+    return f"A {model.n}x{model.n}, B {model.n}x{model.m}, C {model.p}x{model.n}, D {direct}"
+
+
+def _bounds_rows(model):
+    """Return a row for each kind of bound."""
+    rows = []
+    for kind in SENSOR_BOUNDS:
+        values = _nonzero_text(model.outputs, getattr(model, kind))
+        rows.append((kind, f"{values}   {_origin(model, kind)}".rstrip()))
+    if model.g:
+        ranges = []
+        for j, (lo, hi) in enumerate(model.disturbance):
+            ranges.append(f"w{j + 1} in [{float(lo):.6g}, {float(hi):.6g}]")
+        rows.append(("disturbance", f"{', '.join(ranges)}   {_origin(model, 'disturbance')}"))
+    for a in model.averages:
+        rows.append(("average", f"{a.text} within {float(a.bound):.6g}"))
+    if model.d:
+        rows.append(("unknown inputs", f"{model.d}, of which nothing is known"))
+    for parameter in model.uncertainties:
+        lo, hi = map(float, parameter.between)
+        how = "varies" if parameter.varying else "constant"
+        rows.append(("parameter", f"{parameter.name} in [{lo:.6g}, {hi:.6g}], {how}"))
+    return rows
+
+
+def _nonzero_text(names, values):
+    """Return the numbers that are not 0 behind their names."""
+    texts = [f"{name} {float(value):.6g}" for name, value in zip(names, values, strict=True) if value]
+    return ", ".join(texts) or "none"
+
+
+def _origin(model, field):
+    """Return the provenance of a field in brackets; of bounds that are 0 throughout there is none."""
+    origin = model.provenance.get(field)
+    if origin:
+        return f"({origin})"
+    if field in SENSOR_BOUNDS and not any(getattr(model, field)):
+        return ""
+    return "(origin not stated)"
+
+
+def _relations_rows(relations):
+    """Return rows on the windows and on how many relations are tested."""
+    s = relations.horizon
+    rows = [("horizon", f"{s}: a window has {s + 1} samples")]
+    lags = _lags(relations)
+    if lags:
+        about = "so long before its last sample outputs are looked at"
+        rows.append(("lags", f"{', '.join(map(str, lags))}: {about}"))
+    rows.append(("relations", f"{relations.count} independent, {_tested_text(relations)}"))
+    rows += [("note", note) for note in getattr(relations, "notes", ())]
+    return rows
+
+
+def _tested_text(relations):
+    """Return how many combinations of relations a window is tested by."""
+    if isinstance(relations, UncertainRelations):
+        return f"polynomials of order {relations.order} in {len(relations.variables)} uncertain numbers"
+    if relations.frame is None:
+        return f"{len(relations.circuits)} combinations tested"
+    return "combinations too many to list, the worst is searched for"
+
+
+def _lags(relations):
+    return getattr(relations, "lags", None)
+
+
+def plain_model(model: LinearSystem, relations: Any) -> dict[str, Any]:
+    """Return what --json prints: the model file's own words and numbers, the relations, and the sizes that
+    are guaranteed.
+    """
+    parameters = []
+    for parameter in model.uncertainties:
+        ends = [float(x) for x in parameter.between]
+        parameters.append({"name": parameter.name, "between": ends, "varying": parameter.varying})
+    plain: dict[str, Any] = {
+        "name": model.name,
+        "dt": model.dt,
+        "horizon": relations.horizon,
+        "states": list(model.states),
+        "inputs": [_plain_signal(model, "u", i, name) for i, name in enumerate(model.inputs)],
+        "outputs": [_plain_signal(model, "y", i, name) for i, name in enumerate(model.outputs)],
+        "unknown_inputs": model.d,
+        "disturbances": [[float(x) for x in ends] for ends in model.disturbance],
+        "parameters": parameters,
+        "provenance": dict(model.provenance),
+        "relations": relations.text().splitlines(),
+        "notes": list(getattr(relations, "notes", ())),
+        "hints": bound_hints(model),
+    }
+    is_known = not model.uncertainties and not any(model.tolerance)
+    if is_known and _seconds(model, relations.horizon) <= PATIENCE:
+        sizes = _guaranteed(model, relations.horizon, _lags(relations))
+        plain["guaranteed"] = {n: None if math.isinf(size) else float(size) for n, size in sizes.items()}
+    return plain
+
+
+def _plain_signal(model, side, i, name):
+    """Return an input (side "u") or an output ("y") as JSON has it."""
+    signal = {
+        "name": name,
+        "unit": model.unit(name),
+        "column": model.column(name),
+        "offset": float(model.offset[side][i]),
+    }
+    if side == "y":
+        return signal | {kind: float(getattr(model, kind)[i]) for kind in SENSOR_BOUNDS}
+    if name in model.ranges:
+        signal["range"] = [float(x) for x in model.ranges[name]]
+    return signal
+
+
+def _seconds(model, horizon):
+    """Return about how long the tables of `isolation_text` take."""
+    signals = model.outputs + model.inputs
+    return len(signals) * (elimination_seconds(model, model.n, unknown=1) + relation_cost(model, horizon)[0])
+
+
+def _guaranteed(model, horizon, lags):
+    """Return {signal: size} of the constant faults that fill a window and are detected whatever else
+    happens.
+    """
+    window = {"horizon": max(horizon, redundancy(model).horizon)} if lags is None else {"lags": lags}
+    return {name: detectable(model, name, **window) for name in model.outputs + model.inputs}
+
+
+def isolation_text(model: LinearSystem, horizon: int, lags: tuple[int, ...] | None = None) -> str:
+    """Return paragraphs on a certain model: its relations of fewest signals, which single faults they tell
+    apart, guaranteed sizes.
+    """
+    signals = model.outputs + model.inputs
+    if len(signals) > SIGNALS:
+        return (
+            f"(more than {SIGNALS} signals: jb.structured_relations(model, [...]) has the relations that "
+            f"ignore those of your choice)"
+        )
+    seconds = _seconds(model, horizon)
+    if seconds > PATIENCE:
+        return (
+            f"(signatures, isolability and guaranteed sizes are not worked out: that would take "
+            f"{rough_duration(seconds)}; jb.isolability(model) and jb.detectable(model, signal, horizon) do "
+            f"it)"
+        )
+    out = []
+    try:
+        bank = structured_relations(model)
+    except ValueError as e:
+        return f"(no table of signatures: {e})"
+    if bank.count:
+        out += [
+            "relations of fewest signals, q the step to the next sample:",
+            *map(main_terms, bank.text().splitlines()),
+            "",
+        ]
+        out += [
+            "how they react to a fault of one signal: 1 yes, t only while it changes, . not at all",
+            signatures(bank).text(),
+            "",
+        ]
+    out += [
+        "a fault of the row shows although that of the column is ignored: 1 yes, t only while it changes, . "
+        "no",
+        isolability(model).text(),
+        "",
+    ]
+    return "\n".join([*out, *_sizes(model, horizon, lags)])
+
+
+def _sizes(model, horizon, lags):
+    if any(model.tolerance):
+        return [
+            "guaranteed sizes depend on the operating range: jb.detectable(model, signal, "
+            "operating_range=...)"
+        ]
+    samples = (max(horizon, redundancy(model).horizon) if lags is None else lags[-1]) + 1
+    lines = [
+        f"a constant fault that fills a window of {samples} samples is detected, whatever else happens, from "
+        f"this size on:"
+    ]
+    for name, size in _guaranteed(model, horizon, lags).items():
+        amount = "never guaranteed" if math.isinf(size) else f"{float(size):.4g} {model.unit(name)}".rstrip()
+        lines.append(f"{name}: {amount}")
+    return lines

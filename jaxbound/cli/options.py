@@ -1,0 +1,292 @@
+"""The options that several commands share, and the values that they are read as.
+
+A command calls the functions here for its parser. They import no more than the standard library, because
+help and completion are to be there at once.
+"""
+
+import argparse
+from argparse import ArgumentTypeError
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from jaxbound.cli.terminal import NORMAL, QUIET, VERBOSE
+
+__all__ = [
+    "METHODS",
+    "OBSERVER",
+    "OBSERVERS",
+    "MethodOptions",
+    "add_alarm",
+    "add_engine",
+    "add_force",
+    "add_json",
+    "add_loudness",
+    "add_method",
+    "add_observer",
+    "add_safety",
+    "add_windows",
+    "lags",
+    "named",
+    "path",
+    "share",
+    "some_of",
+    "whole_number",
+]
+
+OBSERVER = "observer"
+JOINT = "joint"
+# These two are texts of their own, because what is listed here is not worth the imports of its home. A test
+# compares them with `consistency.interface.METHODS` and with what `estimation.observer` takes.
+METHODS = "joint, box, paving, linearized"
+OBSERVERS = ("zonotope", "strips", "joint", "constrained")
+LARGEST = 10**15
+DIGITS = 20  # a number of so many digits is not even converted
+
+
+@dataclass(frozen=True)
+class MethodOptions:
+    """The test that a command is to make: its method, the windows, and the set of an observer.
+
+    Fields:
+        method: one of METHODS, "observer", or, for a command that has it, "validation".
+        horizon, lags: the windows; None: those of the model.
+        order, latched, observer, span: of an observer, see `add_observer`.
+    """
+
+    method: str = "joint"
+    horizon: int | None = None
+    lags: tuple[int, ...] | None = None
+    order: int | None = None
+    latched: bool = False
+    observer: str | None = None
+    span: int | None = None
+
+    @classmethod
+    def of(cls, args: argparse.Namespace) -> "MethodOptions":
+        """Return the options of a command line; a command without one of them has its default."""
+        given = {f.name: getattr(args, f.name) for f in fields(cls) if hasattr(args, f.name)}
+        return cls(**given)
+
+    @property
+    def observes(self) -> bool:
+        """Whether an observer is asked for."""
+        return self.method == OBSERVER
+
+    @property
+    def observer_options(self) -> dict[str, Any]:
+        """The keywords of `jb.observer` that differ from their defaults; other methods have none."""
+        if not self.observes:
+            return {}
+        keywords: dict[str, Any] = {
+            "order": self.order,
+            "horizon": self.horizon,
+            "restart": False if self.latched else None,
+            "method": self.observer,
+            "window": self.span,
+        }
+        return {name: value for name, value in keywords.items() if value is not None}
+
+    def check(self) -> None:
+        """Raise ValueError for an option that the method does not take."""
+        if not self.observes:
+            for name in ("order", "latched", "observer", "span"):
+                if getattr(self, name):
+                    raise ValueError(f"--{name} is for --method {OBSERVER}")
+            return
+        if self.lags is not None:
+            raise ValueError("--lags is for windows: an observer looks at every sample")
+        if self.span is None:
+            return
+        if self.observer != JOINT:
+            raise ValueError(f"--span is for --observer {JOINT}")
+        if self.span % 2:
+            raise ValueError(f"--span needs an even number of samples, not {self.span}")
+
+
+def add_method(parser: argparse.ArgumentParser, more: str = "") -> None:
+    """Add --method of a command that tests recordings. more: the end of its help."""
+    about = f"{METHODS} (default: joint, the exact test){more}"
+    parser.add_argument("--method", default="joint", help=about)
+
+
+def add_windows(parser: argparse.ArgumentParser, about: str = "", least: int = 0) -> None:
+    """Add --horizon and --lags. about: the help of --horizon; least: its lowest value."""
+    about = about or "a window has S + 1 samples (default: that of the model, or the least useful S)"
+    one = parser.add_mutually_exclusive_group()
+    one.add_argument("--horizon", type=whole_number(least), metavar="S", help=about)
+    one.add_argument(
+        "--lags",
+        type=lags,
+        metavar="0,1,2,4",
+        help="look at the outputs only so many samples before the last of a window: long memory, few rows; "
+        "every input between is used",
+    )
+
+
+def add_observer(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a set observer."""
+    parser.add_argument(
+        "--order",
+        type=whole_number(1, 1000),
+        metavar="N",
+        help="observer: directions of its set for each state; more is sharper and slower (default: 20; 5 of "
+        "constrained)",
+    )
+    parser.add_argument(
+        "--latched",
+        action="store_true",
+        help="observer: FAULT stays until a gap; else it begins anew behind a contradiction",
+    )
+    parser.add_argument(
+        "--observer",
+        choices=OBSERVERS,
+        metavar="NAME",
+        help="observer: zonotope (default, fast), strips (one set, least after every sample), joint (exact "
+        "tests of windows that remember: slow faults, some hundred times slower) or constrained (between "
+        "them)",
+    )
+    parser.add_argument(
+        "--span",
+        type=whole_number(4, 1000),
+        metavar="N",
+        help="observer joint: samples of such a window, even (default: 32)",
+    )
+
+
+def add_alarm(parser: argparse.ArgumentParser) -> None:
+    """Add --alarm and --min-coverage, by which verdicts become a conclusion."""
+    parser.add_argument(
+        "--alarm",
+        type=some_of("k", "3/5"),
+        default=(1, 1),
+        metavar="k/n",
+        help="an alarm needs k FAULT among n windows (default: 1/1)",
+    )
+    parser.add_argument(
+        "--min-coverage",
+        type=share,
+        default=0.5,
+        metavar="F",
+        help="least share of decided windows (default: 0.5)",
+    )
+
+
+def add_engine(parser: argparse.ArgumentParser) -> None:
+    """Add the options that spread the work."""
+    one = parser.add_mutually_exclusive_group()
+    one.add_argument(
+        "--workers",
+        type=whole_number(1, 10**4),
+        metavar="N",
+        help="let N processes of this machine do the work (needs dask)",
+    )
+    one.add_argument(
+        "--scheduler",
+        type=named,
+        metavar="ADDRESS",
+        help="let the workers of a dask scheduler do the work, like tcp://host:8786; they see all files by "
+        "the same paths",
+    )
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Add --json."""
+    about = "a machine-readable summary on stdout, nothing else"
+    parser.add_argument("--json", action="store_true", help=about)
+
+
+def add_force(parser: argparse.ArgumentParser) -> None:
+    """Add --force of a command that writes files of any name."""
+    about = "replace files that are there; never one that is read"
+    parser.add_argument("--force", action="store_true", help=about)
+
+
+def add_safety(parser: argparse.ArgumentParser) -> None:
+    """Add --safety of a command that finds bounds."""
+    about = "factor on the smallest bounds (default: 1.25)"
+    parser.add_argument("--safety", type=float, default=1.25, metavar="F", help=about)
+
+
+def add_loudness(parser: argparse.ArgumentParser) -> None:
+    """Add -q and -v, which every command has."""
+    one = parser.add_mutually_exclusive_group()
+    one.add_argument(
+        "-q",
+        "--quiet",
+        action="store_const",
+        const=QUIET,
+        dest="loudness",
+        help="print the first line of the conclusion alone, and no progress",
+    )
+    one.add_argument(
+        "-v",
+        "--verbose",
+        action="store_const",
+        const=VERBOSE,
+        dest="loudness",
+        help="say more: when each stage begins, all of a certificate, the traceback of an internal error",
+    )
+    parser.set_defaults(loudness=NORMAL)
+
+
+def named(text: str) -> str:
+    """Return a name as it is, unless it is empty."""
+    if not text.strip():
+        raise ArgumentTypeError("needs a name, not an empty text")
+    return text
+
+
+def path(text: str) -> Path:
+    """Return a path."""
+    return Path(named(text))
+
+
+def whole_number(least: int, most: int = LARGEST) -> Callable[[str], int]:
+    """Return a reader of whole numbers between two."""
+
+    def read(text: str) -> int:
+        is_long = len(text) >= DIGITS
+        if not text.isdecimal() or (not is_long and int(text) < least):
+            raise ArgumentTypeError(f"needs a whole number >= {least}, not {text[:40]!r}")
+        if is_long or int(text) > most:
+            raise ArgumentTypeError(f"needs a whole number of at most {most}, not {text[:40]}")
+        return int(text)
+
+    return read
+
+
+def some_of(k: str, example: str) -> Callable[[str], tuple[int, int]]:
+    """Return a reader of k/n with 1 <= k <= n. k: the letter that stands for it; example: a valid text."""
+
+    def read(text: str) -> tuple[int, int]:
+        first, slash, n = text.partition("/")
+        if not slash or not first.isdecimal() or not n.isdecimal() or not 1 <= int(first) <= int(n):
+            raise ArgumentTypeError(f"needs {k}/n with 1 <= {k} <= n, like {example}, not {text!r}")
+        return int(first), int(n)
+
+    return read
+
+
+def share(text: str) -> float:
+    """Return a number between 0 and 1."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = -1.0
+    if not 0 <= number <= 1:
+        raise ArgumentTypeError(f"needs a share between 0 and 1, not {text!r}")
+    return number
+
+
+def lags(text: str) -> tuple[int, ...]:
+    """Return the lags of a window, like 0,1,2,4."""
+    from jaxbound.models.system import whole_lags
+
+    try:
+        return whole_lags([whole_number(0)(part.strip()) for part in text.split(",")])
+    except (ValueError, ArgumentTypeError):
+        raise ArgumentTypeError(
+            f"needs different whole numbers with commas, 0 among them, like 0,1,2,4,8: not {text[:60]!r}"
+        ) from None

@@ -1,0 +1,89 @@
+"""The samples of a recording by their number and by their time."""
+
+import numpy as np
+
+from jaxbound.recordings.source import Source
+
+__all__ = ["SampleAxis"]
+
+
+class SampleAxis:
+    """The samples of a Source by number and by time; only those that are asked for are read, where it can."""
+
+    def __init__(self, source: Source) -> None:
+        self.source = source
+        self.samples: int = source.samples or 0  # None where nobody has counted: a report has
+        self.is_stamped = self._one(0).stamps is not None
+
+    def label(self, k: int) -> str:
+        """Return the time of sample k as text."""
+        return self._one(k).label(0)
+
+    def find(self, text: str) -> int:
+        """Return the number of the sample that a text names: a whole number is a sample, anything else a
+        time.
+
+        Raises:
+            ValueError: no such sample, with a sentence on what there is.
+        """
+        text = text.strip()
+        if text.removeprefix("-").isdecimal():
+            return self._numbered(text)
+        k = self.source.find(text)
+        if k is not None:
+            return k
+        time = self._parsed(text)
+        nearest = self._nearest(time)
+        step = abs(self._time(self.samples - 1) - self._time(0)) / max(self.samples - 1, 1)
+        if abs(self._time(nearest) - time) > step / 2:
+            ends = f"the recording runs from {self.label(0)} to {self.label(self.samples - 1)}"
+            raise ValueError(f"no sample lies at {text}: the nearest is at {self.label(nearest)}; {ends}")
+        return nearest
+
+    def _numbered(self, text):
+        if 0 <= int(text) < self.samples:
+            return int(text)
+        other = f"; for the time write --at {text}s" if self.also_a_time(text) else ""
+        raise ValueError(
+            f"there is no sample {text}: the recording has {self.samples}, numbered from 0{other}"
+        )
+
+    def _nearest(self, time):
+        """Return the number of the sample that lies nearest to a time."""
+        low, high = 0, self.samples - 1  # the last sample that is not later is between them
+        while low < high:
+            middle = (low + high + 1) // 2
+            if self._time(middle) <= time:
+                low = middle
+            else:
+                high = middle - 1
+        neighbours = [k for k in (low, low + 1) if k < self.samples]
+        return min(neighbours, key=lambda k: abs(self._time(k) - time))
+
+    def also_a_time(self, text: str) -> str:
+        """Return a sentence where the number of a sample is a time of the recording, too, and of another
+        sample; else "".
+        """
+        text = text.strip()
+        if not text.isdecimal() or self.is_stamped or not self.label(0).endswith(" s"):
+            return ""
+        if not self._time(0) <= int(text) <= self._time(self.samples - 1):
+            return ""
+        if self.label(min(int(text), self.samples - 1)) == f"{text} s":
+            return ""
+        return f"sample {text}; for the time write --at {text}s"
+
+    def _parsed(self, text):
+        try:
+            if self.is_stamped:
+                return np.datetime64(text.replace(" ", "T").removesuffix("Z"), "ns")
+            return float(text.removesuffix("s"))
+        except ValueError:
+            like = f"its time as alarms.csv has it, like {self.label(0)}"
+            raise ValueError(f"--at {text} names no sample: give its number, or {like}") from None
+
+    def _time(self, k):
+        return self._one(k).axis[0]
+
+    def _one(self, k):
+        return self.source.read(k, k + 1)

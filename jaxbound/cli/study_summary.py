@@ -1,0 +1,82 @@
+"""The files of a Monte-Carlo study, and its conclusion on the terminal or as JSON."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxbound.cli.terminal import show, write
+from jaxbound.recordings.columns import texts, to_arrow, write_columns
+from jaxbound.reports.study import COLUMNS, HEAD, sentence, study_page, study_rows
+from jaxbound.studies.montecarlo.study_result import StudyResult, delay_table, study_table
+from jaxbound.text.characters import cell
+
+__all__ = ["FILES", "conclude_study", "write_study"]
+
+FILES = ("summary.csv", "summary.parquet", "delays.parquet", "report.html")
+
+
+def write_study(work: Path, result: StudyResult, seed: int, seconds: float) -> None:
+    """Write the tables and the page of a study into a folder. seconds: that it took."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    counts = study_table(result)
+    write_columns(work / "summary.csv", {name: _column(values, cell) for name, values in counts.items()})
+    summary = {name: _column(values) for name, values in counts.items()}
+    delays = {name: _column(values) for name, values in delay_table(result).items()}
+    delays["delay"] = delays["delay"].cast(pa.int64())
+    for file, columns in (("summary.parquet", summary), ("delays.parquet", delays)):
+        pq.write_table(pa.Table.from_arrays(list(columns.values()), list(columns)), work / file)
+    (work / "report.html").write_text(study_page(result, seed, seconds), encoding="utf-8")
+
+
+def _column(values, written=str):
+    """Return numbers, or texts as they are written, as a pyarrow array."""
+    if values.dtype != object:
+        return to_arrow(values)
+    names = list(dict.fromkeys(values))
+    return texts([written(name) for name in names]).take(to_arrow(np.array([names.index(v) for v in values])))
+
+
+def conclude_study(result: StudyResult, out: Path, seconds: float, as_json: bool = False) -> None:
+    """Print what was found. out: the folder of the report; seconds: that it took."""
+    page = str(out / "report.html")
+    if as_json:
+        write(json.dumps(_plain_study(result, page), indent=1, default=float) + "\n")
+        return
+    speed = result.scenarios * result.samples / max(seconds, 1e-9) / 1e6
+    where = f"on {jax.local_device_count()} device"
+    rows = [
+        ("study", sentence(result)),
+        ("columns", COLUMNS),
+        ("seconds", f"{seconds:.1f}, {speed:.3g} million samples a second {where}"),
+        ("report", page),
+    ]
+    show(result.model.name, "bold", rows, table=[HEAD, *study_rows(result)])
+
+
+def _plain_study(result: StudyResult, page: str) -> dict[str, Any]:
+    """Return what --json prints."""
+    false_alarms, clean_windows = result.false_alarms
+    columns = {name: map(_number_or_none, x.tolist()) for name, x in study_table(result).items()}
+    cells = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    return {
+        "scenarios": result.scenarios,
+        "samples": result.samples,
+        "at": result.at,
+        "horizon": result.horizon,
+        "false_alarms": false_alarms,
+        "clean_windows": clean_windows,
+        "cells": cells,
+        "report": page,
+    }
+
+
+def _number_or_none(x):
+    """Return None for a float that is not finite: JSON has no such number."""
+    if isinstance(x, float) and not np.isfinite(x):
+        return None
+    return x

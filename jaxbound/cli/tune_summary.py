@@ -1,0 +1,157 @@
+"""Tuned bounds: the model file that gets them, and their description on the terminal and as JSON."""
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxbound.cli.terminal import show
+from jaxbound.models.modelfile import model_text, number_text
+from jaxbound.studies.tuning.tuning import TuneResult
+
+if TYPE_CHECKING:
+    from optax import GradientTransformation
+
+__all__ = ["OPTIMIZERS", "is_unfinished", "optimizer", "plain_tuning", "show_tuning", "tuned_text"]
+
+OPTIMIZERS = ("adam", "adabelief", "adagrad", "lion", "nadam", "rmsprop", "sgd", "yogi")
+MARK = b"# The search was interrupted: the same command goes on and replaces this file. %s\n"
+RATE = 0.1  # of the first step, on the logarithms of the bounds
+
+
+def tuned_text(tuning: TuneResult) -> bytes:
+    """Return the model file with the bounds that were found.
+
+    That of an interrupted search begins with a line by which the next call knows that nobody has changed it.
+    """
+    text = model_text(tuning.model).encode()
+    if tuning.stopped:
+        return _mark(text) + text
+    return text
+
+
+def is_unfinished(path: Path) -> bool:
+    """Return whether a file is as an interrupted search has left it."""
+    if not path.is_file():
+        return False
+    content = path.read_bytes()
+    text = content.split(b"\n", 1)[-1]
+    return content == _mark(text) + text
+
+
+def _mark(text):
+    return MARK % hashlib.sha256(text).hexdigest().encode()
+
+
+def optimizer(name: str, steps: int) -> "GradientTransformation | None":
+    """Return an optax optimiser by name, with a step that falls to nothing; None for the default one.
+
+    Raises:
+        ValueError: another name.
+    """
+    if name not in OPTIMIZERS:
+        raise ValueError(f"--optimizer must be one of {', '.join(OPTIMIZERS)}, not {name!r}")
+    if name == "adam" or not steps:
+        return None
+    import optax
+
+    return getattr(optax, name)(optax.cosine_decay_schedule(RATE, steps))
+
+
+def plain_tuning(tuning: TuneResult, out: Path, hints: Sequence[str]) -> dict[str, Any]:
+    """Return what --json prints."""
+    risk = tuning.risk
+    return {
+        "out": str(out),
+        "horizon": tuning.relations.horizon,
+        "scale": tuning.scale,
+        "safety": tuning.safety,
+        "bounds": _plain_bounds(tuning.bounds),
+        "smallest": _plain_bounds(tuning.smallest),
+        "start": _plain_bounds(tuning.start),
+        "steps": tuning.steps,
+        "stopped": tuning.stopped,
+        "healthy": tuning.counts,
+        "faulty": tuning.faulty_counts,
+        "caught": tuning.caught,
+        "least_margin": float(np.nanmin(tuning.margin)),
+        "risk": {
+            "blocks": risk.blocks,
+            "windows_in_a_block": risk.length,
+            "average": risk.average,
+            "rate": risk.rate,
+            "confidence": risk.confidence,
+            "guide_only": risk.guide,
+            "text": risk.text,
+        },
+        "notes": list(tuning.notes),
+        "hints": list(hints),
+    }
+
+
+def _plain_bounds(bounds):
+    return {kind: np.asarray(values).tolist() for kind, values in bounds.items()}
+
+
+def show_tuning(tuning: TuneResult, written: Sequence[str], hints: Sequence[str]) -> None:
+    """Print what was found. written: the files that were written."""
+    reason = "no smaller ones in this direction explain the healthy data"
+    safety = f"{tuning.safety:g}, on top of the smallest bounds"
+    if tuning.safety <= 1:
+        safety += " (none)"
+    window = f"windows of {tuning.relations.horizon + 1} samples"
+    rows = [
+        ("scale", f"{tuning.scale:.9g} times the starting bounds: {reason}"),
+        ("safety", safety),
+        ("healthy", f"{_counts_text(tuning.counts)} {window}, by the proved test"),
+    ]
+    if tuning.faulty_counts:
+        rows.append(("faulty", f"{_counts_text(tuning.faulty_counts)}: {tuning.caught:.1%} proved faulty"))
+    rows += [
+        ("steps", str(tuning.steps)),
+        ("written", " and ".join(written)),
+        ("elsewhere", tuning.statement),
+    ]
+    rows += [("note", note) for note in tuning.notes]
+    rows += [("hint", hint) for hint in hints]
+    table = [("bound", "start", "smallest", "written"), *_moved_bounds(tuning)]
+    show(f"{tuning.model.name}: bounds tuned", "bold", rows, table=table)
+
+
+def _counts_text(counts):
+    return ", ".join(f"{n} {name}" for name, n in counts.items() if n)
+
+
+def _moved_bounds(tuning: TuneResult) -> Iterator[tuple[str, str, str, str]]:
+    """Yield (name, start, smallest, written), texts: of every bound that moved."""
+    model, relations = tuning.model, tuning.relations
+    signals = {
+        "tolerance": model.outputs,
+        "noise": model.outputs,
+        "disturbance": tuple(f"w{j + 1}" for j in range(model.g)),
+    }
+    exact = {"tolerance": model.tolerance, "noise": model.noise, "disturbance": model.disturbance}
+    parameters = tuple(u.name for u in model.uncertainties)
+    for kind, bounds in relations.bounds.items():
+        for i, signal in enumerate(signals.get(kind, parameters)):
+            name = f"{kind} of {signal}"
+            if not any(moved.endswith(name) for moved in tuning.names):
+                continue
+            written = exact[kind][i] if kind in exact else Fraction(repr(float(bounds[i])))
+            start, smallest = tuning.start[kind][i], tuning.smallest[kind][i]
+            yield name, _rounded_text(start), _rounded_text(smallest), _exact_text(written)
+
+
+def _rounded_text(bound):
+    """Return a bound, or its two ends, with six digits."""
+    return " to ".join(f"{end:.6g}" for end in np.ravel(bound))
+
+
+def _exact_text(bound):
+    """Return a bound, or its two ends, as the model file has it."""
+    if isinstance(bound, Fraction):
+        return number_text(bound)
+    return " to ".join(map(number_text, bound))

@@ -1,0 +1,51 @@
+"""Arrays of Python's integers: floats made whole, sums of any length, and ratios back in floats."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+__all__ = ["places", "quotients", "ratios", "total", "whole_floats"]
+
+MANTISSA = 53
+"""Bits of a float: times 2^53 its mantissa is whole."""
+LARGEST = 1000
+"""Bits up to which integers are converted to floats as they are."""
+
+
+def places(x: Any) -> int:
+    """Return the smallest n >= 0 for which all finite floats times 2^n are surely integers."""
+    x = np.asarray(x, np.float64)
+    x = x[np.isfinite(x) & (x != 0)]
+    if not x.size:
+        return 0
+    exponent = np.frexp(x)[1]
+    return max(0, MANTISSA - int(exponent.min()))
+
+
+def whole_floats(x: Any, power: int) -> np.ndarray:
+    """Return finite floats times 2^power, which makes them integers, as an array of Python's."""
+    mantissa, exponent = np.frexp(np.asarray(x, np.float64))
+    whole = (mantissa * 2.0**MANTISSA).astype(np.int64).astype(object)
+    shift = np.where(mantissa == 0, 0, exponent + (power - MANTISSA))
+    return whole << shift.astype(object)
+
+
+def total(parts: Iterable[Any]) -> Any:
+    """Return the sum of arrays of integers; 0 for none."""
+    return sum(parts, 0)
+
+
+def ratios(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return x / y of integers >= 0 as floats, 0 where both are 0."""
+    largest = int(max(x.max(), y.max()))
+    cut = max(0, largest.bit_length() - LARGEST)
+    above, below = ((v >> cut).astype(np.float64) for v in (x, y))
+    both_zero = (above == 0) & (below == 0)
+    with np.errstate(divide="ignore"):
+        return np.where(above == 0, 0, above / np.where(both_zero, 1, below))
+
+
+def quotients(x: Iterable[int], divisor: int) -> np.ndarray:
+    """Return integers divided by one as floats."""
+    return np.array([int(v) / divisor for v in x], np.float64)
