@@ -44,15 +44,11 @@ def plain_sums(sums: Sequence[WeightedSum], bounds: Sequence[Fraction]) -> list[
     """Return bounded sums as the checker takes them."""
     plain = []
     for values, bound in zip(sums, bounds, strict=True):
-        ((number, weights),) = values.parts
-        plain.append(
-            {
-                "output": Fraction(values.measured),
-                "number": Fraction(number),
-                "weights": weights,
-                "bound": bound,
-            }
-        )
+        one, *beside = [{"number": Fraction(number), "weights": weights} for number, weights in values.parts]
+        entry: dict[str, Any] = {"output": Fraction(values.measured), **one, "bound": bound}
+        if beside:
+            entry["beside"] = beside
+        plain.append(entry)
     return plain
 
 

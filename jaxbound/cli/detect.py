@@ -16,6 +16,7 @@ from jaxbound.cli.options import (
     add_windows,
     named,
     path,
+    refuse_unknown_method,
     some_of,
     whole_number,
 )
@@ -252,9 +253,7 @@ def _refuse_what_is_for_pipes(args: argparse.Namespace) -> None:
         raise Refused("the following arguments are required: --out; see jaxbound detect --help")
     if args.state is not None:
         raise Refused("--state is for samples that come through a pipe: give - as DATA")
-    methods = f"{METHODS}, {OBSERVER}, {VALIDATION}"
-    if args.method not in methods.split(", "):
-        raise Refused(f"--method must be one of {methods}, not {args.method!r}")
+    refuse_unknown_method(args.method, f"{METHODS}, {OBSERVER}, {VALIDATION}")
 
 
 def _refuse_shares(args: argparse.Namespace, has_parts: bool) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 from jaxbound.certificates.interface import certify
 from jaxbound.cli.options import OBSERVER
 from jaxbound.cli.sample_axis import SampleAxis
+from jaxbound.consistency.interface import FAMILIES
 from jaxbound.estimation.observer import observer
 from jaxbound.recordings.read import open_source
 from jaxbound.relations.parity import parity_relations
@@ -59,7 +60,10 @@ def explain_window(directory: str | Path, at: str) -> Explained:
         if method == OBSERVER:
             certificate, part = refuted_again(observer(model, **options), source, k)
         else:
-            relations = parity_relations(model, horizon if model.lags is None else None)
+            if method in FAMILIES:
+                relations = FAMILIES[method](model, horizon)
+            else:
+                relations = parity_relations(model, horizon if model.lags is None else None)
             part = source.read(k - horizon, k + 1)
             if part.across(horizon)[horizon]:
                 raise ValueError("a window across a gap in time is MISSING")

@@ -14,8 +14,9 @@ from jaxbound.cli.options import (
     add_observer,
     add_windows,
     path,
+    refuse_unknown_method,
 )
-from jaxbound.cli.terminal import Refused, door, progress_bars, usable_device
+from jaxbound.cli.terminal import door, progress_bars, usable_device
 
 NAME = "fleet"
 HELP = "test many units listed in a table"
@@ -73,9 +74,7 @@ def run(args: argparse.Namespace) -> int:
         from jaxbound.runs.refusals import Interrupted
 
     options = MethodOptions.of(args)
-    methods = f"{METHODS}, {OBSERVER}"
-    if args.method not in methods.split(", "):
-        raise Refused(f"--method must be one of {methods}, not {args.method!r}")
+    refuse_unknown_method(args.method, f"{METHODS}, {OBSERVER}")
     with door():
         options.check()
         units = read_manifest(args.manifest)

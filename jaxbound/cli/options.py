@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from jaxbound.cli.terminal import NORMAL, QUIET, VERBOSE
+from jaxbound.cli.terminal import NORMAL, QUIET, VERBOSE, Refused
 
 __all__ = [
     "METHODS",
@@ -30,6 +30,7 @@ __all__ = [
     "lags",
     "named",
     "path",
+    "refuse_unknown_method",
     "share",
     "some_of",
     "whole_number",
@@ -43,6 +44,16 @@ METHODS = "joint, box, paving, linearized"
 OBSERVERS = ("zonotope", "strips", "joint", "constrained")
 LARGEST = 10**15
 DIGITS = 20  # a number of so many digits is not even converted
+
+
+def refuse_unknown_method(method: str, known: str) -> None:
+    """Raise Refused for a method that is neither among `known`, with commas, nor registered as a family."""
+    if method in known.split(", "):
+        return
+    from jaxbound.consistency.interface import FAMILIES  # only now: a help is to be there at once
+
+    if method not in FAMILIES:
+        raise Refused(f"--method must be one of {', '.join((known, *FAMILIES))}, not {method!r}")
 
 
 @dataclass(frozen=True)

@@ -98,7 +98,7 @@ def follow(
     with door(), _place(model, out, state) as folder:
         stated = load_model(model)
         tested, relations = window_relations(stated, options, model, None, lambda stage, share: None)
-        if getattr(relations, "frame", None) is None:  # strips: sooner done than handed to another thread
+        if not relations.searched:  # strips: sooner done than handed to another thread
             jax.config.update("jax_cpu_enable_async_dispatch", False)
         usable_device()
         monitor = Monitor(relations, options.method)

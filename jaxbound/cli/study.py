@@ -149,7 +149,7 @@ def run(args: argparse.Namespace) -> int:
             at=args.at,
             input_range=ranges[0] if ranges is not None and len(ranges) == 1 else ranges,
             hold=args.hold,
-            method="joint" if options.observes else args.method,
+            method=args.method if args.method in METHODS.split(", ") else "joint",
             progress=_Announced(args.n, args.samples, lambda share: step("study", share)),
             out=args.out,
             rows=args.rows,

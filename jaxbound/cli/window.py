@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from jaxbound.cli.options import MethodOptions
+from jaxbound.consistency.interface import FAMILIES
 from jaxbound.estimation.observer import observer
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import refuse_short
@@ -41,6 +42,8 @@ def window_relations(
         ValueError: a recording without a whole window, windows without a relation; no observer.
     """
     options.check()
+    if options.method in FAMILIES:
+        return model, FAMILIES[options.method](model, options.horizon)
     if options.observes:
         return model, observer(model, **options.observer_options)
     model = windowed(model, options.horizon, options.lags)

@@ -2,7 +2,6 @@
 
 from jaxbound.consistency.interface import (
     Judged,
-    MethodOptions,
     Observer,
     Relations,
     Verdicts,
@@ -13,7 +12,6 @@ from jaxbound.consistency.monitor import Monitor, MonitorState, Verdict
 
 __all__ = [
     "Judged",
-    "MethodOptions",
     "Monitor",
     "MonitorState",
     "Observer",

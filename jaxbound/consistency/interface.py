@@ -30,7 +30,6 @@ __all__ = [
     "OBSERVER",
     "Judged",
     "LinearRelations",
-    "MethodOptions",
     "Observer",
     "Open",
     "Reach",
@@ -479,7 +478,11 @@ class Observer(Relations, Generic[Carry]):
 
     if not TYPE_CHECKING:
         horizon = 0
-        methods = (OBSERVER,)
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """The one method of an observer."""
+        return (self.method,)
 
     @cached_property
     def signals(self) -> SignalModel:
@@ -523,7 +526,7 @@ class Observer(Relations, Generic[Carry]):
         """Return this observer, which knows one method.
 
         Raises:
-            ValueError: another method than "observer" (or "joint", the default of every verb), a budget or a
+            ValueError: another method than its own (or "joint", the default of every verb), a budget or a
                 compensation.
         """
         known = method in (METHODS[0], self.method)
@@ -538,18 +541,6 @@ class Observer(Relations, Generic[Carry]):
         raise NotImplementedError(
             "margins are those of windows: detect(observer, ..).margin has what an observer says"
         )
-
-
-class MethodOptions:
-    """How a method is set: a frozen dataclass in the file of the method, its fields with defaults.
-
-    Fields:
-        method: the name of the method, as keywords and the shell take it.
-        words: {field: one sentence for the help of the shell}; the type of an option is that of its field.
-    """
-
-    method: ClassVar[str]
-    words: ClassVar[Mapping[str, str]] = {}
 
 
 FAMILIES: dict[str, Callable[[Any, int | None], Relations]] = {}

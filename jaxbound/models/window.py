@@ -14,7 +14,8 @@ feedthrough D.
 Source: Adrot, Maquin, Ragot 2000, (3), (10), (12).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from functools import lru_cache
 
@@ -25,6 +26,7 @@ from jaxbound.models.system import LinearSystem
 
 __all__ = [
     "bounded_sums",
+    "changed_sums",
     "disturbance_form",
     "first_form",
     "input_lags",
@@ -51,6 +53,12 @@ def unknown_lags(model: LinearSystem, horizon: int) -> int:
 def bounded_sums(model: LinearSystem) -> tuple[BoundedSum, ...]:
     """Return the bounds of a model on sums of errors, in the order of their rows."""
     return model.averages
+
+
+def changed_sums(model: LinearSystem, bounds: Sequence[Fraction]) -> dict[str, tuple[BoundedSum, ...]]:
+    """Return the changes of `LinearSystem.replace` that give the sums of a model other bounds."""
+    averages = [replace(a, bound=bound) for a, bound in zip(model.averages, bounds, strict=True)]
+    return {"averages": tuple(averages)}
 
 
 @lru_cache(maxsize=64)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxbound.plots.canvas import COLOURS, FAULTY, GRID, INK, canvas, style
 from jaxbound.plots.plot import plot
 from jaxbound.sets.floats.status import Status
-from jaxbound.studies.identification.fitting import Fitted
+from jaxbound.studies.identification.fit_result import Fitted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

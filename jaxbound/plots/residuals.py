@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jaxbound.consistency.interface import LinearRelations, Relations
 from jaxbound.diagnosis.result import Result
 from jaxbound.plots.canvas import (
     BOTTOM,
@@ -22,10 +23,8 @@ from jaxbound.plots.canvas import (
     time_axis,
     time_of,
 )
-from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.residual import Residual
 from jaxbound.relations.sentence import remembers
-from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.status import Status
 
 if TYPE_CHECKING:
@@ -130,9 +129,9 @@ def plot_residuals(res: Result, time: np.ndarray | None = None) -> "Figure":
     return fig
 
 
-def distinct_relations(relations: ParityRelation | UncertainRelations) -> list[int]:
+def distinct_relations(relations: Relations) -> list[int]:
     """Return the indices of the relations that are not merely an earlier copy of another one."""
-    if isinstance(relations, UncertainRelations):
+    if not isinstance(relations, LinearRelations):
         return list(range(relations.count))
     model, last = relations.model, {}
     count = (relations.horizon + 1) * model.p
@@ -154,9 +153,7 @@ def _worst(res: Result) -> np.ndarray:
     return np.array([a + int(np.argmin(key[a:b])) for a, b in zip(edges[:-1], edges[1:], strict=True)])
 
 
-def _forms(
-    relations: ParityRelation | UncertainRelations, u: np.ndarray, y: np.ndarray, picked: np.ndarray
-) -> list[np.ndarray]:
+def _forms(relations: Relations, u: np.ndarray, y: np.ndarray, picked: np.ndarray) -> list[np.ndarray]:
     """Return residuals and envelopes (M, count) of the windows that end at the picked samples, in one padded
     stretch of fixed length.
     """

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from jaxbound.exact import linalg
+from jaxbound.models.window import window_rows
 from jaxbound.sets.floats import rounding
 
 __all__ = ["moving"]
@@ -24,8 +25,8 @@ def moving(relations: Any, made: Callable[..., Any]) -> Any:
     """
     model, bounds = relations.model, relations.bounds
     ends = bounds.get("disturbance")
-    averaged = any(a.signal not in model.outputs for a in model.averages)
-    if ends is None or averaged or any(isinstance(x, jax.core.Tracer) for x in bounds.values()):
+    summed = any(not values.measured for values in window_rows(model, 0).sums)
+    if ends is None or summed or any(isinstance(x, jax.core.Tracer) for x in bounds.values()):
         return None
     still = (np.abs(ends) < VANISHING).all(1)
     if not still.any():

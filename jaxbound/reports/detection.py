@@ -7,6 +7,7 @@ from functools import singledispatch
 from pathlib import Path
 from typing import Any, cast
 
+from jaxbound.consistency.interface import LinearRelations
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.observed import ObserverResult
 from jaxbound.diagnosis.result import Result
@@ -204,6 +205,8 @@ def _tested(relations):
         count = len(relations.variables)
         about = f"they are polynomials of order {relations.order} in {count} uncertain numbers"
         return "; ".join((about, *relations.notes))
+    if not isinstance(relations, LinearRelations):
+        return "; ".join(relations.notes)
     if relations.frame is None:
         return f"{len(relations.circuits)} combinations are tested"
     most = "the combination that speaks most against a window is searched for"

@@ -53,7 +53,8 @@ def _signal(model, kind, i):
 
 def _bounds(model, bounds, i):
     """Return the cells of what the sensor of output i may do."""
-    tolerance, noise = float(bounds["tolerance"][i]), float(bounds["noise"][i])
+    tolerance = float(bounds.get("tolerance", model.tolerance)[i])
+    noise = float(bounds.get("noise", model.noise)[i])
     return f"{percent(tolerance)} of the value", f"± {noise:.6g}", f"± {_short(model.resolution[i])}"
 
 

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from jaxbound.consistency.engine import in_order, stretches_for
+from jaxbound.consistency.interface import FAMILIES
 from jaxbound.diagnosis.again import again_hints
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import outgrown
@@ -261,6 +262,8 @@ def detect_fleet(
             refuse_short(unit.recording, recording.samples, longest if ahead == AHEAD else None)
         if relations is None and method == SetObserver.method:
             relations = observer(model, horizon=horizon, **options or {})
+        if relations is None and method in FAMILIES:
+            relations = FAMILIES[method](model, horizon)
         relations = relations or parity_relations(model, horizon, lags=lags)
         if shared[unit.model] > 1:
             models[unit.model] = model, relations

@@ -98,8 +98,11 @@ def _terms(average, first):
     """Return [(whether of an output, sample, number, weight)] of a run, none where it is not looked at."""
     if first is None:
         return []
-    measured, number = bool(average["output"]), int(average["number"])
-    return [(measured, j, number, weight) for j, weight in enumerate(average["weights"], int(first))]
+    terms = []
+    for part in (average, *average.get("beside", [])):
+        for j, weight in enumerate(part["weights"], int(first)):
+            terms.append((bool(average["output"]), j, int(part["number"]), weight))
+    return terms
 
 
 def _run_ends(c, bound, terms, error):

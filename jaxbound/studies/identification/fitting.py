@@ -13,80 +13,36 @@ too, of the same windows.
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from fractions import Fraction
+from functools import partial
 
 import numpy as np
 
-from jaxbound.diagnosis.detection import detect
 from jaxbound.models.system import LinearSystem, whole_lags
-from jaxbound.recordings.hints import recorded_step
 from jaxbound.relations.parity import parity_relations
 from jaxbound.sets.floats.probe import refuse_unverified
-from jaxbound.sets.floats.status import Status
-from jaxbound.studies.identification import filters, regression
+from jaxbound.studies.identification import advice
+from jaxbound.studies.identification.bounds import Means, rounded_up, verified
+from jaxbound.studies.identification.candidates import (
+    KINDS,
+    Problem,
+    Trial,
+    candidate,
+    explains,
+    first_trials,
+    largest_need,
+    needs,
+)
+from jaxbound.studies.identification.fit_result import FitCheck, Fitted
 from jaxbound.studies.identification.means import smallest_means
-from jaxbound.studies.identification.realisation import realised, realised_filters
-from jaxbound.studies.identification.records import measured, read_records
-from jaxbound.text.objects import readable
+from jaxbound.studies.identification.records import Records, input_ranges, parted, read_records
+from jaxbound.studies.identification.sizes import visible_sizes
 
-__all__ = ["FitCheck", "Fitted", "fit"]
+__all__ = ["fit"]
 
-EXACT, LEAST = 1e-14, 1e-3
-"""The least noise, as a share of the largest sample, and of what is needed of it: for a plant that fits
-exactly.
-"""
-KINDS = ("least squares", "windows", "filters")
+HORIZON = 15
+"""Of the windows where neither a horizon nor lags are asked for."""
 AVERAGES = 0.95
 """Share of the bound of a sample from which on that of a mean says nothing."""
-FALSE_SHARE, CONTRADICTION, FEW = 0.02, 3.0, 10
-"""Above this share of FAULT in held-out windows, this factor between the bounds of two recordings, below this
-number of windows that do not overlap, the user is told that the data do not carry the monitor."""
-
-
-@readable
-@dataclass(frozen=True, eq=False)
-class FitCheck:
-    """What is known of a fit beyond its model.
-
-    Fields:
-        method: how the coefficients were found, see `fit`.
-        safety: the factor on the smallest bounds. smallest: those, {output: bound}. smallest_mean: those of
-            the mean of `average` errors in a row, {} where it was not asked for.
-        held_out: what a first fit, to the first parts of the recordings, made of their last parts:
-            {"windows", "fault", "growth"}: how many windows, the share in FAULT, and the factor by which the
-            bounds would have had to be wider; None if nothing was held out. The model itself was fitted to
-            everything afterwards.
-        recordings: one {"samples", "windows", "used"} each: used is the largest share of the final bounds
-            that a window needs.
-        jump: {output: size}: a jump of one output in the middle of a window from which on the window is FAULT
-            whatever the noise does.
-        steady: the same for an error that fills the window; inf if the model can follow it.
-        used, held_out_used: one array (T,) a recording, the share of the bounds that each window needs (nan
-            where there is none): of the final model, and of the first fit on the held-out parts.
-        sentences: what the user should know, above all why the data may not carry a monitor.
-    """
-
-    method: str
-    safety: float
-    smallest: dict[str, float]
-    held_out: dict[str, float] | None
-    recordings: tuple[dict[str, float], ...]
-    jump: dict[str, float]
-    steady: dict[str, float]
-    used: tuple[np.ndarray, ...] = field(repr=False)
-    held_out_used: tuple[np.ndarray, ...] = field(repr=False)
-    sentences: tuple[str, ...] = ()
-    smallest_mean: dict[str, float] = field(default_factory=dict)
-
-
-class Fitted(LinearSystem):
-    """A LinearSystem that `fit` made: with `.check`, a FitCheck, which is no part of its value."""
-
-    check: FitCheck
-
-    def __init__(self, model: LinearSystem, check: FitCheck) -> None:
-        vars(self).update(vars(model), check=check)
 
 
 def fit(
@@ -155,101 +111,88 @@ def fit(
         >>> abs(float(model.A[0][0]) - 0.8) < 0.05, float(model.noise[0]) < 0.15
         (True, True)
     """
-    if lags is not None:
-        if horizon is not None:
-            raise ValueError("lags say by themselves how long a window is: leave horizon out")
-        lags = whole_lags(lags)
-    horizon = (15 if lags is None else lags[-1]) if horizon is None else horizon
+    horizon, lags = _window(horizon, lags)
     _check_options(order, horizon, safety, held_out, method, average)
-    report = progress or (lambda share: None)
+    report = progress or _silent
     inputs, outputs, dt, records = read_records(recordings, inputs, outputs, columns, dt)
     about = dict(dt=dt, inputs=inputs, outputs=outputs, units=units, columns=columns, name=name)
-    about |= {"horizon": horizon} if lags is None else {"lags": lags}
+    if lags is None:
+        about["horizon"] = horizon
+    else:
+        about["lags"] = lags
     refuse_unverified()  # at the end the bounds are verified
-    scales = regression.scales_of(records)
-    sentences = _standing_still(records, inputs, outputs)
-    room = len(
-        regression.windows_of(records, scales, horizon, regression.MOST).y
-    )  # a first fit to a part of them compiles nothing new
-    candidate = lambda records, kind: _candidate(records, scales, order, horizon, direct, kind, about, room)
-    heads, tails = _parts(records, held_out, horizon)
-    kinds = [k for k in KINDS if inputs or k != "filters"] if method == "auto" else [method]
-    spans = [np.nanmax(y) - np.nanmin(y) for y in np.concatenate([r[1] for r in records]).T]
-    kind, first = "windows" if method == "auto" else method, ()
+    sentences = advice.inputs_at_rest(records, inputs, outputs)
+    problem = Problem.of(records, order, horizon, direct, about)
     report(0.05)
-    explained = lambda parts: lambda relations: _consistent(_tested(relations, parts))
+
+    kind = "windows" if method == "auto" else method
+    held_out_used: tuple[np.ndarray, ...] = ()
+    heads, tails = parted(records, held_out, horizon)
     if tails:
-        found = []
-        for i, kind in enumerate(kinds):
-            spec, relations, spread = candidate(heads, kind)
-            own, unseen = _needs(relations, heads), _needs(relations, tails)
-            blindness = _blindness(
-                LinearSystem(**spec, noise=np.fmax(_most(own), _most(unseen)) * spread), scales, spans
-            )
-            found.append((blindness, i, spec, _most(own) * spread, tuple(x / _most(own) for x in unseen)))
-            report(0.05 + 0.5 * (i + 1) / len(kinds))
-        _, i, spec, bound, unseen = min(found, key=lambda f: f[:2])
+        # the method is chosen by what it makes of data that it has not seen; then all data are fitted to
+        kinds = [method] if method != "auto" else [k for k in KINDS if inputs or k != "filters"]
+        trials = first_trials(problem, kinds, heads, tails, lambda share: report(0.05 + 0.5 * share))
+        best = min(trials, key=lambda trial: trial.blindness)  # the first one of equals
+        unseen = list(best.unseen)
         if average is not None:
-            head = LinearSystem(**spec)
-            first_means = smallest_means(
-                head, bound, average, explained(heads), lambda share: report(0.55 + 0.2 * share)
-            )
-            averages = {name: {average: x} for name, x in zip(outputs, first_means, strict=True)}
-            unseen = _needs(parity_relations(head.replace(noise=bound, averages=averages)), tails)
-        kind, first = kinds[i], tuple(x / safety for x in unseen)
-    spec, relations, spread = candidate(records, kind)
-    smallest = spread * _most(_needs(relations, records))
-    means: np.ndarray | None = None
+            unseen = _unseen_with_means(best, average, heads, tails, lambda share: report(0.55 + 0.2 * share))
+        kind, held_out_used = best.candidate.kind, tuple(x / safety for x in unseen)
+
+    chosen = candidate(problem, records, kind)
+    smallest = chosen.spread * largest_need(needs(chosen.relations, records))
     report(0.8)
+    means: np.ndarray | None = None
+    averaged: Means = {}
     if average is not None:
-        means = smallest_means(
-            LinearSystem(**spec),
-            smallest,
-            average,
-            explained(records),
-            lambda share: report(0.8 + 0.1 * share),
-        )
-    named = lambda bounds: dict(zip(outputs, bounds.tolist(), strict=True))
-    spec |= {"ranges": _ranges(records, inputs)}
-    kept = (
-        {} if means is None else {i: (average, x) for i, x in enumerate(means) if x < AVERAGES * smallest[i]}
-    )
-    model, used = _verified(spec, [_rounded_up(x * safety) for x in smallest], kept, records, safety)
-    largest = lambda x: float(np.nanmax(x)) if np.isfinite(x).any() else math.nan
-    jump, steady = _visible(model, scales)
+        explained = partial(explains, parts=records)
+        model = LinearSystem(**chosen.spec)
+        means = smallest_means(model, smallest, average, explained, lambda share: report(0.8 + 0.1 * share))
+        averaged = {i: (average, x) for i, x in enumerate(means) if x < AVERAGES * smallest[i]}
+        sentences += [advice.no_average(x, average) for i, x in enumerate(outputs) if i not in averaged]
+
+    # few digits are what a user reads in the model file: the model that is verified is the one that is saved
+    spec = chosen.spec | {"ranges": input_ranges(records, inputs)}
+    bounds = [rounded_up(x * safety) for x in smallest]
+    model, used = verified(spec, bounds, averaged, records, safety)
+    jump, steady = visible_sizes(model, problem.scales)
     check = FitCheck(
         method=kind,
         safety=float(safety),
-        smallest=named(smallest),
-        smallest_mean={} if means is None else named(means),
-        held_out=_unseen(first),
-        recordings=tuple(
-            {"samples": len(r[1]), "windows": int(np.isfinite(x).sum()), "used": largest(x)}
-            for r, x in zip(records, used, strict=True)
-        ),
+        smallest=_named(outputs, smallest),
+        smallest_mean=_named(outputs, means),
+        held_out=_held_out_summary(held_out_used),
+        recordings=tuple(_summary(y, x) for (_, y, _), x in zip(records, used, strict=True)),
         used=tuple(used),
-        held_out_used=first,
+        held_out_used=held_out_used,
         jump=jump,
         steady=steady,
     )
-    if average is not None:
-        sentences += [
-            f"errors of {name} do not average out: the mean of {average} in a row is as large as one of "
-            f"them, and gets no bound"
-            for i, name in enumerate(outputs)
-            if i not in kept
-        ]
+    sentences += advice.limits(model, check, held_out, problem.spans)
     report(1.0)
-    return Fitted(
-        model, dataclasses.replace(check, sentences=(*sentences, *_judged(model, check, held_out, spans)))
-    )
+    return Fitted(model, dataclasses.replace(check, sentences=tuple(sentences)))
 
 
-def _check_options(order, horizon, safety, held_out, method, average):
-    whole = lambda x: isinstance(x, (int, np.integer)) and not isinstance(x, bool)
-    if not whole(order) or order < 1:
+def _silent(share: float) -> None:
+    """Report to nobody."""
+
+
+def _window(horizon: int | None, lags: Sequence[int] | None) -> tuple[int, tuple[int, ...] | None]:
+    """Return (horizon, lags) of the windows that are asked for."""
+    if lags is None:
+        return HORIZON if horizon is None else horizon, None
+    if horizon is not None:
+        raise ValueError("lags say by themselves how long a window is: leave horizon out")
+    lags = whole_lags(lags)
+    return lags[-1], lags
+
+
+def _check_options(
+    order: int, horizon: int, safety: float, held_out: float, method: str, average: int | None
+) -> None:
+    """Raise ValueError if an option is out of range."""
+    if not _is_whole(order) or order < 1:
         raise ValueError(f"order must be a whole number >= 1, not {order!r}")
-    if not whole(horizon) or horizon <= order:
+    if not _is_whole(horizon) or horizon <= order:
         raise ValueError(f"horizon must be a whole number above the order ({order}), not {horizon!r}")
     if not (np.isfinite(safety) and safety >= 1):
         raise ValueError(f"safety must be a factor >= 1, not {safety!r}")
@@ -257,264 +200,43 @@ def _check_options(order, horizon, safety, held_out, method, average):
         raise ValueError(f"held_out must be a share from 0 to below 1, not {held_out!r}")
     if method not in ("auto", *KINDS):
         raise ValueError(f"method must be auto, {', '.join(KINDS)}, not {method!r}")
-    if average is not None and not (whole(average) and 2 <= average <= horizon + 1):
+    if average is not None and not (_is_whole(average) and 2 <= average <= horizon + 1):
         raise ValueError(
             f"average must be a whole number from 2 to the {horizon + 1} samples of a window, not {average!r}"
         )
 
 
-def _standing_still(records, inputs, outputs):
-    """Return sentences on inputs that do not move; refuse outputs that do not."""
-    stack = [np.concatenate([r[j] for r in records]) for j in (0, 1)]
-    still = lambda x: len(np.unique(x[~np.isnan(x)])) < 2
-    for name, y in zip(outputs, stack[1].T, strict=True):
-        if still(y):
-            raise ValueError(
-                f"{name} stands still in all recordings: nothing can be learnt of it; leave it out, or look "
-                f"at the sensor"
-            )
-    return [
-        f"{name} never moves in these recordings: what it does to the outputs is unknown, and the model says "
-        f"nothing; record a step of it"
-        for name, u in zip(inputs, stack[0].T, strict=True)
-        if still(u)
-    ]
+def _is_whole(x: object) -> bool:
+    return isinstance(x, int | np.integer) and not isinstance(x, bool)
 
 
-def _parts(records, held_out, horizon):
-    """Return (heads, tails): the recordings cut in two, tails empty where none holds a window."""
-    if not held_out:
-        return records, []
-    cut = [_cut(~(np.isnan(u).any(1) | np.isnan(y).any(1)), 1 - held_out) for u, y, _ in records]
-    part = lambda r, lo, hi: (r[0][lo:hi], r[1][lo:hi], r[2][(r[2] > lo) & (r[2] < hi)] - lo)
-    heads = [part(r, 0, c) for r, c in zip(records, cut, strict=True)]
-    tails = [part(r, c, len(r[1])) for r, c in zip(records, cut, strict=True)]
-    whole = lambda parts: any(len(y) > horizon for _, y, _ in parts)
-    return (heads, tails) if whole(heads) and whole(tails) else (records, [])
+def _unseen_with_means(
+    trial: Trial, samples: int, heads: Records, tails: Records, step: Callable[[float], object]
+) -> list[np.ndarray]:
+    """Return the needs of the tails once the means of so many errors are bounded as the heads allow."""
+    head = LinearSystem(**trial.candidate.spec)
+    means = smallest_means(head, trial.bound, samples, partial(explains, parts=heads), step)
+    averages = {name: {samples: x} for name, x in zip(head.outputs, means, strict=True)}
+    return needs(parity_relations(head.replace(noise=trial.bound, averages=averages)), tails)
 
 
-def _cut(usable, share):
-    """Return the number of samples at the beginning that hold this share of all usable ones."""
-    counted = np.cumsum(usable)
-    return int(np.searchsorted(counted, share * counted[-1]) + 1) if usable.any() else len(usable)
+def _named(outputs: Sequence[str], bounds: np.ndarray | None) -> dict[str, float]:
+    if bounds is None:
+        return {}
+    return dict(zip(outputs, bounds.tolist(), strict=True))
 
 
-def _candidate(records, scales, order, horizon, direct, kind, about, room):
-    """Return (spec, relations, spread): the arguments of a LinearSystem, its relations, and the root mean
-    square of its window residuals.
-
-    The spread is in the unit of each output, and the noise bound of the relations.
-    """
-    p, m = len(about["outputs"]), len(about["inputs"])
-    steps = regression.windows_of(records, scales, order)
-    unknowns = order * (p + m) + direct * m + 1
-    windows = regression.windows_of(records, scales, horizon, regression.MOST)
-    if len(steps.y) < 2 * unknowns or not len(windows.y):
-        total = f"{measured(records)}, in {len(records)} recording{'s' * (len(records) > 1)}"
-        raise ValueError(
-            f"too few samples: {total}, hold {len(windows.y)} complete windows of {horizon + 1} samples, and "
-            f"{len(steps.y)} steps "
-            f"for {unknowns} coefficients an output, twice as many of which are needed: record longer, or "
-            f"choose a lower order or horizon"
-        )
-    digits = EXACT * np.array(
-        [np.nanmax(np.abs(y)) for y in np.concatenate([y for _, y, _ in records]).T]
-    )  # where all fits exactly
-    if kind == "filters":
-        spec, spread = realised_filters(records, scales, filters.poles_of(order, horizon), direct)
-        spread = np.maximum(spread, digits)
-        return (
-            spec | about,
-            parity_relations(LinearSystem(**spec | about)).with_bounds({"noise": spread}),
-            spread,
-        )
-    theta, _ = regression.least_squares(steps, order, direct)
-    spread = regression.window_spread(theta, windows, order, direct, room)
-    if kind == "windows":
-        theta, spread = regression.refined(theta, windows, order, direct, room)
-    spec, spread = (
-        realised(theta, scales, order, direct, m, p) | about,
-        np.maximum(spread * scales.y_spread, digits),
-    )
-    return spec, parity_relations(LinearSystem(**spec)).with_bounds({"noise": spread}), spread
+def _summary(y: np.ndarray, used: np.ndarray) -> dict[str, float]:
+    """Return the counts of a recording, and the largest share of the bounds that a window of it uses."""
+    finite = used[np.isfinite(used)]
+    largest = float(finite.max()) if len(finite) else math.nan
+    return {"samples": len(y), "windows": len(finite), "used": largest}
 
 
-def _rounded_up(x, digits=3):
-    """Return the next number of few digits that is not below x > 0."""
-    unit = 10.0 ** (math.floor(math.log10(x)) - digits + 1)
-    return float(f"{math.ceil(x / unit * (1 - 1e-12)) * unit:.12g}")
-
-
-def _tested(relations, parts):
-    """Return (status, need) of each recording, (T,) each: verdicts, and the factor on the bounds that a
-    window needs, nan for none.
-    """
-    found = []
-    for u, y, starts in parts:
-        if len(y) > relations.horizon:
-            res = detect(relations, u if u.shape[1] else None, y, starts=starts)
-            found.append((res.status, 1 - res.margin))
-        else:
-            found.append((np.zeros(len(y), np.int8), np.full(len(y), np.nan)))
-    return found
-
-
-def _needs(relations, parts):
-    return [need for _, need in _tested(relations, parts)]
-
-
-def _most(needs):
-    found = np.concatenate(needs)
-    return max(float(np.nanmax(found)), LEAST) if np.isfinite(found).any() else math.nan
-
-
-def _ranges(records, inputs):
-    """Return {input: (lowest, highest)} of what was recorded; an input that never moved, or was never
-    recorded, has none.
-    """
-    u = np.concatenate([r[0] for r in records])
-    seen = {name: x[np.isfinite(x)] for name, x in zip(inputs, u.T, strict=True)}
-    return {
-        name: (float(x.min()), float(x.max())) for name, x in seen.items() if len(x) and x.min() < x.max()
-    }
-
-
-def _resolutions(records, p):
-    """Return half a step of what the recorder rounds each output to, Fractions of few digits; 0 where no step
-    is seen.
-    """
-    y = np.concatenate([r[1] for r in records])
-    return [Fraction(f"{recorded_step(y[:, i]) / 2:.6g}") for i in range(p)]
-
-
-def _consistent(found):
-    """Say whether every window of what `_tested` returns is CONSISTENT."""
-    return all(np.isin(status, (Status.MISSING, Status.CONSISTENT)).all() for status, _ in found)
-
-
-def _verified(spec, bounds, means, records, safety):
-    """Return (model, used): the model under which every window is CONSISTENT by the proved test, and the
-    share of its bounds used.
-
-    A bound is what the recorder rounds, as the resolution, and noise for the rest. Where the bound is smaller
-    than that, nothing is
-    rounded: the plant itself moves in steps. means: {number of the output: (samples, smallest bound of their
-    mean)}.
-    """
-    rounds = _resolutions(records, len(bounds))
-    total, count = measured(records), len(records)
-    source = f"fitted to {total} samples in {count} recording{'s' * (count > 1)}"
-    held = {i: _rounded_up(x * safety) for i, (_, x) in means.items()}
-    for _ in range(20):
-        exact = [Fraction(repr(x)) for x in bounds]
-        rounds = [r if r < x else Fraction(0) for r, x in zip(rounds, exact, strict=True)]
-        noise = [x - r for x, r in zip(exact, rounds, strict=True)]
-        origin = {"model": source, "noise": f"{source}, safety factor {safety:g}"}
-        origin |= {"resolution": "as the recordings are rounded"} if any(rounds) else {}
-        averages = {
-            spec["outputs"][i]: {n: max(Fraction(repr(held[i])) - rounds[i], Fraction(0))}
-            for i, (n, _) in means.items()
-        }
-        model = LinearSystem(**spec, noise=noise, resolution=rounds, provenance=origin, averages=averages)
-        found = _tested(parity_relations(model), records)
-        if _consistent(found):
-            break
-        bounds, held = (
-            [_rounded_up(1.001 * x) for x in bounds],
-            {i: _rounded_up(1.001 * x) for i, x in held.items()},
-        )
-    return model, [need for _, need in found]
-
-
-def _unseen(shares):
-    """Return what the held-out windows, each with the share of the bounds that it needs, say."""
-    found = np.concatenate([*shares, [np.nan]])
-    found = found[np.isfinite(found)]
-    return (
-        {"windows": len(found), "fault": float((found > 1).mean()), "growth": float(found.max())}
-        if len(found)
-        else None
-    )
-
-
-def _visible(model, scales):
-    """Return (jump, steady), {output: size} each, of an error of one output that no noise hides: from
-    mid-window on, and all through it.
-    """
-    count, p = model.horizon + 1, model.p
-    acts = np.stack([np.arange(count) >= count // 2, np.ones(count, bool)])
-    wrong = acts[:, None, :, None] * np.diag(scales.y_spread)[None, :, None]  # (2, p, s + 1, p)
-    y = np.array(model.offset["y"], float) + wrong
-    u = np.broadcast_to(np.array(model.offset["u"], float), (2, p, count, model.m))
-    margin = detect(parity_relations(model), u if model.m else None, y).margin[..., -1]
-    with np.errstate(divide="ignore"):  # a need grows with the size; healthy noise takes 1 of it
-        sizes = np.where(1 - margin > 1e-9, 2 * scales.y_spread / (1 - margin), np.inf)
-    return [dict(zip(model.outputs, row, strict=True)) for row in sizes.tolist()]
-
-
-def _blindness(model, scales, spans):
-    """Return how large a jump and a lasting error must be to be seen, summed over outputs in their spreads.
-
-    Beyond the span of an output it does not count how blind the monitor is for it.
-    """
-    return sum(
-        min(size[name], span) / spread
-        for size in _visible(model, scales)
-        for name, span, spread in zip(model.outputs, spans, scales.y_spread, strict=True)
-    )
-
-
-def _judged(model, check, held_out, spans):
-    """Return sentences on what the data do not carry."""
-    out = []
-    percent = lambda x: f"{100 * x:.3g} %"
-    whole = sum(r["windows"] for r in check.recordings) // (model.horizon + 1)
-    if whole < FEW:
-        out.append(
-            f"the recordings hold only {whole} windows of {model.horizon + 1} samples that do not overlap: "
-            f"bounds from so little "
-            "history may not last; record longer, or choose a shorter horizon"
-        )
-    if check.held_out is None:
-        why = (
-            "nothing was held out"
-            if not held_out
-            else "the recordings are too short to hold a part of them out"
-        )
-        out.append(f"{why}: what the monitor makes of data that it has not seen is unknown")
-    elif check.held_out["fault"] > FALSE_SHARE:
-        out.append(
-            f"{percent(check.held_out['fault'])} of {check.held_out['windows']} held-out windows would be "
-            f"FAULT under the bounds of the "
-            f"first {percent(1 - held_out)} of the recordings, which would have to be "
-            f"{check.held_out['growth']:.2f} times as wide: the "
-            "recordings do not show all of healthy operation; record more of it, or raise the safety factor"
-        )
-    shares = {i: r["used"] for i, r in enumerate(check.recordings) if r["windows"]}
-    if len(shares) > 1:
-        low, high = min(shares, key=shares.__getitem__), max(shares, key=shares.__getitem__)
-        if shares[high] > CONTRADICTION * shares[low]:
-            out.append(
-                f"recording {high + 1} needs bounds {shares[high] / shares[low]:.1f} times as wide as "
-                f"recording {low + 1}: they "
-                "contradict each other; look at what was different, or fit a model to each"
-            )
-    for i, name in enumerate(model.outputs):
-        if check.jump[name] > spans[i]:
-            unit = f" {model.unit(name)}".rstrip()
-            out.append(
-                f"the monitor is blind for {name}: no jump below {check.jump[name]:.3g}{unit} is sure to be "
-                f"seen, but in all "
-                f"recordings {name} moved by {spans[i]:.3g}{unit} only"
-            )
-        elif check.steady[name] > spans[i]:
-            size, unit = check.steady[name], f" {model.unit(name)}".rstrip()
-            sure = "however large" if math.isinf(size) else f"below {size:.3g}{unit}"
-            out.append(
-                f"an error of {name} that was there before the recording began and never changes may stay "
-                f"unseen, {sure}, and in all "
-                f"recordings {name} moved by {spans[i]:.3g}{unit} only: within {model.horizon + 1} samples "
-                f"the model can follow it; a "
-                "longer horizon sees smaller ones"
-            )
-    return out
+def _held_out_summary(shares: Sequence[np.ndarray]) -> dict[str, float] | None:
+    """Return the verdicts on held-out windows, each given by the share of the bounds that it needs."""
+    every = np.concatenate([*shares, [np.nan]])
+    every = every[np.isfinite(every)]
+    if not len(every):
+        return None
+    return {"windows": len(every), "fault": float((every > 1).mean()), "growth": float(every.max())}

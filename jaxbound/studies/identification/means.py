@@ -42,18 +42,29 @@ def smallest_means(
     means = {name: {samples: float(b)} for name, b in zip(model.outputs, noise, strict=True)}
     relations = parity_relations(model.replace(noise=noise.tolist(), averages=means))
     share = np.ones(p)
-    groups = [list(range(p)), *([i] for i in range(p) if p > 1)]
+    groups = [list(range(p))]
+    if p > 1:
+        groups += [[i] for i in range(p)]
     for number, group in enumerate(groups):
-        low, high = np.log(LEAST), np.log(share[group[0]])
-        for _ in range(STEPS if low < high else 0):
-            middle = (low + high) / 2
+
+        def explains(logarithm: float, group: list[int] = group) -> bool:
             trial = share.copy()
-            trial[group] = np.exp(middle)
-            low, high = (
-                (low, middle)
-                if explained(relations.with_bounds({"average": trial * noise}))
-                else (middle, high)
-            )
-        share[group] = np.exp(high)
+            trial[group] = np.exp(logarithm)
+            return explained(relations.with_bounds({"average": trial * noise}))
+
+        share[group] = np.exp(_bisected(explains, np.log(LEAST), np.log(share[group[0]])))
         step((number + 1) / len(groups))
     return share * noise
+
+
+def _bisected(holds: Callable[[float], bool], low: float, high: float) -> float:
+    """Return the least number within [low, high] that holds, as near as STEPS halvings come."""
+    if low >= high:
+        return high
+    for _ in range(STEPS):
+        middle = (low + high) / 2
+        if holds(middle):
+            high = middle
+        else:
+            low = middle
+    return high

@@ -25,45 +25,45 @@ def realised(theta: ArrayLike, scales: Scales, order: int, direct: bool, m: int,
     rounded to short decimals.
     """
     A, B, D, c = regression.coefficients(np.asarray(theta, np.float64), order, direct, m, p)
-    to_y, to_u = (scales.y_spread[:, None] / x[None] for x in (scales.y_spread, scales.u_spread))
+    to_y = scales.y_spread[:, None] / scales.y_spread[None]
+    to_u = scales.y_spread[:, None] / scales.u_spread[None]
     A, D = [_short(a * to_y, to_y) for a in A], _short(D * to_u, to_u)
     B = [_short(b * to_u + a @ D, to_u) for a, b in zip(A, B, strict=True)]
     eye, none = np.eye(p), np.zeros((p, p))
     rows = [[a, *(eye if j == i + 1 else none for j in range(1, order))] for i, a in enumerate(A)]
-    # the constant as an operating point, the nearest to the middle of the data: (I - sum A) y0 = (sum B + (I
-    # - sum A) D) u0 + c
+    # the constant as an operating point, the nearest to the middle of the data:
+    # (I - sum A) y0 = (sum B + (I - sum A) D) u0 + c
     stay = eye - sum(A)
     moved = np.linalg.lstsq(np.hstack([stay / to_y, -(sum(B) + stay @ D) / to_u]), c, rcond=None)[0]
     y0, u0 = scales.y + moved[:p] * scales.y_spread, scales.u + moved[p:] * scales.u_spread
-    offset = {"y": _short(y0, scales.y_spread), "u": _short(u0, scales.u_spread)}
-    C = np.hstack([eye, *[none] * (order - 1)])
-    return dict(
-        A=np.block(rows), B=np.vstack(B) if m else None, C=C, D=D if direct and m else None, offset=offset
-    )
+    return {
+        "A": np.block(rows),
+        "B": np.vstack(B) if m else None,
+        "C": np.hstack([eye, *[none] * (order - 1)]),
+        "D": D if direct and m else None,
+        "offset": {"y": _short(y0, scales.y_spread), "u": _short(u0, scales.u_spread)},
+    }
 
 
 def realised_filters(
     records: Records, scales: Scales, poles: Sequence[float], direct: bool
 ) -> tuple[dict[str, Any], np.ndarray]:
-    """Return (A, B, C, D and offset of a LinearSystem, spread): each output has its own states, one a
-    pole.
-    """
+    """Return (arguments of a LinearSystem, spread): each output has its own states, one a pole."""
     B, D, c, spread = filters.filtered(records, scales, poles, direct)
     p, to_u = len(c), scales.y_spread[:, None] / scales.u_spread[None]
-    offset = {
-        "y": _short(scales.y + c * scales.y_spread, scales.y_spread),
-        "u": _short(scales.u, scales.u_spread),
+    y0 = scales.y + c * scales.y_spread
+    spec = {
+        "A": np.diag(np.repeat(poles, p)),
+        "B": np.concatenate([_short(b * to_u, to_u) for b in B]),
+        "C": np.hstack([np.eye(p)] * len(poles)),
+        "D": _short(D * to_u, to_u) if direct else None,
+        "offset": {"y": _short(y0, scales.y_spread), "u": _short(scales.u, scales.u_spread)},
     }
-    A, C = np.diag(np.repeat(poles, p)), np.hstack([np.eye(p)] * len(poles))
-    B = np.concatenate([_short(b * to_u, to_u) for b in B])
-    return dict(
-        A=A, B=B, C=C, D=_short(D * to_u, to_u) if direct else None, offset=offset
-    ), spread * scales.y_spread
+    return spec, spread * scales.y_spread
 
 
-def _short(x, size):
+def _short(x: np.ndarray, size: np.ndarray) -> np.ndarray:
     """Return numbers rounded to DIGITS decimals behind the leading one of the size that they could have."""
     places = DIGITS - np.floor(np.log10(size)).astype(int)
-    return np.array([float(f"{round(v, int(k)):.15g}") for v, k in np.broadcast(x, places)]).reshape(
-        np.shape(x)
-    )
+    rounded = [float(f"{round(v, int(k)):.15g}") for v, k in np.broadcast(x, places)]
+    return np.array(rounded).reshape(np.shape(x))

@@ -3,23 +3,75 @@ period.
 """
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.recordings.arrays import holds_both, is_made
 from jaxbound.recordings.recording import Recording, Signals
 from jaxbound.recordings.seams import TOLERATED_DT
 from jaxbound.recordings.table import as_table, is_table
 
-__all__ = ["Records", "measured", "read_records"]
+__all__ = ["Records", "input_ranges", "measured", "parted", "read_records"]
 
 Records = list[tuple[np.ndarray, np.ndarray, np.ndarray]]
 """(u (T, m), y (T, p), starts) of each."""
+Names = tuple[str, ...]
 
 
 def measured(records: Records) -> int:
     """Return in how many samples something was measured: those set aside by `where` are no part of a fit."""
     return sum(int((~np.isnan(y).all(1)).sum()) for _, y, _ in records)
+
+
+def input_ranges(records: Records, inputs: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Return {input: (lowest, highest)} of what was recorded; an input that never moved has none."""
+    u = np.concatenate([r[0] for r in records])
+    ranges = {}
+    for name, x in zip(inputs, u.T, strict=True):
+        x = x[np.isfinite(x)]
+        if len(x) and x.min() < x.max():
+            ranges[name] = float(x.min()), float(x.max())
+    return ranges
+
+
+def parted(records: Records, held_out: float, horizon: int) -> tuple[Records, Records]:
+    """Return (heads, tails): the recordings cut in two, tails empty where either holds no window.
+
+    Args:
+        held_out: the share of the usable samples of each recording that its tail holds.
+    """
+    if not held_out:
+        return records, []
+    heads, tails = [], []
+    for u, y, starts in records:
+        missing = np.isnan(np.concatenate([u, y], 1)).any(1)
+        cut = _cut(~missing, 1 - held_out)
+        heads.append(_part(u, y, starts, 0, cut))
+        tails.append(_part(u, y, starts, cut, len(y)))
+    if not _holds_window(heads, horizon) or not _holds_window(tails, horizon):
+        return records, []
+    return heads, tails
+
+
+def _cut(usable: np.ndarray, share: float) -> int:
+    """Return the number of samples at the beginning that hold this share of all usable ones."""
+    if not usable.any():
+        return len(usable)
+    counted = np.cumsum(usable)
+    return int(np.searchsorted(counted, share * counted[-1]) + 1)
+
+
+def _part(
+    u: np.ndarray, y: np.ndarray, starts: np.ndarray, first: int, stop: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    inside = (starts > first) & (starts < stop)
+    return u[first:stop], y[first:stop], starts[inside] - first
+
+
+def _holds_window(records: Records, horizon: int) -> bool:
+    return any(len(y) > horizon for _, y, _ in records)
 
 
 def read_records(
@@ -30,54 +82,85 @@ def read_records(
     dt: float | None,
 ) -> tuple[tuple[str, ...], tuple[str, ...], float, Records]:
     """Return (inputs, outputs, dt, [(u, y, starts)]) with names and float64 arrays."""
-    pair = lambda r: (
-        isinstance(r, tuple) and len(r) in (2, 3) and not isinstance(r[0], tuple) and not is_made(r[0])
-    )
-    recordings = (
-        [recordings] if pair(recordings) or not isinstance(recordings, (list, tuple)) else list(recordings)
-    )
+    if _is_pair(recordings) or not isinstance(recordings, list | tuple):
+        recordings = [recordings]
     if not recordings:
         raise ValueError("there is no recording: give at least one")
-    taken, shown, records, periods = _names(inputs), _names(outputs), [], []
-    for number, r in enumerate(recordings):
+    input_names, output_names = _names(inputs), _names(outputs)
+    records: Records = []
+    periods = []
+    for number, one in enumerate(recordings):
         where = f"recording {number + 1}"
-        if pair(r):
-            parts = r
-        elif holds_both(r):
-            parts = (r,)
-        else:
-            raise ValueError(
-                f"{where} must be a pair (u, y), a DataFrame or a Recording, not {type(r).__name__}"
-            )
-        taken, shown = named = _named(where, parts, taken, shown)
-        try:
-            given = Recording.of(Signals(*named, dict(columns or {}), dt), *parts).finite()
-        except ValueError as e:
-            raise ValueError(f"{where}: {e}") from None
-        if given.y.ndim != 2:
-            raise ValueError(
-                f"{where}: y has shape {given.y.shape}, but time must be its first axis: give several "
-                f"recordings as a list"
-            )
-        records.append((np.asarray(given.u, np.float64), np.asarray(given.y, np.float64), given.starts))
-        periods += [] if given.dt is None else [(given.dt, where)]
-    (low, first), (high, last) = (min(periods), max(periods)) if periods else ((dt or 1.0, ""),) * 2
+        parts = _parts(where, one)
+        # names that the first recording has are those of all
+        input_names, output_names = _named(where, parts, input_names, output_names)
+        signals = Signals(input_names, output_names, dict(columns or {}), dt)
+        recording = _read(where, signals, parts)
+        u, y = np.asarray(recording.u, np.float64), np.asarray(recording.y, np.float64)
+        records.append((u, y, recording.starts))
+        if recording.dt is not None:
+            periods.append((recording.dt, where))
+    assert input_names is not None and output_names is not None
+    return input_names, output_names, _period(dt, periods), records
+
+
+def _is_pair(recording: object) -> bool:
+    """Return whether an object is (u, y) or (u, y, starts), not several recordings."""
+    if not isinstance(recording, tuple) or len(recording) not in (2, 3):
+        return False
+    return not isinstance(recording[0], tuple) and not is_made(recording[0])
+
+
+def _parts(where: str, recording: object) -> tuple[Any, ...]:
+    """Return the arguments of `Recording.of` that a recording is."""
+    if isinstance(recording, tuple) and _is_pair(recording):
+        return recording
+    if holds_both(recording):
+        return (recording,)
+    kind = type(recording).__name__
+    raise ValueError(f"{where} must be a pair (u, y), a DataFrame or a Recording, not {kind}")
+
+
+def _read(where: str, signals: Signals, parts: tuple[Any, ...]) -> Recording:
+    try:
+        recording = Recording.of(signals, *parts).finite()
+    except ValueError as e:
+        raise ValueError(f"{where}: {e}") from None
+    if recording.y.ndim != 2:
+        raise ValueError(
+            f"{where}: y has shape {recording.y.shape}, but time must be its first axis: give several "
+            f"recordings as a list"
+        )
+    return recording
+
+
+def _period(dt: float | None, periods: Sequence[tuple[float, str]]) -> float:
+    """Return the sampling period: that which is asked for, else that of the first recording that has one."""
+    if not periods:
+        return dt or 1.0
+    (low, first), (high, last) = min(periods), max(periods)
     if high - low > TOLERATED_DT * low:
         raise ValueError(
             f"{last} has a sample every {high:g} s, {first} every {low:g} s, and a model has one sampling "
             f"period"
         )
-    return *named, periods[0][0] if dt is None and periods else dt or 1.0, records
+    if dt is None:
+        return periods[0][0]
+    return dt or 1.0
 
 
-def _names(given: str | Sequence[str] | None) -> tuple[str, ...] | None:
-    return (given,) if isinstance(given, str) else None if given is None else tuple(given)
+def _names(given: str | Sequence[str] | None) -> Names | None:
+    if given is None:
+        return None
+    if isinstance(given, str):
+        return (given,)
+    return tuple(given)
 
 
 def _named(
-    where: str, parts: tuple, inputs: tuple | None, outputs: tuple | None
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names of inputs and outputs: those not given are a Recording's own, or numbered."""
+    where: str, parts: tuple[Any, ...], inputs: Names | None, outputs: Names | None
+) -> tuple[Names, Names]:
+    """Return the names of inputs and outputs: those not asked for are a Recording's own, or numbered."""
     tables = [is_table(as_table(x, where)) for x in parts[:2]]
     if (outputs is None and tables[-1]) or (inputs is None and len(parts) > 1 and tables[0]):
         raise ValueError(
@@ -86,12 +169,20 @@ def _named(
     if len(parts) == 1 and tables[0]:
         return inputs or (), outputs or ()
     if len(parts) == 1:
-        inputs, outputs = (
-            x or getattr(parts[0], side, None) or None
-            for x, side in ((inputs, "inputs"), (outputs, "outputs"))
-        )
-        parts = parts[0].u, parts[0].y
-    width = lambda x: 0 if x is None else np.shape(x)[-1] if np.ndim(x) > 1 else 1
-    number = lambda letter, x: tuple(f"{letter}{i + 1}" for i in range(width(x)))
-    inputs = number("u", parts[0]) if inputs is None else inputs
-    return inputs, number("y", parts[1]) if outputs is None else outputs
+        recording = parts[0]
+        inputs = inputs or getattr(recording, "inputs", None) or None
+        outputs = outputs or getattr(recording, "outputs", None) or None
+        parts = recording.u, recording.y
+    if inputs is None:
+        inputs = _numbered("u", parts[0])
+    if outputs is None:
+        outputs = _numbered("y", parts[1])
+    return inputs, outputs
+
+
+def _numbered(letter: str, x: ArrayLike | None) -> Names:
+    """Return names such as u1, u2 of the columns of an array (T, m), of (T,) or of None."""
+    if x is None:
+        return ()
+    count = np.shape(x)[-1] if np.ndim(x) > 1 else 1
+    return tuple(f"{letter}{i + 1}" for i in range(count))

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.window import bounded_sums, changed_sums
 from jaxbound.relations.bounds import KINDS, model_bounds
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.uncertain import UncertainRelations
@@ -93,7 +94,7 @@ def moving(
             raise ValueError(f"there is no bound {name!r} to move: this model has {', '.join(bounds)}")
     who = {"output": model.outputs, "disturbance": tuple(f"w{j + 1}" for j in range(model.g))}
     who["parameter"] = tuple(u.name for u in model.uncertainties)
-    who["average"] = tuple(a.text for a in model.averages)
+    who["average"] = tuple(bounded.text for bounded in bounded_sums(model))
     names, start, scale, most, still, columns = [], [], [], [], [], []
     fixed: list[float] = []
     sizes = tuple((name, np.size(b)) for name, b in bounds.items())
@@ -198,7 +199,7 @@ def model_with(
         "tolerance": model.tolerance,
         "noise": model.noise,
         "disturbance": [x for pair in model.disturbance for x in pair],
-        "average": [a.bound for a in model.averages],
+        "average": [bounded.bound for bounded in bounded_sums(model)],
     }
     for kind, count in moved.sizes:
         now, before = np.ravel(relations.bounds[kind]), np.ravel(old[kind])
@@ -214,9 +215,7 @@ def model_with(
         if kind == "disturbance":
             changes[kind] = model.G, tuple(zip(exact[::2], exact[1::2], strict=True))
         elif kind == "average":
-            changes["averages"] = tuple(
-                replace(a, bound=x) for a, x in zip(model.averages, exact, strict=True)
-            )
+            changes |= changed_sums(model, exact)
         elif kind == "parameters":
             pairs = zip(model.uncertainties, exact, strict=True)
             changes["uncertainties"] = tuple(

@@ -1,0 +1,130 @@
+"""Advice on a fit: sentences on signals that stand still, and on what the data do not carry."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from jaxbound.models.system import LinearSystem
+from jaxbound.studies.identification.fit_result import FitCheck
+from jaxbound.studies.identification.records import Records
+
+__all__ = ["inputs_at_rest", "limits", "no_average"]
+
+FALSE_SHARE, CONTRADICTION, FEW = 0.02, 3.0, 10
+"""Above this share of FAULT in held-out windows, this factor between the bounds of two recordings, below this
+number of windows that do not overlap, the user is told that the data do not carry the monitor."""
+
+
+def inputs_at_rest(records: Records, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
+    """Return a sentence for each input that never moves.
+
+    Raises:
+        ValueError: an output stands still.
+    """
+    u, y = (np.concatenate([r[side] for r in records]) for side in (0, 1))
+    for name, x in zip(outputs, y.T, strict=True):
+        if _stands_still(x):
+            raise ValueError(
+                f"{name} stands still in all recordings: nothing can be learnt of it; leave it out, or look "
+                f"at the sensor"
+            )
+    return [
+        f"{name} never moves in these recordings: what it does to the outputs is unknown, and the model says "
+        f"nothing; record a step of it"
+        for name, x in zip(inputs, u.T, strict=True)
+        if _stands_still(x)
+    ]
+
+
+def _stands_still(x: np.ndarray) -> bool:
+    return len(np.unique(x[~np.isnan(x)])) < 2
+
+
+def no_average(name: str, samples: int) -> str:
+    """Return the sentence on an output whose errors do not average out."""
+    return (
+        f"errors of {name} do not average out: the mean of {samples} in a row is as large as one of them, "
+        f"and gets no bound"
+    )
+
+
+def limits(model: LinearSystem, check: FitCheck, held_out: float, spans: Sequence[float]) -> list[str]:
+    """Return sentences on what the data do not carry.
+
+    Args:
+        held_out: the share that was to be held out. spans (p,): how far each output moved.
+    """
+    sentences = [_few_windows(model, check), _held_out(check, held_out), _contradiction(check)]
+    sentences += [_blind(model, check, name, span) for name, span in zip(model.outputs, spans, strict=True)]
+    return [sentence for sentence in sentences if sentence]
+
+
+def _window_length(model: LinearSystem) -> int:
+    assert model.horizon is not None, "a fitted model has one"
+    return model.horizon + 1
+
+
+def _few_windows(model: LinearSystem, check: FitCheck) -> str:
+    length = _window_length(model)
+    whole = int(sum(r["windows"] for r in check.recordings)) // length
+    if whole >= FEW:
+        return ""
+    return (
+        f"the recordings hold only {whole} windows of {length} samples that do not overlap: bounds from so "
+        f"little history may not last; record longer, or choose a shorter horizon"
+    )
+
+
+def _held_out(check: FitCheck, held_out: float) -> str:
+    if check.held_out is None:
+        why = "the recordings are too short to hold a part of them out"
+        if not held_out:
+            why = "nothing was held out"
+        return f"{why}: what the monitor makes of data that it has not seen is unknown"
+    share, windows = check.held_out["fault"], check.held_out["windows"]
+    if share <= FALSE_SHARE:
+        return ""
+    return (
+        f"{_percent(share)} of {windows} held-out windows would be FAULT under the bounds of the first "
+        f"{_percent(1 - held_out)} of the recordings, which would have to be {check.held_out['growth']:.2f} "
+        f"times as wide: the recordings do not show all of healthy operation; record more of it, or raise "
+        f"the safety factor"
+    )
+
+
+def _percent(x: float) -> str:
+    return f"{100 * x:.3g} %"
+
+
+def _contradiction(check: FitCheck) -> str:
+    """Return the sentence on two recordings whose bounds differ too much; "" where none do."""
+    shares = {i: r["used"] for i, r in enumerate(check.recordings) if r["windows"]}
+    if len(shares) < 2:
+        return ""
+    low, high = min(shares, key=shares.__getitem__), max(shares, key=shares.__getitem__)
+    if not shares[high] > CONTRADICTION * shares[low]:
+        return ""
+    return (
+        f"recording {high + 1} needs bounds {shares[high] / shares[low]:.1f} times as wide as recording "
+        f"{low + 1}: they contradict each other; look at what was different, or fit a model to each"
+    )
+
+
+def _blind(model: LinearSystem, check: FitCheck, name: str, span: float) -> str:
+    """Return the sentence on an output that moved less than any error of it that is seen."""
+    jump, steady = check.jump[name], check.steady[name]
+    unit = f" {model.unit(name)}".rstrip()
+    moved = f"in all recordings {name} moved by {span:.3g}{unit} only"
+    if jump > span:
+        return (
+            f"the monitor is blind for {name}: no jump below {jump:.3g}{unit} is sure to be seen, but {moved}"
+        )
+    if not steady > span:
+        return ""
+    size = "however large" if math.isinf(steady) else f"below {steady:.3g}{unit}"
+    return (
+        f"an error of {name} that was there before the recording began and never changes may stay unseen, "
+        f"{size}, and {moved}: within {_window_length(model)} samples the model can follow it; a longer "
+        f"horizon sees smaller ones"
+    )

@@ -1,0 +1,81 @@
+"""Bounds of a fitted model: rounded up to few digits, and verified by the proved test itself."""
+
+import math
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.hints import recorded_step
+from jaxbound.relations.parity import parity_relations
+from jaxbound.studies.identification.candidates import all_consistent, tested
+from jaxbound.studies.identification.records import Records, measured
+
+__all__ = ["Means", "rounded_up", "verified"]
+
+Means = dict[int, tuple[int, float]]
+"""{number of an output: (samples, smallest bound of the mean of so many errors)}."""
+
+ATTEMPTS = 20
+"""Times that bounds are widened where rounding left a window undecided."""
+WIDER = 1.001
+
+
+def rounded_up(x: float, digits: int = 3) -> float:
+    """Return the next number of few digits that is not below x > 0.
+
+    Example:
+        >>> rounded_up(0.12341), rounded_up(0.5)
+        (0.124, 0.5)
+    """
+    unit = 10.0 ** (math.floor(math.log10(x)) - digits + 1)
+    return float(f"{math.ceil(x / unit * (1 - 1e-12)) * unit:.12g}")
+
+
+def verified(
+    spec: dict[str, Any], bounds: list[float], means: Means, records: Records, safety: float
+) -> tuple[LinearSystem, list[np.ndarray]]:
+    """Return (model, used): the model under which every window is CONSISTENT by the proved test, and the
+    share of its bounds that each window uses.
+
+    A bound is what the recorder rounds, as the resolution, and noise for the rest. Where the bound is smaller
+    than that, nothing is rounded: the plant itself moves in steps.
+    """
+    rounds = _resolutions(records, len(bounds))
+    recordings = f"{len(records)} recording{'s' * (len(records) > 1)}"
+    source = f"fitted to {measured(records)} samples in {recordings}"
+    lowered = {i: rounded_up(x * safety) for i, (_, x) in means.items()}
+    for _ in range(ATTEMPTS):
+        exact = [Fraction(repr(x)) for x in bounds]
+        rounds = [_below(r, x) for r, x in zip(rounds, exact, strict=True)]
+        noise = [x - r for x, r in zip(exact, rounds, strict=True)]
+        origin = {"model": source, "noise": f"{source}, safety factor {safety:g}"}
+        if any(rounds):
+            origin["resolution"] = "as the recordings are rounded"
+        averages = {}
+        for i, (samples, _) in means.items():
+            rest = max(Fraction(repr(lowered[i])) - rounds[i], Fraction(0))
+            averages[spec["outputs"][i]] = {samples: rest}
+        model = LinearSystem(**spec, noise=noise, resolution=rounds, provenance=origin, averages=averages)
+        verdicts = tested(parity_relations(model), records)
+        if all_consistent(status for status, _ in verdicts):
+            break
+        bounds = [rounded_up(WIDER * x) for x in bounds]
+        lowered = {i: rounded_up(WIDER * x) for i, x in lowered.items()}
+    return model, [need for _, need in verdicts]
+
+
+def _below(rounding: Fraction, bound: Fraction) -> Fraction:
+    """Return what a recorder rounds if that is less than the bound, else 0."""
+    if rounding < bound:
+        return rounding
+    return Fraction(0)
+
+
+def _resolutions(records: Records, p: int) -> list[Fraction]:
+    """Return half a step of what the recorder rounds each output to, Fractions of few digits; 0 where no step
+    is seen.
+    """
+    y = np.concatenate([r[1] for r in records])
+    return [Fraction(f"{recorded_step(y[:, i]) / 2:.6g}") for i in range(p)]

@@ -1,0 +1,189 @@
+"""Candidate models of a fit: one a kind of regression, and the trial that chooses among them.
+
+A trial fits the first parts of the recordings and looks at the last ones, which it has not seen.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from jaxbound.diagnosis.detection import detect
+from jaxbound.models.system import LinearSystem
+from jaxbound.relations.parity import ParityRelation, parity_relations
+from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.sets.floats.status import Status
+from jaxbound.studies.identification import filters, regression
+from jaxbound.studies.identification.realisation import realised, realised_filters
+from jaxbound.studies.identification.records import Records, measured
+from jaxbound.studies.identification.regression import Scales
+from jaxbound.studies.identification.sizes import blindness
+
+__all__ = """
+    KINDS Candidate Problem Trial all_consistent candidate explains first_trials largest_need needs tested
+""".split()
+
+Relations = ParityRelation | UncertainRelations
+
+KINDS = ("least squares", "windows", "filters")
+EXACT, LEAST = 1e-14, 1e-3
+"""The least noise, as a share of the largest sample, and of what is needed of it: for a plant that fits
+exactly.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A fit but for the recordings that a candidate sees.
+
+    Fields:
+        scales: of all recordings. spans (p,): between the lowest and the highest sample of each output.
+        about: arguments of a LinearSystem beside its matrices. room: windows that every candidate's arrays
+            hold, so that a fit to a part of the recordings compiles nothing new.
+    """
+
+    scales: Scales
+    spans: tuple[float, ...]
+    order: int
+    horizon: int
+    direct: bool
+    about: dict[str, Any]
+    room: int
+
+    @classmethod
+    def of(cls, records: Records, order: int, horizon: int, direct: bool, about: dict[str, Any]) -> "Problem":
+        """Return the Problem of fitting to all of these recordings."""
+        scales = regression.scales_of(records)
+        room = len(regression.windows_of(records, scales, horizon, regression.MOST).y)
+        y = np.concatenate([r[1] for r in records])
+        spans = tuple(np.nanmax(y, axis=0) - np.nanmin(y, axis=0))
+        return cls(scales, spans, order, horizon, direct, about, room)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A model without bounds: arguments of a LinearSystem, its relations, and the root mean square (p,) of
+    its window residuals in the unit of each output, which is the noise of the relations.
+    """
+
+    kind: str
+    spec: dict[str, Any]
+    relations: Relations
+    spread: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A candidate fitted to the heads of the recordings, and the judgement of their tails.
+
+    Fields:
+        bound (p,): the smallest noise that explains the heads. unseen: the share of it that each window of
+            each tail needs. blindness: see `sizes.blindness`, of bounds that cover the tails too.
+    """
+
+    candidate: Candidate
+    bound: np.ndarray
+    unseen: tuple[np.ndarray, ...]
+    blindness: float
+
+
+def candidate(problem: Problem, records: Records, kind: str) -> Candidate:
+    """Return the Candidate of one of KINDS, fitted to recordings."""
+    scales, order, horizon, direct = problem.scales, problem.order, problem.horizon, problem.direct
+    p, m = len(problem.about["outputs"]), len(problem.about["inputs"])
+    steps = regression.windows_of(records, scales, order)
+    windows = regression.windows_of(records, scales, horizon, regression.MOST)
+    _refuse_few(records, len(steps.y), len(windows.y), horizon, order * (p + m) + direct * m + 1)
+    if kind == "filters":
+        spec, spread = realised_filters(records, scales, filters.poles_of(order, horizon), direct)
+    else:
+        theta, _ = regression.least_squares(steps, order, direct)
+        if kind == "windows":
+            theta, spread = regression.refined(theta, windows, order, direct, problem.room)
+        else:
+            spread = regression.window_spread(theta, windows, order, direct, problem.room)
+        spec, spread = realised(theta, scales, order, direct, m, p), spread * scales.y_spread
+    largest = np.nanmax(np.abs(np.concatenate([y for _, y, _ in records])), axis=0)
+    spread = np.maximum(spread, EXACT * largest)  # where all fits exactly
+    spec |= problem.about
+    relations = parity_relations(LinearSystem(**spec)).with_bounds({"noise": spread})
+    return Candidate(kind, spec, relations, spread)
+
+
+def _refuse_few(records: Records, steps: int, windows: int, horizon: int, unknowns: int) -> None:
+    """Raise ValueError if recordings hold too few steps or no window."""
+    if steps >= 2 * unknowns and windows:
+        return
+    total = f"{measured(records)}, in {len(records)} recording{'s' * (len(records) > 1)}"
+    raise ValueError(
+        f"too few samples: {total}, hold {windows} complete windows of {horizon + 1} samples, and {steps} "
+        f"steps for {unknowns} coefficients an output, twice as many of which are needed: record longer, or "
+        f"choose a lower order or horizon"
+    )
+
+
+def first_trials(
+    problem: Problem,
+    kinds: Sequence[str],
+    heads: Records,
+    tails: Records,
+    step: Callable[[float], object],
+) -> list[Trial]:
+    """Return a Trial of each kind. step: called with the share of the work done."""
+    trials = []
+    for number, kind in enumerate(kinds):
+        trials.append(_trial(problem, kind, heads, tails))
+        step((number + 1) / len(kinds))
+    return trials
+
+
+def _trial(problem: Problem, kind: str, heads: Records, tails: Records) -> Trial:
+    first = candidate(problem, heads, kind)
+    own = largest_need(needs(first.relations, heads))
+    unseen = needs(first.relations, tails)
+    covering = LinearSystem(**first.spec, noise=np.fmax(own, largest_need(unseen)) * first.spread)
+    return Trial(
+        first,
+        own * first.spread,
+        tuple(x / own for x in unseen),
+        blindness(covering, problem.scales, problem.spans),
+    )
+
+
+def tested(relations: Relations, parts: Records) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return (status, need) of each recording, (T,) each.
+
+    The need of a window is the factor on the bounds that just explains it, nan where there is no window.
+    """
+    verdicts = []
+    for u, y, starts in parts:
+        if len(y) <= relations.horizon:
+            verdicts.append((np.zeros(len(y), np.int8), np.full(len(y), np.nan)))
+            continue
+        result = detect(relations, u if u.shape[1] else None, y, starts=starts)
+        verdicts.append((result.status, 1 - result.margin))
+    return verdicts
+
+
+def needs(relations: Relations, parts: Records) -> list[np.ndarray]:
+    """Return the need of each window, an array (T,) a recording."""
+    return [need for _, need in tested(relations, parts)]
+
+
+def largest_need(each: Sequence[np.ndarray]) -> float:
+    """Return the largest need, at least LEAST; nan where there is no window."""
+    every = np.concatenate(each)
+    if not np.isfinite(every).any():
+        return float("nan")
+    return max(float(np.nanmax(every)), LEAST)
+
+
+def explains(relations: Relations, parts: Records) -> bool:
+    """Return whether every window of the recordings is CONSISTENT."""
+    return all_consistent(status for status, _ in tested(relations, parts))
+
+
+def all_consistent(statuses: Iterable[np.ndarray]) -> bool:
+    """Return whether every window is CONSISTENT or MISSING. statuses: an array (T,) a recording."""
+    return all(np.isin(status, (Status.MISSING, Status.CONSISTENT)).all() for status in statuses)

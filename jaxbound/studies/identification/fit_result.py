@@ -1,0 +1,56 @@
+"""The result of a fit: a model, and what is known of it beyond its numbers."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from jaxbound.models.system import LinearSystem
+from jaxbound.text.objects import readable
+
+__all__ = ["FitCheck", "Fitted"]
+
+
+@readable
+@dataclass(frozen=True, eq=False)
+class FitCheck:
+    """What is known of a fit beyond its model.
+
+    Fields:
+        method: how the coefficients were found, see `fit`.
+        safety: the factor on the smallest bounds. smallest: those, {output: bound}. smallest_mean: those of
+            the mean of `average` errors in a row, {} where it was not asked for.
+        held_out: what a first fit, to the first parts of the recordings, made of their last parts:
+            {"windows", "fault", "growth"}: how many windows, the share in FAULT, and the factor by which the
+            bounds would have had to be wider; None if nothing was held out. The model itself was fitted to
+            everything afterwards.
+        recordings: one {"samples", "windows", "used"} each: used is the largest share of the final bounds
+            that a window needs.
+        jump: {output: size}: a jump of one output in the middle of a window from which on the window is FAULT
+            whatever the noise does.
+        steady: the same for an error that fills the window; inf if the model can follow it.
+        used, held_out_used: one array (T,) a recording, the share of the bounds that each window needs (nan
+            where there is none): of the final model, and of the first fit on the held-out parts.
+        sentences: what the user should know, above all why the data may not carry a monitor.
+    """
+
+    method: str
+    safety: float
+    smallest: dict[str, float]
+    held_out: dict[str, float] | None
+    recordings: tuple[dict[str, float], ...]
+    jump: dict[str, float]
+    steady: dict[str, float]
+    used: tuple[np.ndarray, ...] = field(repr=False)
+    held_out_used: tuple[np.ndarray, ...] = field(repr=False)
+    sentences: tuple[str, ...] = ()
+    smallest_mean: dict[str, float] = field(default_factory=dict)
+
+
+class Fitted(LinearSystem):
+    """A LinearSystem that `fit` made: with `.check`, a FitCheck, which is no part of its value."""
+
+    check: FitCheck
+
+    def __init__(self, model: LinearSystem, check: FitCheck) -> None:
+        super().__init__(**model._arguments())
+        object.__setattr__(self, "check", check)
