@@ -30,7 +30,7 @@ import numpy as np
 
 import jaxbound as jb
 from benchmarks import timing
-from jaxbound.estimation import observer as observers
+from jaxbound.estimation.methods import OBSERVERS
 
 T, FIRST, ONSET, EVERY = 480, 60, 200, 8
 LEARNT, FRESH, FAULTY = 256, 64, 16
@@ -207,7 +207,7 @@ def bias_state(u: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 SETS: dict[str, Beyond] = {"windows, 16 samples": window(horizon=15), "windows, 11 of 49": window(lags=LAGS)}
-for one in ("zonotope", *getattr(observers, "METHODS", ())):
+for one in OBSERVERS:
     how = {"method": one} if "method" in inspect.signature(jb.observe).parameters else {}
     SETS[f"observer, {one}"] = observed(**how)
     SETS[f"with_faults, {one}"] = enclosed(**how)

@@ -12,12 +12,13 @@ import os
 import resource
 import shutil
 import signal
+import sqlite3
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -155,12 +156,12 @@ def killed(folder, horizon, data, rows, again):
     process.stdin.close()
     feeding.join()
     there = written(out / "verdicts.csv")
-    note = json.loads((out / "monitor.jsonl").read_bytes().rsplit(b"\n", 2)[-2])
-    taken = note["memory"]["text"][
-        "number"
-    ]  # lines, the header too: a sender that goes on sends what follows
+    with closing(sqlite3.connect(out / "monitor.sqlite")) as database:
+        ((memory,),) = database.execute("SELECT memory FROM checkpoint")
+    position = json.loads(memory)["source"]
+    taken = position["number"]  # lines, the header too: a sender that goes on sends what follows
     rest = data if again == "beginning" else b"\n".join(data.split(b"\n")[taken:])
-    if again != "beginning" and note["memory"]["text"]["tail"]:
+    if again != "beginning" and position["tail"]:
         rest = data.split(b"\n", 1)[0] + b"\n" + rest
     process = start(folder, horizon, "--out", out.name)
     feed(process, rest).join()

@@ -12,7 +12,7 @@ from systems import paper
 
 import jaxbound as jb
 from jaxbound.recordings.read import read
-from jaxbound.runs import streaming
+from jaxbound.runs import parts, streaming
 
 N = 6000
 MODELS = {
@@ -68,7 +68,7 @@ def verdicts(out):
 
 def parts_of(folder):
     """Return {name: bytes} of the parts in a folder."""
-    return {p.name: p.read_bytes() for p in streaming.part_files(folder)}
+    return {p.name: p.read_bytes() for p in parts.part_files(folder)}
 
 
 def shrink(monkeypatch):

@@ -414,3 +414,13 @@ def test_equations_become_mathml_outside_of_code():
     pytest.importorskip("latex2mathml")
     drawn = script("hooks").equations("$x_1$ and `$y$` cost 5 $ and 6 $\n```sh\necho $a $b\n```\n$$x = 1$$")
     assert drawn.count("<math") == 2 and "`$y$`" in drawn and "echo $a $b" in drawn and "5 $ and 6 $" in drawn
+
+
+def test_every_file_and_script_that_the_design_names_is_there():
+    text = (ROOT / "docs" / "design.md").read_text()
+    files = re.findall(r"`((?:\w+/)+\w+\.py)`", text)
+    scripts = re.findall(r"`(?:python -m )?(benchmarks\.\w+)`", text)
+    paths = [ROOT / "jaxbound" / name for name in files if not name.startswith("tests/")]
+    paths += [ROOT / name for name in files if name.startswith("tests/")]
+    paths += [ROOT / f"{script.replace('.', '/')}.py" for script in scripts]
+    assert len(paths) > 20 and not [path for path in paths if not path.exists()]

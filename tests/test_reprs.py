@@ -32,7 +32,13 @@ ROOMS = (
     jb.studies,
     jb,
 )
-ABSTRACT = (WindowTest, jb.consistency.Observer, jb.certificates.WindowCertificate)
+ABSTRACT = (
+    WindowTest,
+    jb.consistency.Observer,
+    jb.estimation.ObserverMethod,
+    jb.estimation.SetObserver,
+    jb.certificates.WindowCertificate,
+)
 LONG = np.zeros((1000, 400))
 
 

@@ -87,13 +87,13 @@ def options(parser: argparse.ArgumentParser) -> None:
         type=path,
         metavar="DIR",
         help="folder for verdicts, alarms.csv and report.html; with -, if given, for verdicts.csv and "
-        "monitor.jsonl",
+        "monitor.sqlite",
     )
     parser.add_argument(
         "--state",
         type=path,
         metavar="FILE",
-        help="with -: where to remember how to go on (default: DIR/monitor.jsonl)",
+        help="with -: where to remember how to go on (default: DIR/monitor.sqlite)",
     )
     parser.add_argument(
         "--chunk",
@@ -136,12 +136,15 @@ def options(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Test a recording and write its report; return the exit code."""
     if args.data == STDIN:
-        return _run_pipe(args)
+        return _run_live(args)
     with swift_imports():
         from jaxbound.cli.conclusion import conclude
         from jaxbound.cli.share import judge_share
+        from jaxbound.recordings.live import LiveSource
         from jaxbound.recordings.read import kind_of
 
+    if LiveSource.takes(args.data):
+        return _run_live(args)
     _refuse_what_is_for_pipes(args)
     with door(OSError):
         kind = kind_of(args.data)
@@ -167,11 +170,11 @@ def run(args: argparse.Namespace) -> int:
     return conclude(evaluation, args.data, args.out, as_json=args.json)
 
 
-def _run_pipe(args: argparse.Namespace) -> int:
-    """Judge the lines of standard input as they come; return the exit code."""
+def _run_live(args: argparse.Namespace) -> int:
+    """Judge samples as they come, from standard input or a live source; return the exit code."""
     _refuse_engine(args, "is for Parquet: samples through a pipe are judged as they come")
     if args.method == VALIDATION:
-        raise Refused(f"{VALIDATION} reads a recording as a whole: give a file instead of -")
+        raise Refused(f"{VALIDATION} reads a recording as a whole: give a file instead of {args.data}")
     options_of_files = {
         "--chunk": args.chunk is not None,
         "--alarm": args.alarm != (1, 1),
@@ -181,11 +184,12 @@ def _run_pipe(args: argparse.Namespace) -> int:
     }
     for option, is_there in options_of_files.items():
         if is_there:
-            raise Refused(f"{option} is for recordings: give a file instead of -")
+            raise Refused(f"{option} is for recordings: give a file instead of {args.data}")
     with swift_imports():
         from jaxbound.cli.pipe import judge_input
     return judge_input(
         args.model,
+        args.data,
         MethodOptions.of(args),
         out=args.out,
         state=args.state,

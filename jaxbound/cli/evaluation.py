@@ -5,7 +5,6 @@ A report is written completely or not at all, see `outputs`.
 
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,14 +20,18 @@ from jaxbound.diagnosis.result import Result
 from jaxbound.models.modelfile import load_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import refuse_short
+from jaxbound.recordings.parquet import PARTIAL, VERDICTS
 from jaxbound.recordings.read import open_source
 from jaxbound.reports.detection import write_report
 from jaxbound.runs.digest import digest
 from jaxbound.runs.endings import ending_hints, sizes_seen
+from jaxbound.runs.judges import Whole
+from jaxbound.runs.loop import follow
 from jaxbound.runs.outputs import OutputFolder
 from jaxbound.runs.refusals import Interrupted
-from jaxbound.runs.sink import Outcome, file_names, write_all
-from jaxbound.runs.streaming import CHUNK, PARTIAL, VERDICTS, all_parts, kept, publish, write_parts
+from jaxbound.runs.sink import Outcome
+from jaxbound.runs.sinks import Beside, close_all, file_names, open_sinks
+from jaxbound.runs.streaming import CHUNK, all_parts, kept, publish, write_parts
 from jaxbound.runs.summary import Summary, summarised
 from jaxbound.text.quantities import percent
 
@@ -99,13 +102,15 @@ def evaluate_parts(
         start = time.perf_counter()
         with folder.work() as work:
             progress = lambda share: step("report", 0.4 * share)
-            found = digest(relations, source, parts, options.method, alarm, work / "alarms.csv", progress)
+            sinks = open_sinks(work, whole=False)
+            how = options.method, alarm, work / "alarms.csv", progress, sinks
+            found = digest(relations, source, parts, *how)
             sizes = sizes_seen(found, found.alarms)
             reaches = outgrown(source.model, relations)
             hints = dict.fromkeys((*found.hints, *reaches, *ending_hints(found, found.alarms, sizes)))
             res = summarised(found, found.alarms, found.label, min_coverage, hints, sizes, bool(reaches))
             about = relations.model, Path(data), source.content, options.method, relations.horizon
-            write_all(work, Outcome(found, None, found.alarms, res, *about, options.observer_options))
+            close_all(sinks, Outcome(found.alarms, res, *about, options.observer_options))
             write_report(
                 work,
                 found,
@@ -157,28 +162,21 @@ def evaluate(
         refuse_short(data, recording.samples, relations.horizon)
         seconds["read"], start = time.perf_counter() - start, time.perf_counter()
         usable_device()
-        res = detect(relations, recording, method=options.method, progress=lambda share: step("test", share))
-    step("test", 1.0)
-    alarms = res.alarms(*alarm)
-    seconds["test"], start = time.perf_counter() - start, time.perf_counter()
-    sizes = sizes_seen(res, alarms)
-    reaches = outgrown(stated, relations)
-    hints = dict.fromkeys((*res.hints, *reaches, *again_hints(res), *ending_hints(res, alarms, sizes)))
-    found = summarised(res, alarms, recording.label, min_coverage, hints, sizes, bool(reaches))
-    with ThreadPoolExecutor(1) as beside:  # a million verdicts are written while the pictures are drawn
-        outcome = Outcome(
-            res,
-            recording,
-            alarms,
-            found,
-            tested,
-            Path(data),
-            held,
-            options.method,
-            relations.horizon,
-            options.observer_options,
-        )
-        tables = beside.submit(write_all, work, outcome)
+    test = lambda r: detect(relations, r, method=options.method, progress=lambda share: step("test", share))
+    with Beside(open_sinks(work)) as sinks:  # a million verdicts are written while the pictures are drawn
+        judge = Whole(test)
+        with door():
+            for _ in follow([recording], judge, [sinks]):
+                step("test", 1.0)
+        res = judge.verdicts
+        alarms = res.alarms(*alarm)
+        seconds["test"], start = time.perf_counter() - start, time.perf_counter()
+        sizes = sizes_seen(res, alarms)
+        reaches = outgrown(stated, relations)
+        hints = dict.fromkeys((*res.hints, *reaches, *again_hints(res), *ending_hints(res, alarms, sizes)))
+        found = summarised(res, alarms, recording.label, min_coverage, hints, sizes, bool(reaches))
+        about = tested, Path(data), held, options.method, relations.horizon, options.observer_options
+        sinks.close(Outcome(alarms, found, *about))
         step("report", 0.1)
         write_report(
             work,
@@ -190,7 +188,6 @@ def evaluate(
             extra=() if sections is None else sections(res),
             progress=lambda share: step("report", 0.1 + 0.8 * share),
         )
-        tables.result()
     step("report", 1.0)
     seconds["report"] = time.perf_counter() - start
     return Evaluation(found, tested, seconds)

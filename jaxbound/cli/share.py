@@ -13,11 +13,13 @@ from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.terminal import OK, door, progress_bars, show, usable_device, write
 from jaxbound.cli.window import window_relations
 from jaxbound.models.modelfile import load_model
+from jaxbound.recordings.parquet import PARTIAL
 from jaxbound.recordings.read import open_source
 from jaxbound.runs.outputs import shared_folder
+from jaxbound.runs.parts import part_files
 from jaxbound.runs.refusals import Interrupted
 from jaxbound.runs.shares import numbers_of
-from jaxbound.runs.streaming import CHUNK, PARTIAL, part_count, part_files, samples_of, write_parts
+from jaxbound.runs.streaming import CHUNK, part_count, samples_of, write_parts
 
 __all__ = ["judge_share", "opened", "same_test"]
 

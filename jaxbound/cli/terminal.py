@@ -12,12 +12,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 
+from jaxbound.cli.signals import ENDS
 from jaxbound.runs.refusals import Refused, Stopped
 from jaxbound.text.characters import clipped, printable
 
 __all__ = [
     "BAD_INPUT",
-    "ENDS",
     "INTERNAL",
     "INTERRUPTED",
     "LOUDNESS",
@@ -36,9 +36,6 @@ __all__ = [
     "write",
 ]
 
-ENDS = tuple(
-    getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)
-)  # signals that ask for the end
 OK, BAD_INPUT, INTERNAL, INTERRUPTED = (
     0,
     2,

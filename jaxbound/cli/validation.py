@@ -21,8 +21,11 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.columns import to_arrow, words
 from jaxbound.recordings.read import open_source
 from jaxbound.reports.validation import write_page
+from jaxbound.runs.judges import Whole
+from jaxbound.runs.loop import follow
 from jaxbound.runs.runfile import VALIDATION
-from jaxbound.runs.sink import Outcome, write_all
+from jaxbound.runs.sink import Outcome
+from jaxbound.runs.sinks import close_all, open_sinks
 from jaxbound.runs.summary import Evidence, evidence, summarised
 from jaxbound.runs.verdictfiles import columns_of
 from jaxbound.sets.floats.status import Status
@@ -150,11 +153,10 @@ def evaluate_validation(
         _complete(data, recording, horizon)
         seconds["read"], start = time.perf_counter() - start, time.perf_counter()
         usable_device()
-        found = validate(plant, recording, horizon=horizon)
-        res = Validated(
-            plant, horizon, recording.y, jax.tree.map(np.asarray, found), recording.aside(horizon)
-        )
-    step("test", 1.0)
+        judge, sinks = Whole(lambda r: _validated(plant, r, horizon)), open_sinks(work)
+        for _ in follow([recording], judge, sinks):
+            step("test", 1.0)
+    res = judge.verdicts
     alarms = res.alarms(*alarm)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
     first = (
@@ -176,12 +178,16 @@ def evaluate_validation(
     reaches = outgrown(plant, res, "validation")
     hints = (*recording.hints, *bound_hints(plant), *reaches, *assumed)
     summary = summarised(res, alarms, recording.label, min_coverage, hints, outgrown=bool(reaches))
-    write_all(
-        work, Outcome(res, recording, alarms, summary, plant, Path(data), held, options.method, horizon)
-    )
+    close_all(sinks, Outcome(alarms, summary, plant, Path(data), held, options.method, horizon))
     write_page(work, res, recording, summary, seconds=seconds, progress=lambda share: step("report", share))
     seconds["report"] = time.perf_counter() - start
     return Evaluation(summary, plant, seconds)
+
+
+def _validated(model, recording, horizon):
+    """Return the Validated of a recording."""
+    found = validate(model, recording, horizon=horizon)
+    return Validated(model, horizon, recording.y, jax.tree.map(np.asarray, found), recording.aside(horizon))
 
 
 def _complete(data, recording, horizon):

@@ -24,7 +24,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.diagnosis.observer_sizes import least_seen
-from jaxbound.estimation.observer import SetObserver, observer
+from jaxbound.estimation.observer import observer
+from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.exact import linalg
 from jaxbound.exact.chebyshev import chebyshev, subspace
 from jaxbound.exact.linalg import dot

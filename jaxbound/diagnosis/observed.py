@@ -9,7 +9,7 @@ import numpy as np
 from jaxbound.consistency.drive import drive
 from jaxbound.consistency.interface import Judged
 from jaxbound.diagnosis.result import Result, result_of
-from jaxbound.estimation.observer import Observation, SetObserver
+from jaxbound.estimation.set_observer import Observation, SetObserver
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.objects import readable

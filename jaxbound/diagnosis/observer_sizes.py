@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from jaxbound.consistency.drive import drive
-from jaxbound.estimation.observer import SetObserver
+from jaxbound.estimation.set_observer import SetObserver, ZonotopeObserver
 from jaxbound.models.faults import Fault
+from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 
 __all__ = ["least_seen", "shifts"]
@@ -41,12 +42,12 @@ def shifts(watch: SetObserver, fault: Fault) -> np.ndarray:
         raise NotImplementedError(
             f"what an observer sees of a fault of kind {fault.kind!r} is counted by jb.study, not worked out"
         )
-    if type(watch) is not SetObserver:
+    if not isinstance(watch, ZonotopeObserver):
         raise NotImplementedError(
             f"what a {type(watch).__name__} sees is counted by jb.study, not worked out: its sets move with "
             f"the data"
         )
-    if not hasattr(model, "uncertainties") or model.uncertainties or any(model.tolerance):
+    if not isinstance(model, LinearSystem) or model.uncertainties or any(model.tolerance):
         raise NotImplementedError(
             "sizes that an observer sees are worked out for certain models without tolerances: others by "
             "jb.study"

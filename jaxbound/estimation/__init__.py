@@ -1,22 +1,63 @@
-"""Set-membership estimation: set observers, data validation, multiple models, unknown inputs."""
+"""Set-membership estimation: set observers, data validation, multiple models, unknown inputs.
 
-from jaxbound.estimation import observer_evidence as observer_evidence
-from jaxbound.estimation.constrained import ConstrainedObserver, ConstrainedState
-from jaxbound.estimation.joint import JointObserver, JointState
-from jaxbound.estimation.observer import Observation, ObserverState, SetObserver
-from jaxbound.estimation.unknown_inputs import UnknownInputs
-from jaxbound.estimation.validation import Validation
-from jaxbound.estimation.validation_observer import ValidationObserver
+Names are imported when they are first asked for: the command line reads the table of methods before anything
+is computed.
+"""
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from jaxbound.estimation.constrained import Constrained
+    from jaxbound.estimation.constrained_observer import ConstrainedObserver, ConstrainedState
+    from jaxbound.estimation.joint import Joint
+    from jaxbound.estimation.joint_observer import JointObserver, JointState
+    from jaxbound.estimation.method import ObserverMethod
+    from jaxbound.estimation.set_observer import Observation, ObserverState, SetObserver, ZonotopeObserver
+    from jaxbound.estimation.unknown_inputs import UnknownInputs
+    from jaxbound.estimation.validation import Validation
+    from jaxbound.estimation.validation_observer import ValidationObserver
+    from jaxbound.estimation.zonotopes import LeastZonotope, WeightedZonotopes
 
 __all__ = [
+    "Constrained",
     "ConstrainedObserver",
     "ConstrainedState",
+    "Joint",
     "JointObserver",
     "JointState",
+    "LeastZonotope",
     "Observation",
+    "ObserverMethod",
     "ObserverState",
     "SetObserver",
     "UnknownInputs",
     "Validation",
     "ValidationObserver",
+    "WeightedZonotopes",
+    "ZonotopeObserver",
 ]
+
+_HOMES = {
+    "constrained": "Constrained",
+    "constrained_observer": "ConstrainedObserver ConstrainedState",
+    "joint": "Joint",
+    "joint_observer": "JointObserver JointState",
+    "method": "ObserverMethod",
+    "set_observer": "Observation ObserverState SetObserver ZonotopeObserver",
+    "unknown_inputs": "UnknownInputs",
+    "validation": "Validation",
+    "validation_observer": "ValidationObserver",
+    "zonotopes": "LeastZonotope WeightedZonotopes",
+}
+_MODULES = {name: module for module, names in _HOMES.items() for name in names.split()}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -1,5 +1,5 @@
-"""Recordings side by side in blocks of one size, on all cores: what a block works on stays in the cache, more
-recordings trace nothing.
+"""Recordings side by side on the last axis of arrays, and in blocks of one size on all cores: a block's work
+stays in the cache, more recordings trace nothing.
 """
 
 import os
@@ -7,20 +7,32 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
+import jax
 import numpy as np
 
 from jaxbound.sets.floats.threads import inherited
 
-__all__ = ["in_blocks"]
+__all__ = ["chosen", "in_blocks", "repeated"]
 
 T = TypeVar("T")
+
+
+def chosen(tree: T, lanes: np.ndarray) -> T:
+    """Return some recordings of arrays, in the order of memory that all have."""
+    return jax.tree.map(lambda x: np.take(x, lanes, -1), tree)
+
+
+def repeated(tree: T, count: int) -> T:
+    """Return arrays of `count` recordings: of one recording, as many copies."""
+    return jax.tree.map(lambda x: np.repeat(x, count // x.shape[-1], -1), tree)
 
 
 def in_blocks(job: Callable[[np.ndarray], T], count: int, size: int) -> list[T]:
     """Return [job(numbers of recordings) for each block of `count` recordings]; the last one is repeated
     until its block is full.
     """
-    first, *others = (np.minimum(np.arange(a, a + size), count - 1) for a in range(0, max(count, 1), size))
+    starts = range(0, max(count, 1), size)
+    first, *others = (np.minimum(np.arange(start, start + size), count - 1) for start in starts)
     done = [job(first)]  # compiled here, once
     if not others:
         return done

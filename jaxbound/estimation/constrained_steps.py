@@ -33,13 +33,13 @@ from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.unrolled import stored
 
-__all__ = ["Asked", "Held", "follow", "nothing"]
+__all__ = ["AskedRows", "HeldRows", "follow", "nothing"]
 
 SMALL = 2.0**-24
 """Share of the largest entry below which an entry is no pivot."""
 
 
-class Held(NamedTuple):
+class HeldRows(NamedTuple):
     """Sets before a sample is looked at. Fields: h (n + k, N), H (n + k, q, N), r (n + k, N); on (N,):
     whether there is one.
     """
@@ -50,7 +50,7 @@ class Held(NamedTuple):
     on: Any
 
 
-class Asked(NamedTuple):
+class AskedRows(NamedTuple):
     """Rows with each of T samples: 0 in h + H xi + diag(r) eta. Fields: h, r (T, rows, N), H (T, rows, q + p,
     N), on (T, N): whether there are any. The first n rows are the state.
     """
@@ -61,9 +61,9 @@ class Asked(NamedTuple):
     on: Any
 
 
-def nothing(n: int, k: int, q: int, N: int, dtype: np.dtype) -> Held:
-    """Return the Held of N recordings before the first sample, on the host."""
-    return Held(
+def nothing(n: int, k: int, q: int, N: int, dtype: np.dtype) -> HeldRows:
+    """Return the HeldRows of N recordings before the first sample, on the host."""
+    return HeldRows(
         np.zeros((n + k, N), dtype),
         np.zeros((n + k, q, N), dtype),
         np.zeros((n + k, N), dtype),
@@ -75,13 +75,13 @@ def nothing(n: int, k: int, q: int, N: int, dtype: np.dtype) -> Held:
 def follow(
     plant: steps.Numbers,
     start: steps.Start | None,
-    carry: steps.Carry,
-    held: Held,
+    carry: steps.ZonotopeCarry,
+    held: HeldRows,
     known: steps.Read,
     stop: int,
     enclosures: int,
     restart: jax.Array | bool,
-) -> tuple[steps.Carry, Held, steps.Found, Asked]:
+) -> tuple[steps.ZonotopeCarry, HeldRows, steps.Found, AskedRows]:
     """Follow N recordings over the first `stop` of these samples, zonotopes (one weight) beside; args and
     Found as of theirs.
     """
@@ -95,7 +95,7 @@ def follow(
         room(2 * n * min(enclosures, 1)),
         room(4 * p * (enclosures // 2)),
     )
-    asked = Asked(room(R + p), room(R + p, q + p), room(R + p), room(dtype=bool))
+    asked = AskedRows(room(R + p), room(R + p, q + p), room(R + p), room(dtype=bool))
     g = _Bounds(R + p, q + p + plant.W.shape[1] + R, plant.B.shape[1], dtype)
 
     def step(k, state):
@@ -105,7 +105,7 @@ def follow(
         alive = carry.age >= 0
         held = _from_zonotope(held, carry, alive & ~(held.on & ~now.fresh))
         h, H, r, seen = _met(plant, held, now, g)
-        out = Asked(h, H, r, alive & held.on & jnp.any(seen, 0))
+        out = AskedRows(h, H, r, alive & held.on & jnp.any(seen, 0))
         carry, size, told = steps.sample(plant, start, carry, now, enclosures)
         gone = restart & carry.empty
         carry = steps.begun_anew(carry, gone)
@@ -119,7 +119,7 @@ def follow(
         put = lambda old, new: jax.tree.map(
             lambda a, b: jax.lax.dynamic_update_index_in_dim(a, b, k, 0), old, new
         )
-        return carry, Held(clean(h), clean(H), clean(r), on), put(found, told), put(asked, out)
+        return carry, HeldRows(clean(h), clean(H), clean(r), on), put(found, told), put(asked, out)
 
     return jax.lax.fori_loop(0, stop, step, (carry, held, found, asked))
 
@@ -168,7 +168,7 @@ def _from_zonotope(held, carry, where):
     below = len(held.h) - len(carry.c)
     full = lambda x: jnp.concatenate([x, jnp.zeros((below, *x.shape[1:]), x.dtype)])
     pick = lambda new, old: jnp.where(_like(where, old), full(new), old)
-    return Held(
+    return HeldRows(
         pick(carry.c, held.h),
         pick(carry.G, held.H),
         pick(carry.r, held.r),

@@ -1,17 +1,15 @@
 """A FAULT of a set observer, decided a second time outside XLA: see `consistency.twice`.
 
 The observer follows the last samples before a FAULT once more, its kernels evaluated in NumPy: 4 of them,
-then 16, 64, 256, 1024, as far back as it began, knowing nothing of the state before. What contradicts then
-contradicts. Only what rests on more samples than these, or on samples of a piece before that nobody keeps,
-begins with the set that XLA carried to there.
+then 16, 64, 256, 1024, as far back as it began, knowing nothing of the state before. A contradiction among
+them stands. Only a FAULT that rests on more samples than these, or on samples of a piece before that nobody
+keeps, begins with the set that XLA carried to there.
 """
 
-import copy
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import jax
 import numpy as np
@@ -30,10 +28,33 @@ BESIDE = 128
 """Stretches that are followed side by side, at most."""
 
 
+class Repeatable(Protocol):
+    """An observer whose FAULTs can be decided again.
+
+    restart, weights, shown_after: as of SetObserver.
+    """
+
+    @property
+    def restart(self) -> bool: ...
+    @property
+    def weights(self) -> np.ndarray: ...
+    @property
+    def shown_after(self) -> float: ...
+    def begin(self) -> Any:
+        """Return the state before the first sample."""
+
+    def judged(self, carry: Any, piece: Recording) -> tuple[Any, Any]:
+        """Return (carry, verdicts) of a piece, decided once."""
+
+    def forgetful(self) -> "Repeatable":
+        """Return the same observer, which begins knowing nothing."""
+
+
 @dataclass(frozen=True)
 class _Doubt:
-    """A FAULT to be decided again. Fields: recording; begin, end: the first sample that it rests on, in its
-    piece, and its own.
+    """A FAULT to be decided again.
+
+    Fields: recording; begin, end: the first sample that it rests on, in its piece, and its own.
     """
 
     recording: int
@@ -41,45 +62,52 @@ class _Doubt:
     end: int
 
 
-def decided_twice(watch: Any, carry: Any, piece: Recording) -> tuple[Any, Any]:
-    """Return what `watch.judged` does, with UNDECIDED in place of a FAULT that is not proved outside XLA; a
-    warning tells of them.
+def decided_twice(watch: Repeatable, carry: Any, piece: Recording) -> tuple[Any, Any]:
+    """Return (carry, verdicts) of `watch.judged`, with UNDECIDED in place of a FAULT that is not proved
+    outside XLA; a warning tells of them.
 
-    Where one is taken back the observer goes on knowing nothing: what XLA carried is not to be trusted.
+    Where one is taken back the observer goes on knowing nothing: the set that XLA carried is not to be
+        trusted.
 
     Args:
-        watch: a SetObserver. carry: what it carried to the piece.
+        carry: what the observer carried to the piece.
     """
-    after, told = watch.judged(carry, piece)
-    status = np.asarray(told.status)
+    after, judged = watch.judged(carry, piece)
+    status = np.asarray(judged.status)
     if is_outside_xla() or not (status == Status.FAULT).any():
-        return after, told
+        return after, judged
     gone = _doubtful(watch, carry, piece, status)
     if not gone.any():
-        return after, told
+        return after, judged
     status = np.where(gone, np.int8(Status.UNDECIDED), status).astype(np.int8)
-    margin = np.where(gone, 0, told.margin).astype(np.asarray(told.margin).dtype)
-    changed: Any = told._replace if isinstance(told, Judged) else partial(replace, told)
-    return _forgetful(watch).init(), changed(status=status, margin=margin)
+    margin = np.where(gone, 0, judged.margin).astype(np.asarray(judged.margin).dtype)
+    return watch.forgetful().begin(), _with_verdicts(judged, status, margin)
 
 
-def _doubtful(watch, carry, piece, status):
+def _with_verdicts(judged: Any, status: np.ndarray, margin: np.ndarray) -> Any:
+    """Return a Judged, or an Observation, with other verdicts."""
+    if isinstance(judged, Judged):
+        return judged._replace(status=status, margin=margin)
+    return replace(judged, status=status, margin=margin)
+
+
+def _doubtful(watch: Repeatable, carry: Any, piece: Recording, status: np.ndarray) -> np.ndarray:
     """Return bool like status (..., T): which FAULTs of a piece are not proved outside XLA."""
     flat = status.reshape(-1, status.shape[-1])
     left = list(_doubts(watch, carry, piece, flat))
     shorter = watch.shown_after
     for length in LENGTHS:
-        near = [doubt for doubt in left if doubt.end - doubt.begin >= shorter]
-        refuted = _by_samples(watch, piece, near, length)
+        long_enough = [doubt for doubt in left if doubt.end - doubt.begin >= shorter]
+        refuted = _by_samples(watch, piece, long_enough, length)
         left = [doubt for doubt in left if doubt not in refuted]
         shorter = length
     left = [doubt for doubt in left if not _by_carry(watch, carry, piece, doubt)]
     gone = np.zeros(flat.shape, bool)
     for doubt in left:
-        behind = flat[doubt.recording, doubt.end :] != Status.FAULT
-        count = (
-            1 if watch.restart else int(np.append(behind, True).argmax())
-        )  # a FAULT that stays goes as a whole
+        count = 1
+        if not watch.restart:  # a FAULT that stays goes as a whole
+            behind = flat[doubt.recording, doubt.end :] != Status.FAULT
+            count = int(np.append(behind, True).argmax())
         gone[doubt.recording, doubt.end : doubt.end + count] = True
     if left:
         warn_doubtful(
@@ -89,53 +117,54 @@ def _doubtful(watch, carry, piece, status):
     return gone.reshape(status.shape)
 
 
-def _forgetful(watch):
-    """Return the same observer, which begins knowing nothing."""
-    watch = copy.copy(watch)
-    watch._x0 = watch._carried = None
-    watch.__dict__.pop("_first", None)  # what "joint" works out of x0
-    return watch
-
-
-def _doubts(watch, carry, piece, status) -> Iterator[_Doubt]:
+def _doubts(watch: Repeatable, carry: Any, piece: Recording, status: np.ndarray) -> Iterator[_Doubt]:
     """Yield the FAULTs of recordings (N, T); of one that stays, the first."""
-    seams = {0, *np.asarray(piece.starts).tolist()}
+    starts = np.asarray(piece.starts).tolist()
+    seams = {0, *starts}
     if piece.excluded is not None:
         seams.update(np.flatnonzero(piece.excluded).tolist())
     ordered = np.array(sorted(seams))
-    before = np.broadcast_to(_ended(watch, carry), len(status))
+    ended = np.broadcast_to(_ended(watch, carry), len(status))
     for recording, row in enumerate(status):
-        begin, faulty = 0, bool(before[recording]) and not watch.restart
+        begin = 0
+        stays_from_before = bool(ended[recording]) and not watch.restart and 0 not in starts
         for end in np.flatnonzero(row == Status.FAULT).tolist():
             seam = int(ordered[np.searchsorted(ordered, end, "right") - 1])
-            lasting = not watch.restart and end and row[end - 1] == Status.FAULT and seam != end
-            if not lasting and not (faulty and not end and 0 not in np.asarray(piece.starts)):
+            stays = not watch.restart and end > 0 and row[end - 1] == Status.FAULT and seam != end
+            if end == 0:
+                stays = stays_from_before
+            if not stays:
                 yield _Doubt(recording, max(begin, seam), end)
-            begin = end + 1 if watch.restart else begin
+            if watch.restart:
+                begin = end + 1
 
 
-def _by_samples(watch, piece, doubts, length):
-    """Return those of the FAULTs that so many last samples show, as a set."""
+def _by_samples(watch: Repeatable, piece: Recording, doubts: list[_Doubt], length: int) -> set[_Doubt]:
+    """Return those of the FAULTs that so many last samples show."""
     u, y = _beside(piece)
-    cut = lambda x, doubt: x[doubt.recording, max(doubt.begin, doubt.end - length + 1) : doubt.end + 1]
-    filled = lambda part: np.concatenate(
-        [np.full((length - len(part), part.shape[1]), np.nan, part.dtype), part]
-    )
-    found: set[_Doubt] = set()
-    watch = _forgetful(watch)
+
+    def last(x: np.ndarray, doubt: _Doubt) -> np.ndarray:
+        """Return the last samples of a doubt, with absent ones before them where there are fewer."""
+        part = x[doubt.recording, max(doubt.begin, doubt.end - length + 1) : doubt.end + 1]
+        absent = np.full((length - len(part), part.shape[1]), np.nan, part.dtype)
+        return np.concatenate([absent, part])
+
+    proved: set[_Doubt] = set()
+    ignorant = watch.forgetful()
     for first in range(0, len(doubts), BESIDE):
         some = doubts[first : first + BESIDE]
-        us, ys = (np.stack([filled(cut(x, doubt)) for doubt in some]) for x in (u, y))
+        us, ys = (np.stack([last(x, doubt) for doubt in some]) for x in (u, y))
+        stretches = Recording(us, ys, NOWHERE, piece.inputs, piece.outputs)
         with outside_xla():
-            _, judged = watch.judged(watch.init(), Recording(us, ys, NOWHERE, piece.inputs, piece.outputs))
+            _, judged = ignorant.judged(ignorant.begin(), stretches)
         shown = (judged.status == Status.FAULT).any(-1)
-        found.update(doubt for doubt, yes in zip(some, shown, strict=True) if yes)
-    return found
+        proved.update(doubt for doubt, yes in zip(some, shown, strict=True) if yes)
+    return proved
 
 
-def _by_carry(watch, carry, piece, doubt):
-    """Say whether a FAULT is seen again from what XLA carried to a sample not long before it, or to the
-    piece.
+def _by_carry(watch: Repeatable, carry: Any, piece: Recording, doubt: _Doubt) -> bool:
+    """Return whether a FAULT is seen again from the set that XLA carried to a sample not long before it, or
+    to the piece.
     """
     alone, own = _of_recording(piece, doubt.recording), _carried_of(watch, carry, doubt.recording)
     near = max(0, doubt.end + 1 - LENGTHS[-1])
@@ -146,32 +175,29 @@ def _by_carry(watch, carry, piece, doubt):
     return bool(judged.status[-1] == Status.FAULT)
 
 
-def _lanes(watch, x):
+def _lanes(watch: Repeatable, x: Any) -> np.ndarray:
     """Return numbers with sets side by side and recordings as axes of their own, the last ones."""
     x, lanes = np.asarray(x), len(watch.weights)
     return x.reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes)
 
 
-def _ended(watch, carry):
+def _ended(watch: Repeatable, carry: Any) -> np.ndarray:
     """Return for each recording that is carried whether it has contradicted before."""
-    return _lanes(watch, carry.carry.empty).any(-2)
+    return np.asarray(_lanes(watch, carry.carry.empty).any(-2))
 
 
-def _carried_of(watch, carry, number):
-    """Return what is carried of one recording."""
-    count = len(_ended(watch, carry))
-    if count == 1:
+def _carried_of(watch: Repeatable, carry: Any, number: int) -> Any:
+    """Return the carry of one recording."""
+    if len(_ended(watch, carry)) == 1:
         return carry
-    own = carry._replace(carry=jax.tree.map(lambda x: _lanes(watch, x)[..., number], carry.carry))
-    rest = {
-        name: jax.tree.map(lambda x: np.asarray(x)[..., number : number + 1], x)
-        for name, x in carry._asdict().items()
-        if name not in ("carry", "samples")
-    }
-    return own._replace(**rest)
+    own = {"carry": jax.tree.map(lambda x: _lanes(watch, x)[..., number], carry.carry)}
+    for name, part in carry._asdict().items():
+        if name not in ("carry", "samples"):
+            own[name] = jax.tree.map(lambda x: np.asarray(x)[..., number : number + 1], part)
+    return carry._replace(**own)
 
 
-def _of_recording(piece, number):
+def _of_recording(piece: Recording, number: int) -> Recording:
     """Return one recording of a piece of several."""
     if piece.y.ndim == 2:
         return piece
@@ -179,7 +205,8 @@ def _of_recording(piece, number):
     return replace(piece, u=u[number], y=y[number])
 
 
-def _beside(piece):
+def _beside(piece: Recording) -> tuple[np.ndarray, np.ndarray]:
     """Return u (N, T, m), y (N, T, p) of a piece, whatever its leading axes."""
     count = math.prod(piece.y.shape[:-2])
-    return [np.asarray(x).reshape(count, *x.shape[-2:]) for x in (piece.u, piece.y)]
+    u, y = np.asarray(piece.u), np.asarray(piece.y)
+    return u.reshape(count, *u.shape[-2:]), y.reshape(count, *y.shape[-2:])

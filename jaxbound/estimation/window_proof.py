@@ -25,8 +25,8 @@ import jax
 import numpy as np
 
 from jaxbound.estimation.ordered import added, mapped, product
-from jaxbound.estimation.window_runs import Runs, bounds_of
-from jaxbound.estimation.window_search import Window
+from jaxbound.estimation.window_runs import AverageRows, bounds_of
+from jaxbound.estimation.window_search import WindowProgram
 from jaxbound.estimation.zonotope_steps import Numbers
 from jaxbound.sets.floats import rounding
 
@@ -59,9 +59,9 @@ class Samples(NamedTuple):
 
 
 def window_of(
-    plant: Numbers, strips: np.ndarray, prior: Prior, samples: Samples, runs: Runs | None = None
-) -> Window:
-    """Return the Window that a search takes, rounded to nearest; plant and strips T (t, n) in float64.
+    plant: Numbers, strips: np.ndarray, prior: Prior, samples: Samples, runs: AverageRows | None = None
+) -> WindowProgram:
+    """Return the WindowProgram that a search takes, rounded to nearest; plant and strips T (t, n) in float64.
 
     Strips and runs, of averages, go neither with each other nor with unknown inputs.
     """
@@ -108,7 +108,7 @@ def window_of(
             x.astype(dtype)
             for x in (*(x.reshape(len(b), -1) for x in runs[:2]), runs.m[:, None] / near, near)
         )
-    return Window(
+    return WindowProgram(
         A,
         W,
         S,
@@ -156,7 +156,7 @@ def enclosed(
     d: Any,
     J: Any,
     before: bool = False,
-    runs: Runs | None = None,
+    runs: AverageRows | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (value, bound), each (N,) in float64: d x_J lies in value +- bound for all that explains the
     samples.
@@ -166,7 +166,7 @@ def enclosed(
     host: a program would be compiled for longer than most recordings take.
 
     Args:
-        plant, strips, runs: as of `window_of`. weight (R + a, N): multipliers of the rows of its Window and
+        plant, strips, runs: as of `window_of`. weight (R + a, N): multipliers of the rows of its program and
             of its runs, any. d (n, N), J (N,). before: whether x_J is the state before its sample is looked
             at; that is another one with unknown inputs alone.
     """

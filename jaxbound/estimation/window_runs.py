@@ -5,68 +5,75 @@ Each run is one more row of the window's linear program,
 
     |m + sum F_v delta + sum F_w w| <= b,
 
-delta being what a sample m_j is off by and w a disturbance, from -1 to 1. What rounding adds to the error of
-a sample adds its part to b. Nothing is said of a run with a missing sample, or with a disturbance that no
+delta being the error of a sample m_j and w a disturbance, from -1 to 1. What rounding adds to the error of a
+sample adds its part to b. Nothing is said of a run with a missing sample, or with a disturbance that no
 sample of the window follows.
 """
 
-from typing import Any, NamedTuple
+from fractions import Fraction
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxbound.estimation.ordered import mapped
+from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import bounded_sums, window_rows
 from jaxbound.sets.floats import rounding
 
-__all__ = ["Runs", "bounds_of", "runs_of"]
+__all__ = ["AverageRows", "average_rows", "bounds_of"]
 
 
-class Runs(NamedTuple):
+class AverageRows(NamedTuple):
     """The runs of averages in windows of L samples, in float64.
 
-    Fields: v (a, L, p), w (a, L, g): what they combine; m, bound (a,); noise (p,): errors that averages speak
-    of, rounded down.
+    Fields: v (a, L, p), w (a, L, g): the weights of errors and of disturbances; m, bound (a,); noise (p,):
+    errors that averages speak of, rounded down.
     """
 
-    v: Any
-    w: Any
-    m: Any
-    bound: Any
-    noise: Any
+    v: np.ndarray
+    w: np.ndarray
+    m: np.ndarray
+    bound: np.ndarray
+    noise: np.ndarray
 
 
-def runs_of(model: Any, L: int) -> Runs | None:
-    """Return the Runs of a model; None if no average of it fits into so many samples."""
-    if not getattr(model, "averages", ()):
+def average_rows(model: LinearSystem, L: int) -> AverageRows | None:
+    """Return the rows of a model's averages; None if no average of it fits into so many samples."""
+    if not model.averages:
         return None
-    rows, found = window_rows(model, L - 1), []
+    rows = window_rows(model, L - 1)
+    count = len(rows.of_sums)
+    if not count:
+        return None
     bounds = [rounding.round_up(bounded.bound) for bounded in bounded_sums(model)]
-    for row in rows.of_sums:
-        v, w, middle = np.zeros((L, model.p)), np.zeros((L, model.g)), 0
-        for x in rows.terms(row):
-            if x.measured:
-                v[x.sample, x.number] = float(x.weight)
+    v, w = np.zeros((count, L, model.p)), np.zeros((count, L, model.g))
+    m, bound = np.zeros(count), np.zeros(count)
+    for a, row in enumerate(rows.of_sums):
+        middle = Fraction(0)
+        for term in rows.terms(row):
+            if term.measured:
+                v[a, term.sample, term.number] = float(term.weight)
             else:
-                lo, hi = model.disturbance[x.number]
-                w[x.sample, x.number] = float(x.weight * (hi - lo) / 2)
-                middle += x.weight * (hi + lo) / 2
-        found.append((v, w, float(middle), bounds[row.number]))
-    if not found:
-        return None
-    v, w, m, bound = (np.array(x, float) for x in zip(*found, strict=True))
-    return Runs(v, w, m, bound, np.array([rounding.round_down(x) for x in model.noise], float))
+                lo, hi = model.disturbance[term.number]
+                w[a, term.sample, term.number] = float(term.weight * (hi - lo) / 2)
+                middle += term.weight * (hi + lo) / 2
+        m[a], bound[a] = float(middle), bounds[row.number]
+    noise = np.array([rounding.round_down(x) for x in model.noise], float)
+    return AverageRows(v, w, m, bound, noise)
 
 
-def bounds_of(runs: Runs, rad: np.ndarray) -> np.ndarray:
-    """Return b (a, N), at least as large as is known, infinite where nothing is said. rad (L, p, N): of
-    samples, infinite without one.
+def bounds_of(runs: AverageRows, rad: np.ndarray) -> np.ndarray:
+    """Return b (a, N), at least as large as is known, infinite where nothing is said.
+
+    Args:
+        rad (L, p, N): of samples, infinite without one.
     """
     seen = np.isfinite(rad)
     excess = np.maximum(np.where(seen, rad, 0).astype(np.float64) - runs.noise[:, None], 0)
-    followed = np.cumsum(seen.any(1)[::-1], 0)[::-1] > 0  # by a sample, or at one
-    followed = np.concatenate([followed[1:], np.zeros_like(followed[:1])])
-    lost = np.einsum("aLp,LpN->aN", runs.v != 0, ~seen) + np.einsum("aLg,LN->aN", runs.w != 0, ~followed)
-    b = runs.bound[:, None] + mapped(
-        np.abs(runs.v).reshape(len(runs.v), -1), excess.reshape(-1, excess.shape[-1])
-    )
+    # a disturbance acts on the samples behind it
+    any_later = np.cumsum(seen.any(1)[::-1], 0)[::-1] > 0
+    any_later = np.concatenate([any_later[1:], np.zeros_like(any_later[:1])])
+    lost = np.einsum("aLp,LpN->aN", runs.v != 0, ~seen) + np.einsum("aLg,LN->aN", runs.w != 0, ~any_later)
+    weights = np.abs(runs.v).reshape(len(runs.v), -1)
+    b = runs.bound[:, None] + mapped(weights, excess.reshape(-1, excess.shape[-1]))
     return np.where(lost > 0, np.inf, b * (1 + 1e-12) + 2.0**-500)

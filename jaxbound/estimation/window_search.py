@@ -32,7 +32,7 @@ import numpy as np
 
 from jaxbound.estimation.ordered import product
 
-__all__ = ["Window", "followed", "middle", "searched", "split"]
+__all__ = ["WindowProgram", "followed", "middle", "searched", "split"]
 
 PACE = 0.15
 """Share of the complementarity that is left after a step."""
@@ -45,7 +45,7 @@ without end before they do.
 """
 
 
-class Window(NamedTuple):
+class WindowProgram(NamedTuple):
     """N windows of L steps, whose samples are R rows in order of time.
 
     Fields: A (n, n); W (n, g); S (n, k, N); c (R, n), e, s (R, N): |e - c x_j| <= s of a row at step j, s
@@ -68,7 +68,7 @@ class Window(NamedTuple):
     averages: Any = None
 
 
-def split(z: Any, window: Window) -> tuple[Any, Any, Any]:
+def split(z: Any, window: WindowProgram) -> tuple[Any, Any, Any]:
     """Return xi (k, .., N), w (L, g, .., N), v (R, .., N) of all unknowns z (K, .., N); what the last w does
     is not looked at.
     """
@@ -77,13 +77,13 @@ def split(z: Any, window: Window) -> tuple[Any, Any, Any]:
     return z[:k], z[k:after].reshape(L, g, *z.shape[1:]), z[after : after + len(window.c)]
 
 
-def middle(window: Window) -> np.ndarray:
+def middle(window: WindowProgram) -> np.ndarray:
     """Return the unknowns z (K, N) of the trajectory with xi = 0, w = 0."""
     free = np.zeros((window.S.shape[1] + len(window.ends) * window.W.shape[1], window.e.shape[-1]))
     return _unknowns(window, free, window.e)
 
 
-def followed(window: Window, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def followed(window: WindowProgram, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return (z (K, N), off (N,)): the unknowns of the trajectory that the xi and w of z make, and how far
     the v of z are from its own.
 
@@ -214,7 +214,7 @@ def _followed(window, D, rho, d, J):
 
 
 def searched(
-    window: Window, z: Any, close: float, d: Any = None, J: Any = None
+    window: WindowProgram, z: Any, close: float, d: Any = None, J: Any = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return (multipliers (R + a, N), t (N,), z (K, N)) of the windows, t the largest |z_i|.
 

@@ -37,7 +37,7 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.unrolled import stored, summed
 
 __all__ = [
-    "Carry",
+    "ZonotopeCarry",
     "Found",
     "Numbers",
     "Read",
@@ -109,7 +109,7 @@ class Read(NamedTuple):
     fresh: Any
 
 
-class Carry(NamedTuple):
+class ZonotopeCarry(NamedTuple):
     """What goes on from sample to sample: the set before a sample is looked at, and the last samples.
 
     Fields: c (n, N), G (n, q, N), r (n, N); age (N,): samples that the set rests on, -1 where there is none;
@@ -130,14 +130,14 @@ class Carry(NamedTuple):
     weight: Any
 
 
-def unknown(sizes: tuple[int, int, int, int, int], weight: np.ndarray) -> Carry:
-    """Return the Carry of recordings before the first sample, on the host. sizes: n, q, p, m, h; weight (N,),
-    in the dtype of all.
+def unknown(sizes: tuple[int, int, int, int, int], weight: np.ndarray) -> ZonotopeCarry:
+    """Return the ZonotopeCarry of recordings before the first sample, on the host. sizes: n, q, p, m, h;
+    weight (N,), in the dtype of all.
     """
     (n, q, p, m, h), N, dtype = sizes, len(weight), weight.dtype
     zero = lambda *shape: np.zeros((*shape, N), dtype)
     last = zero(h, p), zero(h, p), zero(h, m), zero(h, m)
-    return Carry(
+    return ZonotopeCarry(
         zero(n),
         zero(n, q),
         zero(n),
@@ -203,14 +203,14 @@ class Found(NamedTuple):
 def follow(
     plant: Numbers,
     start: Start | None,
-    carry: Carry,
+    carry: ZonotopeCarry,
     samples: tuple,
     stop: int,
     lanes: int,
     enclosures: int,
     restart: jax.Array | bool,
     also: bool = False,
-) -> tuple[Carry, Found, Read | None]:
+) -> tuple[ZonotopeCarry, Found, Read | None]:
     """Follow N / lanes recordings over the first `stop` of these samples.
 
     Args:
@@ -249,7 +249,7 @@ def follow(
     return *jax.lax.fori_loop(0, stop, step, (carry, empty)), alone if also else None
 
 
-def begun_anew(carry: Carry, where: jax.Array) -> Carry:
+def begun_anew(carry: ZonotopeCarry, where: jax.Array) -> ZonotopeCarry:
     """Forget what was before."""
     return carry._replace(
         age=jnp.where(where, -1, carry.age),
@@ -259,8 +259,8 @@ def begun_anew(carry: Carry, where: jax.Array) -> Carry:
 
 
 def sample(
-    plant: Numbers, start: Start | None, carry: Carry, now: Read, enclosures: int
-) -> tuple[Carry, jax.Array, Found]:
+    plant: Numbers, start: Start | None, carry: ZonotopeCarry, now: Read, enclosures: int
+) -> tuple[ZonotopeCarry, jax.Array, Found]:
     """Look at one sample: return (carry with the set after it, its magnitudes (n, N), one row of `Found`)."""
     alive, (n, q, N), p = carry.age >= 0, carry.G.shape, len(now.mid)
     dtype, g = carry.c.dtype, _Bounds(plant, carry)
@@ -426,7 +426,7 @@ def _begun(plant, start, carry, now, begin, c, G, r, age):
     return pick(centre, c), pick(found, G), pick(off, r), jnp.where(begin, h + 1, age)
 
 
-def step_of_time(plant: Numbers, carry: Carry, size: jax.Array, now: Read) -> Carry:
+def step_of_time(plant: Numbers, carry: ZonotopeCarry, size: jax.Array, now: Read) -> ZonotopeCarry:
     """Move the set on by one sample, and put its smallest generators into a box. size (n, N): at least what
     each state is.
     """

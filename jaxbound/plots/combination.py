@@ -157,7 +157,7 @@ def _bounded_by(
 
 
 def _samples(window: ExactWindow, y: np.ndarray) -> _Samples:
-    """Return what the samples y (T, p) say of the true outputs of all windows."""
+    """Return the ranges of the true outputs of all windows that the samples y (T, p) alone allow."""
     every = np.lib.stride_tricks.sliding_window_view(np.asarray(y, float), window.horizon + 1, axis=0)
     every = np.moveaxis(every, 2, 1)  # (N, s + 1, p)
     noise, tolerance = _floats(window.noise), _floats(window.tolerance)

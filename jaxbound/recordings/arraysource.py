@@ -4,12 +4,11 @@ from collections.abc import Callable
 from os import PathLike
 
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.source import Source, register
+from jaxbound.recordings.source import Source
 
 __all__ = ["Arrays"]
 
 
-@register
 class Arrays(Source):
     """What `Recording.of` takes: a table or a Recording that holds both inputs and outputs, or a tuple (u, y)
     or (u, y, starts).

@@ -14,17 +14,14 @@ from jaxbound.recordings.csvtext import above_header, is_number, parse_columns, 
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import check_period, usual_period
 from jaxbound.recordings.selection import NO_TIME, STAMPS, TELLING, wanted
-from jaxbound.recordings.source import Source, register, told
+from jaxbound.recordings.source import Source, told
 from jaxbound.recordings.timestamps import parse_stamps, read_numbers, with_day
 
 __all__ = ["CsvFile"]
 
 
-@register
 class CsvFile(Source):
     """A CSV file, or any file that no other kind of source takes."""
-
-    fallback = True
 
     @classmethod
     def takes(cls, data: object) -> bool:

@@ -32,7 +32,7 @@ from jaxbound.recordings.parquetfiles import (
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import Clock, around, check_period, tick, usual_period
 from jaxbound.recordings.selection import NO_TIME, Wanted
-from jaxbound.recordings.source import Source, overlapping, register, told
+from jaxbound.recordings.source import Source, overlapping, told
 from jaxbound.recordings.timestamps import EPOCHS, epoch_scale, since_epoch, time_label
 
 __all__ = ["PARTIAL", "VERDICTS", "ParquetSource", "is_parquet", "open_parquet"]
@@ -53,7 +53,6 @@ def is_parquet(path: Path) -> bool:
         return f.read(4) == b"PAR1"
 
 
-@register
 @dataclass(frozen=True, eq=False)
 class ParquetSource(Source):
     """A recording in Parquet files, none of which is held in memory. Build it with `open_parquet`.

@@ -6,96 +6,107 @@ spans it. What has been taken is remembered in a few numbers and lines, so that 
 behind it, whether the sender begins again or not.
 """
 
-from collections.abc import Callable
-from dataclasses import asdict, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxbound.recordings.columns import to_arrow
 from jaxbound.recordings.csvlines import BOM, split_lines
 from jaxbound.recordings.csvtext import is_number
 from jaxbound.recordings.linetext import SOURCE, LineReader, WrongCells
-from jaxbound.recordings.seams import TOLERATED_STEP, Clock, Seam, check_period, tick
+from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.seams import TOLERATED_STEP, check_period, tick
+from jaxbound.recordings.stream import Complain, Stream
 from jaxbound.recordings.timestamps import EPOCHS, parse_stamps, since_epoch, time_label
 
-__all__ = ["Piece", "PipeText"]
+__all__ = ["PipeText"]
 
 LONGEST = 1 << 20  # bytes of a line
 SHOWN = 100  # samples whose steps say whether the sampling period is the model's
+TOLD = 20  # seams of one piece that get a sentence
+Line = tuple[int, bytes]
+"""A line with its number."""
 
 
-class Piece(NamedTuple):
-    """The samples of some lines: time (N,) in s; written, the time as it stands there, numbers or a pyarrow
-    array of texts; u, y; starts: numbers, counted in these, of samples that do not follow the one before;
-    excluded (N,) bool or None: left out by the model's `where`.
+class _Samples(NamedTuple):
+    """The samples of some lines, before they are a Recording.
+
+    Fields: time (N,) in s; written, the time as it stands there, numbers or a pyarrow array of texts; u, y;
+    starts, excluded: as of a Recording.
     """
 
     time: np.ndarray
-    written: np.ndarray
+    written: Any
     u: np.ndarray
     y: np.ndarray
     starts: np.ndarray
     excluded: np.ndarray | None
 
 
-class PipeText:
-    """Takes bytes, gives Pieces.
+class PipeText(Stream):
+    """A stream of bytes with lines of CSV in them.
 
     Args:
         model: whose signals are wanted. complain: called with (kind, sentence) on each line that is left out
             and each seam.
-        memory: from `.memory()` of another PipeText, to go on where that ended; None: a new stream.
+        memory: from `.memory()` of another PipeText, to go on where that ended; None: a new stream. whole:
+            the last line is complete without a line end, as in a file; in a pipe half of a number may be.
+
+    Fields: raw: the number of standard input.
     """
 
-    def __init__(self, model: Any, complain: Callable[[str, str], None], memory: dict | None = None) -> None:
-        self.model, self.complain, self.tail, self.last = model, complain, b"", b""
+    raw = 0
+
+    def __init__(
+        self, model: Any, complain: Complain, memory: dict[str, Any] | None = None, whole: bool = True
+    ) -> None:
+        super().__init__(model, complain)
+        self.whole = whole
+        self.tail = self.last = self.rest = b""  # half a line; the last row; half a line of a process before
         self.reader: Any = None  # a LineReader, as soon as there is a row of data
-        self.held: list[tuple[int, bytes]] = []
-        self.number = self.resumed = (
-            0  # lines so far; those before this process, as long as it is not clear how the stream goes on
-        )
-        self.clock, self.texts = Clock(model.dt), []
-        self.origin: Any = None  # of a time that is an epoch, with units a second in .scale
-        self.scale: Any = None
+        self.begun: list[Line] = []  # lines before that
+        self.number = 0  # lines so far
+        self.resumed = 0  # those before this process, as long as it is not clear how the stream goes on
+        self.texts: list[str] = []  # the first and the last time, where it is written as text
+        self.origin: Any = None  # a float, of a time that is an epoch, with units a second in .scale
+        self.scale: float | None = None
         self.broken = self.aside = self.repeated = False
-        self.skip, self.skipped, self.rest = 0, 0, b""
-        self.blank: list[
-            tuple[int, bytes]
-        ] = []  # blank lines that are wrong, without a time, where a row follows
-        self.returns = (
-            0  # carriage returns at the end of what was taken, which may be the first half of a line end
-        )
+        self.skip = self.skipped = 0  # lines that were judged before, to be left out and left out already
+        self.blank: list[Line] = []  # blank lines that are wrong, without a time, where a row follows
+        self.returns = 0  # carriage returns at the end, which may be the first half of a line end
         self.after: float | None = None
         self.shown: list[float] | None = []
         if memory is not None:
-            self.reader = LineReader([line.encode("latin-1") for line in memory["head"]], model)
-            self.rest, self.last = (memory[x].encode("latin-1") for x in ("tail", "last"))
-            if self.rest == b"\r":
-                self.rest, self.returns = b"", 1
-            self.clock = Clock(
-                model.dt, memory["samples"], memory["time"], tuple(Seam(**s) for s in memory["seams"])
-            )
-            self.origin, self.scale, self.texts, self.aside = (
-                memory["origin"],
-                memory["scale"],
-                memory["texts"],
-                memory["aside"],
-            )
-            self.broken, self.number, self.resumed, self.shown = memory["broken"], 0, memory["number"], None
+            self._resume_from(memory)
 
-    def memory(self) -> dict | None:
+    def _resume_from(self, memory):
+        """Go on from a memory."""
+        self.reader = LineReader([line.encode("latin-1") for line in memory["head"]], self.model)
+        self.rest, self.last = (memory[name].encode("latin-1") for name in ("tail", "last"))
+        if self.rest == b"\r":
+            self.rest, self.returns = b"", 1
+        self._resume_clock(memory)
+        self.origin, self.scale, self.texts = memory["origin"], memory["scale"], memory["texts"]
+        self.aside, self.broken, self.resumed = memory["aside"], memory["broken"], memory["number"]
+        self.shown = None
+
+    @property
+    def replaying(self) -> bool:  # type: ignore[override]
+        """Whether the sender has begun again, and its lines were all judged before."""
+        return self.skip > 0
+
+    def memory(self) -> dict[str, Any] | None:
         """Return what another PipeText needs to go on, as JSON holds it; None before the first sample."""
         if self.reader is None:
             return None
-        line = lambda b: b.decode("latin-1")
         return {
-            "head": [line(x) for x in self.reader.head],
+            "head": [line.decode("latin-1") for line in self.reader.head],
             "number": max(self.number, self.resumed, self.skip),
-            "tail": line(self.rest + self.tail + b"\r"[: self.returns]),
-            "last": line(self.last),
-            "samples": self.clock.samples,
-            "time": self.clock.last,
-            "seams": [asdict(s) for s in self.clock.seams],
+            "tail": (self.rest + self.tail + b"\r"[: self.returns]).decode("latin-1"),
+            "last": self.last.decode("latin-1"),
+            **self._clock_memory(),
             "origin": self.origin,
             "scale": self.scale,
             "texts": self.texts,
@@ -103,14 +114,107 @@ class PipeText:
             "aside": self.aside,
         }
 
-    def take(self, data: bytes, end: bool = False) -> Piece | None:
-        """Return the Piece of the lines that these bytes complete, or None where there is none; `end`: the
-        last line needs no line end.
+    def pieces(self, arrivals: Iterable[bytes | None]) -> Iterator[tuple[int, Recording]]:
+        """Yield (number of its first sample, Recording) of the lines that bytes complete, as they come.
+
+        Raises:
+            ValueError: as `take`, or at the end: there was no row of data.
+        """
+        for data in arrivals:
+            if data is None:  # a signal: the line that was begun is remembered
+                return
+            yield self._numbered(self.take(data))
+        if self.whole:
+            yield self._numbered(self.take(b"", end=True))
+        elif self.tail.strip():
+            self._lose("the last line has no end: it is not judged")
+        self.refuse_empty()
+
+    def _numbered(self, piece):
+        if piece is None:
+            return self.nothing()
+        return self.clock.samples - piece.samples, piece
+
+    def take(self, data: bytes, end: bool = False) -> Recording | None:
+        """Return the Recording of the lines that these bytes complete, or None where there is none.
+
+        Args:
+            data: bytes. end: the last line needs no line end.
 
         Raises:
             ValueError: no header, a column that is missing, another sampling period than the model's, a
                 megabyte without a line end.
         """
+        rows = self._rows(self._lines(data, end))
+        if not rows:
+            return None
+        self.last = rows[-1][1]
+        pieces = [piece for piece in self._pieces(rows) if len(piece.time)]
+        if not pieces:
+            return None
+        samples = pieces[0] if len(pieces) == 1 else _concatenated(pieces)
+        self._refuse_period(samples.time, end)
+        return self._recording(samples)
+
+    def when(self, piece: Recording, k: int) -> str | float:
+        """Return the time of a sample: its text, or seconds."""
+        if self.reader.is_text:
+            text: str = piece.column[k].as_py().strip()
+            return text
+        return float(piece.time[k])
+
+    def label(self, when: str | float) -> str:
+        """Return a time from `when` as a reader would write it."""
+        if isinstance(when, str):
+            return when
+        if self.scale is None or self.origin is None:
+            return time_label(when, None, self.model.dt)
+        nanoseconds = round((self.origin + when * self.scale) * (1e9 / self.scale))
+        return time_label(when, np.datetime64(nanoseconds, "ns"), self.model.dt)
+
+    def refuse_empty(self) -> None:
+        """Raise ValueError at the end of a stream without samples, or with another period than dt."""
+        if self.shown:
+            check_period(np.array(self.shown), self.model.dt)
+        if self.reader is None:
+            if self.begun:
+                raise ValueError(f"{SOURCE} ended before the first row of data")
+            raise ValueError(f"{SOURCE} is empty")
+
+    def _refuse_period(self, time, end):
+        """Refuse another sampling period than the model's, once enough samples show theirs."""
+        if self.shown is None:
+            return
+        self.shown.extend(time[: SHOWN - len(self.shown)].tolist())
+        if len(self.shown) == SHOWN or end:
+            check_period(np.array(self.shown), self.model.dt)
+            self.shown = None
+
+    def _recording(self, samples):
+        """Return the Recording of samples."""
+        written = samples.written
+        if isinstance(written, np.ndarray):
+            written = to_arrow(written)
+        return Recording(
+            samples.u,
+            samples.y,
+            samples.starts,
+            self.model.inputs,
+            self.model.outputs,
+            samples.excluded,
+            time=samples.time,
+            dt=self.model.dt,
+            written=written,
+            source=SOURCE,
+        )
+
+    def _lose(self, sentence):
+        """Say that a line is left out."""
+        self.lost += 1
+        self.complain("line", sentence)
+
+    def _lines(self, data, end):
+        """Return the complete lines, with their numbers; what is behind them waits for more bytes."""
         data = self.tail + self._continued(data, end)
         cut = len(data) if end else max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
         lines, tail = split_lines(data[:cut]), data[cut:]
@@ -120,58 +224,27 @@ class PipeText:
             lines[0] = self._joined(lines[0])
         self.tail = tail
         first, self.number = self.number + 1, self.number + len(lines)
-        kept = [(n, line) for n, line in enumerate(lines, first) if line is not None]
-        if kept and self.reader is None:
-            kept = self._begin(kept)
-        kept = self.blank + [(n, line) for n, line in kept if self.reader.is_row(line)]
+        return [(n, line) for n, line in enumerate(lines, first) if line is not None]
+
+    def _rows(self, lines):
+        """Return the lines that are rows of data and new."""
+        if lines and self.reader is None:
+            lines = self._begin(lines)
+        rows = self.blank + [(n, line) for n, line in lines if self.reader.is_row(line)]
         self.blank = []
-        while kept and self.reader.layout.is_blank(kept[-1][1]):
-            self.blank.insert(0, kept.pop())
-        if kept and self.resumed:
-            kept = self._resume(kept)
+        while rows and self.reader.layout.is_blank(rows[-1][1]):
+            self.blank.insert(0, rows.pop())
+        if rows and self.resumed:
+            rows = self._resume(rows)
         if self.skip:
-            kept = self._replayed(kept)
-        if not kept:
-            return None
-        self.last = kept[-1][1]
-        pieces = [piece for piece in self._pieces(kept) if len(piece.time)]
-        if not pieces:
-            return None
-        piece = pieces[0] if len(pieces) == 1 else _concatenated(pieces)
-        if self.shown is not None:
-            self.shown.extend(piece.time[: SHOWN - len(self.shown)].tolist())
-            if len(self.shown) == SHOWN or end:
-                check_period(np.array(self.shown), self.model.dt)
-                self.shown = None
-        return piece
-
-    def end(self) -> None:
-        """Say what can only be said at the end: see `take` for what it raises."""
-        if self.shown:
-            check_period(np.array(self.shown), self.model.dt)
-        if self.reader is None:
-            raise ValueError(
-                f"{SOURCE} ended before the first row of data" if self.held else f"{SOURCE} is empty"
-            )
-
-    def label(self, time: float) -> str:
-        """Return a time in s as a reader would write it; where it is written as text, that of the last
-        sample.
-        """
-        if self.reader.is_text:
-            return self.texts[-1].strip()
-        stamp = (
-            None
-            if self.scale is None
-            else np.datetime64(round((self.origin + time * self.scale) * (1e9 / self.scale)), "ns")
-        )
-        return time_label(time, stamp, self.model.dt)
+            rows = self._replayed(rows)
+        return rows
 
     def _continued(self, data, end):
-        r"""Return bytes behind those before without what of them belongs to the end of the last line, which
-        may be \r, \r\n or \r\r\n.
+        r"""Return bytes behind those before, without those that belong to the end of the last line.
 
-        A line is taken as soon as \r ends it; other \r behind it wait for what follows.
+        That end may be \r, \r\n or \r\r\n. A line is taken as soon as \r ends it; other \r behind it wait for
+        what follows.
         """
         if self.returns:
             data = b"\r" * self.returns + data
@@ -183,216 +256,221 @@ class PipeText:
             else:
                 self.returns = len(data)
                 return b""
-        kept = data if end else data.rstrip(b"\r")
-        self.returns = len(data) - len(kept)
-        return kept + b"\r" if self.returns else kept
+        complete = data if end else data.rstrip(b"\r")
+        self.returns = len(data) - len(complete)
+        if self.returns:
+            return complete + b"\r"
+        return complete
 
-    def _begin(self, kept):
-        """Find out how the stream is written, once there is a row of data; return the lines from the first
-        that may be one.
-        """
-        self.held += kept
-        while self.held and not self.held[0][1].removeprefix(BOM).strip():
-            del self.held[0]
-        header = 1 if self.held and self.held[0][1].removeprefix(BOM).startswith(b"sep=") else 0
+    def _begin(self, lines):
+        """Find out how the stream is written, once there is a row of data; return the lines from there on."""
+        self.begun += lines
+        while self.begun and not self.begun[0][1].removeprefix(BOM).strip():
+            del self.begun[0]
+        separator = bool(self.begun) and self.begun[0][1].removeprefix(BOM).startswith(b"sep=")
+        header = int(separator)
         at = header + 1
-        while at < len(self.held):
-            number, line = self.held[at]
+        while at < len(self.begun):
+            number, line = self.begun[at]
             if not line.strip():
                 at += 1
                 continue
+            head = [text for _, text in (*self.begun[: header + 1], self.begun[at])]
             try:
-                self.reader = LineReader(
-                    [line for _, line in (*self.held[: header + 1], self.held[at])], self.model
-                )
+                self.reader = LineReader(head, self.model)
             except WrongCells as e:
-                self.complain("line", f"line {number} {e}")
-                del self.held[at]
+                self._lose(f"line {number} {e}")
+                del self.begun[at]
                 continue
-            rows, self.held = self.held[header + 1 :], []
-            return [pair for pair in rows if pair[0] >= number or not self.reader.layout.is_blank(pair[1])]
+            rows, self.begun = self.begun[header + 1 :], []
+            return [row for row in rows if row[0] >= number or not self.reader.layout.is_blank(row[1])]
         return []
 
     def _joined(self, line):
-        """Return the first line of a stream that goes on behind half a line: that line, or the whole one;
+        """Return the first line of a stream that goes on behind half a line: that line, or the whole one.
+
         None where one cannot tell.
         """
         both, self.rest = (line, self.rest + line), b""
-        if line.removeprefix(BOM).strip() in [x.strip() for x in self.reader.head]:
+        if line.removeprefix(BOM).strip() in [head.strip() for head in self.reader.head]:
             return line
-        whole = [x for x in both if self.reader.fits(x)]
-        if len(whole) == 2:
-            whole = [x for x in whole if self._is_next(x)]
-        if len(whole) == 1:
-            return whole[0]
+        fitting = [text for text in both if self.reader.fits(text)]
+        if len(fitting) == 2:
+            fitting = [text for text in fitting if self._is_next(text)]
+        if len(fitting) == 1:
+            return fitting[0]
         self.broken = True
-        self.complain("line", "line 1 may be the rest of one that was begun before")
+        self._lose("line 1 may be the rest of one that was begun before")
         return None
 
     def _is_next(self, line):
         """Return whether a line of data is of the sample dt after the last one."""
-        import pyarrow as pa
-
         if self.reader.plan.time is None or not self.clock.samples:
             return False
-        cell = self.reader.stamp(line)
         try:
-            if self.reader.is_text:
-                step = np.diff(parse_stamps(pa.array([*self.texts, cell]), self.model.dt, str)[0])[-1]
-            else:
-                value = float(since_epoch(np.array([float(cell.replace(",", "."))]))[0])
-                step = (value if self.scale is None else (value - self.origin) / self.scale) - self.clock.last
+            step = self._step_to(self.reader.stamp(line))
         except ValueError:
             return False
         return abs(step - self.model.dt) <= TOLERATED_STEP * self.model.dt
 
-    def _resume(self, kept):
+    def _step_to(self, cell):
+        """Return the seconds from the last sample to one whose time is written so."""
+        import pyarrow as pa
+
+        if self.reader.is_text:
+            return np.diff(parse_stamps(pa.array([*self.texts, cell]), self.model.dt, str)[0])[-1]
+        value = float(since_epoch(np.array([float(cell.replace(",", "."))]))[0])
+        if self.scale is not None:
+            value = (value - self.origin) / self.scale
+        return value - self.clock.last
+
+    def _resume(self, rows):
         """Find out how the stream goes on: return the lines that are new, as far as that is clear."""
-        bare = lambda line: line.removeprefix(BOM).strip()
-        header = [bare(x) for x in self.reader.head[:-1]]
-        while kept and bare(kept[0][1]) in header:
-            kept, self.repeated = kept[1:], True
-        if not kept:
+        plan, head = self.reader.plan, [_bare(line) for line in self.reader.head]
+        while rows and _bare(rows[0][1]) in head[:-1]:
+            rows, self.repeated = rows[1:], True
+        if not rows:
             return []
-        filled = next((line for _, line in kept if line.strip()), b"")
-        cells = [c.strip() for c in self.reader.cells(filled)]
-        if (
-            not self.repeated
-            and not any(is_number(c, self.reader.layout.decimal) for c in cells)
-            and set(cells) & set(self.reader.plan.columns)
-        ):
+        filled = next((line for _, line in rows if line.strip()), b"")
+        self._refuse_other_header(filled)
+        if _bare(filled) == head[-1] and (self.repeated or plan.time is not None):
+            self.skip = self.resumed
+            self.complain("replay", "the sender began again: what was judged before is skipped")
+        else:
+            rows = self._continued_rows(rows)
+        self.resumed = 0
+        return rows
+
+    def _refuse_other_header(self, line):
+        """Refuse a line that is a header with other columns than before."""
+        cells = [cell.strip() for cell in self.reader.cells(line)]
+        if self.repeated or any(is_number(cell, self.reader.layout.decimal) for cell in cells):
+            return
+        if set(cells) & set(self.reader.plan.columns):
             raise ValueError(
                 f"{SOURCE} begins with another header than before, {', '.join(cells)}: choose another --out "
                 f"or --state"
             )
-        if bare(filled) == bare(self.reader.head[-1]) and (
-            self.repeated or self.reader.plan.time is not None
-        ):
-            self.skip = self.resumed
-            self.complain("replay", "the sender began again: what was judged before is skipped")
-        else:
-            self.after = self.clock.last if self.reader.plan.time is not None and self.clock.samples else None
-            if self.reader.plan.time is None:
-                self.broken = True
-                self.complain("replay", "no time says whether lines were lost between: windows begin anew")
-            first = kept[0][0]
-            kept = [(n - first + 1 + self.resumed, line) for n, line in kept]
-            self.number += self.resumed - first + 1
-        self.resumed = 0
-        return kept
 
-    def _replayed(self, kept):
-        """Return what is left behind the lines that were taken by an earlier process."""
-        old = [pair for pair in kept if pair[0] <= self.skip]
+    def _continued_rows(self, rows):
+        """Return rows of a sender that goes on, numbered behind those before."""
+        if self.reader.plan.time is None:
+            self.broken = True
+            self.complain("replay", "no time says whether lines were lost between: windows begin anew")
+        elif self.clock.samples:
+            self.after = self.clock.last
+        behind = self.resumed - rows[0][0] + 1
+        self.number += behind
+        return [(n + behind, line) for n, line in rows]
+
+    def _replayed(self, rows):
+        """Return the lines behind those that an earlier process took."""
+        old = [row for row in rows if row[0] <= self.skip]
         if old and old[-1][0] == self.skip or self.number >= self.skip:
-            line = old[-1][1] if old else None
-            if line is not None and line.strip() != self.last.strip():
+            if old and old[-1][1].strip() != self.last.strip():
                 self.complain(
                     "replay",
                     f"the sender began again, but its line {old[-1][0]} is not the one that was judged: what "
-                    f"it sends "
-                    "from here on is taken to follow that",
+                    f"it sends from here on is taken to follow that",
                 )
             self.skip = 0
-        return kept[len(old) :]
+        return rows[len(old) :]
 
-    def _pieces(self, kept):
-        """Yield the Pieces of lines, which are halved until the one that cannot be read is alone."""
+    def _pieces(self, rows):
+        """Yield the samples of lines, which are halved until the one that cannot be read is alone."""
         try:
-            yield self._piece(kept)
+            yield self._samples(rows)
         except ValueError as e:
-            if len(kept) > 1:
-                half = len(kept) // 2
-                yield from self._pieces(kept[:half])
-                yield from self._pieces(kept[half:])
-            else:
-                self.broken = True
-                self.complain(
-                    "line", f"line {kept[0][0]} {self.reader.trouble(kept[0][1]) or str(e).strip()}"
-                )
+            if len(rows) > 1:
+                half = len(rows) // 2
+                yield from self._pieces(rows[:half])
+                yield from self._pieces(rows[half:])
+                return
+            number, line = rows[0]
+            self.broken = True
+            self._lose(f"line {number} {self.reader.trouble(line) or str(e).strip()}")
 
-    def _piece(self, kept):
-        """Return the Piece of lines that can all be read."""
-        count, plan = len(kept), self.reader.plan
-        columns, stamps = self.reader.columns([line for _, line in kept])
-        time, stamps, written, before = self._times(
-            columns.get(plan.time) if stamps is None else stamps, count
-        )
+    def _samples(self, rows):
+        """Return the samples of lines that can all be read."""
+        count, plan = len(rows), self.reader.plan
+        columns, texts = self.reader.columns([line for _, line in rows])
+        cells = columns.get(plan.time) if texts is None else texts
+        time, stamps, written, before = self._times(cells, count)
         columns.setdefault(plan.time, time if stamps is None else stamps)
         u, y, excluded = plan.samples(columns, count)
-        new = np.arange(count)
-        if (
-            self.after is not None
-        ):  # the sender may have begun again somewhere: what is not after the last sample was judged
-            fresh = time > before
-            new = new[np.argmax(fresh) :] if fresh.any() else new[:0]
-            self.after, self.skipped = None if len(new) else self.after, self.skipped + count - len(new)
-            self.number -= count - len(new)
-            if not len(new):
-                return Piece(time[new], written[:0], u[new], y[new], new, None)
-            time, written, u, y, kept = time[new], written[new[0] :], u[new], y[new], kept[new[0] :]
-            excluded = None if excluded is None else excluded[new]
-            if self.skipped:
-                self.complain(
-                    "replay",
-                    f"{self.skipped} lines, not after {self.label(before)}, were judged before and are "
-                    f"skipped: if the "
-                    "clock was set back meanwhile, begin anew with another --out or --state",
-                )
-        return self._follow(time, written, u, y, excluded, before, kept)
+        samples = _Samples(time, written, u, y, np.zeros(0, np.int64), excluded)
+        if self.after is not None:
+            samples, rows = self._behind(samples, rows, before)
+            if not rows:
+                return samples
+        return self._seamed(samples, rows, before)
 
-    def _follow(self, time, written, u, y, excluded, before, kept):
-        """Find the seams of samples that are taken."""
-        known = self.clock.samples
-        if (
-            len(time) == 1
-            and known
-            and abs(time[0] - before - self.model.dt) <= TOLERATED_STEP * self.model.dt
-        ):  # soon said
-            self.clock, seams = (
-                replace(self.clock, samples=known + 1, last=float(time[0])),
-                np.zeros(0, np.int64),
+    def _behind(self, samples, rows, before):
+        """Return samples and rows behind the last one that was judged; the sender may have begun anywhere."""
+        count = len(rows)
+        fresh = np.flatnonzero(samples.time > before)
+        first = int(fresh[0]) if len(fresh) else count
+        self.skipped += first
+        self.number -= first
+        time, written, u, y, starts, excluded = samples
+        if excluded is not None:
+            excluded = excluded[first:]
+        cut = _Samples(time[first:], written[first:], u[first:], y[first:], starts, excluded)
+        if first == count:
+            return cut, []
+        self.after = None
+        if self.skipped:
+            self.complain(
+                "replay",
+                f"{self.skipped} lines, not after {self._last_label(before)}, were judged before and are "
+                f"skipped: if the "
+                "clock was set back meanwhile, begin anew with another --out or --state",
             )
+        return cut, rows[first:]
+
+    def _last_label(self, before):
+        """Return the time of the last sample as a reader would write it."""
+        return self.label(self.texts[-1].strip() if self.reader.is_text else before)
+
+    def _seamed(self, samples, rows, before):
+        """Return samples that are taken, with their seams."""
+        dt, known, time = self.model.dt, self.clock.samples, samples.time
+        if len(time) == 1 and known and abs(time[0] - before - dt) <= TOLERATED_STEP * dt:  # soon said
+            self.clock = replace(self.clock, samples=known + 1, last=float(time[0]))
+            starts = np.zeros(0, np.int64)
         else:
             self.clock, seams = tick(replace(self.clock, last=before), time)
+            starts = seams - known
         if self.reader.is_text:
-            self.texts = [self.texts[0] if self.texts else written[0].as_py(), written[-1].as_py()]
-        starts = seams - known
-        for k in starts[:20]:
+            first = self.texts[0] if self.texts else samples.written[0].as_py()
+            self.texts = [first, samples.written[-1].as_py()]
+        for k in starts[:TOLD]:
             step = time[k] - (time[k - 1] if k else before)
             self.complain(
                 "seam",
-                f"line {kept[k][0]} comes {step:.6g} s after the sample before it, not dt = "
-                f"{self.model.dt:g} s: "
+                f"line {rows[k][0]} comes {step:.6g} s after the sample before it, not dt = {dt:g} s: "
                 "windows across are MISSING",
             )
         if self.broken:
             starts, self.broken = np.union1d(starts, [0]), False
+        excluded = samples.excluded
         if excluded is not None:
             edges = np.flatnonzero(np.diff(excluded.astype(np.int8), prepend=np.int8(self.aside)))
             starts, self.aside = np.union1d(starts, edges), bool(excluded[-1])
-        return Piece(time, written, u, y, starts, excluded)
+        return samples._replace(starts=starts)
 
     def _times(self, cells, count):
-        """Return (time (N,) in s; as datetime64 or None; as written; time of the sample before as seconds of
-        the same count).
-        """
-        import pyarrow as pa
+        """Return the times of rows.
 
+        Returns:
+            (time (N,) in s; as datetime64 or None; as written; time of the sample before as seconds of the
+            same count).
+        """
         if cells is None:
             time = (self.clock.samples + np.arange(count)) * self.model.dt
             return time, None, time, (self.clock.samples - 1) * self.model.dt
         if self.reader.is_text:
-            known = self.texts
-            if cells.null_count:
-                raise ValueError("has no time")
-            time, stamps, hint = parse_stamps(
-                pa.concat_arrays([pa.array(known, pa.string()), cells]), self.model.dt, lambda k: ""
-            )
-            if hint and not known:
-                self.complain("hint", hint)
-            own = slice(len(known), None)
-            return time[own], None if stamps is None else stamps[own], cells, time[1] if known else np.nan
+            return self._text_times(cells)
         if np.isnan(cells).any():
             raise ValueError("has no time")
         values = since_epoch(cells)
@@ -404,14 +482,41 @@ class PipeText:
         stamps = np.round(values * (1e9 / self.scale)).astype("int64").astype("datetime64[ns]")
         return (values - self.origin) / self.scale, stamps, cells, self.clock.last
 
+    def _text_times(self, cells):
+        """Return the same of times that are written as text; they are read behind the first and the last."""
+        import pyarrow as pa
+
+        before = self.texts
+        if cells.null_count:
+            raise ValueError("has no time")
+        every = pa.concat_arrays([pa.array(before, pa.string()), cells])
+        time, stamps, hint = parse_stamps(every, self.model.dt, lambda k: "")
+        if hint and not before:
+            self.complain("hint", hint)
+        if stamps is not None:
+            stamps = stamps[len(before) :]
+        last = time[1] if before else np.nan
+        return time[len(before) :], stamps, cells, last
+
+
+def _bare(line):
+    """Return a line as headers are compared."""
+    return line.removeprefix(BOM).strip()
+
 
 def _concatenated(pieces):
-    """Return Pieces that follow each other as one."""
+    """Return samples of lines that follow each other as one."""
     import pyarrow as pa
 
-    first = np.cumsum([0, *(len(p.time) for p in pieces)])
-    join = lambda i: np.concatenate([p[i] for p in pieces])
-    starts = np.concatenate([p.starts + at for p, at in zip(pieces, first, strict=False)])
-    texts = isinstance(pieces[0].written, pa.Array)
-    written = pa.concat_arrays([p.written for p in pieces]) if texts else join(1)
-    return Piece(join(0), written, join(2), join(3), starts, None if pieces[0].excluded is None else join(5))
+    firsts = np.cumsum([0, *(len(piece.time) for piece in pieces)])
+    starts = [piece.starts + first for piece, first in zip(pieces, firsts, strict=False)]
+    time, written, u, y, _, excluded = zip(*pieces, strict=True)
+    texts = isinstance(written[0], pa.Array)
+    return _Samples(
+        np.concatenate(time),
+        pa.concat_arrays(written) if texts else np.concatenate(written),
+        np.concatenate(u),
+        np.concatenate(y),
+        np.concatenate(starts),
+        None if excluded[0] is None else np.concatenate(excluded),
+    )

@@ -8,10 +8,13 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from jaxbound.recordings import arraysource, csvfiles, parquet  # noqa: F401, they register what they read
+from jaxbound.recordings.arraysource import Arrays
+from jaxbound.recordings.csvfiles import CsvFile
+from jaxbound.recordings.live import LiveSource
+from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.recording import Recording, Signals, signals_of
 from jaxbound.recordings.seams import TOLERATED_DT
-from jaxbound.recordings.source import KINDS, Source, register
+from jaxbound.recordings.source import KINDS, Source
 
 __all__ = ["kind_of", "open_source", "read", "read_signals"]
 
@@ -69,13 +72,13 @@ def open_source(data: Any, model: Any) -> Source:
 
 
 def kind_of(data: object) -> type[Source]:
-    """Return the kind of source that takes the data: the one that was registered last."""
-    if isinstance(data, str | PathLike) and str(data) != "-" and not Path(data).exists():
+    """Return the kind of source that takes the data: the one that was registered last, else one of ours."""
+    path = isinstance(data, str | PathLike) and not LiveSource.takes(data)
+    if path and str(data) != "-" and not Path(str(data)).exists():
         raise FileNotFoundError(f"there is no data file {data}")
-    return next(kind for kind in reversed(KINDS) if kind.takes(data))
+    return next(kind for kind in (*reversed(KINDS), *BUILT_IN) if kind.takes(data))
 
 
-@register
 class ReadOnce(Source):
     """A pipe like bash's <(zcat run.csv.gz): it can be read once, and reading needs more, so all that comes
     out of it is kept meanwhile.
@@ -105,6 +108,10 @@ class ReadOnce(Source):
                 return replace(open_source(file.name, self.model).read(progress=progress), source=self.label)
             except ValueError as e:
                 raise ValueError(str(e).replace(f"{file.name}: ", "", 1)) from None
+
+
+BUILT_IN: tuple[type[Source], ...] = (LiveSource, Arrays, ParquetSource, ReadOnce, CsvFile)
+"""The kinds that are asked in this order, behind those that a user registered: the last takes any file."""
 
 
 def read_signals(

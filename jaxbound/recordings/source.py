@@ -23,14 +23,14 @@ from jaxbound.recordings.stillness import still_hints
 
 __all__ = ["KINDS", "Source", "overlapping", "register", "told"]
 
-KINDS: list[type["Source"]] = []  # the last that takes the data opens them
+KINDS: list[type["Source"]] = []  # of users; the last that takes the data opens them
 
 
 def register(kind: type["Source"]) -> type["Source"]:
     r"""Make every verb and command read this kind of source; of several that take the same data the one
     registered last does.
 
-    A kind with .fallback is asked after all others, so that it does not matter what is imported first.
+    It is asked before those of jaxbound, which stand in a list in `read`.
 
     Args:
         kind: a subclass of Source.
@@ -54,7 +54,7 @@ def register(kind: type["Source"]) -> type["Source"]:
         >>> run.y.tolist(), KINDS.pop() is JsonLines
         ([[1.0], [0.8]], True)
     """
-    KINDS.insert(0 if kind.fallback else len(KINDS), kind)
+    KINDS.append(kind)
     return kind
 
 
@@ -65,10 +65,10 @@ class Source:
         data: as given, of most kinds a path. model: whose signals are wanted.
     """
 
-    fallback = False
-    """Whether it takes what no other kind takes."""
     parts = False
     """Whether it is read in pieces, so that its size does not matter, and verdicts are written in parts."""
+    live = False
+    """Whether samples come as time goes by: they are judged by a Monitor, see `live.LiveSource`."""
 
     def __init__(self, data: object, model: Any) -> None:
         self.data, self.model = data, model

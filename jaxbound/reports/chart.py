@@ -20,7 +20,7 @@ from jaxbound.text.characters import printable
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Charts", "Piece", "Row", "band_key", "coded", "picture_of", "piece_of", "pieces_of", "plain"]
+__all__ = ["Charts", "Piece", "Row", "band_key", "coded", "picture_of", "piece_of", "plain", "usual_step"]
 
 VALUES = 80_000  # numbers of the whole recording in a page
 DPI = 80  # of the picture for readers without scripts
@@ -65,11 +65,19 @@ class Piece:
         high = {key: np.fmax.reduceat(z, edges) for key, z in self.high.items()}
         return Piece(self.x[edges], np.maximum.reduceat(self.status, edges), low, high, True)
 
+    def fitting(self) -> "Piece":
+        """Return the same stretch in no more numbers than a page takes."""
+        twice = [key for key, high in self.high.items() if high is not self.low[key]]
+        if len(self.x) * (len(self.low) + len(twice)) <= VALUES:
+            return self
+        return self.reduced(VALUES // (2 * len(self.low)))
+
     def cut(self, first: int, stop: int) -> "Piece":
         """Return the points first .. stop - 1."""
-        low = {key: z[first:stop] for key, z in self.low.items()}
-        high = {key: z[first:stop] for key, z in self.high.items()}
-        return Piece(self.x[first:stop], self.status[first:stop], low, high, self.binned)
+        part = slice(first, stop)
+        low = {key: z[part] for key, z in self.low.items()}
+        high = {key: z[part] for key, z in self.high.items()}
+        return Piece(self.x[part], self.status[part], low, high, self.binned)
 
 
 @dataclass(frozen=True)
@@ -123,28 +131,14 @@ class Charts:
         }
 
 
-def pieces_of(
-    x: np.ndarray,
-    status: np.ndarray,
-    series: Mapping[str, np.ndarray],
-    bands: Mapping[str, Interval] | None = None,
-) -> Piece:
-    """Return the Piece of a whole recording, in no more numbers than a page takes. series: {key: (T,)};
-    bands: of `band_key`s.
-    """
-    exact = piece_of(x, status, series, bands)
-    numbers = len(series) + 2 * len(bands or {})
-    return exact if len(x) * numbers <= VALUES else exact.reduced(VALUES // (2 * numbers))
-
-
 def piece_of(
     x: np.ndarray,
     status: np.ndarray,
     series: Mapping[str, np.ndarray],
     bands: Mapping[str, Interval] | None = None,
 ) -> Piece:
-    """Return a stretch sample by sample; series, bands as of `pieces_of`: none where nothing is known, or
-    nothing left (lo > hi).
+    """Return a stretch sample by sample. series: {key: (T,)}; bands: of `band_key`s, not drawn where nothing
+    is known, or nothing left (lo > hi).
     """
     low, high = dict(series), dict(series)
     for key, band in (bands or {}).items():
@@ -163,21 +157,34 @@ def plain(piece: Piece) -> dict[str, Any]:
     """Return a Piece as JSON has it: numbers as base64 of float32, times as (first, step) where they are
     even.
     """
-    step = np.diff(piece.x)
-    even = len(step) == 0 or np.allclose(step, step[0], rtol=0, atol=1e-3 * abs(step[0]))
-    x = [float(piece.x[0]), float(step[0]) if len(step) else 1.0] if even else coded(piece.x, "<f8")
     series = {}
     for key, low in piece.low.items():
         high = piece.high[key]
-        series[key] = [coded(low)] if high is low else [coded(low), coded(high)]
+        ends = (low,) if high is low else (low, high)
+        series[key] = [coded(end) for end in ends]
     return {
         "n": len(piece.x),
         "binned": piece.binned,
-        "x": x,
+        "x": _times(piece.x),
         "status": "".join(map(str, piece.status.tolist())),
         "series": series,
         "combined": [],
     }
+
+
+def _times(x: np.ndarray) -> list[float] | str:
+    """Return times as JSON has them."""
+    if len(x) == 1:
+        return [float(x[0]), 1.0]
+    step = np.diff(x)
+    if np.allclose(step, step[0], rtol=0, atol=1e-3 * abs(step[0])):
+        return [float(x[0]), float(step[0])]
+    return coded(x, "<f8")
+
+
+def usual_step(x: np.ndarray) -> float:
+    """Return the usual step of times (n,), 1 of a single one."""
+    return float(np.median(np.diff(x))) if len(x) > 1 else 1.0
 
 
 def coded(values: np.ndarray, kind: str = "<f4") -> str:

@@ -18,7 +18,7 @@ from jaxbound.plots.combination import combination, expected_readings
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.uncertain import UncertainRelations
-from jaxbound.reports.chart import VALUES, Charts, Piece, Row, band_key, coded, piece_of, pieces_of, plain
+from jaxbound.reports.chart import Charts, Piece, Row, band_key, coded, piece_of, plain, usual_step
 from jaxbound.reports.clock import Clock, axis_of, clock_of
 from jaxbound.runs.digest import Digest
 from jaxbound.sets.floats.status import Status
@@ -71,7 +71,7 @@ def charts(
         clock=clock,
         samples=samples,
         last=float(x(samples - 1)),
-        step=float(np.median(np.diff(shown.x))) if len(shown.x) > 1 else 1.0,
+        step=usual_step(shown.x),
         whole=whole,
         near=[stretch.plain() for stretch in near],
         begin=float(shown.x[0]),
@@ -99,7 +99,7 @@ def _whole(
     time, clock = axis_of(recording, len(res.status), res.relations.model.dt)
     series = {"margin": res.margin, **_signals(res.u, res.y, signals)}
     bands = bands_of(res, slice(0, len(time)))
-    return pieces_of(time, res.status, series, bands), time.__getitem__, clock
+    return piece_of(time, res.status, series, bands).fitting(), time.__getitem__, clock
 
 
 def _digested(res: Digest, signals: Sequence[Row]) -> tuple[Piece, Callable[[int], float], Clock]:
@@ -117,10 +117,8 @@ def _digested(res: Digest, signals: Sequence[Row]) -> tuple[Piece, Callable[[int
     least, most = res.signals or ((), ())
     for row, lowest, highest in zip(signals, least, most, strict=False):
         low[row.key], high[row.key] = lowest, highest
-    piece, numbers = Piece(x, line.status, low, high, len(x) < res.samples), 2 * len(low)
-    if len(x) * numbers > VALUES:
-        piece = piece.reduced(VALUES // numbers)
-    return piece, lambda k: res.time[k], clock
+    piece = Piece(x, line.status, low, high, len(x) < res.samples)
+    return piece.fitting(), res.time.__getitem__, clock
 
 
 def _signals(u: np.ndarray, y: np.ndarray, signals: Sequence[Row]) -> dict[str, np.ndarray]:
@@ -176,8 +174,8 @@ def _stretches(
         only = _stretch(res, x, worst or 0, signals)
         only.combine(-1, _explained(res, worst))
         return [only]
-    found: list[Stretch] = []
     begun = clock_time.perf_counter()
+    found: list[Stretch] = []
     for i in chosen:
         home = next((stretch for stretch in found if stretch.holds(alarms[i].worst)), None)
         if home is None:

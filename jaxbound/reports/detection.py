@@ -11,7 +11,7 @@ from jaxbound.consistency.interface import LinearRelations
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.observed import ObserverResult
 from jaxbound.diagnosis.result import Result
-from jaxbound.estimation.observer import SetObserver
+from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.plots.residuals import distinct_relations
 from jaxbound.relations.sentence import looked_at
 from jaxbound.relations.uncertain import UncertainRelations
@@ -132,7 +132,7 @@ def _alarm_rows(res, recording, alarms, chosen, why):
 
 def _since(res, recording, k):
     """Return the time of the sample that what an observer says of sample k rests on."""
-    first = int(res.observation.since[k]) - int(res.relations.init().samples)
+    first = int(res.observation.since[k]) - int(res.relations.begin().samples)
     return recording.label(first) if first >= 0 else "a recording before"
 
 

@@ -4,13 +4,15 @@ true values.
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Protocol, cast
 
 import numpy as np
 from jax.typing import ArrayLike
 
+from jaxbound.plots.validation import ValidatedRecording
+from jaxbound.recordings.recording import Recording
 from jaxbound.relations.sentence import looked_at
-from jaxbound.reports.chart import VALUES, Charts, Piece, Row, band_key, picture_of, plain
+from jaxbound.reports.chart import Charts, Piece, Row, band_key, picture_of, plain, usual_step
 from jaxbound.reports.clock import axis_of, shown_time
 from jaxbound.reports.page import TITLE, render
 from jaxbound.reports.parts import computed, model_values
@@ -24,10 +26,25 @@ OUTPUTS = 12  # charts
 NEAR = 600  # samples around the first faulty one of a long recording, drawn one by one
 
 
+class ValidatedReport(ValidatedRecording, Protocol):
+    """A validated recording of which a page tells: its verdicts (T,) and faulty stretches."""
+
+    horizon: int
+    remembers: bool
+
+    @property
+    def status(self) -> np.ndarray: ...  # noqa: D102
+    @property
+    def method(self) -> str: ...  # noqa: D102
+    @property
+    def first_fault(self) -> int | None: ...  # noqa: D102
+    def stretches(self) -> Sequence[tuple[int, int, int]]: ...  # noqa: D102
+
+
 def write_page(
     directory: str | Path,
-    res: Any,
-    recording: Any,
+    res: ValidatedReport,
+    recording: Recording,
     summary: Summary,
     *,
     seconds: dict[str, float] | None = None,
@@ -72,25 +89,22 @@ def write_page(
     return ["report.html"]
 
 
-def charts(res: Any, recording: Any, shown: Sequence[str]) -> Charts:
+def charts(res: ValidatedReport, recording: Recording, shown: Sequence[str]) -> Charts:
     """Return the charts of the outputs shown: the whole recording, and the samples around the first faulty
     one.
     """
     time, clock = axis_of(recording, len(res.y), res.model.dt)
     piece = Piece(time, res.status, *_extremes(res, len(shown)))
+    whole = piece.fitting()
     faulty = np.asarray(res.found.faulty).any(1)
     first = max(min(int(np.argmax(faulty)) - NEAR // 4, len(time) - NEAR), 0)
     close = piece.cut(first, first + NEAR)
-
-    rows = [Row(f"y{i}", name, res.model.unit(name), "enclosed") for i, name in enumerate(shown)]
-    numbers = 2 * len(piece.low)
-    whole = piece if len(time) * numbers <= VALUES else piece.reduced(VALUES // numbers)
     return Charts(
-        rows=rows,
+        rows=[Row(f"y{i}", name, res.model.unit(name), "enclosed") for i, name in enumerate(shown)],
         clock=clock,
         samples=len(time),
         last=float(time[-1]),
-        step=float(np.median(np.diff(time))) if len(time) > 1 else 1.0,
+        step=usual_step(time),
         whole=whole,
         near=[plain(close)] if whole.binned else [],
         begin=float(close.x[0]),
@@ -99,22 +113,21 @@ def charts(res: Any, recording: Any, shown: Sequence[str]) -> Charts:
     )
 
 
-def _extremes(res: Any, outputs: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+def _extremes(res: ValidatedReport, outputs: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Return ({key: (T,)}, {key: (T,)}): the least and the most of what is drawn of each output."""
-    found = res.found
     low: dict[str, np.ndarray] = {}
     high: dict[str, np.ndarray] = {}
-    faulty = np.asarray(found.faulty)
+    output, corrected, faulty = res.found.output, res.found.corrected, np.asarray(res.found.faulty)
     for i in range(outputs):
-        y, lo, hi = res.y[:, i], _finite(found.corrected.lo, i), _finite(found.corrected.hi, i)
+        y, lo, hi = res.y[:, i], _finite(corrected.lo, i), _finite(corrected.hi, i)
         replaced = faulty[:, i] | np.isnan(y)
         lines = {
             f"y{i}": y,
             f"y{i}:faulty": np.where(faulty[:, i], y, np.nan),
             f"y{i}:instead": np.where(replaced, lo / 2 + hi / 2, np.nan),
         }
-        low |= lines | {band_key(f"y{i}"): _finite(found.output.lo, i)}
-        high |= lines | {band_key(f"y{i}"): _finite(found.output.hi, i)}
+        low |= lines | {band_key(f"y{i}"): _finite(output.lo, i)}
+        high |= lines | {band_key(f"y{i}"): _finite(output.hi, i)}
     return low, high
 
 
@@ -124,7 +137,7 @@ def _finite(end: ArrayLike, i: int) -> np.ndarray:
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def _row(res, recording, i, first, last):
+def _row(res: ValidatedReport, recording: Recording, i: int, first: int, last: int) -> tuple:
     """Return the row of a faulty stretch, with what the sensor showed and should have shown in its middle."""
     name, k = res.model.outputs[i], (first + last) // 2
     unit, corrected = res.model.unit(name), res.found.corrected

@@ -1,5 +1,6 @@
 """Alarms of a recording whose verdicts come in parts."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -7,11 +8,14 @@ import numpy as np
 
 from jaxbound.diagnosis.alarms import ENDINGS, Alarm, endings, follows, forgets_after, stretches
 from jaxbound.recordings.columns import to_arrow, write_columns
+from jaxbound.recordings.recording import Recording
+from jaxbound.runs.sink import Verdicts
 from jaxbound.runs.verdictfiles import alarm_columns
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["AlarmBook"]
 
+Columns = dict[str, Any]
 DEEPEST = 200  # alarms kept in memory
 FIELDS = (
     "first_sample",
@@ -27,36 +31,73 @@ FIELDS = (
 
 
 class AlarmBook:
-    """Alarms of a recording that comes in parts; one that reaches the end of its part is held until the next
-    shows how it goes on.
+    """Alarms of a recording that comes in parts, a sink.
+
+    An alarm that reaches the end of its part is held until the next shows how it goes on.
 
     Args:
         rule: (k, n) of `Result.alarms`. relations: that were tested. path: where to write all of them, or
-            None.
+            None. mark: called with the samples at which alarms that are over are deepest.
+
+    Fields: ended: {ending of an Alarm: number of alarms}; count: of all of them; first: the first; kept: the
+    deepest.
     """
 
-    def __init__(self, rule: tuple[int, int], relations: Any, path: Path | None) -> None:
+    def __init__(
+        self,
+        rule: tuple[int, int],
+        relations: Any,
+        path: Path | None,
+        mark: Callable[[np.ndarray], object],
+    ) -> None:
         self.rule, self.dt, self.horizon, self.path = rule, relations.model.dt, forgets_after(relations), path
+        self.mark = mark
         self.ended: dict[str, int] = {}
-        self.before, self.count = np.zeros(0, bool), 0
-        self.held: dict[str, Any] | None = None
-        self.kept: list[tuple] = []
-        self.first: list[tuple] = []
+        self.samples = self.count = 0
+        self.before = np.zeros(0, bool)
+        self.open: Columns | None = None
+        self.kept: list[tuple[Alarm, list[float]]] = []
+        self.first: list[tuple[Alarm, list[float]]] = []
 
-    def add(
-        self, first: int, written: Any, time: np.ndarray, status: np.ndarray, margin: np.ndarray
-    ) -> np.ndarray:
-        """Take the next part, which begins at sample `first`; return the samples at which alarms that ended
-        are deepest.
-        """
-        (k, n), fault, missing = self.rule, status == Status.FAULT, status == Status.MISSING
-        start, end, windows, depth, worst, begun, last = stretches(fault, margin, k, n, 0, 1, self.before)
+    def add(self, piece: Recording, verdicts: Verdicts) -> None:
+        """Take the next part."""
+        missing = verdicts.status == Status.MISSING
+        found = self._found(piece, verdicts, missing)
+        if self.open is not None:
+            if len(found["start"]) and found["first_sample"][0] == self.samples:
+                found = _joined(self.open, found)
+            else:
+                self._close(self.open | {"after": follows(missing[:1], [-1])})
+            self.open = None
+        self.samples += len(missing)
+        if len(found["last_sample"]) and found["last_sample"][-1] == self.samples - 1:
+            self.open = {name: x[-1:] for name, x in found.items()}
+            found = {name: x[:-1] for name, x in found.items()}
+        self._close(found)
+
+    def memory(self) -> None:
+        """Return None: a report reads all parts anew."""
+
+    def flush(self) -> None:
+        """Do nothing: alarms are written as soon as they are over."""
+
+    def close(self) -> None:
+        """Close the alarm that is on."""
+        if self.open is not None:
+            self._close(self.open)
+
+    def _found(self, piece, verdicts, missing):
+        """Return the alarms of a part by themselves."""
+        k, n = self.rule
+        fault, time, first = verdicts.status == Status.FAULT, piece.time, self.samples
+        start, end, windows, depth, worst, begun, last = stretches(
+            fault, verdicts.margin, k, n, 0, 1, self.before
+        )
         self.before = np.concatenate([self.before, fault])[max(len(self.before) + len(fault) - n + 1, 0) :]
-        take = lambda at: written.take(to_arrow(at))
-        found = {
-            "start": take(start),
-            "end": take(end),
-            "worst": take(worst),
+        return {
+            "start": piece.written.take(to_arrow(start)),
+            "end": piece.written.take(to_arrow(end)),
+            "worst": piece.written.take(to_arrow(worst)),
             "from": time[start],
             "to": time[end],
             "at": time[worst],
@@ -69,40 +110,25 @@ class AlarmBook:
             "last": last + first,
             "after": follows(missing, end),
         }
-        closed: list[dict] = []
-        if self.held is not None:
-            if len(start) and start[0] == 0:
-                found = _joined(self.held, found)
-            else:
-                closed = [self.held | {"after": follows(missing[:1], [-1])}]
-            self.held = None
-        if len(end) and end[-1] == len(fault) - 1:
-            found, self.held = (
-                {name: x[part] for name, x in found.items()} for part in (slice(0, -1), slice(-1, None))
-            )
-        return np.concatenate([self._close(x) for x in (*closed, found)])
-
-    def close(self) -> np.ndarray:
-        """Close what is open; return the sample at which it is deepest, if any."""
-        return self._close(self.held) if self.held is not None else np.zeros(0, int)
 
     def _close(self, alarms):
+        """Count and write alarms that are over, and keep the deepest."""
+        count = len(alarms["windows"])
         alarms["ended"] = endings(alarms["begun"], alarms["last"], alarms["after"], self.horizon)
-        for code, n in enumerate(np.bincount(alarms["ended"], minlength=len(ENDINGS)).tolist()):
-            self.ended |= {ENDINGS[code]: self.ended.get(ENDINGS[code], 0) + n} if n else {}
+        for code in alarms["ended"].tolist():
+            self.ended[ENDINGS[code]] = self.ended.get(ENDINGS[code], 0) + 1
         if self.path is not None:
             write_columns(self.path, alarm_columns(alarms, self.dt), append=self.count > 0)
-        self.count += len(alarms["windows"])
-        deepest = np.argsort(alarms["depth"])[:DEEPEST]
-        picked = np.unique([*deepest, *range(min(1, len(alarms["windows"])))]).astype(int)
-        rows = zip(*(alarms[f][picked].tolist() for f in FIELDS), strict=True)
-        fresh = [
-            (Alarm(start, end, n, depth, worst, ended=ENDINGS[why]), times)
-            for start, end, n, depth, worst, *times, why in rows
-        ]
+        self.count += count
+        # the first of all is kept too, however shallow: sentences name it
+        picked = np.unique([*np.argsort(alarms["depth"])[:DEEPEST], *range(min(1, count))]).astype(int)
+        fresh: list[tuple[Alarm, list[float]]] = []
+        for row in zip(*(alarms[name][picked].tolist() for name in FIELDS), strict=True):
+            start, end, n, depth, worst, *times, why = row
+            fresh.append((Alarm(start, end, n, depth, worst, ended=ENDINGS[why]), times))
         self.first = self.first or fresh[:1]
         self.kept = sorted([*self.kept, *fresh], key=lambda pair: pair[0].depth)[:DEEPEST]
-        return alarms["worst_sample"]
+        self.mark(alarms["worst_sample"])
 
     def alarms(self) -> tuple[list[Alarm], dict[int, float]]:
         """Return ([Alarm], {sample: seconds}) of the first and the deepest in order of time."""
@@ -113,26 +139,20 @@ class AlarmBook:
         return [pairs[start][0] for start in sorted(pairs)], named
 
 
-def _joined(held, found):
-    """Return alarms, the first of them joined with the one that was held."""
+def _joined(open_alarm, found):
+    """Return alarms, the first of them joined with the one that was open."""
     import pyarrow as pa
 
-    deeper = not held["windows"][0] or (found["windows"][0] and found["depth"][0] < held["depth"][0])
-    keep = (
-        "start",
-        "from",
-        "first_sample",
-        "begun",
-        *(() if deeper else ("worst", "at", "worst_sample", "depth")),
+    deeper = not open_alarm["windows"][0] or (
+        found["windows"][0] and found["depth"][0] < open_alarm["depth"][0]
     )
-    out = {}
-    for name, x in found.items():
-        if name == "windows":
-            out[name] = np.concatenate([held[name] + x[:1], x[1:]])
-        elif name in keep:
-            out[name] = (np.concatenate if isinstance(x, np.ndarray) else pa.concat_arrays)(
-                [held[name], x[1:]]
-            )
-        else:
-            out[name] = x
-    return out
+    older = {"start", "from", "first_sample", "begun"}
+    if not deeper:
+        older |= {"worst", "at", "worst_sample", "depth"}
+    joined = dict(found)
+    for name in older:
+        pair = [open_alarm[name], found[name][1:]]
+        joined[name] = np.concatenate(pair) if isinstance(found[name], np.ndarray) else pa.concat_arrays(pair)
+    windows = found["windows"]
+    joined["windows"] = np.concatenate([open_alarm["windows"] + windows[:1], windows[1:]])
+    return joined

@@ -2,7 +2,7 @@
 from one pass over verdicts.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
@@ -19,10 +19,8 @@ from jaxbound.diagnosis.result import Result
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.plots.plot import plot
 from jaxbound.plots.timeline import Timeline, plot_timeline
-from jaxbound.recordings.columns import from_arrow
 from jaxbound.recordings.hints import missing_sentences, rounding_hints
-from jaxbound.recordings.parquet import ParquetSource
-from jaxbound.recordings.parquetfiles import Damage
+from jaxbound.recordings.parquet import PARTIAL, VERDICTS, ParquetSource
 from jaxbound.recordings.read import open_source
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import Clock, irregular, seam_hints, tick
@@ -35,23 +33,17 @@ from jaxbound.relations.sentence import latched, looked_at, remembers
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.runs.alarmbook import AlarmBook
 from jaxbound.runs.contradiction import REACHES, refuted_again
+from jaxbound.runs.judges import as_judged
+from jaxbound.runs.loop import Taker, follow
 from jaxbound.runs.outputs import output_folder, shared_folder
 from jaxbound.runs.partnotes import read_again, read_extremes, read_runs
+from jaxbound.runs.parts import forget_parts, part_files, verdicts_of
 from jaxbound.runs.shares import check_share, numbers_of
-from jaxbound.runs.streaming import (
-    CHUNK,
-    PARTIAL,
-    VERDICTS,
-    all_parts,
-    forget_parts,
-    part_count,
-    part_files,
-    publish,
-    write_parts,
-)
+from jaxbound.runs.sink import Sink, Verdicts
+from jaxbound.runs.streaming import CHUNK, all_parts, part_count, publish, write_parts
 from jaxbound.runs.summary import Evidence, evidence
+from jaxbound.runs.tally import Tally
 from jaxbound.sets.floats.probe import refuse_unverified
-from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 
 if TYPE_CHECKING:
@@ -273,6 +265,7 @@ def digest(
     alarm: tuple[int, int] = (1, 1),
     alarms_csv: Path | None = None,
     progress: Callable | None = None,
+    also: Sequence[Sink] = (),
 ) -> Digest:
     """Read the verdicts of a ParquetSource once.
 
@@ -280,46 +273,34 @@ def digest(
         relations, method: as tested. source: the ParquetSource that was tested. folder: of the parts, as
             `write_parts` left it.
         alarm: (k, n), an alarm needs k FAULT among n windows. alarms_csv: where to write all alarms, or None.
-        progress: called with the share of the work done.
+        progress: called with the share of the work done. also: sinks that take the verdicts too.
 
     Returns:
         A Digest.
     """
-    report, first = progress or (lambda share: None), 0
-    counts, times, worst = np.zeros(len(Status), np.int64), _Times(source), None
-    line, clock, book = (
-        Timeline(source.samples),
-        Clock(relations.model.dt),
-        AlarmBook(alarm, relations, alarms_csv),
-    )
-    for part in part_files(folder):
-        written, status, margin = _read(part)
-        time, stamps = source.times(first, written)
-        counts += np.bincount(status, minlength=len(Status))
-        here = _worst(status, margin, first)
-        worst = here if worst is None or (here is not None and here[:2] > worst[:2]) else worst
-        clock, _ = tick(clock, time)
-        named = {
-            0,
-            source.samples - 1,
-            *(worst[2:3] if worst else ()),
-            *(seam.sample for seam in clock.seams),
-        }
-        times |= {k: float(time[k - first]) for k in named if first <= k < first + len(status)}
-        line.add(first, time if stamps is None else stamps, status, margin)
-        line.mark(book.add(first, written, time, status, margin))
-        first += len(status)
-        report(first / source.samples)
-    line.mark(book.close())
-    alarms, when = book.alarms()
-    times |= when
+    report = progress or (lambda share: None)
+    tally = Tally(lambda piece, k: float(piece.time[k]), relations.horizon)
+    times = _Times(source)
+    line = Timeline(source.samples)
+    drawing = _Drawing(line)
+    clock = _Ticking(relations.model.dt, times)
+    book = AlarmBook(alarm, relations, alarms_csv, line.mark)
+    sinks: list[Taker[Recording, Verdicts]] = [tally, clock, drawing, book, *also]
+    for _ in follow(verdicts_of(folder, source), as_judged, sinks):
+        report(tally.samples / source.samples)
+    book.close()
+    alarms, named = book.alarms()
+    times |= named
+    worst = tally.worst or tally.tightest
+    if worst is not None:
+        times[worst.sample] = worst.when
     found = Digest(
         relations,
         method,
         source,
-        first,
-        {s.name: int(counts[s]) for s in Status},
-        worst and worst[2:],
+        tally.samples,
+        tally.named(),
+        worst and (worst.sample, worst.margin),
         alarms,
         book.count,
         (),
@@ -328,38 +309,78 @@ def digest(
         ended=book.ended,
         signals=read_extremes(part_files(folder), source.samples),
     )
-    if sentence := irregular(clock, found.label, source.row):
+    sentence = irregular(clock.clock, found.label, source.row)
+    if sentence:
         forget_parts(folder)  # verdicts on such data are of no use
         raise ValueError(f"{source.path}: {sentence}")
     hints, aside = _signal_hints(found, folder)
-    hints += [
-        said
-        for devices, count in read_again(part_files(folder)).items()
-        for said in again_said(devices, count)
-    ]
-    found = replace(
-        found, hints=(*source.hints, *seam_hints(clock, found.label, source.row), *hints), aside=aside
-    )
-    smallest = found.worst[1] if found.worst and not remembers(relations) else np.nan
-    said = (
-        []
-        if latched(relations)
-        else unfit(found.counts, smallest, "samples" if remembers(relations) else "windows")
-    )
-    found = replace(found, hints=(*found.hints, *bound_hints(relations.model, relations), *said))
-    if (
-        worst
-        and found.counts["FAULT"]
-        and not remembers(relations)
-        and (units := unit_hints(found.around(worst[2])[0]))
-    ):
-        found = replace(found, hints=(*found.hints, *units))
+    for devices, count in read_again(part_files(folder)).items():
+        hints += again_said(devices, count)
+    seams = seam_hints(clock.clock, found.label, source.row)
+    hints = [*source.hints, *seams, *hints, *bound_hints(relations.model, relations)]
+    hints += [*_unfit(found), *_wrong_units(found)]
+    found = replace(found, hints=tuple(hints), aside=aside)
     found.alarms[:] = [replace(a, result=found) for a in found.alarms]
     return found
 
 
+def _unfit(found):
+    """Return the sentences on bounds that do not fit the recording at all."""
+    relations = found.relations
+    if latched(relations):
+        return []
+    if remembers(relations):
+        return unfit(found.counts, np.nan, "samples")
+    return unfit(found.counts, found.worst[1] if found.worst else np.nan, "windows")
+
+
+def _wrong_units(found):
+    """Return the sentences on signals that may be in another unit than the model's."""
+    if found.worst is None or not found.counts["FAULT"] or remembers(found.relations):
+        return []
+    return unit_hints(found.around(found.worst[0])[0])
+
+
+class _Ticking:
+    """A sink that finds the seams, and keeps the times that sentences name: of both ends and of seams."""
+
+    def __init__(self, dt, times):
+        self.clock, self.times = Clock(dt), times
+
+    def add(self, piece, verdicts):
+        first = self.clock.samples
+        self.clock, _ = tick(self.clock, piece.time)
+        for k in (0, self.times.source.samples - 1, *(seam.sample for seam in self.clock.seams)):
+            if first <= k < first + piece.samples:
+                self.times[k] = float(piece.time[k - first])
+
+    def memory(self):
+        return None
+
+    def flush(self):
+        pass
+
+
+class _Drawing:
+    """A sink that puts verdicts into a Timeline."""
+
+    def __init__(self, line):
+        self.line, self.samples = line, 0
+
+    def add(self, piece, verdicts):
+        time = piece.time if piece.stamps is None else piece.stamps
+        self.line.add(self.samples, time, verdicts.status, verdicts.margin)
+        self.samples += piece.samples
+
+    def memory(self):
+        return None
+
+    def flush(self):
+        pass
+
+
 class _Times(dict):
-    """{sample: seconds}; what is not there is read."""
+    """{sample: seconds}; those of other samples are read when they are asked for."""
 
     def __init__(self, source):
         self.source = source
@@ -387,28 +408,3 @@ def _signal_hints(found, folder):
     for name in model.outputs + model.inputs:
         out += signal_hints(name, runs[name], found.label, driven=name in model.inputs)
     return out + (where_hints(where.text, found.samples - samples, found.samples) if where else []), aside
-
-
-def _read(part):
-    """Return (time column, status, margin) of a part."""
-    import pyarrow.parquet as pq
-
-    # not read_table: it would import pandas, which takes longer than to read a part
-    with Damage(str(part)), pq.ParquetFile(part, page_checksum_verification=True) as f:
-        table = f.read()
-    column = lambda name: table.column(name).combine_chunks()
-    status = column("status")
-    codes = np.array([Status[name] for name in status.dictionary.to_pylist()], np.int8)
-    indices = status.indices.cast("int32")
-    picked = codes[np.frombuffer(indices.buffers()[1], np.int32, len(indices), 4 * indices.offset)]
-    return column("time"), picked, from_arrow(column("margin"))
-
-
-def _worst(status, margin, first):
-    """Return (FAULT or not, -margin, sample, margin) of the worst window of a part, or None."""
-    fault = status == Status.FAULT
-    among = np.where(fault if fault.any() else True, margin, np.nan)
-    if not np.isnan(among).all():
-        k = int(np.nanargmin(among))
-        return bool(fault.any()), -float(margin[k]), first + k, float(margin[k])
-    return (True, -np.inf, first + int(np.argmax(fault)), np.nan) if fault.any() else None

@@ -23,7 +23,8 @@ from jaxbound.consistency.interface import FAMILIES
 from jaxbound.diagnosis.again import again_hints
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import outgrown
-from jaxbound.estimation.observer import SetObserver, observer
+from jaxbound.estimation.observer import observer
+from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.modelfile import load_model
 from jaxbound.recordings.csvlines import is_open, split_lines
 from jaxbound.recordings.csvtext import UNCLOSED, cells_of

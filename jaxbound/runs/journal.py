@@ -1,154 +1,188 @@
-"""Verdicts that a killed process leaves neither twice nor not at all.
+"""The checkpoint of a run without an end: after a kill or a power cut the next process goes on behind it.
 
-Before the rows of a burst are appended to verdicts.csv, a note is appended to the state file: how long
-verdicts.csv is, the rows that come next and everything needed to go on behind them. Whenever the process is
-killed, the next one takes the last note that is whole, cuts verdicts.csv back to that length and appends
-these rows: however often it is done, the file is the same. Now and then the state file is replaced by one
-with the last note alone. Files are forced to the disk only at the end, so this is no promise for a machine
-that loses its
-power: then the lengths may not fit, and the state is refused.
+It is one row in an SQLite file, replaced behind each piece: the position of the source, the carry of the
+judge, the memory of each sink. The file is in WAL mode with full synchronisation, so a checkpoint that was
+saved is on the disk, and one that was being saved is not seen. Sinks hand on only what is in the checkpoint
+already (see `loop.follow`), so a sink that knows from its memory what was to be handed on neither loses nor
+doubles anything.
 """
 
 import json
-import os
+import sqlite3
 from collections.abc import Mapping
-from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from jaxbound.files.checkpoint import refuse_other
-from jaxbound.files.locks import lock
-from jaxbound.files.whole import whole
+from jaxbound.runs.loop import Memory, Remembering
 from jaxbound.runs.refusals import Refused
+from jaxbound.runs.sink import Sink
 
-__all__ = ["STATE", "VERDICTS", "Journal"]
+__all__ = ["FORMER", "STATE", "Journal", "LiveCheckpoint"]
 
-STATE, VERDICTS = "monitor.jsonl", "verdicts.csv"
-HEADER = b"time,status,margin,suspect\n"
-KNOWN = 80  # last bytes of verdicts.csv by which it is known again
-LARGEST = 1 << 22  # bytes of notes, about, before only the last is kept
+STATE, FORMER = "monitor.sqlite", "monitor.jsonl"  # in the folder of a run; the latter of an earlier jaxbound
+OURS = 0x6A786264  # "jxbd", the mark of our files among those of SQLite
+SYNCHRONOUS = "FULL"
+TABLE = "CREATE TABLE IF NOT EXISTS checkpoint (id INTEGER PRIMARY KEY, identity TEXT, memory TEXT)"
+HEADER, MARK = 100, slice(68, 72)  # bytes that begin each file of SQLite, and where a program puts its mark
+NO_STATE = "{} is no state of jaxbound detect: choose another, or delete it to begin anew"
 
 
 class Journal:
-    """The state file and verdicts.csv; a context in which they are open.
+    """The file of the checkpoint; a context in which nobody else has it.
 
     Args:
-        out: folder for verdicts.csv, or None. state: path of the state file; None: in `out`, or nowhere.
-        identity: {what verdicts depend on: text}; a state with another is refused.
+        path: of the file; it is made when something is saved first. identity: {what verdicts depend on:
+            text}; a checkpoint with another is refused.
 
-    Fields: before: what was remembered last, or None; pending: the rows of the last burst before a kill,
-    which may not have been printed.
+    Fields: before: what was saved last, None if nothing was.
 
     Raises:
-        ValueError: a state that is none, or another model's; verdicts that are not those that the state
-            speaks of; another process on them.
+        Refused: the file is none of ours, or of an earlier jaxbound; another process has it. ValueError: a
+            checkpoint of another model, method or version.
     """
 
-    def __init__(
-        self, out: str | PathLike | None, state: str | PathLike | None, identity: Mapping[str, str]
-    ) -> None:
-        self.verdicts = None if out is None else Path(out) / VERDICTS
-        self.path: Any = Path(state) if state is not None else None if out is None else Path(out) / STATE
-        self.identity, self.before, self.pending = identity, None, b""
-        self.file: Any = None  # open while rows are written
-        self.notes: Any = None
-        self.length, self.end, self.noted = 0, b"", 0
+    def __init__(self, path: Path, identity: Mapping[str, str]) -> None:
+        self.path, self.identity = path, identity
+        self.before: Any = None
+        self.database: sqlite3.Connection | None = None
 
     def __enter__(self) -> "Journal":
-        if self.path is not None and self.path.exists():
-            self._restore()
+        if self.path.exists():
+            _refuse_foreign(self.path)
             self._open()
         return self
 
     def __exit__(self, *error: object) -> None:
-        for file in (self.file, self.notes):
-            if file is not None:
-                file.close()
+        self.close()
 
-    def add(self, memory: Any, rows: bytes = b"") -> None:
-        """Remember what there is after a burst (fit for JSON), then append its rows."""
-        if self.file is None:
+    def close(self) -> None:
+        """Close the file."""
+        if self.database is not None:
+            self.database.close()
+            self.database = None
+
+    def save(self, memory: Memory) -> None:
+        """Put a memory into the place of the one before; once this returns it survives a power cut."""
+        if self.database is None:
             self._open()
-        if self.path is not None:
-            self._save(memory, rows)
-        if self.file is not None and rows:
-            self._append(rows)
-
-    def finish(self, memory: Any) -> None:
-        """Remember the end: everything is written and printed."""
-        if self.file is not None:
-            os.fsync(self.file.fileno())
-        if self.path is not None:
-            self._save(memory, b"", True)
-
-    def _append(self, rows):
-        _write(self.file, rows)
-        self.length, self.end = self.length + len(rows), (self.end + rows[-KNOWN:])[-KNOWN:]
-
-    def _save(self, memory, rows, sync=False):
-        text = lambda b: b.decode("latin-1")
-        note = {
-            "identity": self.identity,
-            "length": self.length,
-            "end": text(self.end),
-            "rows": text(rows),
-            "memory": memory,
-        }
-        data = json.dumps(note).encode() + b"\n"
-        if self.notes is None or self.noted > LARGEST or sync:
-            with whole(self.path, sync) as f:
-                f.write(data)
-            if self.notes is not None:
-                self.notes.close()
-            self.notes, self.noted = open(self.path, "ab", buffering=0), 0  # noqa: SIM115
-        else:
-            _write(self.notes, data)
-        self.noted += len(data)
-
-    def _restore(self):
-        try:
-            *_, last, torn = self.path.read_bytes().rsplit(b"\n", 2)
-            note = json.loads(last)
-            identity, self.before, self.length = note["identity"], note["memory"], note["length"]
-            self.pending, self.end = note["rows"].encode("latin-1"), note["end"].encode("latin-1")
-        except (ValueError, KeyError, TypeError):
-            raise Refused(
-                f"{self.path} is no state of jaxbound detect: choose another, or delete it to begin anew"
-            ) from None
-        refuse_other(self.path, identity, self.identity)
+        assert self.database is not None
+        row = json.dumps(dict(self.identity)), json.dumps(memory)
+        self.database.execute("REPLACE INTO checkpoint VALUES (1, ?, ?)", row)
 
     def _open(self):
-        """Open verdicts.csv, if it is wanted, and bring it to where the state is."""
-        if self.verdicts is None:
-            return
-        self.file = open(self.verdicts, "a+b", buffering=0)  # noqa: SIM115
         try:
-            self._begin()
-        except BaseException:
-            self.file.close()
+            self.database = _connected(self.path)
+            self.database.execute(TABLE)
+            row = self.database.execute("SELECT identity, memory FROM checkpoint").fetchone()
+            identity, self.before = map(json.loads, row or ("{}", "null"))
+        except sqlite3.OperationalError as e:
+            self.close()
+            if _code(e) in ("SQLITE_BUSY", "SQLITE_LOCKED"):
+                raise Refused(f"another process is writing {self.path}: choose another place") from None
+            raise OSError(None, str(e), str(self.path)) from e
+        except (sqlite3.DatabaseError, ValueError, TypeError):
+            self.close()
+            raise Refused(NO_STATE.format(self.path)) from None
+        if row is not None:
+            try:
+                refuse_other(self.path, identity, self.identity)
+            except ValueError:
+                self.close()
+                raise
+
+
+def _connected(path):
+    """Return a connection that keeps other processes away, where the file system can."""
+    try:
+        return _prepared(sqlite3.connect(path, timeout=0, isolation_level=None))
+    except sqlite3.OperationalError as e:
+        if not _code(e).endswith("LOCK") and _code(e) != "SQLITE_PROTOCOL":
             raise
+    unlocked = f"{path.absolute().as_uri()}?nolock=1"
+    return _prepared(sqlite3.connect(unlocked, timeout=0, isolation_level=None, uri=True))
 
-    def _begin(self):
-        try:
-            lock(self.file)
-        except BlockingIOError:
-            raise Refused(f"another process is writing {self.verdicts}: choose another folder") from None
-        if self.before is None:
-            self.file.truncate(0)
-            self._append(HEADER)
+
+def _prepared(database):
+    """Set how a database is locked and written; this is when the lock is taken."""
+    try:
+        # before WAL, which then needs no memory shared with other processes, which networks lack
+        database.execute("PRAGMA locking_mode = EXCLUSIVE")
+        database.execute(f"PRAGMA application_id = {OURS}")  # and before WAL: it stands in the file itself
+        database.execute("PRAGMA journal_mode = WAL")
+        database.execute(f"PRAGMA synchronous = {SYNCHRONOUS}")
+        database.execute("BEGIN IMMEDIATE")
+        database.execute("COMMIT")
+    except sqlite3.Error:
+        database.close()
+        raise
+    return database
+
+
+def _code(e):
+    """Return the name of an error of SQLite."""
+    return str(getattr(e, "sqlite_errorname", ""))
+
+
+def _refuse_foreign(path):
+    """Raise Refused if a file is not empty and none of ours, before anything is written into it."""
+    with open(path, "rb") as file:
+        beginning = file.read(HEADER)
+    if beginning.startswith(b'{"identity"'):
+        raise Refused(
+            f"{path} is the state of an earlier jaxbound, from which this one cannot go on: choose another, "
+            "or delete it to begin anew"
+        )
+    mark = int.from_bytes(beginning[MARK], "big")
+    if beginning and (not beginning.startswith(b"SQLite format 3\0") or mark != OURS):
+        raise Refused(NO_STATE.format(path))
+
+
+class Position(Remembering, Protocol):
+    """The source of a run that goes on: it remembers its position.
+
+    Fields: replaying: whether the sender begins again, and all that it sends was judged before.
+    """
+
+    replaying: bool
+
+
+class Resuming(Remembering, Protocol):
+    """A judge that goes on from its memory."""
+
+    def resume(self, memory: Any, /) -> None:
+        """Go on from a memory."""
+
+
+class LiveCheckpoint:
+    """The one checkpoint of a source, a judge and sinks together.
+
+    Args:
+        journal: where it is saved. source: made from `journal.before["source"]`. judge, sinks: {name: sink}.
+    """
+
+    def __init__(
+        self, journal: Journal, source: Position, judge: Resuming, sinks: Mapping[str, Sink | Resuming]
+    ) -> None:
+        self.journal, self.source, self.judge, self.sinks = journal, source, judge, sinks
+
+    def resume(self) -> None:
+        """Let judge and sinks go on from what was saved last."""
+        self.judge.resume(self.journal.before["judge"])
+        for name, sink in self.sinks.items():
+            memory = self.journal.before["sinks"].get(name)
+            if memory is not None:
+                sink.resume(memory)
+
+    def save(self) -> None:
+        """Save all memories, if the source has a position that one can go on from."""
+        if not self.source.replaying:
+            self.finish()
+
+    def finish(self) -> None:
+        """Save all memories at the end, where everything was handed on."""
+        position = self.source.memory()
+        if position is None:
             return
-        self.file.seek(max(self.length - len(self.end), 0))
-        if not self.end or self.file.read(len(self.end)) != self.end:
-            raise Refused(
-                f"{self.verdicts} does not hold the verdicts that {self.path} speaks of: put it back, or "
-                f"delete {self.path} "
-                "to begin anew"
-            )
-        self.file.truncate(self.length)
-        self._append(self.pending)
-
-
-def _write(file, data):
-    view = memoryview(data)
-    while view:
-        view = view[file.write(view) :]
+        sinks = {name: sink.memory() for name, sink in self.sinks.items()}
+        self.journal.save({"source": position, "judge": self.judge.memory(), "sinks": sinks})

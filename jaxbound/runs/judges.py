@@ -1,78 +1,166 @@
-"""Who judges the pieces of a recording as they are read: windows, or an observer that goes on from piece to
-piece.
-"""
+"""The judges of the loop: by windows, an observer, a Monitor, a test in memory, or a look at verdicts."""
 
 import itertools
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any, Generic, TypeVar
 
+import jax
+import numpy as np
+
+from jaxbound.consistency.interface import Judged
+from jaxbound.consistency.monitor import Monitor
 from jaxbound.diagnosis.again import COUNT, decided_again, judged_elsewhere
 from jaxbound.diagnosis.detection import detect
-from jaxbound.files.checkpoint import as_texts
+from jaxbound.files.checkpoint import as_texts, from_texts
 from jaxbound.recordings.recording import Recording
+from jaxbound.runs.loop import Laps, Memory
+from jaxbound.runs.sink import Verdicts
 
-__all__ = ["Carried", "Windows"]
+__all__ = ["Carried", "Live", "Numbered", "Whole", "Windows", "as_judged"]
+
+Numbered = tuple[int, Recording]
+"""A piece of a recording: the number of its first sample, and its samples."""
+Piece = TypeVar("Piece")
+Found = TypeVar("Found")
 
 
 class Windows:
-    """Judges the samples of a piece by windows, which reach back into the piece before.
+    """The judge of the windows that end in a piece; they reach back into the piece before.
 
     Fields: overlap: so many samples of it are needed. begins: and of those before the first piece. again:
-    {devices: how many windows were decided again on the CPU} since somebody took it; none where CPUs judge.
+    {devices: number of windows that were decided again on the CPU} since somebody took it; none where CPUs
+    judge.
 
     Args:
-        samples: of the whole recording, over which those that are decided again are spread.
+        samples: of the whole recording, over which those that are decided again are spread. done: so many of
+            them are judged already. laps: gets the seconds of the stage "transfer".
     """
 
-    def __init__(self, relations: Any, method: str, samples: int) -> None:
-        self.relations, self.method, self.overlap, self.begins = (
-            relations,
-            method,
-            relations.horizon,
-            relations.horizon,
-        )
-        self.samples = samples
+    def __init__(self, relations: Any, method: str, samples: int, done: int, laps: Laps) -> None:
+        self.relations, self.method, self.samples, self.done = relations, method, samples, done
+        self.overlap = self.begins = relations.horizon
         self.again: dict[str, int] = {}
+        self.laps = laps
 
-    def __call__(self, piece: Recording, first: int, done: int) -> Iterator[tuple]:
-        """Yield (samples of the piece, their status and margin, what is carried on) of what is new in it:
-        from sample `done` on.
-        """
-        found, fresh = detect(self.relations, piece, method=self.method), slice(done - first, piece.samples)
+    def __call__(self, piece: Numbered) -> Iterator[tuple[Recording, Verdicts]]:
+        """Judge the samples that are new in a piece."""
+        first, recording = piece
+        result = detect(self.relations, on_device(recording, self.laps), method=self.method)
         if devices := judged_elsewhere():
-            count = decided_again(found, -(-COUNT * piece.samples // self.samples), seed=first)
+            share = -(-COUNT * recording.samples // self.samples)
+            count = decided_again(result, share, seed=first)
             self.again[devices] = self.again.get(devices, 0) + count
-        yield fresh, found.status[fresh], found.margin[fresh], None
+        fresh = slice(self.done - first, recording.samples)
+        self.done = first + recording.samples
+        yield recording.cut(fresh.start, fresh.stop), Judged(result.status[fresh], result.margin[fresh])
+
+    def memory(self) -> None:
+        """Return None: windows carry nothing."""
 
 
 class Carried:
-    """Judges the samples of a piece by an observer, part by part. overlap: the sample before says whether the
-    first one follows it.
+    """The judge of the samples of a piece by an observer, part by part.
+
+    Fields: overlap: the sample before says whether the first one follows it.
 
     Args:
-        watch, carry: the observer and what it carries. size: of a part, in samples.
-        warm: samples before the first part that it is given, in the first piece; None: it goes on with the
-            carry.
+        observer, carry: the observer and its carry. size: of a part, in samples. done: so many samples are
+            judged already. laps: as for `Windows`. warm: samples before the first part that it is given, in
+            the first piece; None: it goes on with the carry.
     """
 
     overlap = 1
-    again: dict[str, int] = {}  # nobody decides again what rests on all samples before
 
-    def __init__(self, watch: Any, carry: Any, size: int, warm: int | None = None) -> None:
-        self.watch, self.carry, self.size, self.warm = watch, carry, size, warm
+    def __init__(
+        self, observer: Any, carry: Any, size: int, done: int, laps: Laps, warm: int | None = None
+    ) -> None:
+        self.observer, self.carry, self.size, self.done, self.warm = observer, carry, size, done, warm
         self.begins = max(warm or 0, self.overlap)
+        self.again: dict[str, int] = {}  # verdicts that rest on all samples before are not decided again
+        self.laps = laps
 
-    def __call__(self, piece: Recording, first: int, done: int) -> Iterator[tuple]:
-        """As of Windows, and what is carried behind them."""
-        _, piece = self.watch.recording(piece)
-        stop = first + piece.samples
-        if self.warm and done > first:
-            self.carry, _ = self.watch.fold(
-                self.carry, piece.cut(max(done - self.warm - first, 0), done - first)
-            )
+    def __call__(self, piece: Numbered) -> Iterator[tuple[Recording, Verdicts]]:
+        """Judge the samples that are new in a piece, those of each part by themselves."""
+        first, recording = piece
+        _, given = self.observer.recording(on_device(recording, self.laps))
+        stop = first + recording.samples
+        if self.warm and self.done > first:
+            before = given.cut(max(self.done - self.warm - first, 0), self.done - first)
+            self.carry, _ = self.observer.fold(self.carry, before)
         self.warm = None
-        edges = [done, *range((done // self.size + 1) * self.size, stop, self.size), stop]
+        edges = [self.done, *range((self.done // self.size + 1) * self.size, stop, self.size), stop]
         for begin, end in itertools.pairwise(edges):
-            fresh = slice(begin - first, end - first)
-            self.carry, found = self.watch.fold(self.carry, piece.cut(fresh.start, fresh.stop))
-            yield fresh, found.status, found.margin, as_texts(self.carry)
+            self.carry, found = self.observer.fold(self.carry, given.cut(begin - first, end - first))
+            self.done = end
+            yield recording.cut(begin - first, end - first), Judged(found.status, found.margin)
+
+    def memory(self) -> Memory:
+        """Return the carry behind the last sample."""
+        return as_texts(self.carry)
+
+
+class Live:
+    """The judge of samples as they come, by a Monitor."""
+
+    def __init__(self, monitor: Monitor) -> None:
+        self.monitor = monitor
+        self.state = monitor.init()
+
+    def __call__(self, piece: Numbered) -> Iterator[tuple[Recording, Verdicts]]:
+        """Judge the samples of a piece."""
+        _, recording = piece
+        if recording.samples:
+            self.state, verdicts = self.monitor.run(
+                self.state, recording.u, recording.y, starts=recording.starts
+            )
+            yield recording, verdicts
+
+    def compile(self) -> None:
+        """Judge samples of zeros and forget them, so that no sample waits for a compiler."""
+        model, window = self.monitor.relations.model, self.monitor.relations.horizon + 1
+        self.monitor.run(self.monitor.init(), np.zeros((window, model.m)), np.zeros((window, model.p)))
+
+    def memory(self) -> Memory:
+        """Return the state of the Monitor."""
+        return as_texts(self.state)
+
+    def resume(self, memory: Sequence[str]) -> None:
+        """Go on from a memory."""
+        self.state = from_texts(self.monitor.init(), memory)
+
+
+class Whole(Generic[Found]):
+    """The judge of a recording in memory.
+
+    Args:
+        test: of the Recording; returns a Result, or the verdicts of another test.
+
+    Fields: verdicts: of the recording.
+    """
+
+    verdicts: Found
+
+    def __init__(self, test: Callable[[Recording], Found]) -> None:
+        self.test = test
+
+    def __call__(self, piece: Recording) -> Iterator[tuple[Recording, Found]]:
+        """Judge the recording."""
+        self.verdicts = self.test(piece)
+        yield piece, self.verdicts
+
+
+def as_judged(piece: Piece) -> Iterator[Piece]:
+    """Yield a piece that has its verdicts with it."""
+    yield piece
+
+
+def on_device(recording: Recording, laps: Laps) -> Recording:
+    """Return a recording whose samples are where the kernel reads them.
+
+    On a CPU that is the copying of columns into arrays.
+    """
+    laps("read")
+    u, y = jax.block_until_ready(jax.device_put((recording.u, recording.y)))
+    laps("transfer")
+    return replace(recording, u=u, y=y)

@@ -10,7 +10,7 @@ from pathlib import Path
 from jaxbound.models.modelfile import load_model, model_text
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.read import kind_of
-from jaxbound.runs.sink import Outcome, Sink, register
+from jaxbound.runs.sink import Outcome, Sink
 
 __all__ = ["VALIDATION", "RunRecord", "load_run", "save_run"]
 
@@ -19,16 +19,15 @@ VALIDATION = "validation"  # not a method of `detect`: the shell name of `valida
 RUN, MODEL = "run.json", "tested_model.toml"
 
 
-@register
 class RunRecord(Sink):
     """run.json and tested_model.toml, with which `jaxbound explain` finds again what was tested."""
 
     names = (RUN,)  # the model may be the one that is tested again
 
-    def write(self, folder: Path, outcome: Outcome) -> None:
+    def close(self, outcome: Outcome) -> None:
         """Write both."""
         save_run(
-            folder,
+            self.folder,
             outcome.model,
             outcome.data,
             outcome.content,

@@ -1,57 +1,95 @@
-"""Where what was found goes: one file a kind of output, which every command that tests a recording writes
-once it is registered.
+"""Where verdicts go: one file a kind of output, which every command that tests a recording writes.
+
+The outputs of jaxbound stand in a list, `sinks.BUILT_IN`; `register` adds one of a user.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar, Protocol
 
+import numpy as np
+
+from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
+from jaxbound.runs.loop import Memory
 from jaxbound.runs.summary import Summary
 
-__all__ = ["SINKS", "Outcome", "Sink", "file_names", "register", "write_all"]
+__all__ = ["REGISTERED", "Outcome", "Sink", "Verdicts", "register"]
+
+
+class Verdicts(Protocol):
+    """The verdicts of some samples: a Result, a Judged, or anything else with a status of each.
+
+    Fields: status: (T,) int8, see `Status`; margin: (T,).
+    """
+
+    @property
+    def status(self) -> np.ndarray:
+        """Of each sample."""
+
+    @property
+    def margin(self) -> np.ndarray:
+        """Of each sample, NaN where there is none."""
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What the test of one recording came to.
+    """The outcome of the test of one recording.
 
-    Fields: result: a Result, or what else a test returns, a Digest where the recording did not fit into
-    memory, None where verdicts were written as samples came; recording: the Recording, or None then; alarms:
-    those that are kept; summary; model: that was tested; data: the path of the recording; content: its
-    digest, None where it is gone; method, horizon: of the test;
-    options: of an observer.
+    Fields: alarms: those that are kept; summary; model: that was tested; data: the path of the recording;
+    content: its digest, None where it is gone; method, horizon: of the test; options: of an observer.
     """
 
-    result: Any
-    recording: Recording | None
-    alarms: list
+    alarms: Sequence[Alarm]
     summary: Summary
     model: LinearSystem
     data: Path
     content: str | None
     method: str
     horizon: int
-    options: dict = field(default_factory=dict)
+    options: Mapping[str, object] = field(default_factory=dict)
 
 
 class Sink:
-    """One kind of output.
+    """One kind of output of one run.
+
+    Args:
+        folder: to write into; the files come to lie there as a whole, all of a run or none.
 
     Fields: names: of the files that it writes into the folder of a run, which then are jaxbound's to replace.
     whole: whether it needs the recording in memory.
+
+    Samples come once, in order, by `add`: those of a recording in memory at once, with a Result (or whatever
+    the test returns), those of a larger one in parts, those of a pipe as they come. Of a larger recording the
+    pieces have times and no signals.
     """
 
     names: ClassVar[tuple[str, ...]] = ()
     whole: ClassVar[bool] = False
 
-    def write(self, folder: Path, outcome: Outcome) -> None:
-        """Write the files. folder: where they come to lie as a whole, all of a run or none."""
-        raise NotImplementedError
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def add(self, piece: Recording, verdicts: Verdicts) -> None:
+        """Take the next samples and their verdicts."""
+
+    def memory(self) -> Memory:
+        """Return what the next process needs to go on where this one may be killed, as JSON holds it."""
+        return None
+
+    def resume(self, memory: Memory) -> None:
+        """Go on from what `memory` returned in another process."""
+
+    def flush(self) -> None:
+        """Hand on what was taken, as to stdout: `memory` is safe by now."""
+
+    def close(self, outcome: Outcome) -> None:
+        """Write what is written at the end."""
 
 
-SINKS: list[Sink] = []
+REGISTERED: list[type[Sink]] = []
 
 
 def register(kind: type[Sink]) -> type[Sink]:
@@ -64,22 +102,10 @@ def register(kind: type[Sink]) -> type[Sink]:
         >>> @register
         ... class Verdict(Sink):
         ...     names = ("verdict.txt",)
-        ...     def write(self, folder, outcome):
-        ...         (folder / "verdict.txt").write_text(outcome.summary.sentence)
-        >>> SINKS.pop().names
+        ...     def close(self, outcome):
+        ...         (self.folder / "verdict.txt").write_text(outcome.summary.sentence)
+        >>> REGISTERED.pop().names
         ('verdict.txt',)
     """
-    SINKS.append(kind())
+    REGISTERED.append(kind)
     return kind
-
-
-def file_names(whole: bool = True) -> tuple[str, ...]:
-    """Return the names of all files that sinks may write of a recording, read as a whole or in parts."""
-    return tuple(name for sink in SINKS if whole or not sink.whole for name in sink.names)
-
-
-def write_all(folder: Path, outcome: Outcome) -> None:
-    """Hand what was found to every sink."""
-    for sink in SINKS:
-        if outcome.recording is not None or not sink.whole:
-            sink.write(folder, outcome)

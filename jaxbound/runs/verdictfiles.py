@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from functools import singledispatch
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,33 +10,34 @@ import numpy as np
 from jaxbound.diagnosis.alarms import ENDINGS, Alarm
 from jaxbound.recordings.columns import to_arrow, words, write_columns
 from jaxbound.recordings.recording import Recording
-from jaxbound.runs.sink import Outcome, Sink, register
+from jaxbound.runs.sink import Outcome, Sink, Verdicts
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["AlarmTable", "VerdictTable", "alarm_columns", "columns_of", "write_alarms", "write_verdicts"]
 
 
-@register
 class VerdictTable(Sink):
     """verdicts.csv: one row a sample, of a recording that fits into memory; others have verdicts.parquet."""
 
     names, whole = ("verdicts.csv",), True
 
-    def write(self, folder: Path, outcome: Outcome) -> None:
-        """Write the table."""
-        write_verdicts(folder / self.names[0], outcome.result, outcome.recording)
+    def add(self, piece: Recording, verdicts: Verdicts) -> None:
+        """Write the table: the recording comes as one piece."""
+        write_verdicts(self.folder / self.names[0], verdicts, piece)
 
 
-@register
 class AlarmTable(Sink):
     """alarms.csv: one row an alarm; those of a recording in parts are written as its verdicts are read."""
 
     names, whole = ("alarms.csv",), True
 
-    def write(self, folder: Path, outcome: Outcome) -> None:
+    def add(self, piece: Recording, verdicts: Verdicts) -> None:
+        """Keep the recording, whose times the alarms are told by."""
+        self.recording = piece
+
+    def close(self, outcome: Outcome) -> None:
         """Write the table."""
-        recording: Any = outcome.recording  # it is there: `whole`
-        write_alarms(folder / self.names[0], outcome.alarms, recording, outcome.model.dt)
+        write_alarms(self.folder / self.names[0], outcome.alarms, self.recording, outcome.model.dt)
 
 
 def write_verdicts(path: str | PathLike, result: Any, recording: Recording | None = None) -> None:

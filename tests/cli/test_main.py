@@ -22,6 +22,7 @@ from jaxbound.cli import evaluation, main
 from jaxbound.consistency import interface
 from jaxbound.models.modelfile import load_model, save_model, template
 from jaxbound.runs.runfile import VALIDATION
+from jaxbound.runs.verdictfiles import VerdictTable
 
 HEADER = "t,u1,y1,y2"
 FILES = {"verdicts.csv", "alarms.csv", "report.html", "run.json", "tested_model.toml", ".jaxbound.json"}
@@ -389,7 +390,7 @@ class TestBadInput:
         def full(*args, **kwargs):
             raise OSError(28, "No space left on device", "verdicts.csv")
 
-        monkeypatch.setattr(evaluation, "write_all", full)
+        monkeypatch.setattr(VerdictTable, "add", full)
         self.refused(place, DETECT, "out: no space left on device", capsys, monkeypatch)
 
 

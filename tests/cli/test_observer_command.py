@@ -2,7 +2,9 @@
 that fractions replay.
 """
 
+import contextlib
 import json
+import sqlite3
 from functools import partial
 
 import numpy as np
@@ -17,7 +19,7 @@ from jaxbound.cli.options import MethodOptions
 from jaxbound.diagnosis.alarms import BEGAN_ANEW, ENDINGS
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.read import open_source
-from jaxbound.runs import streaming
+from jaxbound.runs import parts, streaming
 
 T, ONSET = 160, 90
 
@@ -144,12 +146,13 @@ def test_explain_proves_a_contradiction_by_the_shortest_window_that_shows_it(pla
 def test_a_pipe_says_what_the_file_says_and_goes_on_behind_a_kill(place, capsysbinary):
     detect("-q", out="out")
     lines = (place / "run.csv").read_bytes().splitlines(keepends=True)
-    follow = partial(piped.follow, "plant.toml", options=MethodOptions("observer"), out=place / "pipe")
+    follow = partial(piped.judge_stream, "plant.toml", options=MethodOptions("observer"), out=place / "pipe")
     assert follow([b"".join(lines[:70]), None]) == 0
-    note = (place / "pipe/monitor.jsonl").read_text().splitlines()[-1]
+    with contextlib.closing(sqlite3.connect(place / "pipe/monitor.sqlite")) as database:
+        ((memory,),) = database.execute("SELECT memory FROM checkpoint")
     assert follow([b"".join(lines[70:100]), *lines[100:]]) == 1
     assert told(place / "pipe") == told(place / "out"), "the carry is in the state"
-    assert len(json.loads(note)["memory"]["state"]) > 5
+    assert len(json.loads(memory)["judge"]) > 5
     assert b"contradict the model and the samples before them" in capsysbinary.readouterr().err
 
 
@@ -163,9 +166,9 @@ def test_parts_carry_on_and_are_made_again_where_they_are_lost(place, capsys, mo
     observer = jb.observer(jb.load_model("plant.toml"), restart=not method)
     source = open_source(place / "run.parquet", observer.model)
     folder, _ = streaming.write_parts(observer, source, place / "again", "observer")
-    read = lambda: [pd.read_parquet(p).to_csv() for p in streaming.part_files(folder)]
+    read = lambda: [pd.read_parquet(p).to_csv() for p in parts.part_files(folder)]
     before = read()
-    streaming.part_files(folder)[2].unlink()
+    parts.part_files(folder)[2].unlink()
     streaming.write_parts(observer, source, place / "again", "observer")
     assert len(before) == 4 and read() == before
     with pytest.raises(ValueError, match="carries what it knows from each part to the next"):
@@ -222,7 +225,7 @@ def test_windows_that_remember_say_the_same_in_memory_in_parts_through_a_pipe_an
     assert detect("-q", *JOINT, "--chunk", "33", out="parts", data="run.parquet") == 1
     lines = (place / "run.csv").read_bytes().splitlines(keepends=True)
     options = MethodOptions("observer", observer="joint", span=8)
-    follow = partial(piped.follow, "plant.toml", options=options, out=place / "pipe")
+    follow = partial(piped.judge_stream, "plant.toml", options=options, out=place / "pipe")
     assert follow([b"".join(lines[:70]), None]) == 0
     assert follow([b"".join(lines[70:100]), *lines[100:]]) == 1
     assert told(place / "pipe") == told(place / "parts") == told(place / "out")
@@ -393,5 +396,5 @@ def test_bounds_found_for_shorter_windows_prove_no_fault(place, capsys, monkeypa
     assert detect("--json", out="parts", data="run.parquet") == code
     assert json.loads(capsys.readouterr().out)["verdict"] == verdict
     options = MethodOptions("observer")
-    assert piped.follow("plant.toml", [(place / "run.csv").read_bytes()], options=options) == code
+    assert piped.judge_stream("plant.toml", [(place / "run.csv").read_bytes()], options=options) == code
     assert f"{title}: " in capsys.readouterr().err

@@ -2,11 +2,13 @@
 process ends.
 """
 
+import contextlib
 import errno
 import io
 import json
 import re
 import signal
+import sqlite3
 import subprocess
 import sys
 
@@ -20,7 +22,7 @@ from jaxbound.cli import pipe as piped
 from jaxbound.cli.options import MethodOptions
 from jaxbound.recordings.linetext import LineReader
 from jaxbound.relations import identity
-from jaxbound.runs import journal
+from jaxbound.runs import journal, rows
 from jaxbound.runs.refusals import Refused
 
 N = 300
@@ -56,6 +58,7 @@ def place(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(main, "_configure", lambda: None)
     monkeypatch.setattr(evaluation, "write_report", lambda *args, **options: None)
+    monkeypatch.setattr(journal, "SYNCHRONOUS", "OFF")  # nobody cuts the power of a test
     jb.save_model(paper(), "model.toml")
     return tmp_path
 
@@ -74,11 +77,17 @@ def pipe(capsysbinary, place):
         pieces = chunks or [data[a:b] for a, b in zip(cuts, cuts[1:], strict=False)]
         model = changes.pop("model", "model.toml")
         test = {name: changes.pop(name) for name in ("method", "horizon", "lags") if name in changes}
-        code = piped.follow(model, pieces, whole, MethodOptions(**test), **changes)
+        code = piped.judge_stream(model, pieces, whole, MethodOptions(**test), **changes)
         out, err = (x.decode() for x in capsysbinary.readouterr())
         return code, out.removeprefix("time,status,margin\n"), err.replace("jaxbound: ", "")
 
     return send
+
+
+def saved(path):
+    """Return the memory in a checkpoint."""
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        return json.loads(database.execute("SELECT memory FROM checkpoint").fetchone()[0])
 
 
 def batch(place, text, name="batch", code=(0, 1)):
@@ -166,8 +175,8 @@ class TestVerdicts:
         code, out, err = pipe(text, range(0, 9000, 501), out=place / "pipe")
         assert (place / "pipe/verdicts.csv").read_bytes() == expected and b"CONSISTENT" in expected
         aside = int(re.search(r"decided +\S+ % of (\d+) windows", first)[1])
-        note = json.loads((place / "pipe/monitor.jsonl").read_text())["memory"]["found"]
-        assert N - 1 - note["aside"] == aside
+        counts = saved(place / "pipe/monitor.sqlite")["sinks"]["counts"]
+        assert N - 1 - counts["aside"] == aside
 
     def test_json_lines(self, samples, place, pipe):
         code, out, _ = pipe(lines(samples)[:12], as_json=True)
@@ -213,7 +222,7 @@ class TestVerdicts:
                 [0.0, -0.0, 1e9, 1e-4, 1e300],
             ]
         )
-        assert [piped._number(v) for v in x.tolist()] == pa.array(x).cast(pa.string()).to_pylist()
+        assert [rows.number_text(v) for v in x.tolist()] == pa.array(x).cast(pa.string()).to_pylist()
 
     def test_a_few_lines_are_read_as_many_are(self):
         reader = LineReader([b"t;u1;y1;y2", b"0;1;2;3"], paper())
@@ -386,28 +395,28 @@ class TestRestart:
         data, read = "".join(text).encode(), 0
         pipe(text, out=place / "whole")
         expected = (place / "whole/verdicts.csv").read_bytes()
-        points, save, append = [0], journal.Journal._save, journal.Journal._append
+        points, save, write = [0], journal.Journal.save, rows._write
 
         def point():
             points[0] -= 1
             if points[0] == 0:
                 raise Killed
 
-        def saving(self, memory, rows, sync=False):
+        def saving(self, memory):
             point()
-            save(self, memory, rows, sync)
+            save(self, memory)
             remembered[0] = read
             point()
 
-        def appending(self, rows):
+        def writing(file, data):
             if points[0] == 2:
-                self.file.write(rows[: len(rows) // 2])
+                file.write(data[: len(data) // 2])
             point(), point()
-            append(self, rows)
+            write(file, data)
             point()
 
-        monkeypatch.setattr(journal.Journal, "_save", saving)
-        monkeypatch.setattr(journal.Journal, "_append", appending)
+        monkeypatch.setattr(journal.Journal, "save", saving)
+        monkeypatch.setattr(rows, "_write", writing)
         kills, remembered = 0, [0]
 
         def chunks(start):
@@ -440,11 +449,11 @@ class TestRestart:
         (place / "out/verdicts.csv").write_text("time,status,margin,suspect\n" + "x" * 9000)
         with pytest.raises(Refused, match="does not hold the verdicts that"):
             pipe(text, out=place / "out")
-        (place / "out/monitor.jsonl").write_text("{}")
+        (place / "out/monitor.sqlite").write_text("{}")
         with pytest.raises(Refused, match="is no state of jaxbound detect"):
             pipe(text, out=place / "out")
         jb.save_model(paper(noise=[0.2, 0.2]), "model.toml")
-        (place / "out/monitor.jsonl").unlink()
+        (place / "out/monitor.sqlite").unlink()
         with pytest.raises(
             Refused, match="verdicts.csv is in the way: it was not written by jaxbound, or was changed since"
         ):
@@ -464,7 +473,7 @@ class TestRestart:
     def test_a_state_of_anything_else_is_refused(self, samples, place, pipe, monkeypatch, change, what):
         text = lines(samples)[:5]
         pipe(text, out=place / "out")
-        kept, horizon = (place / "out/monitor.jsonl").read_bytes(), None
+        kept, horizon = saved(place / "out/monitor.sqlite"), None
         if change == "noise":
             jb.save_model(paper(noise=["0.1", "0.0100001"]), "model.toml")
         elif change == "horizon":
@@ -475,10 +484,10 @@ class TestRestart:
             monkeypatch.setattr(identity.jax.dtypes, "canonicalize_dtype", lambda kind: np.dtype(np.float32))
         with pytest.raises(
             Refused,
-            match=f"monitor.jsonl is of another {what}: choose another place, or delete it to begin anew",
+            match=f"monitor.sqlite is of another {what}: choose another place, or delete it to begin anew",
         ):
             pipe(text, out=place / "out", horizon=horizon)
-        assert (place / "out/monitor.jsonl").read_bytes() == kept
+        assert saved(place / "out/monitor.sqlite") == kept
 
     @pytest.mark.posix("locks of files")
     def test_a_file_system_without_locks_keeps_nobody_away(self, samples, place, pipe, monkeypatch):
@@ -492,26 +501,39 @@ class TestRestart:
 
     @pytest.mark.posix("locks of files")
     def test_two_processes_do_not_write_one_file(self, place):
-        with journal.Journal(place, None, {}) as one, journal.Journal(place, None, {}) as other:
-            one.add({})
+        with journal.Journal(place / "a", {}) as one, journal.Journal(place / "a", {}) as other:
+            one.save({})
             with pytest.raises(Refused, match="another process is writing"):
-                other.add({})
+                other.save({})
+        text = rows.RowText()
+        one, other = (rows.RowFile(place / "verdicts.csv", text, place / "a") for _ in range(2))
+        for file in (one, other):
+            file.fresh = b"x"
+        one.flush()
+        with pytest.raises(Refused, match="another process is writing"):
+            other.flush()
+        one.close()
 
-    def test_only_the_last_note_is_kept_now_and_then(self, samples, place, pipe, monkeypatch):
-        text = lines(samples)
-        pipe(text, range(0, 9000, 30), out=place / "whole")
-        monkeypatch.setattr(journal, "LARGEST", 5000)
-        sizes, data = [], "".join(text).encode()
+    def test_a_state_of_an_earlier_jaxbound_is_refused(self, samples, place, pipe):
+        text = lines(samples)[:5]
+        (place / "old").write_text('{"identity": {}, "length": 0}')
+        with pytest.raises(Refused, match="old is the state of an earlier jaxbound, from which this one"):
+            pipe(text, state=place / "old")
+        (place / "out").mkdir()
+        (place / "out/monitor.jsonl").write_text('{"identity": {}, "length": 0}')
+        with pytest.raises(Refused, match="monitor.jsonl is the state of an earlier jaxbound"):
+            pipe(text, out=place / "out")
+        (place / "out/monitor.jsonl").unlink()
+        assert pipe(text, out=place / "out")[0] == 0
 
-        def chunks():
-            for k in range(0, len(data), 60):
-                yield data[k : k + 60]
-                note = place / "out/monitor.jsonl"
-                sizes.append(note.stat().st_size if note.exists() else 0)
-
-        pipe(None, chunks=chunks(), out=place / "out")
-        assert max(sizes) < 5000 + 2 * 2000 and len(sizes) > 100
-        assert (place / "out/verdicts.csv").read_bytes() == (place / "whole/verdicts.csv").read_bytes()
+    def test_a_database_of_another_program_is_refused(self, samples, place, pipe):
+        with contextlib.closing(sqlite3.connect(place / "theirs")) as database:
+            database.execute("CREATE TABLE checkpoint (a)")
+            database.commit()
+        kept = (place / "theirs").read_bytes()
+        with pytest.raises(Refused, match="theirs is no state of jaxbound detect"):
+            pipe(lines(samples)[:5], state=place / "theirs")
+        assert (place / "theirs").read_bytes() == kept
 
     def test_another_header_is_refused_and_another_past_is_told(self, samples, place, pipe):
         text = lines(samples)[:50]

@@ -21,7 +21,8 @@ import jaxbound as jb
 from jaxbound.cli import evaluation, main
 from jaxbound.recordings.parquet import open_parquet
 from jaxbound.runs import judges
-from jaxbound.runs.streaming import part_files, write_parts
+from jaxbound.runs.parts import part_files
+from jaxbound.runs.streaming import write_parts
 
 
 @pytest.fixture

@@ -144,7 +144,9 @@ def test_strips_beside_a_parallelotope_make_enclosures_narrower_and_none_wider(m
     u, _, y = recorded(PLANT, 40, 5, N=2, at="uniform")
     width = lambda: (lambda x: np.asarray(x.hi - x.lo)[:, 2:])(jb.observe(PLANT, u, y, **JOINT).state)
     strips = width()
-    monkeypatch.setattr("jaxbound.estimation.joint.lasting", lambda A, C, steps: np.zeros((0, len(A))))
+    monkeypatch.setattr(
+        "jaxbound.estimation.joint_observer.lasting", lambda A, C, steps: np.zeros((0, len(A)))
+    )
     ratio = strips / width()
     print(ratio.min(), np.median(ratio), ratio.max())
     assert ratio.min() < 0.95 and ratio.max() < 1 + 1e-5

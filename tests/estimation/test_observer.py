@@ -3,7 +3,6 @@ and is for good.
 """
 
 import json
-from functools import partial
 
 import jax
 import numpy as np
@@ -11,11 +10,10 @@ import pytest
 from observer_case import PLANT, inside, program, published, recorded, systems
 
 import jaxbound as jb
-from jaxbound.estimation import observer
-from jaxbound.estimation.observer import SetObserver
+from jaxbound.estimation.methods import OBSERVERS
 from jaxbound.recordings.recording import Recording
 
-METHODS = ("zonotope", "strips", *observer.METHODS)
+METHODS = tuple(OBSERVERS)
 """How an observer may carry its set."""
 
 
@@ -129,7 +127,7 @@ def test_in_pieces_sample_by_sample_and_in_a_batch_it_says_the_same(rng):
         PLANT, 40, 5, N=48, at="uniform"
     )  # as many as another test has: their kernels are compiled once
     y[1, 20:] += 3
-    watch = partial(SetObserver, PLANT, 20, (1, 30, 1000), True, None, None)
+    watch = jb.observer(PLANT, order=20, weight=(1, 30, 1000))
     whole = jb.observe(PLANT, u, y)
     for j in range(3):
         alone = jb.observe(PLANT, u[j], y[j])
@@ -141,7 +139,7 @@ def test_in_pieces_sample_by_sample_and_in_a_batch_it_says_the_same(rng):
         np.testing.assert_array_equal(found.status, alone.status)
         np.testing.assert_allclose(found.margin, alone.margin, rtol=1e-12)
         for cuts in ([7, 23], range(1, 40)):
-            pieces, watching = [], watch(enclosures=True)
+            pieces, watching = [], watch.telling(enclosures=True)
             carry = watching.init()
             for a, b in zip([0, *cuts], [*cuts, 40], strict=True):
                 carry, told = watching.fold(carry, Recording.of(PLANT, u[j, a:b], y[j, a:b]))

@@ -144,7 +144,7 @@ def from_pipe(text, model, cuts=()):
     found = [pipe.take(text[a:b]) for a, b in zip(edges, edges[1:], strict=False)] + [
         pipe.take(b"", end=True)
     ]
-    pipe.end()
+    pipe.refuse_empty()
     return [piece for piece in found if piece is not None], said
 
 

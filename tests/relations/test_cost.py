@@ -10,7 +10,7 @@ import pytest
 from counted_calls import TooManyCalls, at_most
 
 import jaxbound as jb
-from jaxbound.estimation.zonotope_numbers import left_inverse
+from jaxbound.estimation.zonotope_begin import left_inverse
 from jaxbound.exact import linalg
 from jaxbound.exact.circuits import circuits
 from jaxbound.exact.price import refuse_or_say

@@ -18,7 +18,7 @@ from jaxbound import reports
 from jaxbound.certificates.exact_window import exact_window
 from jaxbound.plots.combination import combination, expected_readings
 from jaxbound.recordings.recording import Recording
-from jaxbound.reports.chart import VALUES, band_key, piece_of, pieces_of
+from jaxbound.reports.chart import VALUES, band_key, piece_of
 from jaxbound.reports.clock import clock_of
 from jaxbound.reports.detection import write_report
 from jaxbound.runs.summary import summarised
@@ -183,9 +183,9 @@ class TestRecorded:
             assert (piece.low["s0"][k], piece.high["s0"][k]) == (held.min(), held.max())
 
     def test_samples_that_fit_in_a_page_are_kept_one_by_one(self):
-        piece = pieces_of(np.arange(4000.0), np.ones(4000, np.int8), {"s0": np.arange(4000.0)})
+        piece = piece_of(np.arange(4000.0), np.ones(4000, np.int8), {"s0": np.arange(4000.0)}).fitting()
         assert not piece.binned and len(piece.cut(0, 60).x) == 60
-        many = pieces_of(np.arange(VALUES + 1.0), np.ones(VALUES + 1, np.int8), {"s0": np.zeros(VALUES + 1)})
+        many = piece_of(np.arange(VALUES + 1.0), np.ones(VALUES + 1), {"s0": np.zeros(VALUES + 1)}).fitting()
         assert many.binned and 2 * len(many.x) <= VALUES
 
     def test_a_clock_that_goes_back_is_counted_in_samples(self, tmp_path):

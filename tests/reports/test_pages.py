@@ -60,6 +60,7 @@ def recorded(T):
         time=np.arange(T) * 1.0,
         axis=np.arange(T) * 1.0,
         source=evil("source"),
+        stamps=None,
         label=lambda k: evil(f"at {k}"),
     )
 

@@ -8,7 +8,7 @@ from jaxbound.plots.canvas import bins
 from jaxbound.reports.chartdata import charts
 from jaxbound.runs.digest import detect_dataset
 from jaxbound.runs.partnotes import read_extremes
-from jaxbound.runs.streaming import part_files
+from jaxbound.runs.parts import part_files
 
 
 @pytest.fixture(scope="module")

@@ -50,7 +50,7 @@ def test_faulty_samples_stand_beside_the_band_and_its_middle():
 
 
 def test_a_long_recording_is_shown_around_its_first_faulty_sample_too():
-    res = found_in(15_000, range(9000, 9003))
+    res = found_in(20_000, range(9000, 9003))
     drawn = charts(res, recording_of(res), ["y1"])
     assert drawn.whole.binned and len(drawn.near) == 1 and drawn.about == "the first faulty sample"
     assert drawn.begin < 9000 < 9002 < drawn.end and drawn.near[0]["n"] == 600

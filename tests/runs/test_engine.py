@@ -27,7 +27,7 @@ from jaxbound.recordings import contents
 from jaxbound.recordings.parquet import ParquetSource, open_parquet
 from jaxbound.runs import streaming
 from jaxbound.runs.digest import detect_dataset
-from jaxbound.runs.streaming import part_files
+from jaxbound.runs.parts import part_files
 
 pytestmark = pytest.mark.usefixtures("small")
 WRITTEN = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d \+0000")  # when a page was written

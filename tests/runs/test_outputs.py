@@ -315,7 +315,7 @@ class TestFolder:
 
     @pytest.mark.parametrize("state", ["out/verdicts.csv", "out/../out/verdicts.csv", "model.toml"])
     def test_a_state_is_no_other_file(self, place, capsys, monkeypatch, state):
-        monkeypatch.setattr(pipe, "_chunks", lambda *args: [csv_text().encode()])
+        monkeypatch.setattr(pipe, "arrivals", lambda *args: [csv_text().encode()])
         with untouched(place / "model.toml"):
             assert main.main(["detect", "model.toml", "-", "--out", "out", "--state", state]) == 2
         out, err = capsys.readouterr()
@@ -326,7 +326,7 @@ class TestFolder:
         )
 
     def test_a_state_may_lie_in_a_folder_that_is_made(self, place, capsysbinary, monkeypatch):
-        monkeypatch.setattr(pipe, "_chunks", lambda *args: [csv_text().encode()])
+        monkeypatch.setattr(pipe, "arrivals", lambda *args: [csv_text().encode()])
         assert main.main(["detect", "model.toml", "-", "--out", "out", "--state", "out/s.jsonl"]) == 0
         assert {p.name for p in (place / "out").iterdir()} == {
             ".jaxbound.json",

@@ -19,7 +19,8 @@ from jaxbound.recordings import contents
 from jaxbound.recordings.parquet import ParquetSource, open_parquet
 from jaxbound.runs import judges
 from jaxbound.runs.digest import detect_dataset
-from jaxbound.runs.streaming import part_files, write_parts
+from jaxbound.runs.parts import part_files
+from jaxbound.runs.streaming import write_parts
 
 COUNT = 6  # parts of the recording
 

@@ -18,11 +18,12 @@ from jaxbound.recordings.parquet import open_parquet
 from jaxbound.recordings.read import read
 from jaxbound.recordings.stillness import Runs, follow
 from jaxbound.relations import identity
-from jaxbound.runs import judges, streaming
+from jaxbound.runs import judges
 from jaxbound.runs.digest import detect_dataset, digest
 from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.partnotes import read_runs
-from jaxbound.runs.streaming import part_files, publish, write_parts
+from jaxbound.runs.parts import part_files
+from jaxbound.runs.streaming import publish, write_parts
 from jaxbound.runs.summary import evidence
 from jaxbound.runs.verdictfiles import write_alarms
 
@@ -343,7 +344,7 @@ class TestResume:
 
     def test_a_full_disk_keeps_what_is_there(self, case, small, tmp_path, monkeypatch):
         r, folder, whole, _ = case("section 5")
-        replace, count = streaming.os.replace, []
+        replace, count = os.replace, []
 
         def full(a, b):
             count.append(b)
@@ -351,7 +352,7 @@ class TestResume:
                 raise OSError(28, "No space left on device", str(b))
             replace(a, b)
 
-        monkeypatch.setattr(streaming.os, "replace", full)
+        monkeypatch.setattr(os, "replace", full)
         with pytest.raises(OSError, match="No space left"):
             detect_dataset(r, folder, tmp_path, chunk=500)
         assert len(part_files(tmp_path / "verdicts.partial")) == 3

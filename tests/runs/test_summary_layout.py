@@ -8,7 +8,7 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.cli import evaluation, main, validation
-from jaxbound.cli.pipe import follow
+from jaxbound.cli.pipe import judge_stream
 from jaxbound.runs.summary import LAYOUT, Evidence, Summary, evidence, said, summarised
 
 T = 40
@@ -95,7 +95,7 @@ def test_every_command_has_one_layout(place, capsys):
 
 def test_the_pipe_says_what_detect_says(place, capsys):
     _, whole = shell(capsys, "detect", "m.toml", "run.csv")
-    assert follow("m.toml", [(place / "run.csv").read_bytes()]) == 1
+    assert judge_stream("m.toml", [(place / "run.csv").read_bytes()]) == 1
     assert whole["summary"] in " ".join(capsys.readouterr().err.split())
 
 

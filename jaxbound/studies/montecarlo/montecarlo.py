@@ -25,7 +25,7 @@ from jaxbound.consistency.engine import in_order
 from jaxbound.consistency.exchange import ExchangeTest
 from jaxbound.consistency.interface import relations_of
 from jaxbound.consistency.strips import StripsTest
-from jaxbound.estimation.observer import SetObserver
+from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.faults import Fault
 from jaxbound.models.fingerprint import fingerprint

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.diagnosis.detectability import detectable
-from jaxbound.estimation.observer import SetObserver
+from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.faults import KINDS, Fault, refuse_unknown_signal
 from jaxbound.models.system import LinearSystem
 from jaxbound.random.threefry import Array

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.diagnosis.detection import detect
-from jaxbound.estimation.observer import SetObserver
+from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.files.checkpoint import Checkpoint
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.bounds import Bounds, model_bounds
@@ -467,7 +467,7 @@ def _refuse_same(good, bad):
 
 def _check(relations, steps, safety, calibrate, block, confidence, every):
     if not isinstance(relations, ParityRelation | UncertainRelations):
-        why = UNTUNED.get(type(relations), "")
+        why = next((text for kind, text in UNTUNED.items() if isinstance(relations, kind)), "")
         raise TypeError(f"tune needs relations from parity_relations, not {type(relations).__name__}{why}")
     whole = lambda x, least: not isinstance(x, bool) and isinstance(x, int | np.integer) and x >= least
     for name, x, least in (

@@ -1,0 +1,470 @@
+"""The observer that tests windows exactly, each with a first state that lies in the set that the samples
+before it allow.
+
+Samples come in blocks of half a window. The window of a sample begins with the block before its own; its
+first state lies in a parallelotope {x : lo <= D x <= hi}, which the window that ended with its own block
+found by linear programs, with a first state in the one before that, and so on: nothing is forgotten but what
+a parallelotope cannot say, and some strips with it. Its directions are the principal ones of a Kalman filter;
+those of the strips are slow modes, and what the outputs will show. A zonotope goes with it (`SetObserver`):
+it begins, and bounds what rounding and uncertain parameters act on.
+
+Sources: Scott, Raimondo, Marseglia, Braatz 2016 (the exact set of a window is a linear program); Rao,
+Rawlings, Mayne 2003 (a window that knows what came before it). Programs are searched for in floats
+(`window_search`) and what they found is proved (`window_proof`).
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import ClassVar, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxbound.estimation import zonotope_steps as steps
+from jaxbound.estimation.blocks import chosen, in_blocks, repeated
+from jaxbound.estimation.contradictions import ended, fresh_behind, is_first, staying
+from jaxbound.estimation.observed_plant import ObservedPlant
+from jaxbound.estimation.ordered import added
+from jaxbound.estimation.parallelotope import ROUNDED, lasting, parallelotope, principal, strip, template
+from jaxbound.estimation.set_observer import ObserverSetup, Piece, SetObserver, checked_weights
+from jaxbound.estimation.trajectories import explained
+from jaxbound.estimation.window_programs import ROOM, WindowPrograms
+from jaxbound.estimation.window_proof import Prior, Samples, reach_before
+from jaxbound.estimation.window_runs import average_rows
+from jaxbound.estimation.window_search import split
+from jaxbound.models.system import LinearSystem
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.status import Status
+from jaxbound.text.objects import readable
+
+__all__ = ["JointObserver", "JointState", "joint_observer"]
+
+SETTLED = 8
+"""Blocks after which the directions stay as they are."""
+
+
+@readable
+class JointState(NamedTuple):
+    """The sets that the observer carries on, recordings on the last axis.
+
+    Fields: carry, samples: as of `ObserverState`. window: the last two blocks, so far; prior, held (N,): the
+    set of the first state of the window, and where there is one; mark, marked: of the state in the middle of
+    it, from the zonotope. path, explained: a first state on a trajectory through all samples, and where there
+    is one.
+    """
+
+    carry: steps.ZonotopeCarry
+    samples: np.int64
+    window: Samples
+    prior: Prior
+    held: np.ndarray
+    mark: Prior
+    marked: np.ndarray
+    path: Prior
+    explained: np.ndarray
+
+
+@readable
+@dataclass(frozen=True, eq=False, kw_only=True)
+class JointObserver(SetObserver[JointState]):
+    """Tests windows whose first state lies in an enclosure. Build it with `observer(model, Joint())`.
+
+    Fields: as of SetObserver; window: most samples of a window, even.
+    """
+
+    hulls: ClassVar[bool] = True
+
+    window: int
+
+    @property
+    def made(self) -> tuple[object, ...]:
+        """The choices that verdicts depend on beside the model: they name verdicts that are kept."""
+        return *super().made, "joint", self.window
+
+    @property
+    def half(self) -> int:
+        """Samples of a block."""
+        return self.window // 2
+
+    @cached_property
+    def programs(self) -> WindowPrograms:
+        """The linear programs of windows."""
+        exact = self.plant.exact
+        runs = None
+        if exact.free is None and isinstance(self.model, LinearSystem):
+            runs = average_rows(self.model, self.window)
+        # strips go neither with unknown inputs nor with averages
+        strips = lasting(exact.A, exact.C, self.half)
+        if exact.free is not None or runs is not None:
+            strips = strips[:0]
+        strips = strips.astype(self.plant.dtype).astype(np.float64)
+        return WindowPrograms(exact, strips, runs, self.plant.dtype)
+
+    @cached_property
+    def _principal(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Directions of the blocks, [(D, back)], see `principal`."""
+        return principal(self.plant.exact, self.half, SETTLED, self.plant.dtype)
+
+    def _directions(self, number: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return (D, back), (n, n) each, back about the inverse of D, of a block."""
+        return self._principal[min(number, SETTLED)]
+
+    def _with_carry(self, carry: steps.ZonotopeCarry) -> JointState:
+        """Return the state before the first sample, whose zonotopes are known."""
+        system, dtype = self.plant.system, self.plant.dtype
+        L, t = self.window, len(self.programs.strips)
+
+        def zero(*shape: int) -> np.ndarray:
+            return np.zeros((*shape, 1), dtype)
+
+        samples = Samples(
+            mid=zero(L, system.p),
+            rad=zero(L, system.p) + np.inf,
+            v=zero(L, system.m),
+            slip=zero(L, system.m),
+            reach=zero(L, system.n) + np.inf,
+        )
+        nothing = np.zeros(1, bool)
+        prior = Prior(zero(system.n), zero(system.n, system.n), zero(system.n), zero(t), zero(t) + np.inf)
+        return JointState(
+            carry, np.int64(0), samples, prior, nothing, prior, nothing, path=prior, explained=nothing
+        )
+
+    def _of_all(self, carry: JointState, count: int) -> JointState:
+        """Return the carry of `count` recordings; one of a single recording is that of all."""
+        # the zonotopes are repeated where they are followed: each recording has several
+        return JointState(
+            carry.carry,
+            carry.samples,
+            window=repeated(carry.window, count),
+            prior=repeated(carry.prior, count),
+            held=repeated(carry.held, count),
+            mark=repeated(carry.mark, count),
+            marked=repeated(carry.marked, count),
+            path=repeated(carry.path, count),
+            explained=repeated(carry.explained, count),
+        )
+
+    def _next_samples(self, state: JointState) -> int:
+        """Return how many samples are tested at once: to the end of a block."""
+        return self.half - int(state.samples) % self.half
+
+    def _next_block(self, state: JointState) -> JointState:
+        """Move the window on by a block, and enclose the state that will be the first of windows."""
+        number = int(state.samples) // self.half
+        prior = state.mark
+        if state.held.any():
+            prior = self._sharpened(state, number)
+        mark, marked = self._mark(state, number)
+        path, is_explained = self._path_on(state, number)
+
+        def later(x: np.ndarray, nothing: float) -> np.ndarray:
+            return np.concatenate([x[self.half :], np.full_like(x[self.half :], nothing)])
+
+        window = Samples(
+            mid=later(state.window.mid, 0),
+            rad=later(state.window.rad, np.inf),
+            v=later(state.window.v, 0),
+            slip=later(state.window.slip, 0),
+            reach=later(state.window.reach, np.inf),
+        )
+        return state._replace(
+            window=window,
+            prior=prior,
+            held=state.marked,
+            mark=mark,
+            marked=marked,
+            path=path,
+            explained=is_explained,
+        )
+
+    def _sharpened(self, state: JointState, number: int) -> Prior:
+        """Return the sets of the states in the middle of windows: of the mark, met with what windows say."""
+        lanes = np.flatnonzero(state.held)
+        mark, prior = chosen(state.mark, lanes), chosen(state.prior, lanes)
+        window = chosen(state.window, lanes)
+        (D, back), n = self._directions(number - 1), self.plant.system.n
+        rows = np.concatenate([D, self.programs.strips])
+        lo, hi = template(rows, mark.c[None], mark.S[None], mark.r[None])
+        lo[n:] = np.maximum(lo[n:], mark.mid - mark.rad)
+        hi[n:] = np.minimum(hi[n:], mark.mid + mark.rad)
+        middles = np.full(len(lanes), self.half)
+        low, high = self.programs.supports(prior, window, rows, hi - lo, middles, before=True)
+        lo, hi = np.maximum(lo, low), np.minimum(hi, high)
+        reach = window.reach
+        if self.plant.unknown is not None:
+            reach = reach_before(self.plant.exact, prior, window)
+        strips = strip(lo[n:], hi[n:], self.plant.dtype)
+        better = parallelotope(D, back, lo[:n], hi[:n], reach[self.half], strips, self.plant.dtype)
+        bounded = _is_bounded(better)
+        out = jax.tree.map(np.array, state.mark)
+        for whole, part in zip(out, better, strict=True):
+            whole[..., lanes] = np.where(bounded, part, whole[..., lanes])
+        return out
+
+    def _mark(self, state: JointState, number: int) -> tuple[Prior, np.ndarray]:
+        """Return (the set of the state now, where there is one (N,)), from x0 or from the zonotopes."""
+        N, lanes = len(state.held), len(self.weights)
+        first = self._first_prior(N)
+        if number == 0 and first is not None:
+            return first, np.ones(N, bool)
+
+        def split_lanes(x: np.ndarray) -> np.ndarray:
+            return np.moveaxis(x.reshape(*x.shape[:-1], lanes, -1), -2, 0)
+
+        D, back = self._directions(number)
+        c, G, r, age = (split_lanes(x) for x in state.carry[:4])
+        lo, hi = template(D, c, G, r)
+        reach = (abs(c) + added(abs(G), 2) + r).min(0) * ROUNDED
+        strips = strip(*template(self.programs.strips, c, G, r), self.plant.dtype)
+        mark = parallelotope(D, back, lo, hi, reach, strips, self.plant.dtype)
+        marked = (age >= 0).all(0) & _is_bounded(mark)
+        return Prior(*(np.where(marked, x, 0) for x in mark)), marked
+
+    def _first_prior(self, N: int) -> Prior | None:
+        """Return x0 of N recordings, or its box where it has more generators than states."""
+        if self.x0 is None:
+            return None
+        n = self.plant.system.n
+        center, generators, box = self.x0.padded(n)
+        generators = generators[:, np.abs(generators).any(0)]
+        if generators.shape[1] <= n:
+            sides = np.pad(generators, ((0, 0), (0, n - generators.shape[1])))
+        else:
+            reach = np.abs(generators.astype(np.float64)).sum(1) * ROUNDED
+            sides = np.diag(rounding.round_up(reach, self.plant.dtype))
+        c, S, r = (np.repeat(x[..., None], N, -1) for x in (center, sides, box))
+        return Prior(c, S, r, *self._no_strips(N))
+
+    def _no_strips(self, N: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return (mid, rad) of strips that say nothing."""
+        shape = len(self.programs.strips), N
+        return np.zeros(shape, self.plant.dtype), np.full(shape, np.inf, self.plant.dtype)
+
+    def _path_on(self, state: JointState, number: int) -> tuple[Prior, np.ndarray]:
+        """Return (path, explained) of the next block: the state in the middle of the window on a trajectory
+        through all of it.
+        """
+        if number == 1 and self.x0 is not None:
+            return self._first_path(state)
+        lanes = np.flatnonzero(state.explained)
+        if not len(lanes):
+            return state.path, state.explained
+        path, window = chosen(state.path, lanes), chosen(state.window, lanes)
+
+        def job(block: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            return self._trajectories(chosen(path, block), chosen(window, block))
+
+        parts = zip(*in_blocks(job, len(lanes), ROOM), strict=True)
+        ok, x, off = (np.concatenate(part, -1)[..., : len(lanes)] for part in parts)
+        c, r = np.zeros_like(state.path.c), np.zeros_like(state.path.r)
+        c[:, lanes] = x
+        r[:, lanes] = rounding.round_up(off + np.abs(x - x.astype(self.plant.dtype)), self.plant.dtype)
+        is_explained = np.zeros_like(state.explained)
+        is_explained[lanes] = ok
+        return state.path._replace(c=c, S=np.zeros_like(state.path.S), r=r), is_explained
+
+    def _first_path(self, state: JointState) -> tuple[Prior, np.ndarray]:
+        """Return (path, explained) where a trajectory begins anywhere in x0."""
+        if self.plant.unknown is not None or self._has_more_bounds:
+            return state.path, state.explained
+        c, S, r, *_ = state.mark
+        # sides of a box: a state is compared with each
+        apart = (S == 0) | np.eye(len(S), dtype=bool)[:, :, None]
+        path = Prior(c, S, np.zeros_like(r), *self._no_strips(r.shape[-1]))
+        return path, state.marked & apart.all((0, 1))
+
+    @property
+    def _has_more_bounds(self) -> bool:
+        """Whether a model has bounds that an enclosure may leave out, and a trajectory must not."""
+        if not isinstance(self.model, LinearSystem):
+            return False
+        return bool(self.model.averages) or bool(self.model.constant_tolerance)
+
+    def _trajectories(self, path: Prior, window: Samples) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return (ok, x, off) of the trajectories that a search finds, see `explained`."""
+        gauges = self.programs.gauges(path, window)
+        xi, w, _ = split(gauges.z, gauges.window)
+        return explained(self.plant.exact, path, window, xi, w)
+
+    def _tested(self, state: JointState, samples: Piece) -> tuple[JointState, steps.Found]:
+        """Return (state, Found) of samples of one block."""
+        T = len(samples.fresh)
+        if T and int(state.samples) % self.half == 0:
+            state = self._next_block(state)
+        t, before = int(state.samples), state.carry
+        block = t // self.half * self.half
+        after, found, known = self._followed(before, samples)
+        begin = self.half + t % self.half
+        state = state._replace(window=self._with_samples(state.window, begin, known, found))
+        since = t + np.arange(T)[:, None] - found.age + 1
+        asked = (found.age > 0) & (since <= block - self.half) & state.held
+        asked &= found.status == Status.UNDECIDED
+        wrong, margin, states = self._refuted(state, begin, asked, found.states)
+        right = self._consistent(state, begin, asked & ~wrong & state.explained & (since == 0))
+        if wrong.any():
+            wrong = is_first(wrong)
+            # windows behind it speak of samples that are given up
+            up_to_it = np.cumsum(wrong, 0) - wrong == 0
+            asked, right = asked & up_to_it, right & up_to_it
+            after, found = self._contradicted(before, samples, wrong, after, found)
+        state = self._carried_on(state, after, T)
+        return state, self._with_windows(found, asked, wrong, right, margin, states)
+
+    def _with_samples(
+        self, window: Samples, begin: int, known: steps.Read | None, found: steps.Found
+    ) -> Samples:
+        """Return the window with the samples of a piece at their place."""
+        assert known is not None  # hulls asks for it
+        numbers, n = self.plant.numbers, self.plant.system.n
+        direct = (np.abs(numbers.D) + numbers.wide_D).sum(1) > 0
+        blind = ~known.known[:, None] & direct[:, None]
+        rad = np.where(blind, np.inf, known.rad).astype(self.plant.dtype)
+        reach = np.maximum(found.states[:, :n], found.states[:, n:])
+        out = jax.tree.map(np.array, window)
+        for to, x in zip(out, (known.mid, rad, known.v, known.slip, reach), strict=True):
+            to[begin : begin + len(x)] = x
+        return out
+
+    def _carried_on(self, state: JointState, after: steps.ZonotopeCarry, T: int) -> JointState:
+        """Return the state behind T samples: sets that are older than what the zonotopes rest on are given
+        up.
+        """
+        t = int(state.samples)
+        block = t // self.half * self.half
+        ages = after.age.reshape(len(self.weights), -1)
+        since = np.where((ages >= 0).all(0), t + T - ages.max(0), t + T)
+        return state._replace(
+            carry=after,
+            samples=state.samples + T,
+            held=state.held & (since <= block - self.half),
+            marked=state.marked & (since <= block),
+            explained=state.explained & (since == 0),
+        )
+
+    def _with_windows(
+        self,
+        found: steps.Found,
+        asked: np.ndarray,
+        wrong: np.ndarray,
+        right: np.ndarray,
+        margin: np.ndarray,
+        states: np.ndarray,
+    ) -> steps.Found:
+        """Return Found with the verdicts, margins and states of windows."""
+        explained_status = np.where(right, np.int8(Status.CONSISTENT), found.status)
+        status = np.where(wrong, np.int8(Status.FAULT), explained_status)
+        lower = asked & (margin < found.margin) & ((found.status != Status.FAULT) | wrong)
+        least = np.where(lower, margin, found.margin).astype(self.plant.dtype)
+        found = found._replace(status=status, margin=least)
+        if not self.enclosures:
+            return found
+        narrower = asked[:, None] & (found.age > 0)[:, None]
+        return found._replace(states=np.where(narrower, np.minimum(states, found.states), found.states))
+
+    def _contradicted(
+        self,
+        before: steps.ZonotopeCarry,
+        samples: Piece,
+        wrong: np.ndarray,
+        after: steps.ZonotopeCarry,
+        found: steps.Found,
+    ) -> tuple[steps.ZonotopeCarry, steps.Found]:
+        """Return (carry, Found) of samples where windows are refuted at some (T, N)."""
+        if self.restart:
+            anew = samples._replace(fresh=fresh_behind(samples.fresh, wrong))
+            after, found, _ = self._followed(before, anew)
+            return ended(after, wrong[-1]), found
+        stays = wrong | staying(np.zeros_like(wrong[0]), wrong, samples.fresh)
+        status = np.where(stays, np.int8(Status.FAULT), found.status)
+        empty = after.empty | np.tile(stays[-1], len(self.weights))
+        return after._replace(empty=empty), found._replace(status=status)
+
+    def _refuted(
+        self, state: JointState, begin: int, asked: np.ndarray, states: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return (refuted, margin (T, N), ends of states (T, 2 n, N)) of the windows that end at samples of
+        one block, where asked.
+        """
+        wrong, margin, ends = np.zeros(asked.shape, bool), np.full(asked.shape, np.inf), states.copy()
+        ks, lanes = np.nonzero(asked)
+        if not len(ks):
+            return wrong, margin, ends
+        prior, window = chosen(state.prior, lanes), self._up_to(state.window, lanes, begin + ks)
+
+        def job(block: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            return self.programs.gauges(chosen(prior, block), chosen(window, block))[:3]
+
+        parts = zip(*in_blocks(job, len(ks), ROOM), strict=True)
+        value, bound, t = (np.concatenate(part)[: len(ks)] for part in parts)
+        refuted = np.abs(value) > bound
+        wrong[ks, lanes] = refuted
+        with np.errstate(divide="ignore", invalid="ignore"):
+            margin[ks, lanes] = np.where(refuted, 1 - np.abs(value) / bound, np.maximum(1 - t, 0))
+        if self.enclosures:
+            n = self.plant.system.n
+            own = ends[ks, :, lanes].T
+            width = np.maximum(own[:n] + own[n:], 0)
+            low, high = self.programs.supports(prior, window, np.eye(n), width, begin + ks)
+            shown = ~refuted & np.isfinite(low) & np.isfinite(high) & (low <= high)
+            better = rounding.round_up(np.concatenate([-low, high]), self.plant.dtype)
+            both = np.concatenate([shown, shown])
+            ends[ks, :, lanes] = np.where(both, np.minimum(own, better), own).T
+        return wrong, margin, ends
+
+    def _up_to(self, window: Samples, lanes: np.ndarray, last: np.ndarray) -> Samples:
+        """Return the windows of some recordings, without the samples behind the last of each."""
+        some = chosen(window, lanes)
+        later = np.arange(self.window)[:, None] > last
+        rad = np.where(later[:, None], np.inf, some.rad).astype(self.plant.dtype)
+        return some._replace(rad=rad)
+
+    def _consistent(self, state: JointState, begin: int, asked: np.ndarray) -> np.ndarray:
+        """Return (T, N) bool: where a trajectory through all samples so far is exhibited, of windows that end
+        in one block.
+        """
+        out = np.zeros(asked.shape, bool)
+        ks, lanes = np.nonzero(asked)
+        if not len(ks):
+            return out
+        path, window = chosen(state.path, lanes), self._up_to(state.window, lanes, begin + ks)
+
+        def job(block: np.ndarray) -> np.ndarray:
+            return self._trajectories(chosen(path, block), chosen(window, block))[0]
+
+        out[ks, lanes] = np.concatenate(in_blocks(job, len(ks), ROOM))[: len(ks)]
+        return out
+
+
+def joint_observer(setup: ObserverSetup, window: int) -> JointObserver:
+    """Return the observer that tests windows of up to `window` samples.
+
+    Raises:
+        ValueError: unknown inputs that outputs do not show at once.
+    """
+    return JointObserver(
+        plant=_with_one_way(setup.plant),
+        order=setup.order,
+        weights=checked_weights(setup.weight),
+        restart=setup.restart,
+        x0=setup.x0,
+        window=window,
+    )
+
+
+def _with_one_way(plant: ObservedPlant) -> ObservedPlant:
+    """Return the plant with one way to take unknown inputs out of a sample: programs know no other."""
+    if plant.unknown is None:
+        return plant
+    if plant.unknown.hidden:
+        raise ValueError(
+            'method "joint" needs outputs that show what unknown inputs do at once: use "zonotope" '
+            'or "strips"'
+        )
+    return replace(plant, unknown=replace(plant.unknown, ways=plant.unknown.ways[:1]))
+
+
+def _is_bounded(prior: Prior) -> np.ndarray:
+    """Return which sets are bounded, (N,) bool."""
+    finite = np.isfinite(prior.c).all(0) & np.isfinite(prior.S).all((0, 1))
+    return finite & np.isfinite(prior.r).all(0)

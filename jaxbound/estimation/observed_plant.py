@@ -1,0 +1,107 @@
+"""A model as set observers compute with it: worked out once, shared by every observer of it."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeAlias
+
+import jax
+import numpy as np
+
+from jaxbound.estimation.counts import is_whole
+from jaxbound.estimation.zonotope_begin import least_horizon, price, zonotope_begin
+from jaxbound.estimation.zonotope_numbers import free_numbers, numbers
+from jaxbound.estimation.zonotope_steps import Numbers, Start
+from jaxbound.models.intervals import IntervalSystem, as_intervals
+from jaxbound.models.system import LinearSystem
+from jaxbound.models.unknown_directions import Directions, unknown_directions, with_direct_states
+
+__all__ = ["ObservedModel", "ObservedPlant", "observed_plant"]
+
+ObservedModel: TypeAlias = LinearSystem | IntervalSystem
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedPlant:
+    """A model, and all that follows from it alone. Build it with `observed_plant`.
+
+    Fields: model: as it was given; linear: the LinearSystem with a state for each unknown input that acts on
+    an output at once, or None of an `interval_system`; system: with intervals as its entries; unknown: the
+    directions of unknown inputs, or None; start: how samples alone show the state, or None; past: samples
+    before the first that this takes; dtype: of all that kernels take.
+    """
+
+    model: ObservedModel
+    linear: LinearSystem | None
+    system: IntervalSystem
+    unknown: Directions | None
+    start: Start | None
+    past: int
+    dtype: np.dtype
+
+    @cached_property
+    def numbers(self) -> Numbers:
+        """The model in floats of the dtype."""
+        all_in_bounds = self.system.n == self.model.n
+        free = free_numbers(self.unknown, self.linear, all_in_bounds, self.dtype)
+        return numbers(self.linear, self.system, self.dtype, free)
+
+    @cached_property
+    def exact(self) -> Numbers:
+        """The same numbers in float64."""
+        return jax.tree.map(lambda x: np.asarray(x, np.float64), self.numbers)
+
+    @cached_property
+    def placed(self) -> tuple[Numbers, Start | None]:
+        """The numbers and the start where kernels run: they are not copied there for each sample."""
+        return jax.device_put((self.numbers, self.start))
+
+    def __getstate__(self) -> dict[str, Any]:
+        # another process may have other devices
+        return {name: value for name, value in vars(self).items() if name != "placed"}
+
+
+def observed_plant(model: ObservedModel, horizon: int | None, has_first: bool) -> ObservedPlant:
+    """Return the ObservedPlant of a model.
+
+    Args:
+        horizon: h of the h + 1 samples that show the state; None: the least. has_first: whether bounds of the
+            first state are given, so that samples need not show it.
+
+    Raises:
+        ValueError: samples that do not show the state, a horizon that is none; as `unknown_directions`.
+        TypeError: no model.
+    """
+    linear = None
+    if isinstance(model, LinearSystem):
+        linear = with_direct_states(model) if model.d else model
+    system = as_intervals(model if linear is None else linear, unknown_inputs=True)
+    unknown = None
+    if isinstance(model, LinearSystem) and linear is not None and model.d:
+        unknown = unknown_directions(linear)
+    if horizon is not None and (not is_whole(horizon) or horizon < 0):
+        raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
+    price(system.n, system.p, horizon)
+    h = _horizon(linear, system, unknown) if horizon is None else int(horizon)
+    dtype = np.dtype(jax.dtypes.canonicalize_dtype(np.float64))
+    start = None if h is None else zonotope_begin(linear, system, h, dtype, unknown)
+    if start is None and not has_first:
+        raise ValueError(_nothing_shown(h))
+    past = 0 if start is None or h is None else h
+    return ObservedPlant(model, linear, system, unknown, start, past, dtype)
+
+
+def _horizon(linear: LinearSystem | None, system: IntervalSystem, unknown: Directions | None) -> int | None:
+    """Return the least horizon that shows all states, if there is one and it is affordable."""
+    h = least_horizon(linear, system, unknown)
+    if h is not None and h * system.p > system.n:  # more than the least that was priced
+        price(system.n, system.p, h)
+    return h
+
+
+def _nothing_shown(h: int | None) -> str:
+    """Return why samples alone do not show the state."""
+    if h is None:
+        return (
+            "the outputs do not show all states, however long one looks: give x0, bounds of the first state"
+        )
+    return f"{h + 1} samples do not show all states, or the parameters are too uncertain for it: give x0"

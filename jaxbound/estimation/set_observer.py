@@ -1,0 +1,556 @@
+"""Set observers: at every sample an enclosure of the state from everything since the start, and a proof when
+nothing is left of it.
+
+A window forgets what came before it; an observer does not. The set of states that all samples so far allow is
+carried on as a zonotope (`zonotope_steps`): moved by the model, met with what each sample says. Where it is
+proved empty, no behaviour within the bounds explains the samples since it began: a FAULT.
+
+An observer is a value. What it carries goes in and comes out of `fold`; an observer that goes on, or that
+encloses states as well, is another value (`dataclasses.replace`) that shares the numbers of its plant.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Generic, NamedTuple, Protocol, Self, TypeVar
+
+import jax
+import numpy as np
+from jax.typing import DTypeLike
+from numpy.typing import ArrayLike
+
+from jaxbound.certificates.interface import evidence
+from jaxbound.consistency.interface import Budget, Judged, Observer
+from jaxbound.estimation import zonotope_steps as steps
+from jaxbound.estimation.blocks import in_blocks, repeated
+from jaxbound.estimation.lanes import emptied, joined
+from jaxbound.estimation.observed_plant import ObservedModel, ObservedPlant
+from jaxbound.estimation.second_look import decided_twice
+from jaxbound.estimation.short_proof import short_proof
+from jaxbound.estimation.zonotope_numbers import ROUNDED, FirstSet
+from jaxbound.models.sensor import input_slip
+from jaxbound.recordings.recording import Recording, SignalModel, signals_of
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.kernel import is_outside_xla
+from jaxbound.sets.floats.status import Status
+from jaxbound.sets.intervals.interval import Interval
+from jaxbound.text.objects import readable
+
+__all__ = [
+    "Observation",
+    "ObserverSetup",
+    "ObserverState",
+    "Piece",
+    "SetObserver",
+    "ZonotopeObserver",
+    "checked_weights",
+    "zonotope_observer",
+]
+
+BLOCK = 32
+"""Sets side by side in the one kernel there is: they should stay in the cache. It is filled up, since kernels
+of other shapes round otherwise: what is said of a recording would depend on what stands beside it."""
+EVEN = 8
+"""Recordings in a block are a multiple of it: vectors have no rest, so that a recording's place in it does
+not matter.
+"""
+BESIDE = 128
+"""Recordings side by side where many are evaluated in NumPy."""
+PIECE = 16
+"""Samples that the kernel is compiled for."""
+
+Tree = TypeVar("Tree")
+
+
+class CarriedState(Protocol):
+    """The state of any set observer: its zonotopes, and how many samples there were."""
+
+    @property
+    def carry(self) -> steps.ZonotopeCarry:
+        """The zonotopes, recordings on the last axis."""
+
+    @property
+    def samples(self) -> np.int64:
+        """How many samples there were."""
+
+
+State = TypeVar("State", bound=CarriedState)
+
+
+@readable
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """The states and outputs that `observe` encloses, and its verdicts, time first.
+
+    Fields:
+        status (..., T) int8, see `Status`: FAULT is a proof that no behaviour explains all samples from
+            `since` to this one. CONSISTENT that one does: a trajectory, of method "joint" with x0 alone.
+            UNDECIDED: neither is proved. MISSING: nothing to test against (the state is not known yet), or no
+            sample.
+        margin (..., T): 1 - t, t the factor on the set before this sample and on its own bounds at which the
+            two would just touch, by the worst output: < 0 where FAULT. It is about this sample given those
+            before, not comparable with the margin of a window. NaN where nothing was tested.
+        since (..., T) int: the first sample that the enclosure rests on; -1: there is none.
+        state Interval (..., T, n): holds the state of every behaviour that explains the samples from `since`
+            on, this one included; entire where there is none. Of a FAULT: the states that the samples before
+            it allowed. NaN, like the others, where nothing is left: behind a FAULT that stays
+            (restart=False).
+        predicted Interval (..., T, p): of a perfect sensor, as far as the samples before this one tell.
+        output Interval (..., T, p): with this sample.
+    """
+
+    status: np.ndarray
+    margin: np.ndarray
+    since: np.ndarray
+    state: Interval
+    predicted: Interval
+    output: Interval
+
+
+@readable
+class ObserverState(NamedTuple):
+    """The sets that an observer carries on, and its place in time.
+
+    Fields: carry: of the kernels, recordings on the last axis; samples: how many there were.
+    """
+
+    carry: steps.ZonotopeCarry
+    samples: np.int64
+
+
+class ObserverSetup(NamedTuple):
+    """The choices that all methods share.
+
+    Fields: plant; order: generators a state; weight: one or several; restart; x0: the set of the first state,
+    or None. See `observer`.
+    """
+
+    plant: ObservedPlant
+    order: float
+    weight: float | Sequence[float]
+    restart: bool
+    x0: FirstSet | None
+
+
+class Piece(NamedTuple):
+    """Samples of N recordings side by side, as kernels take them.
+
+    Fields: u, y, slip (T, ., N): inputs, outputs, and the error of recorded inputs; fresh (T, N): whether a
+    sample does not follow the one before; rounded (): the unit roundoff of the type in which y was recorded.
+    """
+
+    u: np.ndarray
+    y: np.ndarray
+    slip: np.ndarray
+    fresh: np.ndarray
+    rounded: np.ndarray
+
+    def mapped(self, change: Callable[[np.ndarray], np.ndarray]) -> "Piece":
+        """Return the piece with another choice of its samples or recordings."""
+        return Piece(change(self.u), change(self.y), change(self.slip), change(self.fresh), self.rounded)
+
+    def of_recordings(self, lanes: np.ndarray) -> "Piece":
+        """Return some of the recordings."""
+        return self.mapped(lambda x: np.take(x, lanes, -1))
+
+    def cut(self, first: int, stop: int) -> "Piece":
+        """Return some of the samples."""
+        return self.mapped(lambda x: x[first:stop])
+
+    def filled(self, length: int) -> "Piece":
+        """Return the samples with zeros behind them, up to a length."""
+        return self.mapped(lambda x: _filled(x, length))
+
+
+@readable
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SetObserver(Observer[State], Generic[State]):
+    """Carries the set of states that all samples since the start allow. Build it with `observer`.
+
+    Fields: plant: the model with all that follows from it; order; weights; restart; x0: the set of the first
+    state, or None; enclosures: whether `fold` returns an Observation, else verdicts alone; begun: the state
+    that it begins with where it goes on, or None.
+    """
+
+    batched: ClassVar[bool] = True
+    hulls: ClassVar[bool] = False  # whether it needs the enclosures of states, and of samples, itself
+
+    plant: ObservedPlant = field(repr=False)
+    order: float
+    weights: np.ndarray
+    restart: bool
+    x0: FirstSet | None = field(default=None, repr=False)
+    enclosures: bool = False
+    begun: State | None = field(default=None, repr=False)
+
+    @property
+    def model(self) -> ObservedModel:
+        """The model that is observed."""
+        return self.plant.model
+
+    @property
+    def signals(self) -> SignalModel:
+        """The model, or Signals with the names of an `interval_system`."""
+        return signals_of(self.model)
+
+    @property
+    def horizon(self) -> int:
+        """How many samples at the start have no verdict."""
+        if self.x0 is not None:
+            return 0
+        return self.plant.past
+
+    @property
+    def first_box(self) -> np.ndarray | None:
+        """(n, 2) lowest and highest of each first state that x0 allows, rounded outward; None without x0."""
+        if self.x0 is None:
+            return None
+        center, generators, box = (np.asarray(x, np.float64) for x in self.x0)
+        reach = (np.abs(generators).sum(1) + box) * ROUNDED
+        return np.stack([np.nextafter(center - reach, -np.inf), np.nextafter(center + reach, np.inf)], 1)
+
+    @property
+    def bounds(self) -> dict[str, np.ndarray]:
+        """{"tolerance", "noise"} (p,): of the sensors, as of relations."""
+        return {"tolerance": self.plant.system.tolerance, "noise": self.plant.system.noise}
+
+    @property
+    def made(self) -> tuple[object, ...]:
+        """The choices that verdicts depend on beside the model: they name verdicts that are kept."""
+        first = None if self.x0 is None else tuple(self.x0)
+        return "observer", self.order, self.weights, self.restart, first, self.horizon
+
+    def _rows(self) -> dict[str, str]:
+        """Return what `readable` shows."""
+        weights = " ".join(f"{weight:g}" for weight in self.weights)
+        return {
+            "model": repr(self.model),
+            "order": f"{self.order:g}",
+            "weights": weights,
+            "restart": str(self.restart),
+            "horizon": str(self.horizon),
+            "enclosures": str(self.enclosures),
+        }
+
+    def test(
+        self,
+        method: str = "joint",
+        dtype: DTypeLike | None = None,
+        budget: Budget = None,
+        compensation: ArrayLike = 0.0,
+    ) -> Self:
+        """Return the observer that gives verdicts alone; an observer knows one method.
+
+        Raises:
+            ValueError: another method than "observer" (or "joint", the default), a budget or a compensation.
+        """
+        return super().test(method, dtype, budget, compensation).telling(enclosures=False)
+
+    def telling(self, enclosures: bool) -> Self:
+        """Return the same observer, whose `fold` returns an Observation, or verdicts alone."""
+        return replace(self, enclosures=enclosures)
+
+    def continued(self, carry: State) -> Self:
+        """Return the same observer, which begins with a carry that `fold` returned."""
+        return replace(self, begun=carry)
+
+    def forgetful(self) -> Self:
+        """Return the same observer, which begins knowing nothing."""
+        return replace(self, x0=None, begun=None)
+
+    @property
+    def generators(self) -> int:
+        """How many generators a zonotope has."""
+        return int(self.order * self.plant.system.n)
+
+    @property
+    def shown_after(self) -> float:
+        """How many samples have passed when a sample alone can contradict those before; inf where samples do
+        not show the state.
+        """
+        if self.plant.start is None:
+            return np.inf
+        return self.plant.past
+
+    def init(self) -> State:
+        """Return the state of an observer that has seen nothing."""
+        return self._with_carry(self._first_carry())
+
+    def _first_carry(self) -> steps.ZonotopeCarry:
+        """Return the zonotopes before the first sample."""
+        system = self.plant.system
+        sizes = system.n, self.generators, system.p, system.m, self.plant.past
+        carry = steps.unknown(sizes, self.weights.astype(self.plant.dtype))
+        if self.x0 is not None:
+            carry = _begun_in(carry, self.x0.padded(system.n))
+        return carry
+
+    def _with_carry(self, carry: steps.ZonotopeCarry) -> State:
+        """Return the state before the first sample, whose zonotopes are known."""
+        raise NotImplementedError
+
+    def fold(self, carry: State, piece: Recording) -> tuple[State, Observation | Judged]:
+        """Take the next samples (..., T, .) of a recording, or of recordings side by side; return (carry,
+        Observation or Judged).
+        """
+        return decided_twice(self, carry, piece)
+
+    def judged(self, carry: State, piece: Recording) -> tuple[State, Observation | Judged]:
+        """Return what `fold` does, by XLA alone: its FAULTs are decided once."""
+        lead, samples = self._side_by_side(carry, piece)
+        T, count = samples.fresh.shape
+        state = self._of_all(carry, count)
+        parts: list[steps.Found] = []
+        first = 0
+        while first < T or not parts:
+            stop = min(first + self._next_samples(state), T)
+            state, part = self._tested(state, samples.cut(first, stop))
+            parts.append(part)
+            first = stop
+        whole = parts[0] if len(parts) == 1 else jax.tree.map(lambda *x: np.concatenate(x), *parts)
+        return state, self._verdicts(whole, lead, T, carry)
+
+    def _of_all(self, carry: State, count: int) -> State:
+        """Return the carry of `count` recordings; one of a single recording is that of all."""
+        return carry
+
+    def _next_samples(self, state: State) -> int:
+        """Return how many samples are tested at once."""
+        raise NotImplementedError
+
+    def _tested(self, state: State, samples: Piece) -> tuple[State, steps.Found]:
+        """Return (state, Found) of samples that follow those before."""
+        raise NotImplementedError
+
+    def _side_by_side(self, carry: State, piece: Recording) -> tuple[tuple[int, ...], Piece]:
+        """Return (leading shape, samples) of a piece."""
+        piece.finite()
+        u, y = np.asarray(piece.u), np.asarray(piece.y)
+        *lead, T, p = y.shape
+        count = int(np.prod(lead))
+        followed = carry.carry.c.shape[-1] // len(self.weights)
+        if followed not in (1, count):
+            raise ValueError(f"this observer follows {followed} recordings, y holds {count}")
+
+        def time_first(x: np.ndarray) -> np.ndarray:
+            if count == 1:
+                return x.reshape(T, -1, 1).astype(self.plant.dtype)
+            return np.moveaxis(x.reshape(count, T, x.shape[-1]), 0, -1).astype(self.plant.dtype)
+
+        fresh = np.zeros((T, count), bool)
+        fresh[np.asarray(piece.starts, np.int64)] = True
+        if piece.excluded is not None:
+            fresh |= piece.excluded[:, None]
+        rounded = max(float(rounding.unit(y.dtype)), float(rounding.unit(self.plant.dtype)))
+        columns = time_first(u), time_first(y), time_first(input_slip(u))
+        return tuple(lead), Piece(*columns, fresh, np.asarray(rounded, self.plant.dtype))
+
+    def _followed(
+        self, carry: steps.ZonotopeCarry, samples: Piece
+    ) -> tuple[steps.ZonotopeCarry, steps.Found, steps.Read | None]:
+        """Return (carry, Found (T, .., N), the Read or None) of zonotopes that follow samples."""
+        room = self._room
+        count = samples.fresh.shape[-1]
+        if is_outside_xla() and count > room:
+            room = max(room, BESIDE)  # NumPy rounds alike whatever is beside
+        if count == 1:
+            return self._followed_alone(carry, samples, room)
+        return self._followed_in_blocks(carry, samples, room)
+
+    def _followed_alone(
+        self, carry: steps.ZonotopeCarry, samples: Piece, room: int
+    ) -> tuple[steps.ZonotopeCarry, steps.Found, steps.Read | None]:
+        """Follow one recording, which fills a block with copies of itself: whoever follows a recording sample
+        by sample is in a hurry, and nothing is to be cut.
+        """
+
+        def full(x: np.ndarray) -> np.ndarray:
+            return np.repeat(np.asarray(x), room, -1)
+
+        after, found, known = self._block(jax.tree.map(full, carry), samples.mapped(full))
+        after = jax.tree.map(lambda x: np.array(np.asarray(x)[..., ::room]), after)
+        known = jax.tree.map(lambda x: x[..., :1], known)
+        return after, joined(jax.tree.map(lambda x: x[..., ::room, None], found)), known
+
+    def _followed_in_blocks(
+        self, carry: steps.ZonotopeCarry, samples: Piece, room: int
+    ) -> tuple[steps.ZonotopeCarry, steps.Found, steps.Read | None]:
+        """Follow recordings side by side, `room` of them in a block, each with its weights."""
+        lanes, count = len(self.weights), samples.fresh.shape[-1]
+
+        def split(x: np.ndarray) -> np.ndarray:
+            x = np.asarray(x)
+            return x.reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes)
+
+        def beside(x: np.ndarray) -> np.ndarray:
+            return x.reshape(*x.shape[:-2], x.shape[-2] * x.shape[-1])
+
+        def job(block: np.ndarray) -> tuple[Any, ...]:
+            own = jax.tree.map(lambda x: beside(x[..., block]), past)
+            return self._block(own, samples.of_recordings(block))
+
+        def together(*parts: np.ndarray) -> np.ndarray:
+            return np.concatenate([split(x) for x in parts], -1)[..., :count]
+
+        past = repeated(jax.tree.map(split, carry), count)
+        carries, founds, reads = zip(*in_blocks(job, count, room), strict=True)
+        after = jax.tree.map(lambda *parts: beside(together(*parts)), *carries)
+        known = jax.tree.map(lambda *parts: np.concatenate(parts, -1)[..., :count], *reads)
+        return after, joined(jax.tree.map(together, *founds)), known
+
+    @property
+    def _room(self) -> int:
+        """How many recordings a block has."""
+        return max(BLOCK // len(self.weights) // EVEN, 1) * EVEN
+
+    def _block(
+        self, carry: steps.ZonotopeCarry, samples: Piece
+    ) -> tuple[steps.ZonotopeCarry, steps.Found, steps.Read | None]:
+        """Follow some recordings side by side, piece by piece; the carry stays where it was worked out."""
+        T = len(samples.fresh)
+        numbers, start = self.plant.placed
+        enclosures = 2 if self.enclosures else int(self.hulls)
+        parts: list[tuple[steps.Found, steps.Read | None]] = []
+        first = 0
+        while first < T or not parts:
+            count = min(PIECE, T - first)
+            given = samples.cut(first, first + count).filled(PIECE)
+            carry, *rest = steps.follow(
+                numbers,
+                start,
+                carry,
+                tuple(given),
+                count,
+                len(self.weights),
+                enclosures,
+                self.restart,
+                self.hulls,
+            )
+            parts.append(_of_first((rest[0], rest[1]), count))
+            first += count
+        if len(parts) == 1:
+            return carry, *parts[0]
+        return carry, *jax.tree.map(lambda *x: np.concatenate(x), *parts)
+
+    def _verdicts(
+        self, found: steps.Found, lead: tuple[int, ...], T: int, before: State
+    ) -> Observation | Judged:
+        """Return the Observation, or the verdicts, of arrays with time first and recordings last.
+
+        Args:
+            before: the state before these samples.
+        """
+
+        def shaped(x: np.ndarray) -> np.ndarray:
+            rest = x.shape[1:-1]
+            if x.shape[-1] > 1:
+                x = np.moveaxis(x, -1, 0)
+            return x.reshape(*lead, T, *rest)
+
+        status, margin, age = shaped(found.status), shaped(found.margin), shaped(found.age)
+        if not self.enclosures:
+            return Judged(status, margin)
+        since = np.where(age > 0, int(before.samples) + np.arange(T) - age + 1, -1)
+        refuted: np.ndarray | None = None
+        if not self.restart:
+            empty = np.asarray(before.carry.empty).reshape(len(self.weights), -1)
+            refuted = np.asarray(empty.any(0))
+        found = emptied(found, refuted)
+        n, p = self.plant.system.n, self.plant.system.p
+        state = _interval(shaped(found.states), n)
+        outputs = shaped(found.outputs)
+        return Observation(
+            status,
+            margin,
+            since,
+            jax.tree.map(lambda end: end[..., : self.model.n], state),
+            predicted=_interval(outputs[..., : 2 * p], p),
+            output=_interval(outputs[..., 2 * p :], p),
+        )
+
+
+@readable
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ZonotopeObserver(SetObserver[ObserverState]):
+    """Carries zonotopes alone, one for each weight. Build it with `observer`.
+
+    Fields: as of SetObserver.
+    """
+
+    def _with_carry(self, carry: steps.ZonotopeCarry) -> ObserverState:
+        """Return the state before the first sample, whose zonotopes are known."""
+        return ObserverState(carry, np.int64(0))
+
+    def _next_samples(self, state: ObserverState) -> int:
+        """Return how many samples are tested at once: all of them."""
+        return np.iinfo(np.int64).max
+
+    def _tested(self, state: ObserverState, samples: Piece) -> tuple[ObserverState, steps.Found]:
+        """Return (state, Found) of samples that follow those before."""
+        carry, found, _ = self._followed(state.carry, samples)
+        return ObserverState(carry, state.samples + len(samples.fresh)), found
+
+
+def zonotope_observer(setup: ObserverSetup) -> ZonotopeObserver:
+    """Return the observer that carries zonotopes, one a weight."""
+    return ZonotopeObserver(
+        plant=setup.plant,
+        order=setup.order,
+        weights=checked_weights(setup.weight),
+        restart=setup.restart,
+        x0=setup.x0,
+    )
+
+
+def checked_weights(weight: float | Sequence[float]) -> np.ndarray:
+    """Return weights (k,), k at least 1.
+
+    Raises:
+        ValueError: others than positive numbers.
+    """
+    weights = np.atleast_1d(np.asarray(weight, np.float64))
+    positive = (weights > 0) & np.isfinite(weights)
+    if weights.ndim > 1 or not len(weights) or not positive.all():
+        raise ValueError(f"weight must be a positive number, or several: it is {weight!r}")
+    return weights
+
+
+def _of_first(tree: Tree, count: int) -> Tree:
+    """Return the first samples of arrays, on the host."""
+    return jax.tree.map(lambda x: np.asarray(x)[:count], tree)
+
+
+def _filled(x: np.ndarray, length: int) -> np.ndarray:
+    """Return x with zeros behind, up to a length."""
+    out = np.zeros((length, *x.shape[1:]), x.dtype)
+    out[: len(x)] = x
+    return out
+
+
+def _interval(ends: np.ndarray, width: int) -> Interval:
+    """Return the Interval of ends -lo, hi, one behind the other."""
+    return Interval(-ends[..., :width], ends[..., width:])
+
+
+def _begun_in(carry: steps.ZonotopeCarry, first: FirstSet) -> steps.ZonotopeCarry:
+    """Return the carry of a first sample whose state is in a set."""
+
+    def of_each(x: np.ndarray) -> np.ndarray:
+        return np.repeat(x[..., None], len(carry.age), -1)
+
+    spare = carry.G.shape[1] - first.generators.shape[1]
+    generators = np.pad(first.generators, ((0, 0), (0, spare)))
+    return carry._replace(
+        c=of_each(first.center),
+        G=of_each(generators),
+        r=of_each(first.box),
+        age=np.zeros_like(carry.age),
+    )
+
+
+@evidence.register(SetObserver)
+def _(
+    observer: SetObserver[Any], result: Any, at: tuple[int, ...], status: Status
+) -> tuple[Any, str, np.ndarray, np.ndarray]:
+    """Return the shortest window that proves a FAULT, see `short_proof`."""
+    return short_proof(observer.model, observer.first_box, result, at, status)

@@ -1,0 +1,178 @@
+"""Live sources: a function in a Python file that yields recordings as they come, from a broker or a device.
+
+    # plant.py
+    def readings(model):
+        for message in subscribe("plant/1"):
+            yield {"time": [message.time], "u1": [message.u], "y1": [message.y]}
+
+`jaxbound detect model.toml plant.py:readings` judges them as they come. What is yielded is anything that
+`Recording.of` takes for one sample or many: a Recording, a table, a dict of columns. In Python the same
+generator needs no more than `for piece in readings(model): state, verdicts = monitor.run(state, piece)`; and
+one that ends is a recording: `detect(relations, read(readings(model), model))`.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from runpy import run_path
+from typing import Any
+
+import numpy as np
+
+from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.seams import around, check_period, tick
+from jaxbound.recordings.source import Source
+from jaxbound.recordings.stream import Complain, Stream
+from jaxbound.recordings.timestamps import time_label
+
+__all__ = ["LiveSource", "Readings", "joined"]
+
+NAMED = re.compile(r"(.+\.py):([A-Za-z_]\w*)")
+EPOCH = 1e9  # a time in seconds that large is counted from 1970
+
+
+class LiveSource(Source):
+    """A function that yields recordings, named as `file.py:function`, or an iterator of them.
+
+    The file is run as Python runs a script that is imported: it is the user's own.
+    """
+
+    live = True
+
+    @classmethod
+    def takes(cls, data: object) -> bool:
+        """Return whether data are an iterator, or the name of a function in a file that is there."""
+        if isinstance(data, Iterator):
+            return True
+        named = NAMED.fullmatch(data) if isinstance(data, str) else None
+        return named is not None and Path(named[1]).is_file()
+
+    @classmethod
+    def digest(cls, data: object) -> None:
+        """Return None: what was read is gone."""
+        return None
+
+    @property
+    def label(self) -> str:
+        """The name of the function; of an iterator its kind."""
+        return self.data if isinstance(self.data, str) else type(self.data).__name__
+
+    def stream(self, complain: Complain, memory: dict[str, Any] | None = None) -> "Readings":
+        """Return the Stream of what the function yields, behind a memory."""
+        if isinstance(self.data, Iterator):
+            return Readings(self.model, self.data, complain, memory)
+        named = NAMED.fullmatch(str(self.data))
+        assert named is not None, "the name was taken"
+        function = run_path(named[1], run_name=Path(named[1]).stem).get(named[2])
+        if not callable(function):
+            raise ValueError(f"{named[1]} has no function {named[2]}")
+        return Readings(self.model, function(self.model), complain, memory)
+
+    def whole(self, progress: Callable[[float], object] | None = None) -> Recording:
+        """Return all that the function yields as one Recording; it has to end."""
+        return joined(self.model, self.stream(lambda kind, sentence: None).raw)
+
+
+class Readings(Stream):
+    """A stream of recordings.
+
+    Args:
+        model: whose signals are wanted. readings: what `Recording.of` takes, again and again, in order of
+            time. complain, memory: as for `PipeText`.
+    """
+
+    def __init__(
+        self,
+        model: Any,
+        readings: Iterable[Any],
+        complain: Complain = lambda kind, sentence: None,
+        memory: dict[str, Any] | None = None,
+    ) -> None:
+        super().__init__(model, complain)
+        self.raw = iter(readings)
+        self.resumed = memory is not None
+        if memory is not None:
+            self._resume_clock(memory)
+
+    def pieces(self, arrivals: Iterable[Any]) -> Iterator[tuple[int, Recording]]:
+        """Yield (number of its first sample, Recording) of each reading.
+
+        Raises:
+            ValueError: a reading that is no recording of this model.
+        """
+        for reading in arrivals:
+            if reading is None:
+                return
+            piece = self._new(Recording.of(self.model, reading, regular=False))
+            if piece.samples:
+                yield self.clock.samples - piece.samples, piece
+            else:
+                yield self.nothing()
+
+    def memory(self) -> dict[str, Any] | None:
+        """Return the memory of the clock; None before the first sample."""
+        if not self.clock.samples:
+            return None
+        return self._clock_memory()
+
+    def when(self, piece: Recording, k: int) -> str | float:
+        """Return the time of a sample in s, since 1970 where there are dates."""
+        assert piece.time is not None, "a piece of this stream has times"
+        return float(piece.time[k])
+
+    def label(self, when: str | float) -> str:
+        """Return a time as text."""
+        seconds = float(when)
+        stamp = np.datetime64(round(seconds * 1e9), "ns") if seconds > EPOCH else None
+        return time_label(seconds, stamp, self.model.dt)
+
+    def _new(self, piece):
+        """Return the samples of a reading that were not judged before, with the seams before and in them."""
+        counted = piece.time is None
+        time = self._times(piece)
+        if self.resumed and not counted:
+            piece, time = self._behind(piece, time)
+            if not piece.samples:
+                return piece
+        check_period(time, self.model.dt)
+        known = self.clock.samples
+        self.clock, seams = tick(self.clock, time)
+        starts = np.union1d(np.union1d(piece.starts, seams - known), around(piece.excluded))
+        if self.resumed and counted:
+            self.complain("replay", "no time says whether samples were lost between: windows begin anew")
+            starts = np.union1d(starts, [0])
+        self.resumed = False
+        return replace(piece, time=time, starts=starts.astype(np.int64))
+
+    def _times(self, piece):
+        """Return the times of samples in s, counted from one instant in all pieces."""
+        if piece.time is None:
+            return (self.clock.samples + np.arange(piece.samples)) * self.model.dt
+        if np.isnan(piece.origin):
+            return np.asarray(piece.time, float)
+        return piece.origin + np.asarray(piece.time, float)
+
+    def _behind(self, piece, time):
+        """Return the samples after the last one that another process judged."""
+        fresh = np.flatnonzero(time > self.clock.last)
+        first = int(fresh[0]) if len(fresh) else piece.samples
+        if first:
+            self.complain("replay", f"{first} samples were judged before and are skipped")
+        return piece.cut(first, piece.samples), time[first:]
+
+
+def joined(model: Any, readings: Iterable[Any]) -> Recording:
+    """Return the readings of a stream that ends as one Recording."""
+    stream = Readings(model, readings)
+    whole: Recording | None = None
+    seams: list[np.ndarray] = []
+    for first, piece in stream.pieces(stream.raw):
+        seams.append(piece.starts + first)
+        whole = piece if whole is None else whole.followed(piece)
+    if whole is None:
+        raise ValueError("there is no reading: a recording has at least two samples")
+    stamps = None
+    if stream.clock.last > EPOCH and whole.time is not None:
+        stamps = np.round(whole.time * 1e9).astype("int64").astype("datetime64[ns]")
+    return replace(whole, starts=np.unique(np.concatenate(seams)), stamps=stamps, hints=())

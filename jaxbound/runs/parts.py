@@ -1,0 +1,247 @@
+"""Parts: the verdicts of a recording larger than memory, in Parquet files of a fixed number of samples.
+
+Each is written completely or not at all, and its metadata say what it depends on, so parts are all the state
+that a run keeps: those that are not there are left to do. The carry of an observer stands in the part behind
+which it is needed.
+"""
+
+import json
+import os
+import re
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import suppress
+from os import PathLike
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from jaxbound.consistency.interface import Judged
+from jaxbound.diagnosis.result import suspected
+from jaxbound.files.checkpoint import refuse_other
+from jaxbound.files.whole import UNFINISHED, whole
+from jaxbound.recordings.columns import categories, from_arrow, to_arrow
+from jaxbound.recordings.parquet import ParquetSource
+from jaxbound.recordings.parquetfiles import Damage
+from jaxbound.recordings.recording import Recording
+from jaxbound.runs.loop import Memory
+from jaxbound.runs.partnotes import AGAIN, RUNS, Noted
+from jaxbound.runs.sink import Verdicts
+from jaxbound.sets.floats.status import Status
+
+__all__ = [
+    "Parts",
+    "carry_behind",
+    "forget_parts",
+    "missing_parts",
+    "part_files",
+    "part_name",
+    "part_number",
+    "refuse_foreign",
+    "refuse_other_part",
+    "verdicts_of",
+]
+
+IDENTITY, CARRY = b"identity", b"carry"  # in the metadata of a part
+OURS = re.compile(rf"part-\d{{5,}}\.parquet|\.part-\d{{5,}}\.parquet{UNFINISHED}")
+
+
+class Carrier(Protocol):
+    """The judge whose verdicts go into parts.
+
+    Fields: again: {devices: windows that were decided again}, to be taken.
+    """
+
+    again: dict[str, int]
+
+    def memory(self) -> Memory:
+        """Return its carry, None if it has none."""
+
+
+class Parts:
+    """The parts of a stretch of a recording, a sink.
+
+    Args:
+        folder: of the parts. notes: {number of a part: its identity}. size: of a part, in samples. first,
+            end: the samples of the stretch; it begins where a part does. about: the signals of the recording.
+            judge: of the samples; verdicts of one that carries something end where a part does.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        notes: Mapping[int, Mapping[str, str]],
+        size: int,
+        first: int,
+        end: int,
+        about: Noted,
+        judge: Carrier,
+    ) -> None:
+        self.folder, self.notes, self.size, self.end = folder, notes, size, end
+        self.done, self.about, self.judge = first, about, judge
+        self.waiting: list[tuple[Any, np.ndarray, np.ndarray, np.ndarray]] = []
+
+    def add(self, piece: Recording, verdicts: Verdicts) -> None:
+        """Take the next samples; write the parts that they complete, and at the end the part that is left."""
+        import pyarrow as pa
+
+        self.waiting.append((piece.column, verdicts.status, verdicts.margin, _signals(piece)))
+        while rows := self._rows():
+            if rows < self.size and self.done + rows < self.end:
+                return
+            times, status, margin, signals = zip(*self.waiting, strict=True)
+            columns = pa.concat_arrays(times), *map(np.concatenate, (status, margin, signals))
+            self._write(*(x[: self.size] for x in columns))
+            self.waiting = [tuple(x[self.size :] for x in columns)]  # type: ignore[list-item]
+
+    def memory(self) -> None:
+        """Return None: the memory of parts is on the disk."""
+
+    def flush(self) -> None:
+        """Do nothing: parts are written as soon as they are complete."""
+
+    def _rows(self):
+        """Return the number of samples that wait for their part."""
+        return sum(len(status) for _, status, *_ in self.waiting)
+
+    def _write(self, written, status, margin, signals):
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        columns = {
+            "time": written,
+            "status": categories([x.name for x in Status], status),
+            "margin": to_arrow(margin),
+            "suspect": to_arrow(suspected(status, margin)),
+        }
+        number = self.done // self.size
+        path = self.folder / part_name(number)
+        about = self._metadata(number, signals)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        if path.exists():  # another share has made it meanwhile
+            refuse_other_part(path, self.notes[number])
+        with whole(path, links=False) as f:
+            table = pa.table(columns).replace_schema_metadata(about)
+            pq.write_table(table, f, use_dictionary=["status"], write_page_checksum=True)
+        self.done += len(status)
+
+    def _metadata(self, number, signals):
+        """Return the metadata of the next part, and take what the judge decided again."""
+        about = self.about.of(self.done, signals) | {IDENTITY: json.dumps(self.notes[number])}
+        carry = self.judge.memory()
+        if carry is not None:
+            about[CARRY] = json.dumps(carry)
+        if self.judge.again:
+            about[AGAIN] = json.dumps(self.judge.again)
+            self.judge.again.clear()
+        return about
+
+
+def _signals(piece):
+    """Return (n, k) inputs, outputs and, if the model has `where`, 1 where that holds."""
+    signals = [piece.u, piece.y]
+    if piece.excluded is not None:
+        signals.append(np.where(piece.excluded, np.nan, 1)[:, None])
+    return np.concatenate(signals, 1)
+
+
+def part_name(number: int) -> str:
+    """Return the name of the file of a part."""
+    return f"part-{number:05d}.parquet"
+
+
+def part_number(part: Path) -> int:
+    """Return the number of the part in a file."""
+    return int(part.stem.removeprefix("part-"))
+
+
+def part_files(folder: str | PathLike[str], numbers: Collection[int] | None = None) -> list[Path]:
+    """Return the complete parts of a folder of verdicts in order; numbers: only these."""
+    parts = sorted(Path(folder).glob("part-*.parquet"))
+    if numbers is None:
+        return parts
+    return [part for part in parts if part_number(part) in numbers]
+
+
+def missing_parts(folder: Path, numbers: range) -> list[int]:
+    """Return the numbers of the parts that are not there."""
+    return [i for i in numbers if not (folder / part_name(i)).exists()]
+
+
+def unfinished_parts(folder: Path) -> list[Path]:
+    """Return the files of parts that a killed run was writing."""
+    return sorted(set(our_files(folder)) - set(part_files(folder)))
+
+
+def our_files(folder: Path) -> list[Path]:
+    """Return the files in a folder of parts that are called as `Parts` calls them."""
+    if not folder.is_dir():
+        return []
+    return [folder / name for name in os.listdir(folder) if OURS.fullmatch(name)]
+
+
+def forget_parts(folder: Path) -> None:
+    """Remove all parts of a folder, and the folder if nothing else is in it."""
+    for file in our_files(folder):
+        file.unlink(missing_ok=True)
+    with suppress(OSError):
+        folder.rmdir()
+
+
+def refuse_foreign(folder: Path) -> None:
+    """Raise ValueError if something in a folder of parts is called otherwise than a part."""
+    if not folder.is_dir():
+        return
+    strangers = set(os.listdir(folder)) - {file.name for file in our_files(folder)}
+    if strangers:
+        raise ValueError(
+            f"{folder} holds {min(strangers)}, which was not written by jaxbound: move it, or choose another "
+            f"folder"
+        )
+
+
+def refuse_other_part(part: Path, note: Mapping[str, str]) -> None:
+    """Raise ValueError if a part is damaged, none of ours, or of another identity than the note."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        about = pq.read_schema(part).metadata or {}
+    except pa.ArrowException:
+        about = {}
+    if RUNS not in about:
+        why = "which was not written by jaxbound, or is damaged"
+        raise ValueError(f"{part.parent} holds {part.name}, {why}: move it, or choose another folder")
+    refuse_other(part, json.loads(about.get(IDENTITY, "{}")), note)
+
+
+def carry_behind(part: Path) -> Any:
+    """Return the texts of what an observer carried behind a part, see `as_texts`."""
+    import pyarrow.parquet as pq
+
+    return json.loads(pq.read_schema(part).metadata[CARRY])
+
+
+def verdicts_of(folder: Path, source: ParquetSource) -> Iterator[tuple[Recording, Judged]]:
+    """Yield (Recording, verdicts) of each part of a recording in order: times, and no signals."""
+    first = 0
+    for part in part_files(folder):
+        written, judged = _read(part)
+        time, stamps = source.times(first, written)
+        nothing = np.empty((len(time), 0))
+        yield Recording(nothing, nothing, time=time, stamps=stamps, written=written), judged
+        first += len(time)
+
+
+def _read(part):
+    """Return (time column, verdicts) of a part."""
+    import pyarrow.parquet as pq
+
+    # not read_table: it would import pandas, which takes longer than to read a part
+    with Damage(str(part)), pq.ParquetFile(part, page_checksum_verification=True) as f:
+        table = f.read()
+    written, status, margin = (table.column(name).combine_chunks() for name in ("time", "status", "margin"))
+    codes = np.array([Status[name] for name in status.dictionary.to_pylist()], np.int8)
+    indices = status.indices.cast("int32")
+    picked = codes[np.frombuffer(indices.buffers()[1], np.int32, len(indices), 4 * indices.offset)]
+    return written, Judged(picked, from_arrow(margin))

@@ -1,0 +1,181 @@
+"""Rows of verdicts as samples come: the text of verdicts.csv, and the file itself."""
+
+import math
+from pathlib import Path
+from typing import IO, Any
+
+from jaxbound.diagnosis.result import suspected
+from jaxbound.files.disk import sync, sync_folder
+from jaxbound.files.locks import lock
+from jaxbound.recordings.columns import is_plain, to_arrow, words, write_rows
+from jaxbound.recordings.linetext import FEW
+from jaxbound.recordings.recording import Recording
+from jaxbound.runs.loop import Memory
+from jaxbound.runs.refusals import Refused
+from jaxbound.runs.sink import Verdicts
+from jaxbound.sets.floats.status import Status
+
+__all__ = ["VERDICTS", "RowFile", "RowText", "number_text"]
+
+VERDICTS = "verdicts.csv"
+HEADER = b"time,status,margin,suspect\n"
+NAMES, FAULT = [status.name for status in Status], int(Status.FAULT)
+RECOGNISED = 80  # last bytes of verdicts.csv by which it is known again
+UNFORCED = 1 << 13  # bytes that wait in the checkpoint before verdicts.csv is forced to the disk
+
+
+class RowText:
+    """The rows of the last verdicts, made once for all that write them."""
+
+    def __init__(self) -> None:
+        self.verdicts: Verdicts | None = None
+        self.text = b""
+
+    def of(self, piece: Recording, verdicts: Verdicts) -> bytes:
+        """Return rows of verdicts.csv as `write_verdicts` writes them."""
+        if verdicts is not self.verdicts:
+            self.verdicts, self.text = verdicts, _rows(piece.column, verdicts)
+        return self.text
+
+
+class RowFile:
+    """verdicts.csv as samples come, a sink. Each row is there once, whenever a process dies.
+
+    Rows wait in the checkpoint until they are forced to the disk. So after a power cut, too, the next process
+    cuts the file back to where it was on the disk for sure and writes what comes behind.
+
+    Args:
+        path: of the file. text: of its rows.
+
+    Raises:
+        Refused: another process is writing it, or it does not hold what the memory speaks of.
+    """
+
+    def __init__(self, path: Path, text: RowText, state: Path) -> None:
+        self.path, self.text, self.state = path, text, state
+        self.file: IO[bytes] | None = None  # made when there is something to write
+        self.forced, self.end = 0, b""  # bytes of the file that are on the disk, and the last of them
+        self.written, self.fresh = b"", b""  # rows behind these: in the file, and to be written
+
+    def add(self, piece: Recording, verdicts: Verdicts) -> None:
+        """Take the rows of the next verdicts."""
+        self.fresh += self.text.of(piece, verdicts)
+
+    def memory(self) -> Memory:
+        """Return how much is on the disk, and all rows behind that; None before there is a file."""
+        if self.file is None and not self.fresh:
+            return None
+        if self.file is None:
+            self._begin()
+        rows = self.written + self.fresh
+        return {"forced": self.forced, "end": _as_text(self.end), "rows": _as_text(rows)}
+
+    def resume(self, memory: Any) -> None:
+        """Bring the file to where the memory is."""
+        self.forced, self.end = memory["forced"], _as_bytes(memory["end"])
+        self.fresh = _as_bytes(memory["rows"])
+        file = self._opened()
+        file.seek(max(self.forced - len(self.end), 0))
+        if file.read(len(self.end)) != self.end:
+            file.close()
+            raise Refused(
+                f"{self.path} does not hold the verdicts that {self.state} speaks of: put it back, or delete "
+                f"{self.state} to begin anew"
+            )
+        self.file = file
+        file.truncate(self.forced)
+        self.flush()
+
+    def flush(self) -> None:
+        """Write the rows, and force them to the disk once there are many."""
+        if not self.fresh:
+            return
+        if self.file is None:
+            self._begin()
+        _write(self.file, self.fresh)
+        self.written, self.fresh = self.written + self.fresh, b""
+        if len(self.written) > UNFORCED:
+            self.force()
+
+    def force(self) -> None:
+        """Force all rows to the disk."""
+        if self.file is None:
+            return
+        sync(self.file)
+        self.forced += len(self.written)
+        self.end = (self.end + self.written[-RECOGNISED:])[-RECOGNISED:]
+        self.written = b""
+
+    def close(self) -> None:
+        """Close the file."""
+        if self.file is not None:
+            self.file.close()
+
+    def _begin(self):
+        """Begin the file anew."""
+        self.file = self._opened()
+        self.file.truncate(0)
+        _write(self.file, HEADER)
+        self.written = HEADER
+        self.force()
+        sync_folder(self.path.parent)
+
+    def _opened(self):
+        file = open(self.path, "a+b", buffering=0)
+        try:
+            lock(file)
+        except BlockingIOError:
+            file.close()
+            raise Refused(f"another process is writing {self.path}: choose another folder") from None
+        return file
+
+
+def _rows(written, verdicts):
+    """Return rows of verdicts.csv; written: the times as the recording has them, a pyarrow array."""
+    import pyarrow as pa
+
+    if len(written) <= FEW and is_plain(written):  # by hand, which is sooner done
+        return _few_rows(written.to_pylist(), verdicts)
+    columns = {
+        "time": written,
+        "status": words(NAMES, verdicts.status),
+        "margin": to_arrow(verdicts.margin),
+        "suspect": to_arrow(suspected(verdicts.status, verdicts.margin)),
+    }
+    sink = pa.BufferOutputStream()
+    write_rows(sink, columns)
+    return sink.getvalue().to_pybytes()
+
+
+def _few_rows(times, verdicts):
+    rows: list[str] = []
+    for when, status, margin in zip(times, verdicts.status.tolist(), verdicts.margin.tolist(), strict=True):
+        time = when if isinstance(when, str) else number_text(when)
+        suspect = "true" if status == FAULT or margin < 0 else "false"
+        rows.append(f"{time},{NAMES[status]},{number_text(margin)},{suspect}\n")
+    return "".join(rows).encode()
+
+
+def number_text(x: float) -> str:
+    """Return a float as pyarrow writes it, NaN as nothing."""
+    if math.isnan(x):
+        return ""
+    if x == 0 or 1e-4 <= abs(x) < 1e9:
+        return repr(x).removesuffix(".0")
+    import pyarrow as pa
+
+    return str(pa.array([x]).cast(pa.string())[0].as_py())
+
+
+def _as_text(data):
+    return data.decode("latin-1")
+
+
+def _as_bytes(text):
+    return text.encode("latin-1")
+
+
+def _write(file, data):
+    view = memoryview(data)
+    while view:
+        view = view[file.write(view) :]

@@ -1,0 +1,168 @@
+"""Counts of verdicts that come in pieces: of each status, of alarms, the worst window."""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxbound.diagnosis.alarms import ENDINGS, NO_DATA, OTHER, endings
+from jaxbound.recordings.recording import Recording
+from jaxbound.runs.loop import Memory
+from jaxbound.runs.sink import Verdicts
+from jaxbound.sets.floats.status import Status
+
+__all__ = ["AlarmEnds", "Event", "Tally", "alarm_goes_on"]
+
+When = str | float
+FAULT = int(Status.FAULT)
+
+
+class Event(NamedTuple):
+    """A window to be told of: the number of its last sample, its margin, its time from the source."""
+
+    sample: int
+    margin: float
+    when: When
+
+
+@dataclass
+class Tally:
+    """Counts of verdicts, a sink.
+
+    Fields:
+        when: (piece, number of a sample in it) -> its time, as JSON holds it. horizon: of the windows.
+        counts: of each Status. samples: how many there were. aside: windows that are MISSING because the
+            model's `where` leaves out a sample of theirs. recent: whether it did so for each of the last
+            samples.
+        first: the first FAULT. worst: the FAULT window with the smallest margin. tightest: the window with
+            the smallest margin of all. last: time of the last sample.
+    """
+
+    when: Callable[[Recording, int], When]
+    horizon: int
+    counts: list[int] = field(default_factory=lambda: [0] * len(Status))
+    samples: int = 0
+    aside: int = 0
+    recent: list[bool] = field(default_factory=list)
+    first: Event | None = None
+    worst: Event | None = None
+    tightest: Event | None = None
+    last: When | None = None
+
+    def add(self, piece: Recording, verdicts: Verdicts) -> None:
+        """Count the next samples."""
+        status, margin = verdicts.status, verdicts.margin
+        fresh = np.bincount(status, minlength=len(Status))
+        self.counts = [n + more for n, more in zip(self.counts, fresh.tolist(), strict=True)]
+        if piece.excluded is not None:
+            self._set_aside(piece.excluded)
+        fault = np.flatnonzero(status == FAULT)
+        if len(fault):
+            first = self._event(piece, margin, int(fault[0]))
+            self.first = self.first or first
+            self.worst = _smaller(self.worst, self._smallest(piece, margin, fault) or first)
+        self.tightest = _smaller(self.tightest, self._smallest(piece, margin, np.arange(len(status))))
+        self.last = self.when(piece, len(status) - 1)
+        self.samples += len(status)
+
+    def named(self) -> dict[str, int]:
+        """Return {name of a status: number of windows}."""
+        return {status.name: self.counts[status] for status in Status}
+
+    def memory(self) -> Memory:
+        """Return the counts."""
+        fields = asdict(self)
+        del fields["when"], fields["horizon"]
+        return fields
+
+    def resume(self, memory: Any) -> None:
+        """Go on from a memory."""
+        for name, value in memory.items():
+            event = name in ("first", "worst", "tightest") and value is not None
+            setattr(self, name, Event(*value) if event else value)
+
+    def flush(self) -> None:
+        """Do nothing: counts go nowhere before the end."""
+
+    def _event(self, piece, margin, k):
+        return Event(self.samples + k, float(margin[k]), self.when(piece, k))
+
+    def _smallest(self, piece, margin, among):
+        """Return the Event of the smallest margin among samples of a piece, or None where none has one."""
+        some = margin[among]
+        if np.isnan(some).all():
+            return None
+        return self._event(piece, margin, int(among[np.nanargmin(some)]))
+
+    def _set_aside(self, excluded):
+        """Count the windows of a piece that have a sample which does not count, here or before."""
+        s = self.horizon
+        reach = np.concatenate([np.array(self.recent, bool), excluded])
+        before = np.cumsum(np.append(0, reach))
+        ends = np.arange(len(self.recent), len(reach))
+        within = before[ends + 1] > before[np.maximum(ends - s, 0)]
+        warm = max(s - self.samples, 0)  # at these samples no window ends
+        self.aside += int(np.count_nonzero(within[warm:]))
+        self.recent = reach[len(reach) - min(s, len(reach)) :].tolist()
+
+
+def _smaller(old, new):
+    """Return the event with the smaller margin, the older one of two alike; one without a margin is last."""
+    if old is None or new is None:
+        return old or new
+    if np.isnan(old.margin) and not np.isnan(new.margin):
+        return new
+    return new if new.margin < old.margin else old
+
+
+class AlarmEnds:
+    """A sink that counts alarms, and why they are over.
+
+    Args:
+        forgets: from `forgets_after`.
+
+    Fields: on: FAULT windows in a row up to now; before: and before the last piece. endings: {ending of an
+    Alarm: number of alarms}.
+    """
+
+    def __init__(self, forgets: int | None) -> None:
+        self.forgets = forgets
+        self.on = self.before = 0
+        self.endings: dict[str, int] = {}
+
+    @property
+    def alarms(self) -> int:
+        """The number of alarms, with one that is on."""
+        return sum(self.endings.values()) + bool(self.on)
+
+    def add(self, piece: Recording, verdicts: Verdicts) -> None:
+        """Follow the alarms through the next samples."""
+        self.before = self.on
+        if not self.on and not (verdicts.status == FAULT).any():
+            return
+        for status in verdicts.status.tolist():
+            self.on, ended = alarm_goes_on(self.on, status, self.forgets)
+            if ended is not None:
+                self.endings[ended] = self.endings.get(ended, 0) + 1
+
+    def memory(self) -> Memory:
+        """Return the counts."""
+        return {"on": self.on, "before": self.before, "endings": self.endings}
+
+    def resume(self, memory: Any) -> None:
+        """Go on from a memory."""
+        self.on, self.before, self.endings = memory["on"], memory["before"], memory["endings"]
+
+    def flush(self) -> None:
+        """Do nothing: counts go nowhere before the end."""
+
+
+def alarm_goes_on(on: int, status: int, forgets: int | None) -> tuple[int, str | None]:
+    """Return (FAULT windows in a row up to this one, why the alarm is over; None if none ended here)."""
+    if status == FAULT:
+        return on + 1, None
+    if not on:
+        return 0, None
+    after = np.array([NO_DATA if status == Status.MISSING else OTHER])
+    return 0, ENDINGS[endings(0, on - 1, after, forgets)[0]]
