@@ -333,22 +333,17 @@ def test_every_block_of_commands_is_run_or_says_why_not():
 
 def test_every_command_has_its_help_on_the_page_and_every_key_of_a_model_file_its_entry():
     from jaxbound.cli.main import commands
-    from jaxbound.models import modelfile
+    from jaxbound.models.filevalues import AVERAGE
+    from jaxbound.models.modelfields import field_names
 
     page = (ROOT / "docs" / "commands.md").read_text()
     assert re.findall("<!-- HELP: (\\w+) -->", page) == re.findall("^## (\\w+)$", page, re.M) and set(
         commands()
     ) == set(re.findall("^## (\\w+)$", page, re.M))
     known = [
-        modelfile.TOP,
-        modelfile.STATE,
-        modelfile.INPUT,
-        modelfile.OUTPUT,
-        modelfile.DISTURBANCE,
-        modelfile.AVERAGE,
-        modelfile.UNCERTAINTY,
-        modelfile.MATRICES,
-        modelfile.PROVENANCE,
+        *map(field_names, ("", "states", "inputs", "outputs", "disturbances")),
+        AVERAGE,
+        *map(field_names, ("uncertainty", "matrices", "provenance")),
     ]
     sections = re.split("^## .+$", (ROOT / "docs" / "modelfile.md").read_text(), flags=re.M)[1:]
     for keys, section in zip(known, sections, strict=True):
