@@ -100,7 +100,7 @@ def plain_fit(
     average: int | None,
     hints: Sequence[str],
 ) -> dict[str, Any]:
-    """Return what --json prints of a model fitted to files."""
+    """Return the summary of a model fitted to files, as JSON has it."""
     check = model.check
     held_out = check.held_out and _all_finite(check.held_out)
     recordings = []
@@ -146,7 +146,7 @@ def show_fit(
     held_out: float,
     hints: Sequence[str],
 ) -> None:
-    """Print what was found in files. written: the files that were written; held_out: share of each file."""
+    """Print a model that was fitted to files. written: names of new files; held_out: a share of each file."""
     check = model.check
     rows = [
         ("model", f"{model.n} states, order {order}, coefficients by {check.method}"),
@@ -198,7 +198,7 @@ def _size(model, sizes, name):
 
 
 def _window_text(model):
-    """Return how many samples a window looks at."""
+    """Return the number of samples of a window."""
     if model.lags is None:
         return f"{model.horizon + 1}"
     return f"{len(model.lags)} of {model.horizon + 1}"
@@ -211,7 +211,7 @@ def _recording_text(numbers):
 
 
 def _held_out_text(unseen, share):
-    """Return what a first fit made of the samples that it had not seen."""
+    """Return the result of a first fit on the samples that it had not seen."""
     if unseen is None:
         return "nothing"
     return (

@@ -287,7 +287,7 @@ class LinearSystem:
 
     @property
     def provenance(self) -> Mapping[str, str]:
-        """Where bounds come from, {field: origin}, as far as it is stated."""
+        """The origins of bounds that are stated, {field: origin}."""
         return MappingProxyType(dict(self.origins))
 
     @property
