@@ -19,9 +19,7 @@ def test_outputs_that_show_the_same_without_an_error_are_judged(noise):
 
 
 def test_averages_are_used_without_a_disturbance():
-    model = jb.LinearSystem(
-        [["0.9"]], [[1]], [[1]], outputs=["T1"], noise="0.5", averages={"T1": {8: "0.2"}}
-    )
+    model = jb.LinearSystem([["0.9"]], [[1]], [[1]], outputs=["T1"], noise="0.5", averages={"T1": {8: "0.2"}})
     u, y = np.zeros((80, 1)), np.zeros((80, 1))
     y[40:] += 0.45  # each within its noise, their mean not
     watch = jb.observer(model, method="joint", window=16)
