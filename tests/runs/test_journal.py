@@ -149,7 +149,7 @@ def test_without_power_the_rows_that_were_not_on_the_disk_are_written_again(
 
     def until(self, memory, save=Journal.save):
         save(self, memory)
-        if rng.random() < 0.03:
+        if rng.random() < 0.15:
             raise PowerCut
 
     monkeypatch.setattr(rows, "sync", remembering)
