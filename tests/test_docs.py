@@ -333,22 +333,17 @@ def test_every_block_of_commands_is_run_or_says_why_not():
 
 def test_every_command_has_its_help_on_the_page_and_every_key_of_a_model_file_its_entry():
     from jaxbound.cli.main import commands
-    from jaxbound.models import modelfile
+    from jaxbound.models.filevalues import AVERAGE
+    from jaxbound.models.modelfields import field_names
 
     page = (ROOT / "docs" / "commands.md").read_text()
     assert re.findall("<!-- HELP: (\\w+) -->", page) == re.findall("^## (\\w+)$", page, re.M) and set(
         commands()
     ) == set(re.findall("^## (\\w+)$", page, re.M))
     known = [
-        modelfile.TOP,
-        modelfile.STATE,
-        modelfile.INPUT,
-        modelfile.OUTPUT,
-        modelfile.DISTURBANCE,
-        modelfile.AVERAGE,
-        modelfile.UNCERTAINTY,
-        modelfile.MATRICES,
-        modelfile.PROVENANCE,
+        *map(field_names, ("", "states", "inputs", "outputs", "disturbances")),
+        AVERAGE,
+        *map(field_names, ("uncertainty", "matrices", "provenance")),
     ]
     sections = re.split("^## .+$", (ROOT / "docs" / "modelfile.md").read_text(), flags=re.M)[1:]
     for keys, section in zip(known, sections, strict=True):
@@ -414,3 +409,13 @@ def test_equations_become_mathml_outside_of_code():
     pytest.importorskip("latex2mathml")
     drawn = script("hooks").equations("$x_1$ and `$y$` cost 5 $ and 6 $\n```sh\necho $a $b\n```\n$$x = 1$$")
     assert drawn.count("<math") == 2 and "`$y$`" in drawn and "echo $a $b" in drawn and "5 $ and 6 $" in drawn
+
+
+def test_every_file_and_script_that_the_design_names_is_there():
+    text = (ROOT / "docs" / "design.md").read_text()
+    files = re.findall(r"`((?:\w+/)+\w+\.py)`", text)
+    scripts = re.findall(r"`(?:python -m )?(benchmarks\.\w+)`", text)
+    paths = [ROOT / "jaxbound" / name for name in files if not name.startswith("tests/")]
+    paths += [ROOT / name for name in files if name.startswith("tests/")]
+    paths += [ROOT / f"{script.replace('.', '/')}.py" for script in scripts]
+    assert len(paths) > 20 and not [path for path in paths if not path.exists()]

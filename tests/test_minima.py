@@ -31,10 +31,8 @@ def test_every_package_that_is_imported_is_declared():
         - set(sys.stdlib_module_names)
         - {"jaxbound"}
     )
-    extras = {
-        "sklearn",
-        *(requirement.partition(">=")[0] for requirement in PROJECT["optional-dependencies"]["dask"]),
-    }
+    optional = PROJECT["optional-dependencies"]
+    extras = {"sklearn", *(line.partition(">=")[0] for line in optional["dask"] + optional["shell"])}
     assert found == declared | extras  # what not everybody needs
 
 

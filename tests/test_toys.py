@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from test_docs import ROOT, follow
 from toys import MODEL, JsonLines, Spread, Steps, recorded
 
 import jaxbound as jb
@@ -195,11 +196,25 @@ def test_a_fleet(method, folder, data):
 
 
 def test_a_fleet_goes_on(method, folder):
-    (folder / "fleet.csv").write_text("unit,model,recording\none,model.toml,run.csv\n")
+    rows = "unit,model,recording\none,model.toml,run.csv\ntwo,model.toml,run.csv\n"
+    (folder / "fleet.csv").write_text(rows)
     units = read_manifest(folder / "fleet.csv")
-    for _ in range(2):
-        (found,) = detect_fleet(units, method=method, state=folder / "state")
-        assert found.verdict == "fault", found.summary.sentence
+    first, again = (list(detect_fleet(units, method=method, state=folder / "state")) for _ in range(2))
+    healthy = "".join(f"{t},0\n" for t in range(60, 80))
+    (folder / "run.csv").write_text("time,y1\n" + healthy)
+    after = list(detect_fleet(units, method=method, state=folder / "state"))
+    assert [unit.verdict for unit in (*first, *again)] == ["fault"] * 4
+    counts = [unit.summary.counts for unit in after]
+    assert counts[0] == counts[1] and sum(counts[0].values()) == 20 + 1
+    assert counts[0]["FAULT"] == (1 if method == "steps" else 0)
+
+
+def test_the_page_on_extending_runs_as_it_stands(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    before = dict(FAMILIES)
+    follow(ROOT / "docs" / "api" / "extending.md", tmp_path)
+    assert set(FAMILIES) - set(before) == {"jumps"}
+    FAMILIES.pop("jumps")
 
 
 def test_the_shell_studies(method, folder):

@@ -15,6 +15,7 @@ from jaxbound.text.quantities import percent, times
 __all__ = ["certificate_text", "six_digits"]
 
 Row = tuple[str, str]
+OUTGROWN = "found from data for shorter windows: a FAULT may be no more than an error that lasts longer"
 SMALLEST = 1e-300  # the smallest normal number, which widens every radius, is nothing to a reader
 
 
@@ -33,6 +34,8 @@ def certificate_text(
         rows = _fault_rows(certificate)
     else:
         rows = _consistent_rows(certificate)
+    if outgrown:
+        rows.append(("bounds", OUTGROWN))
     return _headline(certificate, k, labels, outgrown), rows, _sample_table(certificate, labels)
 
 

@@ -5,15 +5,26 @@ A file of this folder that is a command has the names of `Command`. It imports t
 """
 
 import argparse
+import difflib
 import gc
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import NoReturn, Protocol
+from typing import Any, NoReturn, Protocol
 
 from jaxbound.cli.options import add_loudness
 from jaxbound.cli.terminal import Refused, write
 
-__all__ = ["EXIT_CODES", "Command", "Formatter", "Parser", "add_command", "end_of_help", "swift_imports"]
+__all__ = [
+    "EXIT_CODES",
+    "Command",
+    "Formatter",
+    "Parser",
+    "add_command",
+    "end_of_help",
+    "nearest",
+    "swift_imports",
+]
 
 EXIT_CODES = (
     "exit codes: 0 no fault, 1 fault found, 2 bad input or usage, 3 too little evidence or outside bounds "
@@ -66,10 +77,61 @@ class Parser(argparse.ArgumentParser):
             message = message.removeprefix("argument ").replace(": ", " ", 1)
         raise Refused(f"{message}; see {self.prog} --help")
 
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: Any = None
+    ) -> tuple[Any, list[str]]:
+        """Parse; an option that there is not comes before one that is missing.
+
+        Raises:
+            Refused: an unknown option or command, with the nearest one.
+        """
+        words = sys.argv[1:] if args is None else list(args)
+        if self.commands:
+            self._refuse_unknown_command(words)
+        else:
+            self._refuse_unknown_option(words)
+        return super().parse_known_args(words, namespace)
+
+    @property
+    def commands(self) -> list[str]:
+        """The commands of a parser that has some."""
+        for action in self._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                return list(action.choices)
+        return []
+
+    def _refuse_unknown_command(self, words: list[str]) -> None:
+        name = next(iter(words), "")
+        if not name or name.startswith("-") or name in self.commands:
+            return
+        raise Refused(f"there is no command {name!r}{nearest(name, self.commands)}; see {self.prog} --help")
+
+    def _refuse_unknown_option(self, words: list[str]) -> None:
+        options = [option for action in self._actions for option in action.option_strings]
+        for word in words:
+            if word == "--":  # what follows are no options
+                return
+            name = word.partition("=")[0]
+            is_option = name.startswith("--") and " " not in name
+            if is_option and not any(option.startswith(name) for option in options):
+                near = nearest(name, options)
+                raise Refused(f"there is no option {name} of {self.prog}{near}; see {self.prog} --help")
+
     def _print_message(self, message: str, file: object = None) -> None:
         """Print help and version as everything is printed."""
         if message:
             write(message)
+
+
+def nearest(word: str, known: Sequence[str]) -> str:
+    """Return a question for the nearest of the known words, "" where none is near.
+
+    Example:
+        >>> nearest("detct", ["detect", "demo"])
+        ' (did you mean detect?)'
+    """
+    near = difflib.get_close_matches(word, known, n=1)
+    return f" (did you mean {near[0]}?)" if near else ""
 
 
 def add_command(choices: "argparse._SubParsersAction[Parser]", command: Command) -> None:

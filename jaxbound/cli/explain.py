@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
             (work / file.name).write_text(text + "\n", encoding="utf-8")
     except Refused as e:
         raise Refused(f"{e}; --json prints the certificate instead") from e
-    headline, rows, table = certificate_text(certificate, k, labels)
+    headline, rows, table = certificate_text(certificate, k, labels, explained.outgrown)
     is_whole = args.all or LOUDNESS.get() == VERBOSE
     if not is_whole:
         rows = [(name, main_terms(text)) for name, text in rows]

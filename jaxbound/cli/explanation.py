@@ -12,7 +12,7 @@ from jaxbound.estimation.observer import observer
 from jaxbound.recordings.read import open_source
 from jaxbound.relations.parity import parity_relations
 from jaxbound.runs.contradiction import refuted_again
-from jaxbound.runs.runfile import VALIDATION, load_run
+from jaxbound.runs.runfile import VALIDATION, is_outgrown, load_run
 
 __all__ = ["Explained", "explain_window"]
 
@@ -23,12 +23,14 @@ class Explained:
 
     Fields:
         certificate: that `certify` gives. sample: the last of the window. labels: the times of its samples.
+        outgrown: its bounds were found from data for shorter windows, so that a FAULT proves no fault.
         ambiguity: a sentence, or "", where the number that was asked for could be meant as a time.
     """
 
     certificate: Any
     sample: int
     labels: list[str]
+    outgrown: bool
     ambiguity: str
 
 
@@ -72,4 +74,4 @@ def explain_window(directory: str | Path, at: str) -> Explained:
         raise ValueError(f"{axis.label(k)} (sample {k}): {e}") from None
     first = part.samples - certificate.window.horizon - 1
     labels = [part.label(j) for j in range(first, part.samples)]
-    return Explained(certificate, k, labels, axis.also_a_time(at))
+    return Explained(certificate, k, labels, is_outgrown(Path(directory)), axis.also_a_time(at))

@@ -35,6 +35,7 @@ __all__ = ["COMMANDS", "commands", "main"]
 COMMANDS: tuple[Command, ...] = (demo, example, detect, explain, verify, fleet, fit, tune, study, info)
 """In the order of the help. Each file says its name, its options and its work, see `Command`."""
 
+COMPLETION = "_ARGCOMPLETE"  # in the environment of a process that is to complete a command line
 NEGATIVE = re.compile(r"-[\d.]")
 
 NO_COMMAND = (
@@ -110,10 +111,20 @@ def commands() -> dict[str, Parser]:
 
 def _parse(words: list[str]) -> argparse.Namespace:
     parser, _ = _parsers()
+    if COMPLETION in os.environ:
+        _complete(parser)
     if not words:
         parser.print_help()
         raise Refused(NO_COMMAND)
     return parser.parse_args(_joined(words))
+
+
+def _complete(parser: Parser) -> None:
+    """Print what the word under the cursor may become, and end the process: the shell asks by <TAB>."""
+    with suppress(ImportError):
+        import argcomplete
+
+        argcomplete.autocomplete(parser)
 
 
 def _joined(words: list[str]) -> list[str]:

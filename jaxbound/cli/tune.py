@@ -112,6 +112,7 @@ def run(args: argparse.Namespace) -> int:
         chosen = [name.strip() for name in args.bounds.split(",")]
     with door(), progress_bars(("read", "relations", "tune")) as step:
         model = load_model(args.model)
+        text = args.model.read_text(encoding="utf-8-sig")
         recordings = []
         for i, file in enumerate(files):
             recordings.append(read(file, model, lambda share, i=i: step("read", (i + share) / len(files))))
@@ -131,7 +132,7 @@ def run(args: argparse.Namespace) -> int:
             state=state,
         )
         with whole(args.out) as f:
-            f.write(tuned_text(tuning))
+            f.write(tuned_text(tuning, text))
         if args.plot:
             with whole(args.plot) as f:
                 f.write(to_png(plot_tuning(tuning)))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxbound.cli.terminal import show
-from jaxbound.models.modelfile import model_text, number_text
+from jaxbound.models.modelfile import changed_text, number_text
 from jaxbound.studies.tuning.tuning import TuneResult
 
 if TYPE_CHECKING:
@@ -22,15 +22,15 @@ MARK = b"# The search was interrupted: the same command goes on and replaces thi
 RATE = 0.1  # of the first step, on the logarithms of the bounds
 
 
-def tuned_text(tuning: TuneResult) -> bytes:
-    """Return the model file with the bounds that were found.
+def tuned_text(tuning: TuneResult, text: str) -> bytes:
+    """Return the text of a model file with the bounds that were found; its comments stay.
 
     That of an interrupted search begins with a line by which the next call knows that nobody has changed it.
     """
-    text = model_text(tuning.model).encode()
+    tuned = changed_text(text, tuning.model).encode()
     if tuning.stopped:
-        return _mark(text) + text
-    return text
+        return _mark(tuned) + tuned
+    return tuned
 
 
 def is_unfinished(path: Path) -> bool:

@@ -152,8 +152,8 @@ def _relative_error(model, i):
     if beside:
         raise ValueError(
             f"a fault of a sensor makes its tolerance a parameter, and {beside}: give the tolerance of "
-            f"{name!r} as noise "
-            f"instead, the tolerance times the largest |{name}| (less its offset) on top of what it has"
+            f"{name!r} as noise instead, the tolerance times the largest |{name}| (less its offset) on top "
+            f"of what it has"
         )
     alone = {
         letter: _row_alone(getattr(model, letter), i) for letter in "CD" if any(getattr(model, letter)[i])

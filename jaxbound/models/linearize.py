@@ -197,8 +197,7 @@ def _about(f, box, origin, letter, rows, labels):
         which = ", ".join(map(str, (labels[i] if rows else i + 1 for i in loose)))
         raise ValueError(
             f"{letter} is not proved to be continuous with bounded slopes all over the region (its value for "
-            f"{which}): "
-            "choose a region without jumps, poles and roots of 0"
+            f"{which}): choose a region without jumps, poles and roots of 0"
         )
     low, high = found.remainder.T  # the plane is about the middle of the box: move it
     middle, rad = (

@@ -364,8 +364,7 @@ def _averages(given, parts, measured, outputs):
         if a.signal in outputs and measured.tolerance[outputs.index(a.signal)]:
             raise ValueError(
                 f"averages of {a.signal!r} need its tolerance to be 0: a relative error of samples that "
-                f"differ has no mean; "
-                "give the tolerance as noise"
+                f"differ has no mean; give the tolerance as noise"
             )
     return found
 

@@ -121,8 +121,7 @@ def influences(
             if rows is not None and (len(rows), len(rows[0])) != shapes[letter]:
                 raise ValueError(
                     f"{letter} of uncertainty {u.name!r} must have the shape of the model's {letter}, "
-                    f"{shapes[letter]}: "
-                    f"its shape is {(len(rows), len(rows[0]))}"
+                    f"{shapes[letter]}: its shape is {(len(rows), len(rows[0]))}"
                 )
     names = [u.name for u in found]
     twice = sorted({x for x in names if names.count(x) > 1})

@@ -9,25 +9,18 @@ else.
 import ast
 import difflib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
-from typing import Any
+from typing import NoReturn
 
 import numpy as np
 
 from jaxbound.text.names import listed, quoted
 
-__all__ = [
-    "TIMES",
-    "Expression",
-    "expression",
-    "fails",
-    "find_column",
-    "is_expression",
-    "likely",
-    "missing_column",
-]
+__all__ = """
+    TIMES Expression expression fails find_column is_expression likely missing_column
+""".split()
 
 TIMES = (
     r"(date[ _-]?time|time[ _-]?stamp|time|zeit(stempel|punkt)?|horodatage|heure|fecha y "
@@ -39,34 +32,16 @@ TIMES = (
 what they are.
 """
 
-FUNCTIONS = {
-    name: getattr(np, name)
-    for name in (
-        "abs",
-        "sqrt",
-        "exp",
-        "expm1",
-        "log",
-        "log1p",
-        "log10",
-        "sin",
-        "cos",
-        "tan",
-        "arcsin",
-        "arccos",
-        "arctan",
-        "arctan2",
-        "sinh",
-        "cosh",
-        "tanh",
-        "arcsinh",
-        "arccosh",
-        "arctanh",
-        "floor",
-        "ceil",
-    )
-}
-ARITHMETIC = {
+Operation = Callable[..., np.ndarray]
+Value = np.ndarray | np.generic | str
+"""What a node of an expression stands for: cells of a column, a number, a text in quotes."""
+
+NAMES_OF_FUNCTIONS = """
+    abs sqrt exp expm1 log log1p log10 sin cos tan arcsin arccos arctan arctan2 sinh cosh tanh arcsinh arccosh
+    arctanh floor ceil
+""".split()
+FUNCTIONS: dict[str, Operation] = {name: getattr(np, name) for name in NAMES_OF_FUNCTIONS}
+ARITHMETIC: dict[type[ast.operator | ast.unaryop], Operation] = {
     ast.Add: np.add,
     ast.Sub: np.subtract,
     ast.Mult: np.multiply,
@@ -77,8 +52,8 @@ ARITHMETIC = {
     ast.UAdd: np.positive,
     ast.USub: np.negative,
 }
-LOGIC = {ast.And: np.logical_and, ast.Or: np.logical_or}
-COMPARISONS = {
+LOGIC: dict[type[ast.boolop], Operation] = {ast.And: np.logical_and, ast.Or: np.logical_or}
+COMPARISONS: dict[type[ast.cmpop], Operation] = {
     ast.Lt: np.less,
     ast.LtE: np.less_equal,
     ast.Gt: np.greater,
@@ -86,23 +61,18 @@ COMPARISONS = {
     ast.Eq: np.equal,
     ast.NotEq: np.not_equal,
 }
-ALLOWED = (
-    ast.Expression,
-    ast.BinOp,
-    ast.UnaryOp,
-    ast.BoolOp,
-    ast.Compare,
-    ast.Call,
-    ast.Name,
-    ast.Load,
-    ast.Constant,
-    ast.Not,
-    *ARITHMETIC,
-    *LOGIC,
-    *COMPARISONS,
-)
+NODES = (ast.Expression, ast.BinOp, ast.UnaryOp, ast.BoolOp, ast.Compare, ast.Call, ast.Name, ast.Load)
+ALLOWED = (*NODES, ast.Constant, ast.Not, *ARITHMETIC, *LOGIC, *COMPARISONS)
 LARGEST = int(np.finfo(float).max)
 PIECES = re.compile(r"""'[^']*'|"[^"]*"|`[^`]*`|&|\|""")
+WORDS = {"&": " and ", "|": " or "}
+KINDS = {
+    "M": "is a time: compare it with a date in quotes",
+    "O": "holds text: compare it with text in quotes",
+}
+"""What is said of a column of this kind of dtype that is used as a number."""
+NEAR = 200, 10_000
+"""Characters of a name, and names, among which the nearest one is looked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,9 +85,9 @@ class Expression:
     """
 
     text: str
-    columns: tuple
-    texts: frozenset
-    names: dict
+    columns: tuple[str, ...]
+    texts: frozenset[str]
+    names: Mapping[str, str]
     tree: ast.expr
 
     def among(self, present: Iterable[str]) -> "Expression":
@@ -127,12 +97,13 @@ class Expression:
         Raises:
             ValueError: a column is not there.
         """
-        found = {c: find_column(c, present, f"the recording, for {self.text!r},") for c in self.columns}
+        where = f"the recording, for {self.text!r},"
+        called = {c: find_column(c, present, where) for c in self.columns}
         return Expression(
             self.text,
-            tuple(dict.fromkeys(found.values())),
-            frozenset(found[c] for c in self.texts),
-            {key: found[c] for key, c in self.names.items()},
+            tuple(dict.fromkeys(called.values())),
+            frozenset(called[c] for c in self.texts),
+            {key: called[c] for key, c in self.names.items()},
             self.tree,
         )
 
@@ -147,71 +118,74 @@ class Expression:
             ValueError: a time or a text where a number is needed, a text that is no date beside a time.
         """
         for name in self.columns:
-            if (columns[name].dtype.kind in "MO") != (name in self.texts):
-                kind = {
-                    "M": "is a time: compare it with a date in quotes",
-                    "O": "holds text: compare it with text in quotes",
-                }.get(columns[name].dtype.kind, "holds numbers: compare it with a number")
-                raise ValueError(f"{self.text!r}: column {name!r} {kind}")
+            self._check_kind(name, columns[name].dtype.kind)
         with np.errstate(all="ignore"):
             try:
-                out = self._value(columns)
+                out = np.asarray(self._value(columns))
             except TypeError:
                 raise ValueError(f"{self.text!r}: a time or a text stands where a number is needed") from None
-            out = np.where(out, 1.0, 0.0) if np.asarray(out).dtype == bool else np.asarray(out, np.float64)
+            out = out.astype(np.float64)
         known = np.isfinite(out)
         for name in self.columns:
-            x = columns[name]
-            known = known & ~_is_missing(x)
+            known = known & ~_is_missing(columns[name])
         return np.where(known, out, np.nan)
 
-    def _value(self, columns):
-        """Return the value of the tree, without recursion: a sum of thousands of terms is as many levels
-        deep.
+    def _check_kind(self, name: str, kind: str) -> None:
+        """Raise ValueError if a column of numbers is compared with text, or one of another kind is not."""
+        is_number = kind not in "MO"
+        if is_number == (name in self.texts):
+            wrong = KINDS.get(kind, "holds numbers: compare it with a number")
+            raise ValueError(f"{self.text!r}: column {name!r} {wrong}")
+
+    def _value(self, columns: Mapping[str, np.ndarray]) -> Value:
+        """Return the value of the tree.
+
+        Without recursion: a sum of thousands of terms is as many levels deep.
         """
-        found: dict[int, Any] = {}
+        values: dict[int, Value] = {}
         waiting = [self.tree]
         while waiting:
             node = waiting[-1]
-            parts = _parts(node)
-            missing = [x for x in parts if id(x) not in found]
+            parts = _operands(node)
+            missing = [x for x in parts if id(x) not in values]
             if missing:
                 waiting += missing
                 continue
-            found[id(node)] = self._combined(node, [found.pop(id(x)) for x in parts], columns)
+            values[id(node)] = self._combined(node, [values.pop(id(x)) for x in parts], columns)
             waiting.pop()
-        return found[id(self.tree)]
+        return values[id(self.tree)]
 
-    def _combined(self, node: Any, parts, columns):
-        """Return the value of a node from those of its parts."""
-        if isinstance(node, ast.Constant):
-            value: Any = node.value
-            return value if isinstance(value, str) else np.float64(value)
-        if isinstance(node, ast.Name):
-            return columns[self.names[node.id]]
-        if isinstance(node, ast.Call):
-            return FUNCTIONS[ast.unparse(node.func)](*parts)
-        if isinstance(node, ast.BoolOp):
-            return reduce(LOGIC[type(node.op)], parts)
-        if isinstance(node, ast.Compare):
-            return reduce(
-                np.logical_and,
-                (self._compared(op, a, b) for op, a, b in zip(node.ops, parts, parts[1:], strict=False)),
-            )
-        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
-            return np.logical_not(*parts)
-        return ARITHMETIC[type(node.op)](*(x.astype(float) if x.dtype == bool else x for x in parts))
+    def _combined(self, node: ast.expr, parts: Sequence[Value], columns: Mapping[str, np.ndarray]) -> Value:
+        """Return the value of a node from those of its operands."""
+        match node:
+            case ast.Constant(value=str(text)):
+                return text
+            case ast.Constant(value=int(number) | float(number)):
+                return np.float64(number)
+            case ast.Name():
+                return columns[self.names[node.id]]
+            case ast.Call():
+                return FUNCTIONS[ast.unparse(node.func)](*parts)
+            case ast.BoolOp():
+                return reduce(LOGIC[type(node.op)], parts)
+            case ast.Compare():
+                pairs = zip(node.ops, parts[:-1], parts[1:], strict=True)
+                return reduce(np.logical_and, [self._compared(op, a, b) for op, a, b in pairs])
+            case ast.UnaryOp(op=ast.Not()):
+                return np.logical_not(np.asarray(parts[0]))
+            case ast.UnaryOp() | ast.BinOp():
+                return ARITHMETIC[type(node.op)](*map(_as_number, parts))
+        raise AssertionError(f"{node} was let through")
 
-    def _compared(self, op, a, b):
-        texts, kinds = (
-            [x for x in (a, b) if isinstance(x, str)],
-            {x.dtype.kind for x in (a, b) if not isinstance(x, str)},
-        )
-        if texts and "O" in kinds and not isinstance(op, (ast.Eq, ast.NotEq)):
+    def _compared(self, op: ast.cmpop, a: Value, b: Value) -> np.ndarray:
+        """Return a op b; beside a time a text in quotes is a date."""
+        texts = [x for x in (a, b) if isinstance(x, str)]
+        kinds = [x.dtype.kind for x in (a, b) if not isinstance(x, str)]
+        if texts and "O" in kinds and not isinstance(op, ast.Eq | ast.NotEq):
             raise ValueError(f"{self.text!r}: text has no order, compare {texts[0]!r} with == or != only")
         if texts and "M" in kinds:
             try:
-                a, b = (np.datetime64(x) if isinstance(x, str) else x for x in (a, b))
+                a, b = _as_date(a), _as_date(b)
             except ValueError:
                 raise ValueError(
                     f"{self.text!r}: {texts[0]!r} is no date: write it like '2017-09-20' or '2017-09-20 "
@@ -220,7 +194,20 @@ class Expression:
         return COMPARISONS[type(op)](a, b)
 
 
-def _parts(node):
+def _as_number(x: Value) -> Value:
+    """Return yes and no as 1 and 0, and a number as it is."""
+    if not isinstance(x, str) and x.dtype == bool:
+        return x.astype(float)
+    return x
+
+
+def _as_date(x: Value) -> Value:
+    if isinstance(x, str):
+        return np.datetime64(x)
+    return x
+
+
+def _operands(node: ast.expr) -> Sequence[ast.expr]:
     """Return the operands of a node."""
     match node:
         case ast.Call():
@@ -238,7 +225,7 @@ def _parts(node):
 
 def fails(values: np.ndarray) -> np.ndarray:
     """Return (N,) bool: where a condition with these values does not hold, or has none."""
-    return ~(np.nan_to_num(values) != 0)
+    return np.nan_to_num(values) == 0
 
 
 def is_expression(column: str) -> bool:
@@ -266,103 +253,102 @@ def expression(text: str) -> Expression:
         (('Supply Temp', 'mixed'), array([2.5, nan]))
     """
     text = text.strip().removeprefix("=").strip()
-    ticked: dict[str, str] = {}
+    ticked: dict[str, str] = {}  # column: the name that stands for it in the tree
 
-    def plain(piece):
+    def as_python(piece: re.Match[str]) -> str:
         word = piece[0]
         if word[0] == "`":
             return f" {ticked.setdefault(word[1:-1].strip(), f'_{len(ticked)}_in_backticks')} "
-        return {"&": " and ", "|": " or "}.get(word, word)
+        return WORDS.get(word, word)
 
-    code = PIECES.sub(plain, text)
-    try:
-        tree = ast.parse(code.strip(), mode="eval").body
-    except (RecursionError, MemoryError):
-        raise ValueError(
-            f"the expression {quoted(text)} cannot be read, too long or too deep: compute it beforehand, "
-            f"as a column"
-        ) from None
-    except (SyntaxError, ValueError) as e:
-        if "too many nested" in str(e):
-            raise ValueError(
-                f"the expression {quoted(text)} cannot be read, nested too deeply: compute it beforehand, as "
-                f"a column"
-            ) from None
-        wrong = (
-            "one = is no comparison, write =="
-            if re.search(r"(?<![<>=!])=(?!=)", code)
-            else ("names with blanks, colons or other signs stand in backticks, like `Supply Temp`")
-        )
-        raise ValueError(f"the expression {quoted(text)} cannot be read: {wrong}") from None
-    called, texts = _checked(text, tree)
-    names = {
-        node.id: node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and id(node) not in called
-    }
-    names |= {key: name for name, key in ticked.items()}
+    tree = _parsed(text, PIECES.sub(as_python, text).strip())
+    nodes = list(ast.walk(tree))
+    _check_nodes(text, nodes)
+    texts, strings = _compared_with_text(nodes)
+    _check_constants(text, nodes, strings)
+    functions = {id(node.func) for node in nodes if isinstance(node, ast.Call)}
+    names = {node.id: node.id for node in nodes if isinstance(node, ast.Name) and id(node) not in functions}
+    names |= {key: column for column, key in ticked.items()}
     if not names:
         raise ValueError(f"the expression {text!r} names no column")
-    return Expression(
-        text, tuple(dict.fromkeys(names.values())), frozenset(names[x] for x in texts), names, tree
-    )
+    columns = tuple(dict.fromkeys(names.values()))
+    return Expression(text, columns, frozenset(names[x] for x in texts), names, tree)
 
 
-def _checked(text, tree):
-    """Return (ids of the nodes that name a function, names that are compared with text); refuse what an
-    expression may not hold.
-    """
-    called, texts, strings = set(), set(), set()
-    for node in ast.walk(tree):
+def _parsed(text: str, code: str) -> ast.expr:
+    """Return the tree of Python's code for a text."""
+    wrong = ""
+    try:
+        return ast.parse(code, mode="eval").body
+    except (RecursionError, MemoryError):
+        wrong = ", too long or too deep: compute it beforehand, as a column"
+    except (SyntaxError, ValueError) as e:
+        if "too many nested" in str(e):
+            wrong = ", nested too deeply: compute it beforehand, as a column"
+        elif re.search(r"(?<![<>=!])=(?!=)", code):
+            wrong = ": one = is no comparison, write =="
+        else:
+            wrong = ": names with blanks, colons or other signs stand in backticks, like `Supply Temp`"
+    raise ValueError(f"the expression {quoted(text)} cannot be read{wrong}")
+
+
+def _check_nodes(text: str, nodes: Iterable[ast.AST]) -> None:
+    """Raise ValueError if an expression holds more than columns, numbers, operations and known functions."""
+    for node in nodes:
+        if isinstance(node, ast.Attribute):
+            _refuse(text, "an attribute")
+        if isinstance(node, ast.MatMult):
+            _refuse(text, "@")
         if not isinstance(node, ALLOWED):
-            _refuse(
-                text,
-                {ast.Attribute: "an attribute", ast.MatMult: "@"}.get(
-                    type(node), f"what Python calls {type(node).__name__}"
-                ),
+            _refuse(text, f"what Python calls {type(node).__name__}")
+        if not isinstance(node, ast.Call):
+            continue
+        if not isinstance(node.func, ast.Name) or node.func.id not in FUNCTIONS or node.keywords:
+            _refuse(text, f"the function {ast.unparse(node.func)}")
+        name, count = node.func.id, len(node.args)
+        if count != (2 if name == "arctan2" else 1):
+            raise ValueError(f"the expression {text!r} gives {name} {count} numbers")
+
+
+def _compared_with_text(nodes: Iterable[ast.AST]) -> tuple[set[str], set[int]]:
+    """Return (names that are compared with text, ids of the nodes of these texts)."""
+    names, strings = set(), set()
+    for node in nodes:
+        if not isinstance(node, ast.Compare):
+            continue
+        sides = [node.left, *node.comparators]
+        pairs = list(zip(sides[:-1], sides[1:], strict=True))
+        for one, other in pairs + [(b, a) for a, b in pairs]:
+            is_text = isinstance(one, ast.Constant) and isinstance(one.value, str)
+            if is_text and isinstance(other, ast.Name):
+                names.add(other.id)
+                strings.add(id(one))
+    return names, strings
+
+
+def _check_constants(text: str, nodes: Iterable[ast.AST], strings: set[int]) -> None:
+    """Raise ValueError if a constant is neither a number within floats nor one of the texts `strings`."""
+    for node in nodes:
+        if not isinstance(node, ast.Constant):
+            continue
+        value = node.value
+        if isinstance(value, int | float):
+            if not abs(value) <= LARGEST:
+                raise ValueError(f"the expression {quoted(text)} holds a number beyond the range of floats")
+        elif id(node) in strings:
+            continue
+        elif isinstance(value, str):
+            raise ValueError(
+                f"the expression {text!r} holds the text {value!r}: text can only be compared with a column"
             )
-        if isinstance(node, ast.Call):
-            if not isinstance(node.func, ast.Name) or node.func.id not in FUNCTIONS or node.keywords:
-                _refuse(text, f"the function {ast.unparse(node.func)}")
-            name: Any = node.func
-            if len(node.args) != (2 if name.id == "arctan2" else 1):
-                raise ValueError(f"the expression {text!r} gives {name.id} {len(node.args)} numbers")
-            called.add(id(node.func))
-        if isinstance(node, ast.Compare):
-            sides = (node.left, *node.comparators)
-            for a, b in zip(sides, sides[1:], strict=False):
-                for one, other in ((a, b), (b, a)):
-                    if (
-                        isinstance(one, ast.Constant)
-                        and isinstance(one.value, str)
-                        and isinstance(other, ast.Name)
-                    ):
-                        texts.add(other.id)
-                        strings.add(id(one))
-    for node in ast.walk(tree):
-        if (
-            isinstance(node, ast.Constant)
-            and id(node) not in strings
-            and not isinstance(node.value, (int, float))
-        ):
-            if isinstance(node.value, str):
-                raise ValueError(
-                    f"the expression {text!r} holds the text {node.value!r}: text can only be compared with "
-                    f"a column"
-                )
-            _refuse(text, f"{node.value!r}")
-        if (
-            isinstance(node, ast.Constant)
-            and isinstance(node.value, (int, float))
-            and not abs(node.value) <= LARGEST
-        ):
-            raise ValueError(f"the expression {quoted(text)} holds a number beyond the range of floats")
-    return called, texts
+        else:
+            _refuse(text, f"{value!r}")
 
 
-def _refuse(text, what):
+def _refuse(text: str, what: str) -> NoReturn:
     raise ValueError(
         f"the expression {text!r} holds {what}: there are columns, numbers, + - * / // % **, comparisons, "
-        f"and, or, not, and "
-        f"the functions {', '.join(FUNCTIONS)}"
+        f"and, or, not, and the functions {', '.join(FUNCTIONS)}"
     )
 
 
@@ -372,20 +358,22 @@ def find_column(wanted: str, present: Iterable[str], where: str) -> str:
     Raises:
         ValueError: it is not there, or there twice.
     """
-    found = [c for c in present if c == wanted] or [c for c in present if str(c).strip() == wanted.strip()]
-    if not found:
+    called = [c for c in present if c == wanted]
+    if not called:
+        called = [c for c in present if str(c).strip() == wanted.strip()]
+    if not called:
         raise ValueError(missing_column(wanted, present, where))
-    if len(found) > 1:
-        raise ValueError(f"{len(found)} columns are called {quoted(wanted)}: a signal needs exactly one")
-    return found[0]
+    if len(called) > 1:
+        raise ValueError(f"{len(called)} columns are called {quoted(wanted)}: a signal needs exactly one")
+    return called[0]
 
 
 def missing_column(wanted: str, present: Iterable[str], where: str, kind: str = "column") -> str:
     """Return the sentence for a column, or what else of a kind, that is not there, with the nearest name."""
-    near = difflib.get_close_matches(
-        wanted, [str(c) for c in present if len(str(c)) < 200][:10_000], n=1, cutoff=0.5
-    )
-    here = listed(list(map(str, present)))
+    names = list(map(str, present))
+    longest, most = NEAR
+    near = difflib.get_close_matches(wanted, [c for c in names if len(c) < longest][:most], n=1, cutoff=0.5)
+    here = listed(names)
     if near:
         return f"{where} has no {kind} {quoted(wanted)}; did you mean {quoted(near[0])}? It has {here}."
     return f"{where} has no {kind} {quoted(wanted)}: it has {here}"
@@ -393,15 +381,15 @@ def missing_column(wanted: str, present: Iterable[str], where: str, kind: str = 
 
 def likely(names: Iterable[str], patterns: Iterable[str]) -> list[str]:
     """Return those of the names that follow one of the patterns, in the order of the patterns."""
-    return [
-        name for pattern in patterns for name in names if re.fullmatch(pattern, str(name).lower().strip())
-    ]
+    lower = {name: str(name).lower().strip() for name in names}
+    return [name for pattern in patterns for name in lower if re.fullmatch(pattern, lower[name])]
 
 
-def _is_missing(column):
+def _is_missing(column: np.ndarray) -> np.ndarray:
     """Return which cells of a column hold nothing: None, NaT or NaN."""
     if column.dtype == object:
-        return column == None  # noqa: E711 (cell by cell)
+        empty: np.ndarray = column == None  # noqa: E711, cell by cell
+        return empty
     if column.dtype.kind == "M":
         return np.isnat(column)
     return np.isnan(column)

@@ -12,7 +12,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.read import kind_of
 from jaxbound.runs.sink import Outcome, Sink
 
-__all__ = ["VALIDATION", "RunRecord", "load_run", "save_run"]
+__all__ = ["VALIDATION", "RunRecord", "is_outgrown", "load_run", "save_run"]
 
 VALIDATION = "validation"  # not a method of `detect`: the shell name of `validate`
 
@@ -34,6 +34,7 @@ class RunRecord(Sink):
             outcome.method,
             outcome.horizon,
             outcome.options,
+            outgrown=outcome.summary.found is not None and outcome.summary.found.outgrown,
         )
 
 
@@ -45,6 +46,7 @@ def save_run(
     method: str,
     horizon: int,
     options: Mapping | None = None,
+    outgrown: bool = False,
 ) -> None:
     """Write run.json and tested_model.toml, with which `load_run` finds again what was tested.
 
@@ -52,7 +54,7 @@ def save_run(
         directory: of the report. model: that was tested. data: path of the recording. digest: its `content`,
             taken before it was read for
         the test: what was written in between can then not pass for it. method, horizon: of the test; options:
-            of an observer.
+            of an observer. outgrown: its windows were longer than those that the bounds were found for.
     """
     data, directory, text = Path(data).resolve(), Path(directory).resolve(), model_text(model).encode()
     named = (
@@ -66,9 +68,15 @@ def save_run(
         "content": digest,
         "model": hashlib.sha256(text).hexdigest(),
         "options": dict(options or {}),
+        "outgrown": outgrown,
     }
     (directory / MODEL).write_bytes(text)
     (directory / RUN).write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
+def is_outgrown(directory: Path) -> bool:
+    """Return whether a report that `load_run` has read is of windows that its bounds were not found for."""
+    return bool(json.loads((Path(directory) / RUN).read_text(encoding="utf-8")).get("outgrown"))
 
 
 def load_run(directory: Path) -> tuple[LinearSystem, Path, str, int, dict]:

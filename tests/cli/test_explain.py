@@ -362,3 +362,24 @@ def test_a_number_that_could_be_a_time_says_so(tmp_path, capsys):
     assert explain(tmp_path, "60", capsys=capsys)[2].endswith(
         "numbered from 0; for the time write --at 60s\n"
     )
+
+
+@pytest.mark.parametrize("options", [("--horizon", "6"), ("--lags", "0,3,6"), ("--method", "observer")])
+def test_a_fault_beyond_the_bounds_as_fitted_is_no_proof_of_a_fault(tmp_path, options, capsys):
+    model = paper(name="paper", horizon=3, provenance={"noise": "fitted to healthy data"})
+    save_model(model, tmp_path / "model.toml")
+    csv(tmp_path / "run.csv")
+    files = [str(tmp_path / name) for name in ("model.toml", "run.csv")]
+    assert main.main(["detect", *files, "--out", str(tmp_path / "out"), *options]) == 3
+    assert capsys.readouterr().out.startswith("Outside the bounds as fitted: ")
+    faults = [
+        k
+        for k, line in enumerate((tmp_path / "out/verdicts.csv").read_text().splitlines()[1:])
+        if ",FAULT," in line
+    ]
+    code, out, _ = explain(tmp_path, str(faults[0]), capsys=capsys)
+    assert code == 0 and out.startswith("FAULT outside the bounds as fitted: the window from ")
+    assert "an error that lasts longer" in " ".join(out.split())
+    assert main.main(["detect", *files, "--out", str(tmp_path / "out"), "--horizon", "3"]) == 1
+    capsys.readouterr()
+    assert explain(tmp_path, str(faults[0]), capsys=capsys)[1].startswith("FAULT proved: ")

@@ -191,7 +191,7 @@ class TestDetect:
         save_model(paper(name=evil, units={"y1": evil}, provenance={"noise": evil}), place / "model.toml")
         code, _, _ = run(place, "detect", "model.toml", "faulty.csv", "--out", "out", capsys=capsys)
         page = (place / "out/report.html").read_text()
-        assert code == 1 and page.count("<script") == 2 and "&lt;script&gt;" in page
+        assert code == 1 and page.count("<script") == 3 and "&lt;script&gt;" in page
         assert evil in run(place, "info", "model.toml", capsys=capsys)[1]
 
     def test_tclab_is_healthy_and_a_jump_is_not(self, shared, tmp_path, capsys):
@@ -311,9 +311,12 @@ BAD_USAGE = {
     "coverage of 2": ([*DETECT, "--min-coverage", "2"], "--min-coverage needs a share"),
     "chunks of CSV": ([*DETECT, "--chunk", "9"], "--chunk is for Parquet: good.csv is read as a whole"),
     "chunk of nothing": ([*DETECT, "--chunk", "0"], "--chunk needs a whole number >= 1"),
-    "unknown option": ([*DETECT, "--speed", "9"], "unrecognized arguments: --speed 9"),
+    "unknown option": (
+        [*DETECT, "--speed", "9"],
+        "there is no option --speed of jaxbound detect",
+    ),
     "no --out": (["detect", "model.toml", "good.csv"], "the following arguments are required: --out"),
-    "unknown command": (["detekt"], "invalid choice: 'detekt'"),
+    "unknown command": (["detekt"], r"there is no command 'detekt' \(did you mean detect\?\)"),
     "fit without outputs": (["fit", "good.csv"], "the following arguments are required: --outputs, --out"),
     "info of nothing": (["info"], "needs either a model file or --template"),
     "out is a file": (

@@ -133,3 +133,58 @@ def test_optimisers_are_those_of_optax():
     import optax
 
     assert all(callable(getattr(optax, name)) for name in tuned.OPTIMIZERS)
+
+
+WRITTEN = """# Rig of the cellar, measured on 3 March.
+name = "rig"
+dt = 1.0   # s, as the logger says
+
+[[inputs]]
+name = "u1"
+
+[[outputs]]
+noise = 0.05      # data sheet of the upper sensor
+tolerance = 0.05
+name = "y1"  # above
+
+# The lower one was replaced in May.
+[[outputs]]
+name = "y2"
+tolerance = 0.05
+noise = "1/20"
+
+[provenance]
+noise = "data sheet"
+
+[matrices]
+A = [[0.8, 1], [0, "1/5"]]  # heat flows
+B = [[0], [1]]
+C = [
+  [1, 0],
+  [1, 1],
+]
+"""
+
+
+def test_comments_order_and_spacing_of_a_model_file_stay(plant, capsys):
+    (plant / "rig.toml").write_text(WRITTEN)
+    assert tune(plant, "--steps", "0", "--bounds", "noise") == 0
+    old, new = WRITTEN.splitlines(), (plant / "out.toml").read_text().splitlines()
+    assert [line for line in old if line not in new] == [
+        "noise = 0.05      # data sheet of the upper sensor",
+        'noise = "1/20"',
+        'noise = "data sheet"',
+    ]
+    assert any(line.endswith("# data sheet of the upper sensor") for line in new)
+    assert [line for line in new if line in old] == [line for line in old if line in new]
+    model = jb.load_model(plant / "out.toml")
+    assert model.provenance["noise"].startswith("fitted")
+    assert model.tolerance == jb.load_model(plant / "rig.toml").tolerance
+
+
+def test_windows_that_an_option_asks_for_stand_above_the_tables(plant, capsys):
+    (plant / "rig.toml").write_text(WRITTEN)
+    assert tune(plant, "--steps", "0", "--lags", "0,1,3") == 0
+    assert jb.load_model(plant / "out.toml").lags == (0, 1, 3)
+    text = (plant / "out.toml").read_text()
+    assert text.startswith("# Rig of the cellar") and text.index("lags") < text.index("[[inputs]]")

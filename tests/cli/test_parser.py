@@ -1,0 +1,101 @@
+"""The parser: near words, completion, and options that stand in their command's file alone."""
+
+import argparse
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from jaxbound.cli import main, options
+from jaxbound.consistency.interface import METHODS
+
+CLI = Path(main.__file__).parent
+
+
+@pytest.mark.parametrize(
+    "line, sentence",
+    [
+        ("detct plant.toml", "there is no command 'detct' (did you mean detect?); see jaxbound --help"),
+        ("weather", "there is no command 'weather'; see jaxbound --help"),
+        (
+            "fleet units.csv --ot fleet",  # --out, which is required, is not what one has to hear of
+            "there is no option --ot of jaxbound fleet (did you mean --out?); see jaxbound fleet --help",
+        ),
+        (
+            "detect m.toml d.csv --hoirzon=3 --out o",
+            "there is no option --hoirzon of jaxbound detect (did you mean --horizon?); see jaxbound detect "
+            "--help",
+        ),
+        (
+            "info --zzz",
+            "there is no option --zzz of jaxbound info; see jaxbound info --help",
+        ),
+    ],
+)
+def test_an_unknown_word_is_answered_by_the_nearest_in_one_sentence(line, sentence, capsys):
+    assert main.main(line.split()) == 2
+    assert capsys.readouterr() == ("", f"jaxbound: {sentence}\n")
+
+
+def test_what_looks_like_an_option_may_be_a_value_or_a_short_form():
+    args = main._parse(["study", "m.toml", "--faults", "y:bias", "--out", "o", "--input-range", "-1:1"])
+    assert args.input_range == "-1:1"
+    assert main._parse(["info", "m.toml", "--hor", "3"]).horizon == 3
+    assert str(main._parse(["info", "--", "--m.toml"]).model) == "--m.toml"
+
+
+def completed(line, folder):
+    """Return the words that the shell is offered behind a line."""
+    pytest.importorskip("argcomplete")
+    found = folder / "completions"
+    environment = os.environ | {
+        "_ARGCOMPLETE": "1",
+        "_ARGCOMPLETE_IFS": "\n",
+        "_ARGCOMPLETE_STDOUT_FILENAME": str(found),
+        "COMP_LINE": line,
+        "COMP_POINT": str(len(line)),
+    }
+    subprocess.run(
+        [sys.executable, "-m", "jaxbound.cli"], env=environment, cwd=folder, timeout=60, check=True
+    )
+    return {word.strip() for word in found.read_text().split("\n")}
+
+
+def test_completion_yields_commands_options_choices_and_files(tmp_path):
+    (tmp_path / "plant.toml").touch()
+    assert completed("jaxbound de", tmp_path) == {"demo", "detect"}
+    assert completed("jaxbound detect --me", tmp_path) == {"--merge", "--method"}
+    assert completed("jaxbound detect --observer ", tmp_path) == set(options.OBSERVERS)
+    assert completed("jaxbound info pl", tmp_path) == {"plant.toml"}
+
+
+def test_the_list_of_commands_names_no_option():
+    own = {"--help", "--version", "-v", "--verbose"}  # of the program, and for its tracebacks
+    text = (CLI / "main.py").read_text()
+    for name, parser in main.commands().items():
+        for action in parser._actions:
+            assert not [o for o in action.option_strings if f'"{o}"' in text and o not in own], name
+
+
+def test_a_new_option_is_written_in_its_commands_file_alone(monkeypatch):
+    def with_one_more(parser: argparse.ArgumentParser) -> None:
+        add(parser)
+        parser.add_argument("--colour", help="of the curtains")
+
+    add = main.info.options
+    monkeypatch.setattr(main.info, "options", with_one_more)
+    monkeypatch.setattr(main.info, "run", lambda args: 40 + len(args.colour))
+    monkeypatch.setattr(main, "_configure", lambda: None)
+    assert main.main(["info", "--colour", "ab"]) == 42
+
+
+def test_nobody_builds_a_namespace_by_hand():
+    files = [*CLI.rglob("*.py"), *(CLI.parents[1] / "tests").rglob("*.py")]
+    call = "argparse.Namespace" + "("
+    assert len(files) > 100 and not [path for path in files if call in path.read_text()]
+
+
+def test_methods_are_those_of_the_tests_of_windows():
+    assert tuple(options.METHODS.split(", ")) == METHODS
