@@ -6,101 +6,34 @@ can forget it: the names of its columns, gaps in the time of its rows, samples t
 out, samples that are masked or null.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.recordings.arrays import computed, float_arrays, is_made, refuse_infinite
 from jaxbound.recordings.columns import to_arrow
 from jaxbound.recordings.expressions import expression, fails, find_column
 from jaxbound.recordings.seams import all_starts, around, aside, check_period, crossing
-from jaxbound.recordings.table import as_table, is_table, paired
+from jaxbound.recordings.signals import Named, SignalModel
+from jaxbound.recordings.table import Data, as_table, is_table, paired
 from jaxbound.recordings.tabletime import row_time
 from jaxbound.recordings.timestamps import row_label, time_label
 from jaxbound.text.objects import readable
 
-__all__ = ["NOWHERE", "Recording", "SignalModel", "Signals", "signals_of"]
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow as pa
+
+__all__ = ["NOWHERE", "Recording"]
 
 NOWHERE = np.zeros(0, np.int64)
+Samples = tuple[np.ndarray, np.ndarray, np.ndarray | None]
+"""(u, y, excluded)."""
+Times = tuple[np.ndarray, np.ndarray | None, "pa.Array | None"]
+"""(time in s, stamps, as they are written)."""
 EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
-
-
-class SignalModel(Protocol):
-    """Names of the signals of any model: by them recordings are read and verdicts are shown."""
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """Names of the inputs."""
-
-    @property
-    def outputs(self) -> tuple[str, ...]:
-        """Names of the outputs."""
-
-    @property
-    def m(self) -> int:
-        """Number of inputs."""
-
-    @property
-    def p(self) -> int:
-        """Number of outputs."""
-
-    @property
-    def columns(self) -> Mapping[str, str]:
-        """{signal, "time" or "where": column of a recording} where it is called otherwise."""
-
-    @property
-    def dt(self) -> float | None:
-        """Sampling period in s; None: not known."""
-
-    @property
-    def name(self) -> str:
-        """Name of the model."""
-
-    def column(self, signal: str) -> str:
-        """Return the column of a recording that holds a signal."""
-
-    def unit(self, signal: str) -> str:
-        """Return the unit of a signal, or an empty string."""
-
-
-@dataclass(frozen=True)
-class Signals:
-    """What reading needs to know where there is no model yet.
-
-    Fields: inputs, outputs: names; columns: as of a LinearSystem; dt: sampling period in s, None: the median
-    step of the recording.
-    """
-
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    columns: dict[str, str]
-    dt: float | None = None
-    stated = "you gave"  # who says what dt is
-
-    name = ""
-
-    m = property(lambda self: len(self.inputs))
-    p = property(lambda self: len(self.outputs))
-    resolution = property(
-        lambda self: (np.inf,) * len(self.outputs)
-    )  # nothing is stated that could be too small
-
-    def column(self, signal: str) -> str:
-        """Return the column of a recording that holds a signal."""
-        return self.columns.get(signal, signal)
-
-    def unit(self, signal: str) -> str:
-        """Return no unit: none is stated."""
-        return ""
-
-
-def signals_of(model: Any) -> Any:
-    """Return what reading asks of a model: a LinearSystem as it is, Signals of one that has names only."""
-    if hasattr(model, "column"):
-        return model
-    return Signals(tuple(model.inputs), tuple(model.outputs), {}, getattr(model, "dt", None))
 
 
 @readable
@@ -132,21 +65,27 @@ class Recording:
     u: np.ndarray
     y: np.ndarray
     starts: np.ndarray = field(default_factory=lambda: NOWHERE)
-    inputs: tuple = ()
-    outputs: tuple = ()
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
     excluded: np.ndarray | None = None
-    index: Any = None
+    index: "pd.Index | np.ndarray | None" = None
     time: Any = None
     origin: float = np.nan
     dt: Any = None
     stamps: np.ndarray | None = None
-    written: Any = None
-    hints: tuple = ()
+    written: "pa.Array | None" = None
+    hints: tuple[str, ...] = ()
     source: str = ""
 
     @classmethod
     def of(
-        cls, model: Any, u: Any, y: Any = None, starts: Any = (), regular: bool = True, narrow: bool = True
+        cls,
+        model: Named,
+        u: Data,
+        y: Data = None,
+        starts: ArrayLike = (),
+        regular: bool = True,
+        narrow: bool = True,
     ) -> "Recording":
         """Return the Recording of a model's signals.
 
@@ -189,10 +128,9 @@ class Recording:
             tuple(model.outputs),
             index=index,
         )
-        if "where" in getattr(model, "columns", {}) and tables:
-            found = found._without(
-                fails(computed(expression(model.columns["where"]), tables, "the recording"))
-            )
+        columns = getattr(model, "columns", {})
+        if "where" in columns and tables:
+            found = found._without(fails(computed(expression(columns["where"]), tables, "the recording")))
         if index is not None:
             told = row_time(
                 index, getattr(model, "dt", None), getattr(model, "stated", "the model has"), regular
@@ -204,7 +142,7 @@ class Recording:
         return replace(found, starts=_union(found.starts, out, all_starts(starts, found.y.shape[-2])))
 
     @classmethod
-    def filed(cls, model: Any, samples: tuple, times: tuple, source: str) -> "Recording":
+    def filed(cls, model: SignalModel, samples: Samples, times: Times, source: str) -> "Recording":
         """Return the Recording of samples as they stand in a file, without hints and starts.
 
         Args:
@@ -266,14 +204,14 @@ class Recording:
             index=getattr(given, "index", None),
         )
 
-    def _head(self):
+    def _head(self) -> str:
         names = f" of {self.source}" if self.source else ""
         return (
             f"Recording{names}: {self.y.shape[-2]} samples, u {tuple(self.u.shape)}, y "
             f"{tuple(self.y.shape)} {self.y.dtype}"
         )
 
-    def _rows(self):
+    def _rows(self) -> dict[str, str]:
         rows = {}
         if self.inputs or self.outputs:
             rows = {"inputs": ", ".join(self.inputs), "outputs": ", ".join(self.outputs)}
@@ -322,7 +260,7 @@ class Recording:
         )
 
     @property
-    def column(self) -> Any:
+    def column(self) -> "pa.Array":
         """The time as a column of a file: as it was written there, else dates, else seconds, else numbers of
         samples; a pyarrow array.
         """
