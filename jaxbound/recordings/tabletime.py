@@ -181,7 +181,7 @@ def row_time(index: "pd.Index", dt: float | None, whose: str, regular: bool) -> 
     return RowTime(time, origin, *_checked(time, index, dt, whose, regular, stamps))
 
 
-def _of_signals(model):
+def _of_signals(model: Named) -> set[str]:
     """Return the names of all columns that hold a signal."""
     found = set()
     for signal in (*model.inputs, *model.outputs):
@@ -192,25 +192,31 @@ def _of_signals(model):
     return found
 
 
-def _labels(frame, name):
+def _labels(frame: "pd.DataFrame", name: str) -> "pd.Index":
     import pandas as pd
 
     return pd.Index(frame.iloc[:, list(frame.columns).index(name)])
 
 
-def _first(labels):
+def _first(labels: "pd.Index") -> object:
     """Return the first label that there is, or None."""
-    first = labels[:1] if len(labels) and not labels[:1].hasnans else labels.dropna()[:1]
-    return first[0] if len(first) else None
+    first = labels[:1]
+    if not len(first) or first.hasnans:
+        first = labels.dropna()[:1]
+    if not len(first):
+        return None
+    return first[0]
 
 
-def _held(labels):
+def _held(labels: "pd.Index") -> str:
     """Return what labels hold, as `stamp_kind` says of text."""
     first = _first(labels)
     if isinstance(first, (int, np.integer)):
-        return stamp_kind(str(first)) if DIGITS.fullmatch(str(first)) else ""
+        is_time = bool(DIGITS.fullmatch(str(first)))
+        return stamp_kind(str(first)) if is_time else ""
     if isinstance(first, str):
-        return stamp_kind(first) if DIGITS.fullmatch(first) or not is_number(first, ",") else ""
+        is_time = bool(DIGITS.fullmatch(first)) or not is_number(first, ",")
+        return stamp_kind(first) if is_time else ""
     if isinstance(first, datetime.time):
         return "clock"
     plain = plain_labels(labels)
@@ -281,21 +287,30 @@ def _refuse_steps(labels: np.ndarray) -> None:
         raise ValueError(f"the index counts in steps of {step:g}, as if rows were left out. {seconds}")
 
 
-def _checked(time, index, dt, whose, regular, stamps=None):
+def _checked(
+    time: np.ndarray,
+    index: "pd.Index",
+    dt: float | None,
+    whose: str,
+    regular: bool,
+    stamps: np.ndarray | None = None,
+) -> tuple[float | None, np.ndarray | None, np.ndarray]:
     """Return (dt, stamps, seams) of rows at these times."""
-    found = None
+    period = None
     checked = regular and len(time) > 1
     try:
         if checked:
-            found = usual_period(time) if dt is None else dt
-            check_period(time, found, whose)
-        clock, seams = tick(Clock(found or dt or 1.0), time)
+            period = usual_period(time) if dt is None else dt
+            check_period(time, period, whose)
+        clock, seams = tick(Clock(period or dt or 1.0), time)
         if checked and (sentence := irregular(clock, lambda k: str(index[k]), lambda k: f"row {k}")):
             raise ValueError(sentence)
     except ValueError as e:
-        taken = f"; the time is taken from {index.name!r}: where that is none, rename it or leave it out"
-        raise ValueError(f"{e}{'' if index.name is None else taken}") from None
-    return found, stamps, seams
+        if index.name is None:
+            raise ValueError(str(e)) from None
+        taken = f"the time is taken from {index.name!r}: where that is none, rename it or leave it out"
+        raise ValueError(f"{e}; {taken}") from None
+    return period, stamps, seams
 
 
 def _changes(labels: "pd.Index") -> np.ndarray:
