@@ -38,9 +38,7 @@ class AverageRows(NamedTuple):
 
 
 def average_rows(model: LinearSystem, L: int) -> AverageRows | None:
-    """Return the rows of a model's averages; None if no average of it fits into so many samples."""
-    if not model.averages:
-        return None
+    """Return the rows of a model's bounded sums; None if none of them fits into so many samples."""
     rows = window_rows(model, L - 1)
     count = len(rows.of_sums)
     if not count:

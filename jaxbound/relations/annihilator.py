@@ -27,7 +27,7 @@ import numpy as np
 
 from jaxbound.exact import linalg
 from jaxbound.exact.sparse import null_space, pivot_columns
-from jaxbound.relations.polynomial import Exponents, PolynomialMatrix, Terms, monomials
+from jaxbound.relations.polynomial import Exponents, PolynomialMatrix, Terms, graded, monomials
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_other_modes
 
@@ -75,25 +75,23 @@ def annihilator(E: PolynomialMatrix) -> tuple[PolynomialMatrix, tuple[Step, ...]
     Source: Ploix, Adrot 2006, (8)-(10).
     """
     target = E.rows - generic_rank(E)
+    if target == 0:
+        return PolynomialMatrix(0, E.rows, E.variables, {}), (), "proved"
     points = _points(E.variables)
     kept: list[Kept] = []
     steps: list[Step] = []
     used = [i for i in range(E.variables) if any(a[i] for a in E.terms)]
-    small = PolynomialMatrix(
-        E.rows, E.columns, len(used), {tuple(a[i] for i in used): m for a, m in E.terms.items()}
-    )
-    wide = lambda beta: tuple(beta[used.index(i)] if i in used else 0 for i in range(E.variables))
-    if target == 0:
-        return PolynomialMatrix(0, E.rows, E.variables, {}), (), "proved"
-    for order in range(
-        max(1, E.columns * E.order) + 1
-    ):  # relations of at most this order, the minors of E, span it everywhere
+    small = _in_used_variables(E, used)
+    # relations of at most this order, the minors of E, span it everywhere
+    highest = max(1, E.columns * E.order)
+    for order in range(highest + 1):
         betas = monomials(len(used), order)
         if len(betas) * E.rows > LARGEST and order:
             return _matrix(kept, E), tuple(steps), "partial"
         fresh, step = _one_order(small, betas, order, kept)
         steps.append(step)
-        kept += [(order, {(wide(b), j): x for (b, j), x in g.items()}, g) for g in fresh]
+        for g in fresh:
+            kept.append((order, _in_all_variables(g, used, E.variables), g))
         if fresh and len(kept) >= target and _spans(_matrix(kept, E), points, target)[0]:
             chosen = _matrix(_fewest(kept, E, points, target), E)
             proof, where = rank_over_box(chosen, target)
@@ -101,6 +99,25 @@ def annihilator(E: PolynomialMatrix) -> tuple[PolynomialMatrix, tuple[Step, ...]
                 return chosen, tuple(steps), "proved" if proof == "proved" else "sampled"
             points.append(where)
     return _matrix(kept, E), tuple(steps), "partial"
+
+
+def _in_used_variables(E: PolynomialMatrix, used: list[int]) -> PolynomialMatrix:
+    """Return E over the variables that it depends on."""
+    terms = {}
+    for exponents, entries in E.terms.items():
+        terms[tuple(exponents[i] for i in used)] = entries
+    return PolynomialMatrix(E.rows, E.columns, len(used), terms)
+
+
+def _in_all_variables(relation: Relation, used: list[int], count: int) -> Relation:
+    """Return a relation in the variables `used` as one in all of them."""
+    found = {}
+    for (beta, j), x in relation.items():
+        exponents = [0] * count
+        for i, e in zip(used, beta, strict=True):
+            exponents[i] = e
+        found[tuple(exponents), j] = x
+    return found
 
 
 def constraints(E: PolynomialMatrix, order: int) -> tuple[list[dict[int, int]], int]:
@@ -134,18 +151,24 @@ def _one_order(
     kernel = null_space(equations, len(betas) * E.rows)
     leads = {min(row): i for i, row in enumerate(kernel)}  # coordinates of a solution: its values there
     number = {beta: b for b, beta in enumerate(betas)}
+    last = len(kernel) - 1
     multiples = []
     for low, _, g in kept:
         for beta in betas:
             if sum(beta) > order - low:
                 break
-            shifted = {number[tuple(map(int.__add__, beta, b))] * E.rows + j: x for (b, j), x in g.items()}
-            multiples.append({len(kernel) - 1 - leads[k]: x for k, x in shifted.items() if k in leads})
-    spanned = {
-        len(kernel) - 1 - c for c in pivot_columns(multiples)
-    }  # the last coordinate of a multiple: the others come first
-    fresh = [kernel[i] for i in range(len(kernel)) if i not in spanned]
-    found = [{(betas[k // E.rows], k % E.rows): x for k, x in row.items()} for row in fresh]
+            multiple = {}
+            for (b, j), x in g.items():
+                k = number[tuple(map(int.__add__, beta, b))] * E.rows + j
+                if k in leads:
+                    multiple[last - leads[k]] = x
+            multiples.append(multiple)
+    # the last coordinate of a multiple: the others come first
+    spanned = {last - c for c in pivot_columns(multiples)}
+    fresh = [row for i, row in enumerate(kernel) if i not in spanned]
+    found = []
+    for row in fresh:
+        found.append({(betas[k // E.rows], k % E.rows): x for k, x in row.items()})
     return found, Step(order, len(betas) * E.rows, size, len(kernel), len(spanned), len(fresh))
 
 
@@ -155,13 +178,21 @@ def _matrix(kept: Sequence[Kept], E: PolynomialMatrix) -> PolynomialMatrix:
     """
     terms: Terms = {}
     for i, (_, g, _) in enumerate(kept):
-        nominal = [abs(x) for (b, _), x in g.items() if not any(b)]
-        first = min(g, key=lambda k: (sum(k[0]), tuple(-e for e in k[0]), k[1]))
-        divisor = max(nominal or map(abs, g.values())) * (1 if g[first] > 0 else -1)
+        nominal = [abs(x) for (beta, _), x in g.items() if not any(beta)]
+        divisor = max(nominal or map(abs, g.values()))
+        first = min(g, key=_place)
+        if g[first] < 0:
+            divisor = -divisor
         for (beta, j), x in g.items():
             terms.setdefault(beta, {})[i, j] = x / divisor
-    ordered = dict(sorted(terms.items(), key=lambda t: (sum(t[0]), tuple(-e for e in t[0]))))
+    ordered = {beta: terms[beta] for beta in sorted(terms, key=graded)}
     return PolynomialMatrix(len(kept), E.rows, E.variables, ordered)
+
+
+def _place(coefficient: tuple[Exponents, int]) -> tuple:
+    """Return the key by which coefficients (monomial, column) are sorted."""
+    beta, column = coefficient
+    return *graded(beta), column
 
 
 def _fewest(kept: list[Kept], E: PolynomialMatrix, points: Points, target: int) -> list[Kept]:
@@ -172,15 +203,17 @@ def _fewest(kept: list[Kept], E: PolynomialMatrix, points: Points, target: int) 
         return kept
     most = _spans(_matrix(kept, E), points, target)[1]
     for count in range(target, len(kept)):
-        choices = sorted(
-            itertools.islice(itertools.combinations(kept, count), 2000),
-            key=lambda some: sum(g[0] for g in some),
-        )
-        for some in choices[:50]:
+        choices = itertools.islice(itertools.combinations(kept, count), 2000)
+        for some in sorted(choices, key=_total_order)[:50]:
             spans, smallest = _spans(_matrix(some, E), points, target)
             if spans and smallest > most / 2:
                 return list(some)
     return kept
+
+
+def _total_order(some: Sequence[Kept]) -> int:
+    """Return the sum of the orders of relations."""
+    return sum(order for order, _, _ in some)
 
 
 def _spans(P: PolynomialMatrix, points: Points, target: int) -> tuple[bool, float]:
@@ -191,28 +224,40 @@ def _spans(P: PolynomialMatrix, points: Points, target: int) -> tuple[bool, floa
     values = np.array([P.coefficient(a) for a in P.terms], float)
     at = np.einsum("pa,aij->pij", np.prod(np.array(points, float)[:, None, :] ** powers, -1), values)
     singular = np.linalg.svd(at, compute_uv=False)
-    plain = singular[:, target - 1] > 1e-7 * singular[:, 0]
-    return all(ok or linalg.rank(P.at(v)) >= target for ok, v in zip(plain, points, strict=True)), singular[
-        :, target - 1
-    ].min()
+    largest, deciding = singular[:, 0], singular[:, target - 1]
+    smallest = deciding.min()
+    for v, plain in zip(points, deciding > 1e-7 * largest, strict=True):
+        if not plain and linalg.rank(P.at(v)) < target:
+            return False, smallest
+    return True, smallest
 
 
 def generic_rank(E: PolynomialMatrix) -> int:
     """Return the rank of E at almost every v: its largest rank at a few random points."""
+    if not E.columns or not E.rows:
+        return 0
     draw = random.Random(7)
-    point = lambda: [Fraction(draw.randrange(-999, 1000), 1000) for _ in range(E.variables)]
-    return max(linalg.rank(E.at(point())) for _ in range(2)) if E.columns and E.rows else 0
+    return max(linalg.rank(E.at(_random_point(draw, E.variables))) for _ in range(2))
+
+
+def _random_point(draw: random.Random, q: int) -> tuple[Fraction, ...]:
+    """Return a point of [-1, 1]^q, as Fractions."""
+    return tuple(Fraction(draw.randrange(-999, 1000), 1000) for _ in range(q))
 
 
 def _points(q: int) -> Points:
     """Return the middle, up to 64 vertices and 8 random points of [-1, 1]^q, as Fractions."""
     draw = random.Random(11)
+    points = [(Fraction(0),) * q]
     if q <= 6:
-        vertices = list(itertools.product((-1, 1), repeat=q))
+        for signs in itertools.product((-1, 1), repeat=q):
+            points.append(tuple(map(Fraction, signs)))
     else:
-        vertices = [tuple(draw.choice((-1, 1)) for _ in range(q)) for _ in range(64)]
-    inside = [tuple(Fraction(draw.randrange(-999, 1000), 1000) for _ in range(q)) for _ in range(8)]
-    return [(Fraction(0),) * q, *(tuple(map(Fraction, v)) for v in vertices), *inside]
+        for _ in range(64):
+            points.append(tuple(Fraction(draw.choice((-1, 1))) for _ in range(q)))
+    for _ in range(8):
+        points.append(_random_point(draw, q))
+    return points
 
 
 def rank_over_box(P: PolynomialMatrix, rank: int) -> tuple[str, tuple[Fraction, ...] | None]:
@@ -235,10 +280,7 @@ def rank_over_box(P: PolynomialMatrix, rank: int) -> tuple[str, tuple[Fraction, 
     points = _points(P.variables)
     if not _spans(P, points, rank)[0]:
         return "drops", next(v for v in points if linalg.rank(P.at(v)) < rank)
-    alphas = sorted(
-        {low for a in P.terms for low in itertools.product(*(range(e + 1) for e in a))},
-        key=lambda a: (sum(a), a),
-    )
+    alphas = _divisors(P)
     values = np.array([P.coefficient(a) for a in alphas], float)
     powers = np.array(alphas, int).reshape(len(alphas), P.variables)
     gamma, _ = rounding.product_error(len(alphas) + P.rows + P.columns + 4 * P.order + 8, np.float64)
@@ -254,19 +296,29 @@ def rank_over_box(P: PolynomialMatrix, rank: int) -> tuple[str, tuple[Fraction, 
         left, singular, right = np.linalg.svd(here[0], full_matrices=False)
         exactly = tuple(map(Fraction, centre.tolist()))
         if singular[rank - 1] <= 1e-9 * singular[0]:
-            return ("drops" if linalg.rank(P.at(exactly)) < rank else "open"), exactly
+            drops = linalg.rank(P.at(exactly)) < rank
+            return "drops" if drops else "open", exactly
         L, R = left.T[:rank] / singular[:rank, None], right[:rank].T
         N = L @ here @ R
         N[0] -= np.eye(rank)
         bound = abs(N) + gamma * (abs(L) @ size @ abs(R) + 1)
         if bound.sum((0, 2)).max() < 1 - gamma:
             continue
+        # the box is cut where its variable moves N most
         influence = np.array([bound[powers[:, k] > 0].sum() for k in range(P.variables)])
         if boxes >= most or len(alphas) > LONGEST or not influence.size or not influence.max() > 0:
             return "open", exactly
         half = radius * np.where(np.arange(P.variables) == influence.argmax(), 0.5, 1)
         queue += [(centre + s * (radius - half), half) for s in (-1, 1)]
     return "proved", None
+
+
+def _divisors(P: PolynomialMatrix) -> list[Exponents]:
+    """Return all monomials that divide one of P, by their order."""
+    found = set()
+    for exponents in P.terms:
+        found |= set(itertools.product(*(range(e + 1) for e in exponents)))
+    return sorted(found, key=lambda a: (sum(a), a))
 
 
 def _moved(powers: np.ndarray, centre: np.ndarray, radius: np.ndarray) -> np.ndarray:

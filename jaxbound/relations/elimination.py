@@ -13,11 +13,11 @@ once and are left out, and the elimination goes on until no state is left or C =
 loses a relation of the paper's own example).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
 
 from jaxbound.exact import linalg
-from jaxbound.exact.linalg import Matrix
+from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations import shift
 from jaxbound.relations.shift import Row
@@ -37,38 +37,30 @@ def eliminate(model: LinearSystem) -> tuple[Row, ...]:
     F = _independent_columns(model.F)
     outputs, rows = _independent_outputs(model)
     C = tuple(model.C[i] for i in outputs)
-    E = linalg.left_null_space(F) if F[0] else _identity(model.n)
+    E = linalg.left_null_space(F) if F[0] else linalg.identity(model.n)
     columns = linalg.row_reduce(C)[1]
     hidden = tuple(j for j in range(model.n) if j not in columns)
     measured = len(outputs)
     P = _measured_first(C, columns, hidden)
-    EP, EAP = linalg.matmul(E, P) if E else (), linalg.matmul(linalg.matmul(E, model.A), P) if E else ()
-    E1, E2 = tuple(r[:measured] for r in EP), tuple(r[measured:] for r in EP)
+    EP, EAP, EB = _products(E, P, model)
+    E2 = _columns(EP, measured, model.n)
     if linalg.rank(E2) < len(hidden):
-        CF = linalg.matmul(model.C, F)
         raise ValueError(
             f"the elimination needs rank(C F) = rank F, so that each unknown input shows in the next "
             f"outputs: rank(C F) is "
-            f"{linalg.rank(CF)}, rank F is {len(F[0])}; use method='window'"
+            f"{linalg.rank(linalg.matmul(model.C, F))}, rank F is {len(F[0])}; use method='window'"
         )
-    y = _signals(model, outputs)
     Q = _solving(E2)
-    E1, EAP, EB = (
-        linalg.matmul(Q, E1),
-        linalg.matmul(Q, EAP),
-        linalg.matmul(Q, linalg.matmul(E, model.B)) if model.m else tuple(() for _ in Q),
-    )
-    given = [
-        _sum(
-            shift.apply(tuple(r[:measured] for r in EAP), y, model.p + model.m),
-            shift.apply(EB, _inputs(model), model.p + model.m),
-        ),
-        shift.apply(E1, y, model.p + model.m),
-    ]
+    E1, EAP, EB = linalg.matmul(Q, _columns(EP, 0, measured)), linalg.matmul(Q, EAP), linalg.matmul(Q, EB)
+    y, width = _signals(model, outputs), model.p + model.m
+    through = shift.apply(_columns(EAP, 0, measured), y, width)
+    driven = shift.apply(EB, _inputs(model), width)
+    # q E1 y - A1 y - B u = A2 w - (0, q w)
+    later = shift.minus_shift(shift.apply(E1, y, width), _sum(through, driven))
     split = len(E) - len(hidden)
-    later = shift.minus_shift(given[1], given[0])  # q E1 y - A1 y - B u = A2 w - (0, q w)
-    z, b = list(later[:split]), tuple(tuple(tuple(-c for c in p) for p in row) for row in later[split:])
-    C, A = (tuple(r[measured:] for r in part) for part in (EAP[:split], EAP[split:]))
+    z, b = list(later[:split]), tuple(_negative(row) for row in later[split:])
+    moved = _columns(EAP, measured, model.n)
+    C, A = moved[:split], moved[split:]
     while True:
         order = sorted(range(len(z)), key=lambda i: shift.degree(z[i]))
         z, C = [z[i] for i in order], tuple(C[i] for i in order)
@@ -79,13 +71,33 @@ def eliminate(model: LinearSystem) -> tuple[Row, ...]:
         A, C, b, z = _step(A, C, b, z)
 
 
+def _products(E: Matrix, P: Matrix, model: LinearSystem) -> tuple[Matrix, Matrix, Matrix]:
+    """Return (E P, E A P, E B)."""
+    if not E:
+        return (), (), ()
+    return (
+        linalg.matmul(E, P),
+        linalg.matmul(linalg.matmul(E, model.A), P),
+        linalg.matmul(E, model.B) if model.m else linalg.zeros(len(E), 0),
+    )
+
+
+def _columns(rows: Matrix, low: int, high: int) -> Matrix:
+    """Return some columns of a matrix."""
+    return tuple(row[low:high] for row in rows)
+
+
+def _negative(row: Row) -> Row:
+    """Return a row of polynomials times -1."""
+    return tuple(tuple(-c for c in p) for p in row)
+
+
 def _relations(z: Sequence[Row], C: Matrix) -> tuple[list[Row], list[Row], Matrix]:
     """Return the relations among z = C x, and the independent rows that are left."""
     if not C or not C[0]:
         return list(z), [], ()
-    backward = linalg.left_null_space(
-        C[::-1]
-    )  # reversed: each relation is led by the row that depends on those before it
+    # reversed: each relation is led by the row that depends on those before it
+    backward = linalg.left_null_space(C[::-1])
     null = [row[::-1] for row in backward]
     led: set[int] = set()
     relations: list[Row] = []
@@ -96,61 +108,71 @@ def _relations(z: Sequence[Row], C: Matrix) -> tuple[list[Row], list[Row], Matri
     return relations, [z[i] for i in keep], tuple(C[i] for i in keep)
 
 
-def _echelon(rows):
+def _echelon(rows: Sequence[Vector]) -> list[Vector]:
     """Return a basis of the row space whose rows end at different columns."""
-    return [row[::-1] for row in linalg.row_reduce([row[::-1] for row in rows])[0]] if rows else []
+    if not rows:
+        return []
+    backward = [row[::-1] for row in rows]
+    return [row[::-1] for row in linalg.row_reduce(backward)[0]]
 
 
-def _step(A, C, b, z):
-    """Replace a part of the state by z: return (A, C, b, z) of what is left. Source: (16)-(20)."""
+def _step(
+    A: Matrix, C: Matrix, b: Sequence[Row], z: Sequence[Row]
+) -> tuple[Matrix, Matrix, tuple[Row, ...], list[Row]]:
+    """Return (A, C, b, z) of the states that are left when z takes the place of some. Source: (16)-(20)."""
     n, width, first = len(A), len(z[0]), linalg.row_reduce(C)[1]
     second = tuple(j for j in range(n) if j not in first)
     change = _measured_first(C, first, second)  # x = change (z, x2)
     back = linalg.inverse(change)
     moved, drive = linalg.matmul(linalg.matmul(back, A), change), shift.apply(back, b, width)
     k = len(z)
-    part = lambda rows, low, high: tuple(r[low:high] for r in rows)
-    known = _sum(shift.apply(part(moved[:k], 0, k), z, width), drive[:k])
-    left = shift.minus_shift(z, known)
-    return (
-        part(moved[k:], k, n),
-        part(moved[:k], k, n),
-        _sum(shift.apply(part(moved[k:], 0, k), z, width), drive[k:]),
-        left,
-    )
+    replaced, kept = moved[:k], moved[k:]
+    known = _sum(shift.apply(_columns(replaced, 0, k), z, width), drive[:k])
+    pushed = _sum(shift.apply(_columns(kept, 0, k), z, width), drive[k:])
+    left = list(shift.minus_shift(z, known))
+    return _columns(kept, k, n), _columns(replaced, k, n), pushed, left
 
 
-def _measured_first(C, columns, hidden):
+def _measured_first(C: Matrix, columns: Sequence[int], hidden: Sequence[int]) -> Matrix:
     """Return P with x = P (C x, x of the hidden columns); C has full row rank on `columns`."""
-    n = len(columns) + len(hidden)
-    rows = list(C) + [tuple(Fraction(int(j == i)) for j in range(n)) for i in hidden]
-    return linalg.inverse(rows)
+    own = linalg.identity(len(columns) + len(hidden))
+    return linalg.inverse([*C, *(own[i] for i in hidden)])
 
 
-def _solving(E2):
+def _solving(E2: Matrix) -> Matrix:
     """Return Q, regular, with Q E2 = (0, I)."""
-    width, rows = len(E2[0]) if E2 else 0, len(E2)
-    if not width:
-        return _identity(rows)
+    rows, own = len(E2), linalg.identity(len(E2))
+    if not E2 or not E2[0]:
+        return own
     bottom = linalg.row_reduce(linalg.transpose(E2))[1]
     inverse = linalg.inverse([E2[i] for i in bottom])
-    spread = lambda values, at: tuple(
-        sum((v for v, i in zip(values, at, strict=True) if i == j), Fraction(0)) for j in range(rows)
-    )
     Q = []
     for i in range(rows):
         if i not in bottom:
             share = linalg.matmul((E2[i],), inverse)[0]
-            Q.append(tuple(a - b for a, b in zip(_identity(rows)[i], spread(share, bottom), strict=True)))
-    return tuple(Q) + tuple(spread(row, bottom) for row in inverse)
+            Q.append(linalg.add_multiple(own[i], -1, _spread(share, bottom, rows)))
+    for row in inverse:
+        Q.append(_spread(row, bottom, rows))
+    return tuple(Q)
 
 
-def _independent_columns(F):
+def _spread(values: Vector, at: Sequence[int], count: int) -> Vector:
+    """Return a row of so many numbers, some of them given and 0 elsewhere."""
+    row = [Fraction(0)] * count
+    for i, value in zip(at, values, strict=True):
+        row[i] = value
+    return tuple(row)
+
+
+def _independent_columns(F: Matrix) -> Matrix:
     """Return F without the columns that depend on others."""
-    return tuple(tuple(row[j] for j in linalg.row_reduce(F)[1]) for row in F) if F[0] else F
+    if not F[0]:
+        return F
+    independent = linalg.row_reduce(F)[1]
+    return tuple(tuple(row[j] for j in independent) for row in F)
 
 
-def _independent_outputs(model):
+def _independent_outputs(model: LinearSystem) -> tuple[list[int], list[Row]]:
     """Return the outputs whose rows of C are independent, and the relations that the others give at once."""
     kept = list(linalg.row_reduce(linalg.transpose(model.C))[1])
     rows: list[Row] = []
@@ -160,22 +182,25 @@ def _independent_outputs(model):
     return kept, rows
 
 
-def _signals(model, outputs):
+def _signals(model: LinearSystem, outputs: Iterable[int]) -> list[Row]:
     """Return y - D u of some outputs as rows over (y, u)."""
-    unit = lambda j: tuple((Fraction(1),) if i == j else () for i in range(model.p))
-    return [unit(i) + tuple(shift.trim((-x,)) for x in model.D[i]) for i in outputs]
+    rows = []
+    for i in outputs:
+        direct = tuple(shift.trim((-x,)) for x in model.D[i])
+        rows.append(_unit(i, model.p) + direct)
+    return rows
 
 
-def _inputs(model):
-    return [
-        ((),) * model.p + tuple((Fraction(1),) if i == j else () for i in range(model.m))
-        for j in range(model.m)
-    ]
+def _inputs(model: LinearSystem) -> list[Row]:
+    """Return u as rows over (y, u)."""
+    return [((),) * model.p + _unit(j, model.m) for j in range(model.m)]
 
 
-def _sum(a, b):
+def _unit(i: int, count: int) -> Row:
+    """Return a row of polynomials: 1 at one place, 0 elsewhere."""
+    return tuple((Fraction(1),) if j == i else () for j in range(count))
+
+
+def _sum(a: Sequence[Row], b: Sequence[Row]) -> tuple[Row, ...]:
+    """Return the sum of two matrices of polynomials."""
     return tuple(tuple(map(shift.add, r, s)) for r, s in zip(a, b, strict=True))
-
-
-def _identity(n):
-    return tuple(tuple(Fraction(int(i == j)) for j in range(n)) for i in range(n))

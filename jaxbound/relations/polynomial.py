@@ -20,7 +20,16 @@ from typing import TypeAlias
 
 from jaxbound.exact.linalg import Matrix
 
-__all__ = ["Exponents", "PolynomialMatrix", "Terms", "constant", "monomials", "stacked"]
+__all__ = [
+    "Exponents",
+    "PolynomialMatrix",
+    "Terms",
+    "constant",
+    "entries_of",
+    "graded",
+    "monomials",
+    "stacked",
+]
 
 Exponents: TypeAlias = tuple[int, ...]
 Terms: TypeAlias = dict[Exponents, dict[tuple[int, int], Fraction]]
@@ -64,19 +73,17 @@ class PolynomialMatrix:
         return _clean(self.rows, self.columns, self.variables, out)
 
     def __neg__(self) -> PolynomialMatrix:
-        return PolynomialMatrix(
-            self.rows,
-            self.columns,
-            self.variables,
-            {a: {k: -x for k, x in m.items()} for a, m in self.terms.items()},
-        )
+        terms: Terms = {}
+        for a, entries in self.terms.items():
+            terms[a] = {k: -x for k, x in entries.items()}
+        return PolynomialMatrix(self.rows, self.columns, self.variables, terms)
 
     def coefficient(self, alpha: Exponents) -> Matrix:
         """Return the matrix of one monomial as a tuple of rows."""
-        entries = self.terms.get(alpha, {})
-        return tuple(
-            tuple(entries.get((i, j), Fraction(0)) for j in range(self.columns)) for i in range(self.rows)
-        )
+        out = [[Fraction(0)] * self.columns for _ in range(self.rows)]
+        for (i, j), x in self.terms.get(alpha, {}).items():
+            out[i][j] = x
+        return tuple(map(tuple, out))
 
     def at(self, point: Sequence[Fraction]) -> Matrix:
         """Return the exact matrix at a point of Fractions."""
@@ -91,22 +98,37 @@ class PolynomialMatrix:
         self, rows: Iterable[int] | None = None, columns: Iterable[int] | None = None
     ) -> PolynomialMatrix:
         """Return some rows and columns, in the order given."""
-        rows, columns = (
-            range(n) if some is None else some for n, some in ((self.rows, rows), (self.columns, columns))
-        )
-        i_of, j_of = ({old: new for new, old in enumerate(some)} for some in (rows, columns))
-        out = {
-            a: {(i_of[i], j_of[j]): x for (i, j), x in entries.items() if i in i_of and j in j_of}
-            for a, entries in self.terms.items()
-        }
+        i_of = _places(self.rows, rows)
+        j_of = _places(self.columns, columns)
+        out: Terms = {}
+        for a, entries in self.terms.items():
+            for (i, j), x in entries.items():
+                if i in i_of and j in j_of:
+                    out.setdefault(a, {})[i_of[i], j_of[j]] = x
         return _clean(len(i_of), len(j_of), self.variables, out)
+
+
+def _places(count: int, some: Iterable[int] | None) -> dict[int, int]:
+    """Return {old number: new one} of some of so many rows or columns, of all for None."""
+    chosen = range(count) if some is None else some
+    return {old: new for new, old in enumerate(chosen)}
 
 
 def constant(matrix: Matrix, variables: int, columns: int | None = None) -> PolynomialMatrix:
     """Return an exact matrix as a PolynomialMatrix; columns: how many it has, if it may be without rows."""
-    entries = {(i, j): x for i, row in enumerate(matrix) for j, x in enumerate(row) if x}
-    columns = len(matrix[0]) if matrix else columns or 0
-    return PolynomialMatrix(len(matrix), columns, variables, {(0,) * variables: entries} if entries else {})
+    entries = entries_of(matrix)
+    terms = {(0,) * variables: entries} if entries else {}
+    return PolynomialMatrix(len(matrix), len(matrix[0]) if matrix else columns or 0, variables, terms)
+
+
+def entries_of(matrix: Matrix) -> dict[tuple[int, int], Fraction]:
+    """Return {(row, column): entry} of the entries of a matrix that are not 0."""
+    entries = {}
+    for i, row in enumerate(matrix):
+        for j, x in enumerate(row):
+            if x:
+                entries[i, j] = x
+    return entries
 
 
 def stacked(blocks: Sequence[Sequence[PolynomialMatrix]]) -> PolynomialMatrix:
@@ -117,7 +139,9 @@ def stacked(blocks: Sequence[Sequence[PolynomialMatrix]]) -> PolynomialMatrix:
         left = 0
         for block in row:
             for a, entries in block.terms.items():
-                out.setdefault(a, {}).update({(top + i, left + j): x for (i, j), x in entries.items()})
+                term = out.setdefault(a, {})
+                for (i, j), x in entries.items():
+                    term[top + i, left + j] = x
             left += block.columns
         top += row[0].rows
     return PolynomialMatrix(top, left, blocks[0][0].variables, out)
@@ -138,12 +162,14 @@ def monomials(variables: int, order: int) -> list[Exponents]:
 
 
 def _clean(rows: int, columns: int, variables: int, terms: Terms) -> PolynomialMatrix:
-    kept = {a: {k: x for k, x in entries.items() if x} for a, entries in terms.items()}
-    return PolynomialMatrix(
-        rows, columns, variables, {a: kept[a] for a in sorted(kept, key=_graded) if kept[a]}
-    )
+    kept: Terms = {}
+    for a in sorted(terms, key=graded):
+        entries = {k: x for k, x in terms[a].items() if x}
+        if entries:
+            kept[a] = entries
+    return PolynomialMatrix(rows, columns, variables, kept)
 
 
-def _graded(alpha: Exponents) -> tuple[int, Exponents]:
-    """Sort key of monomials: by order, the first variables first."""
+def graded(alpha: Exponents) -> tuple[int, Exponents]:
+    """Return the key by which monomials are sorted: by order, the first variables first."""
     return sum(alpha), tuple(-e for e in alpha)

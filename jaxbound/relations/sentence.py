@@ -6,7 +6,16 @@ from jaxbound.models.rows import Kind, Row
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import bounded_sums, window_rows
 
-__all__ = ["few_lines", "latched", "looked_at", "main_terms", "relation_text", "remembers", "row_name"]
+__all__ = [
+    "few_lines",
+    "latched",
+    "looked_at",
+    "main_terms",
+    "relation_text",
+    "remembers",
+    "row_name",
+    "sample_names",
+]
 
 FEW = 8
 """Relations that are shown at a prompt."""
@@ -94,7 +103,7 @@ def _size(term):
 
 def relation_text(model: LinearSystem, horizon: int, h: Vector, k: Vector) -> str:
     """Return one relation h Y - k U = 0 as text."""
-    at = [f"[k-{horizon - j}]" if j < horizon else "[k]" for j in range(horizon + 1)]
+    at = sample_names(horizon)
     terms = []
     for x, row in zip(h, window_rows(model, horizon), strict=False):  # stated relations may leave rows out
         if x:
@@ -107,6 +116,11 @@ def relation_text(model: LinearSystem, horizon: int, h: Vector, k: Vector) -> st
     for x, signal in terms:
         out += _sign(x, first=not out) + _factor(abs(x)) + signal
     return out + " = 0"
+
+
+def sample_names(horizon: int) -> list[str]:
+    """Return the places of the samples of a window in text: [k-1], [k] of two."""
+    return [f"[k-{lag}]" for lag in range(horizon, 0, -1)] + ["[k]"]
 
 
 def row_name(model: LinearSystem, row: Row) -> str:

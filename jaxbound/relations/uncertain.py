@@ -30,12 +30,14 @@ from jaxbound.consistency.parametric import ParametricTest
 from jaxbound.consistency.polynomial_reading import PolynomialReading
 from jaxbound.consistency.reading import forms
 from jaxbound.exact import linalg
+from jaxbound.exact.linalg import Vector
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.window import window_rows
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.annihilator import Step, annihilator, generic_rank, rank_over_box
 from jaxbound.relations.bounds import Bounds, changed_bounds, float_bound, model_bounds, reading
-from jaxbound.relations.polynomial import Exponents, PolynomialMatrix, stacked
-from jaxbound.relations.sentence import few_lines
+from jaxbound.relations.polynomial import Exponents, PolynomialMatrix, Terms, stacked
+from jaxbound.relations.sentence import few_lines, row_name, sample_names
 from jaxbound.relations.uncertain_window import Variable, uncertain_window
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval
@@ -144,21 +146,16 @@ class UncertainRelations(Relations):
 
     def _noisy(self):
         """Return the rows of z that have a bound of their own beyond what the recorder rounds away."""
-        bounds = (
-            self.bounds["tolerance"],
-            self.bounds["noise"],
-            np.array(list(map(float, self.model.resolution))),
-        )
-        quiet = [
-            i
-            for i in range(self.model.p)
-            if not any(isinstance(b, jax.core.Tracer) or b[i] > 0 for b in bounds)
-        ]
+        resolution = np.array(list(map(float, self.model.resolution)))
+        loud = np.zeros(self.model.p, bool)
+        for bound in (self.bounds["tolerance"], self.bounds["noise"], resolution):
+            # of a tracer nobody knows whether it is 0
+            loud |= True if isinstance(bound, jax.core.Tracer) else np.asarray(bound) > 0
         outputs = (self.horizon + 1) * self.model.p
-        used = {j for entries in self.N.terms.values() for _, j in entries}
-        return tuple(
-            j for j in range(self.N.columns) if j in used and (j >= outputs or j % self.model.p not in quiet)
-        )
+        used = set()
+        for entries in self.N.terms.values():
+            used |= {j for _, j in entries}
+        return tuple(j for j in sorted(used) if j >= outputs or loud[j % self.model.p])
 
     def without(self, rows: Collection[int], inputs: Collection[int]) -> Self | None:
         """Return relations of the same window that need neither these of its rows nor these of its inputs, or
@@ -179,16 +176,14 @@ class UncertainRelations(Relations):
         rows = (self.horizon + 1) * self.model.p
         if rows + self.K.columns > LOSSES:
             return self.exponents
-        lost = [_without(self.model, self.horizon, frozenset([i]), frozenset()) for i in range(rows)]
-        lost += [
-            _without(self.model, self.horizon, frozenset(), frozenset([j])) for j in range(self.K.columns)
-        ]
-        return closure(
-            (
-                *self.exponents,
-                *(a for found in lost if found for part in (found["N"], found["K"]) for a in part.terms),
-            )
-        )
+        nothing: frozenset[int] = frozenset()
+        lost = [_without(self.model, self.horizon, frozenset([i]), nothing) for i in range(rows)]
+        lost += [_without(self.model, self.horizon, nothing, frozenset([j])) for j in range(self.K.columns)]
+        exponents = list(self.exponents)
+        for found in lost:
+            if found is not None:
+                exponents += [*found["N"].terms, *found["K"].terms]
+        return closure(tuple(exponents))
 
     def polynomials(self, u: ArrayLike, y: ArrayLike) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         """Return (value, error, spread, rad), the relations of N windows as polynomials: see
@@ -214,9 +209,8 @@ class UncertainRelations(Relations):
                 infinity.
         """
         fresh = changed_bounds(self.model, self.bounds, bounds)
-        wider = (
-            isinstance(fresh["parameters"], jax.core.Tracer) or (fresh["parameters"] > 1).any()
-        )  # than the box that was examined
+        # wider than the box that was examined
+        wider = isinstance(fresh["parameters"], jax.core.Tracer) or (fresh["parameters"] > 1).any()
         complete = "sampled" if wider and self.complete == "proved" else self.complete
         return dataclasses.replace(self, bounds=fresh, complete=complete)
 
@@ -255,24 +249,24 @@ class UncertainRelations(Relations):
         return "\n".join(f"r{i + 1}: {self._line(i)} = 0" for i in range(self.count))
 
     def _line(self, i):
-        s, model = self.horizon, self.model
-        at = lambda lag: f"[k-{s - lag}]" if lag < s else "[k]"
-        names = [name if lag is None else name + at(lag) for name, lag in self.variables]
-        signals = [model.outputs[j % model.p] + at(j // model.p) for j in range((s + 1) * model.p)]
-        signals += [f"w{j % model.g + 1}" + at(j // model.g) for j in range(self.N.columns - len(signals))]
-        inputs = [model.inputs[j % model.m] + at(j // model.m) for j in range(self.K.columns)]
+        model, at = self.model, sample_names(self.horizon)
+        names = [name if lag is None else name + at[lag] for name, lag in self.variables]
+        rows = window_rows(model, self.horizon).all
         out = ""
-        for part, columns, sign in ((self.N, signals, 1), (self.K, inputs, -1)):
-            for j, signal in enumerate(columns):
-                found = [
-                    (a, sign * part.terms[a][i, j]) for a in self.exponents if (i, j) in part.terms.get(a, {})
-                ]
-                if found:
-                    negative = found[0][1] < 0
-                    text = _sum([(a, -x if negative else x) for a, x in found], names)
-                    factor = "" if text == "1" else f"({text}) " if len(found) > 1 else f"{text} "
-                    out += (" - " if negative else " + ") + factor + signal
+        for row, polynomial in zip(rows, self._polynomials_of(self.N, i), strict=False):
+            out += _term(polynomial, row_name(model, row) + at[row.last], names)
+        for j, polynomial in enumerate(self._polynomials_of(self.K, i)):
+            known = [(a, -x) for a, x in polynomial]
+            out += _term(known, model.inputs[j % model.m] + at[j // model.m], names)
         return out[3:] if out.startswith(" + ") else "-" + out[3:]
+
+    def _polynomials_of(self, matrix, i):
+        """Return [(exponents, coefficient)] of each entry of a row of a matrix."""
+        found = []
+        for j in range(matrix.columns):
+            entry = ((a, matrix.terms.get(a, {}).get((i, j))) for a in self.exponents)
+            found.append([(a, x) for a, x in entry if x is not None])
+        return found
 
 
 def uncertain_relations(model: LinearSystem, horizon: int) -> UncertainRelations:
@@ -330,13 +324,16 @@ def _without(model, horizon, rows, inputs):
     """
     _, E, H, V = uncertain_window(model, horizon)
     left = [i for i in range(E.rows) if i not in rows]
-    reduced = (stacked([[E, H.pick(columns=sorted(inputs))]]) if inputs else E).pick(rows=left)
+    free = stacked([[E, H.pick(columns=sorted(inputs))]]) if inputs else E  # missing inputs may be anything
+    reduced = free.pick(rows=left)
     omega, steps, complete = annihilator(reduced)
     if not omega.rows:
         return None
     if rank_over_box(reduced, generic_rank(reduced))[0] != "proved":
         complete = "sampled"
-    whole = {a: {(i, left[j]): x for (i, j), x in entries.items()} for a, entries in omega.terms.items()}
+    whole: Terms = {}
+    for a, entries in omega.terms.items():
+        whole[a] = {(i, left[j]): x for (i, j), x in entries.items()}
     omega = dataclasses.replace(omega, columns=E.rows, terms=whole)
     return {"N": _on_rows(omega, V), "K": omega @ H, "steps": steps, "complete": complete}
 
@@ -350,32 +347,52 @@ def _without_unseen(E, model):
     """Return E in fewer unknowns with the same left null space: combinations that act on no sample, whatever
     v, are left out.
     """
-    rows = tuple(row for a in E.terms for row in E.coefficient(a) if any(row))
+    rows: list[Vector] = []
+    for a in E.terms:
+        rows += [row for row in E.coefficient(a) if any(row)]
     pivots = linalg.row_reduce(rows)[1] if rows else ()
-    hidden = model.n - sum(j < model.n for j in pivots)
+    reduced, hidden = E.pick(columns=pivots), model.n - sum(j < model.n for j in pivots)
+    if not hidden:
+        return reduced, ()
     some = f"{hidden} of {model.n} states act" if hidden > 1 else f"1 of {model.n} states acts"
     note = (
         f"{some} on no output within the horizon, whatever the parameters: relations and verdicts say "
         f"nothing about it"
     )
-    return E.pick(columns=pivots), (note,) if hidden else ()
+    return reduced, (note,)
 
 
 def _place(model, variables, point):
     """Return "at a = 3, b[k] = 0.5": a point of the box in the user's units."""
     by_name = {u.name: u for u in model.uncertainties}
-    value = lambda name, v: float(by_name[name].centre + by_name[name].radius * v)
-    at = lambda lag: "" if lag is None else f" (sample {lag + 1} of the window)"
-    return "at " + ", ".join(
-        f"{name} = {value(name, v):g}{at(lag)}" for (name, lag), v in zip(variables, point, strict=True)
-    )
+    values = []
+    for (name, lag), v in zip(variables, point, strict=True):
+        value = by_name[name].centre + by_name[name].radius * v
+        at = "" if lag is None else f" (sample {lag + 1} of the window)"
+        values.append(f"{name} = {float(value):g}{at}")
+    return "at " + ", ".join(values)
+
+
+def _term(polynomial, signal, names):
+    """Return a polynomial times a signal as a term of a sum; nothing for 0."""
+    if not polynomial:
+        return ""
+    negative = polynomial[0][1] < 0
+    text = _sum([(a, -x) for a, x in polynomial] if negative else polynomial, names)
+    sign = " - " if negative else " + "
+    if text == "1":
+        return sign + signal
+    return f"{sign}({text}) {signal}" if len(polynomial) > 1 else f"{sign}{text} {signal}"
 
 
 def _sum(terms, names):
     """Return a polynomial as text, its first coefficient positive."""
     out = ""
     for alpha, x in terms:
-        factors = [name if e == 1 else f"{name}^{e}" for name, e in zip(names, alpha, strict=True) if e]
+        factors = []
+        for name, e in zip(names, alpha, strict=True):
+            if e:
+                factors.append(name if e == 1 else f"{name}^{e}")
         size = abs(x)
         if size != 1 or not factors:
             factors.insert(0, str(size) if size.denominator == 1 else f"{float(size):.6g}")

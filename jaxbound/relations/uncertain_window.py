@@ -12,13 +12,12 @@ variable.
 Source: Ploix, Adrot 2006, (1), (4).
 """
 
-from fractions import Fraction
 from typing import TypeAlias
 
-from jaxbound.exact.linalg import Matrix
+from jaxbound.exact import linalg
 from jaxbound.models import window
 from jaxbound.models.system import LinearSystem
-from jaxbound.relations.polynomial import PolynomialMatrix, constant, stacked
+from jaxbound.relations.polynomial import PolynomialMatrix, constant, entries_of, stacked
 
 __all__ = ["Variable", "uncertain_window"]
 
@@ -38,64 +37,94 @@ def uncertain_window(
         E: on x_k and the unknown inputs; H: on the inputs; V: on the disturbances, each in the order of
             `models.window`.
     """
-    s, n, p = horizon, model.n, model.p
-    lags = {"u": window.input_lags(model, s), "w": s, "v": window.unknown_lags(model, s)}
-    width = {"u": model.m, "w": model.g, "v": model.d}
-    first = {"x": 0, "v": n}
-    first["u"] = n + lags["v"] * width["v"]
-    first["w"] = first["u"] + lags["u"] * width["u"]
-    total = first["w"] + lags["w"] * width["w"]
-    named: list[Variable] = [(u.name, j) for j in range(s + 1) for u in model.uncertainties if u.varying]
-    named += [(u.name, None) for u in model.uncertainties if not u.varying]
-    count, number = len(named), {name: i for i, name in enumerate(named)}
-
-    def now(letter, nominal, lag):
-        """Return a matrix of the model at one sample."""
-        out = constant(nominal, count)
-        for u in model.uncertainties:
-            rows = u.on(letter)
-            if rows is not None:
-                alpha = tuple(int(i == number[u.name, lag if u.varying else None]) for i in range(count))
-                out += PolynomialMatrix(len(rows), len(rows[0]), count, {alpha: _entries(rows)})
-        return out
-
-    def at(block, signal, lag):
-        """Return a block that acts on one sample of a signal as a matrix that acts on everything."""
-        left = first[signal] + lag * width.get(signal, 0)
-        return stacked(
-            [[_zero(block.rows, left, count), block, _zero(block.rows, total - left - block.columns, count)]]
-        )
-
-    identity = tuple(tuple(Fraction(int(i == j)) for j in range(n)) for i in range(n))
-    state, outputs = at(constant(identity, count, n), "x", 0), []
-    for j in range(s + 1):
-        y = now("C", model.C, j) @ state if n else _zero(p, total, count)
-        if j < lags["u"] and model.m:
-            y += at(now("D", model.D, j), "u", j)
-        if j < lags["v"]:
-            y += at(constant(model.D_v, count), "v", j)
-        outputs.append([y])
-        if j < s and n:
-            state = now("A", model.A, j) @ state
-            for letter, signal, matrix in (("B", "u", model.B), ("G", "w", model.G), ("F", "v", model.F)):
-                if width[signal]:
-                    state += at(
-                        now(letter, matrix, j) if letter == "B" else constant(matrix, count), signal, j
-                    )
-    whole = stacked(outputs)
-    seen = [i for i in range(count) if any(a[i] for a in whole.terms)]
-    terms = {tuple(a[i] for i in seen): entries for a, entries in whole.terms.items()}
-    whole = PolynomialMatrix(whole.rows, total, len(seen), terms)
-    E, H, V = (
-        whole.pick(columns=range(*span))
-        for span in ((0, first["u"]), (first["u"], first["w"]), (first["w"], total))
-    )
+    named = _variables(model, horizon)
+    layout = _Columns(model, horizon, len(named))
+    whole = _on_everything(model, horizon, named, layout)
+    seen = [i for i in range(len(named)) if any(a[i] for a in whole.terms)]
+    terms = {}
+    for exponents, entries in whole.terms.items():
+        terms[tuple(exponents[i] for i in seen)] = entries
+    whole = PolynomialMatrix(whole.rows, layout.total, len(seen), terms)
+    inputs, disturbances = layout.first["u"], layout.first["w"]
+    E = whole.pick(columns=range(inputs))
+    H = whole.pick(columns=range(inputs, disturbances))
+    V = whole.pick(columns=range(disturbances, layout.total))
     return tuple(named[i] for i in seen), E, H, V
 
 
-def _entries(rows: Matrix) -> dict[tuple[int, int], Fraction]:
-    return {(i, j): x for i, row in enumerate(rows) for j, x in enumerate(row) if x}
+def _variables(model: LinearSystem, horizon: int) -> list[Variable]:
+    """Return the variables: the varying parameters of each sample, then the constant ones."""
+    named: list[Variable] = []
+    for j in range(horizon + 1):
+        named += [(u.name, j) for u in model.uncertainties if u.varying]
+    return named + [(u.name, None) for u in model.uncertainties if not u.varying]
 
 
-def _zero(rows: int, columns: int, count: int) -> PolynomialMatrix:
-    return PolynomialMatrix(rows, columns, count, {})
+class _Columns:
+    """The columns of all that acts on a window: the state, unknown inputs, inputs, disturbances.
+
+    Fields: lags, width: samples of each signal, and numbers in a sample; first: column with which it begins;
+    total.
+    """
+
+    def __init__(self, model: LinearSystem, horizon: int, variables: int) -> None:
+        self.variables = variables
+        self.lags = {
+            "x": 1,
+            "v": window.unknown_lags(model, horizon),
+            "u": window.input_lags(model, horizon),
+            "w": horizon,
+        }
+        self.width = {"x": model.n, "v": model.d, "u": model.m, "w": model.g}
+        self.first: dict[str, int] = {}
+        self.total = 0
+        for signal, lags in self.lags.items():
+            self.first[signal] = self.total
+            self.total += lags * self.width[signal]
+
+    def zeros(self, rows: int, columns: int) -> PolynomialMatrix:
+        """Return a matrix of zeros."""
+        return PolynomialMatrix(rows, columns, self.variables, {})
+
+    def at(self, block: PolynomialMatrix, signal: str, lag: int) -> PolynomialMatrix:
+        """Return a block that acts on one sample of a signal as a matrix that acts on everything."""
+        left = self.first[signal] + lag * self.width[signal]
+        right = self.total - left - block.columns
+        return stacked([[self.zeros(block.rows, left), block, self.zeros(block.rows, right)]])
+
+
+def _on_everything(
+    model: LinearSystem, horizon: int, named: list[Variable], layout: _Columns
+) -> PolynomialMatrix:
+    """Return the outputs of a window on everything that acts on them, time-major."""
+    count, n = len(named), model.n
+
+    def now(letter: str, lag: int) -> PolynomialMatrix:
+        """Return a matrix of the model at one sample."""
+        out = constant(getattr(model, letter), count)
+        for u in model.uncertainties:
+            rows = u.on(letter)
+            if rows is not None:
+                alpha = [0] * count
+                alpha[named.index((u.name, lag if u.varying else None))] = 1
+                out += PolynomialMatrix(len(rows), len(rows[0]), count, {tuple(alpha): entries_of(rows)})
+        return out
+
+    state = layout.at(constant(linalg.identity(n), count, n), "x", 0)
+    outputs = []
+    for j in range(horizon + 1):
+        y = now("C", j) @ state if n else layout.zeros(model.p, layout.total)
+        if j < layout.lags["u"] and model.m:
+            y += layout.at(now("D", j), "u", j)
+        if j < layout.lags["v"]:
+            y += layout.at(constant(model.D_v, count), "v", j)
+        outputs.append([y])
+        if j < horizon and n:
+            state = now("A", j) @ state
+            if model.m:
+                state += layout.at(now("B", j), "u", j)
+            if model.g:
+                state += layout.at(constant(model.G, count), "w", j)
+            if model.d:
+                state += layout.at(constant(model.F, count), "v", j)
+    return stacked(outputs)

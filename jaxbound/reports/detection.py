@@ -10,11 +10,14 @@ from typing import Any, cast
 from jaxbound.consistency.interface import LinearRelations
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.observed import ObserverResult
+from jaxbound.diagnosis.result import Result
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.plots.residuals import distinct_relations
 from jaxbound.relations.sentence import looked_at
 from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.reports.chart import picture_of
 from jaxbound.reports.chartdata import charts
+from jaxbound.reports.clock import shown_time
 from jaxbound.reports.page import TITLE, render
 from jaxbound.reports.parts import computed, model_values
 from jaxbound.runs.digest import Digest
@@ -62,6 +65,7 @@ def write_report(
     dtype = res.data.dtype if part else res.y.dtype
     chosen = sorted(range(len(alarms)), key=lambda i: _depth(alarms[i]))[:ROWS]
     why = _certified(res, alarms, chosen)
+    drawn = charts(res, recording, alarms, chosen, why, summary.worst.sample if summary.worst else None)
     if progress:
         progress(0.5)
     page = render(
@@ -77,7 +81,12 @@ def write_report(
         decided=summary.decided,
         hints=summary.hints,
         extra=extra,
-        charts=charts(res, recording, alarms, chosen, why, summary.worst.sample if summary.worst else None),
+        charts=drawn,
+        picture=_picture(res, recording, alarms),
+        signals=(len([row for row in drawn.rows if row.key.startswith("s")]), model.p + model.m),
+        combined=any(stretch["combined"] for stretch in drawn.near),
+        relations_alone=isinstance(relations, UncertainRelations),
+        bands=any(key.endswith(":band") for stretch in drawn.near for key in stretch["series"]),
         alarms=_alarm_rows(res, recording, alarms, chosen, why),
         alarm_total=summary.alarms,
         most=ROWS,
@@ -92,6 +101,13 @@ def write_report(
     if progress:
         progress(1.0)
     return [file]
+
+
+def _picture(res: Result | Digest, recording: Any, alarms: Sequence[Alarm]) -> bytes:
+    """Return the picture of the whole recording for readers without scripts."""
+    if isinstance(res, Digest):
+        return picture_of(res)
+    return picture_of(res, time=shown_time(recording, len(res.status)), alarms=alarms)
 
 
 def _depth(alarm):

@@ -26,7 +26,7 @@ HORIZON = 20
 def relations(kind):
     more = dict(disturbance=([[0], [1]], 0.02)) if kind == "disturbed" else {}
     return jb.parity_relations(
-        jb.LinearSystem(**PLANT, **more, constant_tolerance=True), 12 if more else HORIZON
+        jb.LinearSystem(**PLANT, **more, constant_tolerance=True), 8 if more else HORIZON
     )
 
 

@@ -13,6 +13,13 @@ MODEL = jb.LinearSystem(
     noise=["0.000214", 59],
 )
 DIRECTION = [["0.5"], ["0.013"]]
+SLOW = jb.LinearSystem(
+    [["0.9", "0.2"], ["-0.1", "0.95"]],
+    [[0], [1]],
+    [[1, 0]],
+    noise="0.1",
+    disturbance=([[1], ["0.5"]], "0.02"),
+)
 
 
 def recorded(rng):
@@ -45,10 +52,13 @@ def test_verdicts_of_windows_are_those_without_it(bound, rng):
 
 @pytest.mark.parametrize("method", ["zonotope", "joint", "constrained"])
 def test_verdicts_of_observers_are_those_without_it(method, rng):
-    u, y = recorded(rng)
-    more = {"window": 8} if method == "joint" else {}
-    without = jb.detect(jb.observer(MODEL, method=method, order=5, **more), u, y)
-    found = jb.detect(
-        jb.observer(MODEL.replace(disturbance=(DIRECTION, 0)), method=method, order=5, **more), u, y
-    )
+    """One without a width beside one with a width: of the sizes that tests of observers compile."""
+    u = rng.uniform(-1, 1, (60, 1))
+    y = np.array(jb.simulate(SLOW, u, 3, at="uniform").y)
+    y[40:] += 2
+    more = {"window": 8, "order": 6} if method == "joint" else {}
+    without = jb.detect(jb.observer(SLOW, method=method, **more), u, y)
+    beside = SLOW.replace(disturbance=([["1", "0.3"], ["0.5", "0.1"]], ["0.02", 0]))
+    found = jb.detect(jb.observer(beside, method=method, **more), u, y)
+    assert without.counts["FAULT"] > 0
     np.testing.assert_array_equal(found.status, without.status)

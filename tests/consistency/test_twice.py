@@ -26,9 +26,10 @@ RELATIONS = {
     "uncertain": lambda: jb.parity_relations(paper().replace(uncertainties=SHAKY)),
     "uncertain paving": lambda: jb.parity_relations(paper().replace(uncertainties=SHAKY)),
     "paving": lambda: jb.parity_relations(paper()),
-    "observer": lambda: jb.observer(DISTURBED, order=6),
-    "constrained": lambda: jb.observer(DISTURBED, order=6, method="constrained"),
-    "joint": lambda: jb.observer(DISTURBED, order=6, method="joint", window=8),
+    # of the sizes that tests of observers compile
+    "observer": lambda: jb.observer(DISTURBED),
+    "constrained": lambda: jb.observer(DISTURBED, method="constrained"),
+    "joint": lambda: jb.observer(DISTURBED, method="joint", window=8, order=6),
 }
 DISTURBED = jb.LinearSystem(
     [["0.9", "0.2"], ["-0.1", "0.95"]],

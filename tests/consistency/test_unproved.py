@@ -27,7 +27,7 @@ def test_a_search_compiles_where_the_compiler_does_not_know_how_to_be_quick(rng,
     """Another jaxlib may have dropped the option: what is found and its derivative are then those of the
     usual way.
     """
-    r = jb.parity_relations(paper(), 8)
+    r = jb.parity_relations(paper(), 5)
     u, y = rng.uniform(-1, 1, (12, 1)), rng.normal(size=(12, 2))
     slope = jax.grad(lambda y: jax.numpy.nansum(jb.margins(r, u, y)))
     quick = slope(y)

@@ -23,7 +23,7 @@ PLANT = jb.LinearSystem(
 
 @pytest.fixture(scope="module")
 def watch():
-    return jb.observer(PLANT, order=6, weight=(1, 30))
+    return jb.observer(PLANT)  # of the sizes that tests of the command compile
 
 
 def test_a_fault_of_that_size_is_seen_by_then_whatever_the_errors(watch):

@@ -5,24 +5,13 @@ the same bits.
 import jax
 import numpy as np
 import pytest
+from observer_case import PLANT
 
 import jaxbound as jb
 from jaxbound.recordings.recording import Recording
 
-PLANT = jb.LinearSystem(
-    [["0.9", "0.2"], ["-0.1", "0.95"]],
-    [[0], [1]],
-    [[1, 0], ["0.3", "0.5"]],
-    noise=["0.1", "0.05"],
-    tolerance=["0.01", 0],
-    disturbance=([[1], ["0.5"]], "0.02"),
-)
-METHODS = {
-    "zonotope": {"order": 5},
-    "strips": {"order": 5},
-    "constrained": {"constraints": 4},
-    "joint": {"window": 8, "order": 5},
-}
+METHODS = {"zonotope": {}, "strips": {}, "constrained": {}, "joint": {"window": 8, "order": 6}}
+"""The plant and the sizes of the other tests of observers, which compile them too."""
 COUNT, LENGTH = 35, 44
 """More recordings than a block has."""
 
@@ -37,7 +26,7 @@ def recordings():
     found = jb.simulate(PLANT, u, jax.random.key(26), x0=rng.normal(size=(COUNT, 2)), at="vertices")
     y = np.array(found.y)
     for i in range(COUNT):
-        y[i, 10 + i % 25 :, i % 2] += (0, 0.1, 0.15, 0.2, 0.3, 3)[i % 6]
+        y[i, 10 + i % 25 :, 0] += (0, 0.1, 0.15, 0.3, 0.6, 3)[i % 6]
     y[rng.random(y.shape) < 0.02] = np.nan
     return np.array(found.u), y
 

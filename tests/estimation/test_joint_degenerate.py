@@ -10,7 +10,7 @@ import jaxbound as jb
 def test_outputs_that_show_the_same_without_an_error_are_judged(noise):
     model = jb.LinearSystem([[1]], None, [[1], [1]], noise=noise)
     y = np.full((20, 2), 0.5)
-    watch = jb.observer(model, method="joint", window=8)
+    watch = jb.observer(model, method="joint", window=4)
     healthy = jb.detect(watch, None, y)
     y[12:, 0] += 1
     faulty = jb.detect(watch, None, y)
@@ -19,13 +19,11 @@ def test_outputs_that_show_the_same_without_an_error_are_judged(noise):
 
 
 def test_averages_are_used_without_a_disturbance():
-    model = jb.LinearSystem(
-        [["0.9"]], [[1]], [[1]], outputs=["T1"], noise="0.5", averages={"T1": {16: "0.2"}}
-    )
+    model = jb.LinearSystem([["0.9"]], [[1]], [[1]], outputs=["T1"], noise="0.5", averages={"T1": {8: "0.2"}})
     u, y = np.zeros((80, 1)), np.zeros((80, 1))
     y[40:] += 0.45  # each within its noise, their mean not
-    watch = jb.observer(model, method="joint", window=32)
+    watch = jb.observer(model, method="joint", window=16)
     found = jb.detect(watch, u, y)
     fault = np.flatnonzero(found.status == jb.Status.FAULT)
-    assert len(fault) and 40 < fault[0] < 56
+    assert len(fault) and 40 < fault[0] < 48
     assert jb.detect(watch, u, np.zeros((80, 1))).counts["FAULT"] == 0

@@ -244,7 +244,7 @@ def reductions(x: np.ndarray, run: Callable) -> dict[str, tuple[float, float]]:
 
 
 def _nan_of_rows(x):
-    """Return what is NaN, and what is false, of each row with a NaN."""
+    """Return reductions of rows with a NaN that are no NaN, and comparisons with it that are true."""
     sums = jnp.sum(x, 1), jnp.sum(jnp.abs(x) * 0, 1)
     return sums, (
         jnp.all(x < jnp.inf, 1),

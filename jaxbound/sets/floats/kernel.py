@@ -62,7 +62,7 @@ class Kernel:
         update_wrapper(self, function)
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        """Return what the function returns: arrays of JAX; outside XLA arrays of NumPy."""
+        """Return the result of the function, arrays of JAX; outside XLA arrays of NumPy."""
         if not is_outside_xla():
             return self._compiled(*args, **kwargs)
         given = self._arrays(args, kwargs)

@@ -91,8 +91,8 @@ def refuse_unverified(*given: object) -> None:
 
 
 def refuse_other_modes() -> None:
-    """Raise Unverified if this process does not round to the nearest float, on which all bounds in `rounding`
-    rest, or flushes small ones.
+    """Raise Unverified if this process does not round to the nearest float, or flushes small ones: all bounds
+    in `rounding` rest on that. all bounds in `rounding` rest on that.
 
     Importing some libraries for intervals (codac, for one) sets the processor to round upward from then on,
     in threads to come too.
@@ -129,14 +129,13 @@ def usable_devices() -> tuple[jax.Device, ...]:
 
 
 def verified(device: jax.Device) -> bool:
-    """Return whether what is computed on a device may carry a proof; the first question about a device takes
-    a tenth of a second.
-    """
+    """Return whether results of a device may carry a proof; the first call takes a tenth of a second."""
     return not _doubt(device)
 
 
 def kind_of_device(device: jax.Device) -> dict[str, str]:
-    """Return what tells one kind of device from another: {"platform", "capability", "driver", "jaxlib"}.
+    """Return the four facts that distinguish kinds of devices: {"platform", "capability", "driver",
+    "jaxlib"}.
 
     Args:
         device: of jax. capability: of an NVIDIA device its compute capability, like "9.0", else ""; driver:

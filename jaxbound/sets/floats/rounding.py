@@ -192,7 +192,7 @@ def settle_subnormals(lo: jax.Array, hi: jax.Array) -> tuple[jax.Array, jax.Arra
 
 
 def settled_on_host(lo: np.ndarray, hi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return what `settle_subnormals` does, without a compilation for each shape."""
+    """Settle subnormal bounds as `settle_subnormals` does, without a compilation for each shape."""
     return np.where(_inward(lo, False), -tiny(lo.dtype), lo), np.where(_inward(hi, True), tiny(hi.dtype), hi)
 
 
@@ -231,7 +231,7 @@ def order(x: jax.Array) -> jax.Array:
 
 
 def above(x: jax.Array, y: jax.Array) -> jax.Array:
-    """True where x > y, subnormal numbers included; never for NaN."""
+    """Return whether x > y, subnormal numbers included; never for NaN."""
     return (order(x) > order(y)) & (x == x) & (y == y)
 
 
@@ -254,7 +254,7 @@ def one_dtype(*trees: Any) -> Any:
 
 
 def positive(x: jax.Array) -> jax.Array:
-    """True where x > 0, subnormal numbers included, which compiled comparisons take for 0."""
+    """Return whether x > 0, subnormal numbers included, which compiled comparisons take for 0."""
     return jax.lax.bitcast_convert_type(x, _layout(x.dtype)[0]) > 0
 
 

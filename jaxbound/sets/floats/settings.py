@@ -1,5 +1,5 @@
-"""What is known by name of compilers and their settings: which versions were examined, which flags, options
-and switches change what.
+"""Compilers and their settings, known by name: which versions were examined, which flags, options and
+switches change what.
 
 What is in none of these tables is unknown: nothing is proved with it before `examined` has tried it.
 """

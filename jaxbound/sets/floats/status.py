@@ -1,4 +1,4 @@
-"""What a set computation can say."""
+"""The verdicts of set computations."""
 
 from enum import IntEnum
 

@@ -113,13 +113,13 @@ def _watched(jaxpr: Jaxpr, asked: Sequence[bool]) -> set[Var]:
 
 
 def _observes(eqn: JaxprEqn) -> bool:
-    """True if a primitive, or anything inside it, asks whether a number is NaN."""
+    """Return whether a primitive, or anything inside it, asks whether a number is NaN."""
     inner = inside(eqn)
     return observes(eqn) if inner is None else any(_observes(e) for part in inner for e in part.jaxpr.eqns)
 
 
 def _absent(x):
-    """Return where a constant is NaN, None if nowhere."""
+    """Return a mask of the NaN in a constant, None if there is none."""
     if isinstance(x, Interval) or not jnp.issubdtype(x.dtype, jnp.floating):
         return None
     if isinstance(x, jax.core.Tracer):
@@ -227,7 +227,7 @@ def _computed(x: Interval) -> Interval:
 
 
 def _exact(eqn: JaxprEqn) -> bool:
-    """True if a primitive of numbers is computed without rounding."""
+    """Return whether a primitive of numbers is computed without rounding."""
     name, avals = eqn.primitive.name, [v.aval for v in (*eqn.invars, *eqn.outvars)]
     if name in MOVED or name in RISING or name in POINTWISE or not any(map(inexact, avals)):
         return True
@@ -311,8 +311,8 @@ def _steady(step, carry):
 
 
 def _marked(values, absent, asked):
-    """Return where each value of a loop's carry may be NaN as an array; None for what is never NaN, and where
-    nobody asks.
+    """Return a mask of possible NaN for each value of a loop's carry; None for values that are never NaN, and
+    if nobody asks.
     """
     shape = lambda v: v.lo.shape if isinstance(v, Interval) else v.shape
     return [

@@ -1,5 +1,4 @@
-"""What each primitive of JAX becomes over sets: tables of functions of Intervals, and where each one is
-continuous.
+"""Set versions of the primitives of JAX: tables of functions of Intervals, and where each one is continuous.
 
 | table | primitives | evaluated as |
 |---|---|---|

@@ -1,4 +1,4 @@
-"""Where a number of a program may be NaN, or infinite at a pole: undefined in mathematics, but a program can
+"""Numbers of a program that may be NaN, or infinite at a pole: undefined in mathematics, but a program can
 make numbers of it.
 
 | table | what it says |
@@ -32,9 +32,7 @@ Mark: TypeAlias = jax.Array | None
 
 
 def observes(eqn: JaxprEqn) -> bool:
-    """True if the result of a primitive may be a number, a predicate or an integer though an operand is
-    NaN.
-    """
+    """Return whether a primitive may turn a NaN operand into a number, a predicate or an integer."""
     name, params = eqn.primitive.name, eqn.params
     if name == "integer_pow":
         return params["y"] == 0
@@ -50,7 +48,7 @@ def either(*marks: jax.Array) -> jax.Array: ...
 @overload
 def either(*marks: Mark) -> Mark: ...
 def either(*marks: Mark) -> Mark:
-    """Return where any of the marks is True; None if none is given."""
+    """Return the union of the masks; None if none is given."""
     given = [m for m in marks if m is not None]
     return functools.reduce(operator.or_, given) if given else None
 
@@ -58,9 +56,7 @@ def either(*marks: Mark) -> Mark:
 def possible(
     name: str, out: Interval, sets: Sequence[Interval], absent: Sequence[Mark], about: Mapping[str, Any]
 ) -> Mark:
-    """Return where the result `out` of a primitive may be NaN, from its operands and from where they may
-    be.
-    """
+    """Return a mask of possible NaN in the result `out` of a primitive, from its operands and their masks."""
     made = MADE[name](out, *sets, **about) if name in MADE else None
     if name == "select_n":
         return _chosen(sets[0], absent[1:], out.shape)
@@ -71,7 +67,7 @@ def possible(
 
 
 def _passed(name: str, mark: jax.Array, shape: tuple[int, ...], about: Mapping[str, Any]) -> jax.Array:
-    """Return where NaN among the operands reaches the results."""
+    """Return a mask of the results that NaN among the operands reaches."""
     if name == "sort":
         return jnp.broadcast_to(
             jnp.any(mark, about["dimension"], keepdims=True), shape
@@ -120,7 +116,7 @@ def _unbounded_anywhere(out: Interval, *xs: Interval, **_: object) -> jax.Array:
 
 
 def _large(out: Interval, x: Interval, **_: object) -> jax.Array:
-    """True where a partial product of all factors may overflow, or be infinite, before a factor 0 comes."""
+    """Return whether a partial product of the factors may be infinite before a factor 0 comes."""
     return jnp.prod(jnp.maximum(mag(x), 1)) == jnp.inf
 
 
@@ -154,7 +150,7 @@ MADE: dict[str, Callable[..., jax.Array]] = {
 
 
 def _anywhere(absent: Sequence[Mark]) -> jax.Array:
-    """Return where any operand may be NaN; at least one may be."""
+    """Return the union of the masks of all operands, of which there is at least one."""
     found = either(*absent)
     assert found is not None
     return found

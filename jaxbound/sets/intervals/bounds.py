@@ -1,6 +1,4 @@
-"""What a user hands over as a bound, made a float: checked on the host, rounded outward where a float cannot
-say it.
-"""
+"""Bounds from a user, made floats: checked on the host, rounded outward where a float cannot say it."""
 
 import re
 from collections.abc import Callable
@@ -22,7 +20,7 @@ Number: TypeAlias = ArrayLike | Fraction
 
 
 class Arrays:
-    """What a dataclass of arrays inherits to refuse lists: its factory takes them, checks them and rounds
+    """The base of dataclasses of arrays, which refuses lists: its factory takes them, checks them and rounds
     outward.
 
     A tree may hold anything else: what is mapped over a set need not be an array.

@@ -45,13 +45,13 @@ def _relation(holds: Callable[..., jax.Array]) -> Callable[[Operand, Operand], j
 
 @_relation
 def equal(x: Interval, y: Interval, *_: jax.Array) -> jax.Array:
-    """True where both are the same set. Source: IEEE 1788 equal."""
+    """Return whether both are the same set. Source: IEEE 1788 equal."""
     return (x.lo == y.lo) & (x.hi == y.hi)
 
 
 @_relation
 def subset(x: Interval, y: Interval, nothing: jax.Array, *_: jax.Array) -> jax.Array:
-    """True where x lies in y. Source: IEEE 1788 subset."""
+    """Return whether x lies in y. Source: IEEE 1788 subset."""
     return nothing | ((x.lo >= y.lo) & (x.hi <= y.hi))
 
 
@@ -59,31 +59,31 @@ def subset(x: Interval, y: Interval, nothing: jax.Array, *_: jax.Array) -> jax.A
 def interior(
     x: Interval, y: Interval, nothing: jax.Array, nowhere: jax.Array, infinite: jax.Array
 ) -> jax.Array:
-    """True where x lies in the interior of y. Source: IEEE 1788 interior."""
+    """Return whether x lies in the interior of y. Source: IEEE 1788 interior."""
     below, above = (x.lo > y.lo) | (y.lo == -infinite), (x.hi < y.hi) | (y.hi == infinite)
     return nothing | (below & above & ~nowhere)
 
 
 @_relation
 def disjoint(x: Interval, y: Interval, nothing: jax.Array, nowhere: jax.Array, _: jax.Array) -> jax.Array:
-    """True where no point is shared. Source: IEEE 1788 disjoint."""
+    """Return whether no point is shared. Source: IEEE 1788 disjoint."""
     return nothing | nowhere | (x.hi < y.lo) | (y.hi < x.lo)
 
 
 @_relation
 def less(x: Interval, y: Interval, nothing: jax.Array, nowhere: jax.Array, _: jax.Array) -> jax.Array:
-    """True where x is weakly below y: both ends are. Source: IEEE 1788 less."""
+    """Return whether x is weakly below y: both ends are. Source: IEEE 1788 less."""
     return (nothing & nowhere) | (~nothing & ~nowhere & (x.lo <= y.lo) & (x.hi <= y.hi))
 
 
 @_relation
 def precedes(x: Interval, y: Interval, nothing: jax.Array, nowhere: jax.Array, _: jax.Array) -> jax.Array:
-    """True where every point of x is <= every point of y. Source: IEEE 1788 precedes."""
+    """Return whether every point of x is <= every point of y. Source: IEEE 1788 precedes."""
     return nothing | nowhere | (x.hi <= y.lo)
 
 
 def contains(x: Interval, point: Number) -> jax.Array:
-    """True where the number lies in x; infinities and NaN never do. Source: IEEE 1788 isMember."""
+    """Return whether the number lies in x; infinities and NaN never do. Source: IEEE 1788 isMember."""
     # a number between two floats lies in x where both do
     below, above = (
         jnp.asarray(bound(point, directed)) for directed in (rounding.round_down, rounding.round_up)

@@ -216,7 +216,7 @@ def _turns(x, f):
 
 
 def _meets(low: jax.Array, high: jax.Array, k: int, period: int) -> jax.Array:
-    """True where [lo, hi], in quadrants low to high, holds a multiple n of pi/2 with n = k modulo the
+    """Return whether [lo, hi], in quadrants low to high, holds a multiple n of pi/2 with n = k modulo the
     period.
     """
     return jnp.floor((high - k) / period) > jnp.floor((low - k) / period)

@@ -90,7 +90,7 @@ class Interval(Arrays):
 
     @property
     def is_empty(self) -> jax.Array:
-        """True where there is no point."""
+        """Return whether there is no point."""
         return self.lo > self.hi
 
     @property
@@ -457,7 +457,7 @@ def hull(x: Operand, y: Operand) -> Interval:
 
 
 def intersection(x: Operand, y: Operand) -> Interval:
-    """Return what both share, possibly empty. Source: IEEE 1788 intersection."""
+    """Return the intersection of two intervals, possibly empty. Source: IEEE 1788 intersection."""
     x, y = pair(x, y)
     above = operator.gt if x._settled and y._settled else rounding.above
     apart = x.is_empty | y.is_empty | above(x.lo, y.hi) | above(y.lo, x.hi)

@@ -31,7 +31,7 @@ def negative(x: jax.Array) -> jax.Array:
 
 
 def none(x: jax.Array) -> jax.Array:
-    """True where there is no number between the ends."""
+    """Return whether there is no number between the ends."""
     return -x[0] > x[1]
 
 

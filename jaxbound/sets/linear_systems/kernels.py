@@ -86,7 +86,7 @@ _substituted = apart(lambda y, shares: _less(y[1:], shares, y[0][None], True))
 
 @apart
 def _shares(x: Interval, over_pivot: Interval) -> Interval:
-    """Enclose what each row takes of the first one, and widen it by gamma of its size.
+    """Enclose the share that each row takes of the first one, and widen it by gamma of its size.
 
     The products of a share s with y are then wide enough for their own rounding: where s y is largest (or
     least), s moved outward by gamma mag(s), which adds (or takes) gamma mag(s) |y| >= gamma |s y|.

@@ -186,7 +186,7 @@ def reciprocal(y: Interval) -> Interval:
 
 
 def _divides(y: Interval) -> jax.Array:
-    """True where 0 is not in y, and its ends are not so large that the compiler's reciprocal could be
+    """Return whether 0 is not in y, and its ends are not so large that the compiler's reciprocal could be
     flushed.
     """
     return (mig(y) > 0) & (mag(y) < 2.0 ** (np.finfo(y.dtype).maxexp // 2))

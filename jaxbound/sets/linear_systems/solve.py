@@ -24,7 +24,7 @@ BLOCK = 64  # systems: a 9 x 9 one takes 1.3 KB, several times, and has to stay 
 
 
 class Solvability(IntEnum):
-    """What is known of an interval linear system.
+    """The verdict on an interval linear system.
 
     `NOT_REGULAR`: no bounded enclosure was proved (a matrix in M may be singular); the box is the start box,
     or everything. `SOLVED`: the box encloses every solution. `INFEASIBLE`: proved that there is none (none in

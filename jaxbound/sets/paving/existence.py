@@ -40,7 +40,7 @@ def components(f: Callable[..., Any], z: Interval, args: tuple[jax.Array, ...]) 
 
 
 def is_interval_function(f: Callable[..., Any], z: Any, args: tuple[Any, ...]) -> bool:
-    """True if f takes an Interval (n,) and not an array (n,), or returns Intervals even for an array."""
+    """Return whether f takes an Interval (n,) and no array (n,), or returns Intervals even for an array."""
     try:
         return any(map(_is_interval, jax.tree.leaves(jax.eval_shape(f, z, *args), is_leaf=_is_interval)))
     except Exception as unfit:  # whatever arrays do to a function that is not meant for them
@@ -236,7 +236,7 @@ def _point(x: jax.Array) -> Interval:
 
 
 def _apart(image: Interval, T: Interval) -> jax.Array:
-    """True where some component misses its target; a bound that is NaN excludes nothing."""
+    """Return whether some component misses its target; a bound that is NaN excludes nothing."""
     return jnp.any((image.lo > T.hi) | (T.lo > image.hi))
 
 

@@ -23,7 +23,7 @@ Boxes: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 class Verdicts(NamedTuple, Generic[Array]):
-    """What a kernel says of N boxes (n, N). None: nothing to say.
+    """The verdicts of a kernel on N boxes (n, N). None: nothing to say.
 
     Fields: keep (N,): neither excluded nor settled; proved (N,): `proof` holds a solution of the box's
     target; proof: (lo, hi) (n, N);
@@ -43,7 +43,7 @@ Kernel: TypeAlias = Callable[..., Verdicts[jax.Array] | tuple[Any, ...] | jax.Ar
 
 @dataclass(frozen=True, eq=False)
 class Cover:
-    """Where an exploration ended. lo, hi (n, N), owner (N,): boxes left; proofs: (lo (n, K), hi, owner (K,));
+    """The end of an exploration. lo, hi (n, N), owner (N,): boxes left; proofs: (lo (n, K), hi, owner (K,));
     counts (B,); levels.
     """
 
@@ -143,8 +143,8 @@ def _picked(kept: np.ndarray, owner: np.ndarray, count: int, most: int) -> np.nd
 def in_blocks(
     kernel: Kernel, lo: np.ndarray, hi: np.ndarray, owner: np.ndarray, sizes: Sequence[int] = BLOCKS
 ) -> tuple[Any, ...]:
-    """Return what a kernel says of boxes (n, N), calling it with blocks of fixed sizes only: a tuple, N the
-    last axis of everything.
+    """Return the verdicts of a kernel on boxes (n, N), calling it with blocks of fixed sizes only: a tuple, N
+    the last axis of everything.
     """
     total = lo.shape[1]
     size = sizes[0] if total <= sizes[0] else sizes[-1]

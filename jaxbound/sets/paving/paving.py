@@ -386,7 +386,7 @@ def _search(
 
 
 def _touch(images: Sequence[Interval], T: Interval) -> jax.Array:
-    """True where every component shares a point with its target; a bound that is NaN excludes nothing."""
+    """Return whether every component shares a point with its target; a bound that is NaN excludes nothing."""
     if len(images) != len(T.lo):
         raise ValueError(f"the target has {len(T.lo)} components, f has {len(images)}")
     apart: jax.Array | bool = False

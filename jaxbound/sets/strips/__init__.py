@@ -1,3 +1,3 @@
-"""Is a point in the image of a box? Strips, their circuits, the search where these are too many, polynomials
-in parameters.
+"""Membership of a point in the image of a box: strips, their circuits, a search, polynomials in parameters.
+strips, their circuits, a search, polynomials in parameters.
 """

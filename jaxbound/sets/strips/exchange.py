@@ -27,8 +27,9 @@ def closeness(dtype: DTypeLike) -> float:
 
 
 class Reference(NamedTuple):
-    """What a reference determines: own (N,), the error of e; t (N,); shares (k, N), the multipliers on S;
-    signs of the errors there; on_S (k, N), what the rows of S are where all errors are t times radii.
+    """The numbers that a reference determines: own (N,), the error of e; t (N,); shares (k, N), the
+    multipliers on S; signs of the errors there; on_S (k, N), what the rows of S are where all errors are t
+    times radii.
     """
 
     own: jax.Array

@@ -150,7 +150,7 @@ def _times(A: Numbers, x: jax.Array) -> jax.Array:
 
 
 class Image(NamedTuple):
-    """What a search and its proofs need of N windows: arrays, the windows on the last axis.
+    """The arrays that a search and its proofs need of N windows: arrays, the windows on the last axis.
 
     z (c, N); radius, magnitude, present (c + k, N) of the outer rows, then the inner ones: without a sample
     radii are 1, all else 0;

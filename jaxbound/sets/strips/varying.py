@@ -345,7 +345,7 @@ def holds(
     R: jax.Array,
     curvature: ArrayLike = 0.0,
 ) -> jax.Array:
-    """Return where an x in [-1, 1]^q near z with f(x) = 0 is proved to exist, (N,) bool.
+    """Return whether an x in [-1, 1]^q near z with f(x) = 0 is proved to exist, (N,) bool.
 
     Args:
         F, F_error: f(z) and a bound on its error, (r, N). J, J_error: the derivative at z and a bound on its

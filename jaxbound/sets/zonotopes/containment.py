@@ -1,4 +1,4 @@
-"""Does a zonotope or constrained zonotope hold a point, or a whole zonotope?
+"""Containment of a point, or of a whole zonotope, in a zonotope or constrained zonotope.
 
 **A zonotope in a set** {c + G x : A x = b}. With M = [G; A] and D = [c2 - c, G2; b, 0], it is enough that
 some X has M X = D and row sums of |X| at most 1: then c2 + G2 z = c + G x for x = X (1, z). Source:
@@ -195,7 +195,7 @@ def _climb(image: proof.Image[np.ndarray], D: np.ndarray) -> tuple[np.ndarray, n
 
 
 def _traced(question: Question) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Return what `_decided` does, inside jit."""
+    """Decide as `_decided` does, inside jit."""
     (M, D), known = _equations(question), question.known()[:, 0]
     direction, X, least, most = kernels.contained(M, D)
     held, not_held = (most <= 1) & known, (least > 1) & known

@@ -50,7 +50,7 @@ EXACT = 100_000
 
 
 class Answer(IntEnum):
-    """What a decision about sets can be: each is proved but UNDECIDED, which rounding did not settle.
+    """The answer to a question about sets: each is proved but UNDECIDED, which rounding did not settle.
 
     Example:
         >>> Answer(1)
@@ -85,12 +85,12 @@ class Decision:
 
     @property
     def yes(self) -> np.ndarray | jax.Array:
-        """True where yes is proved."""
+        """Return whether yes is proved."""
         return self.answer == Answer.YES
 
     @property
     def no(self) -> np.ndarray | jax.Array:
-        """True where no is proved."""
+        """Return whether no is proved."""
         return self.answer == Answer.NO
 
     def __bool__(self) -> bool:
@@ -101,7 +101,7 @@ class Decision:
         return bool(self.yes)
 
     def certificate(self, at: Any = ()) -> dict[str, Any]:
-        """Return what proves one answer, ready for JSON: all its numbers as exact text, to be checked by
+        """Return the proof of one answer, ready for JSON: all its numbers as exact text, to be checked by
         fractions alone.
 
         Args:

@@ -32,8 +32,8 @@ BLOCK, LARGEST = 2**19, 1024
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """lower <= gauge <= upper (S, N), by the direction l (S, N, m) and the point x (S, N, q), in the scaled
-    rows of an Image.
+    """Bounds of a gauge, lower <= gauge <= upper (S, N), by the direction l (S, N, m) and the point x (S, N,
+    q).
     """
 
     lower: np.ndarray

@@ -1,4 +1,4 @@
-"""What proves that a point lies in a zonotope or outside of it: checks of given candidates.
+"""Proofs that a point lies in a zonotope or outside of it: checks of given candidates.
 
 The question is always whether some x in [-1, 1]^q has M x = d, for a set that its matrix M (m, q) holds and
 points d. Whatever found the candidates (`zonotopes.search`), on whatever device and in whatever precision,
@@ -111,8 +111,8 @@ def more(x: Array) -> np.floating:
 
 @dataclass(frozen=True, eq=False)
 class Image(Generic[Array]):
-    """M [-1, 1]^q for each of S sets, rows scaled by powers of two so that no entry exceeds 1, with what the
-    proofs need of it.
+    """The image M [-1, 1]^q for each of S sets, rows scaled by powers of two so that no entry exceeds 1, and
+    the numbers that proofs need of it.
 
     Fields: M (S, m, q) and powers (S, m), M = 2^powers times the rows given; R (S, q, m), a right inverse,
     nearly; reach (S, q) = row sums of |R|; loss (S,), at least every row sum of |1 - M R|, inf where that is

@@ -1,5 +1,5 @@
-"""What is asked of zonotopes and constrained zonotopes, as equations M x = d for x in [-1, 1]^q: rounded
-once, or exact.
+"""Questions about zonotopes and constrained zonotopes, as equations M x = d for x in [-1, 1]^q: rounded once,
+or exact.
 """
 
 import math
@@ -27,8 +27,8 @@ Parts: TypeAlias = tuple[Any, Any, Any, Any]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Question:
-    """What was asked, "contains", "contains_set", "is_empty" or "intersects", of sets [(c, G, A, b)], each
-    with one batch axis.
+    """A question, "contains", "contains_set", "is_empty" or "intersects", about sets [(c, G, A, b)] with one
+    batch axis.
 
     Fields: name; sets; points (S, N, n), None for all but "contains".
     """

@@ -114,7 +114,7 @@ def interior_point(
 
 
 def start(M: Array, R: Array, d: Array) -> State:
-    """Return where interior points begin, for points d (S, N, m)."""
+    """Return the first interior points for points d (S, N, m)."""
     xp, q = library(d), M.shape[2]
     x = product(d, R.swapaxes(1, 2))
     size = largest(x, 2)
@@ -196,7 +196,7 @@ def _room(pairs: Sequence[tuple[Array, Array]]) -> Array:
 
 
 def _solver(M: Array, s: Array, room: float) -> Callable[[Any], Any]:
-    """Return what solves (M diag(s) M' + room times its mean diagonal) f = r for each point, r (S, N, m)."""
+    """Return a solver of (M diag(s) M' + room times its mean diagonal) f = r for each point, r (S, N, m)."""
     xp, (S, m, q), N = library(s), M.shape, s.shape[1]
     normal: Any
     if xp is np and m > SMALL:
@@ -218,8 +218,8 @@ def _solver(M: Array, s: Array, room: float) -> Callable[[Any], Any]:
 
 
 def _one_by_one(M: np.ndarray, s: np.ndarray, room: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Return what `_solver` does for large matrices, each made and factored while it is in the processor's
-    cache.
+    """Return a solver as `_solver` does, for large matrices: each is made and factored while it is in the
+    processor's cache.
 
     NumPy would multiply them on all threads, which on a machine with other work took seventy times as long as
     this.
@@ -249,7 +249,7 @@ def _each_alone(normal: np.ndarray, r: np.ndarray) -> np.ndarray:
 
 
 def _factored(N: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Return what solves N f = r for r (P, m), N (P, m, m) positive definite: many side by side, few one by
+    """Return a solver of N f = r for r (P, m), N (P, m, m) positive definite: many side by side, few one by
     one.
     """
     P, m, _ = N.shape

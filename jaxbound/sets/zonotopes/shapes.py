@@ -1,5 +1,5 @@
-"""What small zonotopes look like: corners, area and volume, points inside, and what is left when another set
-is taken off.
+"""Shapes of small zonotopes: corners, area and volume, points inside, and what is left when another set is
+taken off.
 
 `volume` and `minkowski_difference` compute with exact rationals on the host, for small sets of concrete
 numbers; `vertices` and `sample` are for pictures and experiments, and prove nothing.
