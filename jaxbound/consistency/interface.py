@@ -20,7 +20,8 @@ from numpy.typing import ArrayLike
 from jaxbound.exact.frames import ExactFrame
 from jaxbound.exact.linalg import Matrix
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.recording import Recording, SignalModel
+from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.signals import SignalModel
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 
