@@ -43,7 +43,7 @@ from jaxbound.exact import linalg
 from jaxbound.exact.chebyshev import PRIME
 from jaxbound.exact.circuits import circuits
 from jaxbound.exact.frames import ExactFrame, frame
-from jaxbound.exact.linalg import Matrix
+from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
@@ -225,15 +225,11 @@ class ParityRelation(LinearRelations):
             r1: y1[k-1] - 5 y2[k-1] + 5 y1[k] = 0
             r2: 4 y2[k-1] - 10 y1[k] + 5 y2[k] - 5 u1[k-1] = 0
         """
-        letter, rows = (
-            ("c", zip(self.circuits, self.circuits_known, strict=True))
-            if circuits
-            else ("r", zip(self.W, self.K, strict=True))
-        )
-        return "\n".join(
-            f"{letter}{i + 1}: {relation_text(self.model, self.horizon, h, k)}"
-            for i, (h, k) in enumerate(rows)
-        )
+        letter, rows, known = ("c", self.circuits, self.circuits_known) if circuits else ("r", self.W, self.K)
+        lines = []
+        for i, (h, k) in enumerate(zip(rows, known, strict=True), 1):
+            lines.append(f"{letter}{i}: {relation_text(self.model, self.horizon, h, k)}")
+        return "\n".join(lines)
 
 
 @jax.jit
@@ -342,7 +338,7 @@ def parity_relations(
         report(1.0)
         return ParityRelation(bounds, model, horizon, form, W, K, (), (), searched, lags)
     report(1.0)
-    circuits_known = linalg.matmul(circuits, known) if known[0] else tuple(() for _ in circuits)
+    circuits_known = linalg.matmul(circuits, known) if known[0] else ((),) * len(circuits)
     circuits = tuple(over_all_rows(row, seen, model, horizon) for row in circuits)
     return ParityRelation(bounds, model, horizon, form, W, K, circuits, circuits_known, None, lags)
 
@@ -398,7 +394,7 @@ def _with_disturbance(model: LinearSystem, horizon: int, relations: Matrix) -> M
     if not model.g or not horizon:
         return relations
     through = linalg.matmul(relations, window.disturbance_form(model, horizon))
-    return tuple(h + tuple(-x for x in v) for h, v in zip(relations, through, strict=True))
+    return tuple(h + linalg.scale(v, -1) for h, v in zip(relations, through, strict=True))
 
 
 def _first(model: LinearSystem, horizon: int, report: Callable[[float], object]) -> tuple[Matrix, Matrix]:
@@ -406,41 +402,42 @@ def _first(model: LinearSystem, horizon: int, report: Callable[[float], object])
     once more, later.
     """
     short = min(horizon, model.n)
-    samples = tuple(
-        map(
-            linalg.presentable,
-            linalg.minimal_span(linalg.left_null_space(window.unbounded(model, short), report)),
-        )
-    )
-    newest = [i for i, row in enumerate(samples) if any(row[short * model.p :])]
+    shortest = linalg.minimal_span(linalg.left_null_space(window.unbounded(model, short), report))
+    samples = tuple(map(linalg.presentable, shortest))
     H = window.first_form(model, short)[1]
-    K = linalg.matmul(samples, H) if H[0] and samples else tuple(() for _ in samples)
-    later = horizon - short
-    pad = lambda row, width, shift: (ZERO,) * (shift * width) + row + (ZERO,) * ((later - shift) * width)
-    shifted = [(i, 0) for i in range(len(samples))] + [
-        (i, shift) for shift in range(1, later + 1) for i in newest
-    ]
-    outputs = (short + 1) * model.p
-    whole = [(row[:outputs], row[outputs:]) for row in _with_disturbance(model, short, samples)]
-    W = tuple(pad(whole[i][0], model.p, shift) + pad(whole[i][1], model.g, shift) for i, shift in shifted)
-    return W, tuple(pad(K[i], model.m, shift) for i, shift in shifted)
+    known = linalg.matmul(samples, H) if H[0] and samples else ((),) * len(samples)
+    outputs, later = (short + 1) * model.p, horizon - short
+
+    def moved(row: Vector, width: int, shift: int) -> Vector:
+        """Return a row over a short window as one over the long one, so many samples later."""
+        return (ZERO,) * (shift * width) + row + (ZERO,) * ((later - shift) * width)
+
+    shifted = [(i, 0) for i in range(len(samples))]
+    newest = [i for i, row in enumerate(samples) if any(row[short * model.p :])]
+    for shift in range(1, later + 1):
+        shifted += [(i, shift) for i in newest]
+    whole = _with_disturbance(model, short, samples)
+    W, K = [], []
+    for i, shift in shifted:
+        on_outputs, on_disturbances = whole[i][:outputs], whole[i][outputs:]
+        W.append(moved(on_outputs, model.p, shift) + moved(on_disturbances, model.g, shift))
+        K.append(moved(known[i], model.m, shift))
+    return tuple(W), tuple(K)
 
 
 def _second(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
     """Return (W~_L, action on U) of the second static form. Source: (13)-(14)."""
     L, M, N, F = window.second_form(model, horizon)
     stacked = linalg.left_null_space(L + M)
-    rows = len(L)
-    W = tuple(r[:rows] for r in stacked)
+    on_outputs = tuple(row[: len(L)] for row in stacked)
     if not F[0]:
-        return W, tuple(() for _ in W)
-    direct = linalg.matmul(W, F)
+        return on_outputs, ((),) * len(stacked)
+    direct = linalg.matmul(on_outputs, F)
     if not M:
-        return W, direct
-    through = linalg.matmul(tuple(r[rows:] for r in stacked), N)
-    return W, tuple(
-        tuple(a - b for a, b in zip(x, y, strict=True)) for x, y in zip(direct, through, strict=True)
-    )
+        return on_outputs, direct
+    through = linalg.matmul([row[len(L) :] for row in stacked], N)
+    K = [linalg.add_multiple(x, -1, y) for x, y in zip(direct, through, strict=True)]
+    return on_outputs, tuple(K)
 
 
 def _smallest_useful_horizon(model: LinearSystem) -> int:
@@ -452,20 +449,23 @@ def _smallest_useful_horizon(model: LinearSystem) -> int:
     same.
     """
     refuse_many_states(model)
-    exact = window.unbounded(model, model.n)  # a longer window involves no further output (Cayley-Hamilton)
+    n, p = model.n, model.p
+    exact = window.unbounded(model, n)  # a longer window involves no further output (Cayley-Hamilton)
     O = [[x.numerator * pow(x.denominator, -1, PRIME) % PRIME for x in row] for row in exact]
-    whole = _ranks(O, model.p, model.n + 1)
-    others = [
-        _ranks([row for j, row in enumerate(O) if j % model.p != i], model.p - 1, model.n + 1)
-        for i in range(model.p)
-    ]
-    checked = lambda s: [whole[s] - other[s] <= s for other in others]
-    seen = (
-        _ranks([row[: model.n] for row in O], model.p, model.n + 1)
-        if model.uncertainties
-        else [0] * (model.n + 1)
-    )
-    return next(s for s in range(model.n + 1) if checked(s) == checked(model.n) and seen[s] == seen[model.n])
+    whole = _ranks(O, p, n + 1)
+    others = []
+    for i in range(p):
+        rest = [row for j, row in enumerate(O) if j % p != i]
+        others.append(_ranks(rest, p - 1, n + 1))
+    seen = [0] * (n + 1)
+    if model.uncertainties:
+        seen = _ranks([row[:n] for row in O], p, n + 1)
+
+    def shown(s: int) -> tuple[list[bool], int]:
+        """Return which outputs windows of a horizon check, and how many states they see."""
+        return [whole[s] - other[s] <= s for other in others], seen[s]
+
+    return next(s for s in range(n + 1) if shown(s) == shown(n))
 
 
 def _ranks(rows: list[list[int]], width: int, count: int) -> list[int]:
@@ -476,8 +476,9 @@ def _ranks(rows: list[list[int]], width: int, count: int) -> list[int]:
     out: list[int] = []
     for i, row in enumerate(rows, 1):
         for j, head in kept.items():
-            if f := row[j]:
-                row = [(x - f * y) % PRIME for x, y in zip(row, head, strict=True)]
+            factor = row[j]
+            if factor:
+                row = [(x - factor * y) % PRIME for x, y in zip(row, head, strict=True)]
         lead = next((j for j, x in enumerate(row) if x), None)
         if lead is not None:
             scale = pow(row[lead], -1, PRIME)
