@@ -92,10 +92,10 @@ class ParityRelation(LinearRelations):
     frame: ExactFrame | None = field(default=None, metadata={"static": True})
     lags: tuple[int, ...] | None = field(default=None, metadata={"static": True})
 
-    def _head(self):
+    def _head(self) -> str:
         return f"ParityRelation: {self.count} relations over {self.horizon + 1} samples"
 
-    def _rows(self):
+    def _rows(self) -> dict[str, str]:
         return {
             "model": repr(self.model),
             "r1": main_terms(relation_text(self.model, self.horizon, self.W[0], self.K[0])),
@@ -107,7 +107,7 @@ class ParityRelation(LinearRelations):
         return len(self.W)
 
     @property
-    def made(self) -> tuple:
+    def made(self) -> tuple[object, ...]:
         """What these relations depend on beside model, horizon and bounds: by it what is kept of them is
         known again.
         """
@@ -213,7 +213,7 @@ class ParityRelation(LinearRelations):
         _, lo, hi = self._forms(u, y, starts)
         return Interval(lo, hi)
 
-    def _forms(self, u, y, starts):
+    def _forms(self, u: object, y: object, starts: Starts) -> tuple[jax.Array, ...]:
         return forms(_forms, self, partial(self.reading, method="box"), u, y, starts)
 
     def text(self, circuits: bool = False) -> str:
@@ -233,17 +233,18 @@ class ParityRelation(LinearRelations):
 
 
 @jax.jit
-def _forms(test, u, y):
+def _forms(test: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ...]:
+    assert isinstance(test.shape, Strips)  # of the relations one by one
     s, windows = test.horizon, test.windows(u, y)
     mid, rad, _, known, _ = test.block(*windows)
     samples = (windows[1] - test.offset_y[None, :, None]).reshape(-1, mid.shape[1])
     samples = jnp.concatenate([samples, jnp.zeros_like(mid[len(samples) :])])  # nobody measures a disturbance
 
-    def one(strip):
+    def one(strip: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
         rows, h, k = strip
-        given = jnp.sum(jnp.where(k[:, None] == 0, 0, k[:, None] * known), 0)
+        driven = jnp.sum(jnp.where(k[:, None] == 0, 0, k[:, None] * known), 0)
         total = lambda weights, x: jnp.sum(weights[:, None] * x[rows], 0)
-        return total(h, samples) - given, total(h, samples - mid), total(abs(h), rad)
+        return total(h, samples) - driven, total(h, samples - mid), total(abs(h), rad)
 
     external, centre, width = (x.T for x in jax.lax.map(one, (test.shape.rows, test.shape.h, test.shape.k)))
     return tuple(
@@ -325,21 +326,20 @@ def parity_relations(
         raise ValueError(_without_relation(model, horizon, lags))
     report(0.5)
     bounds = model_bounds(model)
-    E, known = window.unknowns(model, horizon)
-    seen = window.window_rows(model, horizon, lags).seen
-    E, known = tuple(E[i] for i in seen), tuple(known[i] for i in seen)
+    E, on_inputs = window.unknowns(model, horizon)
+    looked_at = window.window_rows(model, horizon, lags).seen
+    E, on_inputs = tuple(E[i] for i in looked_at), tuple(on_inputs[i] for i in looked_at)
     circuits = _few_circuits(E, SUBSETS if model.constant_tolerance else TESTED)
     report(0.6)
     if not circuits:
-        found = frame(E, known, progress=lambda share: report(0.6 + 0.4 * share))
-        searched = dataclasses.replace(
-            found, inner=tuple(seen[i] for i in found.inner), outer=tuple(seen[i] for i in found.outer)
-        )
+        narrow = frame(E, on_inputs, progress=lambda share: report(0.6 + 0.4 * share))
+        inner, outer = (tuple(looked_at[i] for i in rows) for rows in (narrow.inner, narrow.outer))
+        searched = dataclasses.replace(narrow, inner=inner, outer=outer)
         report(1.0)
         return ParityRelation(bounds, model, horizon, form, W, K, (), (), searched, lags)
     report(1.0)
-    circuits_known = linalg.matmul(circuits, known) if known[0] else ((),) * len(circuits)
-    circuits = tuple(over_all_rows(row, seen, model, horizon) for row in circuits)
+    circuits_known = linalg.matmul(circuits, on_inputs) if on_inputs[0] else ((),) * len(circuits)
+    circuits = tuple(over_all_rows(row, looked_at, model, horizon) for row in circuits)
     return ParityRelation(bounds, model, horizon, form, W, K, circuits, circuits_known, None, lags)
 
 
@@ -405,7 +405,7 @@ def _first(model: LinearSystem, horizon: int, report: Callable[[float], object])
     shortest = linalg.minimal_span(linalg.left_null_space(window.unbounded(model, short), report))
     samples = tuple(map(linalg.presentable, shortest))
     H = window.first_form(model, short)[1]
-    known = linalg.matmul(samples, H) if H[0] and samples else ((),) * len(samples)
+    on_inputs = linalg.matmul(samples, H) if H[0] and samples else ((),) * len(samples)
     outputs, later = (short + 1) * model.p, horizon - short
 
     def moved(row: Vector, width: int, shift: int) -> Vector:
@@ -421,7 +421,7 @@ def _first(model: LinearSystem, horizon: int, report: Callable[[float], object])
     for i, shift in shifted:
         on_outputs, on_disturbances = whole[i][:outputs], whole[i][outputs:]
         W.append(moved(on_outputs, model.p, shift) + moved(on_disturbances, model.g, shift))
-        K.append(moved(known[i], model.m, shift))
+        K.append(moved(on_inputs[i], model.m, shift))
     return tuple(W), tuple(K)
 
 
@@ -457,13 +457,13 @@ def _smallest_useful_horizon(model: LinearSystem) -> int:
     for i in range(p):
         rest = [row for j, row in enumerate(O) if j % p != i]
         others.append(_ranks(rest, p - 1, n + 1))
-    seen = [0] * (n + 1)
+    states = [0] * (n + 1)
     if model.uncertainties:
-        seen = _ranks([row[:n] for row in O], p, n + 1)
+        states = _ranks([row[:n] for row in O], p, n + 1)
 
     def shown(s: int) -> tuple[list[bool], int]:
         """Return which outputs windows of a horizon check, and how many states they see."""
-        return [whole[s] - other[s] <= s for other in others], seen[s]
+        return [whole[s] - other[s] <= s for other in others], states[s]
 
     return next(s for s in range(n + 1) if shown(s) == shown(n))
 
@@ -472,17 +472,17 @@ def _ranks(rows: list[list[int]], width: int, count: int) -> list[int]:
     """Return the ranks modulo PRIME of the first width, 2 width, .., count width rows."""
     if not width:
         return [0] * count
-    kept: dict[int, list[int]] = {}
+    reduced: dict[int, list[int]] = {}
     out: list[int] = []
     for i, row in enumerate(rows, 1):
-        for j, head in kept.items():
+        for j, head in reduced.items():
             factor = row[j]
             if factor:
                 row = [(x - factor * y) % PRIME for x, y in zip(row, head, strict=True)]
         lead = next((j for j, x in enumerate(row) if x), None)
         if lead is not None:
             scale = pow(row[lead], -1, PRIME)
-            kept[lead] = [x * scale % PRIME for x in row]
+            reduced[lead] = [x * scale % PRIME for x in row]
         if i % width == 0:
-            out.append(len(kept))
+            out.append(len(reduced))
     return out

@@ -31,6 +31,7 @@ from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations import shift
+from jaxbound.relations.bounds import Bounds
 from jaxbound.relations.elimination import eliminate
 from jaxbound.relations.parity import ParityRelation, stated_relations
 from jaxbound.relations.sentence import few_lines
@@ -58,10 +59,10 @@ class Redundancy(Relations):
 
     methods = ("box",)
 
-    def _head(self):
+    def _head(self) -> str:
         return f"{type(self).__name__}: {self.count} relations, {self.model.p} outputs, {self.model.m} inputs"
 
-    def _rows(self):
+    def _rows(self) -> dict[str, str]:
         return few_lines(self)
 
     @property
@@ -70,14 +71,14 @@ class Redundancy(Relations):
         return len(self.rows)
 
     @property
-    def made(self) -> tuple:
+    def made(self) -> tuple[object, ...]:
         """What these relations depend on beside model, horizon and bounds: by it what is kept of them is
         known again.
         """
         return "bank", self.relations.W, self.relations.K
 
     @property
-    def bounds(self) -> dict:
+    def bounds(self) -> Bounds:
         """The bounds of the relations, as of `parity_relations`."""
         return self.relations.bounds
 
