@@ -37,7 +37,7 @@ ROOMS = {
     "certificates": {"checker"},
     "sets": {"floats", "intervals", "strips", "inclusion", "linear_systems", "paving", "zonotopes"},
     "studies": {"identification", "tuning", "montecarlo"},
-    "reports": {"templates"},
+    "reports": {"templates", "vendor", "vendor/uplot"},
 }
 FILES = {
     ".".join(p.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__"): p

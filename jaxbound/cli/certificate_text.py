@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxbound.certificates.certificate import Certificate
 from jaxbound.certificates.uncertain_certificate import UncertainCertificate
 from jaxbound.models.rows import Kind
 from jaxbound.relations.sentence import row_name
@@ -20,7 +21,7 @@ SMALLEST = 1e-300  # the smallest normal number, which widens every radius, is n
 
 
 def certificate_text(
-    certificate: Any, k: int, labels: Sequence[str], outgrown: bool = False
+    certificate: Certificate | UncertainCertificate, k: int, labels: Sequence[str], outgrown: bool = False
 ) -> tuple[str, list[Row], list[tuple[str, ...]]]:
     """Return (headline, rows of (name, text), table with its header first) of a certificate, for people.
 

@@ -10,7 +10,7 @@ import gc
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, NoReturn, Protocol
+from typing import NoReturn, Protocol
 
 from jaxbound.cli.options import add_loudness
 from jaxbound.cli.terminal import Refused, write
@@ -78,8 +78,8 @@ class Parser(argparse.ArgumentParser):
         raise Refused(f"{message}; see {self.prog} --help")
 
     def parse_known_args(  # type: ignore[override]
-        self, args: Sequence[str] | None = None, namespace: Any = None
-    ) -> tuple[Any, list[str]]:
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
         """Parse; an option that there is not comes before one that is missing.
 
         Raises:

@@ -15,6 +15,8 @@ from jaxbound.text.quantities import percent, times
 
 __all__ = ["conclude"]
 
+STATUSES = ("FAULT", "CONSISTENT", "UNDECIDED", "MISSING")
+TIME = re.compile(r"\S+ s|\d{4}-\d\d-\d\d[ T][\d:.]+")  # of a sample, as `explain --at` takes it
 COLOUR = {
     "no fault": "bold green",
     "fault": "bold red",
@@ -24,71 +26,69 @@ COLOUR = {
 
 
 def conclude(evaluation: Evaluation, data: Path | str, out: Path, as_json: bool = False) -> int:
-    """Print what was found and return the exit code."""
-    summary, model, seconds = evaluation.summary, evaluation.model, evaluation.seconds
+    """Print the conclusion of an evaluation; return the exit code."""
+    summary = evaluation.summary
     if as_json:
-        rounded = {k: round(v, 3) for k, v in seconds.items()}
-        plain = summary.plain(data=str(data), seconds=rounded, out=str(out))
+        seconds = {stage: round(time, 3) for stage, time in evaluation.seconds.items()}
+        plain = summary.plain(data=str(data), seconds=seconds, out=str(out))
         write(json.dumps(plain, indent=2, allow_nan=False) + "\n")
         return summary.exit_code
-    found, counts = cast(Evidence, summary.found), summary.counts  # a recording was tested
-    rows = [
-        (
-            "samples" if found.remembers else "windows",
-            ", ".join(
-                f"{counts[s]} {s}" for s in ("FAULT", "CONSISTENT", "UNDECIDED", "MISSING") if counts[s]
-            ),
-        )
-    ]
-    if found.remembers:
-        rows.append(
-            (
-                "tested",
-                f"{percent(found.tested)} of {found.windows} samples, by an observer of all samples before "
-                f"them",
-            )
-        )
-    elif found.faulty is None:
-        by = f"by the {found.method} test over {found.horizon + 1} samples each"
-        rows.append(("decided", f"{percent(found.decided)} of {found.windows} windows, {by}"))
-    else:
-        rows.append(
-            ("faulty", ", ".join(f"{name} in {n} samples" for name, n in found.faulty.items()) or "no sensor")
-        )
-    proved = counts["FAULT"] and found.faulty is None and not model.uncertainties
-    command = f"jaxbound explain {shlex.quote(str(out))} --at "
-    first = summary.first_alarm
-    rows.append(("alarms", f"{found.alarms}" + (f", the first at {first}" if found.alarms else "")))
-    if proved and found.alarms and re.fullmatch(r"\S+ s|\d{4}-\d\d-\d\d[ T][\d:.]+", first):
-        rows[-1] = (
-            "alarms",
-            f"{rows[-1][1]}: {command}{shlex.quote(first.removesuffix(' s') + 's' * first.endswith(' s'))}",
-        )
+    evidence = cast(Evidence, summary.found)  # a recording was tested
+    # A certificate of one window exists where windows, or an observer, were tested of a certain model.
+    is_explained = evidence.counts["FAULT"] and evidence.faulty is None and not evaluation.model.uncertainties
+    explain = f"jaxbound explain {shlex.quote(str(out))} --at " if is_explained else ""
+    rows = [_counts_row(evidence), _tested_row(evidence), _alarms_row(summary, evidence, explain)]
     if np.isfinite(summary.margin):
-        at, margin = cast(Window, summary.worst).time, summary.margin
-        what = (
-            f"bounds needed: {times(1 - margin)} the stated ones"
-            if margin < 0
-            else f"{percent(1 - margin)} of the bounds are used"
-        )
-        if found.remembers:
-            what = (
-                f"beyond what the samples before allow by {times(1 - margin)}"
-                if margin < 0
-                else f"{percent(1 - margin)} of it is used"
-            )
-        rows.append(
-            (
-                "worst" if found.remembers else "worst window" if margin < 0 else "tightest",
-                f"{at}: margin {margin:.3g}, {what}",
-            )
-        )
-    if proved:
-        rows.append(("proof" if summary.verdict == "fault" else "why", f"{command}{found.at}"))
-    rows += [("hint", h) for h in summary.hints]
-    rows += [
-        ("seconds", ", ".join(f"{name} {s:.1f}" for name, s in seconds.items())),
-        ("report", str(out / "report.html")),
-    ]
+        rows.append(_worst_row(summary, evidence))
+    if explain:
+        rows.append(("proof" if summary.verdict == "fault" else "why", f"{explain}{evidence.at}"))
+    rows += [("hint", hint) for hint in summary.hints]
+    rows.append(("seconds", ", ".join(f"{stage} {s:.1f}" for stage, s in evaluation.seconds.items())))
+    rows.append(("report", str(out / "report.html")))
     show(summary.sentence, COLOUR[summary.verdict], rows)
     return summary.exit_code
+
+
+def _counts_row(evidence):
+    counts = [f"{evidence.counts[s]} {s}" for s in STATUSES if evidence.counts[s]]
+    return "samples" if evidence.remembers else "windows", ", ".join(counts)
+
+
+def _tested_row(evidence):
+    """Return the share that was tested or decided, of a validation the sensors that are faulty."""
+    if evidence.remembers:
+        share = f"{percent(evidence.tested)} of {evidence.windows} samples"
+        return "tested", f"{share}, by an observer of all samples before them"
+    if evidence.faulty is None:
+        by = f"by the {evidence.method} test over {evidence.horizon + 1} samples each"
+        return "decided", f"{percent(evidence.decided)} of {evidence.windows} windows, {by}"
+    sensors = ", ".join(f"{name} in {n} samples" for name, n in evidence.faulty.items())
+    return "faulty", sensors or "no sensor"
+
+
+def _alarms_row(summary, evidence, explain):
+    """Return the number of alarms and the first of them, with the command that explains it."""
+    if not evidence.alarms:
+        return "alarms", "0"
+    first = summary.first_alarm
+    text = f"{evidence.alarms}, the first at {first}"
+    if explain and TIME.fullmatch(first):
+        at = f"{first.removesuffix(' s')}s" if first.endswith(" s") else first
+        text = f"{text}: {explain}{shlex.quote(at)}"
+    return "alarms", text
+
+
+def _worst_row(summary, evidence):
+    """Return the window that comes nearest to a fault, or is the farthest in it."""
+    margin = summary.margin
+    is_outside = margin < 0
+    if evidence.remembers:
+        name = "worst"
+        use = f"{percent(1 - margin)} of it is used"
+        if is_outside:
+            use = f"beyond what the samples before allow by {times(1 - margin)}"
+    elif is_outside:
+        name, use = "worst window", f"bounds needed: {times(1 - margin)} the stated ones"
+    else:
+        name, use = "tightest", f"{percent(1 - margin)} of the bounds are used"
+    return name, f"{cast(Window, summary.worst).time}: margin {margin:.3g}, {use}"

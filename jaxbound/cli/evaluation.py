@@ -104,19 +104,19 @@ def evaluate_parts(
             progress = lambda share: step("report", 0.4 * share)
             sinks = open_sinks(work, whole=False)
             how = options.method, alarm, work / "alarms.csv", progress, sinks
-            found = digest(relations, source, parts, *how)
-            sizes = sizes_seen(found, found.alarms)
+            res = digest(relations, source, parts, *how)
+            sizes = sizes_seen(res, res.alarms)
             reaches = outgrown(source.model, relations)
-            hints = dict.fromkeys((*found.hints, *reaches, *ending_hints(found, found.alarms, sizes)))
-            res = summarised(found, found.alarms, found.label, min_coverage, hints, sizes, bool(reaches))
+            hints = dict.fromkeys((*res.hints, *reaches, *ending_hints(res, res.alarms, sizes)))
+            summary = summarised(res, res.alarms, res.label, min_coverage, hints, sizes, bool(reaches))
             about = relations.model, Path(data), source.content, options.method, relations.horizon
-            close_all(sinks, Outcome(found.alarms, res, *about, options.observer_options))
+            close_all(sinks, Outcome(res.alarms, summary, *about, options.observer_options))
             write_report(
                 work,
-                found,
-                found,
-                found.alarms,
                 res,
+                res,
+                res.alarms,
+                summary,
                 seconds=seconds,
                 progress=lambda share: step("report", 0.4 + 0.6 * share),
             )
@@ -132,7 +132,7 @@ def evaluate_parts(
     for name in ("verdicts.csv", *FORMER):
         folder.remove(name)
     seconds["report"] = time.perf_counter() - start
-    return Evaluation(res, source.model, seconds)
+    return Evaluation(summary, source.model, seconds)
 
 
 def evaluate(
@@ -157,7 +157,8 @@ def evaluate(
     with door():
         stated = load_model(model)
         source = open_source(data, stated)
-        held, recording = source.content, source.read(progress=lambda share: step("read", share))
+        content = source.content  # before it is read, so that what is written meanwhile does not pass for it
+        recording = source.read(progress=lambda share: step("read", share))
         tested, relations = window_relations(stated, options, data, recording.samples, step)
         refuse_short(data, recording.samples, relations.horizon)
         seconds["read"], start = time.perf_counter() - start, time.perf_counter()
@@ -174,20 +175,20 @@ def evaluate(
         sizes = sizes_seen(res, alarms)
         reaches = outgrown(stated, relations)
         hints = dict.fromkeys((*res.hints, *reaches, *again_hints(res), *ending_hints(res, alarms, sizes)))
-        found = summarised(res, alarms, recording.label, min_coverage, hints, sizes, bool(reaches))
-        about = tested, Path(data), held, options.method, relations.horizon, options.observer_options
-        sinks.close(Outcome(alarms, found, *about))
+        summary = summarised(res, alarms, recording.label, min_coverage, hints, sizes, bool(reaches))
+        about = tested, Path(data), content, options.method, relations.horizon, options.observer_options
+        sinks.close(Outcome(alarms, summary, *about))
         step("report", 0.1)
         write_report(
             work,
             res,
             recording,
             alarms,
-            found,
+            summary,
             seconds=seconds,
             extra=() if sections is None else sections(res),
             progress=lambda share: step("report", 0.1 + 0.8 * share),
         )
     step("report", 1.0)
     seconds["report"] = time.perf_counter() - start
-    return Evaluation(found, tested, seconds)
+    return Evaluation(summary, tested, seconds)

@@ -96,7 +96,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Fit a model to recordings, write and describe it; return the exit code."""
     with swift_imports():
-        from jaxbound.cli.fit_summary import plain_fit, show_fit, signal_columns
+        from jaxbound.cli.fit_summary import named_units, plain_fit, show_fit, signal_columns
         from jaxbound.files.whole import whole
         from jaxbound.models.modelfile import model_text
         from jaxbound.plots.canvas import to_png
@@ -109,6 +109,7 @@ def run(args: argparse.Namespace) -> int:
     with door(), progress_bars(("read", "fit")) as step:
         inputs = signal_columns("--inputs", args.inputs)
         outputs = signal_columns("--outputs", args.outputs)
+        inputs, outputs, units = named_units(inputs, outputs)
         about = {}
         if args.time:
             about["time"] = args.time
@@ -131,6 +132,7 @@ def run(args: argparse.Namespace) -> int:
             average=args.average,
             name=args.name or args.out.stem,
             progress=lambda share: step("fit", share),
+            units=units,
             columns=about | dict(signal for signal in inputs + outputs if not isinstance(signal, str)),
         )
         with whole(args.out) as f:

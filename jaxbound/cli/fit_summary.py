@@ -11,16 +11,18 @@ from jaxbound.cli.terminal import show
 from jaxbound.diagnosis.memory import slowest, suggest_lags
 from jaxbound.recordings.expressions import expression
 from jaxbound.studies.identification.fitting import Fitted
+from jaxbound.text.units import without_unit
 
-__all__ = ["plain_fit", "show_fit", "signal_columns"]
+__all__ = ["named_units", "plain_fit", "show_fit", "signal_columns"]
 
+Signal = str | tuple[str, str]  # a column of that name, or (name, column)
 MEMORY = 1.5  # times the window that a plant must remember before longer windows are spoken of
 COMMA = re.compile(r",(?=(?:[^`]*`[^`]*`)*[^`]*$)(?![^()]*\))")  # outside of backticks and brackets
 ASSIGNED = re.compile(r"\s*([^=<>!`'\"]+?)\s*=(?!=)\s*(.+?)\s*")
 QUOTED = re.compile(r"`([^`]+)`")
 
 
-def signal_columns(option: str, text: str) -> list[str | tuple[str, str]]:
+def signal_columns(option: str, text: str) -> list[Signal]:
     """Return the signals of an option: names, or (name, column) where it says name=column or name=expression.
 
     Raises:
@@ -41,7 +43,31 @@ def signal_columns(option: str, text: str) -> list[str | tuple[str, str]]:
     return [_signal_column(entry) for entry in entries]
 
 
-def _signal_column(entry: str) -> str | tuple[str, str]:
+def named_units(
+    inputs: list[Signal], outputs: list[Signal]
+) -> tuple[list[Signal], list[Signal], dict[str, str]]:
+    """Return (inputs, outputs, {signal: unit}): a column "T [degC]" is a signal T, if no other is.
+
+    Example:
+        >>> named_units(["Pump [%]"], [("T1", "Room (degC)"), "flow"])
+        ([('Pump', 'Pump [%]')], [('T1', 'Room (degC)'), 'flow'], {'Pump': '%', 'T1': 'degC'})
+    """
+    signals = [*inputs, *outputs]
+    bare = [without_unit(signal)[0] if isinstance(signal, str) else signal[0] for signal in signals]
+    named: list[Signal] = []
+    units = {}
+    for signal, name in zip(signals, bare, strict=True):
+        column = signal if isinstance(signal, str) else signal[1]
+        unit = without_unit(column)[1]
+        if not unit or bare.count(name) > 1:
+            named.append(signal)
+            continue
+        named.append((name, column))
+        units[name] = unit
+    return named[: len(inputs)], named[len(inputs) :], units
+
+
+def _signal_column(entry: str) -> Signal:
     """Read one entry of --inputs or --outputs."""
     if assigned := ASSIGNED.fullmatch(entry):
         name, column = assigned.groups()
@@ -74,7 +100,7 @@ def plain_fit(
     average: int | None,
     hints: Sequence[str],
 ) -> dict[str, Any]:
-    """Return what --json prints of a model fitted to files."""
+    """Return the summary of a model fitted to files, as JSON has it."""
     check = model.check
     held_out = check.held_out and _all_finite(check.held_out)
     recordings = []
@@ -120,7 +146,7 @@ def show_fit(
     held_out: float,
     hints: Sequence[str],
 ) -> None:
-    """Print what was found in files. written: the files that were written; held_out: share of each file."""
+    """Print a model that was fitted to files. written: names of new files; held_out: a share of each file."""
     check = model.check
     rows = [
         ("model", f"{model.n} states, order {order}, coefficients by {check.method}"),
@@ -172,7 +198,7 @@ def _size(model, sizes, name):
 
 
 def _window_text(model):
-    """Return how many samples a window looks at."""
+    """Return the number of samples of a window."""
     if model.lags is None:
         return f"{model.horizon + 1}"
     return f"{len(model.lags)} of {model.horizon + 1}"
@@ -185,7 +211,7 @@ def _recording_text(numbers):
 
 
 def _held_out_text(unseen, share):
-    """Return what a first fit made of the samples that it had not seen."""
+    """Return the result of a first fit on the samples that it had not seen."""
     if unseen is None:
         return "nothing"
     return (

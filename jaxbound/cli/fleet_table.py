@@ -58,39 +58,43 @@ def write_fleet(directory: str | Path, results: Sequence[UnitResult], title: str
     Args:
         directory: an existing folder. results: UnitResults in any order. title: for the page.
     """
+    directory = Path(directory)
     ordered = worst_first(results)
-    number = lambda x: "" if math.isnan(x) else repr(float(x))
-    with open(
-        Path(directory) / "fleet.csv", "w", newline="", encoding="utf-8", errors="backslashreplace"
-    ) as f:
+    file = directory / "fleet.csv"
+    with open(file, "w", newline="", encoding="utf-8", errors="backslashreplace") as f:
         table = csv.writer(f, lineterminator="\n")
         table.writerow(FIELDS)
-        for r in ordered:
-            found = r.summary
-            texts = (
-                found.first_alarm,
-                found.worst.time if found.worst else "",
-                found.sentence,
-                " | ".join(found.hints),
-            )
-            files = str(r.unit.model), str(r.unit.recording)
-            counts = (found.counts[name] for name in FIELDS[4:8])
-            table.writerow(
-                (
-                    cell(r.unit.name),
-                    r.verdict,
-                    number(r.margin),
-                    number(1 - r.margin),
-                    *counts,
-                    number(found.decided),
-                    found.alarms,
-                    *map(cell, (*texts, *files)),
-                    found.last_ended,
-                )
-            )
-    (Path(directory) / "fleet.html").write_text(
-        fleet_page(ordered, fleet_verdict(results), title), encoding="utf-8"
-    )
+        for result in ordered:
+            cells = _cells(result)
+            table.writerow([cells[name] for name in FIELDS])
+    page = fleet_page(ordered, fleet_verdict(results), title)
+    (directory / "fleet.html").write_text(page, encoding="utf-8")
+
+
+def _cells(result: UnitResult) -> dict[str, object]:
+    """Return the row of a unit by the names of its columns."""
+    summary = result.summary
+    return {
+        "unit": cell(result.unit.name),
+        "verdict": result.verdict,
+        "margin": _number_cell(result.margin),
+        "factor": _number_cell(1 - result.margin),
+        **summary.counts,
+        "decided": _number_cell(summary.decided),
+        "alarms": summary.alarms,
+        "first_alarm": cell(summary.first_alarm),
+        "worst": cell(summary.worst.time) if summary.worst else "",
+        "sentence": cell(summary.sentence),
+        "hints": cell(" | ".join(summary.hints)),
+        "model": cell(str(result.unit.model)),
+        "recording": cell(str(result.unit.recording)),
+        "ended": summary.last_ended,
+    }
+
+
+def _number_cell(x):
+    """Return a number in full, NaN as nothing."""
+    return "" if math.isnan(x) else repr(float(x))
 
 
 class UnitPages:
@@ -125,31 +129,46 @@ class UnitPages:
 
 
 def conclude_fleet(results: Sequence[UnitResult], out: Path, as_json: bool) -> int:
-    """Print what was found; return the exit code."""
+    """Print the conclusion of a fleet; return the exit code."""
     verdict, code, sentence = fleet_verdict(results)
     ordered = worst_first(results)
     if as_json:
-        found = {"layout": LAYOUT, "verdict": verdict, "exit_code": code, "summary": sentence}
-        found |= {"units": list(map(_plain, ordered)), "out": str(out)}
-        write(json.dumps(found, indent=2, allow_nan=False) + "\n")
+        plain = {
+            "layout": LAYOUT,
+            "verdict": verdict,
+            "exit_code": code,
+            "summary": sentence,
+            "units": list(map(_plain, ordered)),
+            "out": str(out),
+        }
+        write(json.dumps(plain, indent=2, allow_nan=False) + "\n")
         return code
     table = [("unit", "verdict", "margin", "FAULT", "decided", "first alarm", "the last alarm")]
-    for r in ordered[:SHOWN]:
-        margin = "" if math.isnan(r.margin) else f"{r.margin:.3g}"
-        faults, s = str(r.summary.counts["FAULT"]), r.summary
-        table.append(
-            (r.unit.name, r.verdict, margin, faults, percent(s.decided), s.first_alarm, s.last_ended)
-        )
-    rows = [
-        ("not tested", f"{r.unit.name}: {r.summary.sentence}") for r in ordered if r.verdict == "not tested"
-    ][:SHOWN]
-    rows += [("", f"and {len(ordered) - SHOWN} more units")] if len(ordered) > SHOWN else []
+    table += [_shown_row(result) for result in ordered[:SHOWN]]
+    untested = [result for result in ordered if result.verdict == "not tested"]
+    rows = [("not tested", f"{r.unit.name}: {r.summary.sentence}") for r in untested[:SHOWN]]
+    if len(ordered) > SHOWN:
+        rows.append(("", f"and {len(ordered) - SHOWN} more units"))
     rows += [("table", str(out / "fleet.csv")), ("page", str(out / "fleet.html"))]
     show(sentence, COLOUR[verdict], rows, table)
     return code
 
 
-def _plain(r):
+def _shown_row(result):
+    """Return the row of a unit on the terminal."""
+    summary = result.summary
+    return (
+        result.unit.name,
+        result.verdict,
+        "" if math.isnan(result.margin) else f"{result.margin:.3g}",
+        str(summary.counts["FAULT"]),
+        percent(summary.decided),
+        summary.first_alarm,
+        summary.last_ended,
+    )
+
+
+def _plain(result):
     """Return a UnitResult as JSON has it."""
-    about = {"model": str(r.unit.model), "recording": str(r.unit.recording)}
-    return {"unit": r.unit.name} | r.summary.plain() | about
+    files = {"model": str(result.unit.model), "recording": str(result.unit.recording)}
+    return {"unit": result.unit.name} | result.summary.plain() | files

@@ -120,7 +120,7 @@ def _parse(words: list[str]) -> argparse.Namespace:
 
 
 def _complete(parser: Parser) -> None:
-    """Print what the word under the cursor may become, and end the process: the shell asks by <TAB>."""
+    """Print the completions of the word at the cursor and end the process, when the shell asks for them."""
     with suppress(ImportError):
         import argcomplete
 

@@ -10,6 +10,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.plots.residuals import distinct_relations
 from jaxbound.relations.cost import elimination_seconds, relation_cost
 from jaxbound.relations.decoupling import isolability, signatures, structured_relations
+from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import redundancy
 from jaxbound.relations.sentence import main_terms
 from jaxbound.relations.uncertain import UncertainRelations
@@ -24,7 +25,7 @@ PATIENCE = 60.0
 """Seconds, roughly, beyond which tables are left to whoever asks for them."""
 
 
-def show_model(model: LinearSystem, relations: Any) -> None:
+def show_model(model: LinearSystem, relations: ParityRelation | UncertainRelations) -> None:
     """Print a model, its relations, and the faults that they see and tell apart."""
     rows = [
         ("states", f"{model.n}: {', '.join(model.states)}"),
@@ -127,10 +128,8 @@ def _lags(relations):
     return getattr(relations, "lags", None)
 
 
-def plain_model(model: LinearSystem, relations: Any) -> dict[str, Any]:
-    """Return what --json prints: the model file's own words and numbers, the relations, and the sizes that
-    are guaranteed.
-    """
+def plain_model(model: LinearSystem, relations: ParityRelation | UncertainRelations) -> dict[str, Any]:
+    """Return a model, its relations and the sizes that are guaranteed, as JSON has them."""
     parameters = []
     for parameter in model.uncertainties:
         ends = [float(x) for x in parameter.between]

@@ -112,7 +112,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Count what a monitor detects, write tables and a page; return the exit code."""
+    """Count the detections of a monitor, write tables and a page; return the exit code."""
     start = time.perf_counter()
     with swift_imports():
         from jaxbound.cli.engine import engine

@@ -19,7 +19,7 @@ FILES = ("summary.csv", "summary.parquet", "delays.parquet", "report.html")
 
 
 def write_study(work: Path, result: StudyResult, seed: int, seconds: float) -> None:
-    """Write the tables and the page of a study into a folder. seconds: that it took."""
+    """Write the tables and the page of a study into a folder. seconds: its duration."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -42,7 +42,7 @@ def _column(values, written=str):
 
 
 def conclude_study(result: StudyResult, out: Path, seconds: float, as_json: bool = False) -> None:
-    """Print what was found. out: the folder of the report; seconds: that it took."""
+    """Print the conclusion of a study. out: the folder of its report; seconds: its duration."""
     page = str(out / "report.html")
     if as_json:
         write(json.dumps(_plain_study(result, page), indent=1, default=float) + "\n")
@@ -59,7 +59,7 @@ def conclude_study(result: StudyResult, out: Path, seconds: float, as_json: bool
 
 
 def _plain_study(result: StudyResult, page: str) -> dict[str, Any]:
-    """Return what --json prints."""
+    """Return a study as JSON has it."""
     false_alarms, clean_windows = result.false_alarms
     columns = {name: map(_number_or_none, x.tolist()) for name, x in study_table(result).items()}
     cells = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]

@@ -1,6 +1,4 @@
-"""What every command does at the terminal: refuse in one sentence, show a bar for each stage, print what was
-found.
-"""
+"""The terminal: refusals in one sentence, a bar for each stage, conclusions in colour."""
 
 import io
 import os
@@ -51,7 +49,7 @@ EVERY = 60.0
 
 @contextmanager
 def door(*kinds: type[Exception]) -> Iterator[None]:
-    """Turn what the library or the file system refuses into a sentence for the user."""
+    """Turn exceptions of the library and of the file system into a sentence for the user."""
     kinds = kinds or (OSError, ValueError, NotImplementedError, TypeError)
     try:
         yield
@@ -60,7 +58,7 @@ def door(*kinds: type[Exception]) -> Iterator[None]:
 
 
 def system_trouble(e: BaseException) -> str:
-    """Return what an exception says; of the file system's, which file and what is wrong with it."""
+    """Return the sentence of an exception; one of the file system names its file."""
     if not isinstance(e, OSError) or not e.strerror:
         return str(e)
     return f"{e.filename}: {e.strerror.lower()}" if e.filename else e.strerror.lower()
@@ -136,7 +134,7 @@ class _Lines:
         self.stage = ""
 
     def step(self, stage: str, share: float) -> None:
-        """Say where the work is, if it is time to."""
+        """Print the state of the work, if it is time to."""
         now = time.monotonic()
         if stage != self.stage and LOUDNESS.get() == VERBOSE:
             say(f"{stage}, {now - self.start:.1f} s after the start")
@@ -169,7 +167,7 @@ def write(text: str) -> None:
 
 
 def nobody_reads() -> None:
-    """Let what is held back for stdout go nowhere: else the interpreter complains of it at its end."""
+    """Drop the text that waits for stdout: else the interpreter complains of it at its end."""
     with suppress(OSError):  # a stand-in for stdout has no number
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 

@@ -62,7 +62,7 @@ def optimizer(name: str, steps: int) -> "GradientTransformation | None":
 
 
 def plain_tuning(tuning: TuneResult, out: Path, hints: Sequence[str]) -> dict[str, Any]:
-    """Return what --json prints."""
+    """Return tuned bounds as JSON has them."""
     risk = tuning.risk
     return {
         "out": str(out),
@@ -97,7 +97,7 @@ def _plain_bounds(bounds):
 
 
 def show_tuning(tuning: TuneResult, written: Sequence[str], hints: Sequence[str]) -> None:
-    """Print what was found. written: the files that were written."""
+    """Print tuned bounds. written: names of new files."""
     reason = "no smaller ones in this direction explain the healthy data"
     safety = f"{tuning.safety:g}, on top of the smallest bounds"
     if tuning.safety <= 1:

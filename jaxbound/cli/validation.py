@@ -62,17 +62,16 @@ class Validated:
     @property
     def blamed(self) -> dict[str, int]:
         """{output: number of its faulty samples}, those without any left out."""
-        return {
-            name: int(n)
-            for name, n in zip(self.model.outputs, np.asarray(self.found.faulty).sum(0), strict=True)
-            if n
-        }
+        counts = np.asarray(self.found.faulty).sum(0).tolist()
+        return {name: n for name, n in zip(self.model.outputs, counts, strict=True) if n}
 
     @property
     def first_fault(self) -> int | None:
         """The first sample that is FAULT, None if there is none."""
         fault = self.status == Status.FAULT
-        return int(np.argmax(fault)) if fault.any() else None
+        if not fault.any():
+            return None
+        return int(np.argmax(fault))
 
     def alarms(self, k: int = 1, n: int = 1) -> list[Alarm]:
         """Group FAULT windows. See `Result.alarms`."""
@@ -86,11 +85,13 @@ class Validated:
 
     def stretches(self) -> list[tuple[int, int, int]]:
         """Return [(index of the output, first, last sample)] of the faulty stretches, in order of time."""
-        faulty, out = np.asarray(self.found.faulty), []
+        faulty, stretches = np.asarray(self.found.faulty), []
         for i in range(faulty.shape[1]):
+            # A stretch begins where the flag rises and ends before it falls.
             edges = np.flatnonzero(np.diff(np.concatenate([[0], faulty[:, i].astype(int), [0]])))
-            out += [(i, int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
-        return sorted(out, key=lambda s: s[1:])
+            for begin, end in edges.reshape(-1, 2):
+                stretches.append((i, int(begin), int(end) - 1))
+        return sorted(stretches, key=lambda stretch: stretch[1:])
 
 
 @evidence.register(Validated)
@@ -103,30 +104,38 @@ def _(res, alarms):
 
 @columns_of.register
 def _(res: Validated):
-    """Return status, and for each output whether it is faulty, its band and its corrected value; the states'
-    bands.
+    """Return the status, for each output its faults, its band and its corrected value, and bands of states.
 
     A bound that is not known, as in the first samples, is blank.
     """
-    blank = lambda x: to_arrow(np.where(np.isfinite(x), x, np.nan))
-    band = lambda name, x, i: {
-        f"{name}.lo": blank(np.asarray(x.lo)[:, i]),
-        f"{name}.hi": blank(np.asarray(x.hi)[:, i]),
-    }
     columns = {"status": words([s.name for s in Status], res.status)}
-    found = res.found
+    validation = res.found
     for i, name in enumerate(res.model.outputs):
-        lo, hi = (np.asarray(end)[:, i] for end in (found.corrected.lo, found.corrected.hi))
-        known = np.isfinite(lo) & np.isfinite(hi)
-        columns[f"faulty.{name}"] = to_arrow(np.asarray(found.faulty)[:, i])
-        columns |= band(f"output.{name}", found.output, i)
-        columns[f"corrected.{name}"] = blank(
-            np.where(known, np.where(known, lo, 0) / 2 + np.where(known, hi, 0) / 2, np.nan)
-        )
-        columns |= band(f"corrected.{name}", found.corrected, i)
+        lo, hi = _ends(validation.corrected, i)
+        is_known = np.isfinite(lo) & np.isfinite(hi)
+        middle = np.where(is_known, lo, 0) / 2 + np.where(is_known, hi, 0) / 2
+        columns[f"faulty.{name}"] = to_arrow(np.asarray(validation.faulty)[:, i])
+        columns |= _band(f"output.{name}", validation.output, i)
+        columns[f"corrected.{name}"] = _blank(np.where(is_known, middle, np.nan))
+        columns |= _band(f"corrected.{name}", validation.corrected, i)
     for i, name in enumerate(res.model.states):
-        columns |= band(f"state.{name}", found.state, i)
+        columns |= _band(f"state.{name}", validation.state, i)
     return columns
+
+
+def _band(name, bounds, i):
+    """Return the two columns of the bounds of signal i."""
+    lo, hi = _ends(bounds, i)
+    return {f"{name}.lo": _blank(lo), f"{name}.hi": _blank(hi)}
+
+
+def _ends(bounds, i):
+    return np.asarray(bounds.lo)[:, i], np.asarray(bounds.hi)[:, i]
+
+
+def _blank(x):
+    """Return numbers as a column, nothing where they are not finite."""
+    return to_arrow(np.where(np.isfinite(x), x, np.nan))
 
 
 def evaluate_validation(
@@ -159,29 +168,32 @@ def evaluate_validation(
     res = judge.verdicts
     alarms = res.alarms(*alarm)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
-    first = (
-        f"the first {horizon + 1} "
-        f"{'complete samples, here and behind each gap,' if len(recording.starts) else 'samples'}"
-    )
-    assumed = [
-        f"{first} are taken to be free of faults: a fault there may stay unseen, or blame a healthy sensor"
-    ]
-    if plant.m:
-        assumed.append(
-            "inputs are taken as recorded: where an actuator did something else, a healthy sensor is named"
-        )
-    if res.first_fault is not None:
-        assumed.append(
-            f"from {recording.label(res.first_fault)} on, the first FAULT, bands hold the true values only "
-            f"if every faulty sample was found: a band may follow a sensor that stays wrong"
-        )
     reaches = outgrown(plant, res, "validation")
-    hints = (*recording.hints, *bound_hints(plant), *reaches, *assumed)
+    hints = (*recording.hints, *bound_hints(plant), *reaches, *_assumptions(res, recording))
     summary = summarised(res, alarms, recording.label, min_coverage, hints, outgrown=bool(reaches))
     close_all(sinks, Outcome(alarms, summary, plant, Path(data), held, options.method, horizon))
     write_page(work, res, recording, summary, seconds=seconds, progress=lambda share: step("report", share))
     seconds["report"] = time.perf_counter() - start
     return Evaluation(summary, plant, seconds)
+
+
+def _assumptions(res, recording):
+    """Return sentences on what the verdicts of a validation rest on beside the bounds."""
+    samples = "complete samples, here and behind each gap," if len(recording.starts) else "samples"
+    sentences = [
+        f"the first {res.horizon + 1} {samples} are taken to be free of faults: a fault there may stay "
+        f"unseen, or blame a healthy sensor"
+    ]
+    if res.model.m:
+        sentences.append(
+            "inputs are taken as recorded: where an actuator did something else, a healthy sensor is named"
+        )
+    if res.first_fault is not None:
+        sentences.append(
+            f"from {recording.label(res.first_fault)} on, the first FAULT, bands hold the true values only "
+            f"if every faulty sample was found: a band may follow a sensor that stays wrong"
+        )
+    return sentences
 
 
 def _validated(model, recording, horizon):

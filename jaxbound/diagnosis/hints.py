@@ -9,8 +9,9 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.relations.sentence import latched, remembers
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import percent, times
+from jaxbound.text.units import same_unit, without_unit
 
-__all__ = ["bound_hints", "fit_hints", "outgrown", "unfit"]
+__all__ = ["bound_hints", "fit_hints", "outgrown", "unfit", "unit_hints"]
 
 FOR = "the bounds were found from data for windows of {} samples,"
 MAY = "a FAULT may be no more than an error that lasts longer than those"
@@ -42,7 +43,22 @@ def bound_hints(model: Any, relations: Any = None) -> list[str]:
     rounded = [s for s, tolerance, noise, resolution in rows if resolution and not (tolerance or noise)]
     have = "have" if len(rounded) > 1 else "has"
     only = f"{', '.join(rounded)} {have} only a resolution: state noise or tolerance, what the sensor errs by"
-    return outgrown(model, relations) + [none] * bool(bare) + [only] * bool(rounded)
+    other_units = unit_hints(model)
+    return outgrown(model, relations) + [none] * bool(bare) + [only] * bool(rounded) + other_units
+
+
+def unit_hints(model: LinearSystem) -> list[str]:
+    """Return a sentence on each signal whose unit is another one than that in the name of its column."""
+    sentences = []
+    for signal, unit in model.units.items():
+        column = model.column(signal)
+        other = without_unit(column)[1]
+        if other and not same_unit(unit, other):
+            sentences.append(
+                f"the model has {signal} in {unit}, and its column {column!r} is in {other}: say in one of "
+                f"them what the numbers are"
+            )
+    return sentences
 
 
 def outgrown(model: LinearSystem, relations: Any = None, looks_back: str = "") -> list[str]:

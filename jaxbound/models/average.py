@@ -54,7 +54,7 @@ class Average:
 
     @property
     def text(self) -> str:
-        """What it is, as a reader would call it."""
+        """The name of the sum, for a reader."""
         of = "mean" if self.is_mean else "weighted sum"
         return f"{of} of {len(self.weights)} samples of {self.signal}"
 

@@ -30,7 +30,7 @@ class StateSpace(Protocol):
 
 
 class LabelledStateSpace(StateSpace, Protocol):
-    """What python-control's has beside."""
+    """The names that a system of python-control has beside its matrices."""
 
     name: str
     input_labels: Sequence[str]

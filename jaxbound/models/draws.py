@@ -48,7 +48,7 @@ def _is_threefry(key):
 
 
 def _drawn(key, streams, recordings, size, dtype):
-    """Return what `_compiled` does."""
+    """Draw the same numbers as `_compiled`, on the host."""
     count = np.arange(max(recordings, size), dtype=np.uint32)
     k0, k1 = threefry((key[:1], key[1:]), (count[:1] * 0, count[:recordings]), JAX_ROUNDS)
     stream = np.array(streams, np.uint32)[:, None]

@@ -42,7 +42,7 @@ def fingerprint(*things: object) -> str:
 
 
 def _pieces(x: object) -> Iterator[bytes]:
-    """Yield what a thing consists of as bytes."""
+    """Yield the parts of a thing as bytes."""
     if isinstance(x, np.generic):
         x = x.item()
     if x is None or isinstance(x, bool | int | float | complex | str | Fraction):

@@ -63,7 +63,7 @@ class IntervalSystem:
 
     @property
     def name(self) -> str:
-        """What messages call it: an interval system has no name of its own."""
+        """The name in messages: an interval system has no name of its own."""
         return "interval system"
 
     @property

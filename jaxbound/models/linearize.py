@@ -226,8 +226,8 @@ def _middles(between):
 
 
 def _measured(h, box, origin, middles, bounds):
-    """Return what parameters change of the outputs, their matrix at 0, their values at the working point, and
-    the noise with the rest.
+    """Return the coefficients of parameters in the outputs, their matrix at 0, their values at the working
+    point, and the noise with the rest.
     """
     there = np.asarray(h(jnp.asarray(np.array([*origin, *middles], float))))
     if not np.isfinite(there).all():

@@ -50,7 +50,7 @@ class Home(Protocol):
     def collect(self, arguments: dict[str, Any], name: str, place: str, tables: list[dict]) -> None:
         """Put the values of a field, those of all tables of a place, into the arguments of a LinearSystem."""
 
-    def value(self, model: LinearSystem, name: str, entry: Entry) -> Any:
+    def value(self, model: LinearSystem, name: str, entry: Entry) -> object:
         """Return the value of a field to write; None: it is left out."""
 
 
@@ -58,12 +58,12 @@ class Home(Protocol):
 class Elsewhere:
     """The home of a field that `model_arguments` assembles with others: here is only how it is written."""
 
-    written: Callable[[LinearSystem, Entry], Any]
+    written: Callable[[LinearSystem, Entry], object]
 
     def collect(self, arguments: dict[str, Any], name: str, place: str, tables: list[dict]) -> None:
         """Leave the values to `model_arguments`."""
 
-    def value(self, model: LinearSystem, name: str, entry: Entry) -> Any:
+    def value(self, model: LinearSystem, name: str, entry: Entry) -> object:
         """Return the value of a field to write; None: it is left out."""
         return self.written(model, entry)
 
@@ -72,7 +72,7 @@ class Elsewhere:
 class Argument:
     """An argument of the same name; unwritten: the value that is left out of a file."""
 
-    unwritten: Any = None
+    unwritten: object = None
 
     def collect(self, arguments: dict[str, Any], name: str, place: str, tables: list[dict]) -> None:
         """Put the value of a field into the arguments."""
@@ -80,7 +80,7 @@ class Argument:
             if name in table:
                 arguments[name] = table[name]
 
-    def value(self, model: LinearSystem, name: str, entry: Entry) -> Any:
+    def value(self, model: LinearSystem, name: str, entry: Entry) -> object:
         """Return the value to write; None: it is left out."""
         value = getattr(model, name)
         return None if value == self.unwritten else value
@@ -99,7 +99,7 @@ class BySignal:
             if name in table:
                 values[table["name"] if place else name] = table[name]
 
-    def value(self, model: LinearSystem, name: str, entry: Entry) -> Any:
+    def value(self, model: LinearSystem, name: str, entry: Entry) -> object:
         """Return the value of a signal; None: it has none."""
         key = _signals(model, entry)[entry.number] if entry.place else name
         return getattr(model, self.argument).get(key)
@@ -114,7 +114,7 @@ class OfEachOutput:
         if tables:
             arguments[name] = [table.get(name, 0) for table in tables]
 
-    def value(self, model: LinearSystem, name: str, entry: Entry) -> Any:
+    def value(self, model: LinearSystem, name: str, entry: Entry) -> object:
         """Return the number of an output; None: it is 0."""
         return getattr(model, name)[entry.number] or None
 
@@ -131,7 +131,7 @@ class OffsetOf:
         if tables:
             offset[self.side] = [table.get(name, 0) for table in tables]
 
-    def value(self, model: LinearSystem, name: str, entry: Entry) -> Any:
+    def value(self, model: LinearSystem, name: str, entry: Entry) -> object:
         """Return the number of a signal; None: it is 0."""
         return model.offset[self.side][entry.number] or None
 
@@ -149,19 +149,19 @@ class Field:
     home: Home
 
 
-def _read_raw(field: str, where: str, value: Any) -> Any:
+def _read_raw(field: str, where: str, value: object) -> object:
     return value  # LinearSystem says what is wrong with it
 
 
-def _read_lags(field: str, where: str, value: Any) -> list:
+def _read_lags(field: str, where: str, value: object) -> list:
     return as_list(field, value)
 
 
-def _read_names(field: str, where: str, value: Any) -> list:
+def _read_names(field: str, where: str, value: object) -> list:
     return [TEXT.read(field, where, name) for name in as_list(field, value)]
 
 
-def _read_states(field: str, where: str, value: Any) -> list[dict]:
+def _read_states(field: str, where: str, value: object) -> list[dict]:
     states = [{"name": state} if isinstance(state, str) else state for state in as_list(field, value)]
     return [_read_entry(Entry("states", i), state) for i, state in enumerate(states)]
 
@@ -377,7 +377,7 @@ def _read_provenance(document: dict) -> dict:
     return known_fields("[provenance]", table, PROVENANCE)
 
 
-def _read_entry(entry: Entry, table: Any) -> dict:
+def _read_entry(entry: Entry, table: object) -> dict:
     """Check one table of several; return its values."""
     where = f"number {entry.number + 1} of {entry.place}"
     title = where  # with the name, where there is one: then a sentence goes on behind a comma

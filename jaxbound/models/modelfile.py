@@ -62,16 +62,22 @@ def load_model(path: str | PathLike[str]) -> LinearSystem:
 
 
 def _swapped(path):
-    """Return what to add where a recording was given for a model."""
-    return "; it looks like a recording: the model comes first" if path.suffix.lower() in RECORDED else ""
+    """Return the end of a sentence on a file that looks like a recording, "" of any other."""
+    if path.suffix.lower() in RECORDED:
+        return "; it looks like a recording: the model comes first"
+    return ""
 
 
 def _comma(text, failure):
-    """Return what to add where the line that TOML stumbles over has a number with a decimal comma."""
+    """Return the end of a sentence on a number with a decimal comma in the line that TOML stumbles over."""
     at = re.search(r"at line (\d+)", failure)
-    line = text.splitlines()[int(at[1]) - 1 : int(at[1])] if at else []
-    found = re.search(r"=\s*([-+]?\d+),(\d+)\s*(#.*)?$", line[0]) if line else None
-    return f"; write {found[1]}.{found[2]} with a point" if found else ""
+    lines = text.splitlines()
+    if not at or int(at[1]) > len(lines):
+        return ""
+    number = re.search(r"=\s*([-+]?\d+),(\d+)\s*(#.*)?$", lines[int(at[1]) - 1])
+    if not number:
+        return ""
+    return f"; write {number[1]}.{number[2]} with a point"
 
 
 def save_model(model: LinearSystem, path: str | PathLike[str]) -> None:

@@ -126,7 +126,7 @@ def _cells(f, box, c):
 
 @partial(jax.jit, static_argnums=0)
 def _remainders(functions, cells, c, slopes):
-    """Enclose what the plane leaves of the first function over each cell; all functions are to be
+    """Enclose the remainder of the first function beside the plane, over each cell. All functions are
     continuous.
     """
     shape = jax.ShapeDtypeStruct(c.shape, c.dtype)

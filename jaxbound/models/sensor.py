@@ -1,4 +1,4 @@
-"""What a recorded sample says about the true value: an interval, in closed form.
+"""The interval of the true value behind a recorded sample, in closed form.
 
 A sensor reads y = (1 + theta) t + delta with |theta| <= sigma, |delta| <= rho (noise plus resolution). The
 true values t that explain y are [t_lo, t_hi] with t_hi = max((y + rho) / (1 + sigma), (y + rho) / (1 -

@@ -195,7 +195,7 @@ def _length(T: int, count: int) -> int:
 
 
 def _cut(out: tuple[jax.Array, ...], batch: tuple[int, ...], T: int) -> tuple[jax.Array, ...]:
-    """Return what was asked for of what was compiled for; on the host, where nothing is compiled."""
+    """Cut the samples that were asked for out of those that were compiled for, on the host."""
     cut = lambda v: v[: math.prod(batch), :T].reshape(*batch, T, v.shape[2])
     if any(isinstance(v, jax.core.Tracer) for v in out):
         return tuple(map(cut, out))
@@ -344,9 +344,7 @@ def _trajectory(numbers, x0, along):
 
 
 def _unknowns(kinds, draws, vertices, constant, bounds, sizes, active, u):
-    """Return what recordings draw, from `draws` by stream: theta, noise, disturbances, parameters, and the
-    noise of faults.
-    """
+    """Draw theta, noise, disturbances, parameters and the noise of faults of recordings. draws: by stream."""
     count, T, p = u.shape[0], u.shape[1], len(bounds["noise"])
     xp = _library(u, *draws.values())
 
@@ -391,7 +389,7 @@ def _faulty(kinds, sizes, active, signals, extra, side, dropped):
 
 
 def _changed(xp, kind, x, size, on, extra, dropped):
-    """Return what a fault makes of one signal (N, T)."""
+    """Return one signal (N, T) with its fault."""
     if kind == "stuck":
         return xp.broadcast_to(xp.take(x, xp.argmax(on), 1)[:, None], x.shape)
     if kind == "dropout":

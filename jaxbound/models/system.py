@@ -17,6 +17,7 @@ from jaxbound.models.signals import Each, ModelSignals, Sensors, Words, model_si
 from jaxbound.models.uncertainty import Uncertainty, centred
 from jaxbound.models.unknown import Bounded, Coupling, without_descriptor
 from jaxbound.text.objects import readable
+from jaxbound.text.units import without_unit
 
 __all__ = ["LinearSystem", "whole_lags"]
 
@@ -286,7 +287,7 @@ class LinearSystem:
 
     @property
     def provenance(self) -> Mapping[str, str]:
-        """Where bounds come from, {field: origin}, as far as it is stated."""
+        """The origins of bounds that are stated, {field: origin}."""
         return MappingProxyType(dict(self.origins))
 
     @property
@@ -304,8 +305,12 @@ class LinearSystem:
         return self.columns.get(signal, signal)
 
     def unit(self, signal: str) -> str:
-        """Return the unit of a signal, or an empty string."""
-        return self.units.get(signal, "")
+        """Return the unit of a signal: the one that is stated, else that of its column, "Pump [%]", or ""."""
+        if signal in self.units:
+            return self.units[signal]
+        if signal in self.columns:
+            return without_unit(self.columns[signal])[1]
+        return ""
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, LinearSystem):

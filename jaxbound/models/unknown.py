@@ -1,5 +1,5 @@
-"""What acts on a plant without any bound: unknown inputs, parameters whose bounds are not trusted, states
-that no equation determines.
+"""Unknowns that act on a plant without any bound: unknown inputs, parameters without trusted bounds, and
+states that no equation determines.
 """
 
 from collections.abc import Sequence

@@ -1,5 +1,4 @@
-"""Where unknown inputs may carry the state, whatever they do, and how the outputs of one sample take that out
-again.
+"""The directions in which unknown inputs may carry the state, and the ones that outputs of one sample show.
 
 Inputs without a bound, x+ = A x + F v + .., move a state that is known into a subspace of which nothing is
 known. Outputs y = C x + .. show a part of it, the rest goes on through A. The smallest subspace S that holds
@@ -122,7 +121,7 @@ def _smallest(
 
 
 def _seen(C: Matrix, rows: Matrix) -> Matrix:
-    """Return what outputs show of directions, one row each."""
+    """Return the parts of directions that outputs show, one row each."""
     return linalg.matmul(rows, linalg.transpose(C))
 
 

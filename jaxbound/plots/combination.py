@@ -1,14 +1,35 @@
-"""The combination of samples that a certificate speaks of, over time, and what healthy sensors can make of
-it.
+"""Relations over the windows of a recording: the one that a certificate states, and the readings that they
+leave to each sensor. In floats and not rounded outward: for pictures.
 """
+
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from jaxbound.certificates.certificate import Certificate
+from jaxbound.certificates.exact_window import ExactWindow, exact_window
 from jaxbound.models.sensor import RECORDER_ULPS
 from jaxbound.models.window import bounded_sums
+from jaxbound.relations.parity import ParityRelation
+from jaxbound.sets.intervals.interval import Interval
 
-__all__ = ["combination"]
+__all__ = ["combination", "expected_readings"]
+
+ROWS, BLOCK = 512, 64  # relations that expected readings are taken from, and those taken side by side
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """The true outputs of every window, less their offsets, as its samples tell alone.
+
+    Fields: middle, half (N, (s+1)p), time-major; error (N, p): what noise, resolution and rounding may add to
+    a sample.
+    """
+
+    middle: np.ndarray
+    half: np.ndarray
+    error: np.ndarray
 
 
 def combination(certificate: Certificate, u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -22,67 +43,179 @@ def combination(certificate: Certificate, u: np.ndarray, y: np.ndarray) -> tuple
     Source: Adrot, Maquin, Ragot 2000, (7), (9).
     """
     window, model = certificate.window, certificate.window.model
-    s, p, m, g = window.horizon, model.p, model.m, model.g
-    count = max(len(y) - s, 0)
-    h, k = (np.array([float(x) for x in row]) for row in (certificate.h, certificate.k))
-    value, width = np.zeros(count), np.zeros(count)
-    for i in range(p):
-        used = [j for j in range(s + 1) if h[j * p + i]]
-        if not used:
+    s, outputs, disturbed = window.horizon, (window.horizon + 1) * model.p, model.g * window.horizon
+    samples = _samples(window, y)
+    h, k = _floats(certificate.h), _floats(certificate.k)
+    used = np.flatnonzero(h[:outputs])  # a sample that is not looked at may be missing
+    value = samples.middle[:, used] @ h[used]
+    width = samples.half[:, used] @ abs(h[used])
+
+    for weight, row in zip(h[window.rows.single :], window.rows.of_sums, strict=True):
+        if not weight:
             continue
-        lo, hi = _limits(window, i, np.asarray(y[:, i], float), s, count)
-        for j in used:
-            low, high = lo(j), hi(j)
-            value += h[j * p + i] * (low + high) / 2
-            width += abs(h[j * p + i]) * (high - low) / 2
-    for x, row in zip(h[window.rows.single :], window.rows.of_sums, strict=True):
-        if not x:
-            continue
-        value_of, width_of = _summed(window, row, y, s, count)
-        value += x * value_of
-        width += abs(x) * width_of
-    for j, x in enumerate(h[(s + 1) * p : (s + 1) * p + g * s]):
-        low, high = map(float, window.disturbance[j % g])
-        value += x * (low + high) / 2
-        width += abs(x) * (high - low) / 2
-    for j, x in enumerate(k):
-        if x:
-            lag, i = divmod(j, m)
-            value -= x * (np.asarray(u[lag : lag + count, i], float) - float(model.offset["u"][i]))
-    pad = np.full(len(y) - count, np.nan)
-    return np.concatenate([pad, value]), np.concatenate([pad, np.where(np.isnan(value), np.nan, width)])
+        middle, half = _sum(window, samples, row)
+        value = value + weight * middle
+        width = width + abs(weight) * half
+
+    middle, half = _disturbances(window)
+    value = value + h[outputs : outputs + disturbed] @ middle
+    width = width + abs(h[outputs : outputs + disturbed]) @ half
+    known = np.flatnonzero(k)
+    value = value - _inputs(window, u, len(value), len(k))[:, known] @ k[known]
+    width = np.where(np.isnan(value), np.nan, width)
+    return _from_sample(s, len(y), value), _from_sample(s, len(y), width)
 
 
-def _summed(window, row, y, s, count):
-    """Return (middle, half-width) of a weighted sum of every window."""
-    values, bound = row.values, float(bounded_sums(window.model)[row.number].bound)
-    if not values.measured:
-        return 0.0, bound
-    middle, half = np.zeros(count), bound
-    for i, weights in values.parts:
-        least, most = _limits(window, i, np.asarray(y[:, i], float), s, count)
-        for sample, weight in enumerate(map(float, weights), row.first):
-            lo, hi = least(sample), most(sample)
-            middle += weight * (lo + hi) / 2
-        rho = (hi - lo) / 2 - float(window.noise[i])
-        half = half + float(values.size_of(i)) * rho
-    return middle, half
+def expected_readings(relations: ParityRelation, u: np.ndarray, y: np.ndarray) -> Interval:
+    """Return the Interval (T, p) that holds each healthy reading, as far as the other samples of the window
+    that ends with it tell.
 
+    Every relation that contains the last sample of a sensor bounds it by the rest of the window; the first
+    512 of them are intersected. NaN where none does, before the first full window, and where samples are
+    missing; lo > hi where the rest of the window is a contradiction by itself. Not rounded outward: for
+    pictures.
 
-def _limits(window, i, y, s, count):
-    """Return two functions of j: the least and the largest true value, less the offset, behind sample j of
-    output i of every window.
+    Args:
+        relations: with tolerances that may vary within a window. u: (T, m) inputs. y: (T, p) outputs.
     """
-    tolerance, noise, resolution = (float(x[i]) for x in (window.tolerance, window.noise, window.resolution))
-    offset, unit = float(window.model.offset["y"][i]), float(window.unit)
-    largest = np.zeros(count)
-    for j in range(s + 1):
-        largest = np.fmax(largest, abs(y[j : j + count]))
-    rho = noise + resolution + RECORDER_ULPS * unit * (largest + noise) + float(window.floor)
+    model, s = relations.model, relations.horizon
+    lo, hi = np.full((2, len(y), model.p), np.nan)
+    rows = _rows_of_last_sample(relations)
+    if len(y) <= s or not len(rows.outputs):
+        return Interval(lo, hi)
+    window = exact_window(relations, u[: s + 1], y[: s + 1])
+    samples = _samples(window, y)
+    least, most = (
+        np.full((len(samples.middle), model.p), -np.inf),
+        np.full((len(samples.middle), model.p), np.inf),
+    )
+    for first in range(0, len(rows.outputs), BLOCK):
+        below, above = _bounded_by(rows.block(first), window, samples, u)
+        least, most = np.fmax(least, below), np.fmin(most, above)
+    below, above = _readings(window, samples.error, least, most)
+    lo[s:] = np.where(np.isfinite(below), below, np.nan)
+    hi[s:] = np.where(np.isfinite(above), above, np.nan)
+    return Interval(lo, hi)
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Relations in floats: outputs (R, (s+1)p), disturbances (R, gs), inputs (R, known)."""
+
+    outputs: np.ndarray
+    disturbances: np.ndarray
+    inputs: np.ndarray
+
+    def block(self, first: int) -> "_Rows":
+        """Return the rows from one on that fit into memory side by side."""
+        part = slice(first, first + BLOCK)
+        return _Rows(self.outputs[part], self.disturbances[part], self.inputs[part])
+
+
+@lru_cache(maxsize=2)  # the stretches of a page ask for the same ones
+def _rows_of_last_sample(relations: ParityRelation) -> _Rows:
+    """Return the first relations that contain a last sample and no average."""
+    p, s = relations.model.p, relations.horizon
+    outputs, beyond = (s + 1) * p, (s + 1) * p + relations.model.g * s
+    pairs = zip(relations.circuits, relations.circuits_known, strict=True)
+    if not relations.circuits:
+        pairs = zip(relations.W, relations.K, strict=True)
+    fit = [(h, k) for h, k in pairs if any(h[s * p : outputs]) and not any(h[beyond:])][:ROWS]
+    h = np.array([_floats(h[:beyond]) for h, _ in fit]).reshape(len(fit), beyond)
+    k = np.array([_floats(k) for _, k in fit]).reshape(len(fit), -1)
+    return _Rows(h[:, :outputs], h[:, outputs:], k)
+
+
+def _bounded_by(
+    rows: _Rows, window: ExactWindow, samples: _Samples, u: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return (lo, hi), each (N, p): where rows put the true value of the last sample of each output, less its
+    offset, by the rest of its window; NaN where they do not.
+    """
+    p, h = window.model.p, rows.outputs
+    missing = np.isnan(samples.middle)
+    middle, half = np.where(missing, 0, samples.middle), np.where(missing, 0, samples.half)
+    drift, spread = _disturbances(window)
+    value = middle @ h.T + rows.disturbances @ drift
+    value = value - _inputs(window, u, len(middle), rows.inputs.shape[1]) @ rows.inputs.T
+    width = half @ abs(h).T + abs(rows.disturbances) @ spread
+    lacking = missing @ (h != 0).T.astype(float)  # how many samples of each row are missing
+
+    lo, hi = np.full((2, len(middle), p), np.nan)
+    for i in range(p):
+        own = slice(h.shape[1] - p + i, h.shape[1] - p + i + 1)
+        through = np.flatnonzero(h[:, own])
+        if not len(through):
+            continue
+        weight = h[through, own].T
+        rest = value[:, through] - weight * middle[:, own]
+        free = width[:, through] - abs(weight) * half[:, own]
+        known = lacking[:, through] == missing[:, own]
+        centre, reach = np.where(known, -rest / weight, np.nan), free / abs(weight)
+        lo[:, i], hi[:, i] = np.fmax.reduce(centre - reach, 1), np.fmin.reduce(centre + reach, 1)
+    return lo, hi
+
+
+def _samples(window: ExactWindow, y: np.ndarray) -> _Samples:
+    """Return the ranges of the true outputs of all windows that the samples y (T, p) alone allow."""
+    every = np.lib.stride_tricks.sliding_window_view(np.asarray(y, float), window.horizon + 1, axis=0)
+    every = np.moveaxis(every, 2, 1)  # (N, s + 1, p)
+    noise, tolerance = _floats(window.noise), _floats(window.tolerance)
+    largest = np.fmax.reduce(abs(every), 1, keepdims=True, initial=0.0)
+    recorded = RECORDER_ULPS * float(window.unit) * (largest + noise) + float(window.floor)
+    error = noise + _floats(window.resolution) + recorded
 
     def stretched(v):
         return np.where(v > 0, v / (1 - tolerance), v / (1 + tolerance))
 
-    return (lambda j: -stretched(rho - y[j : j + count] + offset)), (
-        lambda j: stretched(rho + y[j : j + count] - offset)
-    )
+    deviation = every - _floats(window.model.offset["y"])
+    low, high = -stretched(error - deviation), stretched(error + deviation)
+    flat = (len(every), -1)
+    return _Samples(((low + high) / 2).reshape(flat), ((high - low) / 2).reshape(flat), error[:, 0])
+
+
+def _readings(window, error, lo, hi):
+    """Return (lo, hi), each (N, p), of the readings of sensors whose true values lie in [lo, hi]."""
+    tolerance, offset = _floats(window.tolerance), _floats(window.model.offset["y"])
+    least = np.minimum((1 - tolerance) * lo, (1 + tolerance) * lo)
+    most = np.maximum((1 - tolerance) * hi, (1 + tolerance) * hi)
+    return least - error + offset, most + error + offset
+
+
+def _sum(window, samples, row):
+    """Return (middle, half-width) of a weighted sum of true outputs in every window."""
+    p, values, bound = window.model.p, row.values, float(bounded_sums(window.model)[row.number].bound)
+    if not values.measured:
+        return 0.0, bound
+    middle, half = 0.0, bound
+    for i, weights in values.parts:
+        columns = p * (row.first + np.arange(len(weights))) + i
+        middle = middle + samples.middle[:, columns] @ _floats(weights)
+        error = samples.half[:, columns[-1]] - float(window.noise[i])
+        half = half + float(values.size_of(i)) * error
+    return middle, half
+
+
+def _disturbances(window):
+    """Return (middle, half-width), each (gs,), of the disturbances of a window."""
+    g, s = window.model.g, window.horizon
+    ends = np.array([_floats(pair) for pair in window.disturbance]).reshape(g, 2)
+    return np.tile(ends.mean(1), s), np.tile((ends[:, 1] - ends[:, 0]) / 2, s)
+
+
+def _inputs(window, u, count, known):
+    """Return the inputs (count, known) of all windows, less their offsets, as many as relations look at."""
+    m = window.model.m
+    if not known:
+        return np.zeros((count, 0))
+    deviation = np.asarray(u, float) - _floats(window.model.offset["u"])
+    lags = [deviation[lag : lag + count] for lag in range(known // m)]
+    return np.concatenate(lags, 1)
+
+
+def _floats(values) -> np.ndarray:
+    return np.array([float(x) for x in values])
+
+
+def _from_sample(s, samples, values):
+    return np.concatenate([np.full(samples - len(values), np.nan), values])

@@ -1,22 +1,25 @@
-"""Which charts a report of a detection has: the whole recording, stretches around the deepest alarms, what
-was violated there.
+"""The charts of a detection: the whole recording, stretches around the deepest alarms, and the combinations
+of samples that were violated there.
 """
 
 import contextlib
 import time as clock_time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import singledispatch
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from jaxbound.certificates.certificate import Certificate
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.observed import ObserverResult
-from jaxbound.plots.combination import combination
+from jaxbound.diagnosis.result import Result
+from jaxbound.plots.combination import combination, expected_readings
+from jaxbound.recordings.recording import Recording
+from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.uncertain import UncertainRelations
-from jaxbound.reports.chart import VALUES, Piece, Row, band_key, coded, drawn, piece_of, pieces_of, plain
-from jaxbound.reports.clock import axis_of, clock_of
+from jaxbound.reports.chart import Charts, Piece, Row, band_key, coded, piece_of, plain, usual_step
+from jaxbound.reports.clock import Clock, axis_of, clock_of
 from jaxbound.runs.digest import Digest
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
@@ -26,170 +29,172 @@ __all__ = ["charts"]
 
 SIGNALS, STATES = 12, 6  # charts of signals, and of states that an observer encloses
 RELATIONS = 6  # charts of relations that no certificate combines
-NEAR, SPAN, ASIDE = (
-    60,
-    160,
-    10,
-)  # stretches around alarms, their samples, and how close to an end an alarm may be
+NEAR = 60  # stretches around alarms
+SPAN, ASIDE = 160, 10  # samples of a stretch, and how close to its ends an alarm may be
+BANDS = 50_000  # samples up to which windows say of every reading what they expect
 PATIENCE = 1.0  # seconds to read such stretches of a recording that is not in memory
 COMBINED = "violated combination, in what its bounds allow"
+TITLE = 120  # characters of a relation
 
 
 def charts(
-    res: Any,
-    recording: Any,
+    res: Result | Digest,
+    recording: Recording | Digest,
     alarms: Sequence[Alarm],
     chosen: Sequence[int],
-    why: Mapping[int, Any],
+    why: Mapping[int, object],
     worst: int | None,
-) -> dict[str, Any]:
-    """Return what the templates of a report show over time.
+) -> Charts:
+    """Return the charts of a report.
 
     Args:
         res: a Result of one recording, or a Digest. recording: as for `write_report`. alarms: all of them.
         chosen: the numbers of those in the table, the deepest first. why: {number: certificate}. worst: the
             sample at which the worst window ends, None: no window has data.
-
-    Returns:
-        overview, zoom: of `drawn`. numbers: for the script. about: what the zoom shows. signals: (shown,
-            all).
     """
-    model, part = res.relations.model, isinstance(res, Digest)
-    signals = [Row(f"s{i}", name, model.unit(name)) for i, name in enumerate((*model.outputs, *model.inputs))]
-    signals, every = signals[:SIGNALS], len(signals)
-    whole, x, clock = _digested(res, signals) if part else _whole(res, recording, signals)
-    near: list[_Near] = []
-    begun = clock_time.perf_counter()
-    for i, at in [(i, alarms[i].worst) for i in chosen] or [(-1, 0 if worst is None else worst)]:
-        home = next((n for n in near if n.first + ASIDE <= at < n.stop - ASIDE), None)
-        if home is None and (
-            len(near) == NEAR or (part and near and clock_time.perf_counter() - begun > PATIENCE)
-        ):
-            continue
-        if home is None:
-            home = _near(res, x, at, signals)
-            near.append(home)
-        home.combine(i, why.get(i) if i >= 0 else _explained(res, worst))
+    signals = signal_rows(res)[:SIGNALS]
+    states = state_rows(res)
+    if isinstance(res, Digest):
+        whole, x, clock = _digested(res, signals)
+        samples = res.samples
+    else:
+        whole, x, clock = _whole(res, cast(Recording, recording), signals)
+        samples = len(res.status)
+
+    near = _stretches(res, x, signals, alarms, chosen, why, worst)
     first = chosen[0] if chosen else -1
-    over = _Near(res, 0, len(whole.x), whole)
-    if not part and len(whole.x) == len(res.status):  # sample by sample
-        over.combine(first, near[0].certificates.get(first))
-    piece, relation = near[0].complete(first), near[0].relation(first)
-    margin = Row("margin", "margin", kind="margin")
-    states = bands_of(res)[0]
-    rows = [*_combinations(res.relations), margin, *signals, *states]
-    samples = res.samples if part else len(res.status)
-    numbers = {
-        "clock": clock.plain()
-        | {"tokens": list(map(printable, clock.tokens)), "before": printable(clock.before)},
-        "samples": samples,
-        "last": float(x(samples - 1)),
-        "step": float(np.median(np.diff(piece.x))) if len(piece.x) > 1 else 1.0,
-        "whole": over.plain(),
-        "near": [n.plain() for n in near],
-        "alarms": [
-            [i, *(float(x(k)) for k in (alarms[i].start, alarms[i].end, alarms[i].worst))]
-            for i in sorted(chosen)
-        ],
-        "alarm": first,
-        "from": float(piece.x[0]),
-        "to": float(piece.x[-1]),
-    }
-    what = f"around alarm {first + 1}" if first >= 0 else "around the tightest window"
-    return {
-        "overview": drawn(
-            [margin, *signals, *states], whole, clock, [float(x(alarms[i].worst)) for i in chosen]
-        ),
-        "zoom": drawn(rows, piece, clock),
-        "numbers": numbers,
-        "about": {"shown": what, "relation": relation, "deepest": first >= 0},
-        "signals": (len(signals), every),
-    }
+    shown = near[0].piece
+    spans = [alarms[i] for i in sorted(chosen)]
+    times = [[float(x(k)) for k in (alarm.start, alarm.end, alarm.worst)] for alarm in spans]
+    return Charts(
+        rows=[*_combinations(res.relations), Row("margin", "margin", kind="margin"), *signals, *states],
+        clock=clock,
+        samples=samples,
+        last=float(x(samples - 1)),
+        step=usual_step(shown.x),
+        whole=whole,
+        near=[stretch.plain() for stretch in near],
+        begin=float(shown.x[0]),
+        end=float(shown.x[-1]),
+        about="the tightest window",
+        alarms=[[i, *at] for i, at in zip(sorted(chosen), times, strict=True)],
+        alarm=first,
+    )
 
 
-def _whole(res, recording, signals):
-    """Return (Piece, time of a sample, Clock) of a Result."""
+def signal_rows(res: Result | Digest) -> list[Row]:
+    """Return a Row for each output and each input; an input holds until its next sample."""
+    model = res.relations.model
+    outputs = [Row(f"s{i}", name, model.unit(name)) for i, name in enumerate(model.outputs)]
+    inputs = [
+        Row(f"s{model.p + i}", name, model.unit(name), steps=True) for i, name in enumerate(model.inputs)
+    ]
+    return outputs + inputs
+
+
+def _whole(
+    res: Result, recording: Recording, signals: Sequence[Row]
+) -> tuple[Piece, Callable[[int], float], Clock]:
+    """Return the Piece of a Result, the time of a sample by its number, and the Clock."""
     time, clock = axis_of(recording, len(res.status), res.relations.model.dt)
     series = {"margin": res.margin, **_signals(res.u, res.y, signals)}
-    return pieces_of(time, res.status, series, bands_of(res)[1]), time.__getitem__, clock
+    bands = bands_of(res, slice(0, len(time)))
+    return piece_of(time, res.status, series, bands).fitting(), time.__getitem__, clock
 
 
-def _digested(res, signals):
-    """Return (Piece, time of a sample, Clock) of a Digest, whose signals are in a file: their extremes are
-    known.
-    """
+def _digested(res: Digest, signals: Sequence[Row]) -> tuple[Piece, Callable[[int], float], Clock]:
+    """Return the same of a Digest: its signals are in a file, of which the extremes are known."""
     line = res.line
+    assert line.x is not None, "a Digest has all of its samples in its line"
     dates = np.issubdtype(line.x.dtype, np.datetime64)
-    x = (line.x - line.x[0]) / np.timedelta64(1, "s") + res.time[0] if dates else np.asarray(line.x, float)
+    x, stamp = np.asarray(line.x, float), None
+    if dates:
+        x, stamp = (line.x - line.x[0]) / np.timedelta64(1, "s") + res.time[0], line.x[0]
     ends = np.array([res.time[0], res.time[res.samples - 1]])
-    clock = clock_of(res.label, ends, line.x[0] if dates else None, res.samples, res.relations.model.dt)
+    clock = clock_of(res.label, ends, stamp, res.samples, res.relations.model.dt)
+
     low, high = {"margin": line.low}, {"margin": line.high}
-    for row, least, most in zip(signals, *(res.signals or ((), ())), strict=False):
-        low[row.key], high[row.key] = least, most
-    piece, numbers = Piece(x, line.status, low, high, len(x) < res.samples), 2 * len(low)
-    if len(x) * numbers > VALUES:
-        piece = piece.reduced(VALUES // numbers)
-    return piece, lambda k: res.time[k], clock
+    least, most = res.signals or ((), ())
+    for row, lowest, highest in zip(signals, least, most, strict=False):
+        low[row.key], high[row.key] = lowest, highest
+    piece = Piece(x, line.status, low, high, len(x) < res.samples)
+    return piece.fitting(), res.time.__getitem__, clock
 
 
-def _signals(u, y, signals):
+def _signals(u: np.ndarray, y: np.ndarray, signals: Sequence[Row]) -> dict[str, np.ndarray]:
     """Return {key: (T,)} of the signals shown: outputs, then inputs."""
-    return {row.key: (y[:, i] if i < y.shape[1] else u[:, i - y.shape[1]]) for i, row in enumerate(signals)}
+    columns = np.concatenate([y, u], 1).T
+    return {row.key: column for row, column in zip(signals, columns, strict=False)}
 
 
-class _Near:
-    """A stretch sample by sample, with what was violated by each alarm in it. first, stop: its samples;
-    piece: their Piece.
+class Stretch:
+    """Samples one by one, with the combination that each alarm among them violates.
+
+    first, stop: numbers of the samples; piece: their Piece. begin: the number of the first one in `res`.
     """
 
-    def __init__(self, res, first, stop, piece, begin=None):
-        self.res, self.first, self.stop, self.piece, self.begin = (
-            res,
-            first,
-            stop,
-            piece,
-            first if begin is None else begin,
-        )
-        self.certificates, self.shares = {}, {}
+    def __init__(self, res: Result, first: int, stop: int, piece: Piece, begin: int) -> None:
+        """Begin without alarms."""
+        self.res, self.first, self.stop, self.piece, self.begin = res, first, stop, piece, begin
+        self.combined: dict[int, tuple[str, np.ndarray]] = {}
 
-    def combine(self, i, certificate):
+    def holds(self, sample: int) -> bool:
+        """Return whether a sample is among those in the middle."""
+        return self.first + ASIDE <= sample < self.stop - ASIDE
+
+    def combine(self, i: int, certificate: object) -> None:
         """Add the combination of samples that a certificate of alarm i states, if it states one."""
-        if isinstance(certificate, Certificate) and any(certificate.h) and not certificate.window.constant:
-            s, stop = certificate.window.horizon, self.begin + len(self.piece.x)
-            before = max(self.begin - s, 0)
-            with np.errstate(over="ignore", invalid="ignore"):  # samples near the largest numbers
-                value, width = combination(certificate, self.res.u[before:stop], self.res.y[before:stop])
-                share = (value / width)[self.begin - before :]
-            self.shares[i] = np.where(self.piece.status == Status.MISSING, np.nan, share)
-            self.certificates[i] = certificate
+        if not isinstance(certificate, Certificate) or not any(certificate.h) or certificate.window.constant:
+            return
+        stop = self.begin + len(self.piece.x)
+        before = max(self.begin - certificate.window.horizon, 0)
+        with np.errstate(over="ignore", invalid="ignore"):  # samples near the largest numbers
+            value, width = combination(certificate, self.res.u[before:stop], self.res.y[before:stop])
+            share = (value / width)[self.begin - before :]
+        relation = clipped(printable(certificate.relation))
+        self.combined[i] = relation, np.where(self.piece.status == Status.MISSING, np.nan, share)
 
-    def relation(self, i):
-        return clipped(printable(self.certificates[i].relation)) if i in self.certificates else ""
-
-    def complete(self, i):
-        """Return the Piece with the combination of alarm i."""
-        added = {"combination": self.shares[i]} if i in self.shares else {}
-        return Piece(
-            self.piece.x,
-            self.piece.status,
-            added | self.piece.low,
-            added | self.piece.high,
-            self.piece.binned,
-        )
-
-    def plain(self):
-        return plain(self.piece) | {
-            "combined": [[i, self.relation(i), coded(share)] for i, share in self.shares.items()]
-        }
+    def plain(self) -> dict[str, Any]:
+        """Return the stretch as JSON has it."""
+        combined = [[i, relation, coded(share)] for i, (relation, share) in self.combined.items()]
+        return plain(self.piece) | {"combined": combined}
 
 
-def _near(res, x, at, signals):
-    """Return the _Near of the samples around one window."""
+def _stretches(
+    res: Result | Digest,
+    x: Callable[[int], float],
+    signals: Sequence[Row],
+    alarms: Sequence[Alarm],
+    chosen: Sequence[int],
+    why: Mapping[int, object],
+    worst: int | None,
+) -> list[Stretch]:
+    """Return the stretches around alarms, as many as patience allows, or that around the tightest window."""
+    if not chosen:
+        only = _stretch(res, x, worst or 0, signals)
+        only.combine(-1, _explained(res, worst))
+        return [only]
+    begun = clock_time.perf_counter()
+    found: list[Stretch] = []
+    for i in chosen:
+        home = next((stretch for stretch in found if stretch.holds(alarms[i].worst)), None)
+        if home is None:
+            late = isinstance(res, Digest) and clock_time.perf_counter() - begun > PATIENCE
+            if len(found) == NEAR or (found and late):
+                continue
+            home = _stretch(res, x, alarms[i].worst, signals)
+            found.append(home)
+        home.combine(i, why.get(i))
+    return found
+
+
+def _stretch(res: Result | Digest, x: Callable[[int], float], sample: int, signals: Sequence[Row]) -> Stretch:
+    """Return the Stretch around one sample."""
     samples = res.samples if isinstance(res, Digest) else len(res.status)
-    first = max(min(at - SPAN // 2, samples - SPAN), 0)
+    first = max(min(sample - SPAN // 2, samples - SPAN), 0)
     stop, begin = min(first + SPAN, samples), first
     if isinstance(res, Digest):
-        res, recording = res.around(at, SPAN)
+        res, recording = res.around(sample, SPAN)
         begin = len(res.status) - (stop - first)  # the window before needs samples of its own
         time = recording.time[begin:]
     else:
@@ -200,32 +205,63 @@ def _near(res, x, at, signals):
         **_signals(res.u[ends], res.y[ends], signals),
         **_uncertain(res, ends),
     }
-    bands = {key: Interval(band.lo[ends], band.hi[ends]) for key, band in bands_of(res)[1].items()}
-    return _Near(res, first, stop, piece_of(time, res.status[ends], series, bands), begin)
+    piece = piece_of(time, res.status[ends], series, bands_of(res, ends))
+    return Stretch(res, first, stop, piece, begin)
 
 
 @singledispatch
-def bands_of(res: Any) -> tuple[list[Row], dict[str, Interval]]:
-    """Return (Rows of what is enclosed and not measured, {key: band (T,)} of what is drawn behind rows): none
-    of windows.
-    """
-    return [], {}
+def state_rows(res: object) -> list[Row]:
+    """Return a Row for each state that is enclosed: none of windows."""
+    return []
+
+
+@state_rows.register
+def _(res: ObserverResult) -> list[Row]:
+    """Return those of an observer."""
+    model = res.relations.model
+    states = model.states[:STATES]
+    return [Row(f"x{i}", f"state {name}", model.unit(name)) for i, name in enumerate(states)]
+
+
+@singledispatch
+def bands_of(res: object, ends: slice) -> dict[str, Interval]:
+    """Return {key: band} of the samples `ends` that are drawn behind rows: none."""
+    return {}
 
 
 @bands_of.register
-def _(res: ObserverResult):
-    """Return what an observer encloses: each output as the samples before allow, and each state."""
-    model, states = res.relations.model, res.observation.state
-    shown = min(SIGNALS, model.p), min(STATES, model.n)
-    one = lambda band, i: Interval(np.asarray(band.lo)[:, i], np.asarray(band.hi)[:, i])
-    rows = [
-        Row(f"x{i}", f"state {name}", model.unit(name)) for i, name in enumerate(model.states[: shown[1]])
-    ]
-    bands = {band_key(f"s{i}"): one(res.readings, i) for i in range(shown[0])}
-    return rows, bands | {band_key(row.key): one(states, i) for i, row in enumerate(rows)}
+def _(res: Result, ends: slice) -> dict[str, Interval]:
+    """Return the readings that windows expect, by the other samples of each."""
+    relations = res.relations
+    fits = isinstance(relations, ParityRelation) and not relations.model.constant_tolerance
+    if not fits or ends.stop - ends.start > BANDS:
+        return {}
+    before = max(ends.start - relations.horizon, 0)
+    with np.errstate(over="ignore", invalid="ignore"):  # samples near the largest numbers
+        bands = expected_readings(relations, res.u[before : ends.stop], res.y[before : ends.stop])
+    judged = (res.status[ends] != Status.MISSING)[:, None]  # a window across a gap expects nothing
+    lo, hi = (np.where(judged, end[ends.start - before :], np.nan) for end in (bands.lo, bands.hi))
+    shown = [i for i in range(min(SIGNALS, relations.model.p)) if not np.isnan(lo[:, i]).all()]
+    return {band_key(f"s{i}"): Interval(lo[:, i], hi[:, i]) for i in shown}
 
 
-def _uncertain(res, ends):
+@bands_of.register
+def _(res: ObserverResult, ends: slice) -> dict[str, Interval]:
+    """Return the enclosures of an observer: each output as the samples before allow, and each state."""
+    model, readings, states = res.relations.model, res.readings, res.observation.state
+    bands = {}
+    for i in range(min(SIGNALS, model.p)):
+        bands[band_key(f"s{i}")] = _column(readings, i, ends)
+    for i in range(min(STATES, model.n)):
+        bands[band_key(f"x{i}")] = _column(states, i, ends)
+    return bands
+
+
+def _column(band: Interval, i: int, ends: slice) -> Interval:
+    return Interval(np.asarray(band.lo)[ends, i], np.asarray(band.hi)[ends, i])
+
+
+def _uncertain(res: Result, ends: slice) -> dict[str, np.ndarray]:
     """Return {key: share} of each relation with uncertain parameters, which no certificate combines with
     others.
     """
@@ -233,19 +269,17 @@ def _uncertain(res, ends):
         return {}
     before = max(ends.start - res.relations.horizon, 0)
     u, y = res.u[before : ends.stop], res.y[before : ends.stop]
-    allowed = res.relations.internal(u, y)
+    allowed, external = res.relations.internal(u, y), res.relations.external(u, y)
     lo, hi, value = (
-        np.asarray(z)[ends.start - before :, :RELATIONS]
-        for z in (allowed.lo, allowed.hi, res.relations.external(u, y))
+        np.asarray(z)[ends.start - before :, :RELATIONS] for z in (allowed.lo, allowed.hi, external)
     )
     with np.errstate(over="ignore", invalid="ignore"):
         shares = ((value - (lo + hi) / 2) / ((hi - lo) / 2)).T
-    return {
-        f"c{j}": np.where(res.status[ends] == Status.MISSING, np.nan, share) for j, share in enumerate(shares)
-    }
+    missing = res.status[ends] == Status.MISSING
+    return {f"c{j}": np.where(missing, np.nan, share) for j, share in enumerate(shares)}
 
 
-def _explained(res, worst):
+def _explained(res: Result | Digest, worst: int | None) -> object:
     """Return the certificate of the tightest window where there is no alarm, or None."""
     if worst is None:
         return None
@@ -254,12 +288,11 @@ def _explained(res, worst):
     return None
 
 
-def _combinations(relations):
-    """Return the Rows of what `_combined` gives."""
+def _combinations(relations: object) -> Iterator[Row]:
+    """Yield the Rows of combinations: one that certificates state, or each relation alone."""
     if not isinstance(relations, UncertainRelations):
-        return [Row("combination", COMBINED, kind="combination")]
-    lines = relations.text().splitlines()[:RELATIONS]
-    return [
-        Row(f"c{j}", line if len(line) <= 120 else f"{line[:117]}...", kind="combination")
-        for j, line in enumerate(lines)
-    ]
+        yield Row("combination", COMBINED, kind="combination")
+        return
+    for j, line in enumerate(relations.text().splitlines()[:RELATIONS]):
+        name = line if len(line) <= TITLE else f"{line[: TITLE - 3]}..."
+        yield Row(f"c{j}", name, kind="combination")

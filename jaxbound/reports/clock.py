@@ -4,40 +4,19 @@ script.
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime, timedelta
 from typing import Any
 
 import numpy as np
 
-__all__ = ["Clock", "axis_of", "clock_of", "ticks"]
+from jaxbound.recordings.recording import Recording
+from jaxbound.text.characters import printable
+
+__all__ = ["Clock", "axis_of", "clock_of", "shown_time"]
 
 EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
 ORDERS = ("Ymd", "dmY", "mdY", "")
-STEPS = (
-    1,
-    2,
-    5,
-    10,
-    15,
-    30,
-    60,
-    120,
-    300,
-    600,
-    900,
-    1800,
-    3600,
-    7200,
-    10800,
-    21600,
-    43200,
-    86400,
-    172800,
-    432000,
-    864000,
-)
-MONTHS = (1, 2, 3, 6, 12, 24, 60, 120, 240, 600, 1200)
 ISO = ("Y4", "-", "m2", "-", "d2", " ", "H2", ":", "M2", ":", "S2")
 TRIED = 9  # labels that a pattern is checked with
 
@@ -54,13 +33,8 @@ class Clock:
         self, tokens: Sequence[str] = (), base: float = 0.0, digits: int = 0, before: str = "", unit: str = ""
     ) -> None:
         """Keep the fields."""
-        self.tokens, self.base, self.digits, self.before, self.unit = (
-            tuple(tokens),
-            base,
-            digits,
-            before,
-            unit,
-        )
+        self.tokens, self.base = tuple(tokens), base
+        self.digits, self.before, self.unit = digits, before, unit
 
     def text(self, x: float) -> str:
         """Return a time as text.
@@ -69,32 +43,51 @@ class Clock:
             >>> Clock(ISO, 1.7e9).text(60.0), Clock(unit=" s", digits=2).text(0.30000001)
             ('2023-11-14 22:14:20', '0.3 s')
         """
-        if not self.tokens:
-            short = f"{x:.{self.digits}f}"
-            return f"{self.before}{short.rstrip('0').rstrip('.') if '.' in short else short}{self.unit}"
-        return _written(self.tokens, self.base + x)
+        if self.tokens:
+            return _written(self.tokens, self.base + x)
+        short = f"{x:.{self.digits}f}"
+        if "." in short:
+            short = short.rstrip("0").rstrip(".")
+        return f"{self.before}{short}{self.unit}"
 
     def plain(self) -> dict[str, Any]:
         """Return the fields as JSON has them."""
-        return dict(vars(self))
+        shown = {"tokens": [printable(token) for token in self.tokens], "before": printable(self.before)}
+        return vars(self) | shown
 
 
-def axis_of(recording: Any, samples: int, step: float) -> tuple[np.ndarray, Clock]:
+def axis_of(recording: Recording, samples: int, step: float) -> tuple[np.ndarray, Clock]:
     """Return (time of each sample, Clock) of a recording in memory. step: usual seconds between two, of a
     recording of one sample.
     """
-    time = np.arange(samples, dtype=float) if recording.time is None else np.asarray(recording.time, float)
-    if (
-        samples > 1 and not (np.diff(time) > 0).all()
-    ):  # a clock that goes back is no axis: the samples in their order are
+    if not _goes_on(recording.time):
         time = np.arange(samples, dtype=float)
         return time, clock_of(lambda k: f"sample {k}", time, None, samples, 1.0)
-    stamps = getattr(recording, "stamps", None)
-    step = float(np.median(np.diff(time))) if samples > 1 else step
-    return time, clock_of(recording.label, time, None if stamps is None else stamps[0], samples, step)
+    time = np.arange(samples, dtype=float)
+    if recording.time is not None:
+        time = np.asarray(recording.time, float)
+    if samples > 1:
+        step = float(np.median(np.diff(time)))
+    stamp = None if recording.stamps is None else recording.stamps[0]
+    return time, clock_of(recording.label, time, stamp, samples, step)
 
 
-def clock_of(label: Callable[[int], str], time: np.ndarray, stamp: Any, samples: int, step: float) -> Clock:
+def shown_time(recording: Recording, samples: int) -> np.ndarray:
+    """Return the time (T,) of a picture: datetime64, else s; numbers of samples where a clock goes back."""
+    time = recording.time if recording.stamps is None else recording.stamps
+    if time is None or not _goes_on(time):
+        return np.arange(samples, dtype=float)
+    return np.asarray(time)
+
+
+def _goes_on(time: np.ndarray | None) -> bool:
+    """Return whether times grow: a clock that goes back is no axis, the samples in their order are."""
+    return time is None or bool((np.asarray(time)[1:] > np.asarray(time)[:-1]).all())
+
+
+def clock_of(
+    label: Callable[[int], str], time: np.ndarray, stamp: np.datetime64 | None, samples: int, step: float
+) -> Clock:
     """Return the Clock of a recording.
 
     Args:
@@ -105,50 +98,61 @@ def clock_of(label: Callable[[int], str], time: np.ndarray, stamp: Any, samples:
     picked = np.linspace(0, samples - 1, min(samples, TRIED)).astype(int)
     at = np.asarray(time)[np.linspace(0, len(time) - 1, len(picked)).astype(int)] - time[0]
     texts = [label(int(k)) for k in picked]
-    if (
-        len(time) != samples
-    ):  # labels of samples whose times are not at hand prove nothing: those of both ends do
+    if len(time) != samples:  # the times of samples between the ends are not at hand
         texts, at = [texts[0], texts[-1]], at[[0, -1]]
+    return _dated(texts, at, stamp, float(time[0])) or _counted(texts[0], step)
+
+
+def _dated(texts: Sequence[str], at: np.ndarray, stamp: np.datetime64 | None, first: float) -> Clock | None:
+    """Return the Clock whose pattern gives all texts at their times, ISO where none does; None: no clock."""
     base = _midnight(texts[0]) if stamp is None else float((stamp - EPOCH) / SECOND)
-    if base is not None:
-        body, zone = _zone(texts[0])
-        base += _offset(zone)
-        bodies = [text.removesuffix(zone) for text in texts]
-        for tokens in _candidates(body):
-            if all(_written(tokens, base + x) == text for x, text in zip(at, bodies, strict=True)):
-                return Clock((*tokens, zone) if zone else tokens, base - float(time[0]))
-        if stamp is not None:
-            return Clock((*ISO, " UTC") if zone else ISO, float((stamp - EPOCH) / SECOND) - float(time[0]))
-    if texts[0].endswith(" s"):
-        return Clock(digits=max(0, 2 - math.floor(math.log10(step or 1.0))), unit=" s")
-    return (
-        Clock(before="sample ")
-        if texts[0].startswith("sample ")
-        else Clock(digits=max(0, 2 - math.floor(math.log10(step or 1.0))))
-    )
+    if base is None:
+        return None
+    body, zone = _zone(texts[0])
+    shifted = base + _offset(zone)
+    bodies = [text.removesuffix(zone) for text in texts]
+    for tokens in _candidates(body):
+        if all(_written(tokens, shifted + x) == text for x, text in zip(at, bodies, strict=True)):
+            return Clock((*tokens, zone) if zone else tokens, shifted - first)
+    if stamp is None:
+        return None
+    return Clock((*ISO, " UTC") if zone else ISO, base - first)
 
 
-def _zone(text):
-    found = re.search(r"(?<=[\d ])(Z|UTC|[+-]\d\d:?\d\d)$", text) if ":" in text else None
-    return (text[: found.start()], found[0]) if found else (text, "")
+def _counted(text: str, step: float) -> Clock:
+    """Return the Clock of times that are numbers, written as in a text; step: usual seconds between two."""
+    if text.startswith("sample "):
+        return Clock(before="sample ")
+    digits = max(0, 2 - math.floor(math.log10(step or 1.0)))
+    return Clock(digits=digits, unit=" s" if text.endswith(" s") else "")
 
 
-def _offset(zone):
+def _zone(text: str) -> tuple[str, str]:
+    """Return a text without its zone, and the zone."""
+    found = re.search(r"(?<=[\d ])(Z|UTC|[+-]\d\d:?\d\d)$", text)
+    if not found or ":" not in text:
+        return text, ""
+    return text[: found.start()], found[0]
+
+
+def _offset(zone: str) -> float:
+    """Return the seconds by which a zone is ahead of UTC."""
     digits = re.sub(r"\D", "", zone)
-    return (
-        (-1 if zone.startswith("-") else 1) * (int(digits[:2]) * 3600 + int(digits[2:]) * 60)
-        if digits
-        else 0.0
-    )
+    if not digits:
+        return 0.0
+    ahead = int(digits[:2]) * 3600.0 + int(digits[2:]) * 60.0
+    return -ahead if zone.startswith("-") else ahead
 
 
-def _midnight(text):
+def _midnight(text: str) -> float | None:
     """Return the seconds since midnight of a clock without a date, or None."""
     found = re.fullmatch(r"(\d\d?):(\d\d)(?::(\d\d(?:\.\d+)?))?", text)
-    return int(found[1]) * 3600 + int(found[2]) * 60 + float(found[3] or 0) if found else None
+    if not found:
+        return None
+    return int(found[1]) * 3600 + int(found[2]) * 60 + float(found[3] or 0)
 
 
-def _candidates(text):
+def _candidates(text: str) -> Iterator[list[str]]:
     """Yield the patterns that a text could have: its numbers as fields, in the usual orders, with and without
     leading zeros.
     """
@@ -166,7 +170,8 @@ def _candidates(text):
             yield [token for token in tokens if token]
 
 
-def _written(tokens, seconds):
+def _written(tokens: Sequence[str], seconds: float) -> str:
+    """Return a time, in s from 1970, by a pattern."""
     whole = math.floor(round(seconds, 3))
     at = datetime(1970, 1, 1) + timedelta(seconds=whole)
     fields = {"Y": at.year, "m": at.month, "d": at.day, "H": at.hour, "M": at.minute, "S": at.second}
@@ -179,36 +184,3 @@ def _written(tokens, seconds):
         else:
             out += token
     return out
-
-
-def ticks(clock: Clock, first: float, last: float, most: int = 6) -> list[tuple[float, str]]:
-    """Return (time, text) of at most so many round times from `first` to `last`."""
-    span = last - first
-    if not span > 0:
-        return [(first, clock.text(first))]
-    if clock.tokens:
-        step = float(next((size for size in STEPS if span / size < most), 0))
-        if not step:
-            return [(x, clock.text(x)) for x in _months(clock.base, first, last, most)]
-    else:
-        power = 10.0 ** math.floor(math.log10(span / most))
-        step = next(n * power for n in (1, 2, 5, 10, 20) if span / (n * power) < most)
-        step = max(step, 1.0) if clock.before else step
-    n = math.ceil((first + clock.base) / step - 1e-9)
-    found = []
-    while n * step <= last + clock.base + 1e-9 * span:
-        found.append((n * step - clock.base, clock.text(n * step - clock.base)))
-        n += 1
-    return found
-
-
-def _months(base, first, last, most):
-    """Return the first days of months, so many months apart that there are not too many."""
-    step = next((n for n in MONTHS if (last - first) / (n * 2_629_746) < most), MONTHS[-1])
-    month = lambda n: float(np.datetime64(n, "M").astype("datetime64[s]").astype(np.int64)) - base
-    begin = int(np.datetime64(math.floor(first + base), "s").astype("datetime64[M]").astype(np.int64))
-    n, found = -(-begin // step) * step, []
-    while month(n) <= last:
-        found += [month(n)] if month(n) >= first else []
-        n += step
-    return found

@@ -2,12 +2,14 @@
 
 import base64
 import functools
+from pathlib import Path
 
 from jaxbound.text.characters import printable
 from jaxbound.text.quantities import factor, percent
 
 __all__ = ["TITLE", "render"]
 
+HOME = Path(__file__).parent
 TITLE = {
     "fault": "Fault proved",
     "outside the bounds as fitted": "Outside the bounds as fitted",
@@ -42,12 +44,19 @@ def _environment():
         lstrip_blocks=True,
     )
     found.filters |= {"after": _after, "base64": _base64, "factor": factor, "percent": percent}
-    found.globals["TITLE"] = TITLE
+    found.globals |= {"TITLE": TITLE, "source": _source}
     return found
 
 
-def _readable(value):
-    """Return what is shown of a value: no control characters, which a name may hold."""
+def _source(name):
+    """Return a file of this folder as it stands: a script or a style sheet, which holds nothing of a user."""
+    from markupsafe import Markup
+
+    return Markup((HOME / name).read_text(encoding="utf-8"))
+
+
+def _readable(value: object) -> object:
+    """Return a value as text without control characters, which a name may hold."""
     if hasattr(value, "__html__"):  # of a macro, in which each value was
         return value
     return printable(str(value), keep="\n")

@@ -1,14 +1,12 @@
 """The page of a study: what a monitor sees, how soon, and how often it is wrong."""
 
-import dataclasses
 from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
 
 from jaxbound.relations.sentence import looked_at
-from jaxbound.reports.chart import even_marks
-from jaxbound.reports.curves import Curve, share_chart
+from jaxbound.reports.chart import picture_of
 from jaxbound.reports.page import render
 from jaxbound.reports.parts import computed, model_values
 from jaxbound.studies.montecarlo.study_result import StudyResult, study_table
@@ -51,10 +49,8 @@ def study_page(res: StudyResult, seed: int, seconds: float) -> str:
         verdict="study",
         title="What this monitor sees",
         sentence=sentence(res),
-        charts=[
-            (_sizes(res, *pair), _delays(*pair))
-            for pair in zip(res.trials[:FAULTS], res.tallies, strict=False)
-        ],
+        charts=list(_charts(res)),
+        picture=picture_of(res),
         others=max(len(res.trials) - FAULTS, 0),
         head=HEAD,
         columns=COLUMNS,
@@ -76,24 +72,51 @@ def _settings(res, seed):
             yield f"onset of {trial.label}", f"samples {trial.onset[0]} to {trial.onset[1] - 1}"
 
 
+def _charts(res):
+    """Yield two charts of each fault: the shares against its size, and the shares detected so soon."""
+    for trial, tally in zip(res.trials[:FAULTS], res.tallies, strict=False):
+        yield _sizes(res, trial, tally)
+        yield _delays(trial, tally)
+
+
 def _sizes(res, trial, tally):
     """Return the chart of the shares against the size."""
-    order, label = np.argsort(trial.sizes), ""
-    (share, low, high), (rate, rate_lo, rate_hi) = tally.share(res.confidence), tally.rate(res.confidence)
+    order = np.argsort(trial.sizes)
     x = np.asarray(trial.sizes, float)[order]
-    curves = [
-        Curve("scenarios detected", "seen", x, share[order], low[order], high[order]),
-        Curve("FAULT windows", "windows", x, rate[order], rate_lo[order], rate_hi[order]),
-    ]
     least, most = float(x[0]), float(x[-1])
-    if np.isfinite(trial.guaranteed):
-        least, most = min(least, trial.guaranteed), max(most, trial.guaranteed)
+    guaranteed = float(trial.guaranteed) if np.isfinite(trial.guaranteed) else None
+    if guaranteed is not None:
+        least, most = min(least, guaranteed), max(most, guaranteed)
     room = 0.03 * (most - least) or abs(most) or 1.0
-    ends, steps = (least - room, most + room), []
+    label = ""
     if trial.fault is not None and trial.fault.kind not in ("stuck", "dropout"):
         unit = "" if trial.fault.kind in ("gain", "tolerance") else res.model.unit(trial.fault.signal)
-        label, steps = f"size{f' [{unit}]' if unit else ''}", even_marks(*ends)
-    return share_chart(trial.label, label, curves, steps, ends, trial.guaranteed)
+        label = f"size [{unit}]" if unit else "size"
+    return {
+        "title": trial.label,
+        "label": label,
+        "delays": False,
+        "ends": [least - room, most + room],
+        "guaranteed": guaranteed,
+        "curves": [
+            _interval("scenarios detected", "FAULT", x, [end[order] for end in tally.share(res.confidence)]),
+            _interval("FAULT windows", "curve", x, [end[order] for end in tally.rate(res.confidence)]),
+        ],
+    }
+
+
+def _interval(name, colour, x, ends):
+    """Return a curve of shares, low and high ends around them."""
+    share, low, high = ([None if np.isnan(v) else float(v) for v in end] for end in ends)
+    return {
+        "name": name,
+        "colour": colour,
+        "faint": 1,
+        "x": x.tolist(),
+        "share": share,
+        "low": low,
+        "high": high,
+    }
 
 
 def _delays(trial, tally):
@@ -101,26 +124,21 @@ def _delays(trial, tally):
     sizes = len(trial.sizes)
     last = int(np.max(np.flatnonzero(tally.delays.any(0)), initial=1))
     picked = np.unique(np.linspace(0, sizes - 1, min(CURVES, sizes)).round().astype(int))
-    at = np.arange(last + 2)
-    curves = [
-        Curve(
-            f"size {trial.sizes[i]:.4g}",
-            f"size{CURVES - len(picked) + rank}",
-            _squeezed(at),
-            np.cumsum(tally.delays[i, : last + 2]) / max(tally.scenarios[i], 1),
-        )
-        for rank, i in enumerate(picked)
-    ]
-    curves = [dataclasses.replace(c, x=c.x[: len(c.share)]) for c in curves]
-    ticks = [(float(_squeezed(t)), str(t)) for t in DELAYS if t <= last + 1]
-    return share_chart(
-        "detected by then", "samples from the onset", curves, ticks, (0.0, float(_squeezed(last + 1)))
-    )
-
-
-def _squeezed(delay):
-    """Return delays with those above 10 on a logarithmic scale."""
-    return np.where(np.asarray(delay) <= 10, delay, 10 + 10 * np.log10(np.maximum(delay, 10) / 10))
+    curves = []
+    for rank, i in enumerate(picked):
+        found = np.cumsum(tally.delays[i, : last + 2]) / max(tally.scenarios[i], 1)
+        faint = 1 - 0.2 * (len(picked) - 1 - rank)
+        name, x = f"size {trial.sizes[i]:.4g}", list(range(len(found)))
+        curves.append({"name": name, "colour": "FAULT", "faint": faint, "x": x, "share": found.tolist()})
+    return {
+        "title": "detected by then",
+        "label": "samples from the onset",
+        "delays": True,
+        "ends": [0, last + 1],
+        "guaranteed": None,
+        "ticks": [t for t in DELAYS if t <= last + 1],
+        "curves": curves,
+    }
 
 
 def study_rows(res: StudyResult) -> list[tuple[str, ...]]:
@@ -150,7 +168,7 @@ def _delay(samples):
 
 
 def sentence(res: StudyResult) -> str:
-    """Return what a study counted as a sentence."""
+    """Return the counts of a study as a sentence."""
     false, clean = res.false_alarms
     if false:
         how = "the plant is not what the monitor takes it for"

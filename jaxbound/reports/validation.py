@@ -2,31 +2,49 @@
 true values.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Protocol, cast
 
 import numpy as np
+from jax.typing import ArrayLike
 
+from jaxbound.plots.validation import ValidatedRecording
+from jaxbound.recordings.recording import Recording
 from jaxbound.relations.sentence import looked_at
-from jaxbound.reports.chart import POINTS, Piece, Row, drawn
-from jaxbound.reports.clock import axis_of
+from jaxbound.reports.chart import Charts, Piece, Row, band_key, picture_of, plain, usual_step
+from jaxbound.reports.clock import axis_of, shown_time
 from jaxbound.reports.page import TITLE, render
 from jaxbound.reports.parts import computed, model_values
 from jaxbound.runs.summary import Evidence, Summary
 from jaxbound.text.quantities import duration
 
-__all__ = ["write_page"]
+__all__ = ["charts", "write_page"]
 
 ROWS = 200  # stretches in the table
 OUTPUTS = 12  # charts
 NEAR = 600  # samples around the first faulty one of a long recording, drawn one by one
 
 
+class ValidatedReport(ValidatedRecording, Protocol):
+    """A validated recording of which a page tells: its verdicts (T,) and faulty stretches."""
+
+    horizon: int
+    remembers: bool
+
+    @property
+    def status(self) -> np.ndarray: ...  # noqa: D102
+    @property
+    def method(self) -> str: ...  # noqa: D102
+    @property
+    def first_fault(self) -> int | None: ...  # noqa: D102
+    def stretches(self) -> Sequence[tuple[int, int, int]]: ...  # noqa: D102
+
+
 def write_page(
     directory: str | Path,
-    res: Any,
-    recording: Any,
+    res: ValidatedReport,
+    recording: Recording,
     summary: Summary,
     *,
     seconds: dict[str, float] | None = None,
@@ -39,7 +57,8 @@ def write_page(
     """
     model = res.model
     shown = model.outputs[:OUTPUTS]
-    drawings = list(_charts(res, recording, shown))
+    drawn = charts(res, recording, shown)
+    time = shown_time(recording, len(res.y))
     if progress:
         progress(0.5)
     stretches, first = res.stretches(), res.first_fault
@@ -57,7 +76,8 @@ def write_page(
         hints=summary.hints,
         stretches=[_row(res, recording, *stretch) for stretch in stretches[:ROWS]],
         stretch_total=len(stretches),
-        charts=drawings,
+        charts=drawn,
+        picture=picture_of(res.found, time=time, y=res.y),
         first_fault="" if first is None else recording.label(first),
         others=model.p - len(shown),
         model=model_values(model, {"tolerance": model.tolerance, "noise": model.noise}),
@@ -69,31 +89,55 @@ def write_page(
     return ["report.html"]
 
 
-def _charts(res, recording, shown):
-    """Yield (title, chart) of the whole recording, and of the samples around the first faulty one if it is
-    long.
+def charts(res: ValidatedReport, recording: Recording, shown: Sequence[str]) -> Charts:
+    """Return the charts of the outputs shown: the whole recording, and the samples around the first faulty
+    one.
     """
-    found, (time, clock) = res.found, axis_of(recording, len(res.y), res.model.dt)
-    faulty = np.asarray(found.faulty)
+    time, clock = axis_of(recording, len(res.y), res.model.dt)
+    piece = Piece(time, res.status, *_extremes(res, len(shown)))
+    whole = piece.fitting()
+    faulty = np.asarray(res.found.faulty).any(1)
+    first = max(min(int(np.argmax(faulty)) - NEAR // 4, len(time) - NEAR), 0)
+    close = piece.cut(first, first + NEAR)
+    return Charts(
+        rows=[Row(f"y{i}", name, res.model.unit(name), "enclosed") for i, name in enumerate(shown)],
+        clock=clock,
+        samples=len(time),
+        last=float(time[-1]),
+        step=usual_step(time),
+        whole=whole,
+        near=[plain(close)] if whole.binned else [],
+        begin=float(close.x[0]),
+        end=float(close.x[-1]),
+        about="the first faulty sample" if faulty.any() else "the first samples",
+    )
+
+
+def _extremes(res: ValidatedReport, outputs: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Return ({key: (T,)}, {key: (T,)}): the least and the most of what is drawn of each output."""
     low: dict[str, np.ndarray] = {}
     high: dict[str, np.ndarray] = {}
-    finite = lambda end, i: np.where(np.isfinite(end := np.asarray(end)[:, i]), end, np.nan)
-    for i in range(len(shown)):
-        y, lo, hi = res.y[:, i], finite(found.corrected.lo, i), finite(found.corrected.hi, i)
-        centre = np.where(faulty[:, i] | np.isnan(y), lo / 2 + hi / 2, np.nan)
-        lines = {f"y{i}": y, f"y{i}:faulty": np.where(faulty[:, i], y, np.nan), f"y{i}:instead": centre}
-        low |= lines | {f"y{i}:band": finite(found.output.lo, i)}
-        high |= lines | {f"y{i}:band": finite(found.output.hi, i)}
-    rows = [Row(f"y{i}", name, res.model.unit(name), "enclosed") for i, name in enumerate(shown)]
-    whole = Piece(time, res.status, low, high)
-    yield "The whole recording", drawn(rows, whole, clock)
-    if len(time) > POINTS:
-        first = max(min(int(np.argmax(faulty.any(1))) - NEAR // 4, len(time) - NEAR), 0)
-        title = "The samples around the first faulty one" if faulty.any() else "The first samples"
-        yield title, drawn(rows, whole.cut(first, first + NEAR), clock)
+    output, corrected, faulty = res.found.output, res.found.corrected, np.asarray(res.found.faulty)
+    for i in range(outputs):
+        y, lo, hi = res.y[:, i], _finite(corrected.lo, i), _finite(corrected.hi, i)
+        replaced = faulty[:, i] | np.isnan(y)
+        lines = {
+            f"y{i}": y,
+            f"y{i}:faulty": np.where(faulty[:, i], y, np.nan),
+            f"y{i}:instead": np.where(replaced, lo / 2 + hi / 2, np.nan),
+        }
+        low |= lines | {band_key(f"y{i}"): _finite(output.lo, i)}
+        high |= lines | {band_key(f"y{i}"): _finite(output.hi, i)}
+    return low, high
 
 
-def _row(res, recording, i, first, last):
+def _finite(end: ArrayLike, i: int) -> np.ndarray:
+    """Return an end of the bands of output i, NaN where it is infinite."""
+    values = np.asarray(end)[:, i]
+    return np.where(np.isfinite(values), values, np.nan)
+
+
+def _row(res: ValidatedReport, recording: Recording, i: int, first: int, last: int) -> tuple:
     """Return the row of a faulty stretch, with what the sensor showed and should have shown in its middle."""
     name, k = res.model.outputs[i], (first + last) // 2
     unit, corrected = res.model.unit(name), res.found.corrected

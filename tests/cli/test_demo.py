@@ -66,7 +66,7 @@ def test_command_writes_a_report_that_detect_repeats(tmp_path, monkeypatch, caps
     }
     assert load_model(tmp_path / "out" / "model.toml").A == demo.demo_model().A
     page = (tmp_path / "out" / "report.html").read_text()
-    assert page.count("data:image/png") == 2 and "How often are these faults seen?" in page
+    assert page.count('<figure><img alt="') == 2 and "How often are these faults seen?" in page
     assert (
         main.main(
             [

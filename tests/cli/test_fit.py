@@ -4,6 +4,7 @@ import json
 import re
 from fractions import Fraction
 
+import jax
 import numpy as np
 import pytest
 
@@ -161,3 +162,21 @@ def test_signals_are_columns_or_expressions_with_names():
         ("T1", "Temperature 1"),
         ("f", "= a==1"),
     ]
+
+
+def test_units_of_columns_reach_the_model_and_its_report(tmp_path, monkeypatch, capsys, rng):
+    monkeypatch.chdir(tmp_path)
+    true = jb.LinearSystem([["0.8"]], [[1]], [[1]], noise=0.1)
+    u = rng.uniform(-1, 1, (200, 1))
+    y = np.asarray(jb.simulate(true, u, jax.random.key(1)).y)
+    rows = np.column_stack([np.arange(200), u, y])
+    np.savetxt("run.csv", rows, delimiter=",", header="time,Pump (bar),T_room [degC]", comments="")
+    files = ["run.csv", "--inputs", "Pump (bar)", "--outputs", "T_room [degC]", "--order", "1"]
+    assert main.main(["fit", *files, "--out", "m.toml", "--horizon", "3"]) == 0
+    assert "degC" in capsys.readouterr().out
+    model = jb.load_model("m.toml")
+    assert model.inputs + model.outputs == ("Pump", "T_room")
+    assert dict(model.units) == {"Pump": "bar", "T_room": "degC"}
+    assert model.column("T_room") == "T_room [degC]"
+    assert main.main(["detect", "m.toml", "run.csv", "--out", "out"]) == 0
+    assert "degC" in (tmp_path / "out/report.html").read_text()

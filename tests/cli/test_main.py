@@ -191,7 +191,7 @@ class TestDetect:
         save_model(paper(name=evil, units={"y1": evil}, provenance={"noise": evil}), place / "model.toml")
         code, _, _ = run(place, "detect", "model.toml", "faulty.csv", "--out", "out", capsys=capsys)
         page = (place / "out/report.html").read_text()
-        assert code == 1 and page.count("<script") == 2 and "&lt;script&gt;" in page
+        assert code == 1 and page.count("<script") == 3 and "&lt;script&gt;" in page
         assert evil in run(place, "info", "model.toml", capsys=capsys)[1]
 
     def test_tclab_is_healthy_and_a_jump_is_not(self, shared, tmp_path, capsys):

@@ -103,7 +103,7 @@ def test_what_a_fault_inside_the_first_window_does(rng):
 )  # 91 samples: a shape that other tests compile anyway
 def test_several_sensors_fail_at_once_and_one_for_long(rng, T):
     m = paper()
-    u, x, y = record(rng, m, 16, T=T)
+    u, x, y = record(rng, m, 4, T=T)
     size = 20 * reference_width(m, u, y) / 0.573
     both, truth = y.copy(), np.zeros(y.shape, bool)
     truth[:, 40:46] = True

@@ -2,6 +2,7 @@
 templates travel along.
 """
 
+import hashlib
 import re
 import shlex
 import tomllib
@@ -12,6 +13,7 @@ from types import SimpleNamespace
 import jinja2
 import numpy as np
 import pytest
+from page_case import foreign
 
 import jaxbound as jb
 from jaxbound import reports
@@ -58,6 +60,7 @@ def recorded(T):
         time=np.arange(T) * 1.0,
         axis=np.arange(T) * 1.0,
         source=evil("source"),
+        stamps=None,
         label=lambda k: evil(f"at {k}"),
     )
 
@@ -132,7 +135,7 @@ PAGES = {
     study: (*OF_MODEL, "setting"),
     fleet: ("unit", "sentence", "first", "hint", "ended", "other", "why", "all", "title"),
 }
-SCRIPTS = dict.fromkeys(PAGES, 0) | {detection: 2, uncertain: 2, fleet: 1}
+SCRIPTS = dict.fromkeys(PAGES, 3) | {fleet: 1}  # numbers, a library and what draws with it
 every_page = pytest.mark.parametrize("make", PAGES, ids=lambda make: make.__name__)
 
 
@@ -190,11 +193,8 @@ def test_a_fleet_leads_to_the_reports_of_its_units_and_tells_what_it_is_sorted_b
 @every_page
 def test_a_page_is_one_file_that_asks_nobody(make, tmp_path):
     text = make(tmp_path)
-    assert (
-        not re.search(r"url\(|@import|https?:", text)
-        and text.startswith("<!doctype html>")
-        and text.rstrip().endswith("</html>")
-    )
+    assert foreign(text) == []
+    assert text.startswith("<!doctype html>") and text.rstrip().endswith("</html>")
     assert all(src.startswith("data:image/png;base64,") for src in re.findall('src="([^"]*)"', text))
 
 
@@ -206,10 +206,9 @@ def test_a_value_that_is_missing_is_refused_by_name():
 
 
 def test_every_class_of_the_style_sheet_is_on_a_page():
-    sheet, templates = (
-        (HOME / "style.css").read_text(),
-        "".join(f.read_text() for f in (HOME / "templates").iterdir()),
-    )
+    sheet = (HOME / "style.css").read_text()
+    makers = [*(HOME / "templates").iterdir(), *HOME.glob("*.js"), HOME / "vendor/uplot/uPlot.iife.min.js"]
+    templates = "".join(f.read_text() for f in makers)
     styled = set(re.findall(r"\.([A-Za-z][\w-]*)", re.sub(r"\{[^{}]*\}", "{}", sheet)))
     drawn = {
         "fault",
@@ -235,6 +234,21 @@ def test_what_is_no_python_is_installed_too():
     ]["jaxbound.reports"]
     kept = {f for pattern in data for f in HOME.glob(pattern)}
     assert kept == {f for f in HOME.rglob("*") if f.is_file() and f.suffix not in (".py", ".pyc")}
+
+
+def test_a_library_in_a_page_is_as_released_and_has_its_licence_with_it(tmp_path):
+    folder = HOME / "vendor"
+    stated = re.findall(
+        r"\| (\w+) \| ([\d.]+) \| (\w+), `(.+?)` \|.* (\w{64}) \|", (folder / "README.md").read_text()
+    )
+    project = tomllib.loads((HOME.parents[1] / "pyproject.toml").read_text())["project"]
+    assert [name for name, *_ in stated] == ["uPlot"]
+    for name, version, _, licence, digest in stated:
+        script = (folder / licence).parent / f"{name}.iife.min.js"
+        assert hashlib.sha256(script.read_bytes()).hexdigest() == digest
+        assert f"(v{version})" in script.read_text()[:80]
+        assert f"jaxbound/reports/vendor/{licence}" in project["license-files"]
+        assert (folder / licence).read_text() in study(tmp_path)
 
 
 def test_pages_show_control_characters_as_escapes(tmp_path):

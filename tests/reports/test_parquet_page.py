@@ -35,11 +35,5 @@ def test_the_extremes_of_every_bin_are_those_of_the_samples(found):
 def test_the_overview_has_the_signals_that_one_of_a_whole_recording_has(found, case):
     _, _, res, whole = case("section 5")
     there, expected = (charts(x, r, [], [], {}, 100) for x, r in ((found[0], found[0]), (res, whole)))
-    assert [p["row"].key for p in there["overview"]["panels"]] == [
-        p["row"].key for p in expected["overview"]["panels"]
-    ]
-    assert (
-        set(there["numbers"]["whole"]["series"])
-        == set(expected["numbers"]["whole"]["series"])
-        == {"margin", "s0", "s1", "s2"}
-    )
+    assert [row.key for row in there.rows] == [row.key for row in expected.rows]
+    assert set(there.whole.low) == {"margin", "s0", "s1", "s2"} <= set(expected.whole.low)

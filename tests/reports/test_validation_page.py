@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 from validated_case import found_in, recording_of
 
-from jaxbound.reports.validation import _charts, write_page
+from jaxbound.reports.validation import charts, write_page
 from jaxbound.runs.summary import summarised
 
 
@@ -18,12 +18,9 @@ def test_dates_on_its_axes_are_written_as_in_the_recording():
     recording = SimpleNamespace(
         time=np.arange(60) * 3600.0, stamps=days, axis=days, label=written.__getitem__
     )
-    [(title, chart)] = _charts(found_in(), recording, ["y1"])
-    shown = [tick["text"] for tick in chart["ticks"]]
-    assert title == "The whole recording" and (chart["from"], chart["to"]) == (written[0], written[-1])
-    assert 3 <= len(shown) <= 9 and set(shown) <= {
-        text[:10] if text.endswith(" 00:00") else text for text in written
-    } | set(written)
+    drawn = charts(found_in(), recording, ["y1"])
+    assert drawn.ends == (written[0], written[-1]) and not drawn.whole.binned and drawn.near == []
+    assert [drawn.clock.text(3600.0 * k) for k in range(60)] == written
 
 
 def test_it_shows_each_output_and_each_stretch(tmp_path):
@@ -32,30 +29,31 @@ def test_it_shows_each_output_and_each_stretch(tmp_path):
         tmp_path, res, recording_of(res), summarised(res, res.alarms(), "{} s".format, hints=["a `hint`"])
     )
     page = (tmp_path / "report.html").read_text()
-    assert names == ["report.html"] and page.count('class="panel enclosed"') == 2 and "two &amp; two" in page
+    assert names == ["report.html"] and page.count('"kind": "enclosed"') == 2 and "two &amp; two" in page
+    assert '<noscript><img alt="measured outputs' in page
     assert re.search(">y1<.*>20 s<.*>22 s<.*>3 s<.*>3<.*>4 bar<.*>0.75 to 1.25 bar<", page)
     assert "<code>hint</code>" in page and "nobody can promise more" in page
 
 
-def test_faulty_samples_are_dots_beside_the_band_and_its_middle():
+def test_faulty_samples_stand_beside_the_band_and_its_middle():
     res = found_in()
-    [(_, chart)] = _charts(res, recording_of(res), ["y1", "y2"])
-    first, second = chart["panels"]
-    assert (
-        first["out"].count("M") == int(np.asarray(res.found.faulty)[:, 0].sum()) > 0
-        and second["out"] == second["instead"] == ""
-    )
-    assert first["hull"] and second["hull"] and first["instead"].count("M") == 2
+    whole = charts(res, recording_of(res), ["y1", "y2"]).whole
+    faulty = np.asarray(res.found.faulty)
+    for i in range(2):
+        np.testing.assert_array_equal(np.isfinite(whole.low[f"y{i}:faulty"]), faulty[:, i])
+        np.testing.assert_array_equal(np.isfinite(whole.low[f"y{i}:instead"]), faulty[:, i])
+        assert (whole.low[f"y{i}:band"] < whole.high[f"y{i}:band"])[1:].all()
+    wrong = faulty[:, 0]
+    lo, hi = (np.asarray(end)[wrong, 0] for end in (res.found.corrected.lo, res.found.corrected.hi))
+    assert wrong.any() and not faulty[:, 1].any()
+    np.testing.assert_array_equal(whole.low["y0:instead"][wrong], (lo + hi) / 2)
 
 
 def test_a_long_recording_is_shown_around_its_first_faulty_sample_too():
-    res = found_in(1500, range(900, 903))
-    whole, near = _charts(res, recording_of(res), ["y1"])
-    assert (
-        near[0] == "The samples around the first faulty one" and near[1]["panels"][0]["out"].count("M") == 3
-    )
-    panel = whole[1]["panels"][0]
-    assert panel["binned"] and 1000 < panel["line"].count("V") <= 2000  # extremes of bins
+    res = found_in(20_000, range(9000, 9003))
+    drawn = charts(res, recording_of(res), ["y1"])
+    assert drawn.whole.binned and len(drawn.near) == 1 and drawn.about == "the first faulty sample"
+    assert drawn.begin < 9000 < 9002 < drawn.end and drawn.near[0]["n"] == 600
 
 
 def test_from_the_first_fault_on_the_page_says_what_its_bands_still_mean(tmp_path):
