@@ -80,7 +80,8 @@ def options(parser: argparse.ArgumentParser) -> None:
         type=named,
         metavar="DATA",
         help="a CSV file, a Parquet file, a folder of Parquet files, which follow each other by name, or -: "
-        "lines of CSV from standard input, each judged as it comes, its verdict on standard output",
+        "lines of CSV from standard input, each judged as it comes, its verdict on standard output; or "
+        "FILE.py:FUNCTION, a generator of recordings that are judged as they come",
     )
     parser.add_argument(
         "--out",

@@ -28,7 +28,8 @@ from jaxbound.estimation.second_look import decided_twice
 from jaxbound.estimation.short_proof import short_proof
 from jaxbound.estimation.zonotope_numbers import ROUNDED, FirstSet
 from jaxbound.models.sensor import input_slip
-from jaxbound.recordings.recording import Recording, SignalModel, signals_of
+from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.signals import SignalModel, signals_of
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import is_outside_xla
 from jaxbound.sets.floats.status import Status

@@ -30,8 +30,9 @@ from jaxbound.estimation.validation_windows import Said, begun, said, slide, wei
 from jaxbound.models.intervals import as_intervals, stacked
 from jaxbound.models.multimodel import MultiModel
 from jaxbound.models.sensor import largest_error
-from jaxbound.recordings.recording import Recording, Signals
+from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import around
+from jaxbound.recordings.signals import Signals
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
 from jaxbound.sets.floats.probe import refuse_unverified

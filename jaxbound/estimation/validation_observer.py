@@ -10,8 +10,9 @@ import numpy as np
 
 from jaxbound.consistency.interface import Observer
 from jaxbound.estimation.validation import Validation, nothing_said, prepared
-from jaxbound.recordings.recording import Recording, SignalModel
+from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import around
+from jaxbound.recordings.signals import SignalModel
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.objects import readable

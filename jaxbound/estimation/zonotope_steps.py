@@ -22,13 +22,14 @@ Sources: Alamo, Bravo, Camacho 2005 (strips, Theorem 4 and section 5); Combastel
 """
 
 from functools import reduce
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.estimation.free_inputs import known_again
+from jaxbound.estimation.arrays import Array
+from jaxbound.estimation.free_inputs import Free, known_again
 from jaxbound.models.sensor import RECORDER_ULPS, lift, true_value
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import kernel
@@ -37,115 +38,187 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.unrolled import stored, summed
 
 __all__ = [
-    "ZonotopeCarry",
     "Found",
     "Numbers",
     "Read",
     "Start",
+    "ZonotopeCarry",
+    "at_sample",
     "begun_anew",
     "follow",
+    "nothing_found",
     "read",
     "sample",
     "step_of_time",
     "unknown",
+    "written",
 ]
+
+Tree = TypeVar("Tree")
 
 
 class Numbers(NamedTuple):
     """A model in floats.
 
-    Fields: A (n, n), B (n, m), C (p, n), D (p, m) and wide_A, .., what entries may be more or less; W (n, g)
-    columns of disturbances, w (n,) their middle, wide_w (n,) what these may be off by; u0 (m,), wide_u0;
+    Fields: A (n, n), B (n, m), C (p, n), D (p, m) and wide_A, .., by which entries may be more or less; W (n,
+    g) columns of disturbances, w (n,) their middle, wide_w (n,) by which these may be off; u0 (m,), wide_u0;
     tolerance, noise, y0 (p,). free: unknown inputs, or None.
     """
 
-    A: Any
-    wide_A: Any
-    B: Any
-    wide_B: Any
-    C: Any
-    wide_C: Any
-    D: Any
-    wide_D: Any
-    W: Any
-    w: Any
-    wide_w: Any
-    u0: Any
-    wide_u0: Any
-    tolerance: Any
-    noise: Any
-    y0: Any
-    free: Any = None
+    A: Array
+    wide_A: Array
+    B: Array
+    wide_B: Array
+    C: Array
+    wide_C: Array
+    D: Array
+    wide_D: Array
+    W: Array
+    w: Array
+    wide_w: Array
+    u0: Array
+    wide_u0: Array
+    tolerance: Array
+    noise: Array
+    y0: Array
+    free: Free | None = None
 
 
 class Start(NamedTuple):
     """The state x of the newest sample from the last h + 1 alone: x = K m + U v + w + W xi - K s delta.
 
     Fields: K (n, (h+1) p), U (n, (h+1) m), w (n,), W (n, h g), the oldest sample first; wide_K, wide_U, wide
-    (n,): what x may be off by for each |m| + s and |v|, and beside.
+    (n,): by which x may be off for each |m| + s and |v|, and beside.
     """
 
-    K: Any
-    U: Any
-    w: Any
-    W: Any
-    wide_K: Any
-    wide_U: Any
-    wide: Any
+    K: Array
+    U: Array
+    w: Array
+    W: Array
+    wide_K: Array
+    wide_U: Array
+    wide: Array
 
 
 class Read(NamedTuple):
-    """What T samples say. Fields: mid, rad (T, p, N), radius infinite where there is none; v, slip (T, m, N)
-    inputs less their offset, and what they may be off by; whole (T, N): whether every output is there; known:
-    every input; fresh: does not follow the sample before.
+    """T samples as the kernels read them.
+
+    Fields: mid, rad (T, p, N), radius infinite where there is none; v, slip (T, m, N) inputs less their
+    offset, and by which they may be off; whole (T, N): whether every output is there; known: every input;
+    fresh: does not follow the sample before. Of one sample all are without their first axis.
     """
 
-    mid: Any
-    rad: Any
-    v: Any
-    slip: Any
-    whole: Any
-    known: Any
-    fresh: Any
+    mid: Array
+    rad: Array
+    v: Array
+    slip: Array
+    whole: Array
+    known: Array
+    fresh: Array
 
 
 class ZonotopeCarry(NamedTuple):
-    """What goes on from sample to sample: the set before a sample is looked at, and the last samples.
+    """The sets that go on from sample to sample, before a sample is looked at, and the last samples.
 
     Fields: c (n, N), G (n, q, N), r (n, N); age (N,): samples that the set rests on, -1 where there is none;
     empty (N,): contradicted; mid, rad (h, p, N), v, slip (h, m, N): the last samples; ready (N,): how many of
     these are whole and follow each other. weight (N,).
     """
 
-    c: Any
-    G: Any
-    r: Any
-    age: Any
-    empty: Any
-    mid: Any
-    rad: Any
-    v: Any
-    slip: Any
-    ready: Any
-    weight: Any
+    c: Array
+    G: Array
+    r: Array
+    age: Array
+    empty: Array
+    mid: Array
+    rad: Array
+    v: Array
+    slip: Array
+    ready: Array
+    weight: Array
+
+
+class Found(NamedTuple):
+    """The verdicts and sets of T samples.
+
+    Fields: status (T, N) int8; margin (T, N); age (T, N) int32, samples that the set rests on, 0 without one;
+    states (T, 2 n, N), ends -lo, hi of the states; outputs (T, 4 p, N), of what perfect sensors would show:
+    as the samples before allow, then with this one. Those that were not asked for are empty. Of one sample
+    all are without their first axis.
+    """
+
+    status: Array
+    margin: Array
+    age: Array
+    states: Array
+    outputs: Array
+
+
+class _Sets(NamedTuple):
+    """Sets {c + G xi + diag(r) eta}, and at least the size of each state.
+
+    Fields: c (n, N), G (n, q, N), r (n, N), size (n, N).
+    """
+
+    c: jax.Array
+    G: jax.Array
+    r: jax.Array
+    size: jax.Array
+
+
+class _Outputs(NamedTuple):
+    """One sample of the p outputs: |mid - C x - through| <= rad.
+
+    Fields: driven (p, N): no missing input acts on it; seen: it can be tested; through: of inputs; loose: by
+    which that may be off; mid, rad: 0 where it is not seen.
+    """
+
+    driven: jax.Array
+    seen: jax.Array
+    through: jax.Array
+    loose: jax.Array
+    mid: jax.Array
+    rad: jax.Array
+
+
+class _Shown(NamedTuple):
+    """One output of a set.
+
+    Fields: P (q, N): C_i G; value (N,): at the middle; reach: how far it goes from there; slack: the part of
+    rounding and intervals in that; whole: magnitudes.
+    """
+
+    P: jax.Array
+    value: jax.Array
+    reach: jax.Array
+    slack: jax.Array
+    whole: jax.Array
 
 
 def unknown(sizes: tuple[int, int, int, int, int], weight: np.ndarray) -> ZonotopeCarry:
-    """Return the ZonotopeCarry of recordings before the first sample, on the host. sizes: n, q, p, m, h;
-    weight (N,), in the dtype of all.
+    """Return the carry of recordings before the first sample, on the host.
+
+    Args:
+        sizes: n, q, p, m, h. weight (N,): in the dtype of all.
     """
-    (n, q, p, m, h), N, dtype = sizes, len(weight), weight.dtype
-    zero = lambda *shape: np.zeros((*shape, N), dtype)
-    last = zero(h, p), zero(h, p), zero(h, m), zero(h, m)
+    n, q, p, m, h = sizes
+    N = len(weight)
+
+    def zero(*shape: int) -> np.ndarray:
+        return np.zeros((*shape, N), weight.dtype)
+
     return ZonotopeCarry(
-        zero(n),
-        zero(n, q),
-        zero(n),
-        np.full(N, -1, np.int32),
-        np.zeros(N, bool),
-        *last,
-        np.zeros(N, np.int32),
-        weight,
+        c=zero(n),
+        G=zero(n, q),
+        r=zero(n),
+        age=np.full(N, -1, np.int32),
+        empty=np.zeros(N, bool),
+        mid=zero(h, p),
+        rad=zero(h, p),
+        v=zero(h, m),
+        slip=zero(h, m),
+        ready=np.zeros(N, np.int32),
+        weight=weight,
     )
 
 
@@ -153,48 +226,39 @@ def unknown(sizes: tuple[int, int, int, int, int], weight: np.ndarray) -> Zonoto
 def read(
     plant: Numbers, u: jax.Array, y: jax.Array, slip: jax.Array, fresh: jax.Array, rounded: jax.Array
 ) -> Read:
-    """Return what samples u, slip (T, m, N), y (T, p, N) say. rounded: the unit roundoff of the type that y
-    was recorded in.
+    """Return samples u, slip (T, m, N), y (T, p, N) as the kernels read them.
+
+    Args:
+        rounded: the unit roundoff of the type in which y was recorded.
     """
     mid, rad = [], []
     gamma, floor = rounding.residual_error(8, y.dtype)
     for i in range(y.shape[1]):
-        sample = y[:, i]
-        size = jnp.where(jnp.isnan(sample), 0, jnp.abs(sample))
+        recorded = y[:, i]
+        size = jnp.where(jnp.isnan(recorded), 0, jnp.abs(recorded))
         noise = plant.noise[i] + RECORDER_ULPS * rounded * (size + plant.noise[i])
         (middle,), (radius,), (scale,) = true_value(
-            [sample], plant.tolerance[i], noise, jnp.zeros_like(noise), plant.y0[i], size
+            [recorded], plant.tolerance[i], noise, jnp.zeros_like(noise), plant.y0[i], size
         )
-        gone = jnp.isnan(sample) | ~(scale < _largest(y.dtype))
+        gone = jnp.isnan(recorded) | ~(scale < _largest(y.dtype))
         mid.append(jnp.where(gone, 0, middle))
         rad.append(jnp.where(gone, jnp.inf, radius + gamma * scale + floor * (1 + lift(plant.tolerance))))
     middles, radii = jnp.stack(mid, 1), jnp.stack(rad, 1)
-    all_along = lambda x: x[None, :, None]
     known = jnp.all(jnp.abs(u) < _largest(u.dtype), 1)
-    v = jnp.where(jnp.isnan(u), 0, u) - all_along(plant.u0)
+    v = jnp.where(jnp.isnan(u), 0, u) - _all_along(plant.u0)
     off = (
         slip
-        + all_along(plant.wide_u0)
-        + 4 * rounding.unit(u.dtype) * (jnp.abs(u) + jnp.abs(all_along(plant.u0)))
+        + _all_along(plant.wide_u0)
+        + 4 * rounding.unit(u.dtype) * (jnp.abs(u) + jnp.abs(_all_along(plant.u0)))
         + rounding.tiny(u.dtype)
     )
     whole = jnp.all(jnp.isfinite(radii), 1) & known
     return Read(middles, radii, v, jnp.where(known[:, None], off, 0), whole, known, fresh)
 
 
-class Found(NamedTuple):
-    """What is found of T samples.
-
-    Fields: status (T, N) int8; margin (T, N); age (T, N) int32, samples that the set rests on, 0 without one;
-    states (T, 2 n, N), ends -lo, hi of the states; outputs (T, 4 p, N), of what perfect sensors would show:
-    as the samples before allow, then with this one. Those that were not asked for are empty.
-    """
-
-    status: Any
-    margin: Any
-    age: Any
-    states: Any
-    outputs: Any
+def _all_along(x: Array) -> Array:
+    """Return numbers of signals (m,) as (T, m, N) takes them."""
+    return x[None, :, None]
 
 
 @kernel(
@@ -227,26 +291,47 @@ def follow(
     """
     alone = read(plant, *samples)
     known = jax.tree.map(lambda x: jnp.tile(x, lanes), alone)
-    (n, _, N), (T, p, _), dtype = carry.G.shape, known.mid.shape, known.mid.dtype
-    room = lambda *width, dtype=dtype: jnp.zeros((T, *width, N), dtype)
-    empty = Found(
-        room(dtype=jnp.int8),
-        room(),
-        room(dtype=jnp.int32),
-        room(2 * n * min(enclosures, 1)),
-        room(4 * p * (enclosures // 2)),
+    empty = nothing_found(known, len(plant.A), enclosures)
+
+    def step(k: jax.Array, state: tuple[ZonotopeCarry, Found]) -> tuple[ZonotopeCarry, Found]:
+        carry, found = state
+        now = at_sample(known, k)
+        carry, size, row = sample(plant, start, begun_anew(carry, now.fresh), now, enclosures)
+        carry = begun_anew(carry, restart & _of_every_lane(carry.empty, lanes))
+        carry = step_of_time(plant, carry, size, now)
+        return carry, written(found, row, k)
+
+    carry, found = jax.lax.fori_loop(0, stop, step, (carry, empty))
+    if also:
+        return carry, found, alone
+    return carry, found, None
+
+
+def _of_every_lane(empty: Array, lanes: int) -> jax.Array:
+    """Return for each set whether any set of its recording is empty."""
+    return jnp.tile(jnp.any(empty.reshape(lanes, -1), 0), lanes)
+
+
+def nothing_found(known: Read, n: int, enclosures: int) -> Found:
+    """Return the Found of samples before any is looked at. n: states; enclosures: as of `follow`."""
+    (T, p, N), dtype = known.mid.shape, known.mid.dtype
+    return Found(
+        jnp.zeros((T, N), jnp.int8),
+        jnp.zeros((T, N), dtype),
+        jnp.zeros((T, N), jnp.int32),
+        jnp.zeros((T, 2 * n * min(enclosures, 1), N), dtype),
+        jnp.zeros((T, 4 * p * (enclosures // 2), N), dtype),
     )
 
-    def step(k, state):
-        carry, found = state
-        now = Read(*(jax.lax.dynamic_index_in_dim(x, k, 0, keepdims=False) for x in known))
-        carry, size, out = sample(plant, start, begun_anew(carry, now.fresh), now, enclosures)
-        carry = begun_anew(carry, restart & jnp.tile(jnp.any(carry.empty.reshape(lanes, -1), 0), lanes))
-        carry = step_of_time(plant, carry, size, now)
-        put = lambda old, new: jax.lax.dynamic_update_index_in_dim(old, new, k, 0)
-        return carry, Found(*(put(old, new) for old, new in zip(found, out, strict=True)))
 
-    return *jax.lax.fori_loop(0, stop, step, (carry, empty)), alone if also else None
+def at_sample(known: Read, k: jax.Array) -> Read:
+    """Return one sample."""
+    return Read(*(jax.lax.dynamic_index_in_dim(x, k, 0, keepdims=False) for x in known))
+
+
+def written(rows: Tree, row: Tree, k: jax.Array) -> Tree:
+    """Return arrays of T samples with those of one sample in their place."""
+    return jax.tree.map(lambda old, new: jax.lax.dynamic_update_index_in_dim(old, new, k, 0), rows, row)
 
 
 def begun_anew(carry: ZonotopeCarry, where: jax.Array) -> ZonotopeCarry:
@@ -263,11 +348,65 @@ def sample(
 ) -> tuple[ZonotopeCarry, jax.Array, Found]:
     """Look at one sample: return (carry with the set after it, its magnitudes (n, N), one row of `Found`)."""
     alive, (n, q, N), p = carry.age >= 0, carry.G.shape, len(now.mid)
-    dtype, g = carry.c.dtype, _Bounds(plant, carry)
+    dtype, g = carry.c.dtype, _SetRounding(plant, carry)
+    outputs = _outputs(plant, now, g)
+    first = before = _sized(g, carry.c, carry.G, carry.r)
+    known = carry.c, jnp.concatenate([carry.G, jnp.zeros((n, p, N), dtype)], 1), carry.r
+    there, lost, whole = outputs.seen, jnp.zeros(N, bool), jnp.zeros(N, bool)
+    if plant.free is not None:
+        whole = plant.free.first & (carry.age == 0)  # a first state in bounds is the state itself
+        reading = outputs.mid, outputs.rad, outputs.through, outputs.loose
+        known, there, lost = known_again(
+            plant.free, _SetRounding(plant, carry, p), known, first.size, reading, outputs.seen, whole
+        )
+        before = _sized(g, *known)
+
+    def meet(i: jax.Array, state: tuple[_Sets, jax.Array, jax.Array]) -> tuple[_Sets, jax.Array, jax.Array]:
+        """Test output i against the set before this sample and as it is by now, then meet its strip."""
+        sets, ratio, wrong = state
+        shown = _shown(plant, g, outputs, i, sets)
+        alone = _shown(plant, g, outputs, i, before)
+        tested, s = _row(there, i), _row(outputs.rad, i)
+        e = _row(outputs.mid, i) - shown.value
+        for far, bound in ((e, shown.reach + s), (_row(outputs.mid, i) - alone.value, alone.reach + s)):
+            ratio = jnp.where(tested, jnp.maximum(ratio, jnp.abs(far) / bound), ratio)
+            wrong |= tested & (jnp.abs(far) > g.up * bound)
+        return _met(plant, g, carry.weight, sets, shown, (e, s, tested), i, q), ratio, wrong
+
+    begin = _Sets(*known, before.size), jnp.zeros(N, dtype), jnp.zeros(N, bool)
+    after, ratio, wrong = jax.lax.fori_loop(0, p, meet, begin)
+    bounded = jnp.all(after.size <= g.most, 0)
+    looked = alive & jnp.any(there, 0)
+    empty = carry.empty | (looked & wrong)
+    status = jnp.where(empty, Status.FAULT, jnp.where(looked, Status.UNDECIDED, Status.MISSING))
+    status = status.astype(jnp.int8)
+    margin = jnp.where(looked, 1 - ratio, jnp.nan)
+    age = jnp.where(alive & bounded & ~lost, carry.age + 1, -1)
+    whole &= age == 1
+    ends = jnp.zeros((0, N), dtype), jnp.zeros((0, N), dtype)
+    ready = jnp.where(now.whole, carry.ready + 1, 0)
+    carry = carry._replace(age=age, empty=empty)
+    if start is not None:
+        begins = (age < 0) & (ready > len(carry.mid))
+        after, age = _begun_where(plant, start, carry, now, g, begins, after, age)
+        carry = carry._replace(age=age)
+    if enclosures:
+        sets = _Around(first, before, after, refuted=wrong, tested=alive, there=age >= 0, whole=whole)
+        ends = _enclosures(plant, g, outputs, sets, p * (enclosures // 2))
+    past = {name: _later(getattr(carry, name), getattr(now, name)) for name in ("mid", "rad", "v", "slip")}
+    ready = jnp.minimum(ready, len(carry.mid))
+    return (
+        carry._replace(c=after.c, G=after.G, r=after.r, ready=ready, **past),
+        after.size,
+        Found(status, margin, jnp.maximum(age, 0), *ends),
+    )
+
+
+def _outputs(plant: Numbers, now: Read, g: "_SetRounding") -> _Outputs:
+    """Return one sample of the outputs."""
     direct = jnp.sum(jnp.abs(plant.D) + plant.wide_D, 1) > 0
-    driven = (
-        now.known[None] | ~direct[:, None]
-    )  # else what a perfect sensor shows depends on what nobody knows
+    # else what a perfect sensor shows depends on an input that nobody knows
+    driven = now.known[None] | ~direct[:, None]
     seen = jnp.isfinite(now.rad) & driven
     through = jnp.where(now.known[None], _map(plant.D, now.v), 0)
     sizes = jnp.abs(plant.D)
@@ -276,140 +415,160 @@ def sample(
         g.up * (_map(plant.wide_D + g.gamma * sizes, jnp.abs(now.v)) + _map(sizes, now.slip)),
         0,
     )
-    mid, rad = jnp.where(seen, now.mid, 0), jnp.where(seen, now.rad, 0)
-    one = lambda x, i: jax.lax.dynamic_index_in_dim(x, i, 0, keepdims=False)
+    return _Outputs(driven, seen, through, loose, jnp.where(seen, now.mid, 0), jnp.where(seen, now.rad, 0))
 
-    def says(i, c, G, r, size):
-        """Return of output i: (C_i G, its value at the middle, how far it reaches, what rounding and
-        intervals add to that, magnitudes).
-        """
-        row, wide = one(plant.C, i), one(plant.wide_C, i)
-        P = summed(lambda a, x: a * x, row, G)
-        value = summed(lambda a, x: a * x, row, c) + one(through, i)
-        whole = (
-            summed(lambda a, x: abs(a) * x, row, size)
-            + jnp.abs(one(through, i))
-            + jnp.abs(one(mid, i))
-            + one(rad, i)
-        )
-        slack = g.up * (summed(lambda a, x: a * x, wide, size) + one(loose, i) + g.gamma * whole) + g.least
-        return (
-            P,
-            value,
-            g.up * (jnp.sum(jnp.abs(P), 0) + summed(lambda a, x: abs(a) * x, row, r)) + slack,
-            slack,
-            whole,
-        )
 
-    sized = lambda c, G, r: jnp.abs(c) + g.up * jnp.sum(jnp.abs(G), 1) + r
-    first = before = (carry.c, carry.G, carry.r, sized(carry.c, carry.G, carry.r))
-    known = carry.c, jnp.concatenate([carry.G, jnp.zeros((n, p, N), dtype)], 1), carry.r
-    there, lost, whole = seen, jnp.zeros(N, bool), jnp.zeros(N, bool)
-    if plant.free is not None:
-        whole = plant.free.first & (carry.age == 0)  # a first state in bounds is the state itself
-        known, there, lost = known_again(
-            plant.free, _Bounds(plant, carry, p), known, first[3], (mid, rad, through, loose), seen, whole
-        )
-        before = (*known, sized(*known))
+def _sized(g: "_SetRounding", c: Array, G: Array, r: Array) -> _Sets:
+    """Return sets with at least the size of their states."""
+    return _Sets(c, G, r, jnp.abs(c) + g.up * jnp.sum(jnp.abs(G), 1) + r)
 
-    def output(i, state):
-        """Test output i against the set before this sample and as it is by now, then meet its strip."""
-        (c, G, r), size, ratio, wrong = state
-        P, value, reach, slack, whole = says(i, c, G, r, size)
-        _, alone, reach_alone, *_ = says(i, *before)
-        tested, s = one(there, i), one(rad, i)
-        e = one(mid, i) - value
-        for far, bound in ((e, reach + s), (one(mid, i) - alone, reach_alone + s)):
-            ratio = jnp.where(tested, jnp.maximum(ratio, jnp.abs(far) / bound), ratio)
-            wrong |= tested & (jnp.abs(far) > g.up * bound)
-        L = jnp.sum(G * P[None], 1) / (jnp.sum(P * P, 0) + carry.weight * s * s + g.least)[None]
-        L = stored(
-            jnp.where(tested[None] & (jnp.abs(L) < g.steepest), L, 0)
-        )  # one number for all its uses: then any will do
-        far = jnp.abs(L)
-        added = summed(lambda a, x: abs(a) * x, one(plant.C, i), r) + slack + g.gamma * whole
-        r = g.up * (r + far * added[None] + g.gamma * size) + g.least
-        G = G - L[:, None] * P[None]
-        column = L * s[None]
-        if plant.free is not None:  # of an output that is used up already: its error, L being 0
-            column = column + jax.lax.dynamic_index_in_dim(G, q + i, 1, keepdims=False)
-        G = jax.lax.dynamic_update_index_in_dim(G, column, q + i, 1)
-        c = c + L * e[None]
-        largest = sized(
-            c, G, 2 * r
-        )  # what is summed may be rounded otherwise than what is kept, by less than r
-        return (c, G, r), largest, ratio, wrong
 
-    nothing = known, before[3], jnp.zeros(N, dtype), jnp.zeros(N, bool)
-    (c, G, r), size, ratio, wrong = jax.lax.fori_loop(0, p, output, nothing)
-    bounded = jnp.all(size <= g.most, 0)
-    looked = alive & jnp.any(there, 0)
-    empty = carry.empty | (looked & wrong)
-    status = jnp.where(empty, Status.FAULT, jnp.where(looked, Status.UNDECIDED, Status.MISSING)).astype(
-        jnp.int8
+def _row(x: Array, i: jax.Array) -> jax.Array:
+    """Return row i of an array."""
+    return jax.lax.dynamic_index_in_dim(x, i, 0, keepdims=False)
+
+
+def _shown(plant: Numbers, g: "_SetRounding", outputs: _Outputs, i: jax.Array, sets: _Sets) -> _Shown:
+    """Return output i of sets."""
+    row, wide = _row(plant.C, i), _row(plant.wide_C, i)
+    P = summed(_product, row, sets.G)
+    value = summed(_product, row, sets.c) + _row(outputs.through, i)
+    whole = (
+        summed(_size_times, row, sets.size)
+        + jnp.abs(_row(outputs.through, i))
+        + jnp.abs(_row(outputs.mid, i))
+        + _row(outputs.rad, i)
     )
-    margin = jnp.where(looked, 1 - ratio, jnp.nan)
-    age = jnp.where(alive & bounded & ~lost, carry.age + 1, -1)
-    whole &= age == 1
-    ends = jnp.zeros((0, N), dtype), jnp.zeros((0, N), dtype)
-    ready = jnp.where(now.whole, carry.ready + 1, 0)
-    carry = carry._replace(age=age, empty=empty)
-    if start is not None:
-        begin = (age < 0) & (ready > len(carry.mid))
-        filled = lambda begun, size: (
-            *begun,
-            jnp.where(begin[None], sized(*begun[:3]), size),
-        )  # of others nothing changes
-        fill = lambda state: filled(_begun(plant, start, carry, now, begin, *state[:4]), state[4])
-        c, G, r, age, size = jax.lax.cond(jnp.any(begin), fill, lambda state: state, (c, G, r, age, size))
-        carry = carry._replace(age=age)
-    if enclosures:
-        sets = (first, before), (c, G, r)
-        ends = _enclosures(
-            plant, says, sized, *sets, wrong, alive, age >= 0, whole, driven, g, p * (enclosures // 2)
-        )
-    later = lambda past, x: jnp.concatenate([past, x[None]])[1:]
-    past = {name: later(getattr(carry, name), getattr(now, name)) for name in ("mid", "rad", "v", "slip")}
-    ready = jnp.minimum(ready, len(carry.mid))
-    return (
-        carry._replace(c=c, G=G, r=r, ready=ready, **past),
-        size,
-        Found(status, margin, jnp.maximum(age, 0), *ends),
-    )
+    slack = g.up * (summed(_product, wide, sets.size) + _row(outputs.loose, i) + g.gamma * whole) + g.least
+    reach = g.up * (jnp.sum(jnp.abs(P), 0) + summed(_size_times, row, sets.r)) + slack
+    return _Shown(P, value, reach, slack, whole)
 
 
-class _Bounds:
-    """What bounds of rounding are made of. Fields: gamma: share of all magnitudes that one result may be off
-    by; up: factor that covers the rounding of a sum of non-negative numbers; least: more than what underflows
-    cost; most, steepest: largest numbers, and gains.
+def _product(a: jax.Array, x: jax.Array) -> jax.Array:
+    """Return a x."""
+    return a * x
+
+
+def _size_times(a: jax.Array, x: jax.Array) -> jax.Array:
+    """Return |a| x."""
+    return abs(a) * x
+
+
+def _met(
+    plant: Numbers,
+    g: "_SetRounding",
+    weight: Array,
+    sets: _Sets,
+    shown: _Shown,
+    strip: tuple[jax.Array, jax.Array, jax.Array],
+    i: jax.Array,
+    q: int,
+) -> _Sets:
+    """Return sets met with the strip of output i.
+
+    Args:
+        strip: (e, s, tested): |e - C (x - c)| <= s where it is tested. q: the column of the first output.
+    """
+    e, s, tested = strip
+    P = shown.P
+    L = jnp.sum(sets.G * P[None], 1) / (jnp.sum(P * P, 0) + weight * s * s + g.least)[None]
+    # one number for all its uses: then any will do
+    L = stored(jnp.where(tested[None] & (jnp.abs(L) < g.steepest), L, 0))
+    far = jnp.abs(L)
+    added = summed(_size_times, _row(plant.C, i), sets.r) + shown.slack + g.gamma * shown.whole
+    r = g.up * (sets.r + far * added[None] + g.gamma * sets.size) + g.least
+    G = sets.G - L[:, None] * P[None]
+    column = L * s[None]
+    if plant.free is not None:  # of an output that is used up already: its error, L being 0
+        column = column + jax.lax.dynamic_index_in_dim(G, q + i, 1, keepdims=False)
+    G = jax.lax.dynamic_update_index_in_dim(G, column, q + i, 1)
+    c = sets.c + L * e[None]
+    # what is summed may be rounded otherwise than what is kept, by less than r
+    return _Sets(c, G, r, _sized(g, c, G, 2 * r).size)
+
+
+_State: TypeAlias = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
+"""c, G, r, age and size of sets."""
+
+
+def _begun_where(
+    plant: Numbers,
+    start: Start,
+    carry: ZonotopeCarry,
+    now: Read,
+    g: "_SetRounding",
+    begins: jax.Array,
+    sets: _Sets,
+    age: jax.Array,
+) -> tuple[_Sets, jax.Array]:
+    """Return (sets, age), where it begins those that the last samples alone allow."""
+
+    def begun(state: _State) -> _State:
+        c, G, r, age, size = state
+        c, G, r, age = _begun(plant, start, carry, now, begins, _Sets(c, G, r, size), age)
+        # of others nothing changes
+        return c, G, r, age, jnp.where(begins[None], _sized(g, c, G, r).size, size)
+
+    def left(state: _State) -> _State:
+        return state
+
+    state = sets.c, sets.G, sets.r, age, sets.size
+    c, G, r, age, size = jax.lax.cond(jnp.any(begins), begun, left, state)
+    return _Sets(c, G, r, size), age
+
+
+def _later(past: Array, x: Array) -> jax.Array:
+    """Return the last samples with one more, without the oldest."""
+    return jnp.concatenate([past, x[None]])[1:]
+
+
+class _SetRounding:
+    """The factors of bounds of rounding.
+
+    Fields: gamma: share of all magnitudes that one result may be off by; up: factor that covers the rounding
+    of a sum of non-negative numbers; least: more than underflow costs; most, steepest: largest numbers, and
+    gains.
     """
 
-    def __init__(self, plant, carry, more=0):
-        """more: terms that sums have beyond those of a step."""
+    def __init__(self, plant: Numbers, carry: ZonotopeCarry, more: int = 0) -> None:
+        """Take the sizes of a plant and its sets. more: terms that sums have beyond those of a step."""
         (n, m), (p, _), (_, q, _), dtype = plant.B.shape, plant.C.shape, carry.G.shape, carry.G.dtype
-        wide = dtype == np.float64
-        number = lambda x: np.asarray(x, dtype)
+        least, steepest = 2.0**-46, 2.0**20
+        if dtype == np.float64:
+            least, steepest = 2.0**-500, 2.0**60
+        terms = q + p + plant.W.shape[1] + 4 * (n + m) + 64 + more
         self.gamma = rounding.product_error(n + m + 8 + more, dtype)[0]
-        self.up = number(
-            1 + 4 * (q + p + plant.W.shape[1] + 4 * (n + m) + 64 + more) * float(rounding.unit(dtype))
-        )
-        self.least = number(2.0**-500 if wide else 2.0**-46)
-        self.most, self.steepest = _largest(dtype), number(2.0**60 if wide else 2.0**20)
+        self.up = np.asarray(1 + 4 * terms * float(rounding.unit(dtype)), dtype)
+        self.least, self.steepest = np.asarray(least, dtype), np.asarray(steepest, dtype)
+        self.most = _largest(dtype)
 
 
-def _map(M, X):
+def _map(M: Array, X: Array) -> jax.Array:
     """Return M X for M (r, n), X (n, N)."""
     if not len(X):
         return jnp.zeros((len(M), X.shape[1]), X.dtype)
-    return summed(lambda column, row: column[:, None] * row[None], M, X, axes=(1, 0))
+    return summed(_outer, M, X, axes=(1, 0))
 
 
-def _begun(plant, start, carry, now, begin, c, G, r, age):
+def _outer(column: jax.Array, row: jax.Array) -> jax.Array:
+    """Return a column (r,) times a row (.., N)."""
+    return column[(slice(None), *[None] * row.ndim)] * row[None]
+
+
+def _begun(
+    plant: Numbers,
+    start: Start,
+    carry: ZonotopeCarry,
+    now: Read,
+    begin: jax.Array,
+    sets: _Sets,
+    age: jax.Array,
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Return (c, G, r, age), where it begins those of the set that the last samples alone allow."""
-    (n, wide, N), h = G.shape, len(carry.mid)
-    g = _Bounds(plant, carry, start.K.shape[1] + start.U.shape[1] + start.W.shape[1])
-    join = lambda name: jnp.concatenate([getattr(carry, name), getattr(now, name)[None]]).reshape(-1, N)
-    mid, rad, v, slip = (join(name) for name in ("mid", "rad", "v", "slip"))
+    (n, wide, N), h = sets.G.shape, len(carry.mid)
+    g = _SetRounding(plant, carry, start.K.shape[1] + start.U.shape[1] + start.W.shape[1])
+    mid, rad = _all_samples(carry.mid, now.mid), _all_samples(carry.rad, now.rad)
+    v, slip = _all_samples(carry.v, now.v), _all_samples(carry.slip, now.slip)
     rad = jnp.where(begin[None], rad, 0)
     K, U = jnp.abs(start.K), jnp.abs(start.U)
     centre = _map(start.K, mid) + _map(start.U, v) + start.w[:, None]
@@ -421,26 +580,36 @@ def _begun(plant, start, carry, now, begin, c, G, r, age):
     loose = _map(start.wide_K, jnp.abs(mid) + rad) + _map(start.wide_U, jnp.abs(v)) + start.wide[:, None]
     off = g.up * (_map(U, slip) + g.gamma * whole + loose) + g.least
     columns = [start.K[:, :, None] * rad[None], jnp.broadcast_to(start.W[:, :, None], (*start.W.shape, N))]
-    found, off, _ = _reduced(jnp.concatenate([jnp.zeros((n, wide, N), G.dtype), *columns], 1), off, wide, g)
-    pick = lambda new, old: jnp.where(begin.reshape(*[1] * (new.ndim - 1), N), new, old)
-    return pick(centre, c), pick(found, G), pick(off, r), jnp.where(begin, h + 1, age)
+    generators = jnp.concatenate([jnp.zeros((n, wide, N), sets.G.dtype), *columns], 1)
+    G, off, _ = _reduced(generators, off, wide, g)
+
+    def pick(new: jax.Array, old: jax.Array) -> jax.Array:
+        return jnp.where(begin.reshape(*[1] * (new.ndim - 1), N), new, old)
+
+    return pick(centre, sets.c), pick(G, sets.G), pick(off, sets.r), jnp.where(begin, h + 1, age)
+
+
+def _all_samples(past: Array, now: Array) -> jax.Array:
+    """Return the last samples and this one, one above the other."""
+    return jnp.concatenate([past, now[None]]).reshape(-1, now.shape[-1])
 
 
 def step_of_time(plant: Numbers, carry: ZonotopeCarry, size: jax.Array, now: Read) -> ZonotopeCarry:
-    """Move the set on by one sample, and put its smallest generators into a box. size (n, N): at least what
-    each state is.
+    """Move the set on by one sample, and put its smallest generators into a box.
+
+    Args:
+        size (n, N): at least the size of each state.
     """
-    g, A, (c, G, r), v = _Bounds(plant, carry), jnp.abs(plant.A), carry[:3], jnp.abs(now.v)
+    g, A, (c, G, r), v = _SetRounding(plant, carry), jnp.abs(plant.A), carry[:3], jnp.abs(now.v)
     N, q = c.shape[-1], G.shape[1] - len(plant.C)
     off = (
         _map(plant.wide_A + g.gamma * A, size)
         + _map(plant.wide_B + g.gamma * jnp.abs(plant.B), v)
         + _map(jnp.abs(plant.B), now.slip)
     )
-    lift = lambda x: x[:, None]
-    r = g.up * (_map(A, r) + off + lift(plant.wide_w + g.gamma * jnp.abs(plant.w))) + g.least
-    c = _map(plant.A, c) + _map(plant.B, now.v) + lift(plant.w)
-    moved = summed(lambda column, x: column[:, None, None] * x[None], plant.A, G, axes=(1, 0))
+    r = g.up * (_map(A, r) + off + (plant.wide_w + g.gamma * jnp.abs(plant.w))[:, None]) + g.least
+    c = _map(plant.A, c) + _map(plant.B, now.v) + plant.w[:, None]
+    moved = summed(_outer, plant.A, G, axes=(1, 0))
     G = jnp.concatenate([moved, jnp.broadcast_to(plant.W[:, :, None], (*plant.W.shape, N))], 1)
     G, r, reach = _reduced(G, r, q, g)
     bounded = jnp.all(jnp.abs(c) + g.up * reach + r <= g.most, 0)
@@ -449,21 +618,13 @@ def step_of_time(plant: Numbers, carry: ZonotopeCarry, size: jax.Array, now: Rea
     return carry._replace(c=c, G=G, r=r, age=jnp.where(lost, -1, carry.age))
 
 
-def _reduced(G, r, q, g):
+def _reduced(G: jax.Array, r: jax.Array, q: int, g: _SetRounding) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (q generators, r, sum of their sizes) of a set that holds the one of G (n, Q, N) and r.
 
     The smallest are in a box, if it has more than q.
     """
     n, Q, N = G.shape
-    bits, below = (np.int64 if G.dtype == np.float64 else np.int32), power(Q) - 1
-    sizes = list(
-        jnp.abs(G)
-    )  # row by row: a reduction over few rows is no vector code, and cost a quarter of a step
-    key = jnp.maximum(
-        reduce(jnp.add, sizes) - reduce(jnp.maximum, sizes), 0
-    )  # for the order alone; its last digits count the columns
-    key = (jax.lax.bitcast_convert_type(key, bits) & bits(~below)) | jnp.arange(Q, dtype=bits)[:, None]
-    S = jnp.take_along_axis(G, (jnp.sort(key, 0) & bits(below))[None], 1)
+    S = _sorted_by_length(G)
     rest, some, kept = S[:, : Q - q], S[:, Q - q : Q - q + n], S[:, Q - q + n :]
     boxed, few, many = (jnp.sum(jnp.abs(x), 1) for x in (rest, some, kept))
     free = jnp.all(some == 0, (0, 1)) & jnp.any(r > 2.0**-36 * many, 0)  # r moved as a box would grow
@@ -478,47 +639,98 @@ def _reduced(G, r, q, g):
     )
 
 
-def _enclosures(plant, says, sized, before, after, wrong, tested, there, whole, driven, g, p):
-    """Return the ends (2 n, N) of the states and (4 p, N) of the p outputs.
+def _sorted_by_length(G: jax.Array) -> jax.Array:
+    """Return generators (n, Q, N) in the order of their 1-norm less the largest entry, the smallest first."""
+    Q, below = G.shape[1], power(G.shape[1]) - 1
+    bits: type[np.int32] | type[np.int64] = np.int32
+    if G.dtype == np.float64:
+        bits = np.int64
+    # row by row: a reduction over few rows is no vector code, and cost a quarter of a step
+    sizes = list(jnp.abs(G))
+    # for the order alone; its last digits count the columns
+    key = jnp.maximum(reduce(jnp.add, sizes) - reduce(jnp.maximum, sizes), 0)
+    key = (jax.lax.bitcast_convert_type(key, bits) & bits(~below)) | jnp.arange(Q, dtype=bits)[:, None]
+    return jnp.take_along_axis(G, (jnp.sort(key, 0) & bits(below))[None], 1)
 
-    before: the set, and what unknown inputs leave of it. driven (p, N): the outputs that no missing input
-    acts on.
+
+class _Around(NamedTuple):
+    """The sets around one sample, and which of them hold.
+
+    Fields: first: before it; before: without unknown inputs; after: with it; refuted, tested, there (N,):
+    whether it contradicts the set before it, whether there is one, and one after it; whole (N,): whether the
+    set before it is of the state itself.
     """
-    free, (state, before) = plant.free, before
-    hull = lambda c, G, r, *_: _outward(c, jnp.sum(jnp.abs(G), 1) + r, g)
-    inf = lambda x, where: jnp.where(where[None], x, jnp.inf)
-    prior, now = inf(hull(*state), tested), inf(hull(*after), there)
+
+    first: _Sets
+    before: _Sets
+    after: _Sets
+    refuted: jax.Array
+    tested: jax.Array
+    there: jax.Array
+    whole: jax.Array
+
+
+def _enclosures(
+    plant: Numbers, g: _SetRounding, outputs: _Outputs, sets: _Around, p: int
+) -> tuple[jax.Array, jax.Array]:
+    """Return the ends (2 n, N) of the states and (4 p, N) of the p outputs."""
+    free = plant.free
+    prior, now = _where(_hull(sets.first, g), sets.tested), _where(_hull(sets.after, g), sets.there)
     if free is not None:
-        blind = lambda x, some: jnp.where(
-            jnp.tile(some, len(x) // len(some))[:, None] & ~whole[None], jnp.inf, x
-        )
-        prior, now = blind(prior, free.before), blind(now, free.after)
-    refuted = (wrong & tested)[None]
+        prior, now = _blind(prior, free.before, sets.whole), _blind(now, free.after, sets.whole)
+    refuted = (sets.refuted & sets.tested)[None]
     states = jnp.where(refuted, prior, jnp.minimum(prior, now))
     if not p:
         return states, states[:0]
-
-    def shown(values, where):
-        value, reach = values
-        y0 = plant.y0[:, None]
-        ends = _outward(value + y0, reach + 4 * g.gamma * (jnp.abs(value) + jnp.abs(y0)), g)
-        return inf(jnp.where(jnp.concatenate([driven, driven]), ends, jnp.inf), where)
-
     rows = jnp.arange(p)
-    of = lambda sets: jax.lax.map(lambda i: says(i, *sets)[1:3], rows)
-    first = shown(of(before), tested)
+    first = _shown_ends(plant, g, outputs, rows, sets.before, sets.tested)
     if free is not None:
-        first = blind(first, free.shown)
-    second = shown(of((*after, sized(*after))), there)
+        first = _blind(first, free.shown, sets.whole)
+    after = _sized(g, *sets.after[:3])
+    second = _shown_ends(plant, g, outputs, rows, after, sets.there)
     return states, jnp.concatenate([first, jnp.where(refuted, first, jnp.minimum(first, second))])
 
 
-def _outward(middle, reach, g):
+def _hull(sets: _Sets, g: _SetRounding) -> jax.Array:
+    """Return the ends of the states of sets."""
+    return _outward(sets.c, jnp.sum(jnp.abs(sets.G), 1) + sets.r, g)
+
+
+def _where(ends: jax.Array, known: jax.Array) -> jax.Array:
+    """Return ends that are infinite where nothing is known."""
+    return jnp.where(known[None], ends, jnp.inf)
+
+
+def _blind(ends: jax.Array, moved: Array, whole: jax.Array) -> jax.Array:
+    """Return ends that are infinite where unknown inputs moved them, but of a set of the state itself."""
+    both = jnp.tile(moved, len(ends) // len(moved))
+    return jnp.where(both[:, None] & ~whole[None], jnp.inf, ends)
+
+
+def _shown_ends(
+    plant: Numbers, g: _SetRounding, outputs: _Outputs, rows: jax.Array, sets: _Sets, known: jax.Array
+) -> jax.Array:
+    """Return the ends of the outputs of sets, as perfect sensors would show them."""
+
+    def value_and_reach(i: jax.Array) -> tuple[jax.Array, jax.Array]:
+        shown = _shown(plant, g, outputs, i, sets)
+        return shown.value, shown.reach
+
+    value, reach = jax.lax.map(value_and_reach, rows)
+    y0 = plant.y0[:, None]
+    ends = _outward(value + y0, reach + 4 * g.gamma * (jnp.abs(value) + jnp.abs(y0)), g)
+    driven = jnp.concatenate([outputs.driven, outputs.driven])
+    return _where(jnp.where(driven, ends, jnp.inf), known)
+
+
+def _outward(middle: jax.Array, reach: jax.Array, g: _SetRounding) -> jax.Array:
     """Return ends -lo, hi, one above the other."""
     reach = g.up * (reach + g.gamma * jnp.abs(middle)) + g.least
     return jnp.concatenate([reach - middle, reach + middle])
 
 
-def _largest(dtype):
+def _largest(dtype: np.dtype) -> np.ndarray:
     """Return the largest number that a set may speak of."""
-    return np.asarray(2.0**300 if dtype == np.float64 else 2.0**40, dtype)
+    if dtype == np.float64:
+        return np.asarray(2.0**300, dtype)
+    return np.asarray(2.0**40, dtype)

@@ -166,7 +166,7 @@ def inside(edges: np.ndarray, start: int, count: int) -> tuple[int, int, np.ndar
 
 
 def thinning(count: int, drawn: int, what: str) -> str:
-    """Return what a title says of points that stand for many samples, or nothing."""
+    """Return the part of a title on points that stand for many samples, empty where they do not."""
     return f"   (each of {drawn} points: {what} of about {count // drawn} samples)" if drawn < count else ""
 
 

@@ -36,7 +36,8 @@ const powers = (bottom) => {
   for (let n = 0; n < count; n += 1 + Math.floor(count / 4)) marks.push(-(10 ** n));
   return marks.reverse();
 };
-const marks = { margin: (u, i, bottom) => powers(bottom), combination: (u, i, bottom) => (bottom < -4 ? [-1, 1] : [-1, 0, 1]) };
+const shares = (bottom) => (bottom < -6 ? [-10, 1, 10] : bottom < -3 ? [-1, 1] : [-1, 0, 1]);
+const marks = { margin: (u, i, bottom) => powers(bottom), combination: (u, i, bottom) => shares(bottom) };
 
 // What is painted behind the lines: a box for each stretch of points that are on.
 const boxes = (u, piece, on, name) => {

@@ -1,11 +1,14 @@
 """The page of a detection: verdict, charts, alarms with their proofs, model and bounds."""
 
 import contextlib
+import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import singledispatch
 from pathlib import Path
 from typing import Any, cast
+
+import numpy as np
 
 from jaxbound.consistency.interface import LinearRelations
 from jaxbound.diagnosis.alarms import Alarm
@@ -13,6 +16,7 @@ from jaxbound.diagnosis.observed import ObserverResult
 from jaxbound.diagnosis.result import Result
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.plots.residuals import distinct_relations
+from jaxbound.recordings.recording import Recording
 from jaxbound.relations.sentence import looked_at
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.reports.chart import picture_of
@@ -30,15 +34,13 @@ __all__ = ["write_report"]
 ROWS = 200  # alarms in the table
 LINES = 20  # relations in words
 PATIENCE = 1.0  # seconds for the exact certificates of the table
-# readings in a window from which on the errors of single sensors are left to `explain`: 122 take a minute
-# each
-LARGE = 64
+LARGE = 64  # readings from which on the errors of single sensors are left to `explain`: 122 take a minute
 
 
 def write_report(
     directory: str | Path,
-    res: Any,
-    recording: Any,
+    res: Result | Digest,
+    recording: Recording | Digest,
     alarms: Sequence[Alarm],
     summary: Summary,
     *,
@@ -62,10 +64,11 @@ def write_report(
         The names of the files written.
     """
     relations, model, part = res.relations, res.relations.model, isinstance(res, Digest)
-    dtype = res.data.dtype if part else res.y.dtype
+    dtype = res.data.dtype if isinstance(res, Digest) else res.y.dtype
+    worst = summary.worst.sample if summary.worst else None
     chosen = sorted(range(len(alarms)), key=lambda i: _depth(alarms[i]))[:ROWS]
     why = _certified(res, alarms, chosen)
-    drawn = charts(res, recording, alarms, chosen, why, summary.worst.sample if summary.worst else None)
+    drawn = charts(res, recording, alarms, chosen, why, worst)
     if progress:
         progress(0.5)
     page = render(
@@ -86,14 +89,15 @@ def write_report(
         signals=(len([row for row in drawn.rows if row.key.startswith("s")]), model.p + model.m),
         combined=any(stretch["combined"] for stretch in drawn.near),
         relations_alone=isinstance(relations, UncertainRelations),
-        bands=any(key.endswith(":band") for stretch in drawn.near for key in stretch["series"]),
+        bands=_has_bands(drawn.near[0]["series"]),
+        bands_of_all=_has_bands(drawn.whole.low),
         alarms=_alarm_rows(res, recording, alarms, chosen, why),
         alarm_total=summary.alarms,
         most=ROWS,
         sizes=sizes_text(res, summary.sizes),
         part=part,
         method=res.method,
-        model=model_values(model, relations.bounds),
+        model=model_values(model, cast(Mapping[str, np.ndarray], relations.bounds)),
         **about(relations),
         computed=computed(res.method, looked_at(relations), dtype, seconds or {}),
     )
@@ -103,42 +107,60 @@ def write_report(
     return [file]
 
 
-def _picture(res: Result | Digest, recording: Any, alarms: Sequence[Alarm]) -> bytes:
+def _picture(res: Result | Digest, recording: Recording | Digest, alarms: Sequence[Alarm]) -> bytes:
     """Return the picture of the whole recording for readers without scripts."""
     if isinstance(res, Digest):
         return picture_of(res)
-    return picture_of(res, time=shown_time(recording, len(res.status)), alarms=alarms)
+    return picture_of(res, time=shown_time(cast(Recording, recording), len(res.status)), alarms=alarms)
 
 
-def _depth(alarm):
-    return alarm.depth if alarm.depth == alarm.depth else 0.0  # NaN where the test measures no margin
+def _has_bands(keys: Iterable[str]) -> bool:
+    return any(key.endswith(":band") for key in keys)
 
 
-def _alarm_rows(res, recording, alarms, chosen, why):
+def _depth(alarm: Alarm) -> float:
+    """Return the margin of the worst window, 0 where the test measures none."""
+    return 0.0 if math.isnan(alarm.depth) else alarm.depth
+
+
+def _alarm_rows(
+    res: Result | Digest,
+    recording: Recording | Digest,
+    alarms: Sequence[Alarm],
+    chosen: Sequence[int],
+    why: Mapping[int, Any],
+) -> list[tuple]:
     """Return the rows of the deepest alarms in order of time."""
     rows = []
     for i in sorted(chosen):
         a = alarms[i]
         lasts = float(recording.time[a.end] - recording.time[a.start]) + res.relations.model.dt
-        needed = "" if a.depth != a.depth else f"× {factor(1 - a.depth)}"
+        needed, wrong, violated, since = "", "", "", ""
+        if not math.isnan(a.depth):
+            needed = f"× {factor(1 - a.depth)}"
+        if i in why:
+            wrong, violated = _sensor_errors(why[i]), why[i].relation
+        if isinstance(res, ObserverResult):
+            since = _since(res, recording, a.worst)
         begun, ended = recording.label(a.start), recording.label(a.end)
-        wrong, violated = (_sensor_errors(why[i]), why[i].relation) if i in why else ("", "")
-        since = _since(res, recording, a.worst) if isinstance(res, ObserverResult) else ""
         rows.append(
             (i + 1, begun, ended, duration(lasts), a.windows, needed, wrong, violated, a.ended, since)
         )
     return rows
 
 
-def _since(res, recording, k):
-    """Return the time of the sample that what an observer says of sample k rests on."""
+def _since(res: ObserverResult, recording: Recording | Digest, k: int) -> str:
+    """Return the time of the first sample that the verdict of an observer on sample k rests on."""
     first = int(res.observation.since[k]) - int(res.relations.begin().samples)
-    return recording.label(first) if first >= 0 else "a recording before"
+    if first < 0:
+        return "a recording before"
+    return recording.label(first)
 
 
-def _certified(res, alarms, chosen):
+def _certified(res: Result | Digest, alarms: Sequence[Alarm], chosen: Sequence[int]) -> dict[int, Any]:
     """Return {i: certificate of the worst window}, of as many alarms as patience allows."""
-    stop, why = time.perf_counter() + PATIENCE, {}
+    stop = time.perf_counter() + PATIENCE
+    why: dict[int, Any] = {}
     for i in chosen:
         if time.perf_counter() >= stop:
             break
@@ -147,16 +169,15 @@ def _certified(res, alarms, chosen):
     return why
 
 
-def _sensor_errors(certificate):
+def _sensor_errors(certificate: Any) -> str:
     """Return the smallest single-sensor errors as text, the most plausible first, where they are known."""
-    if len(certificate.window.y) > LARGE:
+    if len(certificate.window.y) > LARGE or not certificate.errors:
         return ""
-    errors, unit = certificate.errors, certificate.window.model.unit
-    if not errors:
-        return ""
-    wrong = []
+    unit, wrong = certificate.window.model.unit, []
     for name in certificate.candidates:
-        size = f"{float(errors[name]):.3g} {unit(name)}".strip() if name in errors else "(actuator)"
+        size = "(actuator)"
+        if name in certificate.errors:
+            size = f"{float(certificate.errors[name]):.3g} {unit(name)}".strip()
         wrong.append(f"{name} {size}")
     return ", ".join(wrong) or "none alone"
 
@@ -174,7 +195,7 @@ def _(observer: SetObserver):
 
 @singledispatch
 def about(relations: Any) -> dict[str, object]:
-    """Return what the page says of what was tested: of relations how many, those that differ, how they are
+    """Return the values of the template that describe relations: their number and text, how they are
     tested.
     """
     lines, distinct = relations.text().splitlines(), distinct_relations(relations)
@@ -191,7 +212,7 @@ def about(relations: Any) -> dict[str, object]:
 
 @about.register
 def _(observer: SetObserver):
-    """Return what the page says of an observer."""
+    """Return those of an observer: its order, its weights, whether it begins anew."""
     return {
         "order": f"{observer.order:g}",
         "weights": ", ".join(f"{w:g}" for w in observer.weights),
@@ -199,8 +220,8 @@ def _(observer: SetObserver):
     }
 
 
-def _tested(relations):
-    """Say how their combinations are tested."""
+def _tested(relations: Any) -> str:
+    """Return the way in which combinations of relations are tested, in words."""
     if isinstance(relations, UncertainRelations):
         count = len(relations.variables)
         about = f"they are polynomials of order {relations.order} in {count} uncertain numbers"

@@ -55,8 +55,8 @@ def _source(name):
     return Markup((HOME / name).read_text(encoding="utf-8"))
 
 
-def _readable(value):
-    """Return what is shown of a value: no control characters, which a name may hold."""
+def _readable(value: object) -> object:
+    """Return a value as text without control characters, which a name may hold."""
     if hasattr(value, "__html__"):  # of a macro, in which each value was
         return value
     return printable(str(value), keep="\n")

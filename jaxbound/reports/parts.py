@@ -1,4 +1,4 @@
-"""What several pages show: a model with its bounds, and what a result was computed with."""
+"""Tables of several pages: a model with its bounds, and the versions and device of a result."""
 
 import platform
 import time
@@ -17,7 +17,7 @@ DIGITS = 12  # of an exact number, beyond which it is rounded
 
 
 def model_values(model: LinearSystem, bounds: Mapping[str, np.ndarray | Vector]) -> dict[str, object]:
-    """Return what the macro `model_tables` shows of a model with bounds {"tolerance", "noise"} (p,)."""
+    """Return the values of the macro `model_tables`: of a model with bounds {"tolerance", "noise"} (p,)."""
     return {
         "bounded": ("output", "column", "unit", "offset", *_headed(model)),
         "outputs": [(*_signal(model, "y", i), *_bounds(model, bounds, i)) for i in range(model.p)],
@@ -88,8 +88,8 @@ def _short(x):
 def computed(
     method: str, rests_on: str, dtype: np.dtype, seconds: Mapping[str, float]
 ) -> list[tuple[str, str]]:
-    """Return rows of what a report was computed with. rests_on: what a verdict looks at. seconds: {stage:
-    seconds}.
+    """Return the rows on method, versions, device and time. rests_on: the samples that a verdict looks at, in
+    words. seconds: {stage: seconds}.
     """
     import jax
 

@@ -168,7 +168,7 @@ def _delay(samples):
 
 
 def sentence(res: StudyResult) -> str:
-    """Return what a study counted as a sentence."""
+    """Return the counts of a study as a sentence."""
     false, clean = res.false_alarms
     if false:
         how = "the plant is not what the monitor takes it for"

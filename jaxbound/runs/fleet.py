@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -19,7 +20,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from jaxbound.consistency.engine import in_order, stretches_for
-from jaxbound.consistency.interface import FAMILIES
 from jaxbound.diagnosis.again import again_hints
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import outgrown
@@ -36,6 +36,7 @@ from jaxbound.relations.parity import parity_relations
 from jaxbound.relations.sentence import remembers
 from jaxbound.runs.continuation import Continuation, alone, beside, followed
 from jaxbound.runs.endings import ending_hints
+from jaxbound.runs.loop import follow
 from jaxbound.runs.summary import CODES, OUTSIDE, Summary, summarised
 from jaxbound.text.objects import readable
 
@@ -239,7 +240,7 @@ def detect_fleet(
         UnitResult. What is wrong with a unit makes it "not tested" and leaves the others alone.
     """
     if client is not None:
-        how = {
+        same = {
             "method": method,
             "horizon": horizon,
             "alarm": alarm,
@@ -247,60 +248,131 @@ def detect_fleet(
             "lags": lags,
             "options": options,
             "state": state,
+            "page": page,
         }
-        yield from _spread_out(client, _Fleet(how | {"page": page}), units, progress)
+        yield from _spread_out(client, _Fleet(same), units, progress)
         return
-    report, shared = progress or (lambda share: None), Counter(unit.model for unit in units)
-    models: dict[Path, tuple[Any, Any]] = {}
-    ahead = SIDE if method == SetObserver.method else AHEAD
+    report = progress or (lambda share: None)
+    how = _How(method, horizon, lags, options, state, alarm, min_coverage)
+    results, done = _Collected(page), 0
+    try:
+        for _ in follow(_groups(units, how), partial(_tested, how=how), [results]):
+            for found in results.take():
+                yield found
+                done += 1
+                report(done / len(units))
+    except KeyboardInterrupt:  # some of those that are followed side by side may be done
+        yield from results.take()
+        raise
 
-    def prepare(unit):
-        model, relations = models.get(unit.model) or (load_model(unit.model), None)
+
+class _How(NamedTuple):
+    """How the units of a fleet are tested, see `detect_fleet`."""
+
+    method: str
+    horizon: int | None
+    lags: Sequence[int] | None
+    options: Mapping[str, Any] | None
+    state: str | PathLike[str] | None
+    alarm: tuple[int, int]
+    min_coverage: float
+
+    @property
+    def ahead(self) -> int:
+        """How many units are read while another is tested."""
+        return SIDE if self.method == SetObserver.method else AHEAD
+
+
+class _Collected:
+    """A sink that makes the pages of units, and keeps what was found until somebody takes it."""
+
+    def __init__(self, page: Callable[..., str] | None) -> None:
+        self.page = page
+        self.results: list[UnitResult] = []
+
+    def add(self, result: UnitResult, about: tuple[Any, ...] | None) -> None:
+        """Make the page of a unit that was tested."""
+        if self.page is not None and about is not None:
+            result = result._replace(report=self.page(result.unit, *about, result.summary))
+        self.results.append(result)
+
+    def take(self) -> list[UnitResult]:
+        """Return the results since the last call."""
+        results, self.results = self.results, []
+        return results
+
+    def memory(self) -> None:
+        """Return None: what goes on of a unit is in its Continuation."""
+
+    def flush(self) -> None:
+        """Do nothing: results wait for whoever takes them."""
+
+
+Group = list[tuple[Unit, "Future[_Given]"]]
+
+
+def _groups(units: Sequence[Unit], how: _How) -> Iterator[Group]:
+    """Yield the units that are tested together, each with what is read of it beside.
+
+    An observer follows units of one model side by side; others are tested one by one.
+    """
+    reader = _Reader(units, how)
+    with ThreadPoolExecutor(1) as beside:
+        waiting: deque[tuple[Unit, Future[_Given]]] = deque()
+        left = deque(units)
+        try:
+            while left or waiting:
+                while left and len(waiting) < how.ahead:
+                    unit = left.popleft()
+                    waiting.append((unit, beside.submit(reader.read, unit)))
+                group = [waiting.popleft()]
+                while how.ahead == SIDE and waiting and waiting[0][0].model == group[0][0].model:
+                    group.append(waiting.popleft())
+                yield group
+        finally:
+            for _, job in waiting:
+                job.cancel()
+
+
+class _Reader:
+    """Reads units; what units of one model have in common is made once."""
+
+    def __init__(self, units: Sequence[Unit], how: _How) -> None:
+        self.how = how
+        self.shared = Counter(unit.model for unit in units)
+        self.models: dict[Path, tuple[Any, Any]] = {}
+
+    def read(self, unit: Unit) -> "_Given":
+        """Return one unit, read."""
+        how = self.how
+        model, relations = self.models.get(unit.model) or (load_model(unit.model), None)
         source = open_source(unit.recording, model)
-        held, recording = None if state is None else source.content, source.read()
-        longest = max(lags) if lags else model.horizon if horizon is None else horizon
-        if state is None:
-            refuse_short(unit.recording, recording.samples, longest if ahead == AHEAD else None)
-        if relations is None and method == SetObserver.method:
-            relations = observer(model, horizon=horizon, **options or {})
-        if relations is None and method in FAMILIES:
-            relations = FAMILIES[method](model, horizon)
-        relations = relations or parity_relations(model, horizon, lags=lags)
-        if shared[unit.model] > 1:
-            models[unit.model] = model, relations
-        if state is None:
+        content = None if how.state is None else source.content
+        recording = source.read()
+        if how.state is None:
+            longest = self._longest(model)
+            refuse_short(unit.recording, recording.samples, longest if how.ahead == AHEAD else None)
+        if relations is None:
+            relations = self._relations(model)
+        if self.shared[unit.model] > 1:
+            self.models[unit.model] = model, relations
+        if how.state is None:
             return _Given(model, relations, recording)
-        kept = Continuation(state, unit.name, relations, method, held)
+        kept = Continuation(how.state, unit.name, relations, how.method, content)
         recording, carry, known = kept.joined(recording)
         return _Given(model, relations, recording, kept, carry, known)
 
-    with ThreadPoolExecutor(1) as beside:
-        waiting: deque[Future] = deque()
-        try:
-            done = 0
-            while done < len(units):
-                while len(waiting) < ahead and done + len(waiting) < len(units):
-                    waiting.append(beside.submit(prepare, units[done + len(waiting)]))
-                count = next(
-                    (
-                        i
-                        for i in range(1, len(waiting))
-                        if ahead == AHEAD or units[done + i].model != units[done].model
-                    ),
-                    len(waiting),
-                )
-                together, jobs = units[done : done + count], [waiting.popleft() for _ in range(count)]
-                for found, about in _tested(together, jobs, method, alarm, min_coverage):
-                    yield (
-                        found._replace(report=page(found.unit, *about, found.summary))
-                        if page and about
-                        else found
-                    )
-                    done += 1
-                    report(done / len(units))
-        finally:
-            for job in waiting:
-                job.cancel()
+    def _longest(self, model: Any) -> Any:
+        """Return the horizon of the windows of a model, before its relations are made."""
+        if self.how.lags:
+            return max(self.how.lags)
+        return model.horizon if self.how.horizon is None else self.how.horizon
+
+    def _relations(self, model: Any) -> Any:
+        """Return the relations of a model, or its observer."""
+        if self.how.method == SetObserver.method:
+            return observer(model, horizon=self.how.horizon, **self.how.options or {})
+        return parity_relations(model, self.how.horizon, lags=self.how.lags)
 
 
 class _Given(NamedTuple):
@@ -338,19 +410,15 @@ def _spread_out(client, fleet, units, progress):
             progress(done / len(units))
 
 
-def _tested(units, jobs, method, alarm, min_coverage):
+def _tested(group, how):
     """Yield (UnitResult, (Result, Recording, alarms) or None) of units of one model."""
-    read = [_tried(unit, job.result) for unit, job in zip(units, jobs, strict=True)]
-    given = [x for x in read if not isinstance(x, UnitResult)]
+    read = [(unit, _tried(unit, job.result)) for unit, job in group]
+    given = [x for _, x in read if not isinstance(x, UnitResult)]
     alike = _side_by_side(given) if len(given) > 1 else {}
-    for unit, x in zip(units, read, strict=True):
+    for unit, x in read:
         if not isinstance(x, UnitResult):
-            x = _tried(
-                unit,
-                lambda unit=unit, x=x: _judged(
-                    unit, x, method, alarm, min_coverage, alike.get(id(x.recording))
-                ),
-            )
+            together = alike.get(id(x.recording))
+            x = _tried(unit, partial(_judged, unit, x, how.method, how.alarm, how.min_coverage, together))
         yield (x, None) if isinstance(x, UnitResult) else x
 
 

@@ -1,7 +1,7 @@
 """Counts of verdicts that come in pieces: of each status, of alarms, the worst window."""
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +16,7 @@ __all__ = ["AlarmEnds", "Event", "Tally", "alarm_goes_on"]
 
 When = str | float
 FAULT = int(Status.FAULT)
+REMEMBERED = "counts", "samples", "aside", "recent", "first", "worst", "tightest", "last"
 
 
 class Event(NamedTuple):
@@ -72,9 +73,7 @@ class Tally:
 
     def memory(self) -> Memory:
         """Return the counts."""
-        fields = asdict(self)
-        del fields["when"], fields["horizon"]
-        return fields
+        return {name: getattr(self, name) for name in REMEMBERED}
 
     def resume(self, memory: Any) -> None:
         """Go on from a memory."""

@@ -598,12 +598,12 @@ class TestSignals:
         (place / "units.csv").write_text("unit,model,recording\na,model.toml,run.csv\nb,model.toml,run.csv\n")
         tested = fleet._tested
 
-        def stop(*args):
+        def stop(*args, **how):
             if (place / "seen").exists():
                 os.kill(os.getpid(), signal.SIGTERM)
                 time.sleep(5)
             (place / "seen").touch()
-            return tested(*args)
+            return tested(*args, **how)
 
         monkeypatch.setattr(fleet, "_tested", stop)
         assert main.main(["fleet", "units.csv", "--out", "out"]) == 143
