@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax.typing import DTypeLike
 
 from jaxbound.consistency import whole_numbers
 from jaxbound.consistency.interface import Judged, LinearRelations, WindowTest
@@ -36,7 +37,7 @@ class BankTest(WindowTest):
     gathered = False
     replayed = False
 
-    def __init__(self, relations: LinearRelations, dtype: Any) -> None:
+    def __init__(self, relations: LinearRelations, dtype: DTypeLike) -> None:
         super().__init__(relations, "box", dtype)
         if relations.model.constant_tolerance:
             raise NotImplementedError(

@@ -13,9 +13,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
 from jaxbound.consistency.gridding import whole_windows
-from jaxbound.consistency.interface import WindowTest
+from jaxbound.consistency.interface import Budget, Relations, WindowTest
 from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
@@ -57,7 +58,7 @@ class BisectionTest(WindowTest):
     block, short = 2**13, 2**8
     constants = None
 
-    def __init__(self, relations: Any, method: str, dtype: Any, budget: Any = None) -> None:
+    def __init__(self, relations: Relations, method: str, dtype: DTypeLike, budget: Budget = None) -> None:
         super().__init__(relations, method, dtype)
         self.budget = BUDGET if budget is None else whole_budget(budget)
         _ = relations.count  # refuses a function that gives nothing to be zero, and signals without names

@@ -11,8 +11,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
-from jaxbound.consistency.interface import LinearRelations, Open, WindowTest
+from jaxbound.consistency.interface import Budget, LinearRelations, Open, WindowTest
 from jaxbound.consistency.strips_on_host import host_strips
 from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.models.window import input_lags
@@ -69,10 +70,12 @@ class PavingTest(WindowTest):
     padded = sharded = False
     block = short = 2**14
 
-    def __init__(self, relations: Any, dtype: Any, budget: Any = None) -> None:
+    def __init__(self, relations: LinearRelations, dtype: DTypeLike, budget: Budget = None) -> None:
         super().__init__(relations, "paving", dtype)
         self.q: float
         self.boxes: int
+        if isinstance(budget, int):
+            raise TypeError(f"the budget of the paving is a pair (q, boxes a window), not {budget}")
         self.q, self.boxes = BUDGET if budget is None else budget
         if self.boxes < 1:
             raise ValueError(f"the budget of the paving needs at least one box, not {self.boxes}")

@@ -20,7 +20,8 @@ from numpy.typing import ArrayLike
 from jaxbound.exact.frames import ExactFrame
 from jaxbound.exact.linalg import Matrix
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.recording import Recording, SignalModel
+from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.signals import SignalModel
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 
@@ -56,7 +57,8 @@ Starts: TypeAlias = ArrayLike
 Block: TypeAlias = tuple[np.ndarray, np.ndarray]
 """Samples (u, y) of as many windows as are judged at once."""
 Arrays: TypeAlias = Sequence[Array]
-Run: TypeAlias = Callable[[Callable[..., Any], Sequence[Block]], list[Any]]
+Kernel: TypeAlias = Callable[..., Any]
+Run: TypeAlias = Callable[[Kernel, Sequence[Block]], list[Any]]
 """run(kernel, blocks) calls a jitted kernel(constants, *block) on all blocks, one a device."""
 Progress: TypeAlias = Callable[[float], object]
 
@@ -310,6 +312,7 @@ class WindowTest:
     def __init__(self, relations: Relations, method: str, dtype: DTypeLike) -> None:
         self.relations, self.method, self.dtype = relations, method, np.dtype(dtype)
         self.horizon = relations.horizon
+        self.placed: dict[tuple[jax.Device, ...], Any] = {}  # `constants` on devices, as `drive` puts them
 
     @property
     def constants(self) -> Any:
@@ -338,7 +341,7 @@ class WindowTest:
 
     def cases(
         self, u: np.ndarray, y: np.ndarray, starts: np.ndarray
-    ) -> "Sequence[tuple[WindowTest, np.ndarray]]":
+    ) -> Sequence[tuple["WindowTest", np.ndarray]]:
         """Return [(test, starts)]: who judges which of the windows that start at these samples; the rest
         stays MISSING.
         """

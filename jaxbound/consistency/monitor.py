@@ -11,9 +11,17 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jax.typing import DTypeLike
 
 from jaxbound.consistency.drive import windows
-from jaxbound.consistency.interface import Observer, Relations, WindowTest, relations_of
+from jaxbound.consistency.interface import (
+    Budget,
+    Compensation,
+    Observer,
+    Relations,
+    WindowTest,
+    relations_of,
+)
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import TOLERATED_STEP, all_starts
 from jaxbound.recordings.table import one_row
@@ -97,9 +105,9 @@ class Monitor:
         self,
         relations: Relations,
         method: str = "joint",
-        dtype: Any = None,
-        budget: Any = None,
-        compensation: Any = 0.0,
+        dtype: DTypeLike | None = None,
+        budget: Budget = None,
+        compensation: Compensation = 0.0,
     ) -> None:
         self._observer = relations if isinstance(relations, Observer) else None
         if self._observer is not None:

@@ -6,7 +6,6 @@ import jax
 import numpy as np
 
 from jaxbound.diagnosis.detection import detect
-from jaxbound.relations.sentence import remembers
 from jaxbound.sets.floats.probe import usable_devices
 from jaxbound.sets.floats.status import Status
 
@@ -35,7 +34,7 @@ def decided_again(res: Any, count: int = COUNT, seed: int = 0) -> int:
         >>> decided_again(jb.detect(jb.parity_relations(m), None, [[1.0], [0.5], [0.9]]))
         2
     """
-    if remembers(res.relations):
+    if res.relations.remembers:
         return 0
     s, status = res.relations.horizon, np.asarray(res.status)
     known = np.argwhere(status != Status.MISSING)

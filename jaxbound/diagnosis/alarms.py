@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.relations.sentence import latched, remembers
+from jaxbound.relations.sentence import latched
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 
@@ -147,7 +147,7 @@ def forgets_after(relations: Any) -> int | None:
     """
     if latched(relations):
         return LATCHED
-    return None if remembers(relations) else relations.horizon
+    return None if relations.remembers else relations.horizon
 
 
 def follows(missing: np.ndarray, end: ArrayLike) -> np.ndarray:

@@ -7,10 +7,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import ArrayLike
 
 from jaxbound.consistency.drive import drive
-from jaxbound.consistency.interface import Relations, relations_of
+from jaxbound.consistency.interface import Budget, Compensation, Relations, Starts, relations_of
 from jaxbound.diagnosis import isolation, observed  # noqa: F401 (the Results of a bank and of an observer)
 from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.sets.floats.probe import refuse_unverified
@@ -24,10 +23,10 @@ def detect(
     u: Any,
     y: Any = None,
     method: str = "joint",
-    budget: Any = None,
+    budget: Budget = None,
     progress: Callable[[float], object] | None = None,
-    starts: ArrayLike = (),
-    compensation: ArrayLike = 0.0,
+    starts: Starts = (),
+    compensation: Compensation = 0.0,
 ) -> Result:
     """Decide for every window whether any behaviour inside the bounds explains it.
 
@@ -97,7 +96,7 @@ def detect(
     return result_of(kind, judged, *about, aside=given.aside(test.horizon), recorded=recorded)
 
 
-def margins(relations: Relations, u: Any, y: Any = None, starts: ArrayLike = ()) -> jax.Array:
+def margins(relations: Relations, u: Any, y: Any = None, starts: Starts = ()) -> jax.Array:
     """Return the signed margin of every window, 1 - t: t is the factor on all half-widths at which the window
     just becomes consistent.
 

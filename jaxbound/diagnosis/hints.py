@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from jaxbound.models.system import LinearSystem
-from jaxbound.relations.sentence import latched, remembers
+from jaxbound.relations.sentence import latched
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import percent, times
 from jaxbound.text.units import same_unit, without_unit
@@ -75,7 +75,7 @@ def outgrown(model: LinearSystem, relations: Any = None, looks_back: str = "") -
     )
     if relations is None or known is None or not ("fitted" in found or "tuned" in found):
         return []
-    looks_back = looks_back or ("an observer" if remembers(relations) else "")
+    looks_back = looks_back or ("an observer" if relations.remembers else "")
     if looks_back:
         return [f"{FOR.format(known + 1)} and {looks_back} looks back on all samples: {MAY}"]
     if relations.horizon <= known:
@@ -96,12 +96,12 @@ def fit_hints(result: Any) -> list[str]:
     for at in np.ndindex(result.status.shape[:-1]):
         status, margin = np.asarray(result.status[at]), np.asarray(result.margin[at])
         fault = status == Status.FAULT
-        seen = margin[fault & ~np.isnan(margin)] if not remembers(relations) else margin[:0]
+        seen = margin[fault & ~np.isnan(margin)] if not relations.remembers else margin[:0]
         worst = float(seen.min()) if len(seen) else np.nan
         counts = {s.name: int(np.count_nonzero(status == s)) for s in Status}
         which = f"recording {', '.join(map(str, at))}: " if at else ""
         out += [
-            which + said for said in unfit(counts, worst, "samples" if remembers(relations) else "windows")
+            which + said for said in unfit(counts, worst, "samples" if relations.remembers else "windows")
         ]
     return out
 

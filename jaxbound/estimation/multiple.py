@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 
 from jaxbound.models.multimodel import MultiModel
 from jaxbound.recordings.arrays import floats
-from jaxbound.recordings.recording import Recording, Signals
+from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.signals import Signals
 from jaxbound.recordings.table import as_table, is_table
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.status import Status

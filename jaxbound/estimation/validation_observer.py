@@ -10,8 +10,9 @@ import numpy as np
 
 from jaxbound.consistency.interface import Observer
 from jaxbound.estimation.validation import Validation, nothing_said, prepared
-from jaxbound.recordings.recording import Recording, SignalModel
+from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import around
+from jaxbound.recordings.signals import SignalModel
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.objects import readable
@@ -20,7 +21,9 @@ __all__ = ["ValidationObserver", "ValidationState"]
 
 
 class ValidationState(NamedTuple):
-    """What goes on from sample to sample. Fields: u, y: the last samples, at most 2 s; after: of the last
+    """The samples and the enclosure that an observer carries on.
+
+    Fields: u, y: the last samples, at most 2 s; after: of the last
     window, None before the first;
     first: whether the first of these samples is the very first, of which x0 speaks.
     """

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from fractions import Fraction
 from typing import Any
 
-from jaxbound.exact.linalg import Number
+from jaxbound.exact.linalg import Number, zeros
 from jaxbound.models.faults import refuse_unknown_signal
 from jaxbound.models.plant import number
 from jaxbound.models.system import LinearSystem
@@ -57,67 +57,94 @@ def with_faults(
     """
     named = [_fault(model, text) for text in faults]
     twice = sorted({x for x in faults if faults.count(x) > 1})
-    if not named or twice:
-        raise ValueError(
-            f"{twice[0]!r} is named twice"
-            if twice
-            else "name a fault at least: with_faults(model, 'y1:bias')"
-        )
+    if not named:
+        raise ValueError("name a fault at least: with_faults(model, 'y1:bias')")
+    if twice:
+        raise ValueError(f"{twice[0]!r} is named twice")
     drifts = [signal for signal, kind in named if kind == "drift"]
-    rates: dict[str, Any] = dict(rate) if isinstance(rate, Mapping) else dict.fromkeys(drifts, rate)
-    if spare := sorted(set(rates) - set(drifts)) or (rate is not None and not drifts):
-        raise ValueError(
-            f"rate is for drifts, and {spare[0] if isinstance(spare, list) else 'none of these faults'} is "
-            f"none"
-        )
-    if lacking := [x for x in drifts if rates.get(x) is None]:
-        raise ValueError(
-            f"{lacking[0]}:drift needs a rate: how much it moves at most from one sample to the next"
-        )
-
+    rates = _rates(rate, drifts)
     model = _with_errors_as_parameters(model, [signal for signal, _ in named])
     k, n = len(named), model.n
-    given = {letter: getattr(model, letter) for letter in "ABCD"}
-    zero = lambda *shape: [[Fraction(0)] * shape[1] for _ in range(shape[0])]
-
-    def grown(part, own):
-        """Return A, B, C, D with the columns of the faults; own: 1 for the model itself, 0 for what a
-        parameter adds to it.
-        """
-        A, B, C, D = (
-            list(map(list, part[x])) if part[x] else zero(len(given[x]), len(given[x][0]) if given[x] else 0)
-            for x in "ABCD"
-        )
-        columns = [_columns(model, signal, B, D, own) for signal, _ in named]
-        A = [row + [c[0][i] for c in columns] for i, row in enumerate(A)]
-        A += [[Fraction(0)] * n + [Fraction(own * (i == j)) for j in range(k)] for i in range(k)]
-        C = [row + [c[1][i] for c in columns] for i, row in enumerate(C)]
-        return {"A": A, "B": B + zero(k, model.m), "C": C, "D": D}
-
-    matrices = grown({x: centred(given[x], model.uncertainties, x, sign=-1) for x in "ABCD"}, 1)
-    acts = lambda rows: any(x for row in rows for x in row)
+    own = {letter: centred(getattr(model, letter), model.uncertainties, letter, sign=-1) for letter in "ABCD"}
     parameters = []
     for p in model.uncertainties:
-        parts = {x: rows for x, rows in grown({x: getattr(p, x) for x in "ABCD"}, 0).items() if acts(rows)}
+        grown = _grown(model, named, {letter: getattr(p, letter) for letter in "ABCD"}, identity=0)
+        parts = {letter: rows for letter, rows in grown.items() if any(map(any, rows))}
         parameters.append(Uncertainty(p.name, **parts, varying=p.varying, between=p.between))
     moving = [i for i, (_, kind) in enumerate(named) if kind == "drift"]
-    bounds = [number(f"rate of {named[i][0]}", rates[named[i][0]]) for i in moving]
-    if any(b < 0 for b in bounds):
-        raise ValueError("a rate must be >= 0")
-    G = [list(row) + [Fraction(0)] * len(moving) for row in (model.G if model.g else [()] * n)]
-    G += [[Fraction(0)] * model.g + [Fraction(i == j) for j in moving] for i in range(k)]
-    pairs = [*model.disturbance, *((-b, b) for b in bounds)]
-    F = (zero(n + k, model.d), model.D_v) if model.d else None
-    if F is not None:
-        F[0][:n] = list(map(list, model.F))
+    moved_states = [[Fraction(i == j) for j in moving] for i in range(k)]
+    G = [
+        *_beside(model.G if model.g else zeros(n, 0), zeros(n, len(moving))),
+        *_beside(zeros(k, model.g), moved_states),
+    ]
+    pairs = [*model.disturbance, *((-bound, bound) for bound in rates)]
     changes: dict[str, Any] = dict(
-        matrices,
+        _grown(model, named, own, identity=1),
         uncertainties=parameters,
         states=(*model.states, *faults),
         disturbance=(G, pairs) if pairs else None,
-        unknown_inputs=F,
+        unknown_inputs=([*model.F, *zeros(k, model.d)], model.D_v) if model.d else None,
     )
     return model.replace(**changes)
+
+
+def _rates(rate, drifts):
+    """Return the largest change of each drift from one sample to the next, exactly.
+
+    Raises:
+        ValueError: rates of other faults, a drift without one, a negative one.
+    """
+    rates: dict[str, Any] = dict(rate) if isinstance(rate, Mapping) else dict.fromkeys(drifts, rate)
+    spare = sorted(set(rates) - set(drifts))
+    if spare:
+        raise ValueError(f"rate is for drifts, and {spare[0]} is none")
+    if rate is not None and not drifts:
+        raise ValueError("rate is for drifts, and none of these faults is none")
+    for signal in drifts:
+        if rates.get(signal) is None:
+            raise ValueError(
+                f"{signal}:drift needs a rate: how much it moves at most from one sample to the next"
+            )
+    bounds = [number(f"rate of {signal}", rates[signal]) for signal in drifts]
+    if any(bound < 0 for bound in bounds):
+        raise ValueError("a rate must be >= 0")
+    return bounds
+
+
+def _grown(model, named, part, identity):
+    """Return {letter: matrix} with a state for each fault, which stays as it is and acts on its signal.
+
+    Args:
+        named: (signal, kind) of the faults. part: the matrices of the model, identity 1, or of a parameter,
+            identity 0, which adds nothing to the states of faults; None: it acts on none of such a matrix.
+    """
+    k = len(named)
+    A, B, C, D = (part[letter] or _zeros_like(getattr(model, letter)) for letter in "ABCD")
+    on_states, on_outputs = [], []
+    for signal, _ in named:
+        to_state, to_output = _columns(model, signal, B, D, identity)
+        on_states.append(to_state)
+        on_outputs.append(to_output)
+    stays = [[Fraction(identity * (i == j)) for j in range(k)] for i in range(k)]
+    return {
+        "A": [*_with_columns(A, on_states), *_beside(zeros(k, model.n), stays)],
+        "B": [*B, *zeros(k, model.m)],
+        "C": _with_columns(C, on_outputs),
+        "D": D,
+    }
+
+
+def _with_columns(rows, columns):
+    """Return a matrix with more columns on its right."""
+    return [[*row, *(column[i] for column in columns)] for i, row in enumerate(rows)]
+
+
+def _beside(left, right):
+    return [[*row, *more] for row, more in zip(left, right, strict=True)]
+
+
+def _zeros_like(rows):
+    return zeros(len(rows), len(rows[0]) if rows else 0)
 
 
 def _with_errors_as_parameters(model, faulty):

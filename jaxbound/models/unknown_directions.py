@@ -108,13 +108,15 @@ def _smallest(
     """Return bases (S, N), rows in reduced echelon form."""
     rows = linalg.row_reduce(columns)[0]
     while True:
-        hidden = (
-            linalg.row_reduce(linalg.matmul(linalg.left_null_space(_seen(model.C, rows)), rows))[0]
-            if rows
-            else ()
-        )
-        more = [row for A in moves for row in linalg.matmul(hidden, linalg.transpose(A))] if hidden else []
-        grown = linalg.row_reduce([*rows, *more])[0]
+        hidden: Matrix = ()
+        if rows:
+            unseen = linalg.left_null_space(_seen(model.C, rows))
+            hidden = linalg.row_reduce(linalg.matmul(unseen, rows))[0]
+        wider = list(rows)
+        if hidden:
+            for A in moves:
+                wider += linalg.matmul(hidden, linalg.transpose(A))
+        grown = linalg.row_reduce(wider)[0]
         if len(grown) == len(rows):
             return rows, hidden
         rows = grown
@@ -166,11 +168,9 @@ def _nothing_left(model, moves):
         if fewer and linalg.rank(_seen(model.C, _smallest(model, moves, fewer)[0])) == model.p:
             del columns[j]
     named = ", ".join(map(str, columns))
-    which = (
-        f"unknown input {named} alone explains"
-        if len(columns) == 1
-        else f"unknown inputs {named} together explain"
-    )
+    which = f"unknown inputs {named} together explain"
+    if len(columns) == 1:
+        which = f"unknown input {named} alone explains"
     return (
         f"{which} whatever the {model.p} outputs show, in an observer as in windows of any horizon: "
         "measure one more signal, or give bounds (disturbance=...)"
@@ -178,42 +178,51 @@ def _nothing_left(model, moves):
 
 
 def with_direct_states(model: LinearSystem) -> LinearSystem:
-    """Return the model with one more state for each unknown input that acts on an output at once: it is what
-    the next step brings.
-    """
+    """Return the model with one more state for each unknown input that acts on an output at once."""
     direct = [j for j, column in enumerate(linalg.transpose(model.D_v)) if any(column)]
     if not direct:
         return model
     k = len(direct)
-    wider = lambda rows, right: [[*row, *more] for row, more in zip(rows, right, strict=True)]
-    pick = lambda rows: [[row[j] for j in direct] for row in rows]
-    zero = lambda rows, columns: [[ZERO] * columns for _ in range(rows)]
-
-    def grown(part: dict[str, Any], F: Any, D_v: Any) -> dict[str, Any]:
-        out = dict(part)
-        if part["A"]:
-            out["A"] = [*wider(part["A"], F), *zero(k, model.n + k)]
-        if part["B"] and part["B"][0]:
-            out["B"] = [*part["B"], *zero(k, model.m)]
-        if part["C"]:
-            out["C"] = wider(part["C"], D_v)
-        return out
-
     own = {x: centred(getattr(model, x), model.uncertainties, x, sign=-1) for x in "ABCD"}
     parameters = []
     for u in model.uncertainties:
-        parts = grown({x: getattr(u, x) for x in "ABCD"}, zero(model.n, k), zero(model.p, k))
+        parts = {x: getattr(u, x) for x in "ABCD"}
+        parts = _with_states(model, parts, linalg.zeros(model.n, k), linalg.zeros(model.p, k))
         parameters.append(Uncertainty(u.name, **parts, varying=u.varying, between=u.between))
-    F = [[ZERO if j in direct else x for j, x in enumerate(row)] for row in model.F]
-    F += [[Fraction(j == own_column) for j in range(model.d)] for own_column in direct]
+    # What acted on an output at once now acts on its own state, which the next step brings.
+    columns = linalg.identity(model.d)
+    others = [[ZERO if j in direct else x for j, x in enumerate(row)] for row in model.F]
     changes: dict[str, Any] = dict(
-        grown(own, pick(model.F), pick(model.D_v)),
+        _with_states(model, own, _picked(model.F, direct), _picked(model.D_v, direct)),
         uncertainties=parameters,
         states=(*model.states, *(f"unknown input {j + 1}" for j in direct)),
-        disturbance=([*model.G, *zero(k, model.g)], model.disturbance) if model.g else None,
-        unknown_inputs=F,
+        disturbance=([*model.G, *linalg.zeros(k, model.g)], model.disturbance) if model.g else None,
+        unknown_inputs=[*others, *(columns[j] for j in direct)],
     )
     return model.replace(**changes)
+
+
+def _with_states(
+    model: LinearSystem, part: dict[str, Any], F: Sequence[Sequence], D_v: Sequence[Sequence]
+) -> dict[str, Any]:
+    """Return matrices with the states of unknown inputs: F and D_v are their columns in A and C."""
+    k = len(F[0])
+    wider = dict(part)
+    if part["A"]:
+        wider["A"] = [*_beside(part["A"], F), *linalg.zeros(k, model.n + k)]
+    if part["B"] and part["B"][0]:
+        wider["B"] = [*part["B"], *linalg.zeros(k, model.m)]
+    if part["C"]:
+        wider["C"] = _beside(part["C"], D_v)
+    return wider
+
+
+def _beside(left, right):
+    return [[*row, *more] for row, more in zip(left, right, strict=True)]
+
+
+def _picked(rows, columns):
+    return [[row[j] for j in columns] for row in rows]
 
 
 def _less(a, b):

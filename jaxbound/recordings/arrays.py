@@ -3,16 +3,21 @@ NaN, everything checked.
 """
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import jax
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.recordings.expressions import Expression, expression, find_column, is_expression
-from jaxbound.recordings.table import as_table, is_table
+from jaxbound.recordings.signals import Named
+from jaxbound.recordings.table import Data, as_table, is_table
 from jaxbound.text.names import listed
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = [
     "computed",
@@ -26,17 +31,17 @@ __all__ = [
 ]
 
 
-def is_made(data: Any) -> bool:
+def is_made(data: object) -> bool:
     """Return whether this is a Recording, or the like: it has .u and .y, which are no columns of a table."""
     return not is_table(data) and not isinstance(data, Mapping) and hasattr(data, "u") and hasattr(data, "y")
 
 
-def holds_both(data: Any) -> bool:
+def holds_both(data: object) -> bool:
     """Return whether one thing has the inputs and the outputs of a recording: a table, or a Recording."""
     return is_made(data) or is_table(as_table(data, "u"))
 
 
-def inputs_of(model: Any, u: Any, name: str = "u") -> Any:
+def inputs_of(model: Named, u: Data, name: str = "u") -> np.ndarray | jax.Array | None:
     """Return inputs alone as an array (..., T, m), as `Recording.of` does; None stays None."""
     u = as_table(u, name, model.inputs)
     if getattr(u, "dtype", None) == np.float16:  # no resolution to be stated: they are what they are
@@ -44,7 +49,7 @@ def inputs_of(model: Any, u: Any, name: str = "u") -> Any:
     return None if u is None else _columns(model, u, name, model.inputs)
 
 
-def floats(data: Any, name: str) -> np.ndarray:
+def floats(data: Data, name: str) -> np.ndarray:
     """Return numbers that are no signals of a model as an array of floats: NaN where they are masked, null or
     missing.
     """
@@ -52,7 +57,7 @@ def floats(data: Any, name: str) -> np.ndarray:
     return _plain(data if not hasattr(data, "iloc") else _of_frame(data, name), name)
 
 
-def float_arrays(model: Any, u: Any, y: Any, narrow: bool) -> tuple[np.ndarray, np.ndarray]:
+def float_arrays(model: Named, u: Data, y: Data, narrow: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return u and y as float arrays of one batch that fit the model. See `Recording.of` for `narrow`.
 
     Raises:
@@ -80,8 +85,8 @@ def float_arrays(model: Any, u: Any, y: Any, narrow: bool) -> tuple[np.ndarray, 
     return _spread(u, batch), _spread(y, batch)
 
 
-def _warn_rounded(y, dtype):
-    """Say what it costs that jax runs with x64 off, where it does cost something."""
+def _warn_rounded(y: np.ndarray, dtype: np.dtype) -> None:
+    """Warn that jax runs with x64 off, where that costs precision."""
     with np.errstate(over="ignore"):
         rounded = (y.astype(dtype) != y) & ~np.isnan(y)
     if rounded.any():
@@ -95,7 +100,7 @@ def _warn_rounded(y, dtype):
         )
 
 
-def refuse_infinite(name: str, data: Any, channels: Sequence[str]) -> None:
+def refuse_infinite(name: str, data: ArrayLike, channels: Sequence[str]) -> None:
     """Raise ValueError if a recorded number is infinite."""
     bad = np.isinf(np.asarray(data))
     if bad.any():
@@ -127,7 +132,7 @@ def computed(e: Expression, frames: Mapping[str, Any], name: str) -> np.ndarray:
     )
 
 
-def recorded_type(data: Any, name: str) -> np.dtype:
+def recorded_type(data: object, name: str) -> np.dtype:
     """Return the float type in which data were rounded: float32 if any of it (a column of a DataFrame) is
     that, else float64.
 
@@ -147,7 +152,7 @@ def recorded_type(data: Any, name: str) -> np.dtype:
     return np.dtype(np.float32 if np.float32 in types else np.float64)
 
 
-def _columns(model, data, name, channels):
+def _columns(model: Named, data: Data, name: str, channels: Sequence[str]) -> np.ndarray:
     """Pick the channels of a DataFrame by name; turn anything else into an array of floats."""
     if not is_table(data):
         return _plain(_of_frame(data, name) if hasattr(data, "iloc") else data, name)
@@ -172,7 +177,7 @@ def _columns(model, data, name, channels):
     )  # what was rounded away counts in the type it was recorded in
 
 
-def _of_frame(data, name):
+def _of_frame(data: "pd.DataFrame", name: str) -> np.ndarray:
     plain = data.to_numpy()
     return (
         plain
@@ -181,10 +186,12 @@ def _of_frame(data, name):
     )
 
 
-def _plain(data, name):
+def _plain(data: Data, name: str) -> np.ndarray:
     """Return an array of floats, NaN where it was masked."""
     if isinstance(data, jax.Array):
-        return data if np.issubdtype(data.dtype, np.floating) else data.astype(float)
+        if not np.issubdtype(data.dtype, np.floating):
+            data = data.astype(float)
+        return cast(np.ndarray, data)  # an array of JAX stays one
     mask = np.ma.getmask(data) if isinstance(data, np.ma.MaskedArray) else np.ma.nomask
     data = np.asarray(data)
     if data.dtype == np.float16:
@@ -203,14 +210,14 @@ def _plain(data, name):
     return data if mask is np.ma.nomask else np.where(mask, np.array(np.nan, data.dtype), data)
 
 
-def _numbers(convert, name):
+def _numbers(convert: Callable[[], np.ndarray], name: str) -> np.ndarray:
     try:
         return convert()
     except (ValueError, TypeError) as e:
         raise ValueError(f"{name} must be numbers, NaN where a sample is missing: {e}") from None
 
 
-def _channels(x, name, channels):
+def _channels(x: np.ndarray, name: str, channels: Sequence[str]) -> np.ndarray:
     if x.ndim == 1 and len(channels) == 1:
         x = x[:, None]
     if x.ndim < 2 or x.shape[-1] != len(channels):
@@ -221,7 +228,7 @@ def _channels(x, name, channels):
     return x
 
 
-def _spread(x, batch):
+def _spread(x: np.ndarray, batch: tuple[int, ...]) -> np.ndarray:
     if x.shape[:-2] == batch:
         return x
     return (

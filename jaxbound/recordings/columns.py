@@ -6,11 +6,15 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from os import PathLike
-from typing import Any
+from typing import IO, TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.text.characters import cell
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 __all__ = [
     "categories",
@@ -25,7 +29,7 @@ __all__ = [
 ]
 
 
-def from_arrow(column: Any) -> np.ndarray:
+def from_arrow(column: "pa.Array") -> np.ndarray:
     """Return a pyarrow column of floats or time stamps as NumPy floats or datetime64; null becomes NaN or
     NaT.
     """
@@ -45,7 +49,7 @@ def from_arrow(column: Any) -> np.ndarray:
     )
 
 
-def valid(column: Any) -> np.ndarray:
+def valid(column: "pa.Array") -> np.ndarray:
     """Return (N,) bool: False where a pyarrow column is null."""
     if not column.null_count:
         return np.ones(len(column), bool)
@@ -53,7 +57,7 @@ def valid(column: Any) -> np.ndarray:
     return bits[column.offset : column.offset + len(column)].astype(bool)
 
 
-def to_arrow(x: Any) -> Any:
+def to_arrow(x: ArrayLike) -> "pa.Array":
     """Return floats (NaN becomes null), whole numbers, bools or datetime64[ns] as a pyarrow array."""
     import pyarrow as pa
 
@@ -72,7 +76,7 @@ def to_arrow(x: Any) -> Any:
     return pa.Array.from_buffers(pa.int64(), len(x), [None, pa.py_buffer(x.astype(np.int64))])
 
 
-def words(names: Sequence[str], codes: np.ndarray) -> Any:
+def words(names: Sequence[str], codes: np.ndarray) -> "pa.Array":
     """Return the pyarrow array of names[code].
 
     Example:
@@ -82,7 +86,7 @@ def words(names: Sequence[str], codes: np.ndarray) -> Any:
     return texts(names).take(to_arrow(codes))
 
 
-def texts(names: Sequence[str]) -> Any:
+def texts(names: Sequence[str]) -> "pa.Array":
     """Return texts as a pyarrow array.
 
     Example:
@@ -96,7 +100,7 @@ def texts(names: Sequence[str]) -> Any:
     return pa.StringArray.from_buffers(len(parts), pa.py_buffer(ends), pa.py_buffer(b"".join(parts)))
 
 
-def categories(names: Sequence[str], codes: np.ndarray) -> Any:
+def categories(names: Sequence[str], codes: np.ndarray) -> "pa.Array":
     """Return names[code] for int8 codes as a pyarrow array that holds every name once.
 
     Example:
@@ -111,7 +115,7 @@ def categories(names: Sequence[str], codes: np.ndarray) -> Any:
     return pa.DictionaryArray.from_arrays(indices, texts(names))
 
 
-def write_columns(path: str | PathLike, columns: Mapping[str, Any], append: bool = False) -> None:
+def write_columns(path: str | PathLike[str], columns: Mapping[str, "pa.Array"], append: bool = False) -> None:
     """Write {name: pyarrow array} as CSV, with quotes only if a text needs them; `append` to a file that has
     its header already.
     """
@@ -123,7 +127,7 @@ def write_columns(path: str | PathLike, columns: Mapping[str, Any], append: bool
         write_rows(f, columns)
 
 
-def write_rows(sink: Any, columns: Mapping[str, Any]) -> None:
+def write_rows(sink: IO[bytes], columns: Mapping[str, "pa.Array"]) -> None:
     """Write {name: pyarrow array} as lines of CSV without a header into what pyarrow can write to."""
     import pyarrow as pa
     import pyarrow.csv
@@ -133,7 +137,7 @@ def write_rows(sink: Any, columns: Mapping[str, Any]) -> None:
     pyarrow.csv.write_csv(pa.Table.from_arrays(list(columns.values()), list(columns)), sink, options)
 
 
-def is_plain(column: Any) -> bool:
+def is_plain(column: "pa.Array") -> bool:
     """Return whether no cell of a pyarrow column needs quotes in a CSV file."""
     import pyarrow as pa
     import pyarrow.compute as pc

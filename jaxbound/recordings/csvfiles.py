@@ -28,7 +28,7 @@ class CsvFile(Source):
         """Return True for every path: what is no CSV file is refused in a sentence."""
         return isinstance(data, str | PathLike)
 
-    def whole(self, progress: Callable | None = None) -> Recording:
+    def whole(self, progress: Callable[[float], object] | None = None) -> Recording:
         """Return the Recording of the file.
 
         Raises:

@@ -66,7 +66,7 @@ class CountedLines:
             data = self._counted(data)
         return data
 
-    def _counted(self, data):
+    def _counted(self, data: bytes) -> bytes:
         bytes_of = np.frombuffer(data, np.uint8)
         ends = np.count_nonzero(bytes_of == 10)
         if b"\r" in data:
@@ -98,7 +98,7 @@ class CountedLines:
         return data
 
 
-def _last_end(data, stop):
+def _last_end(data: bytes, stop: int) -> int:
     """Return the place behind the last line end before `stop`, 0 where there is none."""
     return max(data.rfind(b"\n", 0, stop), data.rfind(b"\r", 0, stop)) + 1
 
@@ -114,7 +114,7 @@ def split_lines(data: bytes) -> list[bytes]:
     return lines if lines[-1] else lines[:-1]
 
 
-def _ended(data):
+def _ended(data: bytes) -> list[bytes]:
     """Return the lines of bytes and what stands behind the last end, perhaps nothing."""
     if b"\r" in data:
         if b"\r\r\n" in data:
@@ -123,7 +123,7 @@ def _ended(data):
     return data.split(b"\n")
 
 
-def lines_of(path: str | PathLike) -> Iterator[bytes]:
+def lines_of(path: str | PathLike[str]) -> Iterator[bytes]:
     """Yield the lines of a file, without their ends."""
     with open(path, "rb", buffering=0) as file:
         counted, rest = CountedLines(file), b""
@@ -155,7 +155,7 @@ def is_open(line: bytes, delimiter: bytes) -> bool:
 
 
 @cache
-def _closed(delimiter):
+def _closed(delimiter: bytes) -> re.Pattern[bytes]:
     d = re.escape(delimiter)
     quoted = rb'"(?:[^"]|"")*+"(?:[^"' + d + rb"][^" + d + rb"]*+)?+"
     cell = rb"(?:" + quoted + rb'|(?!")[^' + d + rb"]*+)"

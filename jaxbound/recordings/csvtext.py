@@ -12,11 +12,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jaxbound.recordings.csvlines import BOM, CountedLines, is_blank, is_open, lines_of
 from jaxbound.recordings.timestamps import DIGITS, stamp_kind
 from jaxbound.text.names import listed
+
+if TYPE_CHECKING:
+    import pyarrow.csv as pc
 
 __all__ = ["BLANK", "UNCLOSED", "Layout", "cells_of", "is_number", "parse_columns", "parsing", "sniff"]
 
@@ -50,14 +53,16 @@ class Layout:
     """How a CSV file is written."""
 
     path: Path
-    names: list
+    names: list[str]
     delimiter: str
     decimal: str
     encoding: str
     skip: int  # lines before the data
-    first: list  # cells of the first data row
-    hints: list = field(default_factory=list)
-    blank: list = field(default_factory=list)  # numbers of the lines that are no rows, once they are known
+    first: list[str]  # cells of the first data row
+    hints: list[str] = field(default_factory=list)
+    blank: list[int] = field(
+        default_factory=list
+    )  # numbers of the lines that are no rows, once they are known
 
     def row(self, k: int) -> str:
         """Return how the user finds sample k."""
@@ -73,12 +78,12 @@ class Layout:
         return is_open(line, self.delimiter.encode())
 
     def dated(self, name: str) -> str:
-        """Return what the first cell of a column is, see `stamp_kind`."""
+        """Return the kind of the first cell of a column, see `stamp_kind`."""
         cell = self._cells.get(name) or ""
         return stamp_kind(cell) if DIGITS.fullmatch(cell.strip()) or not is_number(cell, self.decimal) else ""
 
     @cached_property
-    def _cells(self):
+    def _cells(self) -> dict[str, str]:
         return dict(zip(self.names, self.first, strict=False))
 
 
@@ -143,7 +148,7 @@ def sniff(path: Path, head: bytes | None = None) -> Layout:
 
 
 def above_header(layout: Layout) -> str:
-    """Return what to add to a sentence on a column that is not there: "", or that the first row is no
+    """Return the end of a sentence on a column that is not there: "", or that the first row is no
     header.
     """
     lines = [
@@ -161,7 +166,7 @@ def above_header(layout: Layout) -> str:
     return f"; the header must be the first row: {here}, {there}"
 
 
-def _text(line, layout):
+def _text(line: bytes, layout: Layout) -> str:
     return line.removeprefix(BOM).decode(layout.encoding, "replace")
 
 
@@ -183,7 +188,7 @@ def is_number(cell: str, decimal: str) -> bool:
     return NUMBER.fullmatch(cell.strip().replace(decimal, ".")) is not None
 
 
-def parsing(layout: Layout) -> Any:
+def parsing(layout: Layout) -> "pc.ParseOptions":
     """Return how pyarrow takes the lines apart: one that is blank is no row, but where there is one column a
     missing sample.
     """

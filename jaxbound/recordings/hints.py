@@ -1,12 +1,13 @@
-"""What the owner of a recording should know, as sentences: what is missing, what the recorder rounds, what is
+"""Hints for the owner of a recording: what is missing, what the recorder rounds, what is
 too short.
 """
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Protocol, SupportsFloat
 
 import numpy as np
 
+from jaxbound.recordings.signals import Named
 from jaxbound.text.names import listed
 
 __all__ = [
@@ -17,6 +18,14 @@ __all__ = [
     "refuse_short",
     "rounding_hints",
 ]
+
+
+class Rounded(Named, Protocol):
+    """Names of signals, and how far the recording of each output is stated to be rounded."""
+
+    @property
+    def resolution(self) -> Sequence[SupportsFloat]:
+        """Half a step of each output."""
 
 
 def refuse_short(source: object, samples: int | None, horizon: int | None) -> None:
@@ -30,7 +39,9 @@ def refuse_short(source: object, samples: int | None, horizon: int | None) -> No
         raise ValueError(f"{source}: the recording has {samples} samples, one window needs {needs}")
 
 
-def missing_hints(model: Any, u: np.ndarray, y: np.ndarray, excluded: np.ndarray | None = None) -> list[str]:
+def missing_hints(
+    model: Named, u: np.ndarray, y: np.ndarray, excluded: np.ndarray | None = None
+) -> list[str]:
     """Return a sentence for each signal with missing samples. Args: u (T, m), y (T, p); excluded (T,) bool:
     samples that do not count.
     """
@@ -39,7 +50,7 @@ def missing_hints(model: Any, u: np.ndarray, y: np.ndarray, excluded: np.ndarray
     return missing_sentences(missing_samples(model, u, y), len(y))
 
 
-def missing_samples(model: Any, u: np.ndarray, y: np.ndarray) -> dict[str, int]:
+def missing_samples(model: Named, u: np.ndarray, y: np.ndarray) -> dict[str, int]:
     """Return {signal: number of its missing samples}."""
     return {
         name: int(np.isnan(x[:, i]).sum())
@@ -57,7 +68,7 @@ def missing_sentences(missing: Mapping[str, int], samples: int) -> list[str]:
     ]
 
 
-def rounding_hints(model: Any, y: np.ndarray) -> list[str]:
+def rounding_hints(model: Rounded, y: np.ndarray) -> list[str]:
     """Return sentences on outputs that the recorder seems to round more than the model states."""
     found: dict[str, list[str]] = {}
     for i, name in enumerate(model.outputs):

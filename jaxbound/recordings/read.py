@@ -12,14 +12,15 @@ from jaxbound.recordings.arraysource import Arrays
 from jaxbound.recordings.csvfiles import CsvFile
 from jaxbound.recordings.live import LiveSource
 from jaxbound.recordings.parquet import ParquetSource
-from jaxbound.recordings.recording import Recording, Signals, signals_of
+from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import TOLERATED_DT
+from jaxbound.recordings.signals import Signals, signals_of
 from jaxbound.recordings.source import KINDS, Source
 
 __all__ = ["kind_of", "open_source", "read", "read_signals"]
 
 
-def read(path: Any, model: Any, progress: Callable | None = None) -> Recording:
+def read(path: Any, model: Any, progress: Callable[..., object] | None = None) -> Recording:
     r"""Read the signals of a model from a CSV file, a Parquet file or a folder of Parquet files, which follow
     each other by name.
 
@@ -94,7 +95,7 @@ class ReadOnce(Source):
         """Return None: what was read is gone."""
         return None
 
-    def whole(self, progress: Callable | None = None) -> Recording:
+    def whole(self, progress: Callable[..., object] | None = None) -> Recording:
         """Return the Recording of what is in it, of whatever kind."""
         if str(self.data) == "-":
             raise ValueError(
@@ -120,7 +121,7 @@ def read_signals(
     outputs: Sequence,
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
-    progress: Callable | None = None,
+    progress: Callable[..., object] | None = None,
 ) -> list[Recording]:
     """Read recordings before there is a model, to fit one.
 

@@ -6,101 +6,37 @@ can forget it: the names of its columns, gaps in the time of its rows, samples t
 out, samples that are masked or null.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.recordings.arrays import computed, float_arrays, is_made, refuse_infinite
 from jaxbound.recordings.columns import to_arrow
 from jaxbound.recordings.expressions import expression, fails, find_column
 from jaxbound.recordings.seams import all_starts, around, aside, check_period, crossing
-from jaxbound.recordings.table import as_table, is_table, paired
+from jaxbound.recordings.signals import Named, SignalModel
+from jaxbound.recordings.table import Data, as_table, is_table, paired
 from jaxbound.recordings.tabletime import row_time
 from jaxbound.recordings.timestamps import row_label, time_label
 from jaxbound.text.objects import readable
 
-__all__ = ["NOWHERE", "Recording", "SignalModel", "Signals", "signals_of"]
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow as pa
+
+__all__ = ["NOWHERE", "Recording"]
 
 NOWHERE = np.zeros(0, np.int64)
+THE_MODEL = "the model has"
+"""Who says dt, in sentences."""
+Samples = tuple[np.ndarray, np.ndarray, np.ndarray | None]
+"""(u, y, excluded)."""
+Times = tuple[np.ndarray, np.ndarray | None, "pa.Array | None"]
+"""(time in s, stamps, as they are written)."""
 EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
-
-
-class SignalModel(Protocol):
-    """Names of the signals of any model: by them recordings are read and verdicts are shown."""
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """Names of the inputs."""
-
-    @property
-    def outputs(self) -> tuple[str, ...]:
-        """Names of the outputs."""
-
-    @property
-    def m(self) -> int:
-        """Number of inputs."""
-
-    @property
-    def p(self) -> int:
-        """Number of outputs."""
-
-    @property
-    def columns(self) -> Mapping[str, str]:
-        """{signal, "time" or "where": column of a recording} where it is called otherwise."""
-
-    @property
-    def dt(self) -> float | None:
-        """Sampling period in s; None: not known."""
-
-    @property
-    def name(self) -> str:
-        """Name of the model."""
-
-    def column(self, signal: str) -> str:
-        """Return the column of a recording that holds a signal."""
-
-    def unit(self, signal: str) -> str:
-        """Return the unit of a signal, or an empty string."""
-
-
-@dataclass(frozen=True)
-class Signals:
-    """What reading needs to know where there is no model yet.
-
-    Fields: inputs, outputs: names; columns: as of a LinearSystem; dt: sampling period in s, None: the median
-    step of the recording.
-    """
-
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    columns: dict[str, str]
-    dt: float | None = None
-    stated = "you gave"  # who says what dt is
-
-    name = ""
-
-    m = property(lambda self: len(self.inputs))
-    p = property(lambda self: len(self.outputs))
-    resolution = property(
-        lambda self: (np.inf,) * len(self.outputs)
-    )  # nothing is stated that could be too small
-
-    def column(self, signal: str) -> str:
-        """Return the column of a recording that holds a signal."""
-        return self.columns.get(signal, signal)
-
-    def unit(self, signal: str) -> str:
-        """Return no unit: none is stated."""
-        return ""
-
-
-def signals_of(model: Any) -> Any:
-    """Return what reading asks of a model: a LinearSystem as it is, Signals of one that has names only."""
-    if hasattr(model, "column"):
-        return model
-    return Signals(tuple(model.inputs), tuple(model.outputs), {}, getattr(model, "dt", None))
 
 
 @readable
@@ -132,21 +68,27 @@ class Recording:
     u: np.ndarray
     y: np.ndarray
     starts: np.ndarray = field(default_factory=lambda: NOWHERE)
-    inputs: tuple = ()
-    outputs: tuple = ()
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
     excluded: np.ndarray | None = None
-    index: Any = None
+    index: "pd.Index | np.ndarray | None" = None
     time: Any = None
     origin: float = np.nan
     dt: Any = None
     stamps: np.ndarray | None = None
-    written: Any = None
-    hints: tuple = ()
+    written: "pa.Array | None" = None
+    hints: tuple[str, ...] = ()
     source: str = ""
 
     @classmethod
     def of(
-        cls, model: Any, u: Any, y: Any = None, starts: Any = (), regular: bool = True, narrow: bool = True
+        cls,
+        model: Named,
+        u: Data,
+        y: Data = None,
+        starts: ArrayLike = (),
+        regular: bool = True,
+        narrow: bool = True,
     ) -> "Recording":
         """Return the Recording of a model's signals.
 
@@ -174,37 +116,51 @@ class Recording:
         """
         if y is None and is_made(u):
             return cls._again(model, u, starts, narrow)
-        one = u is y or y is None
+        is_one = u is y or y is None
         u = as_table(u, "u", model.inputs)
-        y = u if one and is_table(u) else as_table(y, "y", model.outputs)
+        if is_one and is_table(u):
+            y = u
+        else:
+            y = as_table(y, "y", model.outputs)
         if y is None:
             raise ValueError("y is missing: give u and y, or one table or Recording that holds both")
-        u, y, out = paired(u, y, model)
-        index = next((x.index for x in (y, u) if hasattr(x, "iloc")), None)
-        tables = {name: x for name, x in (("y", y), ("u", u)) if is_table(x)}
-        found = cls(
-            *float_arrays(model, u, y, narrow),
-            NOWHERE,
-            tuple(model.inputs),
-            tuple(model.outputs),
+        u, y, jumps = paired(u, y, model)
+        indexes = [x.index for x in (y, u) if hasattr(x, "iloc")]
+        names = tuple(model.inputs), tuple(model.outputs)
+        recording = cls(*float_arrays(model, u, y, narrow), NOWHERE, *names)
+        recording = recording._where(model, {name: x for name, x in (("y", y), ("u", u)) if is_table(x)})
+        if indexes:
+            recording = recording._timed(model, indexes[0], regular)
+        if not np.size(starts) and not len(jumps):
+            return recording
+        seams = _union(recording.starts, jumps, all_starts(starts, recording.samples))
+        return replace(recording, starts=seams)
+
+    def _where(self, model: Named, tables: Mapping[str, "pd.DataFrame"]) -> "Recording":
+        """Return the recording without the samples that the model's `where` leaves out, by these tables."""
+        columns = getattr(model, "columns", {})
+        if "where" not in columns or not tables:
+            return self
+        excluded = fails(computed(expression(columns["where"]), tables, "the recording"))
+        u, y = (np.where(excluded[:, None], np.array(np.nan, x.dtype), x) for x in (self.u, self.y))
+        return replace(self, u=u, y=y, excluded=excluded, starts=_union(self.starts, around(excluded)))
+
+    def _timed(self, model: Named, index: "pd.Index", regular: bool) -> "Recording":
+        """Return the recording with the time that the labels of its rows tell."""
+        dt, whose = getattr(model, "dt", None), getattr(model, "stated", THE_MODEL)
+        rows = row_time(index, dt, whose, regular)
+        return replace(
+            self,
             index=index,
+            time=rows.time,
+            origin=rows.origin,
+            dt=rows.dt,
+            stamps=rows.stamps,
+            starts=_union(self.starts, rows.seams),
         )
-        if "where" in getattr(model, "columns", {}) and tables:
-            found = found._without(
-                fails(computed(expression(model.columns["where"]), tables, "the recording"))
-            )
-        if index is not None:
-            told = row_time(
-                index, getattr(model, "dt", None), getattr(model, "stated", "the model has"), regular
-            )
-            about: dict[str, Any] = dict(time=told.time, origin=told.origin, dt=told.dt, stamps=told.stamps)
-            found = replace(found, **about, starts=_union(found.starts, told.seams))
-        if not np.size(starts) and not len(out):
-            return found
-        return replace(found, starts=_union(found.starts, out, all_starts(starts, found.y.shape[-2])))
 
     @classmethod
-    def filed(cls, model: Any, samples: tuple, times: tuple, source: str) -> "Recording":
+    def filed(cls, model: SignalModel, samples: Samples, times: Times, source: str) -> "Recording":
         """Return the Recording of samples as they stand in a file, without hints and starts.
 
         Args:
@@ -213,67 +169,61 @@ class Recording:
         """
         u, y, excluded = samples
         time, stamps, written = times
-        index, origin = (time if stamps is None else stamps), np.nan  # a clock without a date has none
+        origin = np.nan  # a clock without a date has none
         if stamps is not None and len(stamps):
             origin = float((stamps[0] - EPOCH) / SECOND - time[0])
         elif written is not None and str(written.type) not in ("string", "large_string"):
             origin = 0.0
+        index = None
+        if written is not None:
+            index = time if stamps is None else stamps
         return cls(
             u,
             y,
-            NOWHERE,
-            tuple(model.inputs),
-            tuple(model.outputs),
-            excluded,
-            None if written is None else index,
-            time,
-            origin,
-            model.dt,
-            stamps,
-            written,
-            (),
-            source,
+            inputs=tuple(model.inputs),
+            outputs=tuple(model.outputs),
+            excluded=excluded,
+            index=index,
+            time=time,
+            origin=origin,
+            dt=model.dt,
+            stamps=stamps,
+            written=written,
+            source=source,
         )
 
     @classmethod
-    def _again(cls, model, given, starts, narrow):
-        """Return the Recording of something that has been one: its signals, by their names if it knows them,
-        and what it knows beside.
+    def _again(cls, model: Named, given: Data, starts: ArrayLike, narrow: bool) -> "Recording":
+        """Return the Recording of something that is one already: its signals, by their names if it has names,
+        and its time, gaps and labels.
         """
         u, y = given.u, given.y
-        if any(is_table(as_table(x, name)) for x, name in ((u, "u"), (y, "y"))):
-            return cls.of(model, u, y, _union(getattr(given, "starts", ()), starts), narrow=narrow)
+        own_starts, dt = getattr(given, "starts", ()), getattr(given, "dt", None)
+        if is_table(as_table(u, "u")) or is_table(as_table(y, "y")):
+            return cls.of(model, u, y, _union(own_starts, starts), narrow=narrow)
         names = [*getattr(given, "inputs", ()), *getattr(given, "outputs", ())]
-        if names and (given.inputs, given.outputs) != (tuple(model.inputs), tuple(model.outputs)):
-            both = [x[..., i] for x in (u, y) for i in range(x.shape[-1])]
-            pick = lambda side: [both[names.index(find_column(c, names, "the recording"))] for c in side]
-            stack = lambda side, like: np.stack(side, -1) if side else like[..., :0]
-            u, y = stack(pick(model.inputs), u), stack(pick(model.outputs), y)
-        seams = _union(getattr(given, "starts", ()), all_starts(starts, np.shape(y)[-2]))
-        dt = getattr(given, "dt", None)
-        if dt and getattr(model, "dt", None):
-            check_period(np.arange(2) * dt, model.dt, getattr(model, "stated", "the model has"))
-        known = dict(starts=seams, inputs=tuple(model.inputs), outputs=tuple(model.outputs))
+        inputs, outputs = tuple(model.inputs), tuple(model.outputs)
+        if names and (given.inputs, given.outputs) != (inputs, outputs):
+            signals = [x[..., i] for x in (u, y) for i in range(x.shape[-1])]
+            u, y = _stacked(inputs, names, signals, u), _stacked(outputs, names, signals, y)
+        seams = _union(own_starts, all_starts(starts, np.shape(y)[-2]))
+        stated = getattr(model, "dt", None)
+        if dt and stated:
+            check_period(np.arange(2) * dt, stated, getattr(model, "stated", THE_MODEL))
         u, y = float_arrays(model, u, y, narrow)
         if isinstance(given, cls):
-            return replace(given, u=u, y=y, **known)
-        return cls(
-            u,
-            y,
-            **known,
-            dt=dt,
-            excluded=getattr(given, "excluded", None),
-            index=getattr(given, "index", None),
-        )
+            return replace(given, u=u, y=y, starts=seams, inputs=inputs, outputs=outputs)
+        excluded, index = getattr(given, "excluded", None), getattr(given, "index", None)
+        return cls(u, y, seams, inputs, outputs, excluded, index, dt=dt)
 
-    def _head(self):
+    def _head(self) -> str:
         names = f" of {self.source}" if self.source else ""
         return (
             f"Recording{names}: {self.y.shape[-2]} samples, u {tuple(self.u.shape)}, y "
             f"{tuple(self.y.shape)} {self.y.dtype}"
         )
 
-    def _rows(self):
+    def _rows(self) -> dict[str, str]:
         rows = {}
         if self.inputs or self.outputs:
             rows = {"inputs": ", ".join(self.inputs), "outputs": ", ".join(self.outputs)}
@@ -281,9 +231,8 @@ class Recording:
             rows["time"] = f"{self.label(0)} to {self.label(self.samples - 1)}"
         if len(self.starts):
             rows["gaps"] = f"{len(self.starts)}, the first before sample {int(self.starts[0])}"
-        missing = 0 if not isinstance(self.y, np.ndarray) else int(np.isnan(self.y).sum())
-        if missing:
-            rows["missing"] = f"{missing} samples of outputs"
+        if isinstance(self.y, np.ndarray) and np.isnan(self.y).any():  # tracers have no numbers
+            rows["missing"] = f"{int(np.isnan(self.y).sum())} samples of outputs"
         if self.excluded is not None:
             rows["excluded"] = f"{int(np.sum(self.excluded))} samples"
         return rows | {f"hint {i + 1}": hint for i, hint in enumerate(self.hints)}
@@ -291,7 +240,7 @@ class Recording:
     @property
     def samples(self) -> int:
         """The number of samples."""
-        return self.y.shape[-2]
+        return int(self.y.shape[-2])
 
     @property
     def axis(self) -> np.ndarray | None:
@@ -300,51 +249,54 @@ class Recording:
 
     def label(self, k: int) -> str:
         """Return the time of sample k as its owner would write it."""
-        written = self.written[k].as_py() if self.written is not None else None
+        written = None
+        if self.written is not None:
+            written = self.written[k].as_py()
         if isinstance(written, str):
             return written.strip()
         if self.time is None or (written is None and self.index is not None and self.stamps is None):
             return row_label(self.index, k)
+        if self.stamps is not None:
+            return time_label(self.time[k], self.stamps[k], 1.0)
         steps = np.abs(np.diff(self.time[:1000]))  # gaps and a clock that goes back are exceptions
-        step = float(np.median(steps)) if len(steps) and np.median(steps) else 1.0
-        return time_label(self.time[k], None if self.stamps is None else self.stamps[k], step)
+        usual = float(np.median(steps)) if len(steps) else 0.0
+        return time_label(self.time[k], None, usual or 1.0)
 
     def cut(self, first: int, stop: int) -> "Recording":
         """Return the samples first .. stop - 1, without hints."""
-        take = lambda x: None if x is None else x[first:stop]
         starts = np.asarray(self.starts)
-        inside = starts[(starts >= first) & (starts < stop)] - first
-        parts: dict[str, Any] = {
-            name: take(getattr(self, name)) for name in ("excluded", "index", "time", "stamps", "written")
-        }
-        return replace(
-            self, u=self.u[..., first:stop, :], y=self.y[..., first:stop, :], starts=inside, hints=(), **parts
-        )
+        parts: dict[str, Any] = {"starts": starts[(starts >= first) & (starts < stop)] - first, "hints": ()}
+        for name in ("excluded", "index", "time", "stamps", "written"):
+            whole = getattr(self, name)
+            if whole is not None:
+                parts[name] = whole[first:stop]
+        return replace(self, u=self.u[..., first:stop, :], y=self.y[..., first:stop, :], **parts)
 
     @property
-    def column(self) -> Any:
+    def column(self) -> "pa.Array":
         """The time as a column of a file: as it was written there, else dates, else seconds, else numbers of
         samples; a pyarrow array.
         """
         if self.written is not None:
             return self.written
-        given = self.time if self.stamps is None else self.stamps
-        return to_arrow(np.arange(self.samples) if given is None else given)
+        if self.stamps is not None:
+            return to_arrow(self.stamps)
+        if self.time is not None:
+            return to_arrow(self.time)
+        return to_arrow(np.arange(self.samples))
 
     def followed(self, other: "Recording") -> "Recording":
         """Return this recording and the one that comes behind it as one; .starts stay those of the first."""
-        join = lambda a, b: None if a is None or b is None else np.concatenate([a, b])
-        written = None
+        parts: dict[str, Any] = {"written": None}
         if self.written is not None and other.written is not None:
             import pyarrow as pa
 
-            written = pa.concat_arrays([self.written, other.written])
-        parts: dict[str, Any] = {
-            name: join(getattr(self, name), getattr(other, name))
-            for name in ("excluded", "index", "time", "stamps")
-        }
+            parts["written"] = pa.concat_arrays([self.written, other.written])
+        for name in ("excluded", "index", "time", "stamps"):
+            both = getattr(self, name), getattr(other, name)
+            parts[name] = None if any(x is None for x in both) else np.concatenate(both)
         u, y = np.concatenate([self.u, other.u], -2), np.concatenate([self.y, other.y], -2)
-        return replace(self, u=u, y=y, written=written, **parts)
+        return replace(self, u=u, y=y, **parts)
 
     def across(self, horizon: int) -> np.ndarray:
         """Return (T,) bool: True where the window of horizon + 1 samples that ends at a sample lies across a
@@ -362,11 +314,17 @@ class Recording:
         refuse_infinite("y", self.y, self.outputs)
         return self
 
-    def _without(self, excluded):
-        """Leave samples out, (T,) bool."""
-        u, y = (np.where(excluded[:, None], np.array(np.nan, x.dtype), x) for x in (self.u, self.y))
-        return replace(self, u=u, y=y, excluded=excluded, starts=_union(self.starts, around(excluded)))
+
+def _stacked(
+    wanted: Sequence[str], names: Sequence[str], signals: Sequence[np.ndarray], like: np.ndarray
+) -> np.ndarray:
+    """Return the wanted ones of signals (..., T) with these names as an array (..., T, n)."""
+    if not wanted:
+        return like[..., :0]
+    places = [names.index(find_column(name, names, "the recording")) for name in wanted]
+    return np.stack([signals[i] for i in places], -1)
 
 
-def _union(*starts):
+def _union(*starts: ArrayLike) -> np.ndarray:
+    """Return the numbers of samples of all, ascending, each once."""
     return np.unique(np.concatenate([np.asarray(x, np.int64) for x in starts]))

@@ -8,9 +8,9 @@ recording larger than memory is cut exactly as one in memory.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 __all__ = [
     "Clock",
@@ -51,7 +51,7 @@ class Seam:
 
 @dataclass(frozen=True)
 class Clock:
-    """What the time of a recording has shown so far.
+    """The time of a recording so far.
 
     Fields: dt: the model's sampling period in s; samples: how many there were; last: time of the last one in
     s; seams: one Seam a kind.
@@ -66,10 +66,10 @@ class Clock:
     dt: float
     samples: int = 0
     last: float = math.nan
-    seams: tuple = ()
+    seams: tuple[Seam, ...] = ()
 
 
-def tick(clock: Clock, time: Any) -> tuple[Clock, np.ndarray]:
+def tick(clock: Clock, time: ArrayLike) -> tuple[Clock, np.ndarray]:
     """Take the next chunk of time stamps.
 
     Args:
@@ -111,7 +111,7 @@ def tick(clock: Clock, time: Any) -> tuple[Clock, np.ndarray]:
     return Clock(clock.dt, clock.samples + len(time), float(time[-1]), tuple(found.values())), starts
 
 
-def crossing(starts: Any, horizon: int, first: int, stop: int) -> np.ndarray:
+def crossing(starts: ArrayLike, horizon: int, first: int, stop: int) -> np.ndarray:
     """Return (stop - first,) bool: True where the window that ends at sample first, first + 1, ... lies
     across a seam.
 
@@ -156,7 +156,7 @@ def aside(excluded: np.ndarray | None, horizon: int) -> int:
     return int(np.count_nonzero(before[horizon + 1 :] - before[: max(len(excluded) - horizon, 0)]))
 
 
-def all_starts(given: Any, samples: int) -> np.ndarray:
+def all_starts(given: ArrayLike, samples: int) -> np.ndarray:
     """Return the numbers of samples that do not follow the one before, ascending, each once.
 
     Args:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from jaxbound.recordings.expressions import (
     TIMES,
@@ -17,6 +18,7 @@ from jaxbound.recordings.expressions import (
     is_expression,
     likely,
 )
+from jaxbound.recordings.signals import SignalModel
 from jaxbound.text.names import listed
 
 __all__ = ["NO_TIME", "STAMPS", "TELLING", "Wanted", "time_column", "wanted", "where_hints"]
@@ -32,15 +34,15 @@ NO_TIME = (
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """What is read of a recording. Build it with `wanted`.
+    """The columns that are read of a recording. Build it with `wanted`.
 
     Fields: inputs, outputs: a column or an Expression for each signal; where: the Expression of the
     condition, or None; time: the column of the time, or None; day: the column of the day where the time is
     only that of a day, or None.
     """
 
-    inputs: tuple
-    outputs: tuple
+    inputs: tuple[str | Expression, ...]
+    outputs: tuple[str | Expression, ...]
     where: Expression | None
     time: Any  # a name, or None
     day: Any = None  # likewise
@@ -82,7 +84,7 @@ class Wanted:
         )
 
     def samples(
-        self, columns: Mapping[str, np.ndarray], count: int, dtype: Any = np.float64
+        self, columns: Mapping[str, np.ndarray], count: int, dtype: DTypeLike = np.float64
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Return (u, y, excluded): (N, m) and (N, p), NaN where a sample is missing or left out; (N,) bool,
         left out by `where`, or None.
@@ -105,7 +107,7 @@ class Wanted:
         return u, y, excluded
 
 
-def wanted(names: Sequence[str], model: Any, dated: Callable[[str], str] = lambda name: "") -> Wanted:
+def wanted(names: Sequence[str], model: SignalModel, dated: Callable[[str], str] = lambda name: "") -> Wanted:
     """Find the columns of a model among those of a recording.
 
     Args:
@@ -159,7 +161,13 @@ def time_column(
     return _day_and_clock(find_column(called[0], names, "the recording"), names, free, dated, dt)
 
 
-def _day_and_clock(time, names, free, dated, dt):
+def _day_and_clock(
+    time: str,
+    names: Sequence[str],
+    free: Sequence[str],
+    dated: Callable[[str], str],
+    dt: float | None,
+) -> tuple[str | None, str]:
     """Return (the column of the day or None, the time): the other half of a time stamp stands beside it, or
     is called like a time.
     """
@@ -181,7 +189,7 @@ def _day_and_clock(time, names, free, dated, dt):
     return (halves[0], time) if kind == "clock" else (time, halves[0])
 
 
-def _only_dated(columns: list) -> list:
+def _only_dated(columns: list[str]) -> list[str]:
     """Return the columns with time stamps where there is one at most; refuse several."""
     if len(columns) > 1:
         raise ValueError(
@@ -191,7 +199,7 @@ def _only_dated(columns: list) -> list:
     return columns
 
 
-def _source(signal, names, model):
+def _source(signal: str, names: Sequence[str], model: SignalModel) -> str | Expression:
     named = model.column(signal)
     e = expression(named) if is_expression(named) else None
     try:

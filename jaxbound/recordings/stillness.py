@@ -14,9 +14,11 @@ to, so it counts as frozen only if it changes from sample to sample everywhere e
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+
+from jaxbound.recordings.signals import Named
 
 __all__ = [
     "Run",
@@ -157,7 +159,7 @@ def joined(a: Runs, b: Runs) -> Runs:
 
 
 def stretches(runs: Runs, driven: bool = False) -> tuple[Stretch, ...]:
-    """Return what stood still, as a tuple of Stretch; driven: the signal is an input.
+    """Return the stretches that stood still; driven: the signal is an input.
 
     Example:
         >>> x = np.sin(np.arange(500.0))
@@ -185,10 +187,8 @@ def stretches(runs: Runs, driven: bool = False) -> tuple[Stretch, ...]:
     return tuple(out)
 
 
-def _least(counts, present, run, driven):
-    """Return a run length that is usual in all samples outside a run, or that chance makes likely there,
-    whichever is more.
-    """
+def _least(counts: np.ndarray, present: int, run: Run, driven: bool) -> float:
+    """Return the length of a run that is usual outside of it, or likely by chance: the larger."""
     rest, finished = present - run.length, counts.sum() - 1
     below = np.cumsum(counts[:CAP] * np.arange(CAP))
     below[run.length :] -= run.length
@@ -200,8 +200,12 @@ def _least(counts, present, run, driven):
     return max(usual, 1, likely / FROZEN)
 
 
-def _extreme(runs, value):
-    return "largest" if value == runs.high else "smallest" if value == runs.low else ""
+def _extreme(runs: Runs, value: float) -> str:
+    if value == runs.high:
+        return "largest"
+    if value == runs.low:
+        return "smallest"
+    return ""
 
 
 def windows_inside(runs: Runs, horizon: int) -> int:
@@ -221,7 +225,7 @@ def windows_inside(runs: Runs, horizon: int) -> int:
     return inside + max(long - int(runs.counts[CAP]) * horizon, 0) + max(last - horizon, 0)
 
 
-def still_hints(model: Any, u: np.ndarray, y: np.ndarray, label: Callable[[int], str]) -> list[str]:
+def still_hints(model: Named, u: np.ndarray, y: np.ndarray, label: Callable[[int], str]) -> list[str]:
     """Return sentences on all signals of a recording, u (T, m) and y (T, p), that stand still. Other
     arguments as for `signal_hints`.
     """

@@ -6,27 +6,37 @@ polars, pyarrow, cudf) or by the Arrow protocol. What has names that are not und
 columns by position would be a guess.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
 
+from jaxbound.recordings.signals import Named
 from jaxbound.recordings.tabletime import one_level, tells_dates, unlabelled, with_time
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = ["as_table", "is_table", "one_row", "paired"]
 
 
-def is_table(data: Any) -> bool:
+Data = Any
+"""What a user holds: a table or an array of whatever library."""
+Rows = np.ndarray | tuple[()]
+"""Numbers of rows."""
+
+
+def is_table(data: object) -> bool:
     """Return whether this is a DataFrame of pandas, or behaves like one."""
     return hasattr(data, "iloc") and hasattr(
         data, "columns"
     )  # in this order: some tables work out their columns when asked
 
 
-def as_table(data: Any, name: str, channels: Sequence[str] | None = None) -> Any:
-    """Return what has named columns as a DataFrame, and anything else as it is.
+def as_table(data: Data, name: str, channels: Sequence[str] | None = None) -> Data:
+    """Return data with named columns as a DataFrame, and anything else as it is.
 
     Args:
         data: anything. name: "u" or "y", for sentences. channels: names of the signals, which columns that
@@ -89,11 +99,11 @@ def as_table(data: Any, name: str, channels: Sequence[str] | None = None) -> Any
     return data
 
 
-def _kind(data):
+def _kind(data: object) -> str:
     return f"a {type(data).__name__} of {type(data).__module__.split('.')[0]}"
 
 
-def _with_coordinates(frame, data):
+def _with_coordinates(frame: "pd.DataFrame", data: Data) -> "pd.DataFrame":
     """Return the table of what has coordinates beside its dimensions with those of its rows as columns: one
     may be the time.
     """
@@ -104,7 +114,7 @@ def _with_coordinates(frame, data):
     return frame.assign(**{c: x for c, x in others.items() if c not in frame.columns})
 
 
-def _of_mapping(columns, name):
+def _of_mapping(columns: Mapping[str, Data], name: str) -> "pd.DataFrame":
     import pandas as pd
 
     columns = {c: x if np.ndim(x) else [x] for c, x in columns.items()}
@@ -116,7 +126,7 @@ def _of_mapping(columns, name):
     return pd.DataFrame(columns)
 
 
-def _named(data, channels, dims=()):
+def _named(data: Data, channels: Sequence[str] | None, dims: Sequence[Hashable] = ()) -> Data:
     """Return a DataFrame or a Series as a DataFrame whose columns have names, if it can be, with one label a
     row.
     """
@@ -140,7 +150,7 @@ def _named(data, channels, dims=()):
     return data
 
 
-def one_row(data: Any, name: str) -> Any:
+def one_row(data: Data, name: str) -> Data:
     """Return one sample, (n,) numbers, a Series or a dict, as a recording of one: a row of an array, or a
     table where there are names.
 
@@ -162,7 +172,7 @@ def one_row(data: Any, name: str) -> Any:
     return data
 
 
-def paired(u: Any, y: Any, model: Any) -> tuple[Any, Any, Any]:
+def paired(u: Data, y: Data, model: Named) -> tuple[Data, Data, Rows]:
     """Return (u, y, starts): two tables with the rows that belong together, by their labels, and where that
     left rows out.
 
@@ -196,8 +206,8 @@ def paired(u: Any, y: Any, model: Any) -> tuple[Any, Any, Any]:
     return u.iloc[rows_u].set_axis(times), y.iloc[rows_y].set_axis(times), ()
 
 
-def _matched(u, y):
-    """Return what `paired` does of two tables by the labels of their rows."""
+def _matched(u: "pd.DataFrame", y: "pd.DataFrame") -> tuple[Data, Data, Rows]:
+    """Return the result of `paired` for two tables, by the labels of their rows."""
     a, b = u.index, y.index
     if a is b or a.equals(b) or (unlabelled(a) and unlabelled(b)):  # of another length: refused for that
         return u, y, ()
@@ -207,7 +217,7 @@ def _matched(u, y):
     return u, y.iloc[rows_y].set_axis(a), _jumps(rows_y, a)
 
 
-def _places(a, b):
+def _places(a: "pd.Index", b: "pd.Index") -> tuple[np.ndarray, np.ndarray]:
     """Return (rows of the table with the labels a, rows of that with b) that belong together, in the order of
     the shorter one.
 
@@ -236,7 +246,7 @@ def _places(a, b):
     )
 
 
-def _jumps(places, index):
+def _jumps(places: np.ndarray, index: "pd.Index") -> Rows:
     """Return the rows before which others were left out, where the labels themselves do not say so."""
     if getattr(index.dtype, "kind", None) in tuple("mMiuf"):
         return ()

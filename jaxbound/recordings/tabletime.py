@@ -8,7 +8,8 @@ sampling period apart.
 
 import datetime
 import numbers
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sized
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -16,9 +17,15 @@ from jaxbound.recordings.csvtext import is_number
 from jaxbound.recordings.expressions import expression, is_expression
 from jaxbound.recordings.seams import TOLERATED_STEP, Clock, check_period, irregular, tick, usual_period
 from jaxbound.recordings.selection import time_column
+from jaxbound.recordings.signals import Named
 from jaxbound.recordings.timestamps import DIGITS, read_numbers, stamp_kind, time_like
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 __all__ = ["RowTime", "one_level", "plain_labels", "row_time", "tells_dates", "unlabelled", "with_time"]
+
+T = TypeVar("T", bound=Sized)
 
 EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
 TO_DATETIME = "turn them into times with pandas.to_datetime first"
@@ -26,7 +33,7 @@ DAY = np.timedelta64(1, "D")
 
 
 class RowTime(NamedTuple):
-    """What an index tells.
+    """The time that an index tells.
 
     Fields: time, origin, dt, stamps: as of a Recording; seams: numbers of rows that do not follow the one
     before.
@@ -39,17 +46,17 @@ class RowTime(NamedTuple):
     seams: np.ndarray
 
 
-def unlabelled(index: Any) -> bool:
+def unlabelled(index: "pd.Index") -> bool:
     """Return whether an index is none: 0, 1, 2, ..., as a table has that was given no labels."""
     return getattr(index, "start", None) == 0 and getattr(index, "step", None) == 1
 
 
-def tells_dates(index: Any) -> bool:
+def tells_dates(index: "pd.Index") -> bool:
     """Return whether an index holds dates or time spans."""
     return plain_labels(index).dtype.kind in ("m", "M")
 
 
-def one_level(frame: Any) -> Any:
+def one_level(frame: "pd.DataFrame") -> "pd.DataFrame":
     """Return a table with one label a row: levels of its index that hold one value throughout are dropped.
 
     Raises:
@@ -69,7 +76,7 @@ def one_level(frame: Any) -> Any:
     return frame.set_axis([*several, levels[-1]][0])
 
 
-def plain_labels(labels: Any) -> Any:
+def plain_labels(labels: "pd.Index") -> "pd.Index":
     """Return an index as dates, time spans or numbers where it holds these as objects, text, categories or
     periods.
 
@@ -109,7 +116,7 @@ def plain_labels(labels: Any) -> Any:
         return labels
 
 
-def with_time(frame: Any, model: Any) -> Any:
+def with_time(frame: "pd.DataFrame", model: Named) -> "pd.DataFrame":
     """Return a table with the time of its rows for an index, where a column tells it; else as it is.
 
     The column is the one by which the same table would be read from a file. An index of dates or time spans
@@ -141,8 +148,8 @@ def with_time(frame: Any, model: Any) -> Any:
     return frame.set_axis(_of_day_and_clock(labels(day), labels(time)))
 
 
-def row_time(index: Any, dt: float | None, whose: str, regular: bool) -> RowTime:
-    """Return what an index tells of the time of its rows.
+def row_time(index: "pd.Index", dt: float | None, whose: str, regular: bool) -> RowTime:
+    """Return the time of the rows of an index.
 
     Args:
         index: from `with_time`. dt: sampling period in s, None: not known. whose: who says so, see
@@ -174,7 +181,7 @@ def row_time(index: Any, dt: float | None, whose: str, regular: bool) -> RowTime
     return RowTime(time, origin, *_checked(time, index, dt, whose, regular, stamps))
 
 
-def _of_signals(model):
+def _of_signals(model: Named) -> set[str]:
     """Return the names of all columns that hold a signal."""
     found = set()
     for signal in (*model.inputs, *model.outputs):
@@ -185,25 +192,31 @@ def _of_signals(model):
     return found
 
 
-def _labels(frame, name):
+def _labels(frame: "pd.DataFrame", name: str) -> "pd.Index":
     import pandas as pd
 
     return pd.Index(frame.iloc[:, list(frame.columns).index(name)])
 
 
-def _first(labels):
+def _first(labels: "pd.Index") -> object:
     """Return the first label that there is, or None."""
-    first = labels[:1] if len(labels) and not labels[:1].hasnans else labels.dropna()[:1]
-    return first[0] if len(first) else None
+    first = labels[:1]
+    if not len(first) or first.hasnans:
+        first = labels.dropna()[:1]
+    if not len(first):
+        return None
+    return first[0]
 
 
-def _held(labels):
-    """Return what labels hold, as `stamp_kind` says of text."""
+def _held(labels: "pd.Index") -> str:
+    """Return the kind of labels, as `stamp_kind` does of text."""
     first = _first(labels)
     if isinstance(first, (int, np.integer)):
-        return stamp_kind(str(first)) if DIGITS.fullmatch(str(first)) else ""
+        is_time = bool(DIGITS.fullmatch(str(first)))
+        return stamp_kind(str(first)) if is_time else ""
     if isinstance(first, str):
-        return stamp_kind(first) if DIGITS.fullmatch(first) or not is_number(first, ",") else ""
+        is_time = bool(DIGITS.fullmatch(first)) or not is_number(first, ",")
+        return stamp_kind(first) if is_time else ""
     if isinstance(first, datetime.time):
         return "clock"
     plain = plain_labels(labels)
@@ -216,7 +229,7 @@ def _held(labels):
     return ""
 
 
-def _in_seconds(labels, name):
+def _in_seconds(labels: "pd.Index", name: str) -> "pd.Index":
     """Return the labels of a time column as dates, time spans, or floats, which are seconds or an epoch."""
     plain = plain_labels(labels)
     if plain.dtype.kind in ("i", "u", "f"):
@@ -229,13 +242,13 @@ def _in_seconds(labels, name):
     return plain.rename(name)
 
 
-def _floats(labels):
+def _floats(labels: "pd.Index") -> "pd.Index":
     import pandas as pd
 
     return pd.Index(labels.to_numpy(np.float64, na_value=np.nan))
 
 
-def _of_day_and_clock(days, clocks):
+def _of_day_and_clock(days: "pd.Index", clocks: "pd.Index") -> "pd.Index":
     import pandas as pd
 
     since = clocks if clocks.dtype.kind == "m" else pd.to_timedelta([t.isoformat() for t in clocks])
@@ -244,7 +257,7 @@ def _of_day_and_clock(days, clocks):
     return pd.DatetimeIndex(plain_labels(days) + pd.TimedeltaIndex(since), name=clocks.name)
 
 
-def _since_first(index):
+def _since_first(index: "pd.Index") -> tuple[np.ndarray, float]:
     """Return (time, origin): seconds since the first label of an index, and that one's since 1970 or zero."""
     _complete(index, lambda x: np.asarray(x.isna()))
     if not len(index):
@@ -254,7 +267,7 @@ def _since_first(index):
     return np.asarray(index - index[0]) / SECOND, float((first if spans else first - EPOCH) / SECOND)
 
 
-def _complete(labels, gone):
+def _complete(labels: T, gone: Callable[[T], np.ndarray]) -> T:
     """Return the labels; refuse some that are none."""
     missing = gone(labels)
     if missing.any():
@@ -263,7 +276,7 @@ def _complete(labels, gone):
     return labels
 
 
-def _refuse_steps(labels):
+def _refuse_steps(labels: np.ndarray) -> None:
     """Refuse an index that counts, but not every sample, as one of every second row of a table does."""
     step = float(np.median(np.diff(labels))) if len(labels) > 1 else 1.0
     if step > 0 and abs(step - 1) > TOLERATED_STEP:
@@ -274,24 +287,33 @@ def _refuse_steps(labels):
         raise ValueError(f"the index counts in steps of {step:g}, as if rows were left out. {seconds}")
 
 
-def _checked(time, index, dt, whose, regular, stamps=None):
+def _checked(
+    time: np.ndarray,
+    index: "pd.Index",
+    dt: float | None,
+    whose: str,
+    regular: bool,
+    stamps: np.ndarray | None = None,
+) -> tuple[float | None, np.ndarray | None, np.ndarray]:
     """Return (dt, stamps, seams) of rows at these times."""
-    found = None
+    period = None
     checked = regular and len(time) > 1
     try:
         if checked:
-            found = usual_period(time) if dt is None else dt
-            check_period(time, found, whose)
-        clock, seams = tick(Clock(found or dt or 1.0), time)
+            period = usual_period(time) if dt is None else dt
+            check_period(time, period, whose)
+        clock, seams = tick(Clock(period or dt or 1.0), time)
         if checked and (sentence := irregular(clock, lambda k: str(index[k]), lambda k: f"row {k}")):
             raise ValueError(sentence)
     except ValueError as e:
-        taken = f"; the time is taken from {index.name!r}: where that is none, rename it or leave it out"
-        raise ValueError(f"{e}{'' if index.name is None else taken}") from None
-    return found, stamps, seams
+        if index.name is None:
+            raise ValueError(str(e)) from None
+        taken = f"the time is taken from {index.name!r}: where that is none, rename it or leave it out"
+        raise ValueError(f"{e}; {taken}") from None
+    return period, stamps, seams
 
 
-def _changes(labels):
+def _changes(labels: "pd.Index") -> np.ndarray:
     """Return the rows before which labels that tell no time change, where they repeat.
 
     Rows of one label follow each other, if any do.

@@ -6,12 +6,16 @@ import math
 import re
 from collections.abc import Callable
 from datetime import datetime
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jaxbound.recordings.columns import from_arrow
 from jaxbound.recordings.seams import TOLERATED_DT, TOLERATED_STEP
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow as pa
 
 __all__ = [
     "DIGITS",
@@ -57,7 +61,7 @@ EPOCHS = {1.0: "s", 1e3: "ms", 1e6: "us", 1e9: "ns"}
 
 
 def parse_stamps(
-    cells: Any, dt: float | None, where: Callable[[int], str]
+    cells: "pa.Array", dt: float | None, where: Callable[[int], str]
 ) -> tuple[np.ndarray, np.ndarray | None, str]:
     """Return (time, stamps, hint) of text cells.
 
@@ -111,8 +115,8 @@ def parse_stamps(
 
 
 def stamp_kind(cell: str | None) -> str:
-    """Return what a cell holds: a time stamp of any usual format, "day" or "clock" where it is half of one,
-    "" where it is none.
+    """Return the kind of a cell: "stamp" for a time stamp of any format, "day" or "clock" for half of one,
+    "" for none.
 
     Eight digits may be a day beside a clock, but also a number: "digits". That it is no other number is
     known.
@@ -137,7 +141,7 @@ def stamp_kind(cell: str | None) -> str:
     return "day" if fits(DATES) else "clock" if fits(CLOCKS) else "stamp"
 
 
-def with_day(days: Any, clocks: Any) -> Any:
+def with_day(days: "pa.Array", clocks: "pa.Array") -> "pa.Array":
     """Return the time stamps of two pyarrow arrays of texts, days and times of day; null where one of them
     is.
     """
@@ -197,7 +201,7 @@ def read_numbers(values: np.ndarray, dt: float | None) -> tuple[np.ndarray, np.n
     )
 
 
-def time_label(seconds: float, stamp: Any, step: float) -> str:
+def time_label(seconds: float, stamp: np.datetime64 | None, step: float) -> str:
     """Return the time of a sample as text: of its time stamp if it has one, else of its seconds to a
     hundredth of a step.
 
@@ -212,19 +216,19 @@ def time_label(seconds: float, stamp: Any, step: float) -> str:
     return f"{text.rstrip('0').rstrip('.') if '.' in text else text} s"
 
 
-def row_label(index: Any, k: int) -> str:
+def row_label(index: "pd.Index | np.ndarray | None", k: int) -> str:
     """Return the label of row k as text; index: labels of all rows, None where they have none."""
     if index is None:
         return f"sample {k}"
     return time_label(0.0, index[k], 1.0) if isinstance(index[k], np.datetime64) else str(index[k])
 
 
-def time_like(label: Any) -> bool:
+def time_like(label: object) -> bool:
     """Return whether a label is text that looks like a time."""
     return isinstance(label, str) and re.search(r"\d[-/.:]\d+[-/.: T]", label + " ") is not None
 
 
-def _split_fraction(cells):
+def _split_fraction(cells: "pa.Array") -> tuple["pa.Array", np.ndarray | None]:
     """Split "12:00:01.25" into "12:00:01" and 0.25 s, if the first cell has a fraction of a second."""
     import pyarrow as pa
     import pyarrow.compute as pc
@@ -240,7 +244,7 @@ def _split_fraction(cells):
     )
 
 
-def _fits(text, form):
+def _fits(text: str, form: str) -> bool:
     try:
         datetime.strptime(text, form)
     except ValueError:
@@ -248,7 +252,7 @@ def _fits(text, form):
     return True
 
 
-def _parse(whole, fraction, form):
+def _parse(whole: "pa.Array", fraction: np.ndarray | None, form: str) -> np.ndarray:
     import pyarrow.compute as pc
 
     stamps = from_arrow(pc.strptime(whole, format=form, unit="s", error_is_null=True)).astype(
@@ -257,18 +261,20 @@ def _parse(whole, fraction, form):
     return stamps if fraction is None else stamps + fraction
 
 
-def _seconds(stamps):
+def _seconds(stamps: np.ndarray) -> np.ndarray:
     return (stamps - stamps[0]) / np.timedelta64(1, "s")
 
 
-def _seams(stamps, dt):
+def _seams(stamps: np.ndarray, dt: float | None) -> int:
     """Return how many steps are not dt."""
     steps = np.diff(_seconds(stamps))
     dt = dt if dt is not None else np.median(steps) if len(steps) else 1.0
     return int((np.abs(steps - dt) > TOLERATED_STEP * abs(dt)).sum())
 
 
-def _since_first(stamps, hint, dated=True):
+def _since_first(
+    stamps: np.ndarray, hint: str, dated: bool = True
+) -> tuple[np.ndarray, np.ndarray | None, str]:
     time = _seconds(stamps)
     if dated:
         return time, stamps, hint
@@ -279,7 +285,7 @@ def _since_first(stamps, hint, dated=True):
     )  # a clock that passed midnight
 
 
-def _words(form):
+def _words(form: str) -> str:
     for code, word in {"%Y": "year", "%y": "year", "%m": "month", "%d": "day", "%b": "month"}.items():
         form = form.replace(code, word)
     return form.split(" %")[0].split("T%")[0]

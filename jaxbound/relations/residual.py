@@ -24,7 +24,8 @@ from jaxbound.consistency.interface import (
     WindowTest,
     refuse_options,
 )
-from jaxbound.recordings.recording import Recording, Signals
+from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.signals import Signals
 from jaxbound.recordings.table import as_table, is_table
 from jaxbound.sets.intervals.interval import Interval, interval, mid
 from jaxbound.text.objects import readable

@@ -7,7 +7,8 @@ import pandas as pd
 import pytest
 
 import jaxbound as jb
-from jaxbound.recordings.recording import Recording, Signals
+from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.signals import Signals
 
 MODEL = jb.LinearSystem([[0.5]], [[1]], [[1], [2]], noise=0.1, inputs=["valve"], outputs=["level", "flow"])
 U, Y = np.arange(6.0)[:, None], np.arange(12.0).reshape(6, 2)

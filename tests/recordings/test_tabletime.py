@@ -10,7 +10,8 @@ import pandas as pd
 import pytest
 
 import jaxbound as jb
-from jaxbound.recordings.recording import Recording, Signals
+from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.signals import Signals
 
 T = 24
 MODEL = jb.LinearSystem([["0.5"]], [[1]], [[1]], noise="0.01", dt=3, inputs="u", outputs="T1")

@@ -84,7 +84,6 @@ def from_pipe(data, cuts=()):
     edges = [0, *sorted(cuts), len(data)]
     pieces = [pipe.take(data[a:b]) for a, b in zip(edges, edges[1:], strict=False)]
     pieces.append(pipe.take(b"", end=True))
-    pipe.end()
     pieces = [piece for piece in pieces if piece is not None]
     first = np.cumsum([0, *(len(piece.time) for piece in pieces)])
     starts = [piece.starts + at for piece, at in zip(pieces, first, strict=False)]

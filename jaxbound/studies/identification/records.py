@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.recordings.arrays import holds_both, is_made
-from jaxbound.recordings.recording import Recording, Signals
+from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import TOLERATED_DT
+from jaxbound.recordings.signals import Signals
 from jaxbound.recordings.table import as_table, is_table
 
 __all__ = ["Records", "input_ranges", "measured", "parted", "read_records"]
