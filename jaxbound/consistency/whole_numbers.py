@@ -18,13 +18,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import ceil, lcm
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.reading import gather
+from jaxbound.consistency.interface import LinearRelations
+from jaxbound.consistency.reading import Reading, gather
 from jaxbound.consistency.whole_rows import WholeRows, whole_rows
 from jaxbound.exact.frames import ExactFrame
 from jaxbound.exact.integers import places, quotients, ratios, total, whole_floats
@@ -50,7 +50,7 @@ SEARCHES = (1.0, 3e-4, 0.03)
 """Searches for h and d, see `separation.exchange_search`."""
 
 
-def thin(test: Any, u: np.ndarray, y: np.ndarray) -> np.ndarray:
+def thin(test: Reading, u: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Say which windows u (lags, m, N), y (s + 1, p, N) have a bound so small that rounding leaves some far
     from the boundary open.
 
@@ -66,7 +66,7 @@ def thin(test: Any, u: np.ndarray, y: np.ndarray) -> np.ndarray:
     return small & ~np.isinf(y).any((0, 1)) & ~np.isinf(u).any((0, 1))
 
 
-def _wide(test, y):
+def _wide(test: Reading, y: np.ndarray) -> bool:
     """Say whether no window of a recording is thin, by its largest sample and the smallest bound: cheaper
     than a look at each.
     """
@@ -82,14 +82,14 @@ def _wide(test, y):
 
 
 def settle(
-    relations: Any,
-    test: Any,
+    relations: LinearRelations,
+    test: Reading,
     method: str,
     u: np.ndarray,
     y: np.ndarray,
     status: np.ndarray,
     margin: np.ndarray,
-    progress: Callable | None = None,
+    progress: Callable[[float], object] | None = None,
 ) -> None:
     """Decide what strips of NumPy recordings u (T, m), y (T, p) left open though it may be far from the
     boundary.
@@ -106,11 +106,9 @@ def settle(
     if len(left):
         left = left[thin(test, *gather(u, y, left - s, test.lags, s))]
     if len(left):
-        strips = (
-            (relations.circuits, relations.circuits_known)
-            if method == "joint"
-            else (relations.W, relations.K)
-        )
+        strips = relations.W, relations.K
+        if method == "joint":
+            strips = relations.circuits, relations.circuits_known
         for first in range(0, len(left), BLOCK):
             part = left[first : first + BLOCK]
             margin[part] = exact_strips(relations, test, strips, *gather(u, y, part - s, test.lags, s))
@@ -119,34 +117,37 @@ def settle(
         status[left] = status_of(margin[left])
 
 
-def exact_strips(relations: Any, test: Any, strips: tuple, u: np.ndarray, y: np.ndarray) -> np.ndarray:
+def exact_strips(
+    relations: LinearRelations, test: Reading, strips: tuple[Matrix, Matrix], u: np.ndarray, y: np.ndarray
+) -> np.ndarray:
     """Return (N,) margins: > 0 inside, < 0 outside, both proved; 0: a missing input silences a strip; NaN: no
     strip has its data.
 
     Args:
-        relations: a ParityRelation; test: its Reading, whose bounds count. strips: (h, k), exact rows over
+        relations: of a window; test: their Reading, whose bounds count. strips: (h, k), exact rows over
             (Y, w) and over U.
         u (lags, m, N), y (s + 1, p, N): samples of N windows, NaN where missing.
     """
     return _strips(whole_rows(relations.model, test, u, y), strips, y.dtype)
 
 
-def exact_search(relations: Any, test: Any, frame: Any, u: np.ndarray, y: np.ndarray) -> np.ndarray:
+def exact_search(
+    relations: LinearRelations, test: Reading, frame: ExactFrame, u: np.ndarray, y: np.ndarray
+) -> np.ndarray:
     """Return (N,) margins as `exact_strips`, 0 too where no search came near enough.
 
     Args:
         frame: the `exact.Frame` of windows that miss these samples. The others as for `exact_strips`.
     """
-    parts = [slice(i, i + BLOCK) for i in range(0, y.shape[2], BLOCK)]
-    return np.concatenate(
-        [
-            _searched(whole_rows(relations.model, test, u[..., part], y[..., part]), frame, y.dtype)
-            for part in parts
-        ]
-    )
+    margins = []
+    for first in range(0, y.shape[2], BLOCK):
+        part = slice(first, first + BLOCK)
+        rows = whole_rows(relations.model, test, u[..., part], y[..., part])
+        margins.append(_searched(rows, frame, y.dtype))
+    return np.concatenate(margins)
 
 
-def _strips(rows: WholeRows, strips: tuple[Matrix, Matrix], dtype: Any) -> np.ndarray:
+def _strips(rows: WholeRows, strips: tuple[Matrix, Matrix], dtype: np.dtype) -> np.ndarray:
     """Return (N,) margins of all strips (h, k) together."""
     N = rows.absent.shape[1]
     gauge, out, inside = np.full(N, -1.0), np.zeros(N, bool), ~_silenced(rows, strips[1])
@@ -207,7 +208,7 @@ def _whole_strip(rows: WholeRows, h: Vector, k: Vector) -> _WholeStrip:
     return _WholeStrip(support, inputs, whole_h, whole_k, floor)
 
 
-def _searched(rows: WholeRows, frame: ExactFrame, dtype: Any) -> np.ndarray:
+def _searched(rows: WholeRows, frame: ExactFrame, dtype: np.dtype) -> np.ndarray:
     """Return (N,) margins, by what a search in floats finds and integers prove."""
     image = _whole_image(rows, frame)
     N = rows.absent.shape[1]
@@ -302,8 +303,8 @@ class _WholeImage:
             fits &= (gap + self.slip[a] * one <= most).astype(bool) | ~self.present[a]
         return fits
 
-    def _column(self, i: int, whole: np.ndarray) -> Any:
-        """Return what combinations do with an inner row."""
+    def _column(self, i: int, whole: np.ndarray) -> np.ndarray | int:
+        """Return the coefficients of an inner row in combinations."""
         return total(row[i] * whole[a] for a, row in enumerate(self.R) if row[i])
 
 
@@ -387,13 +388,21 @@ def _in_floats(image: _WholeImage, frame: ExactFrame) -> _FloatImage:
 
 
 @jax.jit
-def _candidates(R, z, r_outer, r_inner, present, one, finer):
+def _candidates(
+    R: jax.Array,
+    z: jax.Array,
+    r_outer: jax.Array,
+    r_inner: jax.Array,
+    present: jax.Array,
+    one: jax.Array,
+    finer: float,
+) -> tuple[jax.Array, ...]:
     radius = jnp.concatenate([r_outer, r_inner])
     counts = jnp.concatenate([present, jnp.ones_like(r_inner, bool)])
     return separation.exchange_search(R, z, radius, counts, one, 20 * (len(r_inner) + 10), finer)
 
 
-def _signed(margin: np.ndarray, out: np.ndarray, inside: np.ndarray, dtype: Any) -> np.ndarray:
+def _signed(margin: np.ndarray, out: np.ndarray, inside: np.ndarray, dtype: np.dtype) -> np.ndarray:
     """Return margins with the sign that was proved, 0 where none was."""
     least = np.finfo(dtype).eps
     proved = np.where(out, np.minimum(margin, -least), np.where(inside, np.maximum(margin, least), 0))

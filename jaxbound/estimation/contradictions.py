@@ -1,4 +1,4 @@
-"""What an observer does at a sample that exact tests refute: it begins anew behind it, or FAULT stays.
+"""Samples that exact tests refute: an observer begins anew behind one, or FAULT stays.
 
 Methods that test more than their zonotopes do ("joint", "constrained") share it. All are arrays (T, N), time
 first, recordings last.
@@ -12,7 +12,7 @@ __all__ = ["ended", "fresh_behind", "is_first", "staying"]
 
 
 def is_first(wrong: np.ndarray) -> np.ndarray:
-    """Return where the first refuted sample of each recording is."""
+    """Return (T, N) bool: the first refuted sample of each recording."""
     return wrong & (np.cumsum(wrong, 0) == 1)
 
 

@@ -1,4 +1,4 @@
-"""What unknown inputs leave known of a zonotope, and how a sample takes them out of it:
+"""The part of a zonotope that unknown inputs leave known, and how a sample takes them out of it:
 `models.unknown_directions`, in floats.
 
 A sample says m - C x - D v = delta, |delta| <= s, of the state x = x_0 + (anything of S). So x is M x_0 + H
@@ -16,12 +16,11 @@ __all__ = ["Free", "known_again"]
 
 
 class Free(NamedTuple):
-    """What unknown inputs leave known, see `models.unknown_directions`, ways to take them out of a sample on
-    the last axis.
+    """The ways to take unknown inputs out of a sample, on the last axis: see `models.unknown_directions`.
 
-    Fields: M (n, n, k), H (n, p, k) and wide_M, wide_H, what entries may be more or less; used (p, k): the
-    outputs of a way; before, after (n,): states of which nothing is known before and after a sample; shown
-    (p,): outputs that they act on; first (): whether a first state was given in bounds, all of it.
+    Fields: M (n, n, k), H (n, p, k) and wide_M, wide_H, by which entries may be more or less; used (p, k):
+    the outputs of a way; before, after (n,): states of which nothing is known before and after a sample;
+    shown (p,): outputs that they act on; first (): whether a first state was given in bounds, all of it.
     """
 
     M: Any

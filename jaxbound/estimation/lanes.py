@@ -9,8 +9,8 @@ __all__ = ["emptied", "joined"]
 
 
 def joined(found: Found) -> Found:
-    """Return what sets side by side (.., lanes, N) say together: what one refutes is refuted, the state is in
-    all of them.
+    """Return the verdict of sets side by side (.., lanes, N): one of them refutes for all, the state is in
+    each.
     """
     if found.status.shape[-2] == 1:
         return Found(*(x[..., 0, :] for x in found))
@@ -19,8 +19,8 @@ def joined(found: Found) -> Found:
 
 
 def emptied(found: Found, before: np.ndarray | None) -> Found:
-    """Return what was found without ends, NaN, where nothing is left: behind a FAULT that stays, and where
-    sets have nothing in common.
+    """Return Found with NaN for the ends of sets that are empty: behind a FAULT that stays, and where sets
+    have nothing in common.
 
     Args:
         found: of T samples, (T, .., N). before: (N,), which recordings were refuted before these, where a

@@ -2,8 +2,6 @@
 last axis.
 """
 
-from typing import Any
-
 import numpy as np
 
 from jaxbound.estimation.ordered import added, mapped
@@ -56,7 +54,7 @@ def template(D: np.ndarray, c: np.ndarray, G: np.ndarray, r: np.ndarray) -> tupl
     return (mid - reach).max(0), (mid + reach).min(0)
 
 
-def strip(lo: np.ndarray, hi: np.ndarray, dtype: Any) -> tuple[np.ndarray, np.ndarray]:
+def strip(lo: np.ndarray, hi: np.ndarray, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:
     """Return (mid, rad) in a dtype that hold lo .. hi; an infinite radius where this is not bounded."""
     with np.errstate(invalid="ignore"):
         mid, rad = (lo + hi) / 2, np.maximum(hi - lo, 0) / 2
@@ -73,7 +71,7 @@ def parallelotope(
     hi: np.ndarray,
     reach: np.ndarray,
     strips: tuple,
-    dtype: Any,
+    dtype: np.dtype,
 ) -> Prior:
     """Return the Prior that holds every x with lo <= D x <= hi and |x| <= reach, and strips: x = back (D x) +
     (I - back D) x.
@@ -91,7 +89,7 @@ def parallelotope(
     return near._replace(r=rounding.round_up(off, dtype))
 
 
-def principal(x: Numbers, steps: int, blocks: int, dtype: Any) -> list[tuple[np.ndarray, np.ndarray]]:
+def principal(x: Numbers, steps: int, blocks: int, dtype: np.dtype) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return (D, back), (n, n) each, back about the inverse of D, after 0, 1, .. blocks: principal directions
     of a Kalman filter.
 

@@ -222,7 +222,7 @@ class SetObserver(Observer[State], Generic[State]):
         return "observer", self.order, self.weights, self.restart, first, self.horizon
 
     def _rows(self) -> dict[str, str]:
-        """Return what `readable` shows."""
+        """Return the lines that `readable` shows."""
         weights = " ".join(f"{weight:g}" for weight in self.weights)
         return {
             "model": repr(self.model),
@@ -297,7 +297,7 @@ class SetObserver(Observer[State], Generic[State]):
         return decided_twice(self, carry, piece)
 
     def judged(self, carry: State, piece: Recording) -> tuple[State, Observation | Judged]:
-        """Return what `fold` does, by XLA alone: its FAULTs are decided once."""
+        """Return (carry, verdicts) as `fold`, by XLA alone: FAULTs are decided once."""
         lead, samples = self._side_by_side(carry, piece)
         T, count = samples.fresh.shape
         state = self._of_all(carry, count)

@@ -1,4 +1,4 @@
-"""What did the unknown input do? An interval for it at every sample, from windows that determine it.
+"""An interval of each unknown input at every sample, from the windows that determine it.
 
 An unknown input v is determined by a window if some h gives h E = e_v, with E as in `models.window.unknowns`:
 then v = h (Y, w) - k U for an exact plant, and the samples' intervals give one for v. Every vector of minimal

@@ -55,7 +55,8 @@ BLOCK = {"joint": 32, "sequential": 512}
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """What `validate` found, time first: entry k comes from the window that ends at sample k.
+    """The states, outputs and verdicts of `validate`, time first: entry k comes from the window that ends at
+    k.
 
     Fields: state Interval (..., T, n). output Interval (..., T, p): what a perfect sensor would show.
     residual Interval (..., T, p): the sample minus what the samples before it allow. faulty (..., T, p) bool:
@@ -219,7 +220,8 @@ class _Slide:
         )
 
     def __call__(self, u, y, recorded, x0=None, before=None, earlier=None):
-        """Return what `judged` does, with UNDECIDED in place of a FAULT that is not seen again outside XLA.
+        """Return (Validation, carry) of `judged`, with UNDECIDED for each FAULT that is not seen again
+        outside XLA.
 
         Searches for bounds end elsewhere where numbers are rounded otherwise: that FAULT samples in a row
         begin with one that NumPy sees, or that it sees one among those before, is enough, and where it sees
@@ -384,8 +386,7 @@ def nothing_said(shape: tuple[int, ...], n: int, p: int, dtype: np.dtype) -> Val
 
 
 def _piecewise(run, u, y, x0, starts, left_out, s, n):
-    """Validate what lies between gaps, each piece as a recording of its own; where there is none, every
-    interval is entire.
+    """Validate each piece between gaps as a recording of its own; elsewhere every interval is entire.
 
     Pieces are filled up behind their end to few lengths, with absent samples: few compilations, and no sample
     tells of those before it.

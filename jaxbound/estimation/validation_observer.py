@@ -21,7 +21,9 @@ __all__ = ["ValidationObserver", "ValidationState"]
 
 
 class ValidationState(NamedTuple):
-    """What goes on from sample to sample. Fields: u, y: the last samples, at most 2 s; after: of the last
+    """The samples and the enclosure that an observer carries on.
+
+    Fields: u, y: the last samples, at most 2 s; after: of the last
     window, None before the first;
     first: whether the first of these samples is the very first, of which x0 speaks.
     """

@@ -25,7 +25,7 @@ STEPS = 20
 
 
 class Carry(NamedTuple):
-    """What goes on from window to window of N recordings.
+    """The states and samples that windows of N recordings hand on.
 
     Fields: X (2, (s+1) n, N) ends that hold the states of the next window. gone (s, p, N): its samples but
     the newest that are left out.
@@ -38,7 +38,9 @@ class Carry(NamedTuple):
 
 
 class Said(NamedTuple):
-    """What samples say of the model's signals. Fields: absent (T, p, N); ends (2, T, ., N) of C x, H u + d, B
+    """The signals of a model as samples show them.
+
+    Fields: absent (T, p, N); ends (2, T, ., N) of C x, H u + d, B
     u + w, and D u + y0.
     """
 
@@ -51,7 +53,7 @@ class Said(NamedTuple):
 
 @kernel
 def said(plant: Mapping[str, jax.Array], u: jax.Array, y: jax.Array, error: jax.Array) -> Said:
-    """Return what T samples say.
+    """Return the signals that T samples show.
 
     Args:
         plant: ends of A, B, C, D, w, u0, y0, factor, perhaps H, d (see `IntervalSystem`); factor: 1 / (1 +

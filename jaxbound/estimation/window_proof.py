@@ -1,5 +1,5 @@
-"""What multipliers of the samples of a window prove: an enclosure of one direction of one state, rounding
-included.
+"""The proof that multipliers of the samples of a window give: an enclosure of one direction of one state,
+rounding included.
 
 States x_(j+1) = A x_j + B v_j + w_j, samples m_j = C x_j + D v_j + delta_j, |delta_j| <= s_j, and a first
 state in a set. For every l:
@@ -19,11 +19,12 @@ A run of an average (`window_runs`) has a multiplier u of its own: |m + sum F_v 
 that of -sum l delta - sum p w all but u (m +- b) is left to l - F_v' u and W' p - F_w' u.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
 
+from jaxbound.estimation.arrays import Array
 from jaxbound.estimation.ordered import added, mapped, product
 from jaxbound.estimation.window_runs import AverageRows, bounds_of
 from jaxbound.estimation.window_search import WindowProgram
@@ -39,23 +40,25 @@ class Prior(NamedTuple):
     Fields: c (n, N), S (n, n, N), r (n, N), mid, rad (t, N), the radius infinite where there is none.
     """
 
-    c: Any
-    S: Any
-    r: Any
-    mid: Any
-    rad: Any
+    c: Array
+    S: Array
+    r: Array
+    mid: Array
+    rad: Array
 
 
 class Samples(NamedTuple):
-    """What L samples say. Fields: mid, rad (L, p, N), v, slip (L, m, N): see `zonotope_steps.Read`; reach (L,
+    """L samples of windows.
+
+    Fields: mid, rad (L, p, N), v, slip (L, m, N): see `zonotope_steps.Read`; reach (L,
     n, N): at least |x|.
     """
 
-    mid: Any
-    rad: Any
-    v: Any
-    slip: Any
-    reach: Any
+    mid: Array
+    rad: Array
+    v: Array
+    slip: Array
+    reach: Array
 
 
 def window_of(
@@ -152,9 +155,9 @@ def enclosed(
     strips: np.ndarray,
     prior: Prior,
     samples: Samples,
-    weight: Any,
-    d: Any,
-    J: Any,
+    weight: Array,
+    d: np.ndarray,
+    J: np.ndarray,
     before: bool = False,
     runs: AverageRows | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -335,7 +335,7 @@ def written(rows: Tree, row: Tree, k: jax.Array) -> Tree:
 
 
 def begun_anew(carry: ZonotopeCarry, where: jax.Array) -> ZonotopeCarry:
-    """Forget what was before."""
+    """Forget the samples and sets before."""
     return carry._replace(
         age=jnp.where(where, -1, carry.age),
         empty=carry.empty & ~where,

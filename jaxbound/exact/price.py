@@ -15,7 +15,7 @@ SILENCE = 60.0
 
 
 def refuse_or_say(seconds: float, what: str, do: str) -> None:
-    """Say what takes more than a minute, and refuse what takes more than `SECONDS`.
+    """Warn of work that takes more than a minute, and refuse work that takes more than `SECONDS`.
 
     Args:
         seconds: about how long it takes.

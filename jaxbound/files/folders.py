@@ -1,4 +1,4 @@
-"""Where a user's files go that may be thrown away."""
+"""The folder of files that may be thrown away."""
 
 import os
 from pathlib import Path

@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 
 __all__ = ["distinct_relations", "plot_residuals"]
 
+PANEL, BETWEEN, TOP = 1.5, 0.55, 1.0  # inches: of a panel, between two, and above all of them
+TITLE = 125  # characters of a relation
+
 
 def plot_residuals(res: Result, time: np.ndarray | None = None) -> "Figure":
     """Draw every residual with the interval that healthy sensors inside their bounds allow, FAULT windows
@@ -62,71 +65,65 @@ def plot_residuals(res: Result, time: np.ndarray | None = None) -> "Figure":
             "of your own"
         )
     x, label, dates = time_axis(time_of(res, time))
-    picked = _worst(res) if len(x) > SAMPLES else np.arange(len(x))
-    thinned = len(picked) < len(x)
-    missing = (res.status[picked] == Status.MISSING)[
-        :, None
-    ]  # a window across a gap has a residual, but it says nothing
-    external, lo, hi = (np.where(missing, np.nan, x) for x in _forms(relations, res.u, res.y, picked))
+    thinned = len(x) > SAMPLES
+    picked = _worst(res) if thinned else np.arange(len(x))
+    # a window across a gap has a residual, but it says nothing
+    missing = (res.status[picked] == Status.MISSING)[:, None]
+    external, lo, hi = (np.where(missing, np.nan, form) for form in _forms(relations, res.u, res.y, picked))
     fault = np.maximum.reduceat(res.status, bins(len(x))) == Status.FAULT
     distinct = distinct_relations(relations)
-    shown, at, lines = distinct[:PANELS], x[picked], relations.text().splitlines()
-    panel, gap, top = 1.5, 0.55, 1.0  # inches
+    shown, lines = distinct[:PANELS], relations.text().splitlines()
+    height = TOP + BOTTOM + PANEL * len(shown) + BETWEEN * (len(shown) - 1)
+
     with style():
-        fig, axes = stacked(
-            len(shown), (11, top + BOTTOM + panel * len(shown) + gap * (len(shown) - 1)), [1] * len(shown)
-        )
+        fig, axes = stacked(len(shown), (11, height), [1] * len(shown))
         for j, ax in zip(shown, axes, strict=True):
-            text = lines[j]
-            value, low, high = (np.asarray(z[:, j]) for z in (external, lo, hi))
-            # neighbours have nothing to do with each other: the share of the envelope says more than a
-            # thicket of lines
-            if thinned:
-                value, low, high = (
-                    abs(value - (low + high) / 2) / ((high - low) / 2),
-                    np.zeros(len(at)),
-                    np.ones(len(at)),
-                )
-            shade(ax, at, fault)
-            ax.fill_between(at, low, high, color=ENVELOPE, alpha=0.35, lw=0, label="allowed by the bounds")
-            for edge in (low, high):
-                ax.plot(at, edge, color="#0072b2", lw=0.6, alpha=0.8)
-            ax.plot(
-                at,
-                value,
-                color=INK,
-                lw=1.0,
-                label="share of the envelope that the residual uses" if thinned else "residual",
-            )
-            beyond = _robust_limits(ax, value, low, high)
-            ax.set_title(text if len(text) <= 125 else text[:122] + " ...", fontsize=9.5, parse_math=False)
-            ax.grid(color=GRID, lw=0.7)
-            if beyond:
-                ax.text(
-                    0.995,
-                    0.99,
-                    f"{beyond} beyond the axis",
-                    ha="right",
-                    va="top",
-                    transform=ax.transAxes,
-                    fontsize=8.5,
-                    color=FAULTY,
-                )
-        copies = f", {len(distinct)} of {relations.count}: the others are these, some samples earlier" * (
-            len(distinct) < relations.count
-        )
-        more = f"; the first {PANELS} are shown" if len(distinct) > PANELS else ""
-        title = (
-            f"Residuals of "
-            f"{relations.model.name}{copies}{more}{thinning(len(x), len(picked), 'the worst window')}"
-        )
-        fig.text(0.012, 1 - 0.3 / fig.get_figheight(), title, fontsize=10.5, color=INK, parse_math=False)
+            shade(ax, x[picked], fault)
+            _draw(ax, x[picked], external[:, j], lo[:, j], hi[:, j], thinned)
+            ax.set_title(_cut(lines[j]), fontsize=9.5, parse_math=False)
+        title = _title(relations, len(distinct)) + thinning(len(x), len(picked), "the worst window")
+        fig.text(0.012, 1 - 0.3 / height, title, fontsize=10.5, color=INK, parse_math=False)
         handles, labels = axes[0].get_legend_handles_labels()
-        fig.legend(
-            handles, labels, loc="upper right", ncols=3, bbox_to_anchor=(0.93, 1 - 0.34 / fig.get_figheight())
-        )
-        finish(fig, axes, at, label, dates, top=top, gap=gap / panel)
+        fig.legend(handles, labels, loc="upper right", ncols=3, bbox_to_anchor=(0.93, 1 - 0.34 / height))
+        finish(fig, axes, x[picked], label, dates, top=TOP, gap=BETWEEN / PANEL)
     return fig
+
+
+def _draw(
+    ax: "Axes", at: np.ndarray, value: np.ndarray, lo: np.ndarray, hi: np.ndarray, thinned: bool
+) -> None:
+    """Draw one residual and its envelope; of a thinned recording the share of the envelope that it uses."""
+    name = "residual"
+    if thinned:  # neighbours have nothing to do with each other: lines between them would be a thicket
+        value = abs(value - (lo + hi) / 2) / ((hi - lo) / 2)
+        lo, hi = np.zeros(len(at)), np.ones(len(at))
+        name = "share of the envelope that the residual uses"
+    ax.fill_between(at, lo, hi, color=ENVELOPE, alpha=0.35, lw=0, label="allowed by the bounds")
+    for edge in (lo, hi):
+        ax.plot(at, edge, color="#0072b2", lw=0.6, alpha=0.8)
+    ax.plot(at, value, color=INK, lw=1.0, label=name)
+    ax.grid(color=GRID, lw=0.7)
+    beyond = _robust_limits(ax, value, lo, hi)
+    if beyond:
+        corner = ax.text(0.995, 0.99, f"{beyond} beyond the axis", fontsize=8.5, color=FAULTY)
+        corner.set(ha="right", va="top", transform=ax.transAxes)
+
+
+def _cut(line: str) -> str:
+    """Return a relation as the title of a panel."""
+    if len(line) <= TITLE:
+        return line
+    return line[: TITLE - 3] + " ..."
+
+
+def _title(relations: Relations, distinct: int) -> str:
+    """Return the title of a picture of so many distinct relations."""
+    title = f"Residuals of {relations.model.name}"
+    if distinct < relations.count:
+        title += f", {distinct} of {relations.count}: the others are these, some samples earlier"
+    if distinct > PANELS:
+        title += f"; the first {PANELS} are shown"
+    return title
 
 
 def distinct_relations(relations: Relations) -> list[int]:
@@ -136,13 +133,11 @@ def distinct_relations(relations: Relations) -> list[int]:
     model, last = relations.model, {}
     count = (relations.horizon + 1) * model.p
     for j, (h, k) in enumerate(zip(relations.W, relations.K, strict=True)):
-        parts = (
-            (h[:count], model.p),
-            (h[count : count + model.g * relations.horizon], model.g),
-            (k, model.m),
-        )  # outputs, disturbances, inputs
+        disturbances = h[count : count + model.g * relations.horizon]
+        parts = ((h[:count], model.p), (disturbances, model.g), (k, model.m))
         first = min(i // width for row, width in parts for i, x in enumerate(row) if x)
-        last[tuple(tuple((i - first * width, x) for i, x in enumerate(row) if x) for row, width in parts)] = j
+        shifted = [[(i - first * width, x) for i, x in enumerate(row) if x] for row, width in parts]
+        last[tuple(map(tuple, shifted))] = j
     return sorted(last.values())
 
 

@@ -86,7 +86,7 @@ def float_arrays(model: Named, u: Data, y: Data, narrow: bool) -> tuple[np.ndarr
 
 
 def _warn_rounded(y: np.ndarray, dtype: np.dtype) -> None:
-    """Say what it costs that jax runs with x64 off, where it does cost something."""
+    """Warn that jax runs with x64 off, where that costs precision."""
     with np.errstate(over="ignore"):
         rounded = (y.astype(dtype) != y) & ~np.isnan(y)
     if rounded.any():

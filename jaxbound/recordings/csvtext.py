@@ -78,7 +78,7 @@ class Layout:
         return is_open(line, self.delimiter.encode())
 
     def dated(self, name: str) -> str:
-        """Return what the first cell of a column is, see `stamp_kind`."""
+        """Return the kind of the first cell of a column, see `stamp_kind`."""
         cell = self._cells.get(name) or ""
         return stamp_kind(cell) if DIGITS.fullmatch(cell.strip()) or not is_number(cell, self.decimal) else ""
 
@@ -148,7 +148,7 @@ def sniff(path: Path, head: bytes | None = None) -> Layout:
 
 
 def above_header(layout: Layout) -> str:
-    """Return what to add to a sentence on a column that is not there: "", or that the first row is no
+    """Return the end of a sentence on a column that is not there: "", or that the first row is no
     header.
     """
     lines = [

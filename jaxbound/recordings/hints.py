@@ -1,4 +1,4 @@
-"""What the owner of a recording should know, as sentences: what is missing, what the recorder rounds, what is
+"""Hints for the owner of a recording: what is missing, what the recorder rounds, what is
 too short.
 """
 

@@ -51,7 +51,7 @@ class Seam:
 
 @dataclass(frozen=True)
 class Clock:
-    """What the time of a recording has shown so far.
+    """The time of a recording so far.
 
     Fields: dt: the model's sampling period in s; samples: how many there were; last: time of the last one in
     s; seams: one Seam a kind.

@@ -34,7 +34,7 @@ NO_TIME = (
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """What is read of a recording. Build it with `wanted`.
+    """The columns that are read of a recording. Build it with `wanted`.
 
     Fields: inputs, outputs: a column or an Expression for each signal; where: the Expression of the
     condition, or None; time: the column of the time, or None; day: the column of the day where the time is

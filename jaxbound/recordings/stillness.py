@@ -159,7 +159,7 @@ def joined(a: Runs, b: Runs) -> Runs:
 
 
 def stretches(runs: Runs, driven: bool = False) -> tuple[Stretch, ...]:
-    """Return what stood still, as a tuple of Stretch; driven: the signal is an input.
+    """Return the stretches that stood still; driven: the signal is an input.
 
     Example:
         >>> x = np.sin(np.arange(500.0))

@@ -36,7 +36,7 @@ def is_table(data: object) -> bool:
 
 
 def as_table(data: Data, name: str, channels: Sequence[str] | None = None) -> Data:
-    """Return what has named columns as a DataFrame, and anything else as it is.
+    """Return data with named columns as a DataFrame, and anything else as it is.
 
     Args:
         data: anything. name: "u" or "y", for sentences. channels: names of the signals, which columns that
@@ -207,7 +207,7 @@ def paired(u: Data, y: Data, model: Named) -> tuple[Data, Data, Rows]:
 
 
 def _matched(u: "pd.DataFrame", y: "pd.DataFrame") -> tuple[Data, Data, Rows]:
-    """Return what `paired` does of two tables by the labels of their rows."""
+    """Return the result of `paired` for two tables, by the labels of their rows."""
     a, b = u.index, y.index
     if a is b or a.equals(b) or (unlabelled(a) and unlabelled(b)):  # of another length: refused for that
         return u, y, ()

@@ -33,7 +33,7 @@ DAY = np.timedelta64(1, "D")
 
 
 class RowTime(NamedTuple):
-    """What an index tells.
+    """The time that an index tells.
 
     Fields: time, origin, dt, stamps: as of a Recording; seams: numbers of rows that do not follow the one
     before.
@@ -149,7 +149,7 @@ def with_time(frame: "pd.DataFrame", model: Named) -> "pd.DataFrame":
 
 
 def row_time(index: "pd.Index", dt: float | None, whose: str, regular: bool) -> RowTime:
-    """Return what an index tells of the time of its rows.
+    """Return the time of the rows of an index.
 
     Args:
         index: from `with_time`. dt: sampling period in s, None: not known. whose: who says so, see
@@ -209,7 +209,7 @@ def _first(labels: "pd.Index") -> object:
 
 
 def _held(labels: "pd.Index") -> str:
-    """Return what labels hold, as `stamp_kind` says of text."""
+    """Return the kind of labels, as `stamp_kind` does of text."""
     first = _first(labels)
     if isinstance(first, (int, np.integer)):
         is_time = bool(DIGITS.fullmatch(str(first)))

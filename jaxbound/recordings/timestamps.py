@@ -115,8 +115,8 @@ def parse_stamps(
 
 
 def stamp_kind(cell: str | None) -> str:
-    """Return what a cell holds: a time stamp of any usual format, "day" or "clock" where it is half of one,
-    "" where it is none.
+    """Return the kind of a cell: "stamp" for a time stamp of any format, "day" or "clock" for half of one,
+    "" for none.
 
     Eight digits may be a day beside a clock, but also a number: "digits". That it is no other number is
     known.

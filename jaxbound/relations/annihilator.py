@@ -78,27 +78,27 @@ def annihilator(E: PolynomialMatrix) -> tuple[PolynomialMatrix, tuple[Step, ...]
     if target == 0:
         return PolynomialMatrix(0, E.rows, E.variables, {}), (), "proved"
     points = _points(E.variables)
-    kept: list[Kept] = []
+    relations: list[Kept] = []
     steps: list[Step] = []
-    used = [i for i in range(E.variables) if any(a[i] for a in E.terms)]
-    small = _in_used_variables(E, used)
+    variables = [i for i in range(E.variables) if any(a[i] for a in E.terms)]
+    small = _in_used_variables(E, variables)
     # relations of at most this order, the minors of E, span it everywhere
     highest = max(1, E.columns * E.order)
     for order in range(highest + 1):
-        betas = monomials(len(used), order)
+        betas = monomials(len(variables), order)
         if len(betas) * E.rows > LARGEST and order:
-            return _matrix(kept, E), tuple(steps), "partial"
-        fresh, step = _one_order(small, betas, order, kept)
+            return _matrix(relations, E), tuple(steps), "partial"
+        fresh, step = _one_order(small, betas, order, relations)
         steps.append(step)
         for g in fresh:
-            kept.append((order, _in_all_variables(g, used, E.variables), g))
-        if fresh and len(kept) >= target and _spans(_matrix(kept, E), points, target)[0]:
-            chosen = _matrix(_fewest(kept, E, points, target), E)
+            relations.append((order, _in_all_variables(g, variables, E.variables), g))
+        if fresh and len(relations) >= target and _spans(_matrix(relations, E), points, target)[0]:
+            chosen = _matrix(_fewest(relations, E, points, target), E)
             proof, where = rank_over_box(chosen, target)
             if proof != "drops" or where is None:
                 return chosen, tuple(steps), "proved" if proof == "proved" else "sampled"
             points.append(where)
-    return _matrix(kept, E), tuple(steps), "partial"
+    return _matrix(relations, E), tuple(steps), "partial"
 
 
 def _in_used_variables(E: PolynomialMatrix, used: list[int]) -> PolynomialMatrix:
@@ -189,7 +189,7 @@ def _matrix(kept: Sequence[Kept], E: PolynomialMatrix) -> PolynomialMatrix:
     return PolynomialMatrix(len(kept), E.rows, E.variables, ordered)
 
 
-def _place(coefficient: tuple[Exponents, int]) -> tuple:
+def _place(coefficient: tuple[Exponents, int]) -> tuple[int, Exponents, int]:
     """Return the key by which coefficients (monomial, column) are sorted."""
     beta, column = coefficient
     return *graded(beta), column

@@ -48,7 +48,11 @@ def relation_cost(model: LinearSystem, horizon: int) -> tuple[float, float]:
 
 def affordable(model: LinearSystem, horizon: int) -> None:
     """Raise ValueError if relations of this horizon would take too long or too much memory."""
-    fits = lambda s: all(a <= b for a, b in zip(relation_cost(model, s), (SECONDS, BYTES), strict=True))
+
+    def fits(s: int) -> bool:
+        seconds, size = relation_cost(model, s)
+        return seconds <= SECONDS and size <= BYTES
+
     if fits(horizon):
         return
     low, high = 0, min(horizon, LONGEST)
@@ -81,29 +85,29 @@ def refuse_many_states(model: LinearSystem) -> None:
         )
 
 
-def _power_seconds(model, s):
+def _power_seconds(model: LinearSystem, s: int) -> float:
     """Return how long C A, .., C A^s take."""
     return 1e-7 * s * model.p * model.n**2 * (1 + _digits(model) * s / 300)
 
 
-def _digits(model):
+def _digits(model: LinearSystem) -> float:
     """Return how many decimal digits a number of A has, from its longest denominator and numerator."""
-    numbers = [x for a in (model.A, model.C, model.F) for row in a for x in row]
-    return (
-        1
-        + max((max(x.numerator.bit_length(), x.denominator.bit_length()) for x in numbers), default=1) * 0.15
-    )
+    longest = 1
+    for row in (*model.A, *model.C, *model.F):
+        for x in row:
+            longest = max(longest, x.numerator.bit_length(), x.denominator.bit_length())
+    return 1 + longest * 0.15
 
 
-def _terms(model, s):
+def _terms(model: LinearSystem, s: int) -> float:
     """Return at least roughly how many monomials a window of an uncertain model has: they multiply from
     sample to sample.
     """
-    acts = lambda letter, varying: sum(
-        1 for u in model.uncertainties if u.varying is varying and u.on(letter) is not None
-    )
-    per_sample, constant = acts("A", True), acts("A", False) + acts("C", False)
+
+    def acting(letter: str, varying: bool) -> int:
+        return sum(u.varying is varying and u.on(letter) is not None for u in model.uncertainties)
+
+    per_sample, constant = acting("A", True), acting("A", False) + acting("C", False)
     grown = (1.0 + per_sample) ** min(s, 900 / (1 + per_sample)) if per_sample else 1.0
-    return grown * comb(min(s, 10**4) + constant, constant) * (1 + acts("C", True)) + (s + 1) * len(
-        model.uncertainties
-    )
+    of_constant = comb(min(s, 10**4) + constant, constant)
+    return grown * of_constant * (1 + acting("C", True)) + (s + 1) * len(model.uncertainties)

@@ -21,7 +21,7 @@ import numpy as np
 
 from jaxbound.exact import linalg
 from jaxbound.exact.circuits import circuits
-from jaxbound.exact.linalg import Vector
+from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations import shift
@@ -96,41 +96,54 @@ def structured_relations(
 
 def _ignoring(model: LinearSystem, names: Sequence[str]) -> tuple[Row, ...]:
     """Return a minimal basis of the relations that ignore the faults of some signals."""
-    F, D_v = [list(row) for row in model.F], [list(row) for row in model.D_v]
+    F, D_v = linalg.transpose(model.F), linalg.transpose(model.D_v)
     for name in names:
-        if name in model.inputs:
-            j = model.inputs.index(name)
-            through, direct = [row[j] for row in model.B], [row[j] for row in model.D]
-        elif name in model.outputs:
-            through, direct = [Fraction(0)] * model.n, [Fraction(int(o == name)) for o in model.outputs]
-        else:
-            raise ValueError(
-                f"the model has no signal {name!r}: it has {listed(model.outputs + model.inputs, str)}"
-            )
-        for row, x in zip(F + D_v, through + direct, strict=True):
-            row.append(x)
-    found = basis(model, tuple(map(tuple, F)), tuple(map(tuple, D_v)))
+        through, direct = _fault_columns(model, name)
+        F, D_v = (*F, through), (*D_v, direct)
+    found = basis(model, _rows_of_columns(F, model.n), _rows_of_columns(D_v, model.p))
     return tuple(sorted(map(shift.presentable, found), key=shift.degree))
+
+
+def _fault_columns(model: LinearSystem, name: str) -> tuple[Vector, Vector]:
+    """Return the columns of F and D_v of a fault of one signal, taken as an unknown input."""
+    if name in model.inputs:
+        j = model.inputs.index(name)
+        return tuple(row[j] for row in model.B), tuple(row[j] for row in model.D)
+    if name in model.outputs:
+        return (Fraction(0),) * model.n, linalg.identity(model.p)[model.outputs.index(name)]
+    raise ValueError(f"the model has no signal {name!r}: it has {listed(model.outputs + model.inputs, str)}")
+
+
+def _rows_of_columns(columns: Matrix, count: int) -> Matrix:
+    """Return the rows of a matrix given by its columns, so many, even where there is no column."""
+    return linalg.transpose(columns) if columns else ((),) * count
 
 
 def _supports(rows: Sequence[Row], columns: Sequence[int]) -> list[tuple[int, ...]]:
     """Return the minimal supports (tuples of positions in `columns`) of the combinations of rows that do not
     vanish there.
     """
-    at_once = [tuple(shift.at(row, SOMEWHERE)[c] for c in columns) for row in rows]
+    at_once = []
+    for row in rows:
+        values = shift.at(row, SOMEWHERE)
+        at_once.append(tuple(values[c] for c in columns))
     numbers = linalg.row_reduce(at_once)[0] if at_once else ()
     if not numbers:
         return []
-    null = linalg.left_null_space(linalg.transpose(numbers))  # what is orthogonal to all of them
-    a = linalg.transpose(null) if null else tuple(() for _ in columns)
+    orthogonal = linalg.left_null_space(linalg.transpose(numbers))
+    a = _rows_of_columns(orthogonal, len(columns))
     if comb(len(a), len(a) - len(numbers) + 1) > SUBSETS:
         raise ValueError(
             "too many relations to choose from: say which faults each part of the bank is to ignore"
         )
-    return [tuple(j for j, x in enumerate(h) if x) for h in circuits(a)]
+    supports = []
+    for h in circuits(a):
+        supports.append(tuple(j for j, x in enumerate(h) if x))
+    return supports
 
 
 def _best(model: LinearSystem) -> Redundancy:
+    """Return the relations of fewest signals; of many, those that tell signals apart."""
     names = model.outputs + model.inputs
     rows, ignored = [], []
     for support in _supports(basis(model), range(len(names))):
@@ -138,25 +151,33 @@ def _best(model: LinearSystem) -> Redundancy:
         found = _ignoring(model, without)
         rows.append(found[0])
         ignored.append(without)
-    order = sorted(range(len(rows)), key=lambda i: (shift.degree(rows[i]), [not p for p in rows[i]]))
+
+    def shortest_first(i: int) -> tuple[int, list[bool]]:
+        return shift.degree(rows[i]), [not p for p in rows[i]]
+
+    order = sorted(range(len(rows)), key=shortest_first)
     if len(order) > BANK:
-        order = _chosen([[bool(p) for p in rows[i]] for i in order], order)
+        weak, _ = _reactions([rows[i] for i in order], len(names))
+        order = [order[i] for i in _telling(weak)]
     return Redundancy(model, tuple(rows[i] for i in order), tuple(ignored[i] for i in order))
 
 
-def _chosen(table: Sequence[Sequence[bool]], order: list[int]) -> list[int]:
+def _telling(reacts: np.ndarray) -> list[int]:
     """Return BANK of the relations, added one by one so that the closest pair of columns is as different as
     possible.
     """
-    reacts, left = np.array(table), list(range(len(order)))
-    taken: list[int] = []
+    left, taken = list(range(len(reacts))), list[int]()
     pairs = list(combinations(range(reacts.shape[1]), 2))
-    apart = lambda chosen: sorted((reacts[chosen][:, [i]] != reacts[chosen][:, [j]]).sum() for i, j in pairs)
+
+    def distances_with(i: int) -> list[int]:
+        chosen = reacts[[*taken, i]]
+        return sorted(int((chosen[:, a] != chosen[:, b]).sum()) for a, b in pairs)
+
     for _ in range(BANK):
-        best = max(left, key=lambda i: apart([*taken, i]))
+        best = max(left, key=distances_with)
         taken.append(best)
         left.remove(best)
-    return [order[i] for i in sorted(taken)]
+    return sorted(taken)
 
 
 @readable
@@ -189,9 +210,8 @@ class Signatures:
 
     def text(self) -> str:
         """Return the table, a relation a line."""
-        return _table(
-            "", self.faults, self.relations, np.where(self.constant, "1", np.where(self.weak, "t", "."))
-        )
+        signs = np.where(self.constant, "1", np.where(self.weak, "t", "."))
+        return _table(self.faults, self.relations, signs)
 
 
 def signatures(relations: Redundancy | ParityRelation) -> Signatures:
@@ -215,11 +235,8 @@ def signatures(relations: Redundancy | ParityRelation) -> Signatures:
         r2   .  t  1
     """
     if isinstance(relations, ParityRelation):
-        relations = Redundancy(
-            relations.model,
-            tuple(_as_row(relations, h, k) for h, k in zip(relations.W, relations.K, strict=True)),
-            (),
-        )
+        rows = [_as_row(relations, h, k) for h, k in zip(relations.W, relations.K, strict=True)]
+        relations = Redundancy(relations.model, tuple(rows), ())
     if not isinstance(relations, Redundancy):
         raise TypeError(
             f"signatures needs relations, not {type(relations).__name__}: "
@@ -232,14 +249,21 @@ def signatures(relations: Redundancy | ParityRelation) -> Signatures:
 def _as_row(r: ParityRelation, h: Vector, k: Vector) -> Row:
     """Return one relation of a window as polynomials."""
     p, m = r.model.p, r.model.m
-    outputs = [shift.trim(h[i : (r.horizon + 1) * p : p]) for i in range(p)]
-    return (*outputs, *(shift.trim([-x for x in k[j::m]]) for j in range(m)))
+    row = []
+    for i in range(p):
+        row.append(shift.trim(h[i : (r.horizon + 1) * p : p]))
+    for j in range(m):
+        row.append(shift.trim([-x for x in k[j::m]]))
+    return tuple(row)
 
 
 def _reactions(rows: Sequence[Row], width: int) -> tuple[np.ndarray, np.ndarray]:
     """Return (weak, constant), (R, width) bool."""
-    weak = np.array([[bool(p) for p in row] for row in rows], bool).reshape(len(rows), width)
-    return weak, np.array([[bool(sum(p)) for p in row] for row in rows], bool).reshape(len(rows), width)
+    weak, constant = np.zeros((len(rows), width), bool), np.zeros((len(rows), width), bool)
+    for r, row in enumerate(rows):
+        weak[r] = [bool(p) for p in row]
+        constant[r] = [bool(sum(p)) for p in row]  # at q = 1
+    return weak, constant
 
 
 @readable
@@ -267,7 +291,7 @@ class Isolability:
         signs = np.where(self.isolable_constant, "1", np.where(self.isolable, "t", "."))
         np.fill_diagonal(signs, "-")
         seen = np.where(self.detectable_constant, "1", np.where(self.detectable, "t", "."))
-        return _table("", ("seen", *self.faults), self.faults, np.column_stack([seen, signs]))
+        return _table(("seen", *self.faults), self.faults, np.column_stack([seen, signs]))
 
 
 def isolability(model: ModelLike) -> Isolability:
@@ -291,11 +315,8 @@ def isolability(model: ModelLike) -> Isolability:
     model = as_model(model)
     names = model.outputs + model.inputs
     count = len(names)
-    weak, constant, degree = (
-        np.zeros((count, count), bool),
-        np.zeros((count, count), bool),
-        np.full((count, count), -1),
-    )
+    weak, constant = np.zeros((count, count), bool), np.zeros((count, count), bool)
+    degree = np.full((count, count), -1)
     for j, name in enumerate(names):
         rows = _ignoring(model, (name,))
         seen, steady = _reactions(rows, count)
@@ -341,35 +362,50 @@ def structures(model: ModelLike, faults: Sequence[str] | None = None) -> list[St
     model = as_model(model)
     names = model.outputs + model.inputs
     faults = names if faults is None else tuple(faults)
-    columns = [names.index(name) for name in faults if name in names]
-    if len(columns) < len(faults):
-        _ignoring(model, faults)
-    unions: set[frozenset[int]] = {frozenset()}
-    minimal = _supports(basis(model), columns)
-    for support in minimal:
-        unions |= {old | set(support) for old in unions}
-        if len(unions) > SUBSETS:
-            raise ValueError(f"more than {SUBSETS} sets of faults: name fewer faults")
+    for name in faults:
+        _fault_columns(model, name)  # refuses an unknown one
+    columns = [names.index(name) for name in faults]
     out = []
-    for union in sorted((sorted(x) for x in unions if x), key=lambda x: (len(x), x)):
-        rows = _ignoring(model, tuple(f for j, f in enumerate(faults) if j not in union))
-        reacts = lambda rows, union=union: {j for j in union for row in rows if row[columns[j]]}
+    for union in _unions(_supports(basis(model), columns)):
+        others = tuple(f for j, f in enumerate(faults) if j not in union)
+        rows = _ignoring(model, others)
         degrees = [shift.degree(row) for row in rows]
-        least = next(
-            d
-            for d in sorted(degrees)
-            if reacts([r for r, e in zip(rows, degrees, strict=True) if e <= d]) == set(union)
-        )
-        steady = all(any(sum(row[columns[j]]) for row in rows) for j in union)
+        weak, constant = _reactions(rows, len(names))
+        mine = [columns[j] for j in union]
+        least = _least_degree(degrees, weak[:, mine])
+        steady = bool(constant[:, mine].any(0).all())
         out.append(Structure(tuple(faults[j] for j in union), len(rows), sum(degrees), least, steady))
     return out
 
 
-def _table(corner: str, columns: Sequence[str], rows: Sequence[str], cells: np.ndarray) -> str:
-    width = max([len(corner), *map(len, rows)])
-    head = [corner.ljust(width), *columns]
-    lines = [
-        [label.ljust(width), *(c.rjust(len(name)) for c, name in zip(line, columns, strict=True))]
-        for label, line in zip(rows, cells, strict=True)
-    ]
-    return "\n".join(" ".join(line).rstrip() for line in [head, *lines])
+def _unions(supports: list[tuple[int, ...]]) -> list[list[int]]:
+    """Return every union of supports, small ones first.
+
+    Raises:
+        ValueError: there are too many.
+    """
+    unions: set[frozenset[int]] = {frozenset()}
+    for support in supports:
+        unions |= {old | set(support) for old in unions}
+        if len(unions) > SUBSETS:
+            raise ValueError(f"more than {SUBSETS} sets of faults: name fewer faults")
+    found = [sorted(union) for union in unions if union]
+    return sorted(found, key=lambda union: (len(union), union))
+
+
+def _least_degree(degrees: list[int], reacts: np.ndarray) -> int:
+    """Return the smallest degree up to which some relations (R,) together react to all faults (R, N)."""
+    for degree in sorted(degrees):
+        if reacts[np.array(degrees) <= degree].any(0).all():
+            return degree
+    raise AssertionError("relations that ignore all other faults react to these")
+
+
+def _table(columns: Sequence[str], rows: Sequence[str], cells: np.ndarray) -> str:
+    """Return a table as text, columns as wide as their names."""
+    width = max(map(len, rows), default=0)
+    lines = [" ".join([" " * width, *columns]).rstrip()]
+    for label, line in zip(rows, cells, strict=True):
+        marks = [mark.rjust(len(name)) for mark, name in zip(line, columns, strict=True)]
+        lines.append(" ".join([label.ljust(width), *marks]).rstrip())
+    return "\n".join(lines)

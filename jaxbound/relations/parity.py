@@ -43,7 +43,7 @@ from jaxbound.exact import linalg
 from jaxbound.exact.chebyshev import PRIME
 from jaxbound.exact.circuits import circuits
 from jaxbound.exact.frames import ExactFrame, frame
-from jaxbound.exact.linalg import Matrix
+from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
@@ -92,10 +92,10 @@ class ParityRelation(LinearRelations):
     frame: ExactFrame | None = field(default=None, metadata={"static": True})
     lags: tuple[int, ...] | None = field(default=None, metadata={"static": True})
 
-    def _head(self):
+    def _head(self) -> str:
         return f"ParityRelation: {self.count} relations over {self.horizon + 1} samples"
 
-    def _rows(self):
+    def _rows(self) -> dict[str, str]:
         return {
             "model": repr(self.model),
             "r1": main_terms(relation_text(self.model, self.horizon, self.W[0], self.K[0])),
@@ -107,7 +107,7 @@ class ParityRelation(LinearRelations):
         return len(self.W)
 
     @property
-    def made(self) -> tuple:
+    def made(self) -> tuple[object, ...]:
         """What these relations depend on beside model, horizon and bounds: by it what is kept of them is
         known again.
         """
@@ -213,7 +213,7 @@ class ParityRelation(LinearRelations):
         _, lo, hi = self._forms(u, y, starts)
         return Interval(lo, hi)
 
-    def _forms(self, u, y, starts):
+    def _forms(self, u: object, y: object, starts: Starts) -> tuple[jax.Array, ...]:
         return forms(_forms, self, partial(self.reading, method="box"), u, y, starts)
 
     def text(self, circuits: bool = False) -> str:
@@ -225,29 +225,26 @@ class ParityRelation(LinearRelations):
             r1: y1[k-1] - 5 y2[k-1] + 5 y1[k] = 0
             r2: 4 y2[k-1] - 10 y1[k] + 5 y2[k] - 5 u1[k-1] = 0
         """
-        letter, rows = (
-            ("c", zip(self.circuits, self.circuits_known, strict=True))
-            if circuits
-            else ("r", zip(self.W, self.K, strict=True))
-        )
-        return "\n".join(
-            f"{letter}{i + 1}: {relation_text(self.model, self.horizon, h, k)}"
-            for i, (h, k) in enumerate(rows)
-        )
+        letter, rows, known = ("c", self.circuits, self.circuits_known) if circuits else ("r", self.W, self.K)
+        lines = []
+        for i, (h, k) in enumerate(zip(rows, known, strict=True), 1):
+            lines.append(f"{letter}{i}: {relation_text(self.model, self.horizon, h, k)}")
+        return "\n".join(lines)
 
 
 @jax.jit
-def _forms(test, u, y):
+def _forms(test: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ...]:
+    assert isinstance(test.shape, Strips)  # of the relations one by one
     s, windows = test.horizon, test.windows(u, y)
     mid, rad, _, known, _ = test.block(*windows)
     samples = (windows[1] - test.offset_y[None, :, None]).reshape(-1, mid.shape[1])
     samples = jnp.concatenate([samples, jnp.zeros_like(mid[len(samples) :])])  # nobody measures a disturbance
 
-    def one(strip):
+    def one(strip: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
         rows, h, k = strip
-        given = jnp.sum(jnp.where(k[:, None] == 0, 0, k[:, None] * known), 0)
+        driven = jnp.sum(jnp.where(k[:, None] == 0, 0, k[:, None] * known), 0)
         total = lambda weights, x: jnp.sum(weights[:, None] * x[rows], 0)
-        return total(h, samples) - given, total(h, samples - mid), total(abs(h), rad)
+        return total(h, samples) - driven, total(h, samples - mid), total(abs(h), rad)
 
     external, centre, width = (x.T for x in jax.lax.map(one, (test.shape.rows, test.shape.h, test.shape.k)))
     return tuple(
@@ -329,21 +326,20 @@ def parity_relations(
         raise ValueError(_without_relation(model, horizon, lags))
     report(0.5)
     bounds = model_bounds(model)
-    E, known = window.unknowns(model, horizon)
-    seen = window.window_rows(model, horizon, lags).seen
-    E, known = tuple(E[i] for i in seen), tuple(known[i] for i in seen)
+    E, on_inputs = window.unknowns(model, horizon)
+    looked_at = window.window_rows(model, horizon, lags).seen
+    E, on_inputs = tuple(E[i] for i in looked_at), tuple(on_inputs[i] for i in looked_at)
     circuits = _few_circuits(E, SUBSETS if model.constant_tolerance else TESTED)
     report(0.6)
     if not circuits:
-        found = frame(E, known, progress=lambda share: report(0.6 + 0.4 * share))
-        searched = dataclasses.replace(
-            found, inner=tuple(seen[i] for i in found.inner), outer=tuple(seen[i] for i in found.outer)
-        )
+        narrow = frame(E, on_inputs, progress=lambda share: report(0.6 + 0.4 * share))
+        inner, outer = (tuple(looked_at[i] for i in rows) for rows in (narrow.inner, narrow.outer))
+        searched = dataclasses.replace(narrow, inner=inner, outer=outer)
         report(1.0)
         return ParityRelation(bounds, model, horizon, form, W, K, (), (), searched, lags)
     report(1.0)
-    circuits_known = linalg.matmul(circuits, known) if known[0] else tuple(() for _ in circuits)
-    circuits = tuple(over_all_rows(row, seen, model, horizon) for row in circuits)
+    circuits_known = linalg.matmul(circuits, on_inputs) if on_inputs[0] else ((),) * len(circuits)
+    circuits = tuple(over_all_rows(row, looked_at, model, horizon) for row in circuits)
     return ParityRelation(bounds, model, horizon, form, W, K, circuits, circuits_known, None, lags)
 
 
@@ -398,7 +394,7 @@ def _with_disturbance(model: LinearSystem, horizon: int, relations: Matrix) -> M
     if not model.g or not horizon:
         return relations
     through = linalg.matmul(relations, window.disturbance_form(model, horizon))
-    return tuple(h + tuple(-x for x in v) for h, v in zip(relations, through, strict=True))
+    return tuple(h + linalg.scale(v, -1) for h, v in zip(relations, through, strict=True))
 
 
 def _first(model: LinearSystem, horizon: int, report: Callable[[float], object]) -> tuple[Matrix, Matrix]:
@@ -406,41 +402,42 @@ def _first(model: LinearSystem, horizon: int, report: Callable[[float], object])
     once more, later.
     """
     short = min(horizon, model.n)
-    samples = tuple(
-        map(
-            linalg.presentable,
-            linalg.minimal_span(linalg.left_null_space(window.unbounded(model, short), report)),
-        )
-    )
-    newest = [i for i, row in enumerate(samples) if any(row[short * model.p :])]
+    shortest = linalg.minimal_span(linalg.left_null_space(window.unbounded(model, short), report))
+    samples = tuple(map(linalg.presentable, shortest))
     H = window.first_form(model, short)[1]
-    K = linalg.matmul(samples, H) if H[0] and samples else tuple(() for _ in samples)
-    later = horizon - short
-    pad = lambda row, width, shift: (ZERO,) * (shift * width) + row + (ZERO,) * ((later - shift) * width)
-    shifted = [(i, 0) for i in range(len(samples))] + [
-        (i, shift) for shift in range(1, later + 1) for i in newest
-    ]
-    outputs = (short + 1) * model.p
-    whole = [(row[:outputs], row[outputs:]) for row in _with_disturbance(model, short, samples)]
-    W = tuple(pad(whole[i][0], model.p, shift) + pad(whole[i][1], model.g, shift) for i, shift in shifted)
-    return W, tuple(pad(K[i], model.m, shift) for i, shift in shifted)
+    on_inputs = linalg.matmul(samples, H) if H[0] and samples else ((),) * len(samples)
+    outputs, later = (short + 1) * model.p, horizon - short
+
+    def moved(row: Vector, width: int, shift: int) -> Vector:
+        """Return a row over a short window as one over the long one, so many samples later."""
+        return (ZERO,) * (shift * width) + row + (ZERO,) * ((later - shift) * width)
+
+    shifted = [(i, 0) for i in range(len(samples))]
+    newest = [i for i, row in enumerate(samples) if any(row[short * model.p :])]
+    for shift in range(1, later + 1):
+        shifted += [(i, shift) for i in newest]
+    whole = _with_disturbance(model, short, samples)
+    W, K = [], []
+    for i, shift in shifted:
+        on_outputs, on_disturbances = whole[i][:outputs], whole[i][outputs:]
+        W.append(moved(on_outputs, model.p, shift) + moved(on_disturbances, model.g, shift))
+        K.append(moved(on_inputs[i], model.m, shift))
+    return tuple(W), tuple(K)
 
 
 def _second(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
     """Return (W~_L, action on U) of the second static form. Source: (13)-(14)."""
     L, M, N, F = window.second_form(model, horizon)
     stacked = linalg.left_null_space(L + M)
-    rows = len(L)
-    W = tuple(r[:rows] for r in stacked)
+    on_outputs = tuple(row[: len(L)] for row in stacked)
     if not F[0]:
-        return W, tuple(() for _ in W)
-    direct = linalg.matmul(W, F)
+        return on_outputs, ((),) * len(stacked)
+    direct = linalg.matmul(on_outputs, F)
     if not M:
-        return W, direct
-    through = linalg.matmul(tuple(r[rows:] for r in stacked), N)
-    return W, tuple(
-        tuple(a - b for a, b in zip(x, y, strict=True)) for x, y in zip(direct, through, strict=True)
-    )
+        return on_outputs, direct
+    through = linalg.matmul([row[len(L) :] for row in stacked], N)
+    K = [linalg.add_multiple(x, -1, y) for x, y in zip(direct, through, strict=True)]
+    return on_outputs, tuple(K)
 
 
 def _smallest_useful_horizon(model: LinearSystem) -> int:
@@ -452,36 +449,40 @@ def _smallest_useful_horizon(model: LinearSystem) -> int:
     same.
     """
     refuse_many_states(model)
-    exact = window.unbounded(model, model.n)  # a longer window involves no further output (Cayley-Hamilton)
+    n, p = model.n, model.p
+    exact = window.unbounded(model, n)  # a longer window involves no further output (Cayley-Hamilton)
     O = [[x.numerator * pow(x.denominator, -1, PRIME) % PRIME for x in row] for row in exact]
-    whole = _ranks(O, model.p, model.n + 1)
-    others = [
-        _ranks([row for j, row in enumerate(O) if j % model.p != i], model.p - 1, model.n + 1)
-        for i in range(model.p)
-    ]
-    checked = lambda s: [whole[s] - other[s] <= s for other in others]
-    seen = (
-        _ranks([row[: model.n] for row in O], model.p, model.n + 1)
-        if model.uncertainties
-        else [0] * (model.n + 1)
-    )
-    return next(s for s in range(model.n + 1) if checked(s) == checked(model.n) and seen[s] == seen[model.n])
+    whole = _ranks(O, p, n + 1)
+    others = []
+    for i in range(p):
+        rest = [row for j, row in enumerate(O) if j % p != i]
+        others.append(_ranks(rest, p - 1, n + 1))
+    states = [0] * (n + 1)
+    if model.uncertainties:
+        states = _ranks([row[:n] for row in O], p, n + 1)
+
+    def shown(s: int) -> tuple[list[bool], int]:
+        """Return which outputs windows of a horizon check, and how many states they see."""
+        return [whole[s] - other[s] <= s for other in others], states[s]
+
+    return next(s for s in range(n + 1) if shown(s) == shown(n))
 
 
 def _ranks(rows: list[list[int]], width: int, count: int) -> list[int]:
     """Return the ranks modulo PRIME of the first width, 2 width, .., count width rows."""
     if not width:
         return [0] * count
-    kept: dict[int, list[int]] = {}
+    reduced: dict[int, list[int]] = {}
     out: list[int] = []
     for i, row in enumerate(rows, 1):
-        for j, head in kept.items():
-            if f := row[j]:
-                row = [(x - f * y) % PRIME for x, y in zip(row, head, strict=True)]
+        for j, head in reduced.items():
+            factor = row[j]
+            if factor:
+                row = [(x - factor * y) % PRIME for x, y in zip(row, head, strict=True)]
         lead = next((j for j, x in enumerate(row) if x), None)
         if lead is not None:
             scale = pow(row[lead], -1, PRIME)
-            kept[lead] = [x * scale % PRIME for x in row]
+            reduced[lead] = [x * scale % PRIME for x in row]
         if i % width == 0:
-            out.append(len(kept))
+            out.append(len(reduced))
     return out

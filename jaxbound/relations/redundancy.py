@@ -31,6 +31,7 @@ from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations import shift
+from jaxbound.relations.bounds import Bounds
 from jaxbound.relations.elimination import eliminate
 from jaxbound.relations.parity import ParityRelation, stated_relations
 from jaxbound.relations.sentence import few_lines
@@ -40,6 +41,7 @@ from jaxbound.text.objects import readable
 __all__ = ["Redundancy", "basis", "known_side", "redundancy"]
 
 METHODS = ("window", "elimination")
+ZERO = Fraction(0)
 
 
 @readable
@@ -57,10 +59,10 @@ class Redundancy(Relations):
 
     methods = ("box",)
 
-    def _head(self):
+    def _head(self) -> str:
         return f"{type(self).__name__}: {self.count} relations, {self.model.p} outputs, {self.model.m} inputs"
 
-    def _rows(self):
+    def _rows(self) -> dict[str, str]:
         return few_lines(self)
 
     @property
@@ -69,14 +71,14 @@ class Redundancy(Relations):
         return len(self.rows)
 
     @property
-    def made(self) -> tuple:
+    def made(self) -> tuple[object, ...]:
         """What these relations depend on beside model, horizon and bounds: by it what is kept of them is
         known again.
         """
         return "bank", self.relations.W, self.relations.K
 
     @property
-    def bounds(self) -> dict:
+    def bounds(self) -> Bounds:
         """The bounds of the relations, as of `parity_relations`."""
         return self.relations.bounds
 
@@ -115,9 +117,8 @@ class Redundancy(Relations):
 
     def text(self) -> str:
         """Return the relations, one a line."""
-        return "\n".join(
-            f"r{i + 1}: {shift.relation_text(row, self.names)}" for i, row in enumerate(self.rows)
-        )
+        texts = [shift.relation_text(row, self.names) for row in self.rows]
+        return "\n".join(f"r{i}: {text}" for i, text in enumerate(texts, 1))
 
     @cached_property
     def relations(self) -> ParityRelation:
@@ -157,10 +158,12 @@ class Redundancy(Relations):
         for row in self.rows:
             numbers = shift.coefficients(row)
             late = s + 1 - len(numbers)
-            W.append((Fraction(0),) * (late * p) + tuple(x for now in numbers for x in now[:p]))
-            K.append(
-                ((Fraction(0),) * (late * m) + tuple(-x for now in numbers for x in now[p:]))[: lags * m]
-            )
+            on_outputs, on_inputs = (ZERO,) * (late * p), (ZERO,) * (late * m)
+            for now in numbers:
+                on_outputs += now[:p]
+                on_inputs += linalg.scale(now[p:], -1)
+            W.append(on_outputs)
+            K.append(on_inputs[: lags * m])
         return tuple(W), tuple(K)
 
 
@@ -215,9 +218,9 @@ def basis(model: LinearSystem, F: Matrix | None = None, D_v: Matrix | None = Non
     F, D_v = model.F if F is None else F, model.D_v if D_v is None else D_v
     A, C, n, p = model.A, model.C, model.n, model.p
     free = len(D_v[0])
-    most = (
-        p - (linalg.rank(_pencil(model, F, D_v)) - n) if free else p
-    )  # a rank at one q can only be too small, and `most` too large
+    most = p
+    if free:  # a rank at one q can only be too small, and `most` too large
+        most = p - (linalg.rank(_pencil(model, F, D_v)) - n)
     reached, responses = C, [D_v]
     waiting = list(range(p))
     kept: list[tuple[int, list[int], dict[int, int]]] = []
@@ -225,7 +228,9 @@ def basis(model: LinearSystem, F: Matrix | None = None, D_v: Matrix | None = Non
     for j in range(n + 1):
         again = []
         for i in waiting:
-            through = tuple(x for k in range(j + 1) for x in responses[j - k][i])
+            through: Vector = ()
+            for response in reversed(responses):
+                through += response[i]
             row, scale = linalg.integers(reached[i] + through)
             held, used = _reduced(list(row), {j * p + i: scale}, kept)
             pivot = next((c for c, x in enumerate(held) if x), None)
@@ -237,7 +242,7 @@ def basis(model: LinearSystem, F: Matrix | None = None, D_v: Matrix | None = Non
         waiting = again
         if len(rows) >= most:
             break
-        responses.append(linalg.matmul(reached, F) if free else tuple(() for _ in range(p)))
+        responses.append(linalg.matmul(reached, F) if free else ((),) * p)
         reached = linalg.matmul(reached, A)
     return tuple(rows)
 
@@ -245,8 +250,12 @@ def basis(model: LinearSystem, F: Matrix | None = None, D_v: Matrix | None = Non
 def _pencil(model: LinearSystem, F: Matrix, D_v: Matrix) -> Matrix:
     """Return [[q - A, F], [C, D_v]] at some q."""
     q = Fraction(1_000_003)
-    top = tuple(tuple(q * (i == j) - x for j, x in enumerate(row)) + F[i] for i, row in enumerate(model.A))
-    return top + tuple(c + v for c, v in zip(model.C, D_v, strict=True))
+    rows = []
+    for unit, a, f in zip(linalg.identity(model.n), model.A, F, strict=True):
+        rows.append(linalg.add_multiple(linalg.scale(unit, q), -1, a) + f)
+    for c, v in zip(model.C, D_v, strict=True):
+        rows.append(c + v)
+    return tuple(rows)
 
 
 def _reduced(
@@ -270,11 +279,13 @@ def _reduced(
     return row, used
 
 
-def _row(model, used, last):
+def _row(model: LinearSystem, used: dict[int, int], last: int) -> Row:
     """Return the row of polynomials of a relation: numbers on samples (time * p + output), the last time
     being `last`.
     """
-    numbers = [[Fraction(used.get(j * model.p + i, 0)) for i in range(model.p)] for j in range(last + 1)]
+    numbers = []
+    for j in range(last + 1):
+        numbers.append([Fraction(used.get(j * model.p + i, 0)) for i in range(model.p)])
     return tuple(shift.trim(c) for c in zip(*numbers, strict=True)) + known_side(model, numbers)
 
 
@@ -285,10 +296,9 @@ def known_side(model: LinearSystem, h: Sequence[Sequence[Fraction]]) -> Row:
     state, known = (Fraction(0),) * model.n, []
     for now in reversed(h):  # how the samples later than this one depend on the state after it
         direct, through = _times(now, model.D, model.m), _times(state, model.B, model.m)
-        known.append([-(a + b) for a, b in zip(direct, through, strict=True)])
-        state = tuple(
-            a + b for a, b in zip(_times(now, model.C, model.n), _times(state, model.A, model.n), strict=True)
-        )
+        known.append(linalg.scale(linalg.add_multiple(direct, 1, through), -1))
+        seen, moved = _times(now, model.C, model.n), _times(state, model.A, model.n)
+        state = linalg.add_multiple(seen, 1, moved)
     return tuple(shift.trim(c) for c in zip(*reversed(known), strict=True))
 
 

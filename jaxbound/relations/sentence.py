@@ -1,5 +1,7 @@
 """Relations as a reader would write them."""
 
+from fractions import Fraction
+
 from jaxbound.consistency.interface import Reach, Relations
 from jaxbound.exact.linalg import Vector
 from jaxbound.models.rows import Kind, Row
@@ -63,7 +65,7 @@ def main_terms(relation: str, most: int = 6) -> str:
     return f"{name}{colon}{_largest(left, most)} = {right}" if equals else relation
 
 
-def _largest(total, most):
+def _largest(total: str, most: int) -> str:
     """Return a sum by its largest terms."""
     sized = [(sign, _inside(term, most), _size(term)) for sign, term in _terms(total)]
     kept = sorted(sorted(range(len(sized)), key=lambda i: -sized[i][2])[:most])
@@ -71,7 +73,7 @@ def _largest(total, most):
     return text.removeprefix("+ ") + " + ..." * (len(kept) < len(sized))
 
 
-def _terms(total):
+def _terms(total: str) -> list[tuple[str, str]]:
     """Return [(sign, term)] of a sum; what stands in brackets is one term."""
     found, depth, sign, begun = [], 0, "+", 0
     if total.startswith("- "):
@@ -84,13 +86,13 @@ def _terms(total):
     return [*found, (sign, total[begun:])]
 
 
-def _inside(term, most):
+def _inside(term: str, most: int) -> str:
     """Return a term whose bracket in front, if there is one, is shortened."""
     inner, closed, behind = term[1:].partition(")") if term.startswith("(") else ("", "", "")
     return f"({_largest(inner, most)}){behind}" if closed and "(" not in inner else term
 
 
-def _size(term):
+def _size(term: str) -> float:
     """Return how large the factor of a term is: of a sum in brackets its largest."""
     if term.startswith("("):
         return max(_size(each) for _, each in _terms(term[1:].partition(")")[0]))
@@ -132,14 +134,14 @@ def row_name(model: LinearSystem, row: Row) -> str:
     return bounded_sums(model)[row.number].text
 
 
-def _sign(x, first):
+def _sign(x: Fraction, first: bool) -> str:
     """Return the sign of a term, with its blanks."""
     if first:
         return "- " if x < 0 else ""
     return " - " if x < 0 else " + "
 
 
-def _factor(size):
+def _factor(size: Fraction) -> str:
     """Return the factor of a term, nothing for 1."""
     if size == 1:
         return ""

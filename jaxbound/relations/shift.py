@@ -7,7 +7,7 @@ rows of polynomials.
 
 from collections.abc import Sequence
 from fractions import Fraction
-from itertools import zip_longest
+from itertools import chain, islice, zip_longest
 from typing import TypeAlias
 
 from jaxbound.exact import linalg
@@ -47,7 +47,8 @@ def add(a: Polynomial, b: Polynomial) -> Polynomial:
         >>> text(add((Fraction(1), Fraction(2)), (Fraction(3), Fraction(-2))))
         '4'
     """
-    return trim([x + y for x, y in zip_longest(a, b, fillvalue=Fraction(0))])
+    pairs = zip_longest(a, b, fillvalue=Fraction(0))
+    return trim([x + y for x, y in pairs])
 
 
 def mul(a: Polynomial, b: Polynomial) -> Polynomial:
@@ -73,16 +74,22 @@ def matmul(a: Sequence[Row], b: Sequence[Row]) -> tuple[Row, ...]:
 def apply(a: Sequence[Vector], rows: Sequence[Row], width: int) -> tuple[Row, ...]:
     """Return a rows: numbers a (r, c) times c rows of `width` polynomials."""
     if not rows:
-        return tuple(((),) * width for _ in a)
-    return matmul([tuple(trim((x,)) for x in r) for r in a], rows)
+        return (((),) * width,) * len(a)
+    polynomials = [tuple(trim((x,)) for x in row) for row in a]
+    return matmul(polynomials, rows)
 
 
 def minus_shift(rows: Sequence[Row], others: Sequence[Row]) -> tuple[Row, ...]:
     """Return q rows - others."""
-    return tuple(
-        tuple(add((Fraction(0), *x) if x else (), tuple(-c for c in y)) for x, y in zip(r, o, strict=True))
-        for r, o in zip(rows, others, strict=True)
-    )
+    out = []
+    for row, other in zip(rows, others, strict=True):
+        out.append(tuple(_later(x, y) for x, y in zip(row, other, strict=True)))
+    return tuple(out)
+
+
+def _later(x: Polynomial, y: Polynomial) -> Polynomial:
+    """Return q x - y."""
+    return add(trim((Fraction(0), *x)), tuple(-c for c in y))
 
 
 def degree(row: Row) -> int:
@@ -97,16 +104,17 @@ def at(row: Row, q: Fraction) -> Vector:
 
 def coefficients(row: Row) -> Matrix:
     """Return a row as a tuple over ascending powers of rows of numbers."""
-    return tuple(tuple(p[j] if j < len(p) else Fraction(0) for p in row) for j in range(degree(row) + 1))
+    return tuple(zip_longest(*row, fillvalue=Fraction(0)))
 
 
 def presentable(row: Row) -> Row:
     """Scale a row to coprime integers, or to largest entry 1 where these are long; the first leading
     coefficient is positive.
     """
-    scaled = linalg.presentable(linalg.primitive([c for p in row for c in p]))
-    numbers = iter(scaled if scaled[len(next(p for p in row if p)) - 1] > 0 else [-x for x in scaled])
-    return tuple(tuple(next(numbers) for _ in p) for p in row)
+    scaled = linalg.presentable(linalg.primitive(list(chain(*row))))
+    leading = next(len(p) for p in row if p) - 1
+    numbers = iter(scaled if scaled[leading] > 0 else linalg.scale(scaled, -1))
+    return tuple(tuple(islice(numbers, len(p))) for p in row)
 
 
 def text(a: Polynomial) -> str:
@@ -119,14 +127,28 @@ def text(a: Polynomial) -> str:
     out = ""
     for j in reversed(range(len(a))):
         if a[j]:
-            sign = ("-" if a[j] < 0 else "") if not out else (" - " if a[j] < 0 else " + ")
-            out += sign + _term(abs(a[j]), "" if j == 0 else "q" if j == 1 else f"q^{j}")
+            out += _sign(a[j] < 0, first=not out) + _term(abs(a[j]), _power(j))
     return out or "0"
 
 
-def _term(size, power):
+def _sign(negative: bool, first: bool) -> str:
+    """Return the sign of a term, with its blanks."""
+    if first:
+        return "-" if negative else ""
+    return " - " if negative else " + "
+
+
+def _power(j: int) -> str:
+    """Return q^j as text, nothing for j = 0."""
+    return ("", "q")[j] if j < 2 else f"q^{j}"
+
+
+def _term(size: Fraction, power: str) -> str:
+    """Return a coefficient > 0 times a power of q as text."""
+    if size == 1 and power:
+        return power
     factor = str(size) if size.denominator < 1000 else f"{float(size):.6g}"
-    return power if size == 1 and power else f"{factor} {power}".strip()
+    return f"{factor} {power}".strip()
 
 
 def relation_text(row: Row, names: Sequence[str]) -> str:
@@ -142,9 +164,14 @@ def relation_text(row: Row, names: Sequence[str]) -> str:
         if not p:
             continue
         negative = p[-1] < 0
-        p = tuple(-c for c in p) if negative else p
-        sign = ("-" if negative else "") if not out else (" - " if negative else " + ")
-        body = text(p)
-        factor = "" if body == "1" else f"({body}) " if sum(map(bool, p)) > 1 else f"{body} "
-        out += sign + factor + name
+        positive = linalg.scale(p, -1) if negative else p
+        out += _sign(negative, first=not out) + _factor(positive) + name
     return out + " = 0"
+
+
+def _factor(p: Polynomial) -> str:
+    """Return a polynomial as a factor in text, in brackets where it is a sum, nothing for 1."""
+    body = text(p)
+    if body == "1":
+        return ""
+    return f"({body}) " if sum(map(bool, p)) > 1 else f"{body} "

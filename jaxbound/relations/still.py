@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from jaxbound.exact import linalg
+from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import window_rows
 from jaxbound.sets.floats import rounding
 
@@ -40,14 +41,14 @@ def moving(relations: Any, made: Callable[..., Any]) -> Any:
     return less.with_bounds(kept)
 
 
-def _without(model, still):
+def _without(model: LinearSystem, still: np.ndarray) -> LinearSystem:
     """Return the model without some of its disturbances (g,)."""
     rest = np.flatnonzero(~still)
     pairs = [model.disturbance[j] for j in rest]
     return model.replace(disturbance=([[row[j] for j in rest] for row in model.G], pairs) if pairs else None)
 
 
-def _noise(relations, ends):
+def _noise(relations: Any, ends: np.ndarray) -> np.ndarray:
     """Return noise (p,) that holds what disturbances within ends (g, 2) add to the outputs of a window, too:
     the same if they are 0.
     """

@@ -8,9 +8,10 @@ Source: Ploix, Adrot 2006, (4)-(6).
 
 import dataclasses
 import functools
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Self
+from fractions import Fraction
+from typing import Any, Self, TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
@@ -46,6 +47,8 @@ from jaxbound.text.objects import readable
 
 __all__ = ["UncertainRelations", "uncertain_relations"]
 
+Polynomial: TypeAlias = list[tuple[Exponents, Fraction]]
+"""[(exponents, coefficient)], the constant first."""
 LOSSES = 64
 """Samples of a window up to which all relations without one of them are made."""
 
@@ -79,13 +82,13 @@ class UncertainRelations(Relations):
 
     methods = METHODS
 
-    def _head(self):
+    def _head(self) -> str:
         return (
             f"{type(self).__name__}: {self.count} relations over {self.horizon + 1} samples, "
             f"{self.model.p} outputs, {self.model.m} inputs"
         )
 
-    def _rows(self):
+    def _rows(self) -> dict[str, str]:
         return few_lines(self)
 
     @property
@@ -99,7 +102,7 @@ class UncertainRelations(Relations):
         return "polynomial"
 
     @property
-    def made(self) -> tuple:
+    def made(self) -> tuple[object, ...]:
         """What these relations depend on beside model, horizon and bounds: by it what is kept of them is
         known again.
         """
@@ -122,12 +125,11 @@ class UncertainRelations(Relations):
         model, alphas = self.model, self.exponents
         read = reading(None, model, self.horizon, self.bounds, dtype)
         names = [u.name for u in model.uncertainties]
-        size = float_bound(self.bounds["parameters"], dtype)[
-            np.array([names.index(name) for name, _ in self.variables], int)
-        ]
-        return PolynomialReading(
-            read, _floats(self.N, alphas, dtype), _floats(self.K, alphas, dtype), size, alphas, self._noisy()
-        )
+        parameters = np.array([names.index(name) for name, _ in self.variables], int)
+        size = float_bound(self.bounds["parameters"], dtype)[parameters]
+        # kernels take arrays of NumPy too
+        N, K = (cast("jax.Array", _floats(matrix, alphas, dtype)) for matrix in (self.N, self.K))
+        return PolynomialReading(read, N, K, size, alphas, self._noisy())
 
     def test(
         self, method: str, dtype: DTypeLike, budget: Budget = None, compensation: Compensation = 0.0
@@ -144,7 +146,7 @@ class UncertainRelations(Relations):
         """Return (relations, Recording) of what is given: see `Recording.of`."""
         return self, Recording.of(self.model, u, y, starts)
 
-    def _noisy(self):
+    def _noisy(self) -> tuple[int, ...]:
         """Return the rows of z that have a bound of their own beyond what the recorder rounds away."""
         resolution = np.array(list(map(float, self.model.resolution)))
         loud = np.zeros(self.model.p, bool)
@@ -232,7 +234,7 @@ class UncertainRelations(Relations):
         _, lo, hi = self._forms(u, y, starts)
         return Interval(lo, hi)
 
-    def _forms(self, u, y, starts):
+    def _forms(self, u: object, y: object, starts: Starts) -> tuple[jax.Array, ...]:
         return forms(_forms, self, self.reading, u, y, starts)
 
     def text(self) -> str:
@@ -248,7 +250,7 @@ class UncertainRelations(Relations):
         """
         return "\n".join(f"r{i + 1}: {self._line(i)} = 0" for i in range(self.count))
 
-    def _line(self, i):
+    def _line(self, i: int) -> str:
         model, at = self.model, sample_names(self.horizon)
         names = [name if lag is None else name + at[lag] for name, lag in self.variables]
         rows = window_rows(model, self.horizon).all
@@ -260,7 +262,7 @@ class UncertainRelations(Relations):
             out += _term(known, model.inputs[j % model.m] + at[j // model.m], names)
         return out[3:] if out.startswith(" + ") else "-" + out[3:]
 
-    def _polynomials_of(self, matrix, i):
+    def _polynomials_of(self, matrix: PolynomialMatrix, i: int) -> list[Polynomial]:
         """Return [(exponents, coefficient)] of each entry of a row of a matrix."""
         found = []
         for j in range(matrix.columns):
@@ -289,17 +291,15 @@ def uncertain_relations(model: LinearSystem, horizon: int) -> UncertainRelations
             "choose a longer one"
         )
     proof, where = rank_over_box(reduced, rank)
+    near = "" if where is None else _place(model, variables, where)
     if proof == "drops":
         raise ValueError(
-            f"the model is not regularly observable: {_place(model, variables, where)} a window of "
+            f"the model is not regularly observable: {near} a window of "
             f"{horizon + 1} samples shows less of its "
             "state than elsewhere; narrow the bounds of the uncertainties so that they exclude this"
         )
     if proof == "open":
-        notes += (
-            f"regular observability is not proved, nor refuted, near {_place(model, variables, where)[3:]}: "
-            f"FAULT stays a proof",
-        )
+        notes += (f"regular observability is not proved, nor refuted, near {near[3:]}: FAULT stays a proof",)
     omega, steps, complete = annihilator(reduced)
     if not omega.rows:
         raise ValueError(
@@ -318,7 +318,9 @@ def uncertain_relations(model: LinearSystem, horizon: int) -> UncertainRelations
 
 
 @functools.lru_cache(512)
-def _without(model, horizon, rows, inputs):
+def _without(
+    model: LinearSystem, horizon: int, rows: frozenset[int], inputs: frozenset[int]
+) -> dict[str, Any] | None:
     """Return {field: value} of the UncertainRelations that need neither these rows nor these inputs, or None:
     see `without`.
     """
@@ -338,12 +340,12 @@ def _without(model, horizon, rows, inputs):
     return {"N": _on_rows(omega, V), "K": omega @ H, "steps": steps, "complete": complete}
 
 
-def _on_rows(omega, V):
+def _on_rows(omega: PolynomialMatrix, V: PolynomialMatrix) -> PolynomialMatrix:
     """Return N = [Omega, -Omega V], what relations do with the true outputs and disturbances."""
     return stacked([[omega, -(omega @ V)]]) if V.columns else omega
 
 
-def _without_unseen(E, model):
+def _without_unseen(E: PolynomialMatrix, model: LinearSystem) -> tuple[PolynomialMatrix, tuple[str, ...]]:
     """Return E in fewer unknowns with the same left null space: combinations that act on no sample, whatever
     v, are left out.
     """
@@ -362,7 +364,7 @@ def _without_unseen(E, model):
     return reduced, (note,)
 
 
-def _place(model, variables, point):
+def _place(model: LinearSystem, variables: Sequence[Variable], point: Sequence[Fraction]) -> str:
     """Return "at a = 3, b[k] = 0.5": a point of the box in the user's units."""
     by_name = {u.name: u for u in model.uncertainties}
     values = []
@@ -373,7 +375,7 @@ def _place(model, variables, point):
     return "at " + ", ".join(values)
 
 
-def _term(polynomial, signal, names):
+def _term(polynomial: Polynomial, signal: str, names: Sequence[str]) -> str:
     """Return a polynomial times a signal as a term of a sum; nothing for 0."""
     if not polynomial:
         return ""
@@ -385,7 +387,7 @@ def _term(polynomial, signal, names):
     return f"{sign}({text}) {signal}" if len(polynomial) > 1 else f"{sign}{text} {signal}"
 
 
-def _sum(terms, names):
+def _sum(terms: Polynomial, names: Sequence[str]) -> str:
     """Return a polynomial as text, its first coefficient positive."""
     out = ""
     for alpha, x in terms:
@@ -400,7 +402,7 @@ def _sum(terms, names):
     return out[3:]
 
 
-def _floats(matrix, alphas, dtype):
+def _floats(matrix: PolynomialMatrix, alphas: Sequence[Exponents], dtype: DTypeLike) -> np.ndarray:
     """Return the coefficients (rows, len(alphas), columns) as nearest floats."""
     out = np.zeros((matrix.rows, len(alphas), matrix.columns), dtype)
     for a, alpha in enumerate(alphas):
@@ -410,12 +412,14 @@ def _floats(matrix, alphas, dtype):
 
 
 @jax.jit
-def _polynomials(test, u, y):
+def _polynomials(
+    test: PolynomialReading, u: jax.Array, y: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     return test.polynomials(u, y)
 
 
 @jax.jit
-def _forms(test, u, y):
+def _forms(test: PolynomialReading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ...]:
     s, count = test.horizon, y.shape[0] - test.horizon
     u, y = (jnp.stack([x[j : j + count].T for j in range(s + 1)]) for x in (u, y))
     value, _, spread, rad = test.polynomials(u, y)

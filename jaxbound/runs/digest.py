@@ -294,7 +294,7 @@ def digest(
     worst = tally.worst or tally.tightest
     if worst is not None:
         times[worst.sample] = worst.when
-    found = Digest(
+    digested = Digest(
         relations,
         method,
         source,
@@ -309,19 +309,19 @@ def digest(
         ended=book.ended,
         signals=read_extremes(part_files(folder), source.samples),
     )
-    sentence = irregular(clock.clock, found.label, source.row)
+    sentence = irregular(clock.clock, digested.label, source.row)
     if sentence:
         forget_parts(folder)  # verdicts on such data are of no use
         raise ValueError(f"{source.path}: {sentence}")
-    hints, aside = _signal_hints(found, folder)
+    hints, aside = _signal_hints(digested, folder)
     for devices, count in read_again(part_files(folder)).items():
         hints += again_said(devices, count)
-    seams = seam_hints(clock.clock, found.label, source.row)
+    seams = seam_hints(clock.clock, digested.label, source.row)
     hints = [*source.hints, *seams, *hints, *bound_hints(relations.model, relations)]
-    hints += [*_unfit(found), *_wrong_units(found)]
-    found = replace(found, hints=tuple(hints), aside=aside)
-    found.alarms[:] = [replace(a, result=found) for a in found.alarms]
-    return found
+    hints += [*_unfit(digested), *_wrong_units(digested)]
+    digested = replace(digested, hints=tuple(hints), aside=aside)
+    digested.alarms[:] = [replace(a, result=digested) for a in digested.alarms]
+    return digested
 
 
 def _unfit(found):

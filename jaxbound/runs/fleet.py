@@ -26,6 +26,7 @@ from jaxbound.diagnosis.hints import outgrown
 from jaxbound.estimation.observer import observer
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.modelfile import load_model
+from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.csvlines import is_open, split_lines
 from jaxbound.recordings.csvtext import UNCLOSED, cells_of
 from jaxbound.recordings.expressions import missing_column
@@ -362,13 +363,13 @@ class _Reader:
         recording, carry, known = kept.joined(recording)
         return _Given(model, relations, recording, kept, carry, known)
 
-    def _longest(self, model: Any) -> Any:
+    def _longest(self, model: LinearSystem) -> int | None:
         """Return the horizon of the windows of a model, before its relations are made."""
         if self.how.lags:
             return max(self.how.lags)
         return model.horizon if self.how.horizon is None else self.how.horizon
 
-    def _relations(self, model: Any) -> Any:
+    def _relations(self, model: LinearSystem) -> object:
         """Return the relations of a model, or its observer."""
         if self.how.method == SetObserver.method:
             return observer(model, horizon=self.how.horizon, **self.how.options or {})

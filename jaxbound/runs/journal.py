@@ -150,7 +150,7 @@ class Position(Remembering, Protocol):
 class Resuming(Remembering, Protocol):
     """A judge that goes on from its memory."""
 
-    def resume(self, memory: Any, /) -> None:
+    def resume(self, memory: dict[str, Any], /) -> None:
         """Go on from a memory."""
 
 

@@ -215,11 +215,12 @@ def refuse_other_part(part: Path, note: Mapping[str, str]) -> None:
     refuse_other(part, json.loads(about.get(IDENTITY, "{}")), note)
 
 
-def carry_behind(part: Path) -> Any:
+def carry_behind(part: Path) -> list[str]:
     """Return the texts of what an observer carried behind a part, see `as_texts`."""
     import pyarrow.parquet as pq
 
-    return json.loads(pq.read_schema(part).metadata[CARRY])
+    texts: list[str] = json.loads(pq.read_schema(part).metadata[CARRY])
+    return texts
 
 
 def verdicts_of(folder: Path, source: ParquetSource) -> Iterator[tuple[Recording, Judged]]:

@@ -70,7 +70,7 @@ class RowFile:
         rows = self.written + self.fresh
         return {"forced": self.forced, "end": _as_text(self.end), "rows": _as_text(rows)}
 
-    def resume(self, memory: Any) -> None:
+    def resume(self, memory: dict[str, Any]) -> None:
         """Bring the file to where the memory is."""
         self.forced, self.end = memory["forced"], _as_bytes(memory["end"])
         self.fresh = _as_bytes(memory["rows"])

@@ -75,7 +75,7 @@ class Tally:
         """Return the counts."""
         return {name: getattr(self, name) for name in REMEMBERED}
 
-    def resume(self, memory: Any) -> None:
+    def resume(self, memory: dict[str, Any]) -> None:
         """Go on from a memory."""
         for name, value in memory.items():
             event = name in ("first", "worst", "tightest") and value is not None
@@ -149,7 +149,7 @@ class AlarmEnds:
         """Return the counts."""
         return {"on": self.on, "before": self.before, "endings": self.endings}
 
-    def resume(self, memory: Any) -> None:
+    def resume(self, memory: dict[str, Any]) -> None:
         """Go on from a memory."""
         self.on, self.before, self.endings = memory["on"], memory["before"], memory["endings"]
 

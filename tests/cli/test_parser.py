@@ -10,6 +10,7 @@ import pytest
 
 from jaxbound.cli import main, options
 from jaxbound.consistency.interface import METHODS
+from jaxbound.estimation import methods
 
 CLI = Path(main.__file__).parent
 
@@ -99,3 +100,7 @@ def test_nobody_builds_a_namespace_by_hand():
 
 def test_methods_are_those_of_the_tests_of_windows():
     assert tuple(options.METHODS.split(", ")) == METHODS
+
+
+def test_observers_are_those_that_are_registered():
+    assert set(options.OBSERVERS) == set(methods.OBSERVERS)

@@ -51,7 +51,7 @@ def examination(
         >>> all(value <= most for value, most in found.values())
         True
     """
-    rng, info, found = np.random.default_rng(seed), np.finfo(dtype), {}
+    rng, info, claims = np.random.default_rng(seed), np.finfo(dtype), {}
     u, smallest = Fraction(float(info.eps)) / 2, Fraction(float(info.tiny))
     numbers = lambda low, high: (np.exp2(rng.uniform(low, high, count)) * rng.choice([-1, 1], count)).astype(
         dtype
@@ -79,15 +79,15 @@ def examination(
         for form, (go, other) in forms.items():
             pairs = list(zip(_exact(a), _exact(np.broadcast_to(other, a.shape)), strict=True))
             for name, f in EXACTLY.items():
-                found[f"error of a {name}{form}"] = error(_exact(go(f)), [f(x, y) for x, y in pairs]), ONE
+                claims[f"error of a {name}{form}"] = error(_exact(go(f)), [f(x, y) for x, y in pairs]), ONE
         positive = [abs(numbers(-8, 8)) for _ in range(3)]
         for name, f in CHAINS.items():
             want = [f(*x) for x in zip(*map(_exact, positive), strict=True)]
-            found[f"error of {name}"] = error(_exact(run(f, *positive)), want), 2 * ONE
+            claims[f"error of {name}"] = error(_exact(run(f, *positive)), want), 2 * ONE
         roots = _exact(run(jnp.sqrt, x := abs(numbers(info.minexp + 1, info.maxexp - 1))))
-        found["error of the square of a root"] = error([r * r for r in roots], _exact(x)), SQUARE
+        claims["error of the square of a root"] = error([r * r for r in roots], _exact(x)), SQUARE
         c, d = numbers(-12, 12), numbers(-12, 12)
-        kept = run(
+        compensated = run(
             lambda c, d: (
                 rounding.two_sum(c, d),
                 rounding.two_prod(c, d),
@@ -100,11 +100,11 @@ def examination(
         lost = lambda pair, want: float(
             sum(s + e != w for s, e, w in zip(*map(_exact, pair), want, strict=True))
         )
-        C, D, inexact = _exact(c), _exact(d), _exact(kept[3])
-        found["sums that two_sum loses digits of"] = lost(kept[0], map(operator.add, C, D)), 0.0
-        found["products that two_prod loses digits of"] = lost(kept[1], map(operator.mul, C, D)), 0.0
-        found["sums of inexact numbers that two_sum loses digits of"] = (
-            lost(kept[2], map(operator.add, inexact, D)),
+        C, D, inexact = _exact(c), _exact(d), _exact(compensated[3])
+        claims["sums that two_sum loses digits of"] = lost(compensated[0], map(operator.add, C, D)), 0.0
+        claims["products that two_prod loses digits of"] = lost(compensated[1], map(operator.mul, C, D)), 0.0
+        claims["sums of inexact numbers that two_sum loses digits of"] = (
+            lost(compensated[2], map(operator.add, inexact, D)),
             0.0,
         )
         small, half = numbers(info.minexp + 1, info.minexp + 4), numbers(-6, -1)
@@ -118,32 +118,35 @@ def examination(
                 map(EXACTLY[name], _exact(small), _exact(other)),
             )
             over = [abs(f - w) - Fraction(float(info.eps)) * abs(f) for f, w in zip(got, exact, strict=True)]
-            found[f"error of a {name} that underflows, in smallest numbers"] = (
+            claims[f"error of a {name} that underflows, in smallest numbers"] = (
                 float(max(over) / smallest),
                 1.0,
             )
         signed = run(operator.truediv, small, np.full(count, 2.0 ** (info.maxexp // 2), dtype))
-        found["underflows that lose their sign"] = float((np.signbit(signed) != np.signbit(small)).sum()), 0.0
+        claims["underflows that lose their sign"] = (
+            float((np.signbit(signed) != np.signbit(small)).sum()),
+            0.0,
+        )
         top = run(lambda x: x + x, np.array([info.max, -info.max], dtype))
-        found["overflows that are finite"] = float((top != [np.inf, -np.inf]).sum()), 0.0
+        claims["overflows that are finite"] = float((top != [np.inf, -np.inf]).sum()), 0.0
         many = numbers(-4, 4)
         total, terms = _exact([run(jnp.sum, many)])[0], _exact(many)
-        found["error of a sum of many, in units a term"] = (
+        claims["error of a sum of many, in units a term"] = (
             float(abs(total - sum(terms)) / (count * u * sum(map(abs, terms)))),
             1.01,
         )
         whole = np.concatenate([rng.uniform(-2000, 2000, count), [0.5, 1.5, -0.5, 0.49, -2.51]]).astype(dtype)
-        found["distance of a rounded number"] = (
+        claims["distance of a rounded number"] = (
             float(abs(run(jnp.round, whole).astype(float) - whole.astype(float)).max()),
             0.5,
         )
         odd = np.where(np.arange(count) % 2, np.nan, np.inf).astype(dtype)
-        found["NaN that are lost"] = float((~np.isnan(run(lambda x: (x - x) + 1, odd))).sum()), 0.0
-        found["comparisons with NaN that are true"] = (
+        claims["NaN that are lost"] = float((~np.isnan(run(lambda x: (x - x) + 1, odd))).sum()), 0.0
+        claims["comparisons with NaN that are true"] = (
             float(sum(map(np.sum, run(_comparisons, np.full(count, np.nan, dtype))))),
             0.0,
         )
-    return found | premises(device, dtype, seed)
+    return claims | premises(device, dtype, seed)
 
 
 SIZES = 16, 300, 5000
@@ -160,7 +163,7 @@ def premises(device: jax.Device, dtype: DTypeLike, seed: int = 0) -> dict[str, t
     all its uses. NaN in what a proof reads has to stay. What is multiplied and then added shows whether the
     product was rounded in between, as the host does it.
     """
-    rng, found = np.random.default_rng(seed), {}
+    rng, claims = np.random.default_rng(seed), {}
     run = lambda f, *x: jax.tree.map(np.asarray, jax.jit(f)(*(jax.device_put(v, device) for v in x)))
     with (
         jax.ensure_compile_time_eval(),
@@ -180,20 +183,20 @@ def premises(device: jax.Device, dtype: DTypeLike, seed: int = 0) -> dict[str, t
                     run(partial(use, product), a, b, c, np.int32(1))
                     for use in (_beside, _in_a_loop, _in_a_reduction)
                 ]
-                found[f"{claim}, of {count}"] = (
+                claims[f"{claim}, of {count}"] = (
                     float(sum((later != number + c).sum() for number, later in pairs)),
                     0.0,
                 )
             number, later = run(_carried, a, b, c, np.int32(1))
-            found[f"carries of a loop that are rounded anew, of {count}"] = (
+            claims[f"carries of a loop that are rounded anew, of {count}"] = (
                 float((later != number + c).sum()),
                 0.0,
             )
-        found |= reductions(rng.uniform(-1, 1, MANY).astype(dtype).reshape(-1, 8), run)
+        claims |= reductions(rng.uniform(-1, 1, MANY).astype(dtype).reshape(-1, 8), run)
         top = np.full(16, 2.0 ** (np.finfo(dtype).maxexp - 2), dtype)
         twice = run(lambda x, y: jax.lax.optimization_barrier(x / y) / y, top, np.sqrt(top) * 4)
-        found["quotients of quotients that are merged"] = float((twice == 0).sum()), 0.0
-    return found
+        claims["quotients of quotients that are merged"] = float((twice == 0).sum()), 0.0
+    return claims
 
 
 def _beside(product, a, b, c, times):

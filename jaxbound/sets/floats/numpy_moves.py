@@ -208,7 +208,7 @@ def _places(shape, indices, index_map, operand_batch, index_batch, left_out, siz
     outside).
     """
     lead = indices.shape[:-1]
-    kept = [i for i in range(len(shape)) if i not in (*left_out, *operand_batch)]
+    window_axes = [i for i in range(len(shape)) if i not in (*left_out, *operand_batch)]
     outside = np.zeros(lead, bool)
     at = []
     for axis, (n, size) in enumerate(zip(shape, sizes, strict=True)):
@@ -221,9 +221,9 @@ def _places(shape, indices, index_map, operand_batch, index_batch, left_out, siz
             start = np.clip(start, 0, n - size)
         else:
             start = np.zeros((1,) * len(lead), np.int64)
-        start = start.reshape(*start.shape, *(1,) * len(kept))
-        if axis in kept:
-            start = start + np.arange(size).reshape([-1 if i == axis else 1 for i in kept])
+        start = start.reshape(*start.shape, *(1,) * len(window_axes))
+        if axis in window_axes:
+            start = start + np.arange(size).reshape([-1 if i == axis else 1 for i in window_axes])
         at.append(start)
     return tuple(at), outside
 

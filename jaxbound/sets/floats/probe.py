@@ -244,8 +244,8 @@ def measure(device: jax.Device, dtype: DTypeLike) -> dict[str, tuple[float, floa
         jax.debug_infs(False),
         jax.disable_jit(False),
     ):
-        found = np.asarray(_kernel(*(jax.device_put(x, device) for x in given)))
-    *exact, A, B, least = (list(map(Fraction, x.astype(float).tolist())) for x in (*found[:6], a, b, small))
+        errors = np.asarray(_kernel(*(jax.device_put(x, device) for x in given)))
+    *exact, A, B, least = (list(map(Fraction, x.astype(float).tolist())) for x in (*errors[:6], a, b, small))
     total, rest, quotient, share, root, flushed = exact
     u, smallest, pairs = (
         Fraction(float(info.eps)) / 2,
@@ -265,11 +265,11 @@ def measure(device: jax.Device, dtype: DTypeLike) -> dict[str, tuple[float, floa
         "error of the square of a root": (error([x * x for x in root], B), 5.7),
         "sums that two_sum loses digits of": (lost, 0),
         "error of an underflow, in smallest numbers": (float(underflow), 1),
-        "underflows that lose their sign": (int((~np.signbit(found[5])).sum()), 0),
-        "overflows that are finite": (int((found[6][EVEN] != np.inf).sum()), 0),
-        "NaN that are lost": (int((~np.isnan(found[6][~EVEN])).sum()), 0),
-        "quotients that are not one number for all uses": (int((found[7][EVEN] != 0).sum()), 0),
-        "calls that are not kept apart": (int((found[7][~EVEN] != 0).sum()), 0),
+        "underflows that lose their sign": (int((~np.signbit(errors[5])).sum()), 0),
+        "overflows that are finite": (int((errors[6][EVEN] != np.inf).sum()), 0),
+        "NaN that are lost": (int((~np.isnan(errors[6][~EVEN])).sum()), 0),
+        "quotients that are not one number for all uses": (int((errors[7][EVEN] != 0).sum()), 0),
+        "calls that are not kept apart": (int((errors[7][~EVEN] != 0).sum()), 0),
     }
 
 

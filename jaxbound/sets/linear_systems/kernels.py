@@ -163,19 +163,19 @@ def _proved(
 
 def enclose(F: Factored, b: Interval, method: str, start: Interval) -> Interval:
     """Return an enclosure (n, N) of the solutions in the start box."""
-    found = [_gauss(F, b)] if method in ("gauss", "intersection") else []
+    boxes = [_gauss(F, b)] if method in ("gauss", "intersection") else []
     if method != "gauss":
         solved, first = _hansen_bliek_rohn(F, b)
         if method in ("hbr", "intersection"):
-            found.append(solved)
+            boxes.append(solved)
         if method in (
             "gauss_seidel",
             "intersection",
         ):  # its limit lies in Krawczyk's, which the intersection does not need
-            found.append(_iterate(gauss_seidel, F.A, b, intersection(first, start)))
+            boxes.append(_iterate(gauss_seidel, F.A, b, intersection(first, start)))
         if method == "krawczyk":
-            found.append(_iterate(krawczyk, F.A, b, intersection(first, start)))
-    return _all_of(start, *found)
+            boxes.append(_iterate(krawczyk, F.A, b, intersection(first, start)))
+    return _all_of(start, *boxes)
 
 
 _all_of = apart(lambda box, *others: reduce(intersection, others, box))

@@ -149,7 +149,7 @@ def _solve(
     r), (N or 1, n).
     """
     prepared = _prepared(_last(M), precondition) if len(M) == 1 else None
-    given, count = (M, h, start), max(len(M), len(h), len(start))
+    system, count = (M, h, start), max(len(M), len(h), len(start))
 
     def block(*parts):
         m, right, box = (_last(part) for part in parts)
@@ -157,12 +157,12 @@ def _solve(
         return _enclosed(m, right, C, F, method, box)
 
     if count <= BLOCK:
-        return block(*given)
+        return block(*system)
 
     def step(i, out):  # the last block overlaps with the one before it: slices end where the arrays end
         part = [
             jax.tree.map(lambda a: jax.lax.dynamic_slice_in_dim(a, i * BLOCK, BLOCK), v) if len(v) > 1 else v
-            for v in given
+            for v in system
         ]
         return jax.tree.map(
             lambda a, b: jax.lax.dynamic_update_slice_in_dim(a, b, i * BLOCK, 0), out, block(*part)

@@ -87,7 +87,7 @@ def explore(
     n = len(lo)
     lo, hi = (np.repeat(x[:, None], count, 1) for x in (lo, hi))
     owner = np.arange(count, dtype=np.int32)
-    evaluated, known = np.zeros(count, np.int64), np.zeros(count, bool)
+    evaluated, solved = np.zeros(count, np.int64), np.zeros(count, bool)
     aside: list[Boxes] = []
     proofs: list[Boxes] = []
     level = 0
@@ -98,24 +98,24 @@ def explore(
             lo, hi, owner = lo[:, ~spent], hi[:, ~spent], owner[~spent]
             continue
         evaluated += more
-        said: Verdicts[np.ndarray] = Verdicts(*in_blocks(kernel, lo, hi, owner, sizes))
-        keep = said.keep
-        if said.proved is not None and said.proof is not None:
-            which = np.flatnonzero(said.proved)
-            proofs.append((said.proof[0][:, which], said.proof[1][:, which], owner[which]))
-            known[owner[which]] = True
-            keep = keep & ~known[owner] if first else keep
-        lo, hi = (lo, hi) if said.rest is None else said.rest
-        kept = (
+        verdicts: Verdicts[np.ndarray] = Verdicts(*in_blocks(kernel, lo, hi, owner, sizes))
+        keep = verdicts.keep
+        if verdicts.proved is not None and verdicts.proof is not None:
+            which = np.flatnonzero(verdicts.proved)
+            proofs.append((verdicts.proof[0][:, which], verdicts.proof[1][:, which], owner[which]))
+            solved[owner[which]] = True
+            keep = keep & ~solved[owner] if first else keep
+        lo, hi = (lo, hi) if verdicts.rest is None else verdicts.rest
+        going_on = (
             np.flatnonzero(keep)
             if followed is None
             else _picked(np.flatnonzero(keep), owner, count, followed)
         )
-        lo, hi, owner = lo[:, kept], hi[:, kept], owner[kept]
+        lo, hi, owner = lo[:, going_on], hi[:, going_on], owner[going_on]
         if axis == "alternate":
-            along = np.full(len(kept), level % n)
+            along = np.full(len(going_on), level % n)
         else:
-            along = np.argmax(hi - lo, 0) if said.axis is None else said.axis[kept]
+            along = np.argmax(hi - lo, 0) if verdicts.axis is None else verdicts.axis[going_on]
             stuck = ~_cuttable(lo, hi, along)
             if stuck.any():
                 aside.append((lo[:, stuck], hi[:, stuck], owner[stuck]))
@@ -125,8 +125,8 @@ def explore(
         if progress is not None:
             progress(level / depth)
     lo, hi, owner = _join([(lo, hi, owner), *aside])
-    if first and known.any():
-        open_ = ~known[owner]
+    if first and solved.any():
+        open_ = ~solved[owner]
         lo, hi, owner = lo[:, open_], hi[:, open_], owner[open_]
     return Cover(lo, hi, owner, _join(proofs or [(lo[:, :0], hi[:, :0], owner[:0])]), evaluated, level)
 

@@ -165,13 +165,13 @@ def pave(
         raise ValueError("box must be a bounded, non-empty Interval of shape (n,)")
     goal, single = _goals(target, lo.dtype)
     count = 1 if goal is None else goal.shape[0]
-    given: tuple[Any, ...] = tuple(x if isinstance(x, jax.Array) else np.asarray(x) for x in args)
-    if any(a.shape[:1] != (count,) for a in given):
+    arguments: tuple[Any, ...] = tuple(x if isinstance(x, jax.Array) else np.asarray(x) for x in args)
+    if any(a.shape[:1] != (count,) for a in arguments):
         raise ValueError(
             f"every array of args needs one entry for each of the {count} targets: shapes "
-            f"{[a.shape for a in given]}"
+            f"{[a.shape for a in arguments]}"
         )
-    plain = is_interval_function(f, lo, tuple(jax.ShapeDtypeStruct(a.shape[1:], a.dtype) for a in given))
+    plain = is_interval_function(f, lo, tuple(jax.ShapeDtypeStruct(a.shape[1:], a.dtype) for a in arguments))
     region = isinstance(target, Interval)
     thick = region and goal is not None and bool((np.asarray(goal.lo) < np.asarray(goal.hi)).any())
     if solutions is None:
@@ -197,7 +197,7 @@ def pave(
                 f"{q} pieces of {len(lo)} variables are {int(q) ** len(lo)} boxes, more than max_boxes = "
                 f"{most}"
             )
-        left_lo, left_hi, owner, evaluated = _uniform(f, lo, hi, goal, given, count, int(q), progress)
+        left_lo, left_hi, owner, evaluated = _uniform(f, lo, hi, goal, arguments, count, int(q), progress)
     else:
         if goal is None:
             raise ValueError(
@@ -209,13 +209,13 @@ def pave(
             else max_depth
         )
         if solutions == "none":
-            kernel = _of_targets(partial(_meets, f), goal, given)
+            kernel = _of_targets(partial(_meets, f), goal, arguments)
         elif solutions == "all" and thick:
-            kernel = _of_targets(partial(_inner, f), goal, given)
+            kernel = _of_targets(partial(_inner, f), goal, arguments)
         else:
-            kernel = _of_targets(partial(_search, f, box, solutions == "all", region), goal, given)
+            kernel = _of_targets(partial(_search, f, box, solutions == "all", region), goal, arguments)
         sizes = (EXCLUDED,) if solutions == "none" else BLOCKS
-        found = explore(
+        cover = explore(
             kernel,
             lo,
             hi,
@@ -228,13 +228,13 @@ def pave(
             sizes,
         )
         left_lo, left_hi, owner, evaluated, levels = (
-            found.lo,
-            found.hi,
-            found.owner,
-            found.evaluated,
-            found.levels,
+            cover.lo,
+            cover.hi,
+            cover.owner,
+            cover.evaluated,
+            cover.levels,
         )
-        proofs = found.proofs if len(found.proofs[2]) else None
+        proofs = cover.proofs if len(cover.proofs[2]) else None
         if proofs is not None and not (solutions == "all" and thick):
             proofs = _distinct(proofs, solutions, kernel)
     if goal is not None:
@@ -246,7 +246,7 @@ def pave(
     if single:
         status, evaluated = None if status is None else status[0], evaluated[0]
     turned = lambda lo, hi: Interval(jnp.asarray(lo.T), jnp.asarray(hi.T))
-    again = partial(_images, f, left_lo, left_hi, owner, given, goal.shape[1] if goal is not None else 0)
+    again = partial(_images, f, left_lo, left_hi, owner, arguments, goal.shape[1] if goal is not None else 0)
     witness, witness_owner = (None, None) if proofs is None else (turned(*proofs[:2]), proofs[2])
     return Paving(status, turned(left_lo, left_hi), owner, evaluated, witness, witness_owner, levels, again)
 
@@ -272,7 +272,12 @@ def reaches(
     status, depth = np.full(target.shape[0], Status.FAULT, np.int8), len(lo) * (int(q) - 1)
     for followed in (FOLLOWED, None):
         left = np.flatnonzero(status == Status.FAULT)
-        own = lambda x: np.broadcast_to(x[:1], (len(left), *x.shape[1:])) if x.strides[0] == 0 else x[left]  # noqa: B023
+
+        def own(x, left=left):
+            if x.strides[0] == 0:  # all targets share one entry
+                return np.broadcast_to(x[:1], (len(left), *x.shape[1:]))
+            return x[left]
+
         goal = Interval(own(np.asarray(target.lo)), own(np.asarray(target.hi)))
         kernel = _of_targets(partial(_meets, f), goal, tuple(map(own, args)))
         most = max_boxes if followed is None else MANY

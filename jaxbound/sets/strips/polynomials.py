@@ -88,28 +88,28 @@ def image(
 
     Source: Ploix, Adrot 2006, (14), with what it neglects.
     """
-    r, n, m, kept = value.shape[0], len(exponents[0]), rad.shape[0], closure(exponents)
+    r, n, m, degrees = value.shape[0], len(exponents[0]), rad.shape[0], closure(exponents)
     if mid is None or radius is None:
-        kept = tuple(d for d in kept if d in exponents or sum(d) == 1)
-    value, spread = _among(value, exponents, kept), _among(spread, exponents, kept)
-    columns = [value[:, k] for k in range(len(kept))]
+        degrees = tuple(d for d in degrees if d in exponents or sum(d) == 1)
+    value, spread = _among(value, exponents, degrees), _among(spread, exponents, degrees)
+    columns = [value[:, k] for k in range(len(degrees))]
     at: list[Any] = [1.0]
-    change: list[Any] = [1.0] * len(kept)
+    change: list[Any] = [1.0] * len(degrees)
     if mid is not None and radius is not None:
-        own, far, at = (_powers(v, kept) for v in (radius, jnp.abs(mid) + radius, mid))
-        columns = [x * _row(own[k]) for k, x in enumerate(_moved(columns, kept, mid))]
+        own, far, at = (_powers(v, degrees) for v in (radius, jnp.abs(mid) + radius, mid))
+        columns = [x * _row(own[k]) for k, x in enumerate(_moved(columns, degrees, mid))]
         change = [x - jnp.abs(y) for x, y in zip(far, at, strict=True)]
     c, G = columns[0], columns[1 : n + 1] if linear else columns[1:]
-    for k, d in enumerate(kept[1 : len(G) + 1]):
+    for k, d in enumerate(degrees[1 : len(G) + 1]):
         if all(e % 2 == 0 for e in d):
             G[k] = 0.5 * G[k]
             c = c + G[k]
     if m:
         noise = _noise(spread, rad, at)
         G += [noise[:, j] for j in range(m)]
-        if len(kept) > 1 and not linear:
+        if len(degrees) > 1 and not linear:
             within = jnp.sum(jnp.abs(spread)[..., None] * rad[None, None], 2)
-            lump = total(within[:, k] * _row(change[k]) for k in range(1, len(kept)))
+            lump = total(within[:, k] * _row(change[k]) for k in range(1, len(degrees)))
             G += [jnp.where(np.arange(r)[:, None] == k, lump, 0) for k in range(r)]
     return c, jnp.stack(G, 1)
 
@@ -184,7 +184,7 @@ def vertex_gauge(
     at = lambda vertex: [math.prod(s**e for s, e in zip(vertex, a, strict=True)) for a in exponents]
     signs = jnp.asarray(np.array([at(vertex) for vertex in product((-1, 1), repeat=n)]), value.dtype)
     order = np.array([sum(a) for a in exponents])
-    held = jax.lax.stop_gradient((value, spread, rad))
+    constants = jax.lax.stop_gradient((value, spread, rad))
 
     def ends(value, spread, rad, t=None):
         """Return the least and largest value over t times the box."""
@@ -223,14 +223,14 @@ def vertex_gauge(
     def halve(_, bracket):
         below, above = bracket
         middle = jnp.sqrt(below * above)
-        reached = nearest(middle, held) <= 0
+        reached = nearest(middle, constants) <= 0
         return jnp.where(reached, below, middle), jnp.where(reached, middle, above)
 
-    one = jnp.ones_like(held[0][0, 0])
+    one = jnp.ones_like(constants[0][0, 0])
     below, above = jax.lax.fori_loop(0, 24, halve, (one * 2.0**-10, one * 2.0**10))
     if not smooth:
         return above, low, high
-    slope = jax.jvp(lambda t: nearest(t, held), (above,), (one,))[1]
+    slope = jax.jvp(lambda t: nearest(t, constants), (above,), (one,))[1]
     slope = jnp.where((slope < 0) & (above < 2.0**10) & (below > 2.0**-10), slope, -jnp.inf)
     t = (
         above - nearest(above, (value, spread, rad)) / slope

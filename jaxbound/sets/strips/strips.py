@@ -65,7 +65,7 @@ class Strips:
 def strips_of(exact_h: Rows, exact_k: Rows) -> Strips:
     """Build Strips from exact rows h (over the box) and k (over the known values)."""
     widest = max(sum(1 for x in h if x) for h in exact_h)
-    rows, coefficients, known = [], [], []
+    rows, coefficients, of_inputs = [], [], []
     for h, k in zip(exact_h, exact_k, strict=True):
         support = [i for i, x in enumerate(h) if x]
         values, padding = [rounding.fraction_to_float(h[i]) for i in support], widest - len(support)
@@ -74,10 +74,10 @@ def strips_of(exact_h: Rows, exact_k: Rows) -> Strips:
             values.append(values[0])
         rows.append(support + support[:1] * padding)
         coefficients.append(values)
-        known.append([rounding.fraction_to_float(x) for x in k])
+        of_inputs.append([rounding.fraction_to_float(x) for x in k])
     supports = tuple(map(tuple, rows)) if len(rows) <= UNROLLED else None
     return Strips(
-        np.array(rows, np.int32), np.array(coefficients), np.array(known).reshape(len(rows), -1), supports
+        np.array(rows, np.int32), np.array(coefficients), np.array(of_inputs).reshape(len(rows), -1), supports
     )
 
 

@@ -130,20 +130,20 @@ def _equations(question: Question) -> tuple[Any, Any]:
 
 def _decided(question: Question) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return (answer (S,), margin (S,), direction (S, m), X (S, q, 1 + p)) on the host."""
-    (M, D), known = _equations(question), question.known()[:, 0]
+    (M, D), finite = _equations(question), question.known()[:, 0]
     (S, _, q), image = M.shape, proof.image(np.where(np.isfinite(M), M, 0))
-    D = image.scaled(np.where(known[:, None, None], D, 0).swapaxes(1, 2)).swapaxes(1, 2)
+    D = image.scaled(np.where(finite[:, None, None], D, 0).swapaxes(1, 2)).swapaxes(1, 2)
     direction, least = _climb(image, D)
     X, most = np.full((S, q, D.shape[2]), np.nan), np.full(S, np.inf)
     rest = np.nonzero(~(least > 1))[0]
     X[rest], most[rest] = _encode(image.of(rest), D[rest])
-    held, not_held = (most <= 1) & known, (least > 1) & known
+    held, not_held = (most <= 1) & finite, (least > 1) & finite
     answer = np.where(not_held, Answer.NO, np.where(held, Answer.YES, Answer.UNDECIDED)).astype(np.int8)
     margin = np.where(not_held, 1 - least, np.where(held, 1 - most, 0.0))
     direction = np.where(not_held[:, None], unscaled(direction[:, None], image.powers)[:, 0], 0)
     (c, G, A, _), _ = question.sets
     if not A.shape[1] and math.comb(q, c.shape[1] - 1) <= FEW:
-        for i in np.nonzero((answer == 0) & known)[
+        for i in np.nonzero((answer == 0) & finite)[
             0
         ]:  # X stays: exact numbers may still make a certificate of it
             answer[i], margin[i], direction[i] = _by_facets(*(tuple(v[i] for v in x) for x in question.sets))

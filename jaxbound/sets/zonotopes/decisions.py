@@ -282,30 +282,30 @@ def _decide(question: Question, shape: tuple[int, ...], meets: Answer, off: Arra
     beyond one rounding.
     """
     refuse_unverified()
-    (M, d), known = question.equations(), question.known()
+    (M, d), finite = question.equations(), question.known()
     lay = lambda v: v.reshape((*shape, *v.shape[2:]))
     if traced(question):
         lower, upper, direction, x = kernels.bounds(M, d, off, False)
-        inside, outside = (upper <= 1) & known, (lower > 1) & known
+        inside, outside = (upper <= 1) & finite, (lower > 1) & finite
         room = jnp.where(inside, 1 - upper, jnp.where(outside, 1 - lower, 0))
         said = jnp.where(inside, int(meets), jnp.where(outside, -int(meets), 0)).astype(jnp.int8)
         return Decision(lay(said), lay(room * int(meets)), None, lay(direction), lay(x))
     image = proof.image(np.where(np.isfinite(M), M, 0))
-    found = gauge_bounds(image, image.scaled(np.where(known[..., None], d, 0)))
-    inside, outside = (found.upper <= 1) & known, (found.lower > 1) & known
-    margin = np.where(inside, 1 - found.upper, np.where(outside, 1 - found.lower, 0.0))
-    direction = unscaled(found.l, image.powers)
+    gauges = gauge_bounds(image, image.scaled(np.where(finite[..., None], d, 0)))
+    inside, outside = (gauges.upper <= 1) & finite, (gauges.lower > 1) & finite
+    margin = np.where(inside, 1 - gauges.upper, np.where(outside, 1 - gauges.lower, 0.0))
+    direction = unscaled(gauges.l, image.powers)
     m, q = M.shape[1:]
-    if inside.size == 1 and known.all() and not (inside | outside).any() and m * m * (m + q) <= EXACT:
-        x, l = certificate.exactly(question, (0, 0), found.x[0, 0])
+    if inside.size == 1 and finite.all() and not (inside | outside).any() and m * m * (m + q) <= EXACT:
+        x, l = certificate.exactly(question, (0, 0), gauges.x[0, 0])
         inside, outside = np.full((1, 1), x is not None), np.full((1, 1), l is not None)
         if x is not None:
-            found.x[0, 0] = [float(v) for v in x]
+            gauges.x[0, 0] = [float(v) for v in x]
         if l is not None:
             top = max(map(abs, l))
             direction[0, 0] = [float(v / top) for v in l]
     answer = np.where(inside, meets, np.where(outside, -meets, Answer.UNDECIDED)).astype(np.int8)
-    return Decision(lay(answer), lay(margin * meets), question, lay(direction), lay(found.x))
+    return Decision(lay(answer), lay(margin * meets), question, lay(direction), lay(gauges.x))
 
 
 def unscaled(l: np.ndarray, powers: np.ndarray) -> np.ndarray:

@@ -84,7 +84,7 @@ class Question:
         """
         i, j = at
         (c, G, A, b), *others = [tuple(_exact(v[i]) for v in x) for x in self.sets]
-        beside = lambda rows, columns: [[Fraction(0)] * columns for _ in rows]
+        zero_rows = lambda rows, columns: [[Fraction(0)] * columns for _ in rows]
         less = lambda v, w: [x - y for x, y in zip(v, w, strict=True)]
         if self.name == "is_empty":
             return A, [[v] for v in b]
@@ -93,11 +93,13 @@ class Question:
         ((c2, G2, A2, b2),) = others
         if self.name == "contains_set":
             columns = len(G2[0])
-            return G + A, [[v, *row] for v, row in zip(less(c2, c) + b, G2 + beside(b, columns), strict=True)]
+            return G + A, [
+                [v, *row] for v, row in zip(less(c2, c) + b, G2 + zero_rows(b, columns), strict=True)
+            ]
         q, q2 = len(G[0]), len(G2[0])
         M = [[*row, *(-v for v in other)] for row, other in zip(G, G2, strict=True)]
-        M += [[*row, *zeros] for row, zeros in zip(A, beside(A, q2), strict=True)]
-        M += [[*zeros, *row] for row, zeros in zip(A2, beside(A2, q), strict=True)]
+        M += [[*row, *zeros] for row, zeros in zip(A, zero_rows(A, q2), strict=True)]
+        M += [[*zeros, *row] for row, zeros in zip(A2, zero_rows(A2, q), strict=True)]
         return M, [[v] for v in less(c2, c) + b + b2]
 
 

@@ -205,7 +205,7 @@ def _walked(A: jax.Array, b: jax.Array, key: jax.Array, count: int) -> jax.Array
     x, *_ = search.interior_point(A[None], R[None], b[None, None], np.inf)
     x = x[0, 0] + R @ (b - A @ x[0, 0])
     noise, eps = 64 * jnp.finfo(A.dtype).eps, jnp.finfo(A.dtype).eps ** 0.5
-    kept = (jnp.max(jnp.abs(b - A @ x)) <= eps * jnp.max(jnp.abs(b) + jnp.sum(jnp.abs(A), 1))) & (
+    feasible = (jnp.max(jnp.abs(b - A @ x)) <= eps * jnp.max(jnp.abs(b) + jnp.sum(jnp.abs(A), 1))) & (
         jnp.max(jnp.abs(x)) <= 1 + eps
     )
 
@@ -221,8 +221,8 @@ def _walked(A: jax.Array, b: jax.Array, key: jax.Array, count: int) -> jax.Array
         return jnp.clip(x + jnp.where(jnp.isfinite(t), t, 0) * v, -1, 1), key
 
     walk = lambda key: jax.lax.fori_loop(0, 10 * len(x), step, (x, key))[0]
-    found = jax.vmap(walk)(jax.random.split(key, count))
-    return jnp.where(kept, found, jnp.nan)
+    walked = jax.vmap(walk)(jax.random.split(key, count))
+    return jnp.where(feasible, walked, jnp.nan)
 
 
 def minkowski_difference(Z: Zonotope, Y: Zonotope) -> Zonotope | None:

@@ -67,7 +67,7 @@ def verified(
 
 
 def _below(rounding: Fraction, bound: Fraction) -> Fraction:
-    """Return what a recorder rounds if that is less than the bound, else 0."""
+    """Return the rounding of a recorder if that is less than the bound, else 0."""
     if rounding < bound:
         return rounding
     return Fraction(0)

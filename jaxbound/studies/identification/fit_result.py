@@ -13,7 +13,7 @@ __all__ = ["FitCheck", "Fitted"]
 @readable
 @dataclass(frozen=True, eq=False)
 class FitCheck:
-    """What is known of a fit beyond its model.
+    """The knowledge of a fit beyond its model.
 
     Fields:
         method: how the coefficients were found, see `fit`.

@@ -132,8 +132,9 @@ def coefficients(
 
 @partial(jax.jit, static_argnames=("order", "direct"))
 def _residuals(theta, u, y, there, weight, order, direct):
-    """Return what the best first state leaves of windows u (N, s + 1, m), y (N, s + 1, p), times weight (p,):
-    (N, (s + 1) p).
+    """Return the residual (N, (s + 1) p) of the best first state, times weight (p,).
+
+    Windows are u (N, s + 1, m), y (N, s + 1, p).
 
     there (N,): 1, or 0 for a window that only fills the array up.
     """

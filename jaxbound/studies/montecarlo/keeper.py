@@ -1,4 +1,4 @@
-"""What a study keeps in a folder while it runs: counts by which it goes on after a kill, and the rows of
+"""The folder of a running study: counts by which it goes on after a kill, and the rows of
 single scenarios.
 """
 

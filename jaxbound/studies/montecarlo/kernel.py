@@ -47,7 +47,7 @@ start it.
 
 @dataclass(frozen=True)
 class Course:
-    """What is static of a study's scenarios: samples of each, steps that a level of the inputs holds,
+    """The static numbers of a study's scenarios: samples of each, steps that a level of the inputs holds,
     unknowns at vertices or not.
     """
 

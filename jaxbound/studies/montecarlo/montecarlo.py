@@ -228,7 +228,7 @@ class _Scenarios:
         return _engine(*self.made)[0]
 
     def run(self, task):
-        """Return what is found in each scenario of a block: hits, false, delay, onset; judged on the CPU,
+        """Return the counts of each scenario of a block: hits, false, delay, onset; judged on the CPU,
         whatever there is beside.
         """
         i, first = task
@@ -386,7 +386,7 @@ def _work_off(client, job, tasks, collect, keeper, progress):
 
 
 def _here(job, tasks):
-    """Yield what tasks return, in order; one runs on each core at a time."""
+    """Yield the results of tasks, in order; one runs on each core at a time."""
     _, *others = jax.local_devices(backend="cpu")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     threads = max(1, cores // (1 + len(others)))

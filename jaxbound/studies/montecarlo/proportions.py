@@ -1,4 +1,4 @@
-"""What so many scenarios say of a share: intervals that hold with a stated confidence."""
+"""Shares counted in scenarios: intervals that hold with a stated confidence."""
 
 import numpy as np
 from numpy.typing import ArrayLike

@@ -149,7 +149,7 @@ def fits(model: LinearSystem, room: np.ndarray) -> bool:
 
 
 def _taken(model: LinearSystem, room: np.ndarray) -> list[float]:
-    """Return what the noise has to give of the room: a logger's resolution gives the rest."""
+    """Return the share of the room that the noise gives: a logger's resolution gives the rest."""
     return [max(float(x - r), 0.0) for x, r in zip(room, map(float, model.resolution), strict=True)]
 
 

@@ -69,7 +69,7 @@ class Trial:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Act:
-    """What a kernel needs of a Trial: kind is static ("shift" for bias, drift and gain), everything else
+    """A Trial as a kernel sees it: kind is static ("shift" for bias, drift and gain), everything else
     traced.
 
     Fields: output, input: its number, or -1. bias, drift, gain: 1 where the fault is that. sizes (S,). first,

@@ -1,4 +1,4 @@
-"""What a Monte-Carlo study found."""
+"""The result of a Monte-Carlo study."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""What is counted of scenarios, in whole numbers: the sums do not depend on the order or on how the work was
+"""Counts of scenarios, in whole numbers: the sums do not depend on the order or on how the work was
 cut up.
 """
 
@@ -100,6 +100,6 @@ class Tally:
         return {name: getattr(self, name) for name in (*SUMS, "delays")}
 
     def load(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Take what `arrays` returned."""
+        """Take the arrays that `arrays` returned."""
         for name in (*SUMS, "delays"):
             setattr(self, name, np.asarray(arrays[name]))

@@ -1,4 +1,4 @@
-"""What healthy data say about healthy data that nobody has seen: statements that hold for any number of
+"""Healthy data about healthy data that nobody has seen: statements that hold for any number of
 samples.
 
 The units are blocks of windows that share no sample. All statements assume that blocks are exchangeable: a

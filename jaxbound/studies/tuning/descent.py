@@ -51,7 +51,7 @@ TIE = 0.01  # weight of the width where faulty windows count
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What a step needs beside the windows.
+    """The numbers of a step beside the windows.
 
     Fields: test, the Reading of parity relations; relations, if uncertain ones take its place; log_safety;
     fixed, select, weights, most,
@@ -233,5 +233,5 @@ def _factors(values, problem, u, y):
 
 
 def _falling(ends, share):
-    """Return what falls from ends[0] to ends[1] in equal ratios."""
+    """Return the number that falls from ends[0] to ends[1] in equal ratios."""
     return ends[0] * (ends[1] / ends[0]) ** share

@@ -97,7 +97,7 @@ class TuneResult:
 
     @property
     def statement(self) -> str:
-        """What is known about healthy data that were not seen, in sentences."""
+        """Sentences about healthy data that were not seen."""
         return self.risk.text
 
     @property
@@ -365,7 +365,7 @@ class _Search:
         }
 
     def _identity(self, carry):
-        """Return what tells this call from others. Of an optimiser nobody can say more than what it
+        """Return the mark that tells this call from others. Of an optimiser nobody can say more than what it
         carries.
         """
         data = lambda w: None if w is None else (w.u, w.y, w.starts)
