@@ -181,7 +181,7 @@ def uncertain_linearized():
 def uncertain_paving():
     plant = FAMILIES["uncertain"][0]()
     relations = jb.parity_relations(plant, horizon=2)
-    return jb.detect(relations, *recording(plant, 40), method="paving", budget=(3, 200))
+    return jb.detect(relations, *recording(plant, 40), method="paving", budget=200)
 
 
 @case("bank")

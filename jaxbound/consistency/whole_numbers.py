@@ -284,7 +284,7 @@ class _WholeImage:
         width = width + total(abs(x) * s for x, s in zip(across, self.inner, strict=True))
         residual = abs(total(x * v for x, v in zip(whole, self.z, strict=True)))
         lost = total(abs(x) * v for x, v in zip(whole, self.slip, strict=True))
-        reach = total(abs(x) * self.common for x in whole) + total(map(abs, across))
+        reach = total(abs(x) * self.common for x in whole) + total(abs(x) for x in across)
         contradicted = (residual - width - lost > reach * self.floor).astype(bool)
         return contradicted, ratios(residual, width)
 
@@ -303,7 +303,7 @@ class _WholeImage:
             fits &= (gap + self.slip[a] * one <= most).astype(bool) | ~self.present[a]
         return fits
 
-    def _column(self, i: int, whole: np.ndarray) -> np.ndarray | int:
+    def _column(self, i: int, whole: np.ndarray) -> np.ndarray:
         """Return the coefficients of an inner row in combinations."""
         return total(row[i] * whole[a] for a, row in enumerate(self.R) if row[i])
 

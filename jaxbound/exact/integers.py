@@ -1,9 +1,9 @@
 """Arrays of Python's integers: floats made whole, sums of any length, and ratios back in floats."""
 
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 __all__ = ["places", "quotients", "ratios", "total", "whole_floats"]
 
@@ -13,17 +13,17 @@ LARGEST = 1000
 """Bits up to which integers are converted to floats as they are."""
 
 
-def places(x: Any) -> int:
+def places(x: ArrayLike) -> int:
     """Return the smallest n >= 0 for which all finite floats times 2^n are surely integers."""
-    x = np.asarray(x, np.float64)
-    x = x[np.isfinite(x) & (x != 0)]
-    if not x.size:
+    floats = np.asarray(x, np.float64)
+    floats = floats[np.isfinite(floats) & (floats != 0)]
+    if not floats.size:
         return 0
-    exponent = np.frexp(x)[1]
+    exponent = np.frexp(floats)[1]
     return max(0, MANTISSA - int(exponent.min()))
 
 
-def whole_floats(x: Any, power: int) -> np.ndarray:
+def whole_floats(x: ArrayLike, power: int) -> np.ndarray:
     """Return finite floats times 2^power, which makes them integers, as an array of Python's."""
     mantissa, exponent = np.frexp(np.asarray(x, np.float64))
     whole = (mantissa * 2.0**MANTISSA).astype(np.int64).astype(object)
@@ -31,9 +31,9 @@ def whole_floats(x: Any, power: int) -> np.ndarray:
     return whole << shift.astype(object)
 
 
-def total(parts: Iterable[Any]) -> Any:
+def total(parts: Iterable[np.ndarray]) -> np.ndarray:
     """Return the sum of arrays of integers; 0 for none."""
-    return sum(parts, 0)
+    return np.asarray(sum(parts, 0), object)
 
 
 def ratios(x: np.ndarray, y: np.ndarray) -> np.ndarray:
