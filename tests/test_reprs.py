@@ -35,6 +35,8 @@ ROOMS = (
 ABSTRACT = (
     WindowTest,
     jb.consistency.Observer,
+    jb.consistency.Relations,
+    jb.consistency.Verdicts,
     jb.estimation.ObserverMethod,
     jb.estimation.SetObserver,
     jb.certificates.WindowCertificate,

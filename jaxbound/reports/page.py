@@ -50,9 +50,7 @@ def _environment():
 
 def _source(name):
     """Return a file of this folder as it stands: a script or a style sheet, which holds nothing of a user."""
-    from markupsafe import Markup
-
-    return Markup((HOME / name).read_text(encoding="utf-8"))
+    return (HOME / name).read_text(encoding="utf-8")
 
 
 def _readable(value: object) -> object:

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from jaxbound.consistency.engine import in_order, stretches_for
+from jaxbound.consistency.interface import FAMILIES
 from jaxbound.diagnosis.again import again_hints
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import outgrown
@@ -370,7 +371,9 @@ class _Reader:
         return model.horizon if self.how.horizon is None else self.how.horizon
 
     def _relations(self, model: LinearSystem) -> object:
-        """Return the relations of a model, or its observer."""
+        """Return the relations of a model by the method, or its observer."""
+        if self.how.method in FAMILIES:
+            return FAMILIES[self.how.method](model, self.how.horizon)
         if self.how.method == SetObserver.method:
             return observer(model, horizon=self.how.horizon, **self.how.options or {})
         return parity_relations(model, self.how.horizon, lags=self.how.lags)
