@@ -98,8 +98,9 @@ class RowFile:
             self.force()
 
     def force(self) -> None:
-        """Force all rows to the disk."""
+        """Force all rows to the disk; without any, the header."""
         if self.file is None:
+            self._begin()
             return
         sync(self.file)
         self.forced += len(self.written)

@@ -286,6 +286,11 @@ class TestTroubles:
         code, _, err = pipe([*lines(samples)[:30], *["x\n"] * 500])
         assert err.count("has 1 cells") == 20 and "500 lines could not be read" in err and code == 0
 
+    def test_a_stream_without_one_line_that_can_be_read_has_a_table_without_rows(self, place, pipe):
+        code, out, _ = pipe(["t,u1,y1,y2\n", *["x,y,z,w\n"] * 30], out=place / "out")
+        assert (code, out) == (3, "") and (place / "out" / "run.json").exists()
+        assert (place / "out" / "verdicts.csv").read_text() == "time,status,margin,suspect\n"
+
     @pytest.mark.parametrize(
         "text, message",
         [
