@@ -46,6 +46,8 @@ def on_files(files, config):
 def on_page_markdown(markdown, page, config, files):
     """Put sections of the README and the help of commands in their places."""
     up = "../" * page.file.src_uri.count("/")
+    if page.file.src_uri in ("CONTRIBUTING.md", "CHANGELOG.md"):
+        markdown = moved(markdown, up)
     markdown = re.sub(r"<!-- README: (.+?) -->", lambda m: moved(section(m[1]), up), markdown)
     markdown = markdown.replace("<!-- FIGURES -->", figures(up)).replace("<!-- GALLERY -->", gallery(up))
     markdown = re.sub(r"<!-- not run: [^>]+ -->\n", "", markdown)
