@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from jaxbound.estimation.method import ObserverMethod
     from jaxbound.estimation.set_observer import Observation, ObserverState, SetObserver, ZonotopeObserver
     from jaxbound.estimation.unknown_inputs import UnknownInputs
-    from jaxbound.estimation.validation import Validation
     from jaxbound.estimation.validation_observer import ValidationObserver
+    from jaxbound.estimation.validation_result import Validation
     from jaxbound.estimation.zonotopes import LeastZonotope, WeightedZonotopes
 
 __all__ = [
@@ -46,7 +46,7 @@ _HOMES = {
     "method": "ObserverMethod",
     "set_observer": "Observation ObserverState SetObserver ZonotopeObserver",
     "unknown_inputs": "UnknownInputs",
-    "validation": "Validation",
+    "validation_result": "Validation",
     "validation_observer": "ValidationObserver",
     "zonotopes": "LeastZonotope WeightedZonotopes",
 }

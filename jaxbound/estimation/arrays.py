@@ -1,11 +1,10 @@
-"""Arrays in the PyTrees of kernels: of JAX while a kernel is traced, of NumPy on the host.
+"""Arrays in the PyTrees of kernels: of JAX while a kernel is traced, of NumPy on the host."""
 
-One PyTree serves both, so that its fields have no narrower type: a union would have to be narrowed at every
-    use.
-"""
+from typing import TypeAlias
 
-from typing import Any, TypeAlias
+import jax
+import numpy as np
 
 __all__ = ["Array"]
 
-Array: TypeAlias = Any
+Array: TypeAlias = np.ndarray | jax.Array

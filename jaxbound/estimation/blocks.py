@@ -19,12 +19,14 @@ T = TypeVar("T")
 
 def chosen(tree: T, lanes: np.ndarray) -> T:
     """Return some recordings of arrays, in the order of memory that all have."""
-    return jax.tree.map(lambda x: np.take(x, lanes, -1), tree)
+    some: T = jax.tree.map(lambda x: np.take(x, lanes, -1), tree)
+    return some
 
 
 def repeated(tree: T, count: int) -> T:
     """Return arrays of `count` recordings: of one recording, as many copies."""
-    return jax.tree.map(lambda x: np.repeat(x, count // x.shape[-1], -1), tree)
+    copies: T = jax.tree.map(lambda x: np.repeat(x, count // x.shape[-1], -1), tree)
+    return copies
 
 
 def in_blocks(job: Callable[[np.ndarray], T], count: int, size: int) -> list[T]:

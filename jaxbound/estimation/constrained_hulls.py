@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxbound.estimation.arrays import Array
 from jaxbound.estimation.constrained_steps import AskedRows
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.zonotopes import gauges, proof
@@ -39,8 +40,8 @@ class Rows(NamedTuple):
 def rows_at(asked: AskedRows, at: tuple[np.ndarray, ...]) -> Rows:
     """Return the rows of samples `at`, sets first."""
 
-    def sets_first(x: np.ndarray) -> np.ndarray:
-        return np.ascontiguousarray(np.moveaxis(x, -1, 1)[at], np.float64)
+    def sets_first(x: Array) -> np.ndarray:
+        return np.ascontiguousarray(np.moveaxis(np.asarray(x), -1, 1)[at], np.float64)
 
     return Rows(sets_first(-asked.h), sets_first(asked.H), sets_first(asked.r))
 
@@ -79,7 +80,9 @@ def _value_and_reach(rows: Rows, l: np.ndarray, g: np.ndarray | None = None) -> 
     gamma, floor = (float(x) for x in rounding.product_error(terms, np.float64))
     with np.errstate(all="ignore"):
         size = np.abs(l)
-        left = -(l @ A) if g is None else g - l @ A
+        left = -(l @ A)
+        if g is not None:
+            left = g - l @ A
         reach = np.abs(left).sum(-1) + (size * s[:, None]).sum(-1)
         whole = (size * (np.abs(b) + np.abs(A).sum(2) + s)[:, None]).sum(-1)
         if g is not None:
@@ -115,7 +118,8 @@ def _hull(rows: Rows, n: int) -> np.ndarray:
         l = np.where(np.isfinite(l).all(-1, keepdims=True), l, 0)
         value, reach = _value_and_reach(constraints, l, g)
         best = np.fmin(best, value + reach + 1e-15 * np.abs(value))
-    return c + best + r + 1e-15 * (np.abs(c) + np.abs(best) + r)
+    ends: np.ndarray = c + best + r + 1e-15 * (np.abs(c) + np.abs(best) + r)
+    return ends
 
 
 def _reweighted(rows: Rows, g: np.ndarray, l: np.ndarray, floor: np.ndarray) -> np.ndarray:

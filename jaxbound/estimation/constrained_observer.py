@@ -18,7 +18,7 @@ import numpy as np
 from jaxbound.estimation import constrained_steps, zonotope_steps
 from jaxbound.estimation.blocks import chosen, in_blocks, repeated
 from jaxbound.estimation.constrained_hulls import refuted, row_hulls, rows_at
-from jaxbound.estimation.contradictions import ended, fresh_behind, is_first, staying
+from jaxbound.estimation.contradictions import ended, fresh_behind, is_first, latched, staying, with_refuted
 from jaxbound.estimation.set_observer import ObserverSetup, Piece, SetObserver, checked_weights
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.status import Status
@@ -102,7 +102,11 @@ class ConstrainedObserver(SetObserver[ConstrainedState]):
         """Return (state, Found) of up to `PIECE` samples."""
         looked = self._looked_at(state, samples)
         if not looked.wrong.any():
-            carry, held, found = looked.carry, looked.held, _with_programs(looked, looked.wrong)
+            carry, held, found = (
+                looked.carry,
+                looked.held,
+                with_refuted(looked.found, looked.wrong, looked.margin),
+            )
         elif self.restart:
             carry, held, found = self._begun_anew(state, samples, looked)
         else:
@@ -131,7 +135,7 @@ class ConstrainedObserver(SetObserver[ConstrainedState]):
             wrong = wrong | again
         gone = wrong[-1]
         held = looked.held._replace(on=looked.held.on & ~gone)
-        return ended(looked.carry, gone), held, _with_programs(looked, wrong)
+        return ended(looked.carry, gone), held, with_refuted(looked.found, wrong, looked.margin)
 
     def _latched(
         self, state: ConstrainedState, samples: Piece, looked: _Looked
@@ -141,12 +145,10 @@ class ConstrainedObserver(SetObserver[ConstrainedState]):
         """
         fault = looked.wrong | (looked.found.status == Status.FAULT)
         behind = staying(state.carry.empty, fault, samples.fresh)
-        stays = behind | fault
         margin = np.where(behind, np.inf, looked.margin)
-        found = _with_programs(looked._replace(margin=margin), looked.wrong & ~behind)
-        status = np.where(behind, np.int8(Status.FAULT), found.status)
-        carry = looked.carry._replace(empty=looked.carry.empty | stays[-1])
-        return carry, looked.held, found._replace(status=status)
+        found = with_refuted(looked.found, looked.wrong & ~behind, margin)
+        carry, found = latched(looked.carry, found, behind | fault)
+        return carry, looked.held, found
 
     def _looked_at(self, state: ConstrainedState, samples: Piece) -> _Looked:
         """Return samples as kernels and linear programs see them: arrays that may be written to."""
@@ -157,7 +159,7 @@ class ConstrainedObserver(SetObserver[ConstrainedState]):
             there = np.nonzero(asked.on & ~wrong & (found.status != Status.FAULT) & (found.age > 0))
             if len(there[0]):
                 ends = rounding.round_up(row_hulls(rows_at(asked, there), n), self.plant.dtype)
-                states = np.moveaxis(found.states, 1, -1)  # the same memory
+                states = np.moveaxis(np.asarray(found.states), 1, -1)  # the same memory
                 states[there] = np.minimum(states[there], ends)
         return _Looked(carry, held, found, wrong, margin)
 
@@ -180,7 +182,8 @@ class ConstrainedObserver(SetObserver[ConstrainedState]):
             out = constrained_steps.follow(
                 numbers, start, carry, held, known, T, 2 * self.enclosures, self.restart
             )
-            return jax.tree.map(np.asarray, out)
+            on_host: tuple[np.ndarray, ...] = jax.tree.map(np.asarray, out)
+            return on_host
 
         def joined(*parts: np.ndarray) -> np.ndarray:
             return np.array(np.concatenate(parts, -1)[..., :count])
@@ -206,12 +209,3 @@ def constrained_observer(setup: ObserverSetup, constraints: int) -> ConstrainedO
         x0=setup.x0,
         constraints=constraints,
     )
-
-
-def _with_programs(looked: _Looked, wrong: np.ndarray) -> zonotope_steps.Found:
-    """Return Found with the samples that linear programs have refuted, and their margins."""
-    found = looked.found
-    lower = wrong | (found.status != Status.FAULT)
-    margin = np.where(lower, np.minimum(looked.margin, found.margin), found.margin)
-    status = np.where(wrong, np.int8(Status.FAULT), found.status)
-    return found._replace(status=status, margin=margin.astype(found.margin.dtype))

@@ -21,14 +21,16 @@ Sources: Scott, Raimondo, Marseglia, Braatz 2016, sections 3 and 4; Yang, Scott 
 expressed by others).
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.estimation import zonotope_steps as steps
-from jaxbound.sets.floats import rounding
+from jaxbound.estimation.arrays import Array
+from jaxbound.estimation.by_size import ascending, integers
+from jaxbound.estimation.set_rounding import SetRounding, set_rounding
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.unrolled import stored
@@ -37,28 +39,47 @@ __all__ = ["AskedRows", "HeldRows", "follow", "nothing"]
 
 SMALL = 2.0**-24
 """Share of the largest entry below which an entry is no pivot."""
+STEEP = 2.0**20
+"""Multipliers beyond it are not used: rounding would take more than they give."""
 
 
 class HeldRows(NamedTuple):
-    """Sets before a sample is looked at. Fields: h (n + k, N), H (n + k, q, N), r (n + k, N); on (N,):
-    whether there is one.
+    """Sets before a sample is looked at.
+
+    Fields: h (n + k, N), H (n + k, q, N), r (n + k, N); on (N,): whether there is one.
     """
 
-    h: Any
-    H: Any
-    r: Any
-    on: Any
+    h: Array
+    H: Array
+    r: Array
+    on: Array
 
 
 class AskedRows(NamedTuple):
-    """Rows with each of T samples: 0 in h + H xi + diag(r) eta. Fields: h, r (T, rows, N), H (T, rows, q + p,
-    N), on (T, N): whether there are any. The first n rows are the state.
+    """Rows with each of T samples: 0 in h + H xi + diag(r) eta.
+
+    Fields: h, r (T, rows, N), H (T, rows, q + p, N), on (T, N): whether there are any. The first n rows are
+    the state.
     """
 
-    h: Any
-    H: Any
-    r: Any
-    on: Any
+    h: Array
+    H: Array
+    r: Array
+    on: Array
+
+
+class _Equations(NamedTuple):
+    """The rows of N sets while a step changes them: h + H xi + diag(r) eta.
+
+    Fields: h, r (rows, N), H (rows, columns, N).
+    """
+
+    h: jax.Array
+    H: jax.Array
+    r: jax.Array
+
+
+_State: TypeAlias = tuple[steps.ZonotopeCarry, HeldRows, steps.Found, AskedRows]
 
 
 def nothing(n: int, k: int, q: int, N: int, dtype: np.dtype) -> HeldRows:
@@ -81,93 +102,89 @@ def follow(
     stop: int,
     enclosures: int,
     restart: jax.Array | bool,
-) -> tuple[steps.ZonotopeCarry, HeldRows, steps.Found, AskedRows]:
-    """Follow N recordings over the first `stop` of these samples, zonotopes (one weight) beside; args and
-    Found as of theirs.
+) -> _State:
+    """Follow N recordings over the first `stop` of these samples, zonotopes (one weight) beside.
+
+    Args:
+        plant, start, carry, known, stop, enclosures, restart: as of `zonotope_steps.follow`, the samples as
+            `read` returns them. held: the sets before the first of them.
+
+    Returns:
+        (carry, HeldRows, Found of the zonotopes, AskedRows); those of other samples mean nothing.
     """
     (R, q, N), (T, p, _), dtype = held.H.shape, known.mid.shape, known.mid.dtype
     n = len(plant.A)
-    room = lambda *shape, dtype=dtype: jnp.zeros((T, *shape, N), dtype)
-    found = steps.Found(
-        room(dtype=jnp.int8),
-        room(),
-        room(dtype=jnp.int32),
-        room(2 * n * min(enclosures, 1)),
-        room(4 * p * (enclosures // 2)),
+    found = steps.nothing_found(known, n, enclosures)
+    asked = AskedRows(
+        jnp.zeros((T, R + p, N), dtype),
+        jnp.zeros((T, R + p, q + p, N), dtype),
+        jnp.zeros((T, R + p, N), dtype),
+        jnp.zeros((T, N), bool),
     )
-    asked = AskedRows(room(R + p), room(R + p, q + p), room(R + p), room(dtype=bool))
-    g = _Bounds(R + p, q + p + plant.W.shape[1] + R, plant.B.shape[1], dtype)
+    columns = q + p + plant.W.shape[1] + R
+    terms = 4 * (R + p + columns + plant.B.shape[1] + 16)
+    g = set_rounding(terms, terms, dtype)
 
-    def step(k, state):
+    def step(k: jax.Array, state: _State) -> _State:
         carry, held, found, asked = state
-        now = steps.Read(*(jax.lax.dynamic_index_in_dim(x, k, 0, keepdims=False) for x in known))
+        now = steps.at_sample(known, k)
         carry = steps.begun_anew(carry, now.fresh)
         alive = carry.age >= 0
         held = _from_zonotope(held, carry, alive & ~(held.on & ~now.fresh))
-        h, H, r, seen = _met(plant, held, now, g)
-        out = AskedRows(h, H, r, alive & held.on & jnp.any(seen, 0))
-        carry, size, told = steps.sample(plant, start, carry, now, enclosures)
+        rows, seen = _met(plant, held, now, g)
+        own = AskedRows(*rows, alive & held.on & jnp.any(seen, 0))
+        carry, size, row = steps.sample(plant, start, carry, now, enclosures)
         gone = restart & carry.empty
         carry = steps.begun_anew(carry, gone)
-        h, H, r = _fewer_rows(n, p, h, H, r, g)
-        h, H, r = _moved(plant, h, H, r, now, g)
-        h, H, r = _fewer_columns(h, H, r, q, g)
+        rows = _fewer_rows(n, p, rows, g)
+        rows = _moved_on(plant, rows, now, g)
+        rows = _fewer_columns(rows, q, g)
         carry = steps.step_of_time(plant, carry, size, now)
-        bounded = jnp.all(jnp.abs(h) + jnp.sum(jnp.abs(H), 1) + r <= g.most, 0)
+        bounded = jnp.all(jnp.abs(rows.h) + jnp.sum(jnp.abs(rows.H), 1) + rows.r <= g.most, 0)
         on = held.on & alive & ~gone & bounded & (carry.age >= 0)
-        clean = lambda x: jnp.where(_like(on, x), x, 0)
-        put = lambda old, new: jax.tree.map(
-            lambda a, b: jax.lax.dynamic_update_index_in_dim(a, b, k, 0), old, new
-        )
-        return carry, HeldRows(clean(h), clean(H), clean(r), on), put(found, told), put(asked, out)
+        h, H, r = (jnp.where(_like(on, x), x, 0) for x in rows)
+        held = HeldRows(h, H, r, on)
+        return carry, held, steps.written(found, row, k), steps.written(asked, own, k)
 
-    return jax.lax.fori_loop(0, stop, step, (carry, held, found, asked))
-
-
-class _Bounds:
-    """As those of `zonotope_steps`: gamma, up, least, most; `own` is what sums of one product cost."""
-
-    def __init__(self, rows, columns, inputs, dtype):
-        wide, terms = dtype == np.float64, 4 * (rows + columns + inputs + 16)
-        self.gamma = rounding.product_error(terms, dtype)[0]
-        self.up = np.asarray(1 + 4 * terms * float(rounding.unit(dtype)), dtype)
-        self.least, self.most = (
-            np.asarray(2.0**-500 if wide else 2.0**-46, dtype),
-            np.asarray(2.0**300 if wide else 2.0**40, dtype),
-        )
-
-    def grown(self, *terms):
-        """Return at least the sum of terms >= 0."""
-        return self.up * sum(terms) + self.least
+    state: _State = jax.lax.fori_loop(0, stop, step, (carry, held, found, asked))
+    return state
 
 
-def _dot(M, X):
+def _dot(M: Array, X: Array) -> jax.Array:
     """Return M X for M (r, n), X (n, ..., N)."""
     return jnp.sum(M.reshape(*M.shape, *[1] * (X.ndim - 1)) * X[None], 1)
 
 
-def _each(M, X):
+def _each(M: jax.Array, X: jax.Array) -> jax.Array:
     """Return M X for M (r, n, N), X (n, q, N) or (n, N), recording by recording."""
-    add = lambda i, out: (
-        out + jax.lax.dynamic_index_in_dim(M, i, 1).reshape(len(M), *[1] * (X.ndim - 2), -1) * X[i][None]
-    )
-    return jax.lax.fori_loop(0, len(X), add, jnp.zeros((len(M), *X.shape[1:]), X.dtype))
+
+    def add(i: jax.Array, out: jax.Array) -> jax.Array:
+        column = jax.lax.dynamic_index_in_dim(M, i, 1).reshape(len(M), *[1] * (X.ndim - 2), -1)
+        so_far: jax.Array = out + column * X[i][None]
+        return so_far
+
+    image: jax.Array = jax.lax.fori_loop(0, len(X), add, jnp.zeros((len(M), *X.shape[1:]), X.dtype))
+    return image
 
 
-def _sums(X):
+def _sums(X: Array) -> jax.Array:
+    """Return the sums of magnitudes along the columns."""
     return jnp.sum(jnp.abs(X), 1)
 
 
-def _like(x, X):
+def _like(x: Array, X: Array) -> Array:
     """Return x (N,) with as many axes as X (.., N)."""
     return x.reshape(*[1] * (X.ndim - 1), -1)
 
 
-def _from_zonotope(held, carry, where):
+def _from_zonotope(held: HeldRows, carry: steps.ZonotopeCarry, where: Array) -> HeldRows:
     """Begin, where there is none, with the set of the zonotope."""
     below = len(held.h) - len(carry.c)
-    full = lambda x: jnp.concatenate([x, jnp.zeros((below, *x.shape[1:]), x.dtype)])
-    pick = lambda new, old: jnp.where(_like(where, old), full(new), old)
+
+    def pick(new: Array, old: Array) -> jax.Array:
+        is_new = _like(where, old)
+        return jnp.where(is_new, jnp.concatenate([new, jnp.zeros((below, *new.shape[1:]), new.dtype)]), old)
+
     return HeldRows(
         pick(carry.c, held.h),
         pick(carry.G, held.H),
@@ -176,22 +193,23 @@ def _from_zonotope(held, carry, where):
     )
 
 
-def _met(plant, held, now, g):
-    """Return (h, H, r, seen (p, N)) with a row and a column for each output, nothing but zeros where it is
+def _met(
+    plant: steps.Numbers, held: HeldRows, now: steps.Read, g: SetRounding
+) -> tuple[_Equations, jax.Array]:
+    """Return (rows, seen (p, N)) with a row and a column for each output, nothing but zeros where it is
     missing.
     """
     n, (_, _, N), p = len(plant.A), held.H.shape, len(now.mid)
     direct = _sums(plant.D) + jnp.sum(plant.wide_D, 1) > 0
     seen = jnp.isfinite(now.rad) & (now.known[None] | ~direct[:, None])
     c, G, r = held.h[:n], held.H[:n], held.r[:n]
-    size, v = jnp.abs(c) + _sums(G) + r, jnp.where(now.known[None], now.v, 0)
-    mid, rad, C, D = (
-        jnp.where(seen, now.mid, 0),
-        jnp.where(seen, now.rad, 0),
-        jnp.abs(plant.C),
-        jnp.abs(plant.D),
-    )
-    value, rows = _dot(plant.C, c) + _dot(plant.D, v) - mid, _dot(plant.C, G)
+    size = jnp.abs(c) + _sums(G) + r
+    v = jnp.where(now.known[None], now.v, 0)
+    mid = jnp.where(seen, now.mid, 0)
+    rad = jnp.where(seen, now.rad, 0)
+    C, D = jnp.abs(plant.C), jnp.abs(plant.D)
+    value = _dot(plant.C, c) + _dot(plant.D, v) - mid
+    rows = _dot(plant.C, G)
     off = (
         _dot(C, r)
         + _dot(plant.wide_C + g.gamma * C, size)
@@ -199,6 +217,7 @@ def _met(plant, held, now, g):
         + g.gamma * jnp.abs(mid)
     )
     off = g.grown(off, _dot(D, jnp.where(now.known[None], now.slip, 0)))
+    # rows are of the size 1, so that one measure finds the pivots of all
     share = stored(jnp.where(seen, 1 / (rad + 2.0**-20 * _sums(rows) + g.least), 0))
     value, rows, own = share * value, share[:, None] * rows, share * rad
     off = jnp.where(seen, g.grown(share * off, g.gamma * (jnp.abs(value) + _sums(rows) + own)), 0)
@@ -206,27 +225,32 @@ def _met(plant, held, now, g):
         [jnp.zeros((len(held.h), p, N), rows.dtype), jnp.eye(p, dtype=rows.dtype)[:, :, None] * own[:, None]]
     )
     H = jnp.concatenate([jnp.concatenate([held.H, rows]), columns], 1)
-    return *stored((jnp.concatenate([held.h, value]), H, jnp.concatenate([held.r, off]))), seen
+    h = jnp.concatenate([held.h, value])
+    return stored(_Equations(h, H, jnp.concatenate([held.r, off]))), seen
 
 
-def _pivoted(M, wide):
+_Pivots: TypeAlias = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
+"""M, the column of each row's pivot, which rows have one, and which columns are free."""
+
+
+def _pivoted(M: jax.Array, wide: int) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (M, columns (r, N), done (r, N)) after an elimination of the rows of M (r, .., N), full pivots
     among the first `wide` columns.
 
     columns: the pivot's of each row; done: whether there was one. In plain floats, no claim.
     """
     rows, _, N = M.shape
-    count, bits = rows * wide, (np.int64 if M.dtype == np.float64 else np.int32)
-    below, number = power(count) - 1, jnp.arange(rows * wide, dtype=bits).reshape(rows, wide, 1)
+    count, bits = rows * wide, integers(M.dtype)
+    below, number = power(count) - 1, jnp.arange(count, dtype=bits).reshape(rows, wide, 1)
     largest = SMALL * jnp.max(jnp.abs(M[:, :wide]), (0, 1))
     of_row, of_column = jnp.arange(rows)[:, None], jnp.arange(wide)[:, None]
 
-    def step(_, state):
+    def step(_: jax.Array, state: _Pivots) -> _Pivots:
         M, columns, done, free = state
         key = jnp.where(~done[:, None] & free[None], jnp.abs(M[:, :wide]), 0)
-        best = jnp.max((jax.lax.bitcast_convert_type(key, bits) & bits(~below)) | number, (0, 1)) & bits(
-            below
-        )
+        # one maximum finds size and place: the last digits of a size are the number of its entry
+        key = (jax.lax.bitcast_convert_type(key, bits) & bits(~below)) | number
+        best = jnp.max(key, (0, 1)) & bits(below)
         i, j = best // wide, best % wide
         here, there = of_row == i[None], of_column == j[None]
         row = jnp.sum(jnp.where(here[:, None], M, 0), 0)
@@ -236,28 +260,35 @@ def _pivoted(M, wide):
         row = row / jnp.where(good, pivot, 1)[None]
         new = jnp.where(here[:, None], row[None], M - column[:, None] * row[None])
         mark = here & good[None]
-        return (
-            jnp.where(_like(good, M), new, M),
-            jnp.where(mark, j[None], columns),
-            done | mark,
-            free & ~(there & good[None]),
-        )
+        M = jnp.where(_like(good, M), new, M)
+        columns = jnp.where(mark, j[None], columns)
+        return M, columns, done | mark, free & ~(there & good[None])
 
     begin = M, jnp.zeros((rows, N), bits), jnp.zeros((rows, N), bool), jnp.ones((wide, N), bool)
-    return jax.lax.fori_loop(0, rows, step, begin)[:3]
+    M, columns, done, _ = jax.lax.fori_loop(0, rows, step, begin)
+    return M, columns, done
 
 
-def _fewer_rows(n, p, h, H, r, g):
-    """Return (h, H, r) with p rows below the first n eliminated, and as many columns 0."""
+def _fewer_rows(n: int, p: int, rows: _Equations, g: SetRounding) -> _Equations:
+    """Return the rows with p of those below the first n eliminated, and as many columns 0."""
+    return _eliminated(n, p, _narrowed(n, _turned(n, rows, g), g), g)
+
+
+def _turned(n: int, rows: _Equations, g: SetRounding) -> _Equations:
+    """Return the rows with those below the first n as an elimination with full pivoting leaves them."""
+    h, H, r = rows
     K, (_, Q, N) = len(h) - n, H.shape
     one = jnp.broadcast_to(jnp.eye(K, dtype=H.dtype)[:, :, None], (K, K, N))
     P = _pivoted(jnp.concatenate([H[n:], one], 1), Q)[0][:, Q:]
-    P = jnp.where(jnp.all(jnp.abs(P) < 2.0**20, (0, 1), keepdims=True), P, one)
+    P = jnp.where(jnp.all(jnp.abs(P) < STEEP, (0, 1), keepdims=True), P, one)
     size = jnp.abs(h[n:]) + _sums(H[n:])
     below = stored((_each(P, h[n:]), _each(P, H[n:]), g.grown(_each(jnp.abs(P), r[n:] + g.gamma * size))))
-    h, H, r = (jnp.concatenate([top[:n], x]) for top, x in zip((h, H, r), below, strict=True))
+    return _Equations(*(jnp.concatenate([top[:n], x]) for top, x in zip(rows, below, strict=True)))
 
-    # what each row alone leaves of each column
+
+def _narrowed(n: int, rows: _Equations, g: SetRounding) -> _Equations:
+    """Return the rows with each column narrowed to the interval that the rows below the first n leave it."""
+    h, H, r = rows
     a, far = H[n:], (_sums(H[n:]) * g.up + r[n:])[:, None]
     fit = jnp.abs(a) > SMALL
     near = jnp.where(fit, a, 1)
@@ -270,20 +301,33 @@ def _fewer_rows(n, p, h, H, r, g):
     share = stored(jnp.where(some, g.grown(0.5 * (hi - lo), g.gamma * (jnp.abs(lo) + jnp.abs(hi))), 1))
     moved = jnp.sum(H * middle[None], 1)
     off = g.grown(r, g.gamma * (jnp.abs(h) + 2 * _sums(H)))
-    state = stored((h + moved, H * share[None], off))
+    return stored(_Equations(h + moved, H * share[None], off))
 
-    at = jnp.arange(n + K)[:, None]
 
-    def eliminate(step, state):
-        h, H, r = state
+def _eliminated(n: int, p: int, rows: _Equations, g: SetRounding) -> _Equations:
+    """Return the rows without p of those below the first n, each eliminated by its largest column."""
+    R, Q, N = rows.H.shape
+    at = jnp.arange(R)[:, None]
+
+    def eliminate(step: jax.Array, rows: _Equations) -> _Equations:
+        h, H, r = rows
         a = jnp.abs(H[n:])
         size, top = jnp.sum(a, 1), jnp.max(a, 1)
         cost = jnp.where(size > 0, (jnp.abs(h[n:]) + size + r[n:]) / jnp.where(top > 0, top, 1), -1)
-        last = n + K - 1 - step
+        last = R - 1 - step
         cost = jnp.where(at[n:] <= last, cost, jnp.inf)
         here = at == n + jnp.argmin(cost, 0, keepdims=True)
         row = jnp.sum(jnp.where(here[:, None], H, 0), 0)
-        of_row = lambda x: jnp.sum(jnp.where(here, x, 0), 0, keepdims=True)
+
+        def of_row(x: jax.Array) -> jax.Array:
+            return jnp.sum(jnp.where(here, x, 0), 0, keepdims=True)
+
+        def dropped(x: jax.Array) -> jax.Array:
+            """Put the last row in the place of this one, and zeros in its own."""
+            is_last = (at == last).reshape(-1, *[1] * (x.ndim - 1))
+            is_here = here.reshape(R, *[1] * (x.ndim - 2), N)
+            return jnp.where(is_last, 0, jnp.where(is_here, jax.lax.dynamic_index_in_dim(x, last, 0), x))
+
         there = jnp.arange(Q)[:, None] == jnp.argmax(jnp.abs(row), 0, keepdims=True)
         pivot = jnp.sum(jnp.where(there, row, 0), 0, keepdims=True)
         f = jnp.sum(jnp.where(there[None], H, 0), 1) / jnp.where(pivot != 0, pivot, 1)
@@ -295,71 +339,72 @@ def _fewer_rows(n, p, h, H, r, g):
         )
         r = g.grown(r, jnp.abs(f) * of_row(r), g.gamma * whole)
         gone = there & (pivot != 0)
-        h, H = h - f * of_row(h), jnp.where(gone[None], 0, H - f[:, None] * row[None])
-        drop = lambda x: jnp.where(
-            (at == last).reshape(-1, *[1] * (x.ndim - 1)),
-            0,
-            jnp.where(
-                here.reshape(len(at), *[1] * (x.ndim - 2), N), jax.lax.dynamic_index_in_dim(x, last, 0), x
-            ),
-        )
-        return drop(h), drop(H), drop(r)
+        h = h - f * of_row(h)
+        H = jnp.where(gone[None], 0, H - f[:, None] * row[None])
+        return _Equations(dropped(h), dropped(H), dropped(r))
 
-    h, H, r = jax.lax.fori_loop(0, p, eliminate, state)
-    return h[: n + K - p], H[: n + K - p], r[: n + K - p]
+    h, H, r = jax.lax.fori_loop(0, p, eliminate, rows)
+    return _Equations(h[: R - p], H[: R - p], r[: R - p])
 
 
-def _moved(plant, h, H, r, now, g):
-    """Return (h, H, r) one sample later, with the columns of disturbances."""
+def _moved_on(plant: steps.Numbers, rows: _Equations, now: steps.Read, g: SetRounding) -> _Equations:
+    """Return the rows one sample later, with the columns of disturbances."""
+    h, H, r = rows
     n, N, A, v = len(plant.A), h.shape[-1], jnp.abs(plant.A), jnp.abs(now.v)
     c, G = h[:n], H[:n]
-    size, lift = jnp.abs(c) + _sums(G) + r[:n], lambda x: x[:, None]
+    size = jnp.abs(c) + _sums(G) + r[:n]
     off = (
         _dot(plant.wide_A + g.gamma * A, size)
         + _dot(plant.wide_B + g.gamma * jnp.abs(plant.B), v)
         + _dot(jnp.abs(plant.B), now.slip)
     )
-    off = g.grown(_dot(A, r[:n]), off, lift(plant.wide_w + g.gamma * jnp.abs(plant.w)))
-    c = _dot(plant.A, c) + _dot(plant.B, now.v) + lift(plant.w)
+    off = g.grown(_dot(A, r[:n]), off, (plant.wide_w + g.gamma * jnp.abs(plant.w))[:, None])
+    c = _dot(plant.A, c) + _dot(plant.B, now.v) + plant.w[:, None]
     W = jnp.concatenate([plant.W, jnp.zeros((len(h) - n, plant.W.shape[1]), plant.W.dtype)])
-    H = jnp.concatenate(
-        [jnp.concatenate([_dot(plant.A, G), H[n:]]), jnp.broadcast_to(W[:, :, None], (*W.shape, N))], 1
-    )
-    return stored((jnp.concatenate([c, h[n:]]), H, jnp.concatenate([off, r[n:]])))
+    moved = jnp.concatenate([_dot(plant.A, G), H[n:]])
+    H = jnp.concatenate([moved, jnp.broadcast_to(W[:, :, None], (*W.shape, N))], 1)
+    h = jnp.concatenate([c, h[n:]])
+    return stored(_Equations(h, H, jnp.concatenate([off, r[n:]])))
 
 
-def _fewer_columns(h, H, r, q, g):
-    """Return (h, H (.., q, N), r) of a set that holds this one: columns, and r, that others express with
-    least loss.
+def _fewer_columns(rows: _Equations, q: int, g: SetRounding) -> _Equations:
+    """Return rows of q columns, of a set that holds this one: columns, and r, that others express with least
+    loss.
     """
+    h, H, r = rows
     R, Q, N = H.shape
     size = _sums(H)
     share = (1 / jnp.where(size > 0, size, 1))[:, None]
     slack = jnp.eye(R, dtype=H.dtype)[:, :, None] * r[:, None]
     X, columns, done = _pivoted(jnp.concatenate([H, slack], 1) * share, Q)
     X = jnp.where(done[:, None], X, 0)
-    base = jnp.any((jnp.arange(Q)[None, :, None] == columns[:, None]) & done[:, None], 0)
-    far = jnp.abs(X[:, :Q])
-    loss = jnp.prod(1 + far, 0) - 1 - jnp.sum(far, 0)
-    loss = jnp.maximum(loss, 0) + jnp.sum(jnp.abs(H), 0) * SMALL  # columns of zeros first
-    loss = jnp.where(
-        base, jnp.inf, jnp.where(loss < 2.0**100, loss, 2.0**100)
-    )  # those that others are expressed by stay, whatever NaN
-    bits, below = (np.int64 if H.dtype == np.float64 else np.int32), power(Q) - 1
-    key = (jax.lax.bitcast_convert_type(loss, bits) & bits(~below)) | jnp.arange(Q, dtype=bits)[:, None]
-    order = jnp.sort(key, 0) & bits(below)
+    order = ascending(_loss(H, X, columns, done))
     kept = jnp.take_along_axis(H, order[None, Q - q :], 1)
-    gone = (
-        jnp.sum((order[: Q - q, None] == jnp.arange(Q, dtype=bits)[None, :, None]).astype(jnp.int32), 0) > 0
-    )
+    dropped = order[: Q - q, None] == jnp.arange(Q, dtype=order.dtype)[None, :, None]
+    gone = jnp.sum(dropped.astype(jnp.int32), 0) > 0
     X = jnp.where(jnp.concatenate([gone, jnp.ones((R, N), bool)])[None], X, 0)
-    X = jnp.where(jnp.all(jnp.abs(X) < 2.0**20, (0, 1), keepdims=True), X, 0)
+    X = jnp.where(jnp.all(jnp.abs(X) < STEEP, (0, 1), keepdims=True), X, 0)
     T = jnp.where(done[None], jnp.take_along_axis(H, columns[None], 1), 0)
     rest = jnp.concatenate([jnp.where(gone[None], H, 0), slack], 1)
     size = _sums(rest) + jnp.sum(jnp.abs(T) * _sums(X)[None], 1)
     grow = g.grown(1 + _sums(X))  # of the column that each row stands for
-    which = (order[Q - q :, None] == columns[None]) & done[None]
-    grow = stored(jnp.prod(jnp.where(which, grow[None], 1), 1))
+    is_column_of = (order[Q - q :, None] == columns[None]) & done[None]
+    grow = stored(jnp.prod(jnp.where(is_column_of, grow[None], 1), 1))
     kept = kept * grow[None]
     left = g.grown(_sums(rest - _each(T, X)), g.gamma * (size + _sums(kept)))
-    return h, kept, left
+    return _Equations(h, kept, left)
+
+
+def _loss(H: jax.Array, X: jax.Array, columns: jax.Array, done: jax.Array) -> jax.Array:
+    """Return (Q, N): how much larger a set becomes without each column, infinite for those that stay.
+
+    Args:
+        X (R, Q + R, N): the columns, and r, by those that the rows stand for. columns, done (R, N): of these.
+    """
+    Q = H.shape[1]
+    stays = jnp.any((jnp.arange(Q)[None, :, None] == columns[:, None]) & done[:, None], 0)
+    far = jnp.abs(X[:, :Q])
+    loss = jnp.prod(1 + far, 0) - 1 - jnp.sum(far, 0)
+    loss = jnp.maximum(loss, 0) + jnp.sum(jnp.abs(H), 0) * SMALL  # columns of zeros first
+    # those that others are expressed by stay, whatever NaN
+    return jnp.where(stays, jnp.inf, jnp.where(loss < 2.0**100, loss, 2.0**100))

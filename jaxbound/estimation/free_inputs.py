@@ -6,13 +6,16 @@ A sample says m - C x - D v = delta, |delta| <= s, of the state x = x_0 + (anyth
 and what other outputs say is met with them.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
+from jaxbound.estimation.arrays import Array
+from jaxbound.estimation.set_rounding import SetRounding
 from jaxbound.sets.floats.unrolled import summed
 
-__all__ = ["Free", "known_again"]
+__all__ = ["Free", "Known", "KnownAgain", "Reading", "known_again"]
 
 
 class Free(NamedTuple):
@@ -23,42 +26,103 @@ class Free(NamedTuple):
     shown (p,): outputs that they act on; first (): whether a first state was given in bounds, all of it.
     """
 
-    M: Any
-    wide_M: Any
-    H: Any
-    wide_H: Any
-    used: Any
-    before: Any
-    after: Any
-    shown: Any
-    first: Any
+    M: Array
+    wide_M: Array
+    H: Array
+    wide_H: Array
+    used: Array
+    before: Array
+    after: Array
+    shown: Array
+    first: Array
+
+
+class Known(NamedTuple):
+    """Sets {c + G xi + diag(r) eta} of which unknown inputs leave something known.
+
+    Fields: c (n, N), G (n, q + p, N), the last p columns to be filled with errors of outputs; r (n, N).
+    """
+
+    c: Array
+    G: Array
+    r: Array
+
+
+class Reading(NamedTuple):
+    """One sample of the p outputs, each (p, N): |mid - through - C x| <= rad.
+
+    Fields: through: D v; loose: by which that may be off.
+    """
+
+    mid: Array
+    rad: Array
+    through: Array
+    loose: Array
+
+
+class KnownAgain(NamedTuple):
+    """A set behind a sample that took unknown inputs out.
+
+    Fields: known: of M x_0 + H m; left (p, N): the outputs that are left to look at; lost (N,): where not all
+    of S can be taken out.
+    """
+
+    known: Known
+    left: Array
+    lost: Array
 
 
 def known_again(
-    free: Free, g: Any, known: tuple, size: Any, sample: tuple, seen: Any, whole: Any
-) -> tuple[tuple, Any, Any]:
-    """Return (the set of M x_0 + H m, the outputs (p, N) that are left to look at, where not all of S can be
-    taken out).
+    free: Free,
+    g: SetRounding,
+    known: Known,
+    size: Array,
+    reading: Reading,
+    seen: Array,
+    whole: Array,
+) -> KnownAgain:
+    """Return the set of M x_0 + H m, with the first way whose outputs are all there.
 
     Args:
-        g: bounds of rounding, of sums of n + p terms. known: (c (n, N), G (n, q + p, N), r (n, N)) of x_0,
-            the last p columns to be filled; size (n, N): bounds of |x_0|. sample: (m, s, D v, what that may
-            be off by), each (p, N); seen (p, N): outputs that are there.
-        whole (N,): where x_0 is the state itself.
+        g: bounds of rounding, of sums of n + p terms. known: of x_0; size (n, N): bounds of |x_0|. seen (p,
+            N): outputs that are there. whole (N,): where x_0 is the state itself.
     """
-    (c, G, r), (mid, rad, through, loose) = known, sample
+    (c, G, r), (mid, rad, through, loose) = known, reading
     (n, _, k), (p, N) = free.M.shape, mid.shape
     usable = jnp.all(seen[:, None] | ~free.used[:, :, None], 0)
     way, taken = jnp.argmax(usable, 0), jnp.any(usable, 0) & ~whole
-    pick = lambda x: jnp.broadcast_to(x, (*x.shape[:-1], N)) if k == 1 else jnp.take(x, way, axis=-1)
-    M = jnp.where(taken[None, None], pick(free.M), jnp.eye(n, dtype=c.dtype)[:, :, None])
-    wide_M, H, wide_H = (jnp.where(taken[None, None], pick(x), 0) for x in (free.wide_M, free.H, free.wide_H))
-    times = lambda M, x: summed(lambda a, b: a * b[None], M, x, axes=(1, 0))
+
+    def of_way(x: Array) -> jax.Array:
+        """Return the numbers of the way that each of N samples takes."""
+        if k == 1:
+            return jnp.broadcast_to(x, (*x.shape[:-1], N))
+        return jnp.take(x, way, axis=-1)
+
+    M = jnp.where(taken[None, None], of_way(free.M), jnp.eye(n, dtype=c.dtype)[:, :, None])
+    wide_M = jnp.where(taken[None, None], of_way(free.wide_M), 0)
+    H = jnp.where(taken[None, None], of_way(free.H), 0)
+    wide_H = jnp.where(taken[None, None], of_way(free.wide_H), 0)
     values = jnp.abs(mid) + jnp.abs(through) + rad
-    off = times(wide_M + g.gamma * jnp.abs(M), size) + times(wide_H + g.gamma * jnp.abs(H), values)
-    r = g.up * (times(jnp.abs(M), r) + times(jnp.abs(H), loose) + off) + g.least
-    c = times(M, c) + times(H, mid - through)
-    moved = summed(lambda a, b: a[:, None] * b[None], M, G[:, :-p], axes=(1, 0))
+    off = _times_vector(wide_M + g.gamma * jnp.abs(M), size)
+    off = off + _times_vector(wide_H + g.gamma * jnp.abs(H), values)
+    r = g.up * (_times_vector(jnp.abs(M), r) + _times_vector(jnp.abs(H), loose) + off) + g.least
+    c = _times_vector(M, c) + _times_vector(H, mid - through)
+    moved = summed(_columns_by_row, M, G[:, :-p], axes=(1, 0))
     lost = ~(taken | whole)
-    left = seen & ~(taken[None] & pick(free.used)) & ~(lost[None] & free.shown[:, None])
-    return (c, jnp.concatenate([moved, H * rad[None]], 1), r), left, lost
+    left = seen & ~(taken[None] & of_way(free.used)) & ~(lost[None] & free.shown[:, None])
+    return KnownAgain(Known(c, jnp.concatenate([moved, H * rad[None]], 1), r), left, lost)
+
+
+def _times_vector(M: Array, x: Array) -> jax.Array:
+    """Return M x for M (r, n, N), x (n, N), recording by recording."""
+    return summed(_column_by_number, M, x, axes=(1, 0))
+
+
+def _column_by_number(column: jax.Array, number: jax.Array) -> jax.Array:
+    """Return a column (r, N) times a number (N,)."""
+    return column * number[None]
+
+
+def _columns_by_row(column: jax.Array, row: jax.Array) -> jax.Array:
+    """Return a column (r, N) times a row (q, N)."""
+    return column[:, None] * row[None]

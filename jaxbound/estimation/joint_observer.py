@@ -21,8 +21,9 @@ import jax
 import numpy as np
 
 from jaxbound.estimation import zonotope_steps as steps
+from jaxbound.estimation.arrays import Array
 from jaxbound.estimation.blocks import chosen, in_blocks, repeated
-from jaxbound.estimation.contradictions import ended, fresh_behind, is_first, staying
+from jaxbound.estimation.contradictions import ended, fresh_behind, is_first, latched, staying, with_refuted
 from jaxbound.estimation.observed_plant import ObservedPlant
 from jaxbound.estimation.ordered import added
 from jaxbound.estimation.parallelotope import ROUNDED, lasting, parallelotope, principal, strip, template
@@ -94,7 +95,7 @@ class JointObserver(SetObserver[JointState]):
         if exact.free is None and isinstance(self.model, LinearSystem):
             runs = average_rows(self.model, self.window)
         # strips go neither with unknown inputs nor with averages
-        strips = lasting(exact.A, exact.C, self.half)
+        strips = lasting(np.asarray(exact.A), np.asarray(exact.C), self.half)
         if exact.free is not None or runs is not None:
             strips = strips[:0]
         strips = strips.astype(self.plant.dtype).astype(np.float64)
@@ -197,7 +198,7 @@ class JointObserver(SetObserver[JointState]):
         strips = strip(lo[n:], hi[n:], self.plant.dtype)
         better = parallelotope(D, back, lo[:n], hi[:n], reach[self.half], strips, self.plant.dtype)
         bounded = _is_bounded(better)
-        out = jax.tree.map(np.array, state.mark)
+        out: Prior = jax.tree.map(np.array, state.mark)
         for whole, part in zip(out, better, strict=True):
             whole[..., lanes] = np.where(bounded, part, whole[..., lanes])
         return out
@@ -209,8 +210,8 @@ class JointObserver(SetObserver[JointState]):
         if number == 0 and first is not None:
             return first, np.ones(N, bool)
 
-        def split_lanes(x: np.ndarray) -> np.ndarray:
-            return np.moveaxis(x.reshape(*x.shape[:-1], lanes, -1), -2, 0)
+        def split_lanes(x: Array) -> np.ndarray:
+            return np.moveaxis(np.asarray(x).reshape(*x.shape[:-1], lanes, -1), -2, 0)
 
         D, back = self._directions(number)
         c, G, r, age = (split_lanes(x) for x in state.carry[:4])
@@ -285,7 +286,7 @@ class JointObserver(SetObserver[JointState]):
         """Return (ok, x, off) of the trajectories that a search finds, see `explained`."""
         gauges = self.programs.gauges(path, window)
         xi, w, _ = split(gauges.z, gauges.window)
-        return explained(self.plant.exact, path, window, xi, w)
+        return explained(self.plant.exact, path, window, np.asarray(xi), np.asarray(w))
 
     def _tested(self, state: JointState, samples: Piece) -> tuple[JointState, steps.Found]:
         """Return (state, Found) of samples of one block."""
@@ -298,9 +299,9 @@ class JointObserver(SetObserver[JointState]):
         begin = self.half + t % self.half
         state = state._replace(window=self._with_samples(state.window, begin, known, found))
         since = t + np.arange(T)[:, None] - found.age + 1
-        asked = (found.age > 0) & (since <= block - self.half) & state.held
-        asked &= found.status == Status.UNDECIDED
-        wrong, margin, states = self._refuted(state, begin, asked, found.states)
+        asked = np.asarray((found.age > 0) & (since <= block - self.half) & state.held)
+        asked &= np.asarray(found.status) == Status.UNDECIDED
+        wrong, margin, states = self._refuted(state, begin, asked, np.asarray(found.states))
         right = self._consistent(state, begin, asked & ~wrong & state.explained & (since == 0))
         if wrong.any():
             wrong = is_first(wrong)
@@ -321,7 +322,7 @@ class JointObserver(SetObserver[JointState]):
         blind = ~known.known[:, None] & direct[:, None]
         rad = np.where(blind, np.inf, known.rad).astype(self.plant.dtype)
         reach = np.maximum(found.states[:, :n], found.states[:, n:])
-        out = jax.tree.map(np.array, window)
+        out: Samples = jax.tree.map(np.array, window)
         for to, x in zip(out, (known.mid, rad, known.v, known.slip, reach), strict=True):
             to[begin : begin + len(x)] = x
         return out
@@ -352,11 +353,8 @@ class JointObserver(SetObserver[JointState]):
         states: np.ndarray,
     ) -> steps.Found:
         """Return Found with the verdicts, margins and states of windows."""
-        explained_status = np.where(right, np.int8(Status.CONSISTENT), found.status)
-        status = np.where(wrong, np.int8(Status.FAULT), explained_status)
-        lower = asked & (margin < found.margin) & ((found.status != Status.FAULT) | wrong)
-        least = np.where(lower, margin, found.margin).astype(self.plant.dtype)
-        found = found._replace(status=status, margin=least)
+        status = np.where(right, np.int8(Status.CONSISTENT), found.status)
+        found = with_refuted(found._replace(status=status), wrong, np.where(asked, margin, np.inf))
         if not self.enclosures:
             return found
         narrower = asked[:, None] & (found.age > 0)[:, None]
@@ -375,10 +373,9 @@ class JointObserver(SetObserver[JointState]):
             anew = samples._replace(fresh=fresh_behind(samples.fresh, wrong))
             after, found, _ = self._followed(before, anew)
             return ended(after, wrong[-1]), found
+        # the zonotopes carry on themselves what was refuted before these samples
         stays = wrong | staying(np.zeros_like(wrong[0]), wrong, samples.fresh)
-        status = np.where(stays, np.int8(Status.FAULT), found.status)
-        empty = after.empty | np.tile(stays[-1], len(self.weights))
-        return after._replace(empty=empty), found._replace(status=status)
+        return latched(after, found, stays)
 
     def _refuted(
         self, state: JointState, begin: int, asked: np.ndarray, states: np.ndarray
@@ -467,4 +464,5 @@ def _with_one_way(plant: ObservedPlant) -> ObservedPlant:
 def _is_bounded(prior: Prior) -> np.ndarray:
     """Return which sets are bounded, (N,) bool."""
     finite = np.isfinite(prior.c).all(0) & np.isfinite(prior.S).all((0, 1))
-    return finite & np.isfinite(prior.r).all(0)
+    bounded: np.ndarray = finite & np.isfinite(prior.r).all(0)
+    return bounded

@@ -2,20 +2,20 @@
 is made of all.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxbound.estimation.validation_result import Validation
 from jaxbound.models.multimodel import MultiModel
 from jaxbound.recordings.arrays import floats
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.signals import Signals
-from jaxbound.recordings.table import as_table, is_table
+from jaxbound.recordings.table import Data, as_table, is_table
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval, interval
@@ -24,12 +24,15 @@ from jaxbound.sets.linear_systems.kernels import product
 
 __all__ = ["validate_parts"]
 
-_held = jax.lax.optimization_barrier
-
 
 def validate_parts(
-    model: MultiModel, u: Any, y: Any, x0: Interval | None, validate: Callable, starts: ArrayLike = ()
-) -> Any:
+    model: MultiModel,
+    u: Data,
+    y: Data,
+    x0: Interval | None,
+    validate: Callable[..., Validation],
+    starts: ArrayLike = (),
+) -> Validation:
     """Validate every sub-model by its own partial outputs, and weigh what is found.
 
     Args:
@@ -48,58 +51,82 @@ def validate_parts(
 
     Source: the multiple-model paper, (8)-(15) and section V.
     """
-    p = model.models[0].p
-    count = len(model.models)
-    inputs, outputs = (
-        model.models[0].inputs,
-        tuple(f"{i + 1}.{name}" for i, m in enumerate(model.models) for name in m.outputs),
+    recording = _recording_of_parts(model, u, y, starts)
+    inputs, outputs = np.asarray(recording.u), np.asarray(recording.y)
+    outputs = outputs.reshape(*outputs.shape[:-1], len(model.models), model.models[0].p)
+    if x0 is not None and (x0 := interval(x0)).shape[-1:] != (model.n,):
+        raise ValueError(f"x0 needs one interval for each of {model.n} states: its shape is {x0.shape}")
+    validated: list[Validation] = []
+    begin = 0
+    for i, part in enumerate(model.models):
+        first = None
+        if x0 is not None:
+            first = x0[..., begin : begin + part.n]
+        validated.append(validate(part, inputs, outputs[..., i, :], x0=first, starts=recording.starts))
+        begin += part.n
+    mu = model.mu(np.asarray(inputs, model.models[0].A.dtype))
+    output, residual, corrected = _weighed(mu, [(v.output, v.residual, v.corrected) for v in validated])
+    absent = jnp.where(jnp.isnan(jnp.asarray(outputs, output.lo.dtype)).any(-2), jnp.nan, 0)
+    return replace(
+        validated[0],
+        state=jax.tree.map(lambda *a: jnp.concatenate(a, -1), *(v.state for v in validated)),
+        output=output,
+        residual=Interval(residual.lo + absent, residual.hi + absent),
+        faulty=jnp.stack([jnp.asarray(v.faulty) for v in validated]).any(0),
+        corrected=corrected,
+        status=jnp.asarray(_agreed(np.stack([np.asarray(v.status) for v in validated]))),
     )
+
+
+def _recording_of_parts(model: MultiModel, u: Data, y: Data, starts: ArrayLike) -> Recording:
+    """Return the Recording, in the type it was recorded in, the outputs (..., T, L p) of all sub-models side
+    by side.
+    """
+    count, p = len(model.models), model.models[0].p
+    outputs: list[str] = []
+    for i, part in enumerate(model.models):
+        outputs += [f"{i + 1}.{name}" for name in part.outputs]
     y = as_table(y, "y", outputs)
     if not is_table(y) and y is not None:
-        if (shape := np.shape(y))[-2:] != (count, p) or len(shape) < 3:
+        shape = np.shape(y)
+        if shape[-2:] != (count, p) or len(shape) < 3:
             raise ValueError(
                 f"y must have shape (..., T, {count}, {p}), each sub-model's own outputs: its shape is "
                 f"{shape}"
             )
         y = floats(y, "y").reshape(*shape[:-2], count * p)
-    given = Recording.of(
-        Signals(inputs, outputs, {}), u, y, starts, narrow=False
-    )  # in the type it was recorded in
-    u, y = np.asarray(given.u), np.asarray(given.y).reshape(*given.y.shape[:-1], count, p)
-    states = np.cumsum([0, *(m.n for m in model.models)])
-    if x0 is not None and (x0 := interval(x0)).shape[-1:] != (model.n,):
-        raise ValueError(f"x0 needs one interval for each of {model.n} states: its shape is {x0.shape}")
-    first = lambda i: None if x0 is None else x0[..., states[i] : states[i + 1]]
-    local = [
-        validate(m, u, y[..., i, :], x0=first(i), starts=given.starts) for i, m in enumerate(model.models)
-    ]
-    output, residual, corrected = _weighed(
-        model.mu(np.asarray(u, model.models[0].A.dtype)), [(v.output, v.residual, v.corrected) for v in local]
-    )
-    absent = jnp.where(jnp.isnan(jnp.asarray(y, output.lo.dtype)).any(-2), jnp.nan, 0)
-    each = np.stack([np.asarray(v.status) for v in local])
+    signals = Signals(model.models[0].inputs, tuple(outputs), {})
+    return Recording.of(signals, u, y, starts, narrow=False)
+
+
+def _agreed(each: np.ndarray) -> np.ndarray:
+    """Return the status (...) of all sub-models, from that of each (L, ...): FAULT where any is, else what
+    all say.
+    """
     agreed = np.where((each == each[0]).all(0), each[0], Status.UNDECIDED)
-    return replace(
-        local[0],
-        state=jax.tree.map(lambda *a: jnp.concatenate(a, -1), *(v.state for v in local)),
-        output=output,
-        residual=Interval(residual.lo + absent, residual.hi + absent),
-        faulty=jnp.stack([v.faulty for v in local]).any(0),
-        corrected=corrected,
-        status=jnp.asarray(np.where((each == Status.FAULT).any(0), Status.FAULT, agreed).astype(np.int8)),
-    )
+    return np.where((each == Status.FAULT).any(0), Status.FAULT, agreed).astype(np.int8)
 
 
 @kernel
-def _weighed(mu, local):
+def _weighed(mu: Interval, parts: Sequence[tuple[Interval, ...]]) -> tuple[Interval, ...]:
     """Return sum_i mu_i x_i for each of the Intervals x_i that the sub-models have."""
-    weigh = lambda *parts: interval_sum(
-        _held(Interval(*(jnp.stack(e) for e in zip(*_ends(mu, parts), strict=True)))), axis=0
-    )
-    return tuple(weigh(*parts) for parts in zip(*local, strict=True))
+    return tuple(_weighed_sum(mu, of_each) for of_each in zip(*parts, strict=True))
 
 
-def _ends(mu, parts):
-    for i, x in enumerate(parts):
-        share = _held(product(mu[..., i : i + 1], x))
+def _weighed_sum(mu: Interval, of_each: Sequence[Interval]) -> Interval:
+    """Return sum_i mu_i x_i."""
+    lo, hi = zip(*_weighed_ends(mu, of_each), strict=True)
+    return interval_sum(_stored(Interval(jnp.stack(lo), jnp.stack(hi))), axis=0)
+
+
+def _weighed_ends(mu: Interval, of_each: Sequence[Interval]) -> Iterator[tuple[jax.Array, jax.Array]]:
+    """Yield the ends of each mu_i x_i."""
+    for i, x in enumerate(of_each):
+        share = _stored(product(mu[..., i : i + 1], x))
         yield share.lo, share.hi
+
+
+def _stored(x: Interval) -> Interval:
+    """Return an Interval that is not worked out together with its use."""
+    stored: Interval = jax.lax.optimization_barrier(x)  # type: ignore[no-untyped-call]  # JAX states no types
+    return stored

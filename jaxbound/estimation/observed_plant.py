@@ -48,12 +48,14 @@ class ObservedPlant:
     @cached_property
     def exact(self) -> Numbers:
         """The same numbers in float64."""
-        return jax.tree.map(lambda x: np.asarray(x, np.float64), self.numbers)
+        numbers: Numbers = jax.tree.map(lambda x: np.asarray(x, np.float64), self.numbers)
+        return numbers
 
     @cached_property
     def placed(self) -> tuple[Numbers, Start | None]:
         """The numbers and the start where kernels run: they are not copied there for each sample."""
-        return jax.device_put((self.numbers, self.start))
+        placed: tuple[Numbers, Start | None] = jax.device_put((self.numbers, self.start))
+        return placed
 
     def __getstate__(self) -> dict[str, Any]:
         # another process may have other devices

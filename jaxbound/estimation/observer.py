@@ -11,6 +11,7 @@ from jaxbound.estimation.methods import observer_method
 from jaxbound.estimation.observed_plant import ObservedModel, observed_plant
 from jaxbound.estimation.set_observer import Observation, ObserverSetup, SetObserver
 from jaxbound.estimation.zonotope_numbers import first_set
+from jaxbound.recordings.table import Data
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.zonotopes.zonotope import Zonotope
@@ -96,8 +97,8 @@ def observer(
 
 def observe(
     model: ObservedModel,
-    u: Any,
-    y: Any = None,
+    u: Data,
+    y: Data = None,
     order: float | None = None,
     weight: float | Sequence[float] = WEIGHTS,
     restart: bool = True,
@@ -134,4 +135,5 @@ def observe(
     """
     built = observer(model, method, order, weight, restart, x0, horizon, window, constraints)
     watch, recording = built.telling(enclosures=True).recording(u, y, starts)
-    return drive(watch, recording)
+    observation: Observation = drive(watch, recording)
+    return observation

@@ -7,25 +7,31 @@ kernel for each shape. In blocks of one size, in one order of memory, NumPy's ow
 
 import numpy as np
 
+from jaxbound.estimation.arrays import Array
+
 __all__ = ["added", "mapped", "product"]
 
 
 def added(X: np.ndarray, axis: int = 0) -> np.ndarray:
     """Return the sums of X along an axis, added up in order; 0 of nothing."""
-    if not X.shape[axis]:
-        return X.sum(axis)
-    return np.add.accumulate(X, axis).take(-1, axis)
+    sums: np.ndarray
+    if X.shape[axis]:
+        sums = np.add.accumulate(X, axis).take(-1, axis)
+    else:
+        sums = X.sum(axis)
+    return sums
 
 
-def mapped(M: np.ndarray, X: np.ndarray, axis: int = 0) -> np.ndarray:
+def mapped(M: Array, X: Array, axis: int = 0) -> np.ndarray:
     """Return M X for M (r, n) and the axis of X that has n entries."""
-    rows = np.moveaxis(X, axis, 0)
+    rows = np.moveaxis(np.asarray(X), axis, 0)
     out = np.zeros((len(M), *rows.shape[1:]), np.result_type(M, X))
     for column, row in zip(M.T, rows, strict=True):
         out += column.reshape(-1, *[1] * row.ndim) * row
     return np.moveaxis(out, 0, axis)
 
 
-def product(M: np.ndarray, X: np.ndarray) -> np.ndarray:
+def product(M: Array, X: Array) -> np.ndarray:
     """Return M X for M (r, n), X (n, N) of a block of one size, by NumPy's own loop."""
-    return np.einsum("ij,jN->iN", M, X)
+    image: np.ndarray = np.einsum("ij,jN->iN", M, X)
+    return image

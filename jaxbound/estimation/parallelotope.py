@@ -70,7 +70,7 @@ def parallelotope(
     lo: np.ndarray,
     hi: np.ndarray,
     reach: np.ndarray,
-    strips: tuple,
+    strips: tuple[np.ndarray, np.ndarray],
     dtype: np.dtype,
 ) -> Prior:
     """Return the Prior that holds every x with lo <= D x <= hi and |x| <= reach, and strips: x = back (D x) +
@@ -107,17 +107,19 @@ def principal(x: Numbers, steps: int, blocks: int, dtype: np.dtype) -> list[tupl
         out.append(((V / root).T.astype(dtype).astype(np.float64), V * root))
         for _ in range(steps):
             if x.free is not None:
-                M, H = x.free.M[..., 0], x.free.H[..., 0]
+                M, H = np.asarray(x.free.M[..., 0]), np.asarray(x.free.H[..., 0])
                 P = M @ P @ M.T + (H * R) @ H.T + np.eye(len(M)) * (1e-6 * size) ** 2
-            K = _gain(x.C @ P @ x.C.T + np.diag(R), x.C @ P)
+            shown = np.asarray(x.C @ P)
+            K = _gain(shown @ x.C.T + np.diag(R), shown)
             P = P - K @ x.C @ P
-            P = x.A @ (P + P.T) @ x.A.T / 2 + Q
+            P = np.asarray(x.A @ (P + P.T) @ x.A.T / 2 + Q)
     return out
 
 
-def _gain(S, X):
+def _gain(S: np.ndarray, X: np.ndarray) -> np.ndarray:
     """Return (S^-1 X)'; where outputs without an error show the same, that of least norm."""
     try:
-        return np.linalg.solve(S, X).T
+        gain = np.linalg.solve(S, X)
     except np.linalg.LinAlgError:
-        return (np.linalg.pinv(S, hermitian=True) @ X).T
+        gain = np.linalg.pinv(S, hermitian=True) @ X
+    return np.asarray(gain.T)

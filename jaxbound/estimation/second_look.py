@@ -9,13 +9,15 @@ keeps, begins with the set that XLA carried to there.
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import jax
 import numpy as np
 
 from jaxbound.consistency.interface import Judged
 from jaxbound.consistency.twice import warn_doubtful
+from jaxbound.estimation.arrays import Array
+from jaxbound.estimation.observation import Observation, State
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
 from jaxbound.sets.floats.status import Status
@@ -28,7 +30,7 @@ BESIDE = 128
 """Stretches that are followed side by side, at most."""
 
 
-class Repeatable(Protocol):
+class Repeatable(Protocol[State]):
     """An observer whose FAULTs can be decided again.
 
     restart, weights, shown_after: as of SetObserver.
@@ -40,13 +42,13 @@ class Repeatable(Protocol):
     def weights(self) -> np.ndarray: ...
     @property
     def shown_after(self) -> float: ...
-    def begin(self) -> Any:
+    def begin(self) -> State:
         """Return the state before the first sample."""
 
-    def judged(self, carry: Any, piece: Recording) -> tuple[Any, Any]:
+    def judged(self, carry: State, piece: Recording) -> tuple[State, Observation | Judged]:
         """Return (carry, verdicts) of a piece, decided once."""
 
-    def forgetful(self) -> "Repeatable":
+    def forgetful(self) -> Self:
         """Return the same observer, which begins knowing nothing."""
 
 
@@ -62,7 +64,9 @@ class _Doubt:
     end: int
 
 
-def decided_twice(watch: Repeatable, carry: Any, piece: Recording) -> tuple[Any, Any]:
+def decided_twice(
+    watch: Repeatable[State], carry: State, piece: Recording
+) -> tuple[State, Observation | Judged]:
     """Return (carry, verdicts) of `watch.judged`, with UNDECIDED in place of a FAULT that is not proved
     outside XLA; a warning tells of them.
 
@@ -84,14 +88,16 @@ def decided_twice(watch: Repeatable, carry: Any, piece: Recording) -> tuple[Any,
     return watch.forgetful().begin(), _with_verdicts(judged, status, margin)
 
 
-def _with_verdicts(judged: Any, status: np.ndarray, margin: np.ndarray) -> Any:
+def _with_verdicts(
+    judged: Observation | Judged, status: np.ndarray, margin: np.ndarray
+) -> Observation | Judged:
     """Return a Judged, or an Observation, with other verdicts."""
     if isinstance(judged, Judged):
         return judged._replace(status=status, margin=margin)
     return replace(judged, status=status, margin=margin)
 
 
-def _doubtful(watch: Repeatable, carry: Any, piece: Recording, status: np.ndarray) -> np.ndarray:
+def _doubtful(watch: Repeatable[State], carry: State, piece: Recording, status: np.ndarray) -> np.ndarray:
     """Return bool like status (..., T): which FAULTs of a piece are not proved outside XLA."""
     flat = status.reshape(-1, status.shape[-1])
     left = list(_doubts(watch, carry, piece, flat))
@@ -117,7 +123,7 @@ def _doubtful(watch: Repeatable, carry: Any, piece: Recording, status: np.ndarra
     return gone.reshape(status.shape)
 
 
-def _doubts(watch: Repeatable, carry: Any, piece: Recording, status: np.ndarray) -> Iterator[_Doubt]:
+def _doubts(watch: Repeatable[State], carry: State, piece: Recording, status: np.ndarray) -> Iterator[_Doubt]:
     """Yield the FAULTs of recordings (N, T); of one that stays, the first."""
     starts = np.asarray(piece.starts).tolist()
     seams = {0, *starts}
@@ -139,7 +145,7 @@ def _doubts(watch: Repeatable, carry: Any, piece: Recording, status: np.ndarray)
                 begin = end + 1
 
 
-def _by_samples(watch: Repeatable, piece: Recording, doubts: list[_Doubt], length: int) -> set[_Doubt]:
+def _by_samples(watch: Repeatable[State], piece: Recording, doubts: list[_Doubt], length: int) -> set[_Doubt]:
     """Return those of the FAULTs that so many last samples show."""
     u, y = _beside(piece)
 
@@ -162,7 +168,7 @@ def _by_samples(watch: Repeatable, piece: Recording, doubts: list[_Doubt], lengt
     return proved
 
 
-def _by_carry(watch: Repeatable, carry: Any, piece: Recording, doubt: _Doubt) -> bool:
+def _by_carry(watch: Repeatable[State], carry: State, piece: Recording, doubt: _Doubt) -> bool:
     """Return whether a FAULT is seen again from the set that XLA carried to a sample not long before it, or
     to the piece.
     """
@@ -175,26 +181,28 @@ def _by_carry(watch: Repeatable, carry: Any, piece: Recording, doubt: _Doubt) ->
     return bool(judged.status[-1] == Status.FAULT)
 
 
-def _lanes(watch: Repeatable, x: Any) -> np.ndarray:
+def _lanes(watch: Repeatable[State], x: Array) -> np.ndarray:
     """Return numbers with sets side by side and recordings as axes of their own, the last ones."""
     x, lanes = np.asarray(x), len(watch.weights)
-    return x.reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes)
+    return np.reshape(x, (*x.shape[:-1], lanes, x.shape[-1] // lanes))
 
 
-def _ended(watch: Repeatable, carry: Any) -> np.ndarray:
+def _ended(watch: Repeatable[State], carry: State) -> np.ndarray:
     """Return for each recording that is carried whether it has contradicted before."""
     return np.asarray(_lanes(watch, carry.carry.empty).any(-2))
 
 
-def _carried_of(watch: Repeatable, carry: Any, number: int) -> Any:
+def _carried_of(watch: Repeatable[State], carry: State, number: int) -> State:
     """Return the carry of one recording."""
     if len(_ended(watch, carry)) == 1:
         return carry
-    own = {"carry": jax.tree.map(lambda x: _lanes(watch, x)[..., number], carry.carry)}
-    for name, part in carry._asdict().items():
+    state: Any = carry  # a NamedTuple, with whatever fields a method has beside the two that all have
+    own: dict[str, Any] = {"carry": jax.tree.map(lambda x: _lanes(watch, x)[..., number], carry.carry)}
+    for name, part in state._asdict().items():
         if name not in ("carry", "samples"):
             own[name] = jax.tree.map(lambda x: np.asarray(x)[..., number : number + 1], part)
-    return carry._replace(**own)
+    alone: State = state._replace(**own)
+    return alone
 
 
 def _of_recording(piece: Recording, number: int) -> Recording:

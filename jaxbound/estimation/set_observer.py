@@ -11,7 +11,7 @@ encloses states as well, is another value (`dataclasses.replace`) that shares th
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Generic, NamedTuple, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
 import jax
 import numpy as np
@@ -21,11 +21,13 @@ from numpy.typing import ArrayLike
 from jaxbound.certificates.interface import evidence
 from jaxbound.consistency.interface import Budget, Judged, Observer
 from jaxbound.estimation import zonotope_steps as steps
+from jaxbound.estimation.arrays import Array
 from jaxbound.estimation.blocks import in_blocks, repeated
 from jaxbound.estimation.lanes import emptied, joined
+from jaxbound.estimation.observation import Observation, State
 from jaxbound.estimation.observed_plant import ObservedModel, ObservedPlant
 from jaxbound.estimation.second_look import decided_twice
-from jaxbound.estimation.short_proof import short_proof
+from jaxbound.estimation.short_proof import ObservedResult, short_proof
 from jaxbound.estimation.zonotope_numbers import ROUNDED, FirstSet
 from jaxbound.models.sensor import input_slip
 from jaxbound.recordings.recording import Recording
@@ -60,52 +62,6 @@ PIECE = 16
 """Samples that the kernel is compiled for."""
 
 Tree = TypeVar("Tree")
-
-
-class CarriedState(Protocol):
-    """The state of any set observer: its zonotopes, and how many samples there were."""
-
-    @property
-    def carry(self) -> steps.ZonotopeCarry:
-        """The zonotopes, recordings on the last axis."""
-
-    @property
-    def samples(self) -> np.int64:
-        """How many samples there were."""
-
-
-State = TypeVar("State", bound=CarriedState)
-
-
-@readable
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
-class Observation:
-    """The states and outputs that `observe` encloses, and its verdicts, time first.
-
-    Fields:
-        status (..., T) int8, see `Status`: FAULT is a proof that no behaviour explains all samples from
-            `since` to this one. CONSISTENT that one does: a trajectory, of method "joint" with x0 alone.
-            UNDECIDED: neither is proved. MISSING: nothing to test against (the state is not known yet), or no
-            sample.
-        margin (..., T): 1 - t, t the factor on the set before this sample and on its own bounds at which the
-            two would just touch, by the worst output: < 0 where FAULT. It is about this sample given those
-            before, not comparable with the margin of a window. NaN where nothing was tested.
-        since (..., T) int: the first sample that the enclosure rests on; -1: there is none.
-        state Interval (..., T, n): holds the state of every behaviour that explains the samples from `since`
-            on, this one included; entire where there is none. Of a FAULT: the states that the samples before
-            it allowed. NaN, like the others, where nothing is left: behind a FAULT that stays
-            (restart=False).
-        predicted Interval (..., T, p): of a perfect sensor, as far as the samples before this one tell.
-        output Interval (..., T, p): with this sample.
-    """
-
-    status: np.ndarray
-    margin: np.ndarray
-    since: np.ndarray
-    state: Interval
-    predicted: Interval
-    output: Interval
 
 
 @readable
@@ -411,27 +367,23 @@ class SetObserver(Observer[State], Generic[State]):
         T = len(samples.fresh)
         numbers, start = self.plant.placed
         enclosures = 2 if self.enclosures else int(self.hulls)
+        whole = samples.filled(-(-max(T, 1) // PIECE) * PIECE)
         parts: list[tuple[steps.Found, steps.Read | None]] = []
-        first = 0
-        while first < T or not parts:
-            count = min(PIECE, T - first)
-            given = samples.cut(first, first + count).filled(PIECE)
-            carry, *rest = steps.follow(
+        for first in range(0, max(T, 1), PIECE):
+            piece, count = whole.cut(first, first + PIECE), min(PIECE, T - first)
+            carry, found, known = steps.follow(
                 numbers,
                 start,
                 carry,
-                tuple(given),
+                tuple(piece),
                 count,
                 len(self.weights),
                 enclosures,
                 self.restart,
                 self.hulls,
             )
-            parts.append(_of_first((rest[0], rest[1]), count))
-            first += count
-        if len(parts) == 1:
-            return carry, *parts[0]
-        return carry, *jax.tree.map(lambda *x: np.concatenate(x), *parts)
+            parts.append((found, known))
+        return carry, *_fetched(parts, T)
 
     def _verdicts(
         self, found: steps.Found, lead: tuple[int, ...], T: int, before: State
@@ -442,7 +394,8 @@ class SetObserver(Observer[State], Generic[State]):
             before: the state before these samples.
         """
 
-        def shaped(x: np.ndarray) -> np.ndarray:
+        def shaped(x: Array) -> np.ndarray:
+            x = np.asarray(x)
             rest = x.shape[1:-1]
             if x.shape[-1] > 1:
                 x = np.moveaxis(x, -1, 0)
@@ -516,9 +469,17 @@ def checked_weights(weight: float | Sequence[float]) -> np.ndarray:
     return weights
 
 
-def _of_first(tree: Tree, count: int) -> Tree:
-    """Return the first samples of arrays, on the host."""
-    return jax.tree.map(lambda x: np.asarray(x)[:count], tree)
+def _fetched(parts: Sequence[Tree], T: int) -> Tree:
+    """Return the arrays of T samples, on the host, from those of pieces.
+
+    They are fetched when all pieces are under way: the host prepares one while another is worked out.
+    """
+
+    def joined_in_time(*pieces: Array) -> np.ndarray:
+        return np.concatenate([np.asarray(x) for x in pieces])[:T]
+
+    whole: Tree = jax.tree.map(joined_in_time, *parts)
+    return whole
 
 
 def _filled(x: np.ndarray, length: int) -> np.ndarray:
@@ -551,7 +512,7 @@ def _begun_in(carry: steps.ZonotopeCarry, first: FirstSet) -> steps.ZonotopeCarr
 
 @evidence.register(SetObserver)
 def _(
-    observer: SetObserver[Any], result: Any, at: tuple[int, ...], status: Status
+    observer: SetObserver[Any], result: ObservedResult, at: tuple[int, ...], status: Status
 ) -> tuple[Any, str, np.ndarray, np.ndarray]:
     """Return the shortest window that proves a FAULT, see `short_proof`."""
     return short_proof(observer.model, observer.first_box, result, at, status)

@@ -1,17 +1,19 @@
 """The shortest window of the last samples that proves a FAULT of an observer."""
 
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
 from jaxbound.certificates.long_window import exceeds, stretch
 from jaxbound.consistency.drive import drive
+from jaxbound.estimation.arrays import Array
+from jaxbound.estimation.observation import CarriedState, Observation
 from jaxbound.estimation.observed_plant import ObservedModel
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.parity import parity_relations
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["short_proof"]
+__all__ = ["ObservedResult", "short_proof"]
 
 LONGEST, SHORT, CLEARLY = 512, 8, 1 + 1e-6
 """Steps of the longest window that a certificate speaks of, of the longest of parity relations, and the
@@ -22,8 +24,39 @@ WindowProof: TypeAlias = tuple[Any, np.ndarray, np.ndarray]
 """(relations of a window, u, y): a stretch, or parity relations."""
 
 
+class Begun(Protocol):
+    """An observer that may go on from samples before."""
+
+    def begin(self) -> CarriedState:
+        """Return the state that the first sample meets."""
+
+
+class ObservedResult(Protocol):
+    """A Result of an observer, with what `detect` has of it."""
+
+    @property
+    def u(self) -> Array:
+        """Inputs (..., T, m)."""
+
+    @property
+    def y(self) -> Array:
+        """Outputs (..., T, p)."""
+
+    @property
+    def observation(self) -> Observation:
+        """The enclosures."""
+
+    @property
+    def relations(self) -> Begun:
+        """The observer."""
+
+
 def short_proof(
-    model: ObservedModel, first_box: np.ndarray | None, result: Any, at: tuple[int, ...], status: Status
+    model: ObservedModel,
+    first_box: np.ndarray | None,
+    result: ObservedResult,
+    at: tuple[int, ...],
+    status: Status,
 ) -> tuple[Any, str, np.ndarray, np.ndarray]:
     """Return (relations, method, u, y) of the shortest of some windows that end at a sample and prove its
     FAULT.

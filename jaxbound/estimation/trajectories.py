@@ -58,7 +58,8 @@ def _keeps_bounds(plant: Numbers, now: Samples, x: np.ndarray, off: np.ndarray) 
     away = away + product(plant.wide_D, size_v) + product(size_D, now.slip)
     away = away + OFF * (np.abs(now.mid) + product(size_C, size) + product(size_D, size_v))
     seen = np.isfinite(now.rad)
-    return (~seen | (away <= LESS * np.where(seen, now.rad, 1))).all(0)
+    kept: np.ndarray = (~seen | (away <= LESS * np.where(seen, now.rad, 1))).all(0)
+    return kept
 
 
 def _off_later(plant: Numbers, now: Samples, x: np.ndarray, off: np.ndarray) -> np.ndarray:
@@ -73,9 +74,10 @@ def _off_later(plant: Numbers, now: Samples, x: np.ndarray, off: np.ndarray) -> 
         + plant.wide_w[:, None]
     )
     drawn = (np.abs(plant.w) + np.abs(plant.W).sum(1))[:, None]
-    return later + OFF * (product(size_A, size) + product(size_B, size_v) + drawn)
+    return np.asarray(later + OFF * (product(size_A, size) + product(size_B, size_v) + drawn))
 
 
 def _in_float64(tree: Tree) -> Tree:
     """Return arrays in float64."""
-    return jax.tree.map(lambda x: np.asarray(x, np.float64), tree)
+    out: Tree = jax.tree.map(lambda x: np.asarray(x, np.float64), tree)
+    return out

@@ -9,29 +9,35 @@ projection.
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from math import comb
-from typing import Any
+from typing import cast
 
+import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.consistency.drive import drive
-from jaxbound.consistency.interface import WindowTest
+from jaxbound.consistency.interface import Block, LinearRelations, Progress, Run, WindowTest
+from jaxbound.consistency.reading import Reading
 from jaxbound.consistency.unproved import stretch_block
+from jaxbound.estimation.counts import is_whole
 from jaxbound.exact import linalg
 from jaxbound.exact.circuits import circuits
+from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model
+from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.table import Data
 from jaxbound.relations.cost import affordable
 from jaxbound.relations.parity import SUBSETS, stated_relations
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.intervals.interval import Interval
-from jaxbound.sets.strips.bank import bank_of, bank_range
+from jaxbound.sets.strips.bank import Bank, bank_of, bank_range
 from jaxbound.text.objects import readable
 
 __all__ = ["UnknownInputs", "unknown_inputs"]
@@ -53,15 +59,15 @@ class UnknownInputs:
 
     values: Interval
     horizon: int
-    lags: tuple
+    lags: tuple[int | None, ...]
 
 
 def unknown_inputs(
     model: ModelLike,
-    u: Any,
-    y: Any = None,
+    u: Data,
+    y: Data = None,
     horizon: int | None = None,
-    progress: Callable[[float], object] | None = None,
+    progress: Progress | None = None,
     starts: ArrayLike = (),
 ) -> UnknownInputs:
     """Return intervals that contain the unknown inputs of a healthy plant.
@@ -105,71 +111,106 @@ def unknown_inputs(
             f"no window of horizon {horizon} determines an unknown input: other unknown inputs or the state "
             f"can do the same"
         )
-    given = Recording.of(model, u, y, starts).finite()
-    y = np.asarray(given.y)
-    lo, hi = (np.full((*y.shape[:-1], model.d), side, y.dtype) for side in (-np.inf, np.inf))
-    lags = tuple(None if t is None else horizon - t for t in positions)
-    for j, (position, lag) in enumerate(zip(positions, lags, strict=True)):
+    recording = Recording.of(model, u, y, starts).finite()
+    samples, dtype = np.shape(recording.y)[:-1], recording.y.dtype
+    lo = np.full((*samples, model.d), -np.inf, dtype)
+    hi = np.full((*samples, model.d), np.inf, dtype)
+    lags: list[int | None] = [None] * model.d
+    for j, position in enumerate(positions):
         if position is None:
             continue
-        test = _test(model, horizon, position, j, y.dtype)
-        report = None if progress is None else lambda share, j=j: progress((j + share) / model.d)
-        found = drive(test, given, report)
-        empty = found[0] > found[1]
-        for side, values, nothing in zip((lo, hi), found, (np.inf, -np.inf), strict=True):
-            values[empty] = nothing
-            side[..., position : y.shape[-2] - lag, j] = values[..., horizon:]
-    return UnknownInputs(Interval(lo, hi), horizon, lags)
+        lag = lags[j] = horizon - position
+        test = _test(model, horizon, position, j, dtype)
+        least, most = drive(test, recording, _share_of(progress, j, model.d))
+        empty = least > most
+        least[empty], most[empty] = np.inf, -np.inf
+        at = ..., slice(position, samples[-1] - lag), j
+        lo[at], hi[at] = least[..., horizon:], most[..., horizon:]
+    return UnknownInputs(Interval(lo, hi), horizon, tuple(lags))
 
 
-def _positions(model, horizon):
+def _share_of(progress: Progress | None, j: int, count: int) -> Progress | None:
+    """Return the report of the progress of one unknown input of several."""
+    if progress is None:
+        return None
+
+    def report(share: float) -> None:
+        progress((j + share) / count)
+
+    return report
+
+
+def _positions(model: LinearSystem, horizon: int | None) -> tuple[int, list[int | None]]:
     """Return (horizon, for each unknown input the last sample of a window at which it is determined, or
     None).
     """
     if horizon is not None:
-        if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 0:
+        if not is_whole(horizon) or horizon < 0:
             raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
         affordable(model, int(horizon))
         return int(horizon), _determined(model, int(horizon))
     longest = _determined(model, model.n + 1)
-    wanted = [x is not None for x in longest]
+    wanted = [place is not None for place in longest]
     for s in range(model.n + 2):
-        if [x is not None for x in _determined(model, s)] == wanted:
+        if [place is not None for place in _determined(model, s)] == wanted:
             return s + 1, _determined(model, s + 1)
     return model.n + 1, longest
 
 
-def _determined(model, s):
+def _determined(model: LinearSystem, s: int) -> list[int | None]:
+    """Return for each unknown input the last sample of s + 1 at which these determine it, or None."""
     E = window.unbounded(model, s)
-    lags, out = window.unknown_lags(model, s), []
     rank = linalg.rank(E)
+    places: list[int | None] = [None] * model.d
     for j in range(model.d):
-        unit = lambda t, j=j: tuple(Fraction(int(c == model.n + t * model.d + j)) for c in range(len(E[0])))
-        out.append(next((t for t in reversed(range(lags)) if linalg.rank((*E, unit(t))) == rank), None))
-    return out
+        for t in reversed(range(window.unknown_lags(model, s))):
+            unit = _unit(len(E[0]), model.n + t * model.d + j)
+            if linalg.rank((*E, unit)) == rank:
+                places[j] = t
+                break
+    return places
 
 
-def _test(model, s, position, j, dtype):
+def _unit(length: int, place: int) -> tuple[Fraction, ...]:
+    """Return a row with 1 at one place and 0 elsewhere."""
+    return tuple(Fraction(int(c == place)) for c in range(length))
+
+
+def _test(model: LinearSystem, s: int, position: int, j: int, dtype: np.dtype) -> "_RangeTest":
     """Return a WindowTest whose strips are ways to work out v_j at a position of the window: h (Y, w) - k U =
     v.
     """
     E, K = window.unknowns(model, s)
     column = model.n + model.g * s + position * model.d + j
-    extended = (*E, tuple(Fraction(int(c == column)) for c in range(len(E[0]))))
+    extended = (*E, _unit(len(E[0]), column))
     rank = linalg.rank(E)
     if comb(len(extended), rank + 1) > 10 * SUBSETS:
         raise ValueError(
             f"windows of horizon {s} are too long to work out the unknown inputs of this model: choose a "
             f"shorter horizon"
         )
-    found = [tuple(-x / h[-1] for x in h[:-1]) for h in circuits(extended) if h[-1]]
-    half = [*[float(a + b) or 1.0 for a, b in zip(model.noise, model.resolution, strict=True)] * (s + 1)]
-    half += [float(hi - lo) / 2 for lo, hi in model.disturbance] * s
-    found.sort(key=lambda h: sum(abs(float(x)) * r for x, r in zip(h, half, strict=True)))
-    ways = tuple(found[:KEPT])
-    known = linalg.matmul(ways, K) if K[0] else tuple(() for _ in ways)
+    ways = _tightest_ways(model, s, circuits(extended))
+    known: Matrix = tuple(() for _ in ways)
+    if K[0]:
+        known = linalg.matmul(ways, K)
     count = (s + 1) * model.p
     return _RangeTest(stated_relations(model, s, tuple(h[:count] for h in ways), known), ways, known, dtype)
+
+
+def _tightest_ways(model: LinearSystem, s: int, combinations: Iterable[Vector]) -> Matrix:
+    """Return the ways to work a number out, from combinations whose last entry is that of the number: the
+    `KEPT` that errors make least uncertain.
+    """
+    noise = [float(a + b) or 1.0 for a, b in zip(model.noise, model.resolution, strict=True)]
+    disturbance = [float(hi - lo) / 2 for lo, hi in model.disturbance]
+    half = [*noise * (s + 1), *disturbance * s]
+
+    def width(h: Vector) -> float:
+        """Return half the width of the interval that a way gives."""
+        return sum(abs(float(x)) * r for x, r in zip(h, half, strict=True))
+
+    ways = [tuple(-x / h[-1] for x in h[:-1]) for h in combinations if h[-1]]
+    return tuple(sorted(ways, key=width)[:KEPT])
 
 
 class _RangeTest(WindowTest):
@@ -177,27 +218,32 @@ class _RangeTest(WindowTest):
 
     gathered = False
 
-    def __init__(self, relations, ways, known, dtype):
+    def __init__(self, relations: LinearRelations, ways: Matrix, known: Matrix, dtype: np.dtype) -> None:
         super().__init__(relations, "box", dtype)
         self.reading = dataclasses.replace(relations.reading(dtype, "box"), shape=bank_of(ways, known, dtype))
 
     @property
-    def block(self):
+    def block(self) -> int:
+        """How many windows are judged at once."""
         return stretch_block(self.reading)
 
     @property
-    def outputs(self):
+    def outputs(self) -> tuple[tuple[np.dtype, float], ...]:
+        """Lowest and highest, infinite where there is no window."""
         return (self.dtype, -np.inf), (self.dtype, np.inf)
 
-    def judge(self, run, blocks):
+    def judge(self, run: Run, blocks: Sequence[Block]) -> list[tuple[jax.Array, jax.Array]]:
+        """Return (lo, hi) of each block."""
         return run(_ranges, blocks)
 
-    def judged(self, outs):
+    def judged(self, outs: list[np.ndarray]) -> list[np.ndarray]:
+        """Return the intervals as they are."""
         return outs
 
 
 @kernel
-def _ranges(test, u, y):
+def _ranges(test: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return (lo, hi) (N,) of what the strips say together."""
     mid, rad, scale, known, known_scale = test.stretch(u, y)
-    return bank_range(test.shape, mid, rad, scale, known, known_scale, test.lift)
+    ways = cast(Bank, test.shape)  # put there by the test, in place of what relations have
+    return bank_range(ways, mid, rad, scale, known, known_scale, test.lift)

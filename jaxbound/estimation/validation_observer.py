@@ -2,14 +2,15 @@
 before ended.
 """
 
-from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
 
 from jaxbound.consistency.interface import Observer
-from jaxbound.estimation.validation import Validation, nothing_said, prepared
+from jaxbound.estimation.validation import ValidatedModel, complete_windows, prepared_slide
+from jaxbound.estimation.validation_result import Validation, nothing_known
+from jaxbound.estimation.validation_slide import HostCarry, Stretch
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import around
 from jaxbound.recordings.signals import SignalModel
@@ -23,14 +24,13 @@ __all__ = ["ValidationObserver", "ValidationState"]
 class ValidationState(NamedTuple):
     """The samples and the enclosure that an observer carries on.
 
-    Fields: u, y: the last samples, at most 2 s; after: of the last
-    window, None before the first;
-    first: whether the first of these samples is the very first, of which x0 speaks.
+    Fields: u, y: the last samples, at most 2 s; after: of the last window, None before the first; first:
+    whether the first of these samples is the very first, of which x0 speaks.
     """
 
     u: np.ndarray
     y: np.ndarray
-    after: Any
+    after: HostCarry | None
     first: bool
 
 
@@ -69,83 +69,101 @@ class ValidationObserver(Observer[ValidationState]):
 
     def __init__(
         self,
-        model: Any,
+        model: ValidatedModel,
         horizon: int | None = None,
         method: str = "joint",
         x0: Interval | None = None,
         correction: str = "interval",
     ) -> None:
         refuse_unverified()
-        self.signals, self._slide = prepared(model, horizon, method, correction)
-        self.model = self.signals
+        self.model, self._slide = prepared_slide(model, horizon, method, correction)
         self.horizon, self.x0 = self._slide.s, x0
 
     def init(self) -> ValidationState:
         """Return the state before the first sample."""
-        m, dtype = self._slide.m, self._slide.m.A.dtype
-        return ValidationState(
-            np.zeros((0, m.B.shape[1]), dtype), np.zeros((0, m.C.shape[0]), dtype), None, True
-        )
+        m = self._slide.m
+        return ValidationState(np.zeros((0, m.m), m.A.dtype), np.zeros((0, m.p), m.A.dtype), None, True)
 
     def fold(self, carry: ValidationState, piece: Recording) -> tuple[ValidationState, Validation]:
         """Take the next samples (T, .) of a recording; return (carry, Validation of these samples)."""
         piece.finite()
-        u, y = (
-            np.asarray(piece.u),
-            np.asarray(piece.y),
-        )  # as recorded: what was rounded away, or is narrowed, counts
-        if len(carry.y) and carry.y.dtype != y.dtype:
-            raise ValueError(
-                f"y is in {y.dtype}, the samples before are in {carry.y.dtype}: a recording has one type"
-            )
-        if y.ndim != 2:
-            raise ValueError(
-                f"an observer follows one recording: y must have shape (T, {y.shape[-1]}), not {y.shape}"
-            )
-        gone = np.isnan(u).any(-1) & np.isnan(y).all(-1)
-        if (np.isnan(u).any(-1) & ~gone).any():
-            raise ValueError(
-                f"validation needs every input: {int(np.isnan(u).sum())} samples of u are missing"
-            )
-        seams = np.union1d(piece.starts, around(gone)) if gone.any() else piece.starts
+        # as recorded: what was rounded away, or is narrowed, counts
+        u, y = np.asarray(piece.u), np.asarray(piece.y)
+        gone = _refuse_piece(carry, u, y)
+        seams = np.asarray(piece.starts)
+        if gone.any():
+            seams = np.union1d(seams, around(gone))
         parts = []
         for a, b in zip([0, *seams.tolist()], [*seams.tolist(), len(y)], strict=True):
-            carry = self.init()._replace(first=False) if a in seams else carry
+            if a in seams:
+                carry = self.init()._replace(first=False)
             if a < b and gone[a]:
                 parts.append(self._nothing(b - a))
             elif a < b:
-                carry, found = self._on(carry, u[a:b], y[a:b])
-                parts.append(found)
+                carry, part = self._carried_on(carry, u[a:b], y[a:b])
+                parts.append(part)
         if not parts:
             return carry, self._nothing(0)
-        return carry, jax.tree.map(lambda *x: np.concatenate([np.asarray(v) for v in x]), *parts)
+        return carry, _one_after_the_other(*parts)
 
-    def _on(self, carry, u, y):
+    def _carried_on(
+        self, carry: ValidationState, u: np.ndarray, y: np.ndarray
+    ) -> tuple[ValidationState, Validation]:
         """Take samples that follow those before."""
         s, new = self.horizon, len(y)
-        u, y = (np.concatenate([a, b]) if len(a) else b for a, b in ((carry.u, u), (carry.y, y)))
-        slide, exact = partial(self._slide, recorded=y.dtype), y.astype(self._slide.m.A.dtype)
-        known = carry.first and self.x0 is not None
+        if len(carry.y):
+            u, y = np.concatenate([carry.u, u]), np.concatenate([carry.y, y])
+        stretch = Stretch(u, y.astype(self._slide.m.A.dtype), y.dtype)
         if carry.after is not None:
             cut = len(y) - new - s
-            found, after = slide(u[cut:], exact[cut:], before=carry.after, earlier=exact[:cut])
+            stretch = stretch._replace(before=carry.after, earlier=stretch.y[:cut])
+        elif carry.first and self.x0 is not None:
+            if len(y) <= s:
+                return carry._replace(u=u, y=y), self._nothing(new)
+            cut = 0
+            stretch = stretch._replace(x0=self.x0)
         else:
-            whole = (~np.isnan(y)).all(-1)
-            ready = (
-                np.convolve(whole, np.ones(s + 1, int), "valid") == s + 1 if len(y) > s else np.zeros(0, bool)
-            )
-            if not (ready.any() or (known and len(y) > s)):
-                keep = 0 if known else max(len(y) - s, 0)
-                return ValidationState(u[keep:], y[keep:], None, carry.first and not keep), self._nothing(new)
-            cut = 0 if known else int(ready.argmax())
-            found, after = slide(u[cut:], exact[cut:], x0=self.x0 if known else None)
-        keep = max(len(y) - 2 * s, 0)
-        said = jax.tree.map(lambda x: np.asarray(x)[max(len(x) - new, 0) :], found)
-        lacking = new - len(said.status)
+            complete = complete_windows((~np.isnan(y)).all(-1), s)
+            if not complete.any():
+                keep = max(len(y) - s, 0)
+                first = carry.first and not keep
+                return ValidationState(u[keep:], y[keep:], None, first), self._nothing(new)
+            cut = int(complete.argmax())
+        result, after = self._slide(stretch._replace(u=u[cut:], y=stretch.y[cut:]))
+        result = jax.tree.map(lambda x: np.asarray(x)[max(len(x) - new, 0) :], result)
+        lacking = new - len(result.status)
         if lacking:
-            said = jax.tree.map(lambda *x: np.concatenate(x), self._nothing(lacking), said)
-        return ValidationState(u[keep:], y[keep:], after, False), said
+            result = _one_after_the_other(self._nothing(lacking), result)
+        keep = max(len(y) - 2 * s, 0)
+        return ValidationState(u[keep:], y[keep:], after, False), result
 
-    def _nothing(self, count):
+    def _nothing(self, count: int) -> Validation:
+        """Return a Validation of samples of which nothing is known."""
         m = self._slide.m
-        return nothing_said((count,), m.n, m.C.shape[0], m.A.dtype)
+        return nothing_known((count,), m.n, m.p, m.A.dtype)
+
+
+def _refuse_piece(carry: ValidationState, u: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return (T,) bool: the samples of which nothing is known.
+
+    Raises:
+        ValueError: another type or shape than that of one recording, inputs that are missing.
+    """
+    if len(carry.y) and carry.y.dtype != y.dtype:
+        raise ValueError(
+            f"y is in {y.dtype}, the samples before are in {carry.y.dtype}: a recording has one type"
+        )
+    if y.ndim != 2:
+        raise ValueError(
+            f"an observer follows one recording: y must have shape (T, {y.shape[-1]}), not {y.shape}"
+        )
+    gone = np.isnan(u).any(-1) & np.isnan(y).all(-1)
+    if (np.isnan(u).any(-1) & ~gone).any():
+        raise ValueError(f"validation needs every input: {int(np.isnan(u).sum())} samples of u are missing")
+    return np.asarray(gone)
+
+
+def _one_after_the_other(*parts: Validation) -> Validation:
+    """Return Validations of samples that follow each other as one."""
+    whole: Validation = jax.tree.map(lambda *x: np.concatenate([np.asarray(v) for v in x]), *parts)
+    return whole

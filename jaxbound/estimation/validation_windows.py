@@ -6,7 +6,7 @@ box implies stands in for it.
 """
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Generic, NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -15,33 +15,39 @@ import numpy as np
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.unrolled import most, stored
 from jaxbound.sets.linear_systems.ends import added, interval_of, negative, none, product, subtracted, total
-from jaxbound.sets.linear_systems.fixed_systems import solutions
+from jaxbound.sets.linear_systems.fixed_systems import Prepared, solutions
 from jaxbound.sets.linear_systems.hull import tighten
 
-__all__ = ["Carry", "Said", "begun", "said", "slide", "weighted"]
+__all__ = ["Signalled", "ValidationCarry", "ValidationPlant", "begun", "signalled", "slide", "weighted"]
 
 STEPS = 20
 """Exchanges at most for one bound of the joint method, beside six for each unknown."""
 
+ValidationPlant: TypeAlias = Mapping[str, jax.Array]
+"""Ends of A, B, C, D, w, u0, y0, perhaps H, d (see `IntervalSystem`), and factor: 1 / (1 + theta)."""
 
-class Carry(NamedTuple):
-    """The states and samples that windows of N recordings hand on.
+
+Numbers = TypeVar("Numbers", np.ndarray, jax.Array)
+
+
+class ValidationCarry(NamedTuple, Generic[Numbers]):
+    """The states and samples that windows of N recordings hand on, of NumPy between kernels.
 
     Fields: X (2, (s+1) n, N) ends that hold the states of the next window. gone (s, p, N): its samples but
-    the newest that are left out.
-    moved: these samples, ends (2, s, p, N), if any may have been moved; else None.
+    the newest that are left out. moved: these samples, ends (2, s, p, N), if any may have been moved; else
+    None.
     """
 
-    X: jax.Array
-    gone: jax.Array
-    moved: jax.Array | None
+    X: Numbers
+    gone: Numbers
+    moved: Numbers | None
 
 
-class Said(NamedTuple):
+class Signalled(NamedTuple):
     """The signals of a model as samples show them.
 
-    Fields: absent (T, p, N); ends (2, T, ., N) of C x, H u + d, B
-    u + w, and D u + y0.
+    Fields: absent (T, p, N); ends (2, T, ., N) seen of C x, pushed of H u + d, drive of B u + w, through of
+    D u + y0.
     """
 
     absent: jax.Array
@@ -52,45 +58,53 @@ class Said(NamedTuple):
 
 
 @kernel
-def said(plant: Mapping[str, jax.Array], u: jax.Array, y: jax.Array, error: jax.Array) -> Said:
+def signalled(plant: ValidationPlant, u: jax.Array, y: jax.Array, error: jax.Array) -> Signalled:
     """Return the signals that T samples show.
 
     Args:
-        plant: ends of A, B, C, D, w, u0, y0, factor, perhaps H, d (see `IntervalSystem`); factor: 1 / (1 +
-            theta).
         u: ends (2, T, m, N). y, error: (T, p, N), see `sensor.largest_error`.
     """
     absent = jnp.isnan(y)
-    lift = lambda name: plant[name][:, None, :, None]
-    v = subtracted(u, lift("u0"))
-    wide = lambda x: jnp.broadcast_to(x, (2, u.shape[1], x.shape[2], u.shape[3]))
+    v = subtracted(u, _along(plant, "u0"))
     nothing = jnp.zeros((2, 1, 1, 1), y.dtype)
-    on = lambda name: (
-        total(product(plant[name][:, None, ..., None], v[:, :, None]), axis=3) if u.shape[2] else nothing
-    )
-    through = on("D")
+
+    def on_inputs(name: str) -> jax.Array:
+        """Enclose the product of a matrix and the inputs."""
+        if not u.shape[2]:
+            return nothing
+        return total(product(plant[name][:, None, ..., None], v[:, :, None]), axis=3)
+
+    def wide(x: jax.Array) -> jax.Array:
+        return jnp.broadcast_to(x, (2, u.shape[1], x.shape[2], u.shape[3]))
+
+    through = on_inputs("D")
     point = jnp.where(absent, 0, y)[None] * jnp.asarray([-1, 1], y.dtype)[:, None, None, None]
-    seen = product(added(subtracted(point, lift("y0")), error[None]), lift("factor"))
-    drive = added(on("B"), lift("w"))
-    pushed = added(on("H"), lift("d")) if "H" in plant else drive
-    return Said(
-        absent,
-        *stored((subtracted(seen, through), wide(pushed), wide(drive), wide(added(through, lift("y0"))))),
-    )
+    seen = product(added(subtracted(point, _along(plant, "y0")), error[None]), _along(plant, "factor"))
+    pushed = drive = added(on_inputs("B"), _along(plant, "w"))
+    if "H" in plant:
+        pushed = added(on_inputs("H"), _along(plant, "d"))
+    seen = subtracted(seen, through)
+    pushed, drive, through = wide(pushed), wide(drive), wide(added(through, _along(plant, "y0")))
+    return Signalled(absent, *stored((seen, pushed, drive, through)))
+
+
+def _along(plant: ValidationPlant, name: str) -> jax.Array:
+    """Return numbers of signals (2, m) as (2, T, m, N) takes them."""
+    return plant[name][:, None, :, None]
 
 
 @kernel(static_argnames=("s", "n", "method", "centre"))
 def begun(
-    plant: Mapping[str, jax.Array],
-    systems: Any,
-    known: Said,
+    plant: ValidationPlant,
+    systems: Prepared | None,
+    known: Signalled,
     start: jax.Array | None,
     s: int,
     n: int,
     method: str,
     centre: bool,
-) -> Carry:
-    """Return the Carry before the first window, of what s + 1 samples say.
+) -> ValidationCarry[jax.Array]:
+    """Return the carry before the first window, of what s + 1 samples say.
 
     Args:
         systems: for "joint" without a start the first window's rows as one system, perhaps without the newest
@@ -98,37 +112,52 @@ def begun(
         start: ends (2, n, N) that hold the first state; None: it comes from the first window.
     """
     if start is not None:
-        grow = lambda x, drive: (_predict(plant, x, drive), x)
-        last, before = jax.lax.scan(grow, start, jnp.moveaxis(known.drive[:, :s], 1, 0))
-        X = jnp.concatenate([_rows(jnp.moveaxis(before, 0, 1)), last], 1)
+        X = _states_from(plant, known, start, s)
     elif method == "joint":
+        assert systems is not None  # as said above
         right = jnp.concatenate([_rows(negative(known.pushed[:, :s])), _rows(known.seen)], 1)
         X = solutions(systems, interval_of(right[:, : systems.C.shape[2]]))[:, 0]
     else:
         X = jnp.full((2, (s + 1) * n, known.seen.shape[-1]), jnp.inf, known.seen.dtype)
-    return Carry(X, known.absent[:s], known.seen[:, :s] if centre else None)
+    gone = known.absent[:s]
+    moved = None
+    if centre:
+        moved = known.seen[:, :s]
+    return ValidationCarry(X, gone, moved)
+
+
+def _states_from(plant: ValidationPlant, known: Signalled, start: jax.Array, s: int) -> jax.Array:
+    """Return the states of s + 1 samples, from bounds of the first on."""
+
+    def later(x: jax.Array, drive: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return _predict(plant, x, drive), x
+
+    last, before = jax.lax.scan(later, start, jnp.moveaxis(known.drive[:, :s], 1, 0))
+    return jnp.concatenate([_rows(jnp.moveaxis(before, 0, 1)), last], 1)
+
+
+_State: TypeAlias = tuple[ValidationCarry[jax.Array], jax.Array, jax.Array]
 
 
 @kernel(static_argnames=("s", "method", "centre"))
 def slide(
-    plant: Mapping[str, jax.Array],
+    plant: ValidationPlant,
     M: jax.Array,
-    systems: Any,
-    known: Said,
+    systems: Prepared | None,
+    known: Signalled,
     weight: jax.Array | None,
-    carry: Carry,
+    carry: ValidationCarry[jax.Array],
     stop: int,
     s: int,
     method: str,
     centre: bool,
-) -> tuple[Carry, jax.Array, jax.Array]:
+) -> _State:
     """Validate N recordings, the windows that end at samples s, s + 1, .., stop - 1.
 
     Args:
-        plant: as for `said`. M: ends (2, r, (s+1) n, 1), see `intervals.stacked`. systems: the square systems
-            of M for "sequential".
-        known: what `said` returned for T samples. weight: None or ends (2, T, n, N) that multiply the columns
-            of C.
+        M: ends (2, r, (s+1) n, 1), see `intervals.stacked`. systems: the square systems of M for
+            "sequential". known: of T samples.
+        weight: None or ends (2, T, n, N) that multiply the columns of C.
         carry: from `begun`, or what this returned for the samples up to the first s of these, to go on from
             there.
         centre: whether a faulty sample is moved to the middle of what it should have shown, and taken for
@@ -136,37 +165,42 @@ def slide(
 
     Returns:
         (carry, found, blamed): ends found (T, 2, n + 3 p, N) of states, outputs, residuals and corrected
-        samples; blamed (T, p + 1, N)
-        bool: the faulty sensors, and whether the samples contradict the model. Infinite and False before the
-            first window and from stop on.
+        samples; blamed (T, p + 1, N) bool: the faulty sensors, and whether the samples contradict the model.
+        Infinite and False before the first window and from stop on.
     """
     n, p, (T, _, N) = plant["A"].shape[1], plant["C"].shape[1], known.absent.shape
 
-    def show(x, first):
+    def show(x: jax.Array, first: jax.Array) -> jax.Array:
         """Enclose C x for the states x (2, j, n, N) of samples first, first + 1, .."""
         if weight is not None:
             x = stored(product(x, _part(weight, first, x.shape[1])))
         return stored(total(product(plant["C"][:, None, ..., None], x[:, :, None]), axis=3))
 
-    def window(k, state):
+    def contradictions(h: jax.Array, X: jax.Array, k: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Return (states, who is blamed, where nobody is) of right sides h of all rows."""
+        if method != "joint":
+            assert systems is not None  # as said above
+            return _sequential(systems, p, h, X)
+        rows = M
+        if weight is not None:
+            rows = weighted(M, _part(weight, k - s, s + 1), p)
+        return _joint(rows, p, h, X)
+
+    def window(k: jax.Array, state: _State) -> _State:
         (X, gone, moved), found, blamed = state
         newest = _part(known.seen, k, 1)
-        samples = jnp.concatenate([moved, newest], 1) if centre else _part(known.seen, k - s, s + 1)
+        if moved is not None:
+            samples = jnp.concatenate([moved, newest], 1)
+        else:
+            samples = _part(known.seen, k - s, s + 1)
         gone = jnp.concatenate([gone, _part(known.absent, k, 1, 0)])
         implied = show(X.reshape(2, s + 1, n, N), k - s)
         residual = stored(subtracted(newest[:, 0], implied[:, s]))
         alone = ((residual[0] < 0) | (residual[1] < 0)) & ~gone[s]
         gone = gone.at[s].set(gone[s] | alone)
-        h = stored(
-            jnp.concatenate(
-                [_rows(negative(_part(known.pushed, k - s, s))), _rows(jnp.where(gone, implied, samples))], 1
-            )
-        )
-        if method == "joint":
-            rows = M if weight is None else weighted(M, _part(weight, k - s, s + 1), p)
-            X, together, unclear = _joint(rows, p, h, X)
-        else:
-            X, together, unclear = _sequential(systems, p, h, X)
+        moves = _rows(negative(_part(known.pushed, k - s, s)))
+        h = stored(jnp.concatenate([moves, _rows(jnp.where(gone, implied, samples))], 1))
+        X, together, unclear = contradictions(h, X, k)
         faulty = alone | (together & ~gone[s])
         gone = gone.at[s].set(gone[s] | faulty | unclear[None])
         output = show(X[:, None, s * n :], k)[:, 0]
@@ -177,15 +211,16 @@ def slide(
             gone = gone.at[s].set(gone[s] & ~faulty)
             moved = jnp.concatenate([samples[:, 1:s], newest + jnp.stack([-shift, shift])[:, None]], 1)
         through = known.through[:, k]
-        out = stored(
-            jnp.concatenate([X[:, s * n :], added(output, through), residual, added(corrected, through)], 1)
-        )
+        now = X[:, s * n :], added(output, through), residual, added(corrected, through)
+        out = stored(jnp.concatenate(now, 1))
         wrong = jnp.concatenate([faulty, (jnp.any(faulty, 0) | unclear)[None]])
         X = jnp.concatenate([X[:, n:], _predict(plant, X[:, s * n :], known.drive[:, k])], 1)
-        return Carry(X, gone[1:], moved), found.at[k].set(out), blamed.at[k].set(wrong)
+        return ValidationCarry(X, gone[1:], moved), found.at[k].set(out), blamed.at[k].set(wrong)
 
     found = jnp.full((T, 2, n + 3 * p, N), jnp.inf, known.seen.dtype)
-    return jax.lax.fori_loop(s, stop, window, (carry, found, jnp.zeros((T, p + 1, N), bool)))
+    blamed = jnp.zeros((T, p + 1, N), bool)
+    state: _State = jax.lax.fori_loop(s, stop, window, (carry, found, blamed))
+    return state
 
 
 def weighted(M: jax.Array, weight: jax.Array, p: int) -> jax.Array:
@@ -198,28 +233,36 @@ def weighted(M: jax.Array, weight: jax.Array, p: int) -> jax.Array:
     return stored(jnp.concatenate([moves, product(M[:, -p * s :], weight.reshape(2, 1, -1, N))], 1))
 
 
-def _transform(A, x):
+def _transform(A: jax.Array, x: jax.Array) -> jax.Array:
     """Enclose A x for ends A (2, r, n, N or 1), x (2, n, N)."""
     return stored(total(product(A, x[:, None]), axis=2))
 
 
-def _predict(plant, x, drive):
+def _predict(plant: ValidationPlant, x: jax.Array, drive: jax.Array) -> jax.Array:
+    """Enclose the states one sample later."""
     return stored(added(_transform(plant["A"][..., None], x), drive))
 
 
-def _rows(x):
+def _rows(x: jax.Array) -> jax.Array:
+    """Return ends (2, j, r, N) of j samples as rows of one window."""
     return x.reshape(2, -1, x.shape[-1])
 
 
-def _part(x, first, count, axis=1):
+def _part(x: jax.Array, first: jax.Array, count: int, axis: int = 1) -> jax.Array:
+    """Return so many samples of an array."""
     return jax.lax.dynamic_slice_in_dim(x, first, count, axis)
 
 
-def _mid(x):
+def _mid(x: jax.Array) -> jax.Array:
+    """Return the middle of ends."""
     return 0.5 * x[1] - 0.5 * x[0]
 
 
-def _joint(M, p, h, X):
+_Attempt: TypeAlias = tuple[jax.Array | int, jax.Array, jax.Array, jax.Array]
+"""The number of the next choice of rows, where all rows contradict, which choices fit, the states."""
+
+
+def _joint(M: jax.Array, p: int, h: jax.Array, X: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Tighten the box by all rows. Where they contradict each other, by fewer of the newest p rows.
 
     All but one are tried, then none, then (p > 2) one alone. To blame is a row without which alone the
@@ -227,36 +270,49 @@ def _joint(M, p, h, X):
     states, who is blamed, and where there is a contradiction but nobody to blame.
     """
     r, (_, n, N) = M.shape[1], X.shape
-    eye = np.eye(p, dtype=bool)
-    kept = jnp.asarray(
-        np.concatenate([np.ones((1, p), bool), ~eye, np.zeros((1, p), bool), eye if p > 2 else eye[:0]])
-    )
+    choices = jnp.asarray(_choices(p))
     implied = _transform(M[:, r - p :], X)  # what the box says of the newest rows adds nothing
     newest = h[:, r - p :]
 
-    def more(carry):
-        i, contradiction, *_ = carry
-        return (i == 0) | ((i < kept.shape[0]) & jnp.any(contradiction))
+    def goes_on(state: _Attempt) -> jax.Array:
+        i, contradiction, *_ = state
+        return (i == 0) | ((i < len(choices)) & jnp.any(contradiction))
 
-    def attempt(carry):
-        i, contradiction, fits, found = carry
-        rows = jnp.concatenate([h[:, : r - p], jnp.where(kept[i][:, None], newest, implied)], 1)
+    def attempt(state: _Attempt) -> _Attempt:
+        i, contradiction, fits, states = state
+        rows = jnp.concatenate([h[:, : r - p], jnp.where(choices[i][:, None], newest, implied)], 1)
         tight = tighten(interval_of(M), interval_of(rows), interval_of(X), STEPS + 6 * n)
         box = jnp.stack([-tight.lo, tight.hi])
         fit = ~jnp.any(none(box), 0)
-        found = jnp.where(fit & ((i == 0) | (contradiction & (i <= p))), box, found)
-        return i + 1, jnp.where(i == 0, ~fit, contradiction), fits.at[i].set(fit), found
+        states = jnp.where(fit & ((i == 0) | (contradiction & (i <= p))), box, states)
+        return i + 1, jnp.where(i == 0, ~fit, contradiction), fits.at[i].set(fit), states
 
-    start = 0, jnp.zeros(N, bool), jnp.zeros((kept.shape[0], N), bool), X
-    _, contradiction, fits, found = jax.lax.while_loop(more, attempt, start)
+    start: _Attempt = 0, jnp.zeros(N, bool), jnp.zeros((len(choices), N), bool), X
+    _, contradiction, fits, states = jax.lax.while_loop(goes_on, attempt, start)
     without, last = fits[1 : p + 1], fits[p + 1]
-    alone = fits[p + 2 :] if p > 2 else without[::-1] if p == 2 else fits[:1]
+    if p > 2:
+        alone = fits[p + 2 :]
+    elif p == 2:
+        alone = without[::-1]  # without the one is the other alone
+    else:
+        alone = fits[:1]
     single = jnp.sum(without, 0) == 1
     blamed = (contradiction & last)[None] & ((single[None] & without) | ~alone)
-    return jnp.where(contradiction & ~single, X, found), blamed, contradiction & ~jnp.any(blamed, 0)
+    return jnp.where(contradiction & ~single, X, states), blamed, contradiction & ~jnp.any(blamed, 0)
 
 
-def _sequential(systems, p, h, X):
+def _choices(p: int) -> np.ndarray:
+    """Return (c, p) bool: which of the newest rows each attempt takes."""
+    eye = np.eye(p, dtype=bool)
+    rows = [np.ones((1, p), bool), ~eye, np.zeros((1, p), bool)]
+    if p > 2:
+        rows.append(eye)
+    return np.concatenate(rows)
+
+
+def _sequential(
+    systems: Prepared, p: int, h: jax.Array, X: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Compare the newest row's systems with the reference: the box and the systems of older rows. Source:
     step i of the paper.
 
@@ -265,14 +321,19 @@ def _sequential(systems, p, h, X):
     """
     boxes = jnp.moveaxis(stored(solutions(systems, interval_of(h))), 1, 0)  # (q, 2, n, N)
     old, new = boxes[:-p], boxes[-p:]
-    least = lambda parts: -most([-x for x in parts])
-    reference = least([X, *old])
+    reference = _least([X, *old])
     lost = jnp.any(none(reference), 0)
     unbounded = ~jnp.all(jnp.isfinite(X), (0, 1))  # the first window: its first system is all there is
     reference = stored(jnp.where(lost, jnp.where(unbounded, boxes[0], X), reference))
     apart = -(new + negative(reference)[None])
-    blamed = stored(most([apart[:, side, i] for side in (0, 1) for i in range(X.shape[1])])) > 0
+    sides = [apart[:, side, i] for side in (0, 1) for i in range(X.shape[1])]
+    blamed = stored(most(sides)) > 0
     taken = jnp.where(blamed[:, None, None], jnp.inf, new)
-    state = stored(least([reference, *taken]))
+    state = stored(_least([reference, *taken]))
     torn = jnp.any(none(state), 0)
     return jnp.where(torn, reference, state), blamed, lost | torn
+
+
+def _least(parts: list[jax.Array]) -> jax.Array:
+    """Return the least of several ends."""
+    return -most([-x for x in parts])

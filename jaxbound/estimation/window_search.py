@@ -24,7 +24,7 @@ nearly the best ones.
 """
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -33,7 +33,7 @@ import numpy as np
 from jaxbound.estimation.arrays import Array
 from jaxbound.estimation.ordered import product
 
-__all__ = ["WindowProgram", "followed", "middle", "searched", "split"]
+__all__ = ["WindowAverages", "WindowProgram", "followed", "middle", "searched", "split"]
 
 PACE = 0.15
 """Share of the complementarity that is left after a step."""
@@ -46,14 +46,25 @@ without end before they do.
 """
 
 
+class WindowAverages(NamedTuple):
+    """Averages in a window: at most 1 is m + (F_v s v + F_w w) / b.
+
+    Fields: F_v (a, R), F_w (a, L g); m (a, N); b (a, N), infinite where nothing is said.
+    """
+
+    F_v: Array
+    F_w: Array
+    m: Array
+    b: Array
+
+
 class WindowProgram(NamedTuple):
     """N windows of L steps, whose samples are R rows in order of time.
 
     Fields: A (n, n); W (n, g); S (n, k, N); c (R, n), e, s (R, N): |e - c x_j| <= s of a row at step j, s
     infinite where there is no sample; step (R,): its j; last (R,): whether it is the last row of a step,
     which each has; ends (L,): the numbers of these rows. scale (L, g, N): factors of W after each step, or
-    None. averages: (F_v (a, R), F_w (a, L g), m (a, N), b (a, N)), or None: at most 1 is m + (F_v s v + F_w
-    w) / b, b infinite where nothing is said.
+    None. averages: see WindowAverages, or None.
     """
 
     A: Array
@@ -66,7 +77,7 @@ class WindowProgram(NamedTuple):
     last: Array
     ends: Array
     scale: Array | None = None
-    averages: tuple[Array, Array, Array, Array] | None = None
+    averages: WindowAverages | None = None
 
 
 class _Path(NamedTuple):
@@ -123,9 +134,9 @@ def followed(window: WindowProgram, z: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return _unknowns(window, free, errors), off
 
 
-def _unknowns(window: WindowProgram, free: np.ndarray, errors: np.ndarray) -> np.ndarray:
+def _unknowns(window: WindowProgram, free: np.ndarray, errors: Array) -> np.ndarray:
     """Return z (K, N) of xi and w, which are free, and of the errors (R, N) that they leave."""
-    known = [free, errors / window.s]
+    known: list[Array] = [free, errors / window.s]
     if window.averages is not None:
         F_v, F_w, m, b = window.averages
         w = free[window.S.shape[1] :]
@@ -141,7 +152,7 @@ def _dot(M: Array, X: Array) -> jax.Array:
 
 def _times(F: Array, X: Array) -> jax.Array:
     """Return F X for F (a, n), X (n, ..), as one product of matrices."""
-    return (F @ X.reshape(len(X), math.prod(X.shape[1:]))).reshape(len(F), *X.shape[1:])
+    return jnp.reshape(F @ X.reshape(len(X), math.prod(X.shape[1:])), (len(F), *X.shape[1:]))
 
 
 def _solved(
@@ -196,7 +207,13 @@ def _eliminate(i: jax.Array, M: jax.Array) -> jax.Array:
     """Return M (a, .., N) after pivot i; it is symmetric and at least 1: any order of pivots will do."""
     row = M[i] / jax.lax.dynamic_index_in_dim(M[i], i, 0)
     left = M - jax.lax.dynamic_index_in_dim(M, i, 1) * row[None]
-    return jax.lax.dynamic_update_index_in_dim(left, row, i, 0)
+    eliminated: jax.Array = jax.lax.dynamic_update_index_in_dim(left, row, i, 0)
+    return eliminated
+
+
+_Row: TypeAlias = tuple[Array, jax.Array, Array, Array]
+"""Of one row of a sample: c, its weight, radius and right-hand sides or its gains, its step, whether it is
+the last of that step."""
 
 
 def _filtered(
@@ -230,7 +247,7 @@ def _filtered(
         P = by_A + by_W
         return _beside(0.5 * (P + jnp.swapaxes(P, 0, 1)), M[:, n:] + _dot(W, more / w))
 
-    def forward(M: jax.Array, now: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
+    def forward(M: jax.Array, now: _Row) -> tuple[jax.Array, jax.Array]:
         """Meet (covariance, mean) with one row of a sample, and move them behind the last of a step."""
         c, row, j, last = now
         D, s, rho = row[:1], row[1:2], row[2:]
@@ -239,7 +256,7 @@ def _filtered(
         gain = jnp.concatenate([-D * h[:n], -s * rho - D * h[n:]]) / far
         return jax.lax.cond(last, moved, lambda M, j: M, M + h[:n, None] * gain[None], j), gain
 
-    def backward(q: jax.Array, now: tuple[jax.Array, ...]) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+    def backward(q: jax.Array, now: _Row) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
         """Pull the adjoint q (n, k, N) through one row of a sample."""
         c, gain, j, last = now
         into = _dot(W.T, q)

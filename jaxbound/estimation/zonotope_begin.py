@@ -188,7 +188,7 @@ def zonotope_begin(
     K, off_K = nearest(response.K, dtype)
     U, off_U = nearest(_of_inputs(response, system), dtype)
     W, off_W = nearest(
-        _beside([linalg.matmul(x, exactly(float64.W)) for x in response.steps], system.n), dtype
+        _beside([linalg.matmul(x, exactly(np.asarray(float64.W))) for x in response.steps], system.n), dtype
     )
     w, off_w = nearest(_of_middle(response, float64), dtype)
     wide = _deviations(plant, system, powers, K0, response, float64)
@@ -379,7 +379,7 @@ def _inverse_above(X: np.ndarray) -> np.ndarray | None:
         M = np.linalg.inv(np.eye(n) - X)
     except np.linalg.LinAlgError:
         return None
-    M = M + 1e-6 * np.abs(M).sum(1, keepdims=True)
+    M = np.asarray(M + 1e-6 * np.abs(M).sum(1, keepdims=True))
     rest = M - X @ M - np.eye(n)
     if not ((M >= 0).all() and (rest > 1e-9 * (M + X @ M + np.eye(n))).all()):
         return None
@@ -388,7 +388,8 @@ def _inverse_above(X: np.ndarray) -> np.ndarray | None:
 
 def _sizes(rows: Rows) -> np.ndarray:
     """Return the magnitudes of exact rows, to nearest in float64."""
-    return np.abs(np.array([[float(x) for x in row] for row in rows], float).reshape(len(rows), -1))
+    floats = np.array([[float(x) for x in row] for row in rows], float).reshape(len(rows), -1)
+    return np.asarray(np.abs(floats))
 
 
 def _without(rows: Fractions, places: Sequence[int]) -> list[tuple[Fraction, ...]]:

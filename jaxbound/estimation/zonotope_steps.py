@@ -29,11 +29,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.estimation.arrays import Array
-from jaxbound.estimation.free_inputs import Free, known_again
+from jaxbound.estimation.by_size import ascending
+from jaxbound.estimation.free_inputs import Free, Known, Reading, known_again
+from jaxbound.estimation.set_rounding import SetRounding, largest_number, set_rounding
 from jaxbound.models.sensor import RECORDER_ULPS, lift, true_value
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import kernel
-from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.unrolled import stored, summed
 
@@ -160,10 +161,10 @@ class _Sets(NamedTuple):
     Fields: c (n, N), G (n, q, N), r (n, N), size (n, N).
     """
 
-    c: jax.Array
-    G: jax.Array
-    r: jax.Array
-    size: jax.Array
+    c: Array
+    G: Array
+    r: Array
+    size: Array
 
 
 class _Outputs(NamedTuple):
@@ -173,12 +174,12 @@ class _Outputs(NamedTuple):
     which that may be off; mid, rad: 0 where it is not seen.
     """
 
-    driven: jax.Array
-    seen: jax.Array
-    through: jax.Array
-    loose: jax.Array
-    mid: jax.Array
-    rad: jax.Array
+    driven: Array
+    seen: Array
+    through: Array
+    loose: Array
+    mid: Array
+    rad: Array
 
 
 class _Shown(NamedTuple):
@@ -188,11 +189,11 @@ class _Shown(NamedTuple):
     rounding and intervals in that; whole: magnitudes.
     """
 
-    P: jax.Array
-    value: jax.Array
-    reach: jax.Array
-    slack: jax.Array
-    whole: jax.Array
+    P: Array
+    value: Array
+    reach: Array
+    slack: Array
+    whole: Array
 
 
 def unknown(sizes: tuple[int, int, int, int, int], weight: np.ndarray) -> ZonotopeCarry:
@@ -240,11 +241,11 @@ def read(
         (middle,), (radius,), (scale,) = true_value(
             [recorded], plant.tolerance[i], noise, jnp.zeros_like(noise), plant.y0[i], size
         )
-        gone = jnp.isnan(recorded) | ~(scale < _largest(y.dtype))
+        gone = jnp.isnan(recorded) | ~(scale < largest_number(y.dtype))
         mid.append(jnp.where(gone, 0, middle))
         rad.append(jnp.where(gone, jnp.inf, radius + gamma * scale + floor * (1 + lift(plant.tolerance))))
     middles, radii = jnp.stack(mid, 1), jnp.stack(rad, 1)
-    known = jnp.all(jnp.abs(u) < _largest(u.dtype), 1)
+    known = jnp.all(jnp.abs(u) < largest_number(u.dtype), 1)
     v = jnp.where(jnp.isnan(u), 0, u) - _all_along(plant.u0)
     off = (
         slip
@@ -268,7 +269,7 @@ def follow(
     plant: Numbers,
     start: Start | None,
     carry: ZonotopeCarry,
-    samples: tuple,
+    samples: tuple[jax.Array, ...],
     stop: int,
     lanes: int,
     enclosures: int,
@@ -331,10 +332,11 @@ def at_sample(known: Read, k: jax.Array) -> Read:
 
 def written(rows: Tree, row: Tree, k: jax.Array) -> Tree:
     """Return arrays of T samples with those of one sample in their place."""
-    return jax.tree.map(lambda old, new: jax.lax.dynamic_update_index_in_dim(old, new, k, 0), rows, row)
+    out: Tree = jax.tree.map(lambda old, new: jax.lax.dynamic_update_index_in_dim(old, new, k, 0), rows, row)
+    return out
 
 
-def begun_anew(carry: ZonotopeCarry, where: jax.Array) -> ZonotopeCarry:
+def begun_anew(carry: ZonotopeCarry, where: Array) -> ZonotopeCarry:
     """Forget the samples and sets before."""
     return carry._replace(
         age=jnp.where(where, -1, carry.age),
@@ -348,16 +350,18 @@ def sample(
 ) -> tuple[ZonotopeCarry, jax.Array, Found]:
     """Look at one sample: return (carry with the set after it, its magnitudes (n, N), one row of `Found`)."""
     alive, (n, q, N), p = carry.age >= 0, carry.G.shape, len(now.mid)
-    dtype, g = carry.c.dtype, _SetRounding(plant, carry)
+    dtype, g = carry.c.dtype, _rounding(plant, carry)
     outputs = _outputs(plant, now, g)
     first = before = _sized(g, carry.c, carry.G, carry.r)
-    known = carry.c, jnp.concatenate([carry.G, jnp.zeros((n, p, N), dtype)], 1), carry.r
-    there, lost, whole = outputs.seen, jnp.zeros(N, bool), jnp.zeros(N, bool)
+    known = Known(carry.c, jnp.concatenate([carry.G, jnp.zeros((n, p, N), dtype)], 1), carry.r)
+    there: Array = outputs.seen
+    lost: Array = jnp.zeros(N, bool)
+    whole: Array = jnp.zeros(N, bool)
     if plant.free is not None:
         whole = plant.free.first & (carry.age == 0)  # a first state in bounds is the state itself
-        reading = outputs.mid, outputs.rad, outputs.through, outputs.loose
+        reading = Reading(outputs.mid, outputs.rad, outputs.through, outputs.loose)
         known, there, lost = known_again(
-            plant.free, _SetRounding(plant, carry, p), known, first.size, reading, outputs.seen, whole
+            plant.free, _rounding(plant, carry, p), known, first.size, reading, outputs.seen, whole
         )
         before = _sized(g, *known)
 
@@ -402,7 +406,7 @@ def sample(
     )
 
 
-def _outputs(plant: Numbers, now: Read, g: "_SetRounding") -> _Outputs:
+def _outputs(plant: Numbers, now: Read, g: SetRounding) -> _Outputs:
     """Return one sample of the outputs."""
     direct = jnp.sum(jnp.abs(plant.D) + plant.wide_D, 1) > 0
     # else what a perfect sensor shows depends on an input that nobody knows
@@ -418,17 +422,18 @@ def _outputs(plant: Numbers, now: Read, g: "_SetRounding") -> _Outputs:
     return _Outputs(driven, seen, through, loose, jnp.where(seen, now.mid, 0), jnp.where(seen, now.rad, 0))
 
 
-def _sized(g: "_SetRounding", c: Array, G: Array, r: Array) -> _Sets:
+def _sized(g: SetRounding, c: Array, G: Array, r: Array) -> _Sets:
     """Return sets with at least the size of their states."""
     return _Sets(c, G, r, jnp.abs(c) + g.up * jnp.sum(jnp.abs(G), 1) + r)
 
 
 def _row(x: Array, i: jax.Array) -> jax.Array:
     """Return row i of an array."""
-    return jax.lax.dynamic_index_in_dim(x, i, 0, keepdims=False)
+    row: jax.Array = jax.lax.dynamic_index_in_dim(x, i, 0, keepdims=False)
+    return row
 
 
-def _shown(plant: Numbers, g: "_SetRounding", outputs: _Outputs, i: jax.Array, sets: _Sets) -> _Shown:
+def _shown(plant: Numbers, g: SetRounding, outputs: _Outputs, i: jax.Array, sets: _Sets) -> _Shown:
     """Return output i of sets."""
     row, wide = _row(plant.C, i), _row(plant.wide_C, i)
     P = summed(_product, row, sets.G)
@@ -456,7 +461,7 @@ def _size_times(a: jax.Array, x: jax.Array) -> jax.Array:
 
 def _met(
     plant: Numbers,
-    g: "_SetRounding",
+    g: SetRounding,
     weight: Array,
     sets: _Sets,
     shown: _Shown,
@@ -496,7 +501,7 @@ def _begun_where(
     start: Start,
     carry: ZonotopeCarry,
     now: Read,
-    g: "_SetRounding",
+    g: SetRounding,
     begins: jax.Array,
     sets: _Sets,
     age: jax.Array,
@@ -522,25 +527,11 @@ def _later(past: Array, x: Array) -> jax.Array:
     return jnp.concatenate([past, x[None]])[1:]
 
 
-class _SetRounding:
-    """The factors of bounds of rounding.
-
-    Fields: gamma: share of all magnitudes that one result may be off by; up: factor that covers the rounding
-    of a sum of non-negative numbers; least: more than underflow costs; most, steepest: largest numbers, and
-    gains.
-    """
-
-    def __init__(self, plant: Numbers, carry: ZonotopeCarry, more: int = 0) -> None:
-        """Take the sizes of a plant and its sets. more: terms that sums have beyond those of a step."""
-        (n, m), (p, _), (_, q, _), dtype = plant.B.shape, plant.C.shape, carry.G.shape, carry.G.dtype
-        least, steepest = 2.0**-46, 2.0**20
-        if dtype == np.float64:
-            least, steepest = 2.0**-500, 2.0**60
-        terms = q + p + plant.W.shape[1] + 4 * (n + m) + 64 + more
-        self.gamma = rounding.product_error(n + m + 8 + more, dtype)[0]
-        self.up = np.asarray(1 + 4 * terms * float(rounding.unit(dtype)), dtype)
-        self.least, self.steepest = np.asarray(least, dtype), np.asarray(steepest, dtype)
-        self.most = _largest(dtype)
+def _rounding(plant: Numbers, carry: ZonotopeCarry, more: int = 0) -> SetRounding:
+    """Return the factors for a plant and its sets. more: terms that sums have beyond those of a step."""
+    (n, m), (p, _), (_, q, _) = plant.B.shape, plant.C.shape, carry.G.shape
+    terms = q + p + plant.W.shape[1] + 4 * (n + m) + 64 + more
+    return set_rounding(n + m + 8 + more, terms, carry.G.dtype)
 
 
 def _map(M: Array, X: Array) -> jax.Array:
@@ -566,7 +557,7 @@ def _begun(
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Return (c, G, r, age), where it begins those of the set that the last samples alone allow."""
     (n, wide, N), h = sets.G.shape, len(carry.mid)
-    g = _SetRounding(plant, carry, start.K.shape[1] + start.U.shape[1] + start.W.shape[1])
+    g = _rounding(plant, carry, start.K.shape[1] + start.U.shape[1] + start.W.shape[1])
     mid, rad = _all_samples(carry.mid, now.mid), _all_samples(carry.rad, now.rad)
     v, slip = _all_samples(carry.v, now.v), _all_samples(carry.slip, now.slip)
     rad = jnp.where(begin[None], rad, 0)
@@ -583,7 +574,7 @@ def _begun(
     generators = jnp.concatenate([jnp.zeros((n, wide, N), sets.G.dtype), *columns], 1)
     G, off, _ = _reduced(generators, off, wide, g)
 
-    def pick(new: jax.Array, old: jax.Array) -> jax.Array:
+    def pick(new: Array, old: Array) -> jax.Array:
         return jnp.where(begin.reshape(*[1] * (new.ndim - 1), N), new, old)
 
     return pick(centre, sets.c), pick(G, sets.G), pick(off, sets.r), jnp.where(begin, h + 1, age)
@@ -600,7 +591,7 @@ def step_of_time(plant: Numbers, carry: ZonotopeCarry, size: jax.Array, now: Rea
     Args:
         size (n, N): at least the size of each state.
     """
-    g, A, (c, G, r), v = _SetRounding(plant, carry), jnp.abs(plant.A), carry[:3], jnp.abs(now.v)
+    g, A, (c, G, r), v = _rounding(plant, carry), jnp.abs(plant.A), carry[:3], jnp.abs(now.v)
     N, q = c.shape[-1], G.shape[1] - len(plant.C)
     off = (
         _map(plant.wide_A + g.gamma * A, size)
@@ -618,7 +609,7 @@ def step_of_time(plant: Numbers, carry: ZonotopeCarry, size: jax.Array, now: Rea
     return carry._replace(c=c, G=G, r=r, age=jnp.where(lost, -1, carry.age))
 
 
-def _reduced(G: jax.Array, r: jax.Array, q: int, g: _SetRounding) -> tuple[jax.Array, jax.Array, jax.Array]:
+def _reduced(G: jax.Array, r: jax.Array, q: int, g: SetRounding) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (q generators, r, sum of their sizes) of a set that holds the one of G (n, Q, N) and r.
 
     The smallest are in a box, if it has more than q.
@@ -641,16 +632,10 @@ def _reduced(G: jax.Array, r: jax.Array, q: int, g: _SetRounding) -> tuple[jax.A
 
 def _sorted_by_length(G: jax.Array) -> jax.Array:
     """Return generators (n, Q, N) in the order of their 1-norm less the largest entry, the smallest first."""
-    Q, below = G.shape[1], power(G.shape[1]) - 1
-    bits: type[np.int32] | type[np.int64] = np.int32
-    if G.dtype == np.float64:
-        bits = np.int64
     # row by row: a reduction over few rows is no vector code, and cost a quarter of a step
     sizes = list(jnp.abs(G))
-    # for the order alone; its last digits count the columns
-    key = jnp.maximum(reduce(jnp.add, sizes) - reduce(jnp.maximum, sizes), 0)
-    key = (jax.lax.bitcast_convert_type(key, bits) & bits(~below)) | jnp.arange(Q, dtype=bits)[:, None]
-    return jnp.take_along_axis(G, (jnp.sort(key, 0) & bits(below))[None], 1)
+    length = jnp.maximum(reduce(jnp.add, sizes) - reduce(jnp.maximum, sizes), 0)
+    return jnp.take_along_axis(G, ascending(length)[None], 1)
 
 
 class _Around(NamedTuple):
@@ -664,14 +649,14 @@ class _Around(NamedTuple):
     first: _Sets
     before: _Sets
     after: _Sets
-    refuted: jax.Array
-    tested: jax.Array
-    there: jax.Array
-    whole: jax.Array
+    refuted: Array
+    tested: Array
+    there: Array
+    whole: Array
 
 
 def _enclosures(
-    plant: Numbers, g: _SetRounding, outputs: _Outputs, sets: _Around, p: int
+    plant: Numbers, g: SetRounding, outputs: _Outputs, sets: _Around, p: int
 ) -> tuple[jax.Array, jax.Array]:
     """Return the ends (2 n, N) of the states and (4 p, N) of the p outputs."""
     free = plant.free
@@ -691,28 +676,28 @@ def _enclosures(
     return states, jnp.concatenate([first, jnp.where(refuted, first, jnp.minimum(first, second))])
 
 
-def _hull(sets: _Sets, g: _SetRounding) -> jax.Array:
+def _hull(sets: _Sets, g: SetRounding) -> jax.Array:
     """Return the ends of the states of sets."""
     return _outward(sets.c, jnp.sum(jnp.abs(sets.G), 1) + sets.r, g)
 
 
-def _where(ends: jax.Array, known: jax.Array) -> jax.Array:
+def _where(ends: Array, known: Array) -> jax.Array:
     """Return ends that are infinite where nothing is known."""
     return jnp.where(known[None], ends, jnp.inf)
 
 
-def _blind(ends: jax.Array, moved: Array, whole: jax.Array) -> jax.Array:
+def _blind(ends: Array, moved: Array, whole: Array) -> jax.Array:
     """Return ends that are infinite where unknown inputs moved them, but of a set of the state itself."""
     both = jnp.tile(moved, len(ends) // len(moved))
     return jnp.where(both[:, None] & ~whole[None], jnp.inf, ends)
 
 
 def _shown_ends(
-    plant: Numbers, g: _SetRounding, outputs: _Outputs, rows: jax.Array, sets: _Sets, known: jax.Array
+    plant: Numbers, g: SetRounding, outputs: _Outputs, rows: jax.Array, sets: _Sets, known: Array
 ) -> jax.Array:
     """Return the ends of the outputs of sets, as perfect sensors would show them."""
 
-    def value_and_reach(i: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def value_and_reach(i: jax.Array) -> tuple[Array, Array]:
         shown = _shown(plant, g, outputs, i, sets)
         return shown.value, shown.reach
 
@@ -723,14 +708,7 @@ def _shown_ends(
     return _where(jnp.where(driven, ends, jnp.inf), known)
 
 
-def _outward(middle: jax.Array, reach: jax.Array, g: _SetRounding) -> jax.Array:
+def _outward(middle: Array, reach: Array, g: SetRounding) -> jax.Array:
     """Return ends -lo, hi, one above the other."""
     reach = g.up * (reach + g.gamma * jnp.abs(middle)) + g.least
     return jnp.concatenate([reach - middle, reach + middle])
-
-
-def _largest(dtype: np.dtype) -> np.ndarray:
-    """Return the largest number that a set may speak of."""
-    if dtype == np.float64:
-        return np.asarray(2.0**300, dtype)
-    return np.asarray(2.0**40, dtype)

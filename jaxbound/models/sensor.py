@@ -112,6 +112,6 @@ def input_slip(u: np.ndarray) -> np.ndarray:
     return 1.01 * rounding.unit(u.dtype) * np.abs(u) + rounding.tiny(u.dtype)
 
 
-def lift(tolerance: jax.Array) -> jax.Array:
+def lift(tolerance: jax.Array | np.ndarray) -> jax.Array:
     """Return the largest factor e that multiplies a row: an underflow may be followed by it."""
     return jnp.max(1 / ((1 - tolerance) * (1 + tolerance)))

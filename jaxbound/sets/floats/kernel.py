@@ -11,7 +11,7 @@ import inspect
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache, update_wrapper
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, overload
 
 import jax
 import numpy as np
@@ -87,7 +87,11 @@ class Kernel:
         return jax.tree.leaves((placed, named))
 
 
-def kernel(function: Callable | None = None, **how: Any) -> Any:
+@overload
+def kernel(function: Callable[..., Any]) -> Kernel: ...
+@overload
+def kernel(function: None = None, **how: Any) -> Callable[[Callable[..., Any]], Kernel]: ...
+def kernel(function: Callable[..., Any] | None = None, **how: Any) -> Any:
     """Return a `Kernel`: a decorator, with the arguments of `jax.jit` or none."""
     if function is None:
         return lambda f: Kernel(f, **how)

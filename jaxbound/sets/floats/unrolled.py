@@ -83,7 +83,10 @@ def largest(rows: Sequence[jax.Array] | jax.Array, one: jax.Array) -> tuple[jax.
 
 
 def summed(
-    term: Callable[..., jax.Array], *rows: jax.Array, axes: Sequence[int] | None = None, few: int = FEW
+    term: Callable[..., jax.Array],
+    *rows: jax.Array | np.ndarray,
+    axes: Sequence[int] | None = None,
+    few: int = FEW,
 ) -> jax.Array:
     """Return the sum of term(*row) over the rows of arrays, added up in order.
 
