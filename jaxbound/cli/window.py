@@ -6,9 +6,11 @@ from jaxbound.cli.options import MethodOptions
 from jaxbound.consistency.interface import FAMILIES, Relations
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import refuse_short
+from jaxbound.relations.parity import ParityRelation, parity_relations
+from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.runs.relations import relations_by
 
-__all__ = ["windowed", "window_relations"]
+__all__ = ["parity_windows", "window_relations", "windowed"]
 
 
 def windowed(model: LinearSystem, horizon: int | None, lags: tuple[int, ...] | None) -> LinearSystem:
@@ -41,14 +43,21 @@ def window_relations(
         ValueError: a recording without a whole window, windows without a relation; no observer.
     """
     options.check()
-    if options.method not in FAMILIES and not options.observes:
-        model = windowed(model, options.horizon, options.lags)
-        refuse_short(source, samples, model.horizon if options.horizon is None else options.horizon)
-    relations = relations_by(
-        options.method,
-        model,
-        options.horizon,
-        options=options.observer_options,
-        progress=lambda share: step("relations", share),
-    )
-    return model, relations
+    if options.method in FAMILIES or options.observes:
+        return model, relations_by(options.method, model, options.horizon, options=options.observer_options)
+    return parity_windows(model, options, source, samples, step)
+
+
+def parity_windows(
+    model: LinearSystem,
+    options: MethodOptions,
+    source: object,
+    samples: int | None,
+    step: Callable[[str, float], object],
+) -> tuple[LinearSystem, ParityRelation | UncertainRelations]:
+    """Return (model, parity relations) of the windows that a command asks for; arguments and errors as of
+    `window_relations`.
+    """
+    model = windowed(model, options.horizon, options.lags)
+    refuse_short(source, samples, model.horizon if options.horizon is None else options.horizon)
+    return model, parity_relations(model, options.horizon, progress=lambda share: step("relations", share))
