@@ -23,8 +23,6 @@ from jaxbound.studies.montecarlo import recursion
 
 __all__ = ["Act", "Trial", "act_of", "changed", "largest_input", "trials"]
 
-"""Of a monitor: whatever `detect` takes."""
-
 SIZELESS = ("stuck", "dropout")
 GRID = np.array([0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2])
 """Sizes where none are given, in units of the guaranteed one."""
