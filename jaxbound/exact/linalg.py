@@ -120,8 +120,10 @@ def columns_of(a: Sequence[Sequence[T]], numbers: Iterable[int]) -> tuple[tuple[
         >>> columns_of([[1, 2, 3], [4, 5, 6]], (2, 0))
         ((3, 1), (6, 4))
     """
-    chosen = tuple(numbers)
-    return tuple(tuple(row[j] for j in chosen) for row in a)
+    chosen, rows = tuple(numbers), []
+    for row in a:
+        rows.append(tuple(row[j] for j in chosen))
+    return tuple(rows)
 
 
 def dot(a: Iterable[Fraction | int], b: Iterable[Fraction | int]) -> Fraction:
