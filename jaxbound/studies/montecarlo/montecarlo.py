@@ -42,7 +42,7 @@ from jaxbound.sets.strips.strips import UNROLLED
 from jaxbound.studies.montecarlo import adversary, kernel, records, recursion, scenarios
 from jaxbound.studies.montecarlo.keeper import Keeper
 from jaxbound.studies.montecarlo.study_result import StudyResult
-from jaxbound.studies.montecarlo.tally import Tally
+from jaxbound.studies.montecarlo.tally import TrialTally
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -175,7 +175,7 @@ def study(
         "engine": run.__name__,
         "faults": [[t.label, t.sizes.tolist(), t.onset, t.length] for t in trials],
     }
-    tallies = [Tally(len(t.sizes), samples) for t in trials]
+    tallies = [TrialTally(len(t.sizes), samples) for t in trials]
     keeper = (
         None
         if out is None
