@@ -114,8 +114,8 @@ def follow(
     """
     (R, q, N), (T, p, _), dtype = held.H.shape, known.mid.shape, known.mid.dtype
     n = len(plant.A)
-    found = steps.nothing_found(known, n, enclosures)
-    asked = AskedRows(
+    verdicts = steps.nothing_found(known, n, enclosures)
+    programs = AskedRows(
         jnp.zeros((T, R + p, N), dtype),
         jnp.zeros((T, R + p, q + p, N), dtype),
         jnp.zeros((T, R + p, N), dtype),
@@ -126,13 +126,13 @@ def follow(
     g = set_rounding(terms, terms, dtype)
 
     def step(k: jax.Array, state: _State) -> _State:
-        carry, held, found, asked = state
+        carry, earlier, verdicts, programs = state
         now = steps.at_sample(known, k)
         carry = steps.begun_anew(carry, now.fresh)
         alive = carry.age >= 0
-        held = _from_zonotope(held, carry, alive & ~(held.on & ~now.fresh))
-        rows, seen = _met(plant, held, now, g)
-        own = AskedRows(*rows, alive & held.on & jnp.any(seen, 0))
+        before = _from_zonotope(earlier, carry, alive & ~(earlier.on & ~now.fresh))
+        rows, present = _met(plant, before, now, g)
+        own = AskedRows(*rows, alive & before.on & jnp.any(present, 0))
         carry, size, row = steps.sample(plant, start, carry, now, enclosures)
         gone = restart & carry.empty
         carry = steps.begun_anew(carry, gone)
@@ -141,12 +141,11 @@ def follow(
         rows = _fewer_columns(rows, q, g)
         carry = steps.step_of_time(plant, carry, size, now)
         bounded = jnp.all(jnp.abs(rows.h) + jnp.sum(jnp.abs(rows.H), 1) + rows.r <= g.most, 0)
-        on = held.on & alive & ~gone & bounded & (carry.age >= 0)
+        on = before.on & alive & ~gone & bounded & (carry.age >= 0)
         h, H, r = (jnp.where(_like(on, x), x, 0) for x in rows)
-        held = HeldRows(h, H, r, on)
-        return carry, held, steps.written(found, row, k), steps.written(asked, own, k)
+        return carry, HeldRows(h, H, r, on), steps.written(verdicts, row, k), steps.written(programs, own, k)
 
-    state: _State = jax.lax.fori_loop(0, stop, step, (carry, held, found, asked))
+    state: _State = jax.lax.fori_loop(0, stop, step, (carry, held, verdicts, programs))
     return state
 
 
@@ -196,17 +195,17 @@ def _from_zonotope(held: HeldRows, carry: steps.ZonotopeCarry, where: Array) -> 
 def _met(
     plant: steps.Numbers, held: HeldRows, now: steps.Read, g: SetRounding
 ) -> tuple[_Equations, jax.Array]:
-    """Return (rows, seen (p, N)) with a row and a column for each output, nothing but zeros where it is
+    """Return (rows, present (p, N)) with a row and a column for each output, nothing but zeros where it is
     missing.
     """
     n, (_, _, N), p = len(plant.A), held.H.shape, len(now.mid)
     direct = _sums(plant.D) + jnp.sum(plant.wide_D, 1) > 0
-    seen = jnp.isfinite(now.rad) & (now.known[None] | ~direct[:, None])
+    present = jnp.isfinite(now.rad) & (now.known[None] | ~direct[:, None])
     c, G, r = held.h[:n], held.H[:n], held.r[:n]
     size = jnp.abs(c) + _sums(G) + r
     v = jnp.where(now.known[None], now.v, 0)
-    mid = jnp.where(seen, now.mid, 0)
-    rad = jnp.where(seen, now.rad, 0)
+    mid = jnp.where(present, now.mid, 0)
+    rad = jnp.where(present, now.rad, 0)
     C, D = jnp.abs(plant.C), jnp.abs(plant.D)
     value = _dot(plant.C, c) + _dot(plant.D, v) - mid
     rows = _dot(plant.C, G)
@@ -218,15 +217,15 @@ def _met(
     )
     off = g.grown(off, _dot(D, jnp.where(now.known[None], now.slip, 0)))
     # rows are of the size 1, so that one measure finds the pivots of all
-    share = stored(jnp.where(seen, 1 / (rad + 2.0**-20 * _sums(rows) + g.least), 0))
+    share = stored(jnp.where(present, 1 / (rad + 2.0**-20 * _sums(rows) + g.least), 0))
     value, rows, own = share * value, share[:, None] * rows, share * rad
-    off = jnp.where(seen, g.grown(share * off, g.gamma * (jnp.abs(value) + _sums(rows) + own)), 0)
+    off = jnp.where(present, g.grown(share * off, g.gamma * (jnp.abs(value) + _sums(rows) + own)), 0)
     columns = jnp.concatenate(
         [jnp.zeros((len(held.h), p, N), rows.dtype), jnp.eye(p, dtype=rows.dtype)[:, :, None] * own[:, None]]
     )
     H = jnp.concatenate([jnp.concatenate([held.H, rows]), columns], 1)
     h = jnp.concatenate([held.h, value])
-    return stored(_Equations(h, H, jnp.concatenate([held.r, off]))), seen
+    return stored(_Equations(h, H, jnp.concatenate([held.r, off]))), present
 
 
 _Pivots: TypeAlias = tuple[jax.Array, jax.Array, jax.Array, jax.Array]

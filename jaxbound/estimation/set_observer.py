@@ -371,7 +371,7 @@ class SetObserver(Observer[State], Generic[State]):
         parts: list[tuple[steps.Found, steps.Read | None]] = []
         for first in range(0, max(T, 1), PIECE):
             piece, count = whole.cut(first, first + PIECE), min(PIECE, T - first)
-            carry, found, known = steps.follow(
+            carry, verdicts, as_read = steps.follow(
                 numbers,
                 start,
                 carry,
@@ -382,7 +382,7 @@ class SetObserver(Observer[State], Generic[State]):
                 self.restart,
                 self.hulls,
             )
-            parts.append((found, known))
+            parts.append((verdicts, as_read))
         return carry, *_fetched(parts, T)
 
     def _verdicts(

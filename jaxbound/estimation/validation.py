@@ -117,7 +117,7 @@ def validate(
 def _left_out(u: np.ndarray, y: np.ndarray, excluded: np.ndarray | None) -> np.ndarray:
     """Return (T,) bool: the samples of which nothing is known in any recording; they are like a gap."""
     unknown = np.asarray(np.isnan(u).any(-1) & np.isnan(y).all(-1))
-    left_out: np.ndarray = unknown.reshape(-1, y.shape[-2]).all(0)
+    left_out = np.asarray(unknown.reshape(-1, y.shape[-2]).all(0))
     if excluded is not None:
         left_out |= excluded
     return left_out

@@ -187,7 +187,7 @@ def slide(
         return _joint(rows, p, h, X)
 
     def window(k: jax.Array, state: _State) -> _State:
-        (X, gone, moved), found, blamed = state
+        (X, gone, moved), ends_of_all, blamed = state
         newest = _part(known.seen, k, 1)
         if moved is not None:
             samples = jnp.concatenate([moved, newest], 1)
@@ -215,11 +215,11 @@ def slide(
         out = stored(jnp.concatenate(now, 1))
         wrong = jnp.concatenate([faulty, (jnp.any(faulty, 0) | unclear)[None]])
         X = jnp.concatenate([X[:, n:], _predict(plant, X[:, s * n :], known.drive[:, k])], 1)
-        return ValidationCarry(X, gone[1:], moved), found.at[k].set(out), blamed.at[k].set(wrong)
+        return ValidationCarry(X, gone[1:], moved), ends_of_all.at[k].set(out), blamed.at[k].set(wrong)
 
-    found = jnp.full((T, 2, n + 3 * p, N), jnp.inf, known.seen.dtype)
+    ends_of_all = jnp.full((T, 2, n + 3 * p, N), jnp.inf, known.seen.dtype)
     blamed = jnp.zeros((T, p + 1, N), bool)
-    state: _State = jax.lax.fori_loop(s, stop, window, (carry, found, blamed))
+    state: _State = jax.lax.fori_loop(s, stop, window, (carry, ends_of_all, blamed))
     return state
 
 

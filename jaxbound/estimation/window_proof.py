@@ -99,22 +99,22 @@ def window_of(
     L, dtype, t = len(samples.mid), samples.mid.dtype, len(strips)
     taken, tested = _taken_out(plant), _tested(plant)
     e = _prediction_errors(plant, taken, prior, samples)
-    seen = np.isfinite(samples.rad)
-    least = THIN * np.max(np.where(seen, samples.rad, 0), (0, 1), keepdims=True) + 1e-30
-    s = np.where(seen, np.maximum(samples.rad, least), np.inf)
+    present = np.isfinite(samples.rad)
+    least = THIN * np.max(np.where(present, samples.rad, 0), (0, 1), keepdims=True) + 1e-30
+    s = np.where(present, np.maximum(samples.rad, least), np.inf)
     S = prior.S + np.eye(len(prior.r))[:, :, None] * prior.r[None]
     motion = _Motion(plant.A, plant.W, S, None)
     if taken is not None:
-        motion = _motion_taken_out(plant, taken, S, np.where(seen, s, 1))
+        motion = _motion_taken_out(plant, taken, S, np.where(present, s, 1))
 
     def rows(of_strips: np.ndarray, of_samples: np.ndarray) -> np.ndarray:
         """Return numbers of strips and of the outputs that are tested as rows of the program."""
         flat = of_samples[:, tested].reshape(L * int(tested.sum()), -1)
         return np.concatenate([of_strips, flat]).astype(dtype)
 
-    held = np.isfinite(prior.rad)
-    thin = THIN * np.max(np.where(held, prior.rad, 0), 0, initial=0) + 1e-30
-    off_strips = np.where(held, prior.mid - product(strips, np.asarray(prior.c, np.float64)), 0)
+    bounded = np.isfinite(prior.rad)
+    thin = THIN * np.max(np.where(bounded, prior.rad, 0), 0, initial=0) + 1e-30
+    off_strips = np.where(bounded, prior.mid - product(strips, np.asarray(prior.c, np.float64)), 0)
     p = int(tested.sum())
     number = np.arange(-t, L * p)
     last = (number >= 0) & (number % p == p - 1)
@@ -126,8 +126,8 @@ def window_of(
         W=motion.W.astype(dtype),
         S=motion.S.astype(dtype),
         c=np.concatenate([strips, np.tile(plant.C[tested], (L, 1))]).astype(dtype),
-        e=rows(off_strips, np.where(seen, e, 0)),
-        s=rows(np.where(held, np.maximum(prior.rad, thin), np.inf), s),
+        e=rows(off_strips, np.where(present, e, 0)),
+        s=rows(np.where(bounded, np.maximum(prior.rad, thin), np.inf), s),
         step=np.maximum(number // p, -1).astype(np.int32),
         last=last,
         ends=np.flatnonzero(last),

@@ -353,17 +353,17 @@ def sample(
     dtype, g = carry.c.dtype, _rounding(plant, carry)
     outputs = _outputs(plant, now, g)
     first = before = _sized(g, carry.c, carry.G, carry.r)
-    known = Known(carry.c, jnp.concatenate([carry.G, jnp.zeros((n, p, N), dtype)], 1), carry.r)
+    prior = Known(carry.c, jnp.concatenate([carry.G, jnp.zeros((n, p, N), dtype)], 1), carry.r)
     there: Array = outputs.seen
     lost: Array = jnp.zeros(N, bool)
     whole: Array = jnp.zeros(N, bool)
     if plant.free is not None:
         whole = plant.free.first & (carry.age == 0)  # a first state in bounds is the state itself
         reading = Reading(outputs.mid, outputs.rad, outputs.through, outputs.loose)
-        known, there, lost = known_again(
-            plant.free, _rounding(plant, carry, p), known, first.size, reading, outputs.seen, whole
+        prior, there, lost = known_again(
+            plant.free, _rounding(plant, carry, p), prior, first.size, reading, outputs.seen, whole
         )
-        before = _sized(g, *known)
+        before = _sized(g, *prior)
 
     def meet(i: jax.Array, state: tuple[_Sets, jax.Array, jax.Array]) -> tuple[_Sets, jax.Array, jax.Array]:
         """Test output i against the set before this sample and as it is by now, then meet its strip."""
@@ -377,7 +377,7 @@ def sample(
             wrong |= tested & (jnp.abs(far) > g.up * bound)
         return _met(plant, g, carry.weight, sets, shown, (e, s, tested), i, q), ratio, wrong
 
-    begin = _Sets(*known, before.size), jnp.zeros(N, dtype), jnp.zeros(N, bool)
+    begin = _Sets(*prior, before.size), jnp.zeros(N, dtype), jnp.zeros(N, bool)
     after, ratio, wrong = jax.lax.fori_loop(0, p, meet, begin)
     bounded = jnp.all(after.size <= g.most, 0)
     looked = alive & jnp.any(there, 0)
