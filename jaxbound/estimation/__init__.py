@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from jaxbound.estimation.joint import Joint
     from jaxbound.estimation.joint_observer import JointObserver, JointState
     from jaxbound.estimation.method import ObserverMethod
-    from jaxbound.estimation.set_observer import Observation, ObserverState, SetObserver, ZonotopeObserver
+    from jaxbound.estimation.observation import Observation
+    from jaxbound.estimation.set_observer import ObserverState, SetObserver, ZonotopeObserver
     from jaxbound.estimation.unknown_inputs import UnknownInputs
     from jaxbound.estimation.validation_observer import ValidationObserver
     from jaxbound.estimation.validation_result import Validation
@@ -44,7 +45,8 @@ _HOMES = {
     "joint": "Joint",
     "joint_observer": "JointObserver JointState",
     "method": "ObserverMethod",
-    "set_observer": "Observation ObserverState SetObserver ZonotopeObserver",
+    "observation": "Observation",
+    "set_observer": "ObserverState SetObserver ZonotopeObserver",
     "unknown_inputs": "UnknownInputs",
     "validation_result": "Validation",
     "validation_observer": "ValidationObserver",

@@ -15,7 +15,7 @@ from jaxbound.estimation.arrays import Array
 from jaxbound.estimation.set_rounding import SetRounding
 from jaxbound.sets.floats.unrolled import summed
 
-__all__ = ["Free", "Known", "KnownAgain", "Reading", "known_again"]
+__all__ = ["Free", "Known", "Reading", "known_again"]
 
 
 class Free(NamedTuple):
@@ -60,18 +60,6 @@ class Reading(NamedTuple):
     loose: Array
 
 
-class KnownAgain(NamedTuple):
-    """A set behind a sample that took unknown inputs out.
-
-    Fields: known: of M x_0 + H m; left (p, N): the outputs that are left to look at; lost (N,): where not all
-    of S can be taken out.
-    """
-
-    known: Known
-    left: Array
-    lost: Array
-
-
 def known_again(
     free: Free,
     g: SetRounding,
@@ -80,8 +68,9 @@ def known_again(
     reading: Reading,
     seen: Array,
     whole: Array,
-) -> KnownAgain:
-    """Return the set of M x_0 + H m, with the first way whose outputs are all there.
+) -> tuple[Known, jax.Array, jax.Array]:
+    """Return (the set of M x_0 + H m, the outputs (p, N) that are left to look at, where (N,) not all of S
+    can be taken out), by the first way whose outputs are all there.
 
     Args:
         g: bounds of rounding, of sums of n + p terms. known: of x_0; size (n, N): bounds of |x_0|. seen (p,
@@ -110,7 +99,7 @@ def known_again(
     moved = summed(_columns_by_row, M, G[:, :-p], axes=(1, 0))
     lost = ~(taken | whole)
     left = seen & ~(taken[None] & of_way(free.used)) & ~(lost[None] & free.shown[:, None])
-    return KnownAgain(Known(c, jnp.concatenate([moved, H * rad[None]], 1), r), left, lost)
+    return Known(c, jnp.concatenate([moved, H * rad[None]], 1), r), left, lost
 
 
 def _times_vector(M: Array, x: Array) -> jax.Array:

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 from jaxbound.estimation.counts import is_whole
 from jaxbound.estimation.multiple import validate_parts
 from jaxbound.estimation.validation_result import Validation, nothing_known
-from jaxbound.estimation.validation_slide import Slide, Stretch
+from jaxbound.estimation.validation_slide import Slide, Stretch, compiled_length
 from jaxbound.models.intervals import IntervalSystem, as_intervals
 from jaxbound.models.multimodel import MultiModel
 from jaxbound.models.system import LinearSystem
@@ -34,13 +34,9 @@ from jaxbound.recordings.seams import around
 from jaxbound.recordings.signals import SignalModel, Signals
 from jaxbound.recordings.table import Data
 from jaxbound.sets.floats.probe import refuse_unverified
-from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.intervals.interval import Interval
 
 __all__ = ["Validation", "complete_windows", "least_horizon", "prepared_slide", "validate"]
-
-SHORTEST = 16
-"""Samples that a piece between gaps is filled up to, at least: few lengths are compiled."""
 
 ValidatedModel: TypeAlias = LinearSystem | IntervalSystem | MultiModel
 
@@ -223,7 +219,7 @@ def _pieces(
             begin = a + int(complete.argmax())
         elif b - a <= s:
             continue
-        pieces.setdefault((known, max(SHORTEST, power(b - begin))), []).append((begin, b))
+        pieces.setdefault((known, compiled_length(b - begin)), []).append((begin, b))
     return pieces
 
 

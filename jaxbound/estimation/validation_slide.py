@@ -32,14 +32,14 @@ from jaxbound.sets.intervals.interval import Interval, interval
 from jaxbound.sets.linear_systems.ends import ends, interval_of
 from jaxbound.sets.linear_systems.fixed_systems import Prepared, prepare
 
-__all__ = ["HostCarry", "Slide", "Stretch"]
+__all__ = ["HostCarry", "Slide", "Stretch", "compiled_length"]
 
 PIECE, AGAIN = 256, 8
 """Samples that are validated outside XLA from a FAULT on, and how often in a recording."""
 BLOCK = {"joint": 32, "sequential": 512}
 """Recordings side by side: linear programs of a block go on until the last is solved."""
 SHORTEST = 16
-"""Samples that a kernel is compiled for, at least; else their next power of two."""
+"""Samples that a kernel is compiled for, at least."""
 
 
 HostCarry: TypeAlias = ValidationCarry[np.ndarray]
@@ -288,6 +288,11 @@ class Slide:
         return placed
 
 
+def compiled_length(count: int) -> int:
+    """Return the samples that a kernel is compiled for where there are so many: few numbers."""
+    return max(SHORTEST, power(count))
+
+
 def _latest(which: np.ndarray) -> np.ndarray:
     """Return (..., T): the last sample up to each that is one of these; -1 before the first."""
     return np.maximum.accumulate(np.where(which, np.arange(which.shape[-1]), -1), -1)
@@ -303,7 +308,7 @@ def _sensor_factor(m: IntervalSystem) -> Interval:
 
 def _filled_up(a: np.ndarray) -> np.ndarray:
     """Return samples (..., T, .) and as many zeros behind that few lengths are compiled."""
-    more = max(SHORTEST, power(a.shape[-2])) - a.shape[-2]
+    more = compiled_length(a.shape[-2]) - a.shape[-2]
     return np.concatenate([a, np.zeros((*a.shape[:-2], more, a.shape[-1]), a.dtype)], -2)
 
 

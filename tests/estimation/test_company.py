@@ -31,6 +31,13 @@ def recordings():
     return np.array(found.u), y
 
 
+TWO_OUTPUTS = PLANT.replace(
+    C=[[1, 0], ["0.3", "0.5"]], D=[[0], [0]], noise=["0.1", "0.05"], tolerance=["0.01", 0]
+)
+SLOW = pytest.mark.slow
+"""Of methods whose kernels take long to compile for one more plant."""
+
+
 def same(a, b):
     for x, y in zip(a, b, strict=True):
         np.testing.assert_array_equal(x, y)
@@ -71,3 +78,18 @@ def test_enclosures_are_the_same_beside_others(method, recordings):
     alone = jb.observe(PLANT, u[2], y[2], **how)
     for a, b, c in zip(*map(jax.tree.leaves, (whole, few, alone)), strict=True):
         same((a[:3], b[2]), (b, c))
+
+
+@pytest.mark.parametrize(
+    "method", ["strips", *(pytest.param(name, marks=SLOW) for name in ("zonotope", "constrained", "joint"))]
+)
+def test_outputs_that_are_met_one_after_the_other_are_the_same_beside_others(method, rng):
+    u = rng.normal(size=(COUNT, 20, 1))
+    y = np.array(jb.simulate(TWO_OUTPUTS, u, jax.random.key(27), at="vertices").y)
+    y[np.arange(COUNT), 12:, np.arange(COUNT) % 2] += np.linspace(0, 1, COUNT)[:, None]
+    watch = jb.observer(TWO_OUTPUTS, method=method, **METHODS[method])
+    whole = jb.detect(watch, u, y)
+    assert 1 < (whole.status == jb.Status.FAULT).any(1).sum() < COUNT
+    for i in (4, 17, 33):
+        alone = jb.detect(watch, u[i], y[i])
+        same((whole.status[i], whole.margin[i]), (alone.status, alone.margin))

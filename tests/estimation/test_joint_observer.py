@@ -41,6 +41,12 @@ def test_the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault(rng
     assert fault_free(rng, (8, 3), 24, 30, **JOINT) == 2 * 24 * 30
 
 
+@pytest.mark.slow
+def test_fault_free_recordings_of_other_plants(rng):
+    """A stable plant in float64 at its vertices, an integrating one in float32, an unstable one within."""
+    assert fault_free(rng, range(3), 24, 30, **JOINT) == 3 * 24 * 30
+
+
 @pytest.mark.long
 def test_two_hundred_thousand_fault_free_samples(rng):
     assert fault_free(rng, range(96), 64, 40, **JOINT) > 200_000

@@ -98,12 +98,10 @@ def test_what_a_fault_inside_the_first_window_does(rng):
         assert (np.asarray(found.status)[:, :20] == jb.Status.FAULT).any(1).mean() > 0.9
 
 
-@pytest.mark.parametrize(
-    "T", [91, pytest.param(160, marks=pytest.mark.long)]
-)  # 91 samples: a shape that other tests compile anyway
-def test_several_sensors_fail_at_once_and_one_for_long(rng, T):
+@pytest.mark.parametrize("N, T", [(4, 91), pytest.param(16, 160, marks=pytest.mark.long)])
+def test_several_sensors_fail_at_once_and_one_for_long(rng, N, T):
     m = paper()
-    u, x, y = record(rng, m, 4, T=T)
+    u, x, y = record(rng, m, N, T=T)
     size = 20 * reference_width(m, u, y) / 0.573
     both, truth = y.copy(), np.zeros(y.shape, bool)
     truth[:, 40:46] = True

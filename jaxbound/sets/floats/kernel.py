@@ -91,7 +91,9 @@ class Kernel:
 def kernel(function: Callable[..., Any]) -> Kernel: ...
 @overload
 def kernel(function: None = None, **how: Any) -> Callable[[Callable[..., Any]], Kernel]: ...
-def kernel(function: Callable[..., Any] | None = None, **how: Any) -> Any:
+def kernel(
+    function: Callable[..., Any] | None = None, **how: Any
+) -> Kernel | Callable[[Callable[..., Any]], Kernel]:
     """Return a `Kernel`: a decorator, with the arguments of `jax.jit` or none."""
     if function is None:
         return lambda f: Kernel(f, **how)
