@@ -77,9 +77,12 @@ class MethodOptions:
     def of(cls, args: argparse.Namespace) -> "MethodOptions":
         """Return the options of a command line; a command without one of them has its default."""
         given = {f.name: getattr(args, f.name) for f in fields(cls) if hasattr(args, f.name)}
-        settings = {option.field: getattr(args, option.dest, None) for option in shell_options()}
-        given["settings"] = {name: value for name, value in settings.items() if value is not None}
-        return cls(**given)
+        settings = {}
+        for option in shell_options():
+            value = getattr(args, option.dest, None)
+            if value is not None:
+                settings[option.field] = value
+        return cls(settings=settings, **given)
 
     @property
     def observes(self) -> bool:
