@@ -68,7 +68,7 @@ def known_again(
     reading: Reading,
     seen: Array,
     whole: Array,
-) -> tuple[Known, jax.Array, jax.Array]:
+) -> tuple[Known, Array, Array]:
     """Return (the set of M x_0 + H m, the outputs (p, N) that are left to look at, where (N,) not all of S
     can be taken out), by the first way whose outputs are all there.
 
