@@ -20,13 +20,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import numpy as np
 
 from jaxbound.consistency.engine import in_order, stretches_for
-from jaxbound.consistency.interface import FAMILIES, Observer, Relations
+from jaxbound.consistency.interface import Observer, Relations
 from jaxbound.diagnosis.again import again_hints
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import outgrown
 from jaxbound.diagnosis.result import Result
-from jaxbound.estimation.observer import observer
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.modelfile import load_model
 from jaxbound.models.system import LinearSystem
@@ -37,10 +36,10 @@ from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.read import open_source
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.source import Progress
-from jaxbound.relations.parity import parity_relations
 from jaxbound.runs.continuation import Continuation, Joined, carry_of, followed, joined_carries
 from jaxbound.runs.endings import ending_hints
 from jaxbound.runs.loop import follow
+from jaxbound.runs.relations import relations_by
 from jaxbound.runs.summary import CODES, OUTSIDE, Summary, summarised
 from jaxbound.text.objects import readable
 
@@ -390,25 +389,25 @@ class _Reader:
 
     def read(self, unit: Unit) -> _UnitData:
         """Return one unit, read."""
-        relations = None
+        how, relations = self.how, None
         if unit.model in self.models:
             model, relations = self.models[unit.model]
         else:
             model = load_model(unit.model)
         source = open_source(unit.recording, model)
         content = None
-        if self.how.state is not None:
+        if how.state is not None:
             content = source.content  # before it is read, so that a later change is seen
         recording = source.read()
-        if self.how.state is None:
+        if how.state is None:
             self._refuse_short(unit, recording, model)
         if relations is None:
-            relations = self._relations(model)
+            relations = relations_by(how.method, model, how.horizon, lags=how.lags, options=how.options)
         if self.shared[unit.model] > 1:
             self.models[unit.model] = model, relations
-        if self.how.state is None:
+        if how.state is None:
             return _UnitData(model, relations, Joined(recording))
-        kept = Continuation(self.how.state, unit.name, relations, self.how.method, content)
+        kept = Continuation(how.state, unit.name, relations, how.method, content)
         return _UnitData(model, relations, kept.joined(recording), kept)
 
     def _refuse_short(self, unit: Unit, recording: Recording, model: LinearSystem) -> None:
@@ -423,14 +422,6 @@ class _Reader:
         if self.how.lags:
             return max(self.how.lags)
         return model.horizon if self.how.horizon is None else self.how.horizon
-
-    def _relations(self, model: LinearSystem) -> Relations:
-        """Return the relations of a model by the method, or its observer."""
-        if self.how.method in FAMILIES:
-            return FAMILIES[self.how.method](model, self.how.horizon)
-        if self.how.method == SetObserver.method:
-            return observer(model, horizon=self.how.horizon, **self.how.options or {})
-        return parity_relations(model, self.how.horizon, lags=self.how.lags)
 
 
 @dataclass(frozen=True, eq=False)
