@@ -106,8 +106,11 @@ class MethodOptions:
     @property
     def flags(self) -> dict[str, float]:
         """{flag: value} of the observer's own options, as they stand in a command line."""
-        flags = {option.field: option.flag for option in shell_options()}
-        return {flags[name]: value for name, value in self.settings.items()}
+        flags = {}
+        for option in shell_options():
+            if option.field in self.settings:
+                flags[option.flag] = self.settings[option.field]
+        return flags
 
     def check(self) -> None:
         """Raise ValueError for an option that the method does not take."""
