@@ -106,6 +106,7 @@ def _(relations: Residual, u, y, method="joint", status=None, at=None):
     if not (np.isfinite(u).all() and np.isfinite(y).all()):
         raise ValueError(f"window {at[-1]} is MISSING: there is nothing to explain")
     found = search(relations, u[None], y[None], 100 * BUDGET)
+    assert found.status is not None
     status = Status(int(found.status[0])) if status is None else status
     witness = found.witness[0] if status == Status.CONSISTENT and found.witness is not None else None
     return ResidualCertificate(status, at, relations, u, y, witness, int(found.evaluated[0]))

@@ -203,7 +203,9 @@ def _(relations: UncertainRelations, u, y, method="joint", status=None, at=None)
     found = list(parametric_windows.cases(relations, u, y, np.zeros(1, int))) if not np.isnan(y).all() else []
     if not found:
         raise nothing
-    relations = found[0][0]
+    case, _ = found[0]
+    assert case is not None  # a single pattern of missing samples
+    relations = case
     p = polynomial_window(relations, u, y)
     proof, point = _proof(p, u, y, status, BOXES if method == "paving" or status == Status.FAULT else 1)
     if proof is None and point is None:

@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from jaxbound.consistency.engine import in_order, stretches_for
 from jaxbound.consistency.interface import FAMILIES
 from jaxbound.diagnosis.again import again_hints
 from jaxbound.diagnosis.detection import detect
@@ -41,6 +40,7 @@ from jaxbound.runs.endings import ending_hints
 from jaxbound.runs.loop import follow
 from jaxbound.runs.summary import CODES, OUTSIDE, Summary, summarised
 from jaxbound.text.objects import readable
+from jaxbound.workers.engine import in_order, stretches_for
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxbound.consistency.engine import spread, stretches_for
 from jaxbound.files.checkpoint import from_texts
 from jaxbound.models.fingerprint import fingerprint
 from jaxbound.recordings.parquet import PARTIAL, VERDICTS, ParquetSource
@@ -40,6 +39,7 @@ from jaxbound.runs.parts import (
     unfinished_parts,
 )
 from jaxbound.runs.shares import listed, numbers_of
+from jaxbound.workers.engine import spread, stretches_for
 
 if TYPE_CHECKING:
     from distributed import Client
