@@ -8,17 +8,20 @@ certificate is complete in itself: whoever checks it needs fractions, but neithe
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
+
+import numpy as np
 
 from jaxbound.certificates.blame import SensorError, rounded_witness, smallest_error
 from jaxbound.certificates.constant_window import ConstantWindow
 from jaxbound.certificates.exact_window import ExactWindow, Explanation, exact_window
-from jaxbound.certificates.interface import WindowCertificate, certify
-from jaxbound.certificates.witness import Witnessed, rows_of
+from jaxbound.certificates.interface import Index, Sample, WindowCertificate, certify, nothing_to_explain
+from jaxbound.certificates.witness import Numbers, Witnessed, rows_of
+from jaxbound.exact.linalg import Vector
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy
 from jaxbound.relations.sentence import main_terms, relation_text
@@ -27,11 +30,14 @@ from jaxbound.text.objects import readable
 
 __all__ = ["Certificate"]
 
+Judged: TypeAlias = tuple[Vector, Vector, Fraction, Fraction]
+"""(h, k, residual, width) of a relation."""
+
 
 @readable
 @dataclass(frozen=True, eq=False)
 class Certificate(Witnessed, WindowCertificate):
-    """Why a window has its verdict; every number is an exact Fraction, so that anybody can check it.
+    """A proof of the verdict of a window; every number is an exact Fraction, so that anybody can check it.
 
     Fields:
         status: of the window, as detected. at: the index at which it ends, a tuple.
@@ -51,43 +57,48 @@ class Certificate(Witnessed, WindowCertificate):
     """
 
     status: Status
-    at: tuple
+    at: Index
     relation: str
-    h: tuple
-    k: tuple
+    h: Vector
+    k: Vector
     residual: Fraction
     width: Fraction
     factor: Fraction
     window: ExactWindow
     explanation: Explanation
-    z: tuple | None
+    z: Vector | None
 
     @property
     def proves(self) -> Status:
         """FAULT or CONSISTENT: what the exact numbers say, also where the method of the detection left it
         UNDECIDED.
         """
-        return Status.FAULT if self.explanation.factor > 1 else Status.CONSISTENT
+        return _proved(self.explanation)
 
     @cached_property
     def sensor_errors(self) -> tuple[SensorError, ...]:
         """A SensorError for each output: the smallest error of that sensor alone that would explain the
         window.
         """
-        outputs = range(0 if self.window.constant else self.window.model.p)
+        if self.window.constant:
+            return ()
+        outputs = range(self.window.model.p)
         return tuple(smallest_error(self.window, i, self.explanation) for i in outputs)
 
     @property
-    def errors(self) -> Mapping[str, Any]:
+    def errors(self) -> Mapping[str, Fraction | float]:
         """{output: the smallest error of that sensor alone that would explain the window}, in its unit.
 
         inf where no error of it would, 0 for a window that needs none; empty for a model with
         constant_tolerance. Worked out at the first call.
         """
-        return {
-            self.window.model.outputs[e.output]: math.inf if e.size is None else e.size
-            for e in self.sensor_errors
-        }
+        sizes: dict[str, Fraction | float] = {}
+        for error in self.sensor_errors:
+            output = self.window.model.outputs[error.output]
+            sizes[output] = math.inf
+            if error.size is not None:
+                sizes[output] = error.size
+        return sizes
 
     @cached_property
     def candidates(self) -> tuple[str, ...]:
@@ -97,29 +108,34 @@ class Certificate(Witnessed, WindowCertificate):
         """
         if self.proves != Status.FAULT or self.window.constant:
             return ()
-        p, limits = self.window.model.p, self.window.limits
-        size = lambda i: max(x[1] - x[0] for x in limits[i : len(self.window.y) : p] if x is not None)
-        found = [
-            (e.size / size(e.output), self.window.model.outputs[e.output])
-            for e in self.sensor_errors
-            if e.size
-        ]
-        inputs = [i for i in range(self.window.model.m) if self.window.without_input(i).solve().factor <= 1]
-        return (*(name for _, name in sorted(found)), *(self.window.model.inputs[i] for i in inputs))
+        model = self.window.model
+        shares = []
+        for error in self.sensor_errors:
+            if error.size:
+                shares.append((error.size / self._widest(error.output), model.outputs[error.output]))
+        names = [name for _, name in sorted(shares)]
+        for i, name in enumerate(model.inputs):
+            if self.window.without_input(i).solve().factor <= 1:
+                names.append(name)
+        return tuple(names)
+
+    def _widest(self, i: int) -> Fraction:
+        """Return the largest width that bounds allow a reading of output i."""
+        own = self.window.limits[i : len(self.window.y) : self.window.model.p]
+        return max(ends[1] - ends[0] for ends in own if ends is not None)
 
     def __str__(self) -> str:
         """Return one sentence."""
-        if self.proves == Status.FAULT:
-            relation = main_terms(self.relation)
-            if self.window.constant:
-                return (
-                    f"{relation} cannot hold for any gains: it is off by {float(self.factor):.4g} times "
-                    f"what bounds allow"
-                )
-            return f"{relation} cannot hold: it would need bounds {float(self.factor):.4g} times as wide"
-        return f"explained by the first state ({', '.join(f'{float(x):.6g}' for x in self.state or ())})"
+        if self.proves != Status.FAULT:
+            return f"explained by the first state ({', '.join(f'{float(x):.6g}' for x in self.state or ())})"
+        relation, factor = main_terms(self.relation), f"{float(self.factor):.4g}"
+        if self.window.constant:
+            return f"{relation} cannot hold for any gains: it is off by {factor} times what bounds allow"
+        return f"{relation} cannot hold: it would need bounds {factor} times as wide"
 
-    def to_dict(self, times: Sequence[str] | None = None, sample: Any = None, errors: bool = True) -> dict:
+    def to_dict(
+        self, times: Sequence[str] | None = None, sample: Sample = None, errors: bool = True
+    ) -> dict[str, Any]:
         """Return everything that a check needs, ready for JSON: numbers as exact text ("0.1", "1/3"), names
         apart from them.
 
@@ -129,97 +145,138 @@ class Certificate(Witnessed, WindowCertificate):
             errors: False leaves out the smallest single-sensor errors of a FAULT, which take most of the
                 time.
         """
-        fault = self.proves == Status.FAULT
-        numbers = {
-            "relation": self._relation_dict(self.h) if any(self.h) else None,
-            "errors": [
-                {
-                    "output": Fraction(e.output),
-                    "smallest": e.size,
-                    "relation": self._relation_dict(e.h, e.output, e.size or Fraction(0)),
-                    "enough": e.enough,
-                    "witness": None if e.z is None else self._witness_dict(e.z),
-                }
-                for e in self.sensor_errors
-            ]
-            if fault and errors
-            else [],
-        }
-        constant = {"constant": Fraction(1)} if self.window.constant else {}
-        return self._document(self.proves, constant | numbers, times, sample)
+        numbers: Numbers = {}
+        if self.window.constant:
+            numbers["constant"] = Fraction(1)
+        numbers["relation"] = None
+        if any(self.h):
+            numbers["relation"] = self._relation_dict(self.h, self.window)
+        numbers["errors"] = []
+        if errors and self.proves == Status.FAULT:
+            numbers["errors"] = list(map(self._error_dict, self.sensor_errors))
+        return self._document(self.proves, numbers, times, sample)
 
-    def _relation_dict(self, h, output=0, error=None):
-        w, model = self.window, self.window.model
-        k, residual, width = (w if error is None else w.with_error(output, error)).relation(h)
-        readings, single = w.rows.readings, w.rows.single
-        none = [Fraction(0)] * max(model.g, model.m)
-        of_sums = {"a": tuple(h[single:])} if w.rows.of_sums else {}
-        return of_sums | {
-            "h": rows_of(h[:readings], model.p),
-            "g": self._every_sample(h[readings:single], none[: model.g]),
-            "k": self._every_sample(k, none[: model.m]),
-            "residual": residual,
-            "width": width,
-            "factor": abs(residual) / width,
+    def _error_dict(self, error: SensorError) -> Numbers:
+        """Return the numbers of a sensor's error, its relation in the window with that error."""
+        window = self.window.with_error(error.output, error.size or Fraction(0))
+        witness = None
+        if error.z is not None:
+            witness = self._witness_dict(error.z)
+        return {
+            "output": Fraction(error.output),
+            "smallest": error.size,
+            "relation": self._relation_dict(error.h, window),
+            "enough": error.enough,
+            "witness": witness,
         }
+
+    def _relation_dict(self, h: Vector, window: ExactWindow) -> Numbers:
+        """Return the numbers of a relation of a window, a row for each sample."""
+        rows, model = window.rows, window.model
+        k, residual, width = window.relation(h)
+        numbers: Numbers = {}
+        if rows.of_sums:
+            numbers["a"] = h[rows.single :]
+        numbers["h"] = rows_of(h[: rows.readings], model.p)
+        numbers["g"] = self._every_sample(h[rows.readings : rows.single], [Fraction(0)] * model.g)
+        numbers["k"] = self._every_sample(k, [Fraction(0)] * model.m)
+        numbers |= {"residual": residual, "width": width, "factor": abs(residual) / width}
+        return numbers
+
+
+def _proved(explanation: Explanation) -> Status:
+    """Return the verdict of exact numbers: a window is FAULT where its bounds would have to be wider."""
+    if explanation.factor > 1:
+        return Status.FAULT
+    return Status.CONSISTENT
 
 
 @certify.register
-def _(relations: ParityRelation, u, y, method="joint", status=None, at=None):
-    at = (relations.horizon,) if at is None else at
-    window = exact_window(relations, u, y)
-    if window.constant:
-        window = ConstantWindow(
-            **{field.name: getattr(window, field.name) for field in dataclasses.fields(window)}
-        )
-    nothing = ValueError(f"window {at[-1]} is MISSING: there is nothing to explain")
+def _(
+    relations: ParityRelation,
+    u: np.ndarray,
+    y: np.ndarray,
+    method: str = "joint",
+    status: Status | None = None,
+    at: Index | None = None,
+) -> Certificate:
+    if at is None:
+        at = (relations.horizon,)
+    window = _window(relations, u, y)
     if all(v is None for v in window.y):
-        raise nothing
-    found = window.solve()
-    alone = (
-        [(x, *window.relation(x)) for x in relations.W if _has_its_data(window, x)] if method == "box" else []
-    )
-    if not any(found.h) or (method == "box" and not alone):
-        raise nothing
-    h, k, residual, width = found.h, found.k, found.residual, found.width
+        raise nothing_to_explain(at)
+    best = window.solve()
+    if not any(best.h):
+        raise nothing_to_explain(at)
+    h, k, residual, width = best.h, best.k, best.residual, best.width
     if method == "box":
-        worst = max(alone, key=lambda c: abs(c[2]) / c[3])
-        if violated := abs(worst[2]) > worst[3]:
+        alone = list(_relations_with_data(relations, window))
+        if not alone:
+            raise nothing_to_explain(at)
+        worst = max(alone, key=_factor)
+        if _factor(worst) > 1:
             h, k, residual, width = worst
         if status is None:
-            status = (
-                Status.FAULT if violated else Status.CONSISTENT if relations.count == 1 else Status.UNDECIDED
-            )
-    proved = Status.FAULT if found.factor > 1 else Status.CONSISTENT
+            status = _said_by_box(worst, relations.count)
+    proved = _proved(best)
     if status not in (None, Status.UNDECIDED, proved):
-        why = "more than its samples and bounds"
         raise NotImplementedError(
-            f"the verdict of window {at[-1]} rests on {why}: certificates of such verdicts are not "
-            f"implemented yet"
+            f"the verdict of window {at[-1]} rests on more than its samples and bounds: certificates of such "
+            f"verdicts are not implemented yet"
         )
-    z = rounded_witness(window, found.z) if found.factor <= 1 else None
+    if status is None:
+        status = proved
+    z = None
+    if proved == Status.CONSISTENT:
+        z = rounded_witness(window, best.z)
     text = relation_text(window.model, window.horizon, h, k)
-    return Certificate(
-        proved if status is None else status,
-        at,
-        text,
-        h,
-        k,
-        residual,
-        width,
-        abs(residual) / width,
-        window,
-        found,
-        z,
-    )
+    factor = abs(residual) / width
+    return Certificate(status, at, text, h, k, residual, width, factor, window, best, z)
 
 
 @certify.register
-def _(relations: Redundancy, u, y, method="box", status=None, at=None):
+def _(
+    relations: Redundancy,
+    u: np.ndarray,
+    y: np.ndarray,
+    method: str = "box",
+    status: Status | None = None,
+    at: Index | None = None,
+) -> WindowCertificate:
     return certify(relations.relations, u, y, "box", status, at)
 
 
-def _has_its_data(window, h):
+def _window(relations: ParityRelation, u: np.ndarray, y: np.ndarray) -> ExactWindow:
+    """Return the window of samples, with one gain an output where tolerances keep their value."""
+    window = exact_window(relations, u, y)
+    if not window.constant:
+        return window
+    fields = dataclasses.fields(window)
+    return ConstantWindow(**{field.name: getattr(window, field.name) for field in fields})
+
+
+def _relations_with_data(relations: ParityRelation, window: ExactWindow) -> Iterator[Judged]:
+    """Yield (h, k, residual, width) of each relation that needs no missing sample."""
+    for h in relations.W:
+        if _has_its_data(window, h):
+            yield h, *window.relation(h)
+
+
+def _has_its_data(window: ExactWindow, h: Vector) -> bool:
     if any(x and v is None for x, v in zip(h[: len(window.y)], window.y, strict=True)):
         return False
     return not any(x and v is None for x, v in zip(window.action(h), window.u, strict=True))
+
+
+def _factor(judged: Judged) -> Fraction:
+    """Return the factor on all bounds at which a relation alone just holds."""
+    return abs(judged[2]) / judged[3]
+
+
+def _said_by_box(worst: Judged, count: int) -> Status:
+    """Return the verdict of relations that are tested one by one: that all hold alone is no proof."""
+    if _factor(worst) > 1:
+        return Status.FAULT
+    if count == 1:
+        return Status.CONSISTENT
+    return Status.UNDECIDED

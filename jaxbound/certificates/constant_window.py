@@ -12,91 +12,132 @@ Source: Adrot, Maquin, Ragot 2000, (7)-(9), with theta constant as in Adrot 1999
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any
 
 from jaxbound.certificates.blame import DIGITS
-from jaxbound.certificates.exact_window import ExactWindow, Explanation
-from jaxbound.exact import linalg
-from jaxbound.exact.chebyshev import chebyshev
-from jaxbound.exact.linalg import dot
+from jaxbound.certificates.exact_window import Ends, ExactWindow, Explanation, readable_relation
+from jaxbound.exact.chebyshev import Reference, chebyshev
+from jaxbound.exact.linalg import Vector, dot, scale
 
 __all__ = ["ConstantWindow"]
 
 ZERO, ONE = Fraction(0), Fraction(1)
 
 
+@dataclass
+class _Sides:
+    """The sides of all bounds as rows of a Chebyshev problem in (z, g): |middle - row (z, g)| <= radius.
+
+    Fields: gains: how many unknowns g there are; rows, middles, radii; signs: (row of (Y, w), sign) that each
+    speaks of, sign 0: of a gain alone.
+    """
+
+    gains: int
+    rows: list[Vector] = field(default_factory=list)
+    middles: list[Fraction] = field(default_factory=list)
+    radii: list[Fraction] = field(default_factory=list)
+    signs: list[tuple[int, int]] = field(default_factory=list)
+
+    def add(
+        self, place: tuple[int, int], unknowns: Vector, gain: Vector, middle: Fraction, r: Fraction
+    ) -> None:
+        """Add middle - r <= sign unknowns z + gain g <= middle + r."""
+        self.rows.append((*scale(unknowns, place[1]), *gain))
+        self.middles.append(middle)
+        self.radii.append(r)
+        self.signs.append(place)
+
+    def one_gain(self, i: int, value: Fraction) -> Vector:
+        """Return the multipliers of the gains, all but one of them 0."""
+        own = [ZERO] * self.gains
+        own[i] = value
+        return tuple(own)
+
+
 class ConstantWindow(ExactWindow):
     """An ExactWindow with one gain an output."""
 
-    def solve(self, start: Any = None) -> Explanation:
+    def solve(self, start: Reference | None = None) -> Explanation:
         """Return the Explanation of this window: factor > 1 where no unknowns and gains keep all rows, its
         size that of no bound.
         """
-        (E, K), missing, p = self.forms, self.missing_inputs, self.model.p
-        unknowns = [(*e, *(k[j] for j in missing)) for e, k in zip(E, K, strict=True)]
-        own = lambda i, value: tuple(value if j == i else ZERO for j in range(p))
-        rows, middles, radii, signs = [], [], [], []
+        sides = self._sides()
+        best = chebyshev(*self._with_known_gains(sides), sides.radii, start)
+        h = [ZERO] * len(self.limits)
+        for (j, sign), x in zip(sides.signs, best.h, strict=True):
+            h[j] += sign * x  # both sides of a reading together: Farkas' lemma, see the module
+        if not any(h):
+            h = list(super().solve().h)
+        shown = readable_relation(h)
+        z = best.z[: len(self.unknown_columns()[0])]  # the gains follow from it
+        return Explanation(best.t, shown, *self.relation(shown), z, best.reference)
 
-        def add(j, sign, row, gain, middle, radius):
-            signs.append((j, sign))
-            rows.append((*(sign * x for x in row), *gain))
-            middles.append(middle)
-            radii.append(radius)
-
+    def _sides(self) -> _Sides:
+        """Return the rows of the module in (z, g)."""
+        p, unknowns = self.model.p, self.unknown_columns()
+        sides = _Sides(p)
         for j, (d, rho) in enumerate(self.readings()):
             if d is None:
                 continue
-            reach = rho * self._ends(j % p)[1]  # both sides of a reading lie in [0, 2 reach]
-            add(j, 1, unknowns[j], own(j % p, rho - d), reach - self.drive[j], reach)
-            add(j, -1, unknowns[j], own(j % p, rho + d), reach + self.drive[j], reach)
+            i = j % p
+            # 0 <= E z + K U + g (rho - d) and 0 <= g (rho + d) - E z - K U: each is at most 2 reach
+            reach = rho * self._gain_ends(i)[1]
+            sides.add((j, 1), unknowns[j], sides.one_gain(i, rho - d), reach - self.drive[j], reach)
+            sides.add((j, -1), unknowns[j], sides.one_gain(i, rho + d), reach + self.drive[j], reach)
         for j in range(len(self.y), len(self.limits)):
             lo, hi = self.known_limits(j)
-            add(j, 1, unknowns[j], (ZERO,) * p, (lo + hi) / 2 - self.drive[j], (hi - lo) / 2)
+            middle = (lo + hi) / 2 - self.drive[j]
+            sides.add((j, 1), unknowns[j], (ZERO,) * p, middle, (hi - lo) / 2)
         for i in range(p):
-            lo, hi = self._ends(i)
+            lo, hi = self._gain_ends(i)
             if lo < hi:
-                add(0, 0, unknowns[0], own(i, ONE), (lo + hi) / 2, (hi - lo) / 2)
-        rows, middles = self._with_known_gains(rows, middles)
-        best = chebyshev(rows, middles, radii, start)
-        found = [ZERO] * len(self.limits)
-        for (j, sign), x in zip(signs, best.h, strict=True):
-            found[j] += sign * x
-        h = linalg.presentable(linalg.primitive(found)) if any(found) else super().solve().h
-        return Explanation(best.t, tuple(h), *self.relation(h), best.z[: len(unknowns[0])], best.reference)
+                sides.add((0, 0), unknowns[0], sides.one_gain(i, ONE), (lo + hi) / 2, (hi - lo) / 2)
+        return sides
 
-    def relation(self, h: Sequence[Fraction]) -> tuple[tuple[Fraction, ...], Fraction, Fraction]:
+    def relation(self, h: Sequence[Fraction]) -> tuple[Vector, Fraction, Fraction]:
         """Return (k, residual, width) of a relation h that annihilates E and needs no missing sample, under
         any gains.
         """
-        p, low, high = self.model.p, ZERO, ZERO
-        used = [(j, h[j], d, rho) for j, (d, rho) in enumerate(self.readings()) if h[j] and d is not None]
+        p, readings = self.model.p, self.readings()
+        low, high = ZERO, ZERO
         for i in range(p):
-            mine = [(x, d, rho) for j, x, d, rho in used if j % p == i]
-            middle = dot([x for x, _, _ in mine], [d for _, d, _ in mine])
-            reach = dot([abs(x) for x, _, _ in mine], [rho for _, _, rho in mine])
-            low += min(g * (middle - reach) for g in self._ends(i))
-            high += max(g * (middle + reach) for g in self._ends(i))
-        for number, x in enumerate(h[len(self.y) :], len(self.y)):
+            weights, deviations, errors = [], [], []
+            for x, (d, rho) in zip(h[i : len(self.y) : p], readings[i::p], strict=True):
+                if x and d is not None:
+                    weights.append(x)
+                    deviations.append(d)
+                    errors.append(rho)
+            # g (h d -+ |h| rho): linear in the gain, so extreme at its ends
+            middle, reach = dot(weights, deviations), dot(map(abs, weights), errors)
+            least, most = self._gain_ends(i)
+            low += min(least * (middle - reach), most * (middle - reach))
+            high += max(least * (middle + reach), most * (middle + reach))
+        for number in range(len(self.y), len(h)):
             lo, hi = self.known_limits(number)
+            x = h[number]
             low, high = low + min(x * lo, x * hi), high + max(x * lo, x * hi)
         return self.action(h), (low + high) / 2 - dot(h, self.drive), (high - low) / 2
 
-    def gains(self, z: Sequence[Fraction]) -> tuple[Fraction, ...] | None:
+    def gains(self, z: Sequence[Fraction]) -> Vector | None:
         """Return gains with which unknowns z keep every reading, or None."""
         p, true = self.model.p, self.rows_at(z)
-        ends = [list(self._ends(i)) for i in range(p)]
+        ends = [list(self._gain_ends(i)) for i in range(p)]
         for j, (d, rho) in enumerate(self.readings()):
             if d is None:
                 continue
+            lo, hi = ends[j % p]
             for slope, least in ((rho + d, true[j]), (rho - d, -true[j])):  # gain times slope >= least
                 if slope > 0:
-                    ends[j % p][0] = max(ends[j % p][0], least / slope)
+                    lo = max(lo, least / slope)
                 elif slope < 0:
-                    ends[j % p][1] = min(ends[j % p][1], least / slope)
+                    hi = min(hi, least / slope)
                 elif least > 0:
                     return None
-        return tuple(_short(lo, hi) for lo, hi in ends) if all(lo <= hi for lo, hi in ends) else None
+            ends[j % p] = [lo, hi]
+        if any(lo > hi for lo, hi in ends):
+            return None
+        return tuple(_short(lo, hi) for lo, hi in ends)
 
     def explained_by(self, z: Sequence[Fraction]) -> bool:
         """Return True if unknowns z and some gains keep every row within its limits."""
@@ -107,18 +148,26 @@ class ConstantWindow(ExactWindow):
                 return False
         return self.gains(z) is not None
 
-    def _ends(self, i):
+    def _gain_ends(self, i: int) -> Ends:
+        """Return (lo, hi) of 1 / (1 + theta)."""
         return 1 / (1 + self.tolerance[i]), 1 / (1 - self.tolerance[i])
 
-    def _with_known_gains(self, rows, middles):
-        """Take the gains that are known to be 1 to the other side."""
-        known = [i - self.model.p for i in range(self.model.p) if not self.tolerance[i]]
-        moved = [m - sum((row[i] for i in known), ZERO) for row, m in zip(rows, middles, strict=True)]
-        return [[x for i, x in enumerate(row, -len(row)) if i not in known] for row in rows], moved
+    def _with_known_gains(self, sides: _Sides) -> tuple[list[Vector], list[Fraction]]:
+        """Return (rows, middles) with the gains that are known to be 1 on the other side."""
+        known = [i for i, sigma in enumerate(self.tolerance) if not sigma]
+        rows, middles = [], []
+        for row, middle in zip(sides.rows, sides.middles, strict=True):
+            z, g = row[: -sides.gains], row[-sides.gains :]
+            rows.append((*z, *(x for i, x in enumerate(g) if i not in known)))
+            middles.append(middle - sum((g[i] for i in known), ZERO))
+        return rows, middles
 
 
-def _short(lo, hi):
+def _short(lo: Fraction, hi: Fraction) -> Fraction:
     """Return a number between lo and hi, of few digits where one is."""
     middle = (lo + hi) / 2
-    rounded = (Fraction(f"{float(middle):.{digits}g}") for digits in DIGITS)
-    return next((x for x in rounded if lo <= x <= hi), middle)
+    for digits in DIGITS:
+        short = Fraction(f"{float(middle):.{digits}g}")
+        if lo <= short <= hi:
+            return short
+    return middle

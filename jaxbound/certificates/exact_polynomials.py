@@ -12,41 +12,53 @@ the middle of the box, or, where no variable has an exponent above 1, exactly at
 sum_j |h Q_j| has its extremes.
 """
 
+import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from itertools import product
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 
-from jaxbound.certificates.exact_window import ExactWindow, exact_window
-from jaxbound.exact.chebyshev import subspace
-from jaxbound.exact.linalg import dot
+from jaxbound.certificates.exact_window import Ends, ExactWindow, exact_window, known_inputs
+from jaxbound.exact.chebyshev import Subspace, subspace
+from jaxbound.exact.linalg import Matrix, Vector, add_multiple, multiply, scale, zeros
+from jaxbound.models.system import LinearSystem
+from jaxbound.relations.polynomial import Exponents, PolynomialMatrix
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.relations.uncertain_window import uncertain_window
 from jaxbound.sets.floats import rounding
 
-__all__ = ["FixedWindow", "PolynomialWindow", "polynomial_window"]
+__all__ = ["FixedWindow", "Point", "PolynomialWindow", "polynomial_window"]
 
 ZERO, ONE = Fraction(0), Fraction(1)
 HALVINGS = 90
 REFINEMENTS, ENOUGH = 10, 1e-30
 
+Polynomial: TypeAlias = dict[Exponents, Fraction]
+Point: TypeAlias = tuple[Vector, Vector]
+"""(v, e): parameters, and where each row lies within its limits."""
+
 
 @dataclass(frozen=True)
 class FixedWindow(ExactWindow):
-    """A window at chosen parameters: forms are its (E, K), variables the parameters."""
+    """A window at chosen parameters: fixed is its (E, K), variables the parameters."""
 
-    forms: tuple = ()
-    variables: tuple = ()
+    fixed: tuple[Matrix, Matrix] = ((), ())
+    variables: Vector = ()
 
-    def space(self, rows: Sequence[int]) -> Any:
+    @property
+    def forms(self) -> tuple[Matrix, Matrix]:
+        """(E, K) at these parameters."""
+        return self.fixed
+
+    def space(self, rows: Sequence[int]) -> Subspace:
         """Return the Subspace of some rows over all unknowns."""
-        E, K = self.forms
-        return subspace([E[i] + tuple(K[i][j] for j in self.missing_inputs) for i in rows])
+        columns = self.unknown_columns()
+        return subspace([columns[i] for i in rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +69,7 @@ class PolynomialWindow:
 
     relations: UncertainRelations
     window: ExactWindow
-    bounds: tuple
+    bounds: Vector
 
     @cached_property
     def size(self) -> tuple[Fraction, ...]:
@@ -66,87 +78,96 @@ class PolynomialWindow:
         return tuple(self.bounds[names.index(name)] for name, _ in self.relations.variables)
 
     @cached_property
-    def parts(self) -> tuple[list[dict], list[list[dict]]]:
-        """(P, Q): P[k] and Q[j][k], polynomials {alpha: Fraction}; a row j that is missing has no part."""
-        r, limits, offset = self.relations, self.window.limits, self.window.model.offset["u"]
-        mid = [ZERO if x is None else (x[0] + x[1]) / 2 for x in limits]
-        rad = [ZERO if x is None else (x[1] - x[0]) / 2 for x in limits]
-        U = [ZERO if v is None else v - offset[j % r.model.m] for j, v in enumerate(self.window.u)]
-        P: list[dict] = [{} for _ in range(r.count)]
-        Q: list[list[dict]] = [[{} for _ in range(r.count)] for _ in limits]
-        for matrix, values, sign in ((r.N, mid, 1), (r.K, U, -1)):
-            for alpha, entries in matrix.terms.items():
-                for (k, j), x in entries.items():
-                    P[k][alpha] = P[k].get(alpha, ZERO) + sign * x * values[j]
-                    if sign == 1 and rad[j]:
-                        Q[j][k][alpha] = x * rad[j]
+    def parts(self) -> tuple[list[Polynomial], list[list[Polynomial]]]:
+        """(P, Q): P[k] and Q[j][k] of the module; a row j that is missing has no part."""
+        r = self.relations
+        middles, radii = [], []
+        for ends in self.window.limits:
+            lo, hi = ends or (ZERO, ZERO)
+            middles.append((lo + hi) / 2)
+            radii.append((hi - lo) / 2)
+        P: list[Polynomial] = [{} for _ in range(r.count)]
+        Q: list[list[Polynomial]] = [[{} for _ in range(r.count)] for _ in radii]
+        for alpha, entries in r.N.terms.items():  # N mid, N rad
+            for (k, j), x in entries.items():
+                P[k][alpha] = P[k].get(alpha, ZERO) + x * middles[j]
+                if radii[j]:
+                    Q[j][k][alpha] = x * radii[j]
+        inputs = known_inputs(r.model, self.window.u)
+        for alpha, entries in r.K.terms.items():  # - K U
+            for (k, j), x in entries.items():
+                P[k][alpha] = P[k].get(alpha, ZERO) - x * inputs[j]
         return P, Q
 
-    def spread(
-        self, h: Sequence[Fraction], lo: Sequence[Fraction], hi: Sequence[Fraction], vertices: bool
-    ) -> tuple[Fraction, Fraction]:
+    def spread(self, h: Vector, lo: Vector, hi: Vector, vertices: bool) -> Ends:
         """Return (low, high), which holds h p over the box lo <= v <= hi and all e: exact if `vertices`."""
         P, Q = self.parts
         whole, noise = _mixed(h, P), [_mixed(h, q) for q in Q if any(q)]
         if vertices:
-            ends = []
-            for v in product(*zip(lo, hi, strict=True)):
-                middle, reach = _at(whole, v), sum(abs(_at(q, v)) for q in noise)
-                ends += [middle - reach, middle + reach]
-            return min(ends), max(ends)
-        middle, radius = (
-            zip(*(((b + a) / 2, (b - a) / 2) for a, b in zip(lo, hi, strict=True)), strict=True)
-            if lo
-            else ((), ())
-        )
-        low, high = _span(_on_box(whole, middle, radius))
-        reach = sum(max(map(abs, _span(_on_box(q, middle, radius)))) for q in noise)
-        return low - reach, high + reach
+            return _extremes_at_vertices(whole, noise, lo, hi)
+        middles = [(a + b) / 2 for a, b in zip(lo, hi, strict=True)]
+        radii = [(b - a) / 2 for a, b in zip(lo, hi, strict=True)]
+        low, high = _span(_on_box(whole, middles, radii))
+        for q in noise:
+            reach = max(map(abs, _span(_on_box(q, middles, radii))))
+            low, high = low - reach, high + reach
+        return low, high
 
-    def at(self, v: Sequence[Fraction]) -> FixedWindow:
+    def at(self, v: Vector) -> FixedWindow:
         """Return the FixedWindow at parameters v: what is left is linear."""
-        w, s = self.window, self.window.horizon
-        model, (_, E, H, V) = w.model, _matrices(w.model, s)
-        E, H, V = (m.at(v) for m in (E, H, V))
-        n, g = model.n, model.g * s
-        rows = [(*e[:n], *x, *e[n:]) for e, x in zip(E, V, strict=True)]
-        width = len(rows[0]) - n - g
-        rows += [
-            (ZERO,) * n + tuple(ONE if i == j else ZERO for j in range(g)) + (ZERO,) * width for i in range(g)
-        ]
-        K = tuple(H) + (((ZERO,) * len(w.u),) * g)
-        known = [ZERO if x is None else x - model.offset["u"][j % model.m] for j, x in enumerate(w.u)]
-        names = {f: getattr(w, f) for f in ExactWindow.__dataclass_fields__}
-        names["drive"] = tuple(dot(row, known) for row in K)
-        return FixedWindow(**names, forms=(tuple(rows), K), variables=tuple(v))
+        w, model = self.window, self.window.model
+        E, H, V = (m.at(v) for m in _matrices(model, w.horizon))
+        n, g = model.n, model.g * w.horizon
+        rows = [(*e[:n], *x, *e[n:]) for e, x in zip(E, V, strict=True)]  # x, w, v as in `models.window`
+        for i in range(g):  # disturbances are rows of their own
+            own = [ZERO] * len(rows[0])
+            own[n + i] = ONE
+            rows.append(tuple(own))
+        K = H + zeros(g, len(w.u))
+        fields = {field.name: getattr(w, field.name) for field in dataclasses.fields(ExactWindow)}
+        fields["drive"] = multiply(K, known_inputs(model, w.u))
+        return FixedWindow(**fields, fixed=(tuple(rows), K), variables=tuple(v))
 
-    def zero_between(self, lo_end: tuple, hi_end: tuple) -> tuple[Fraction, ...]:
+    def zero_between(self, lowest: Point, highest: Point) -> Vector:
         """Return v where the single relation vanishes on the way from (v, e) with p <= 0 to (v, e) with p >=
         0, nearly.
         """
-        P, Q = self.parts[0][0], [q[0] for q in self.parts[1]]
         below, above = ZERO, ONE
-        (v0, e0), (v1, e1) = lo_end, hi_end
-        mix = lambda a, b, t: tuple(x + t * (y - x) for x, y in zip(a, b, strict=True))
         for _ in range(HALVINGS):
             t = (below + above) / 2
-            v, e = mix(v0, v1, t), mix(e0, e1, t)
-            value = _at(P, v) + sum((x * _at(q, v) for x, q in zip(e, Q, strict=True) if q and x), ZERO)
-            below, above = (below, t) if value > 0 else (t, above)
-        return mix(v0, v1, below)
+            v, e = (_between(a, b, t) for a, b in zip(lowest, highest, strict=True))
+            if self._value(0, v, e) > 0:
+                above = t
+            else:
+                below = t
+        return _between(lowest[0], highest[0], below)
 
-    def ends(self) -> list[tuple]:
+    def _value(self, k: int, v: Vector, e: Vector) -> Fraction:
+        """Return p_k(v, e) = P_k(v) + sum_j e_j Q_kj(v)."""
+        P, Q = self.parts
+        value = _at(P[k], v)
+        for x, q in zip(e, Q, strict=True):
+            if x and q[k]:
+                value += x * _at(q[k], v)
+        return value
+
+    def ends(self) -> tuple[Point, Point]:
         """Return ((v, e) where the single relation is least over the box, (v, e) where it is largest):
         multi-affine relations only.
         """
-        P, Q = self.parts[0][0], [q[0] for q in self.parts[1]]
-        found = []
+        P, Q = self.parts
+        least: tuple[Fraction, Point] | None = None
+        most: tuple[Fraction, Point] | None = None
         for v in product(*((-x, x) for x in self.size)):
-            middle, reach = _at(P, v), [_at(q, v) for q in Q]
-            toward = tuple(ZERO if not x else ONE if x > 0 else -ONE for x in reach)
-            total = sum(map(abs, reach), ZERO)
-            found += [(middle - total, v, tuple(-x for x in toward)), (middle + total, v, toward)]
-        return [(v, e) for _, v, e in (min(found, key=lambda x: x[0]), max(found, key=lambda x: x[0]))]
+            middle, slopes = _at(P[0], v), [_at(q[0], v) for q in Q]
+            toward = tuple(Fraction((x > 0) - (x < 0)) for x in slopes)
+            reach = sum(map(abs, slopes), ZERO)
+            if least is None or middle - reach < least[0]:
+                least = middle - reach, (v, scale(toward, -1))
+            if most is None or middle + reach > most[0]:
+                most = middle + reach, (v, toward)
+        assert least is not None and most is not None, "a box has a vertex"
+        return least[1], most[1]
 
     def near(self, v: np.ndarray, e: np.ndarray) -> tuple[Fraction, ...] | None:
         """Return v near the given one, within its box, where p(v, e) = 0 almost exactly for some e, or None:
@@ -154,44 +175,77 @@ class PolynomialWindow:
 
         Args: v (floats, in units of size), e (floats, one for each row).
         """
-        P, Q = self.parts
-        x, n = [Fraction(float(a)) for a in (*v, *e)], len(v)
+        n = len(v)
+        x = [Fraction(float(a)) for a in (*v, *e)]
         for _ in range(REFINEMENTS):
-            point = [a * s for a, s in zip(x[:n], self.size, strict=True)]
-            noise = [(b, q) for b, q in zip(x[n:], Q, strict=True) if b]
-            p = [
-                _at(row, point) + sum((b * _at(q[k], point) for b, q in noise), ZERO)
-                for k, row in enumerate(P)
-            ]
-            J, room = self._slopes(list(map(float, x))), np.maximum(1 - np.abs(list(map(float, x))), 0)
-            scale = np.abs(J) @ room
-            if not (scale > 0).all():
+            point, noise = self._in_box(x[:n]), tuple(x[n:])
+            p = [self._value(k, point, noise) for k in range(self.relations.count)]
+            at = list(map(float, x))
+            J, room = self._slopes(at), np.maximum(1 - np.abs(at), 0)
+            size = np.abs(J) @ room
+            if not (size > 0).all():
                 return None
-            gap = np.array([float(a / Fraction(b)) for a, b in zip(p, scale.tolist(), strict=True)])
+            gap = np.array([float(a / Fraction(b)) for a, b in zip(p, size.tolist(), strict=True)])
             if np.abs(gap).max() < ENOUGH:
                 break
-            K = J / scale[:, None]
+            K = J / size[:, None]
             step = room * (K.T @ np.linalg.lstsq(K * room @ K.T, gap, rcond=None)[0])
-            x = [max(-ONE, min(a - Fraction(d), ONE)) for a, d in zip(x, step.tolist(), strict=True)]
-        return tuple(a * s for a, s in zip(x[:n], self.size, strict=True))
+            for i, d in enumerate(step.tolist()):
+                x[i] = max(-ONE, min(x[i] - Fraction(d), ONE))
+        return self._in_box(x[:n])
 
-    def _slopes(self, x):
+    def _in_box(self, v: Iterable[Fraction]) -> Vector:
+        """Return parameters from units of their bounds."""
+        return tuple(a * s for a, s in zip(v, self.size, strict=True))
+
+    def _slopes(self, x: list[float]) -> np.ndarray:
         """Return the derivative of p by (v / size, e), floats (count, n + rows)."""
         P, Q = self.parts
-        n, size = len(self.size), list(map(float, self.size))
-        v, e = [a * s for a, s in zip(x, size, strict=False)], x[n:]
-        power = lambda alpha, i: math.prod(
-            a**b for l, (a, b) in enumerate(zip(v, alpha, strict=True)) if b and l != i
-        )
-        slope = lambda f, i: (
-            sum(float(c) * a[i] * v[i] ** (a[i] - 1) * power(a, i) for a, c in f.items() if a[i]) * size[i]
-        )
-        value = lambda f: sum(float(c) * power(a, None) for a, c in f.items())
-        by_v = [
-            [slope(f, i) + sum(b * slope(q[k], i) for b, q in zip(e, Q, strict=True) if b) for i in range(n)]
-            for k, f in enumerate(P)
-        ]
-        return np.array([[*row, *(value(q[k]) for q in Q)] for k, row in enumerate(by_v)])
+        size = list(map(float, self.size))
+        n = len(size)
+        v, e = [a * s for a, s in zip(x[:n], size, strict=True)], x[n:]
+        rows = []
+        for k, f in enumerate(P):
+            row = []
+            for i in range(n):
+                noise = sum(b * (_slope(q[k], v, i) * size[i]) for b, q in zip(e, Q, strict=True) if b)
+                row.append(_slope(f, v, i) * size[i] + noise)
+            for q in Q:
+                row.append(sum(float(c) * _power(alpha, v) for alpha, c in q[k].items()))
+            rows.append(row)
+        return np.array(rows)
+
+
+def _power(alpha: Exponents, v: Sequence[float], but: int | None = None) -> float:
+    """Return the monomial at v, one of its variables left out."""
+    value = 1.0
+    for i, (a, b) in enumerate(zip(v, alpha, strict=True)):
+        if b and i != but:
+            value *= a**b
+    return value
+
+
+def _slope(f: Polynomial, v: Sequence[float], i: int) -> float:
+    """Return the derivative by v_i in floats."""
+    slope = 0.0
+    for alpha, c in f.items():
+        if alpha[i]:
+            slope += float(c) * alpha[i] * v[i] ** (alpha[i] - 1) * _power(alpha, v, i)
+    return slope
+
+
+def _between(a: Vector, b: Vector, t: Fraction) -> Vector:
+    """Return a + t (b - a)."""
+    return add_multiple(a, t, add_multiple(b, -1, a))
+
+
+def _extremes_at_vertices(P: Polynomial, Q: Iterable[Polynomial], lo: Vector, hi: Vector) -> Ends:
+    """Return the extremes of P -+ sum_j |Q_j| over the vertices of a box."""
+    ends = []
+    for v in product(*zip(lo, hi, strict=True)):
+        middle, reach = _at(P, v), sum((abs(_at(q, v)) for q in Q), ZERO)
+        ends += [middle - reach, middle + reach]
+    return min(ends), max(ends)
 
 
 def polynomial_window(relations: UncertainRelations, u: np.ndarray, y: np.ndarray) -> PolynomialWindow:
@@ -203,37 +257,42 @@ def polynomial_window(relations: UncertainRelations, u: np.ndarray, y: np.ndarra
 
 
 @lru_cache(maxsize=16)
-def _matrices(model, horizon):
-    return uncertain_window(model, horizon)
+def _matrices(
+    model: LinearSystem, horizon: int
+) -> tuple[PolynomialMatrix, PolynomialMatrix, PolynomialMatrix]:
+    """Return (E, H, V) of `uncertain_window`."""
+    return uncertain_window(model, horizon)[1:]
 
 
-def _mixed(h, polynomials):
+def _mixed(h: Sequence[Fraction], polynomials: Iterable[Polynomial]) -> Polynomial:
     """Return sum_k h_k polynomial_k."""
-    out: dict = {}
+    out: Polynomial = {}
     for x, polynomial in zip(h, polynomials, strict=True):
-        for alpha, c in polynomial.items() if x else ():
+        if not x:
+            continue
+        for alpha, c in polynomial.items():
             out[alpha] = out.get(alpha, ZERO) + x * c
     return {alpha: c for alpha, c in out.items() if c}
 
 
-def _at(polynomial, v):
+def _at(polynomial: Polynomial, v: Sequence[Fraction]) -> Fraction:
     """Return the value at v."""
-    return sum(
-        (
-            c * math.prod((x**e for x, e in zip(v, alpha, strict=True) if e), start=ONE)
-            for alpha, c in polynomial.items()
-        ),
-        ZERO,
-    )
+    value = ZERO
+    for alpha, c in polynomial.items():
+        for x, e in zip(v, alpha, strict=True):
+            if e:
+                c *= x**e
+        value += c
+    return value
 
 
-def _on_box(polynomial, middle, radius):
+def _on_box(polynomial: Polynomial, middle: Sequence[Fraction], radius: Sequence[Fraction]) -> Polynomial:
     """Return the polynomial in w of v = middle + radius w."""
     for i, (m, r) in enumerate(zip(middle, radius, strict=True)):
-        out: dict = {}
+        out: Polynomial = {}
         for alpha, c in polynomial.items():
             for d in range(alpha[i] + 1):
-                factor = math.comb(alpha[i], d) * m ** (alpha[i] - d) * r**d
+                factor = math.comb(alpha[i], d) * m ** (alpha[i] - d) * r**d  # the binomial theorem
                 if factor:
                     beta = (*alpha[:i], d, *alpha[i + 1 :])
                     out[beta] = out.get(beta, ZERO) + c * factor
@@ -241,14 +300,14 @@ def _on_box(polynomial, middle, radius):
     return polynomial
 
 
-def _span(polynomial):
+def _span(polynomial: Polynomial) -> Ends:
     """Return (low, high), which holds all values over [-1, 1]^n: each monomial by itself."""
     low = high = ZERO
     for alpha, c in polynomial.items():
         if not any(alpha):
             low, high = low + c, high + c
         elif all(e % 2 == 0 for e in alpha):
-            low, high = low + min(c, 0), high + max(c, 0)
+            low, high = low + min(c, ZERO), high + max(c, ZERO)
         else:
             low, high = low - abs(c), high + abs(c)
     return low, high

@@ -1,5 +1,5 @@
-"""One window in exact rationals: what its samples and bounds say, and how far the model is from explaining
-them.
+"""One window in exact rationals: the limits that samples and bounds set, and how far the model is from
+keeping them.
 
     (Y, w) = E z + K U,   z = (first state, disturbances, unknown inputs, missing inputs)      rows: true
     outputs Y, disturbances w
@@ -14,13 +14,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
-from typing import Any, Self
+from typing import Any, Protocol, Self, TypeAlias
 
 import numpy as np
 
+from jaxbound.certificates.plain import exact_floats
+from jaxbound.consistency.interface import Bounds
 from jaxbound.exact import linalg
-from jaxbound.exact.chebyshev import chebyshev, subspace
-from jaxbound.exact.linalg import dot
+from jaxbound.exact.chebyshev import Reference, Subspace, chebyshev, subspace
+from jaxbound.exact.linalg import Matrix, Vector, dot
 from jaxbound.models import window
 from jaxbound.models.rows import Row, WindowRows
 from jaxbound.models.sensor import RECORDER_ULPS
@@ -28,9 +30,33 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import window_rows
 from jaxbound.sets.floats import rounding
 
-__all__ = ["ExactWindow", "Explanation", "exact_samples", "exact_window", "stretched"]
+__all__ = ["Ends", "ExactWindow", "Explanation", "exact_samples", "exact_window", "known_inputs", "stretched"]
 
 ZERO = Fraction(0)
+Ends: TypeAlias = tuple[Fraction, Fraction]
+"""(lo, hi) of a number."""
+Samples: TypeAlias = tuple[Fraction | None, ...]
+"""Samples of a window, time-major, None where one is missing."""
+
+
+class Bounded(Protocol):
+    """A stretch of samples and its bounds: relations of certain or uncertain models, or a `Stretch`."""
+
+    @property
+    def model(self) -> LinearSystem:
+        """The plant."""
+
+    @property
+    def horizon(self) -> int:
+        """It has horizon + 1 samples."""
+
+    @property
+    def bounds(self) -> Bounds:
+        """{name: numbers}."""
+
+    @property
+    def lags(self) -> tuple[int, ...] | None:
+        """The samples before its last at which outputs are looked at; None: all of them."""
 
 
 @dataclass(frozen=True)
@@ -44,12 +70,12 @@ class Explanation:
     """
 
     factor: Fraction
-    h: tuple
-    k: tuple
+    h: Vector
+    k: Vector
     residual: Fraction
     width: Fraction
-    z: tuple
-    reference: tuple
+    z: Vector
+    reference: Reference
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,30 +91,32 @@ class ExactWindow:
 
     model: LinearSystem
     horizon: int
-    u: tuple
-    y: tuple
-    tolerance: tuple
-    noise: tuple
-    resolution: tuple
-    disturbance: tuple
+    u: Samples
+    y: Samples
+    tolerance: Vector
+    noise: Vector
+    resolution: Vector
+    disturbance: tuple[Ends, ...]
     unit: Fraction
     floor: Fraction
-    drive: tuple
-    error: tuple = ()
-    average: tuple = ()
-    whole: tuple = ()
-    lags: tuple | None = None
+    drive: Vector
+    error: Vector = ()
+    average: Vector = ()
+    whole: Samples = ()
+    lags: tuple[int, ...] | None = None
 
     def with_error(self, i: int, e: Fraction) -> Self:
         """Return the window with an error of up to e allowed to output i."""
-        return replace(self, error=tuple(e if j == i else ZERO for j in range(self.model.p)))
+        error = [ZERO] * self.model.p
+        error[i] = e
+        return replace(self, error=tuple(error))
 
     def without_input(self, i: int) -> Self:
         """Return the window with every sample of input i missing: whatever the actuator did."""
-        m, offset = self.model.m, self.model.offset["u"]
-        u = tuple(None if j % m == i else v for j, v in enumerate(self.u))
-        known = [ZERO if v is None else v - offset[j % m] for j, v in enumerate(u)]
-        return replace(self, u=u, drive=tuple(dot(row, known) for row in self.forms[1]))
+        u = list(self.u)
+        u[i :: self.model.m] = [None] * len(u[i :: self.model.m])
+        drive = linalg.multiply(self.forms[1], known_inputs(self.model, u))
+        return replace(self, u=tuple(u), drive=drive)
 
     @cached_property
     def rows(self) -> WindowRows:
@@ -100,13 +128,15 @@ class ExactWindow:
         |delta|.
         """
         p, offset = self.model.p, self.model.offset["y"]
-        rho = []
-        for i in range(p):
-            rho.append(self.noise[i] + self.rounded[i] + self.floor)
-        out = []
+        readings: list[tuple[Fraction | None, Fraction]] = []
         for j, v in enumerate(self.y):
-            out.append((None if v is None else v - offset[j % p], rho[j % p]))
-        return out
+            i = j % p
+            rho = self.noise[i] + self.rounded[i] + self.floor
+            if v is None:
+                readings.append((None, rho))
+            else:
+                readings.append((v - offset[i], rho))
+        return readings
 
     @cached_property
     def rounded(self) -> list[Fraction]:
@@ -125,7 +155,9 @@ class ExactWindow:
         rounded = []
         for i, most in enumerate(largest):
             slip = self.resolution[i] + RECORDER_ULPS * self.unit * (most + self.noise[i])
-            rounded.append(slip + self.error[i] if self.error else slip)
+            if self.error:
+                slip += self.error[i]
+            rounded.append(slip)
         return rounded
 
     def has_samples(self, row: Row) -> bool:
@@ -134,61 +166,78 @@ class ExactWindow:
             return True
         return row.seen and all(self.whole[x.row] is not None for x in self.rows.terms(row))
 
-    def _ends_of_sum(self, row: Row) -> tuple[Fraction, Fraction] | None:
-        """Return (lo, hi) of a sum, None where a sample of it is missing or it is not looked at."""
+    def _ends_of_sum(self, row: Row) -> Ends | None:
+        """Return (lo, hi) of a sum, None where a sample of it is missing or it is not looked at.
+
+        The bound is one on the sum of noises. What resolution, recorder and an error add to each reading is
+        added by its weight; the floors are for numbers that a kernel rounds to zero on the way.
+        """
         if not self.has_samples(row):
             return None
         values, middle = row.values, ZERO
         rad = self.average[row.number] + 10 * (values.terms + values.size) * self.floor
         if values.measured:
-            offset, terms = self.model.offset["y"], self.rows.terms(row)
             for i, _ in values.parts:
                 rad += values.size_of(i) * self.rounded[i]
-            middle = dot([x.weight for x in terms], [self.whole[x.row] - offset[x.number] for x in terms])
+            weights, deviations = [], []
+            for x in self.rows.terms(row):
+                weights.append(x.weight)
+                deviations.append((self.whole[x.row] or ZERO) - self.model.offset["y"][x.number])
+            middle = dot(weights, deviations)
         return middle - rad, middle + rad
 
     @cached_property
-    def limits(self) -> list[tuple[Fraction, Fraction] | None]:
+    def limits(self) -> list[Ends | None]:
         """(lo, hi) of each row of (Y, w), in deviations from the offset; None where a sample is missing."""
-        out: list[tuple[Fraction, Fraction] | None] = []
-        for (d, rho), row in zip(self.readings(), self.rows.all, strict=False):
-            sigma = self.tolerance[row.number]
-            out.append(None if d is None else (-stretched(rho - d, sigma), stretched(rho + d, sigma)))
-        out += [(lo - self.floor, hi + self.floor) for lo, hi in self.disturbance] * self.horizon
-        return out + [self._ends_of_sum(row) for row in self.rows.of_sums]
+        limits: list[Ends | None] = []
+        for j, (d, rho) in enumerate(self.readings()):
+            if d is None:
+                limits.append(None)
+                continue
+            sigma = self.tolerance[j % self.model.p]
+            limits.append((-stretched(rho - d, sigma), stretched(rho + d, sigma)))  # f of the module
+        for _ in range(self.horizon):
+            limits += [(lo - self.floor, hi + self.floor) for lo, hi in self.disturbance]
+        return limits + [self._ends_of_sum(row) for row in self.rows.of_sums]
 
-    def known_limits(self, number: int) -> tuple[Fraction, Fraction]:
+    def known_limits(self, number: int) -> Ends:
         """Return (lo, hi) of a row that has its samples."""
         ends = self.limits[number]
         assert ends is not None, f"row {number} lacks a sample"
         return ends
 
-    def solve(self, start: Any = None) -> Explanation:
+    def solve(self, start: Reference | None = None) -> Explanation:
         """Return the Explanation of this window. `start`: the reference of a similar one (same samples
         missing).
         """
-        rows = tuple(i for i, x in enumerate(self.limits) if x is not None)
+        rows = tuple(i for i, ends in enumerate(self.limits) if ends is not None)
         middles, radii = [], []
         for i in rows:
             lo, hi = self.known_limits(i)
             middles.append((lo + hi) / 2 - self.drive[i])
             radii.append((hi - lo) / 2)
         best = chebyshev(self.space(rows), middles, radii, start)
-        full = [ZERO] * len(self.limits)
+        h = [ZERO] * len(self.limits)
         for i, x in zip(rows, best.h, strict=True):
-            full[i] = x
-        h = linalg.presentable(linalg.primitive(full)) if any(full) else tuple(full)
-        k, residual, width = self.relation(h)
-        return Explanation(best.t, h, k, residual, width, best.z, best.reference)
+            h[i] = x
+        shown = readable_relation(h)
+        k, residual, width = self.relation(shown)
+        return Explanation(best.t, shown, k, residual, width, best.z, best.reference)
 
     @property
-    def forms(self) -> tuple:
+    def forms(self) -> tuple[Matrix, Matrix]:
         """(E, K): (Y, w) = E z + K U, with z = (first state, disturbances, unknown inputs)."""
         return _forms(self.model, self.horizon)
 
-    def space(self, rows: Sequence[int]) -> Any:
+    def unknown_columns(self) -> Matrix:
+        """Return E with the columns of the missing inputs, which are unknowns as well, behind it."""
+        E, K = self.forms
+        missing = self.missing_inputs
+        return tuple((*e, *(k[j] for j in missing)) for e, k in zip(E, K, strict=True))
+
+    def space(self, rows: Sequence[int]) -> Subspace:
         """Return the Subspace of some rows over all unknowns."""
-        return _subspace(self.model, self.horizon, rows, self.missing_inputs)
+        return _subspace(self.model, self.horizon, tuple(rows), self.missing_inputs)
 
     @property
     def constant(self) -> bool:
@@ -200,30 +249,35 @@ class ExactWindow:
     @property
     def missing_inputs(self) -> tuple[int, ...]:
         """The numbers of the inputs that are missing and matter."""
-        return tuple(j for j, v in enumerate(self.u) if v is None and any(row[j] for row in self.forms[1]))
+        K = self.forms[1]
+        return tuple(j for j, v in enumerate(self.u) if v is None and any(row[j] for row in K))
 
-    def action(self, h: Sequence[Fraction]) -> tuple[Fraction, ...]:
-        """Return k, what a relation h does with the inputs: h (Y, w) = k U."""
-        return tuple(dot(h, [row[j] for row in self.forms[1]]) for j in range(len(self.u)))
+    def action(self, h: Sequence[Fraction]) -> Vector:
+        """Return k, what a relation h does with the inputs: h (Y, w) = k U, so k = h K."""
+        K = self.forms[1]
+        return tuple(dot(h, [row[j] for row in K]) for j in range(len(self.u)))
 
-    def relation(self, h: Sequence[Fraction]) -> tuple[tuple[Fraction, ...], Fraction, Fraction]:
-        """Return (k, residual, width) of a relation h that annihilates E and needs no missing sample."""
-        used = [i for i, x in enumerate(h) if x]
-        weights = [h[i] for i in used]
-        limits = [self.known_limits(i) for i in used]
-        twice_middle = dot(weights, [lo + hi for lo, hi in limits])
-        twice_width = dot(map(abs, weights), [hi - lo for lo, hi in limits])
-        return self.action(h), twice_middle / 2 - dot(h, self.drive), twice_width / 2
+    def relation(self, h: Sequence[Fraction]) -> tuple[Vector, Fraction, Fraction]:
+        """Return (k, residual, width) of a relation h that annihilates E and needs no missing sample.
 
-    def rows_at(self, z: Sequence[Fraction]) -> tuple[Fraction, ...]:
-        """Return the true (Y, w), in deviations, that unknowns z = (x, w, v, missing inputs) give."""
-        (E, K), missing = self.forms, self.missing_inputs
-        return tuple(
-            dot((*e, *(k[j] for j in missing), Fraction(1)), (*z, d))
-            for e, k, d in zip(E, K, self.drive, strict=True)
-        )
+        h (Y, w) - k U is residual -+ width within the limits: their middles, and |h| times their half-widths.
+        """
+        weights, sums, widths = [], [], []
+        for number, x in enumerate(h):
+            if x:
+                lo, hi = self.known_limits(number)
+                weights.append(x)
+                sums.append(lo + hi)
+                widths.append(hi - lo)
+        residual = dot(weights, sums) / 2 - dot(h, self.drive)
+        return self.action(h), residual, dot(map(abs, weights), widths) / 2
 
-    def gains(self, z: Sequence[Fraction]) -> tuple[Fraction, ...] | None:
+    def rows_at(self, z: Sequence[Fraction]) -> Vector:
+        """Return the true (Y, w) = E z + K U, in deviations, at unknowns z = (x, w, v, missing inputs)."""
+        moved = linalg.multiply(self.unknown_columns(), z)
+        return linalg.add_multiple(moved, 1, self.drive)
+
+    def gains(self, z: Sequence[Fraction]) -> Vector | None:
         """Return the gains, the same in all samples of an output, with which unknowns z keep every reading:
         none here.
         """
@@ -231,62 +285,87 @@ class ExactWindow:
 
     def explained_by(self, z: Sequence[Fraction]) -> bool:
         """Return True if unknowns z keep every row within its limits."""
-        return all(x is None or x[0] <= v <= x[1] for x, v in zip(self.limits, self.rows_at(z), strict=True))
+        for ends, v in zip(self.limits, self.rows_at(z), strict=True):
+            if ends is not None and not ends[0] <= v <= ends[1]:
+                return False
+        return True
 
 
 def stretched(v: Fraction, sigma: Fraction) -> Fraction:
     """Return f(v) = v / (1 - sigma) for v > 0, else v / (1 + sigma): the largest t of a reading, increasing
     in v.
     """
-    return v / (1 - sigma) if v > 0 else v / (1 + sigma)
+    if v > 0:
+        return v / (1 - sigma)
+    return v / (1 + sigma)
 
 
-def exact_window(relations: Any, u: np.ndarray, y: np.ndarray) -> ExactWindow:
+def known_inputs(model: LinearSystem, u: Sequence[Fraction | None]) -> Vector:
+    """Return inputs in deviations from their offsets, 0 for those that are missing."""
+    known = []
+    for j, v in enumerate(u):
+        if v is None:
+            known.append(ZERO)
+        else:
+            known.append(v - model.offset["u"][j % model.m])
+    return tuple(known)
+
+
+def readable_relation(h: Sequence[Fraction]) -> Vector:
+    """Return the same relation in numbers that people can read: coprime, or divided by the largest."""
+    if not any(h):
+        return tuple(h)
+    return linalg.presentable(linalg.primitive(h))
+
+
+def exact_window(relations: Bounded, u: np.ndarray, y: np.ndarray) -> ExactWindow:
     """Return the ExactWindow of samples u (s+1, m), y (s+1, p). The bounds are those that the kernel takes,
     to the last bit.
     """
-    model, fields = relations.model, exact_samples(relations, u, y)
-    known = [ZERO if v is None else v - model.offset["u"][j % model.m] for j, v in enumerate(fields["u"])]
-    return ExactWindow(**fields, drive=tuple(dot(row, known) for row in _forms(model, relations.horizon)[1]))
+    samples = exact_samples(relations, u, y)
+    K = _forms(relations.model, relations.horizon)[1]
+    return ExactWindow(**samples, drive=linalg.multiply(K, known_inputs(relations.model, samples["u"])))
 
 
-def exact_samples(relations: Any, u: np.ndarray, y: np.ndarray) -> dict[str, Any]:
+def exact_samples(relations: Bounded, u: np.ndarray, y: np.ndarray) -> dict[str, Any]:
     """Return the fields of an ExactWindow, all but what inputs make of each row."""
-    model, s = relations.model, relations.horizon
-    dtype = y.dtype
-    exactly = lambda values: tuple(None if np.isnan(v) else Fraction(float(v)) for v in np.ravel(values))
-    upward = lambda values: exactly(rounding.round_up(values, dtype))
+    model, s, dtype = relations.model, relations.horizon, y.dtype
     bounds = {name: np.asarray(value, np.float64) for name, value in relations.bounds.items()}
     pairs = np.reshape(bounds.get("disturbance", np.zeros((0, 2))), (-1, 2))
-    down = rounding.round_down(pairs[:, 0], dtype)
-    inputs = exactly(u[: window.input_lags(model, s)])
-    whole = exactly(y)
+    lowest = _exactly(rounding.round_down(pairs[:, 0], dtype))
+    highest = _exactly(rounding.round_up(pairs[:, 1], dtype))
+    looked_at = y
     if relations.lags is not None:
-        y = np.where(np.isin(s - np.arange(s + 1), relations.lags)[:, None], y, np.nan).astype(dtype)
+        kept = np.isin(s - np.arange(s + 1), relations.lags)
+        looked_at = np.where(kept[:, None], y, np.nan).astype(dtype)
     return {
         "model": model,
         "horizon": s,
-        "u": inputs,
-        "y": exactly(y),
-        "tolerance": upward(bounds["tolerance"]),
-        "noise": upward(bounds["noise"]),
-        "resolution": upward(list(model.resolution)),
-        "disturbance": tuple(zip(exactly(down), upward(pairs[:, 1]), strict=True)),
+        "u": exact_floats(u[: window.input_lags(model, s)]),
+        "y": exact_floats(looked_at),
+        "tolerance": _exactly(rounding.round_up(bounds["tolerance"], dtype)),
+        "noise": _exactly(rounding.round_up(bounds["noise"], dtype)),
+        "resolution": _exactly(rounding.round_up(list(model.resolution), dtype)),
+        "disturbance": tuple(zip(lowest, highest, strict=True)),
         "unit": Fraction(float(np.finfo(dtype).eps)) / 2,
         "floor": Fraction(float(np.finfo(dtype).tiny)),
-        "average": upward(bounds.get("average", ())),
-        "whole": whole,
+        "average": _exactly(rounding.round_up(bounds.get("average", ()), dtype)),
+        "whole": exact_floats(y),
         "lags": relations.lags,
     }
 
 
+def _exactly(bounds: np.ndarray) -> Vector:
+    return tuple(map(Fraction, bounds.tolist()))
+
+
 @lru_cache(maxsize=16)
-def _forms(model, horizon):
+def _forms(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
     return window.unknowns(model, horizon)
 
 
 @lru_cache(maxsize=64)
-def _subspace(model, horizon, rows, missing):
+def _subspace(model: LinearSystem, horizon: int, rows: tuple[int, ...], missing: tuple[int, ...]) -> Subspace:
     """Return the span of the unknowns over the rows that are there."""
     E, K = _forms(model, horizon)
-    return subspace([E[i] + tuple(K[i][j] for j in missing) for i in rows])
+    return subspace([(*E[i], *(K[i][j] for j in missing)) for i in rows])

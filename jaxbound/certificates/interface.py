@@ -1,28 +1,59 @@
-"""What a certificate is, and who gives one: `certify` is chosen by the type of the relations, registered in
-the file of each kind.
+"""Certificates of windows: `certify` gives one, chosen by the type of the relations, registered in the file
+of each kind.
 """
 
 import json
 from collections.abc import Mapping, Sequence
+from fractions import Fraction
 from functools import singledispatch
-from typing import Any
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
 from jaxbound.certificates.checker.exchange import smt2, vipr
+from jaxbound.consistency.interface import Relations
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["WindowCertificate", "certify", "evidence", "explain"]
+__all__ = ["Index", "Judgement", "WindowCertificate", "certify", "evidence", "explain", "nothing_to_explain"]
+
+Index: TypeAlias = tuple[int, ...]
+"""Where a window ends: (.., sample)."""
+Sample: TypeAlias = int | list[int] | None
+"""What a certificate calls the last sample of its window."""
+
+
+class Judgement(Protocol):
+    """Verdicts of a recording with what they are of, as a Result has them."""
+
+    @property
+    def status(self) -> np.ndarray:
+        """(..., T)."""
+
+    @property
+    def relations(self) -> Any:
+        """The relations, or the observer, that were tested."""
+
+    @property
+    def method(self) -> str:
+        """The method of the test."""
+
+    @property
+    def u(self) -> np.ndarray:
+        """(..., T, m)."""
+
+    @property
+    def y(self) -> np.ndarray:
+        """(..., T, p)."""
 
 
 class WindowCertificate:
-    """Why one window has its verdict, for people (`str`) and for whoever checks it (`to_json`).
+    """A proof of the verdict of one window, for people (`str`) and for whoever checks it (`to_json`).
 
     Fields: status: of the window, as detected. at: the index at which it ends, a tuple.
     """
 
     status: Status
-    at: tuple
+    at: Index
 
     @property
     def proves(self) -> Status:
@@ -32,7 +63,7 @@ class WindowCertificate:
         raise NotImplementedError
 
     @property
-    def errors(self) -> Mapping[str, float]:
+    def errors(self) -> Mapping[str, Fraction | float]:
         """{output: the smallest error of that sensor alone that would explain the window}; empty where that
         is not known.
         """
@@ -43,18 +74,20 @@ class WindowCertificate:
         """The signals that alone could explain a FAULT window; empty where that is not known."""
         return ()
 
-    def _head(self):
-        return (
-            f"{type(self).__name__} of window {self.at if len(self.at) != 1 else self.at[0]}: "
-            f"{self.status.name}"
-        )
+    def _head(self) -> str:
+        end: object = self.at
+        if len(self.at) == 1:
+            end = self.at[0]
+        return f"{type(self).__name__} of window {end}: {self.status.name}"
 
-    def _rows(self):
+    def _rows(self) -> dict[str, str]:
         return {"why": str(self)}
 
-    def to_dict(self, times: Sequence[str] | None = None, sample: Any = None, errors: bool = True) -> dict:
-        """Return what a check needs, ready for JSON: numbers as exact text ("0.1", "1/3"), names apart from
-        them.
+    def to_dict(
+        self, times: Sequence[str] | None = None, sample: Sample = None, errors: bool = True
+    ) -> dict[str, Any]:
+        """Return all that a check needs, ready for JSON: numbers as exact text ("0.1", "1/3"), names apart
+        from them.
 
         Args:
             times: text of the time of each of the s + 1 samples; None leaves them out. sample: what to call
@@ -64,7 +97,7 @@ class WindowCertificate:
         """
         raise NotImplementedError
 
-    def to_json(self, times: Sequence[str] | None = None, sample: Any = None, errors: bool = True) -> str:
+    def to_json(self, times: Sequence[str] | None = None, sample: Sample = None, errors: bool = True) -> str:
         """Return `to_dict` as text.
 
         Example:
@@ -116,20 +149,20 @@ class WindowCertificate:
 
 @singledispatch
 def certify(
-    relations: Any,
-    u: Any,
-    y: Any,
+    relations: object,
+    u: np.ndarray,
+    y: np.ndarray,
     method: str = "joint",
     status: Status | None = None,
-    at: tuple | None = None,
-) -> Any:
+    at: Index | None = None,
+) -> WindowCertificate:
     """Prove the verdict of one window.
 
     Args:
         relations: as for `detect`. u (s+1, m), y (s+1, p): the samples, arrays of floats. method: of the
             detection.
-        status: what the detection said; None: what exact numbers say. at: what to call the window, a tuple;
-            default (s,).
+        status: the verdict of the detection; None: that of exact numbers. at: the name of the window, a
+            tuple; default (s,).
 
     Returns:
         A WindowCertificate.
@@ -143,20 +176,26 @@ def certify(
     )
 
 
-def explain(result: Any, at: int | tuple) -> Any:
+def nothing_to_explain(at: Index) -> ValueError:
+    """Return the error of a window without usable data."""
+    return ValueError(f"window {at[-1]} is MISSING: there is nothing to explain")
+
+
+def explain(result: Judgement, at: int | Index) -> WindowCertificate:
     """Return the certificate of the window that ends at index `at`. See `Result.explain`."""
     status = Status(int(result.status[at]))
     if status == Status.MISSING:
         raise ValueError(f"window {at} is MISSING: there is nothing to explain")
-    at = at if isinstance(at, tuple) else (at,)
-    at = tuple(int(i) % n for i, n in zip(at, result.status.shape, strict=True))
-    relations, method, u, y = evidence(result.relations, result, at, status)
-    return certify(relations, u, y, method, status, at)
+    if not isinstance(at, tuple):
+        at = (at,)
+    place = tuple(int(i) % n for i, n in zip(at, result.status.shape, strict=True))
+    relations, method, u, y = evidence(result.relations, result, place, status)
+    return certify(relations, u, y, method, status, place)
 
 
 @singledispatch
 def evidence(
-    relations: Any, result: Any, at: tuple, status: Status
+    relations: Relations, result: Judgement, at: Index, status: Status
 ) -> tuple[Any, str, np.ndarray, np.ndarray]:
     """Return (relations, method, u, y): the window whose certificate explains the verdict of a Result at an
     index, chosen by its relations.
@@ -164,6 +203,8 @@ def evidence(
     Raises:
         NotImplementedError: no window proves it.
     """
-    s = relations.horizon
-    u, y = (np.asarray(x)[at[:-1]][at[-1] - s : at[-1] + 1] for x in (result.u, result.y))
+    *recording, end = at
+    samples = slice(end - relations.horizon, end + 1)
+    u = np.asarray(result.u)[tuple(recording)][samples]
+    y = np.asarray(result.y)[tuple(recording)][samples]
     return relations, result.method, u, y

@@ -1,16 +1,17 @@
 """A model and samples as the checker takes them: exact numbers and names alone."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.models.rows import WeightedSum
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import bounded_sums
 
-__all__ = ["plain_model", "plain_names", "plain_samples", "plain_sums"]
+__all__ = ["exact_floats", "plain_model", "plain_names", "plain_samples", "plain_sums"]
 
 MATRICES = ("A", "B", "C", "D", "G", "F", "D_v")
 
@@ -19,28 +20,27 @@ def plain_model(model: LinearSystem) -> dict[str, Any]:
     """Return the numbers of a LinearSystem, matrices at the middle of its parameters, as
     `checker.claim.claimed` takes them.
     """
+    plain: dict[str, Any] = plain_plant(model)
+    for name in ("tolerance", "noise", "resolution", "disturbance", "lags"):
+        plain[name] = getattr(model, name)
     bounded = bounded_sums(model)
     sums = [one.weighted_sum(model.outputs) for one in bounded]
-    uncertainties = []
+    plain["averages"] = plain_sums(sums, [one.bound for one in bounded])
+    plain["constant"] = model.constant_tolerance
+    plain["uncertainties"] = []
     for parameter in model.uncertainties:
-        uncertainties.append(
-            {letter: parameter.on(letter) for letter in "ABCD"} | {"varying": parameter.varying}
-        )
-    return {letter: getattr(model, letter) for letter in MATRICES} | {
-        "offset_u": model.offset["u"],
-        "offset_y": model.offset["y"],
-        "tolerance": model.tolerance,
-        "noise": model.noise,
-        "resolution": model.resolution,
-        "disturbance": model.disturbance,
-        "averages": plain_sums(sums, [one.bound for one in bounded]),
-        "constant": model.constant_tolerance,
-        "uncertainties": uncertainties,
-        "lags": model.lags,
-    }
+        change: dict[str, Any] = {letter: parameter.on(letter) for letter in "ABCD"}
+        plain["uncertainties"].append(change | {"varying": parameter.varying})
+    return plain
 
 
-def plain_sums(sums: Sequence[WeightedSum], bounds: Sequence[Fraction]) -> list[dict[str, Any]]:
+def plain_plant(model: LinearSystem) -> dict[str, Any]:
+    """Return the matrices and offsets of a LinearSystem."""
+    plain = {letter: getattr(model, letter) for letter in MATRICES}
+    return plain | {"offset_u": model.offset["u"], "offset_y": model.offset["y"]}
+
+
+def plain_sums(sums: Iterable[WeightedSum], bounds: Iterable[Fraction]) -> list[dict[str, Any]]:
     """Return bounded sums as the checker takes them."""
     plain = []
     for values, bound in zip(sums, bounds, strict=True):
@@ -59,13 +59,28 @@ def plain_names(
     or None.
     """
     names: dict[str, Any] = {"model": model.name}
-    names |= {kind: list(getattr(model, kind)) for kind in ("states", "inputs", "outputs")}
+    for kind in ("states", "inputs", "outputs"):
+        names[kind] = list(getattr(model, kind))
     names["units"] = dict(model.units)
     if model.uncertainties:
         names["parameters"] = [parameter.name for parameter in model.uncertainties]
-    return names | {"sample": sample, "times": None if times is None else list(times)}
+    names["sample"], names["times"] = sample, None
+    if times is not None:
+        names["times"] = list(times)
+    return names
 
 
 def plain_samples(x: np.ndarray) -> list[list[Fraction | None]]:
     """Return samples (T, k) as rows of exact numbers, None for NaN."""
-    return [[None if np.isnan(v) else Fraction(float(v)) for v in row] for row in x]
+    return [list(exact_floats(row)) for row in x]
+
+
+def exact_floats(values: ArrayLike) -> tuple[Fraction | None, ...]:
+    """Return floats, row by row, as the fractions that they are, None for NaN."""
+    exact: list[Fraction | None] = []
+    for v in np.ravel(values).tolist():
+        if np.isnan(v):
+            exact.append(None)
+        else:
+            exact.append(Fraction(v))
+    return tuple(exact)

@@ -1,8 +1,7 @@
 """The certificate of one verdict on a user's own residual: the unknowns that explain a window, or that a
 bisection left none.
 
-It is no proof that fractions alone can check: that needs the function, which is a program. It says what to
-check.
+It is no proof that fractions alone can check: that needs the function, which is a program.
 """
 
 from collections.abc import Sequence
@@ -12,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxbound.certificates.interface import WindowCertificate, certify
-from jaxbound.certificates.witness import texts
+from jaxbound.certificates.interface import Index, Sample, WindowCertificate, certify, nothing_to_explain
+from jaxbound.certificates.plain import exact_floats
+from jaxbound.certificates.witness import Numbers, texts
 from jaxbound.consistency.bisection import BUDGET, search
 from jaxbound.relations.residual import Residual
 from jaxbound.sets.floats.status import Status
@@ -28,7 +28,7 @@ PROGRAM = "a residual is a program of its user, no system of inequalities: no ot
 @readable
 @dataclass(frozen=True, eq=False)
 class ResidualCertificate(WindowCertificate):
-    """Why a window of a residual has its verdict.
+    """The bisection that decided a window of a residual.
 
     Fields: status; at; relations: the Residual; u, y: the samples; witness: Interval (n,) that is proved to
     hold values of the unknowns that explain the window, or None; evaluated: boxes it took. errors,
@@ -36,7 +36,7 @@ class ResidualCertificate(WindowCertificate):
     """
 
     status: Status
-    at: tuple
+    at: Index
     relations: Residual
     u: np.ndarray
     y: np.ndarray
@@ -45,7 +45,7 @@ class ResidualCertificate(WindowCertificate):
 
     @property
     def proves(self) -> Status:
-        """What the bisection proved."""
+        """The verdict that the bisection proved."""
         return self.status
 
     @property
@@ -58,31 +58,33 @@ class ResidualCertificate(WindowCertificate):
         if self.witness is not None:
             at = ", ".join(f"{float(v):.6g}" for v in np.asarray(self.witness.mid))
             return f"explained by the unknowns ({at})"
-        end = "no value of the unknowns explains it" if self.status == Status.FAULT else "no answer"
+        end = "no answer"
+        if self.status == Status.FAULT:
+            end = "no value of the unknowns explains it"
         return f"{end} after {self.evaluated} boxes"
 
-    def to_dict(self, times: Sequence[str] | None = None, sample: Any = None, errors: bool = True) -> dict:
+    def to_dict(
+        self, times: Sequence[str] | None = None, sample: Sample = None, errors: bool = True
+    ) -> dict[str, Any]:
         """Return the samples, the box of the unknowns and, if there is one, the box within it that holds an
         explanation.
         """
-        exact = lambda x: [Fraction(float(v)) for v in np.asarray(x)]
-        box = lambda b: {"lo": exact(b.lo), "hi": exact(b.hi)}
-        numbers = {
-            "u": list(map(exact, self.u)),
-            "y": list(map(exact, self.y)),
-            "box": box(self.relations.box),
-            "witness": None if self.witness is None else box(self.witness),
+        numbers: Numbers = {
+            "u": list(map(exact_floats, self.u)),
+            "y": list(map(exact_floats, self.y)),
+            "box": _exact_box(self.relations.box),
+            "witness": None,
             "evaluated": Fraction(self.evaluated),
         }
+        if self.witness is not None:
+            numbers["witness"] = _exact_box(self.witness)
         model = self.relations.model
-        names = {
-            "model": model.name,
-            "inputs": model.inputs,
-            "outputs": model.outputs,
-            "relation": self.relation,
-            "sample": list(self.at) if sample is None else sample,
-            "times": None if times is None else list(times),
-        }
+        names: dict[str, Any] = {"model": model.name, "inputs": model.inputs, "outputs": model.outputs}
+        names |= {"relation": self.relation, "sample": sample, "times": None}
+        if sample is None:
+            names["sample"] = list(self.at)
+        if times is not None:
+            names["times"] = list(times)
         return {
             "certificate": self.proves.name,
             "statement": str(self),
@@ -100,13 +102,28 @@ class ResidualCertificate(WindowCertificate):
         raise NotImplementedError(PROGRAM)
 
 
+def _exact_box(box: Interval) -> Numbers:
+    return {"lo": exact_floats(np.asarray(box.lo)), "hi": exact_floats(np.asarray(box.hi))}
+
+
 @certify.register
-def _(relations: Residual, u, y, method="joint", status=None, at=None):
-    at = (relations.horizon,) if at is None else at
+def _(
+    relations: Residual,
+    u: np.ndarray,
+    y: np.ndarray,
+    method: str = "joint",
+    status: Status | None = None,
+    at: Index | None = None,
+) -> ResidualCertificate:
+    if at is None:
+        at = (relations.horizon,)
     if not (np.isfinite(u).all() and np.isfinite(y).all()):
-        raise ValueError(f"window {at[-1]} is MISSING: there is nothing to explain")
-    found = search(relations, u[None], y[None], 100 * BUDGET)
-    assert found.status is not None
-    status = Status(int(found.status[0])) if status is None else status
-    witness = found.witness[0] if status == Status.CONSISTENT and found.witness is not None else None
-    return ResidualCertificate(status, at, relations, u, y, witness, int(found.evaluated[0]))
+        raise nothing_to_explain(at)
+    paved = search(relations, u[None], y[None], 100 * BUDGET)
+    assert paved.status is not None
+    if status is None:
+        status = Status(int(paved.status[0]))
+    witness = None
+    if status == Status.CONSISTENT and paved.witness is not None:
+        witness = paved.witness[0]
+    return ResidualCertificate(status, at, relations, u, y, witness, int(paved.evaluated[0]))

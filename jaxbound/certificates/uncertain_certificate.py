@@ -6,22 +6,26 @@ at which what is left, a linear window, is explained by a first state and noise.
 directions and points.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
 from jaxbound.certificates.blame import DIGITS, rounded_witness
-from jaxbound.certificates.exact_polynomials import polynomial_window
-from jaxbound.certificates.interface import WindowCertificate, certify
-from jaxbound.certificates.witness import Witnessed, rows_of
+from jaxbound.certificates.exact_polynomials import FixedWindow, PolynomialWindow, polynomial_window
+from jaxbound.certificates.exact_window import ExactWindow
+from jaxbound.certificates.interface import Index, Sample, WindowCertificate, certify, nothing_to_explain
+from jaxbound.certificates.witness import Numbers, Witnessed, rows_of
 from jaxbound.consistency import parametric_windows
+from jaxbound.exact.linalg import Vector, identity
+from jaxbound.relations.polynomial import PolynomialMatrix
 from jaxbound.relations.sentence import main_terms
 from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.relations.uncertain_window import Variable
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips import polynomials
 from jaxbound.text.objects import readable
@@ -42,9 +46,9 @@ class Leaf:
     the extremes over all vertices, or bounds of each monomial.
     """
 
-    lo: tuple
-    hi: tuple
-    direction: tuple
+    lo: Vector
+    hi: Vector
+    direction: Vector
     low: Fraction
     high: Fraction
     vertices: bool
@@ -56,14 +60,21 @@ class Cut:
 
     variable: int
     at: Fraction
-    below: object
-    above: object
+    below: "Leaf | Cut"
+    above: "Leaf | Cut"
+
+
+Tree: TypeAlias = Leaf | Cut
+_Place: TypeAlias = list[Any]
+"""A part of a proof that is being built: [], [Leaf] or [variable, at, place, place]."""
+Explained: TypeAlias = tuple[FixedWindow, Vector]
+"""A window at chosen parameters, and unknowns that explain it."""
 
 
 @readable
 @dataclass(frozen=True, eq=False)
 class UncertainCertificate(Witnessed, WindowCertificate):
-    """Why a window of a model with uncertain parameters has its verdict; every number is an exact Fraction.
+    """A proof of the verdict of a window with uncertain parameters; every number is an exact Fraction.
 
     Fields:
         status: of the window, as detected. at: the index at which it ends, a tuple.
@@ -79,37 +90,50 @@ class UncertainCertificate(Witnessed, WindowCertificate):
     """
 
     status: Status
-    at: tuple
+    at: Index
     relations: UncertainRelations
-    proof: Leaf | Cut | None
-    window: Any
-    z: tuple | None
-    bounds: tuple
-    errors: ClassVar[MappingProxyType] = MappingProxyType({})
-    candidates: ClassVar = ()
+    proof: Tree | None
+    window: ExactWindow
+    z: Vector | None
+    bounds: Vector
+    errors: ClassVar[Mapping[str, Fraction | float]] = MappingProxyType({})
+    candidates: ClassVar[tuple[str, ...]] = ()
 
     @property
     def proves(self) -> Status:
         """FAULT or CONSISTENT: what the exact numbers say, also where the method of the detection left it
         UNDECIDED.
         """
-        return Status.CONSISTENT if self.proof is None else Status.FAULT
+        if self.proof is None:
+            return Status.CONSISTENT
+        return Status.FAULT
 
     @cached_property
     def leaves(self) -> tuple[Leaf, ...]:
         """The Leaf of each part of the parameters' box, () for CONSISTENT."""
-        return tuple(_leaves(self.proof)) if self.proof is not None else ()
+        if self.proof is None:
+            return ()
+        return tuple(_leaves(self.proof))
 
     @property
-    def parameters(self) -> Any:
+    def parameters(self) -> dict[Variable, Fraction] | None:
         """{(name, sample of the window, or None for a constant one): value in the unit of `between`} of the
         witness, or None.
         """
         if self.z is None:
             return None
         by_name = {u.name: u for u in self.relations.model.uncertainties}
-        values = zip(self.relations.variables, self.window.variables, strict=True)
-        return {key: by_name[key[0]].centre + by_name[key[0]].radius * v for key, v in values}
+        values = {}
+        for variable, v in self._values().items():
+            parameter = by_name[variable[0]]
+            values[variable] = parameter.centre + parameter.radius * v
+        return values
+
+    def _values(self) -> dict[Variable, Fraction]:
+        """Return the variables of the relations at the witness."""
+        if not isinstance(self.window, FixedWindow):
+            return {}
+        return dict(zip(self.relations.variables, self.window.variables, strict=True))
 
     @property
     def relation(self) -> str:
@@ -121,25 +145,14 @@ class UncertainCertificate(Witnessed, WindowCertificate):
         lines = self.relations.text().split("\n")
         if len(lines) == 1:
             return lines[0].split(": ", 1)[1]
-        terms = [(x, f"r{k + 1}") for k, x in enumerate(self.leaves[0].direction) if x]
-        text = "".join(
-            f" {'-' if x < 0 else '+'} {'' if abs(x) == 1 else f'{float(abs(x)):.6g} '}{name}"
-            for x, name in terms
-        )
-        return text[3:] + " = 0" if text[1] == "+" else "-" + text[3:] + " = 0"
+        return _combination(self.leaves[0].direction)
 
     def __str__(self) -> str:
         """Return one sentence."""
         if self.z is not None:
-            s = self.relations.horizon
-            at = lambda lag: "" if lag is None else f"[k-{s - lag}]" if lag < s else "[k]"
-            values = ", ".join(
-                f"{name}{at(lag)} = {float(x):.6g}" for (name, lag), x in self.parameters.items()
-            )
-            return (
-                f"explained by {values} and the first state "
-                f"({', '.join(f'{float(x):.6g}' for x in self.state or ())})"
-            )
+            values = [f"{self._variable(v)} = {float(x):.6g}" for v, x in (self.parameters or {}).items()]
+            state = [f"{float(x):.6g}" for x in self.state or ()]
+            return f"explained by {', '.join(values)} and the first state ({', '.join(state)})"
         if len(self.leaves) == 1:
             (leaf,) = self.leaves
             return (
@@ -147,12 +160,22 @@ class UncertainCertificate(Witnessed, WindowCertificate):
                 f"{float(leaf.high):.6g}]"
             )
         return (
-            f"no parameters within their bounds explain it: each of {len(self.leaves)} parts of their "
-            f"box "
+            f"no parameters within their bounds explain it: each of {len(self.leaves)} parts of their box "
             f"contradicts the relations"
         )
 
-    def to_dict(self, times: Sequence[str] | None = None, sample: Any = None, errors: bool = True) -> dict:
+    def _variable(self, variable: Variable) -> str:
+        """Return a variable as a reader would write it: "a[k-1]", of a constant parameter its name."""
+        (name, lag), s = variable, self.relations.horizon
+        if lag is None:
+            return name
+        if lag == s:
+            return f"{name}[k]"
+        return f"{name}[k-{s - lag}]"
+
+    def to_dict(
+        self, times: Sequence[str] | None = None, sample: Sample = None, errors: bool = True
+    ) -> dict[str, Any]:
         """Return everything that a check needs, ready for JSON: as `Certificate.to_dict`, whose `errors` are
         not known here.
 
@@ -161,216 +184,304 @@ class UncertainCertificate(Witnessed, WindowCertificate):
         is a list of [coefficient, number of a variable, ..], with a variable squared twice.
         """
         r, parameters = self.relations, self.window.model.uncertainties
-        variables = [
-            (u.name, lag) for u in parameters for lag in (range(r.horizon + 1) if u.varying else [None])
-        ]
-        names, number = [u.name for u in parameters], [Fraction(variables.index(v)) for v in r.variables]
-        chosen = dict(zip(r.variables, self.window.variables, strict=True)) if self.z is not None else {}
-        numbers = {
-            "uncertainties": [
-                {letter: u.on(letter) for letter in "ABCD"}
-                | {"bound": bound, "varying": Fraction(int(u.varying))}
-                for u, bound in zip(parameters, self.bounds, strict=True)
-            ],
-            "variables": [
-                [Fraction(names.index(name)), None if lag is None else Fraction(lag)]
-                for name, lag in variables
-            ],
-            "relations": [self._polynomial_dict(k, number) for k in range(r.count)]
-            if self.proof is not None
-            else [],
-            "proof": None if self.proof is None else _tree(self.proof, number),
-            "parameters": None if self.z is None else [chosen.get(v, Fraction(0)) for v in variables],
-        }
+        names = [parameter.name for parameter in parameters]
+        variables = _variables(r)
+        number = [Fraction(variables.index(v)) for v in r.variables]
+        numbers: Numbers = {"uncertainties": [], "variables": [], "relations": [], "proof": None}
+        for parameter, bound in zip(parameters, self.bounds, strict=True):
+            change: Numbers = {letter: parameter.on(letter) for letter in "ABCD"}
+            change |= {"bound": bound, "varying": Fraction(int(parameter.varying))}
+            numbers["uncertainties"].append(change)
+        for name, lag in variables:
+            numbers["variables"].append([Fraction(names.index(name)), None])
+            if lag is not None:
+                numbers["variables"][-1][1] = Fraction(lag)
+        if self.proof is not None:
+            numbers["relations"] = [self._polynomial_dict(k, number) for k in range(r.count)]
+            numbers["proof"] = _tree(self.proof, number)
+        numbers["parameters"] = None
+        if self.z is not None:
+            chosen = self._values()
+            numbers["parameters"] = [chosen.get(v, Fraction(0)) for v in variables]
         return self._document(self.proves, numbers, times, sample)
 
-    def _polynomial_dict(self, k, number):
+    def _polynomial_dict(self, k: int, number: Sequence[Fraction]) -> Numbers:
         """Return the polynomials of one relation on the outputs, disturbances and inputs of each sample."""
         r, model = self.relations, self.relations.model
-        rows = (r.horizon + 1) * model.p
-        row = lambda matrix, span: [_flat(matrix, k, j, number) for j in span]
+        on_rows = [_flat(r.N, k, j, number) for j in range(r.N.columns)]
+        on_inputs = [_flat(r.K, k, j, number) for j in range(r.K.columns)]
+        readings = (r.horizon + 1) * model.p
+        nothing: list[Fraction] = []
         return {
-            "h": rows_of(row(r.N, range(rows)), model.p),
-            "g": self._every_sample(row(r.N, range(rows, r.N.columns)), [[]] * model.g),
-            "k": self._every_sample(row(r.K, range(r.K.columns)), [[]] * model.m),
+            "h": rows_of(on_rows[:readings], model.p),
+            "g": self._every_sample(on_rows[readings:], [nothing] * model.g),
+            "k": self._every_sample(on_inputs, [nothing] * model.m),
         }
+
+
+def _variables(relations: UncertainRelations) -> list[Variable]:
+    """Return every variable of the parameters, those that do not matter to the relations too."""
+    variables: list[Variable] = []
+    for parameter in relations.model.uncertainties:
+        if parameter.varying:
+            variables += [(parameter.name, lag) for lag in range(relations.horizon + 1)]
+        else:
+            variables.append((parameter.name, None))
+    return variables
+
+
+def _combination(direction: Vector) -> str:
+    """Return "r1 - 0.5 r2 = 0" for the multipliers of relations."""
+    text = ""
+    for k, x in enumerate(direction):
+        if not x:
+            continue
+        sign = "+"
+        if x < 0:
+            sign = "-"
+        size = f"{float(abs(x)):.6g} "
+        if abs(x) == 1:
+            size = ""
+        text += f" {sign} {size}r{k + 1}"
+    text = text.removeprefix(" + ")
+    if text.startswith(" - "):
+        text = "-" + text[3:]
+    return text + " = 0"
 
 
 @certify.register
-def _(relations: UncertainRelations, u, y, method="joint", status=None, at=None):
-    at = (relations.horizon,) if at is None else at
-    nothing = ValueError(f"window {at[-1]} is MISSING: there is nothing to explain")
-    found = list(parametric_windows.cases(relations, u, y, np.zeros(1, int))) if not np.isnan(y).all() else []
-    if not found:
-        raise nothing
-    case, _ = found[0]
+def _(
+    relations: UncertainRelations,
+    u: np.ndarray,
+    y: np.ndarray,
+    method: str = "joint",
+    status: Status | None = None,
+    at: Index | None = None,
+) -> UncertainCertificate:
+    if at is None:
+        at = (relations.horizon,)
+    if np.isnan(y).all():
+        raise nothing_to_explain(at)
+    cases = list(parametric_windows.cases(relations, u, y, np.zeros(1, int)))
+    if not cases:
+        raise nothing_to_explain(at)
+    case, _ = cases[0]  # without the samples that the window lacks
     assert case is not None  # a single pattern of missing samples
-    relations = case
-    p = polynomial_window(relations, u, y)
-    proof, point = _proof(p, u, y, status, BOXES if method == "paving" or status == Status.FAULT else 1)
-    if proof is None and point is None:
-        hint = "" if method == "paving" else "; method 'paving' goes on where this one stops"
+    p = polynomial_window(case, u, y)
+    budget = 1
+    if method == "paving" or status == Status.FAULT:
+        budget = BOXES
+    proof, explained = _proof(p, u, y, status, budget)
+    window: ExactWindow = p.window
+    z = None
+    if explained is not None:
+        window, z = explained
+    elif proof is None:
+        hint = "; method 'paving' goes on where this one stops"
+        if method == "paving":
+            hint = ""
         raise NotImplementedError(
             f"neither a contradiction nor a behaviour is at hand for window {at[-1]}{hint}"
         )
-    window, z = (p.window, None) if point is None else point
-    proved = Status.CONSISTENT if proof is None else Status.FAULT
-    return UncertainCertificate(
-        proved if status is None else Status(status), at, relations, proof, window, z, p.bounds
-    )
+    if status is None:
+        status = Status.CONSISTENT
+        if proof is not None:
+            status = Status.FAULT
+    return UncertainCertificate(Status(status), at, case, proof, window, z, p.bounds)
 
 
-def _proof(p, u, y, status, budget):
-    """Return (proof, None) or (None, (FixedWindow, z)), or (None, None) if neither was found."""
-    r, lo = p.relations, tuple(-x for x in p.size)
-    whole, few = (
-        (lo, p.size),
-        polynomials.multiaffine(p.relations.exponents) and len(p.size) <= parametric_windows.VERTICES,
-    )
+def _proof(
+    p: PolynomialWindow, u: np.ndarray, y: np.ndarray, status: Status | None, budget: int
+) -> tuple[Tree | None, Explained | None]:
+    """Return (a proof of FAULT, None), or (None, parameters and unknowns that explain the window), or (None,
+    None) if neither was found.
+
+    The cheapest ways come first: each relation alone over the whole box, the zero of a single one, then the
+    direction and the point that floats propose, then a bisection.
+    """
+    count, lo = p.relations.count, tuple(-x for x in p.size)
+    few = polynomials.multiaffine(p.relations.exponents) and len(p.size) <= parametric_windows.VERTICES
     fault, consistent = status != Status.CONSISTENT, status != Status.FAULT
-    alone = [tuple(Fraction(int(k == i)) for i in range(r.count)) for k in range(r.count)]
     if fault:
-        for h in alone:
-            if (leaf := _leaf(p, h, *whole, few)) is not None:
+        for h in identity(count):
+            leaf = _leaf(p, h, lo, p.size, few)
+            if leaf is not None:
                 return leaf, None
-    if (
-        consistent
-        and r.count == 1
-        and few
-        and (point := _explained(p, p.zero_between(*p.ends()))) is not None
-    ):
-        return None, point
+    if consistent and count == 1 and few:
+        explained = _explained(p, p.zero_between(*p.ends()))
+        if explained is not None:
+            return None, explained
     boxes = _Boxes(p, u, y)
-    _, start, h = boxes.whole()
-    if fault and (leaf := _directed(p, h, *whole)) is not None:
-        return leaf, None
-    if consistent and (point := boxes.point(start)) is not None:
-        return None, point
-    return boxes.cut(budget, fault, consistent) if budget > 1 else (None, None)
+    start, direction = boxes.whole()
+    if fault:
+        leaf = _directed(p, direction, lo, p.size)
+        if leaf is not None:
+            return leaf, None
+    if consistent:
+        explained = boxes.point(start)
+        if explained is not None:
+            return None, explained
+    if budget <= 1:
+        return None, None
+    return boxes.cut(budget, fault, consistent)
 
 
-def _leaf(p, h, lo, hi, few=False):
-    """Return the Leaf of a direction, or None if it proves nothing."""
-    for vertices in (False, True)[: 1 + few]:
+def _leaf(p: PolynomialWindow, h: Vector, lo: Vector, hi: Vector, few: bool = False) -> Leaf | None:
+    """Return the Leaf of a direction, or None if it proves nothing. few: the vertices may be tried."""
+    ways = [False]
+    if few:
+        ways.append(True)
+    for vertices in ways:
         low, high = p.spread(h, lo, hi, vertices)
         if low > 0 or high < 0:
             return Leaf(lo, hi, h, low, high, vertices)
     return None
 
 
-def _directed(p, h, lo, hi):
+def _directed(p: PolynomialWindow, h: np.ndarray, lo: Vector, hi: Vector) -> Leaf | None:
     """Return the Leaf of a direction in floats with as few digits as prove it, or None."""
     top = np.abs(h).max()
     if not 0 < top < np.inf:
         return None
     for digits in (2, *DIGITS):
-        leaf = _leaf(p, tuple(Fraction(f"{x:.{digits}g}") for x in (h / top).tolist()), lo, hi)
+        short = tuple(Fraction(f"{x:.{digits}g}") for x in (h / top).tolist())
+        leaf = _leaf(p, short, lo, hi)
         if leaf is not None:
             return leaf
     return None
 
 
-def _explained(p, v):
+def _explained(p: PolynomialWindow, v: Vector | None) -> Explained | None:
     """Return (FixedWindow, z) of parameters with as few digits as explain the window, or None."""
     if v is None:
         return None
-    for digits in (*DIGITS, None):
-        short = v if digits is None else (Fraction(f"{float(x):.{digits}g}") for x in v)
-        window = p.at([max(-size, min(x, size)) for x, size in zip(short, p.size, strict=True)])
-        found = window.solve()
-        if found.factor <= 1:
-            return window, rounded_witness(window, found.z)
+    candidates = [tuple(Fraction(f"{float(x):.{digits}g}") for x in v) for digits in DIGITS]
+    for candidate in (*candidates, v):
+        inside = [max(-size, min(x, size)) for x, size in zip(candidate, p.size, strict=True)]
+        window = p.at(tuple(inside))
+        best = window.solve()
+        if best.factor <= 1:
+            return window, rounded_witness(window, best.z)
     return None
 
 
 class _Boxes:
-    """What floats propose for boxes of the parameters of one window, by the kernels of the detection."""
+    """Proposals of floats for boxes of the parameters of one window, by the kernels of the detection."""
 
-    def __init__(self, p, u, y):
+    def __init__(self, p: PolynomialWindow, u: np.ndarray, y: np.ndarray) -> None:
         self.p, self.test = p, p.relations.reading(y.dtype)
-        self.samples = [x[..., None] for x in (np.nan_to_num(u[: self.test.window.lags]), np.nan_to_num(y))]
+        inputs, outputs = np.nan_to_num(u[: self.test.window.lags]), np.nan_to_num(y)
+        self.samples = inputs[..., None], outputs[..., None]
 
-    def terms(self, count):
+    def terms(self, count: int) -> Any:  # arrays of a kernel
         """Return the terms of the window, so many times."""
-        return parametric_windows.terms_of(self.test, *(np.repeat(x, count, -1) for x in self.samples))
+        u, y = (np.repeat(x, count, -1) for x in self.samples)
+        return parametric_windows.terms_of(self.test, u, y)
 
-    def whole(self):
-        """Return (margin, start, h) of the whole box."""
-        said = parametric_windows.on_whole(self.test, self.terms(parametric_windows.SEARCHED), False)
-        return [np.asarray(said[k])[..., 0] for k in (1, 4, 5)]
+    def whole(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return (start of a search for a zero, direction) of the whole box."""
+        boxes = parametric_windows.on_whole(self.test, self.terms(parametric_windows.SEARCHED), False)
+        _, _, _, _, start, h, _ = boxes
+        return np.asarray(start)[..., 0], np.asarray(h)[..., 0]
 
-    def point(self, start):
+    def point(self, start: np.ndarray) -> Explained | None:
         """Return (FixedWindow, z) near a start or near the middle, or None."""
         n = len(self.p.size)
-        e = np.zeros(len(self.p.window.limits))
-        e[list(self.test.noisy)] = np.clip(start[n:], -1, 1)
-        for v, noise in ((np.clip(start[:n], -1, 1), e), (np.zeros(n), 0 * e)):
-            if (found := _explained(self.p, self.p.near(v, noise))) is not None:
-                return found
-        return None
+        noise = np.zeros(len(self.p.window.limits))
+        noise[list(self.test.noisy)] = np.clip(start[n:], -1, 1)
+        near = self.p.near(np.clip(start[:n], -1, 1), noise)
+        return _explained(self.p, near) or _explained(self.p, self.p.near(np.zeros(n), 0 * noise))
 
-    def cut(self, budget, fault, consistent):
-        """Return what `_proof` does, from a bisection of the box."""
-        terms, one = self.terms(PART), np.ones((len(self.p.size), 1), self.test.N.dtype)
-        root: list = []
+    def cut(self, budget: int, fault: bool, consistent: bool) -> tuple[Tree | None, Explained | None]:
+        """Return a proof or a point as `_proof` does, from a bisection of the box.
+
+        Boxes of one generation are judged together. A place is where the part of the proof for a box is to
+        stand: it gets a Leaf, or (variable, at) and two places for the halves of the box.
+        """
+        one = np.ones((len(self.p.size), 1), self.test.N.dtype)
+        root: _Place = []
         lo, hi, places, seen = -one, one, [root], 0
-        exact = lambda ends: tuple(Fraction(float(x)) * s for x, s in zip(ends, self.p.size, strict=True))
+        terms = self.terms(PART)
         while places and seen < budget:
             seen += len(places)
-            now = [slice(k, k + PART) for k in range(0, len(places), PART)]
-            said = [self._part(terms, lo[:, part], hi[:, part], consistent) for part in now]
-            margin, start, h, axis, inside = (np.concatenate(x, -1) for x in zip(*said, strict=True))
-            left, new = [], []
+            margin, start, h, axis, inside = self._judged(terms, lo, hi, consistent)
+            halves: list[tuple[int, int, float]] = []  # (box, variable, where it is cut)
+            after: list[_Place] = []
             for k, place in enumerate(places):
-                leaf = (
-                    _directed(self.p, h[:, k], exact(lo[:, k]), exact(hi[:, k]))
-                    if fault and margin[k] < 0
-                    else None
-                )
-                if leaf is not None:
-                    place.append(leaf)
-                    continue
-                if inside[k] and (point := self.point(start[:, k])) is not None:
-                    return None, point
-                i, middle = int(axis[k]), 0.5 * (lo[axis[k], k] + hi[axis[k], k])
-                place += [i, exact(np.full(len(lo), middle))[i], [], []]
-                left.append((k, i, middle))
-                new.extend(place[2:])
-            if not left:
+                if fault and margin[k] < 0:
+                    leaf = _directed(self.p, h[:, k], self._exact(lo[:, k]), self._exact(hi[:, k]))
+                    if leaf is not None:
+                        place.append(leaf)
+                        continue
+                if inside[k]:
+                    explained = self.point(start[:, k])
+                    if explained is not None:
+                        return None, explained
+                i = int(axis[k])
+                middle = 0.5 * (lo[i, k] + hi[i, k])
+                below: _Place = []
+                above: _Place = []
+                place += [i, Fraction(float(middle)) * self.p.size[i], below, above]
+                halves.append((k, i, middle))
+                after += [below, above]
+            if not halves:
                 return _assembled(root), None
-            kept = [k for k, _, _ in left]
-            lo, hi, places = np.repeat(lo[:, kept], 2, 1), np.repeat(hi[:, kept], 2, 1), new
-            for j, (_, i, middle) in enumerate(left):
-                hi[i, 2 * j] = lo[i, 2 * j + 1] = middle
+            lo, hi, places = *_halved(lo, hi, halves), after
         return None, None
 
-    def _part(self, terms, lo, hi, consistent):
-        """Return (margin, start, h, axis, whether a point is proved to exist) of boxes (n, N)."""
+    def _exact(self, ends: np.ndarray) -> Vector:
+        """Return a corner of a box from units of the bounds."""
+        return tuple(Fraction(float(x)) * s for x, s in zip(ends, self.p.size, strict=True))
+
+    def _judged(self, terms: Any, lo: np.ndarray, hi: np.ndarray, consistent: bool) -> list[np.ndarray]:
+        """Return [margin, start, h, axis, whether a point is proved to exist] of boxes (n, N), some at a
+        time.
+        """
+        parts = []
+        for k in range(0, lo.shape[1], PART):
+            parts.append(self._part(terms, lo[:, k : k + PART], hi[:, k : k + PART], consistent))
+        return [np.concatenate(columns, -1) for columns in zip(*parts, strict=True)]
+
+    def _part(self, terms: Any, lo: np.ndarray, hi: np.ndarray, consistent: bool) -> list[np.ndarray]:
+        """Return the same of at most PART boxes, filled up so that no kernel is compiled anew."""
         count = lo.shape[1]
-        mid, radius = (
-            np.pad(x, ((0, 0), (0, PART - count)), mode="edge") for x in (0.5 * (lo + hi), 0.5 * (hi - lo))
-        )
-        said = parametric_windows.on_boxes(
-            self.test, terms, mid, radius, np.arange(PART, dtype=np.int32), consistent
-        )
-        return [np.asarray(said[k])[..., :count] for k in (1, 4, 5, 6, 2)]
+        fill = ((0, 0), (0, PART - count))
+        mid, radius = np.pad(0.5 * (lo + hi), fill, mode="edge"), np.pad(0.5 * (hi - lo), fill, mode="edge")
+        owner = np.arange(PART, dtype=np.int32)
+        boxes = parametric_windows.on_boxes(self.test, terms, mid, radius, owner, consistent)
+        _, margin, inside, _, start, h, axis = boxes
+        return [np.asarray(x)[..., :count] for x in (margin, start, h, axis, inside)]
 
 
-def _assembled(place):
+def _halved(
+    lo: np.ndarray, hi: np.ndarray, halves: Sequence[tuple[int, int, float]]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return (lo, hi) of the two halves of some boxes, side by side."""
+    cut = [k for k, _, _ in halves]
+    lo, hi = np.repeat(lo[:, cut], 2, 1), np.repeat(hi[:, cut], 2, 1)
+    for j, (_, i, middle) in enumerate(halves):
+        hi[i, 2 * j] = lo[i, 2 * j + 1] = middle
+    return lo, hi
+
+
+def _assembled(place: _Place) -> Tree:
     """Return the Leaf or Cut of a place of the bisection."""
     if len(place) == 1:
-        return place[0]
+        leaf: Leaf = place[0]
+        return leaf
     variable, at, below, above = place
     return Cut(variable, at, _assembled(below), _assembled(above))
 
 
-def _leaves(proof):
+def _leaves(proof: Tree) -> Iterator[Leaf]:
     if isinstance(proof, Leaf):
-        return [proof]
-    return _leaves(proof.below) + _leaves(proof.above)
+        yield proof
+    else:
+        yield from _leaves(proof.below)
+        yield from _leaves(proof.above)
 
 
-def _tree(proof, number):
+def _tree(proof: Tree, number: Sequence[Fraction]) -> Numbers:
     """Return a proof as a tree of numbers."""
     if isinstance(proof, Leaf):
         return {
@@ -387,7 +498,14 @@ def _tree(proof, number):
     }
 
 
-def _flat(matrix, k, j, number):
+def _flat(matrix: PolynomialMatrix, k: int, j: int, number: Sequence[Fraction]) -> list[list[Fraction]]:
     """Return the polynomial of one entry as a list of [coefficient, number of a variable, ..]."""
-    entries = [(alpha, part[k, j]) for alpha, part in matrix.terms.items() if (k, j) in part]
-    return [[x, *(number[i] for i, e in enumerate(alpha) for _ in range(e))] for alpha, x in entries]
+    terms = []
+    for alpha, part in matrix.terms.items():
+        if (k, j) not in part:
+            continue
+        term = [part[k, j]]
+        for i, exponent in enumerate(alpha):
+            term += [number[i]] * exponent
+        terms.append(term)
+    return terms

@@ -2,7 +2,6 @@
 `checker`, without JAX.
 """
 
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,8 @@ import numpy as np
 from jaxbound.certificates.checker.claim import claimed
 from jaxbound.certificates.checker.proof import confirm
 from jaxbound.certificates.checker.script import fewer_averages, stated_lags
-from jaxbound.certificates.plain import plain_model, plain_names, plain_samples
+from jaxbound.certificates.checker.words import Matrix
+from jaxbound.certificates.plain import exact_floats, plain_model, plain_names, plain_samples
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 
@@ -46,37 +46,50 @@ def verify(
     """
     sample, last, count = window_of(document)
     recording = Recording.of(model, u, y)
-    place = tuple(sample[:-1]) if isinstance(sample, list) else ()
+    place: tuple[int, ...] = ()
+    if isinstance(sample, list):
+        place = tuple(sample[:-1])
     stop = last - begin + 1
-    if len(place) != recording.y.ndim - 2 or not 0 <= stop - count < stop <= recording.y.shape[-2]:
+    start = stop - count
+    if len(place) != recording.y.ndim - 2 or not 0 <= start < stop <= recording.y.shape[-2]:
         raise ValueError(f"the recording has no {count} samples that end at sample {last}")
     if recording.across(count - 1)[stop - 1]:
         raise ValueError(
             f"the {count} samples that end at sample {last} do not follow each other: there is a gap among "
             f"them"
         )
-    first = None
+    first: Matrix | None = None
     if "first_state" in document["numbers"]:
-        if x0 is None or stop - count != 0 or begin != 0:
+        if x0 is None or start != 0 or begin != 0:
             raise ValueError(
                 "bounds of a first state count at the first sample of the recording only, and must be given: "
                 "x0"
             )
-        first = [
-            [Fraction(float(lo)), Fraction(float(hi))]
-            for lo, hi in zip(np.asarray(x0.lo), np.asarray(x0.hi), strict=True)
-        ]
-    given, part = plain_model(model), slice(stop - count, stop)
-    inputs, outputs = (plain_samples(np.asarray(x)[place][part]) for x in (recording.u, recording.y))
-    precision, lags = str(recording.y.dtype), stated_lags(document, given)
-    claim = claimed(fewer_averages(document, given), inputs, outputs, precision, lags, first)
-    shown = document["names"]["times"]
-    times = None if shown is None else [recording.label(j) for j in range(part.start, part.stop)]
+        first = _bounds_of_state(x0)
+    plain = plain_model(model)
+    inputs = plain_samples(np.asarray(recording.u)[place][start:stop])
+    outputs = plain_samples(np.asarray(recording.y)[place][start:stop])
+    precision, lags = str(recording.y.dtype), stated_lags(document, plain)
+    claim = claimed(fewer_averages(document, plain), inputs, outputs, precision, lags, first)
+    times = None
+    if document["names"]["times"] is not None:
+        times = [recording.label(j) for j in range(start, stop)]
     confirm(document, plain_names(model, sample, times), claim)
 
 
+def _bounds_of_state(x0: Any) -> Matrix:  # an Interval of any kind, from a user
+    """Return [lo, hi] of each state."""
+    lowest, highest = exact_floats(np.asarray(x0.lo)), exact_floats(np.asarray(x0.hi))
+    bounds = []
+    for lo, hi in zip(lowest, highest, strict=True):
+        if lo is None or hi is None:
+            raise ValueError("bounds of a first state must be numbers, not NaN")
+        bounds.append([lo, hi])
+    return bounds
+
+
 def window_of(document: dict[str, Any]) -> tuple[int | list[int], int, int]:
-    """Return (what a certificate calls its sample, the number of its last sample, how many samples its window
+    """Return (the sample that a certificate names, the number of its last sample, how many samples its window
     has).
 
     Raises:
@@ -92,7 +105,9 @@ def window_of(document: dict[str, Any]) -> tuple[int | list[int], int, int]:
             "can check it"
         )
     sample = document["names"]["sample"]
-    whole = sample if isinstance(sample, list) else [sample]
+    whole = sample
+    if not isinstance(sample, list):
+        whole = [sample]
     if not whole or any(type(i) is not int or i < 0 for i in whole):
         raise ValueError(f"the certificate names no sample: {sample!r}")
     return sample, whole[-1], len(document["numbers"]["y"])

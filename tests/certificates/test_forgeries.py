@@ -11,6 +11,7 @@ from test_certificate import refused
 from uncertain_systems import relations
 
 import jaxbound as jb
+from jaxbound.certificates import verify
 from jaxbound.certificates.interface import certify
 
 MEANS = jb.LinearSystem([[0.9]], [[0.5]], [[1]], noise=0.2, averages={"y1": {4: 0.05}})
@@ -103,3 +104,19 @@ def test_a_number_that_would_keep_a_checker_busy_is_refused_at_once():
     document = averaged_fault()
     document["numbers"]["noise"] = ["1e999999999"]
     assert refused(document)
+
+
+@pytest.mark.parametrize("gains", [None, []])
+def test_a_tolerance_that_keeps_its_value_needs_a_gain(gains):
+    """Without gains shown, each reading would have one of its own, as where the tolerance may vary."""
+    plant = dict(A=[[1.0]], B=None, C=[[1]], tolerance=0.1, noise=0.01)
+    y = np.array([[10.0], [10.9]])
+    constant, varying = (jb.LinearSystem(**plant, constant_tolerance=kept) for kept in (True, False))
+    proved = [certify(jb.parity_relations(m, 1), np.zeros((2, 0)), y) for m in (constant, varying)]
+    assert [c.proves.name for c in proved] == ["FAULT", "CONSISTENT"]
+    document = json.loads(proved[1].to_json())
+    document["numbers"] |= {"constant": "1", "relation": None}
+    document["numbers"]["witness"]["gains"] = gains
+    assert refused(summed(document))
+    with pytest.raises((TypeError, ValueError)):
+        verify(document, constant, None, y)

@@ -12,7 +12,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 
 
-def _alone():
+def _alone() -> None:
     """Let the files of this folder import each other by their names without the package they belong to, which
     would import JAX.
     """
@@ -20,7 +20,9 @@ def _alone():
     for part in ("jaxbound", "certificates", "checker"):
         name = f"{name}.{part}".strip(".")
         module = types.ModuleType(name)
-        module.__path__ = [str(HERE)] if part == "checker" else []
+        module.__path__ = []
+        if part == "checker":
+            module.__path__ = [str(HERE)]
         sys.modules.setdefault(name, module)
 
 

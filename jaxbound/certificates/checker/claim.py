@@ -1,4 +1,4 @@
-"""What a certificate claims, built anew from a model and samples: no number of the certificate takes part.
+"""The claim of a certificate, built anew from a model and samples: no number of the certificate takes part.
 
 A model is a dict of exact numbers, lists of them and names, as `plain.plain_model` makes it of a LinearSystem
 and `files.read_model` of a file; nothing in it is rounded yet. Samples are s + 1 rows of numbers, None where
@@ -10,15 +10,32 @@ them: so a certificate of either verdict speaks of the same numbers.
 
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction as F
-from typing import Any
+from typing import Any, cast
 
-__all__ = ["DOUBLE", "SINGLE", "claimed", "compare", "numbers", "rounded_up", "statement"]
+from jaxbound.certificates.checker.words import Claim, Document, insist
+
+__all__ = [
+    "BOUNDS",
+    "DOUBLE",
+    "PRECISIONS",
+    "SINGLE",
+    "STATED",
+    "claimed",
+    "compare",
+    "numbers",
+    "rounded_up",
+    "statement",
+]
 
 DOUBLE, SINGLE = "float64", "float32"
 PRECISIONS = {DOUBLE: (F(1, 2**53), F(1, 2**1022)), SINGLE: (F(1, 2**24), F(1, 2**126))}
 """Unit roundoff and smallest normal number of each float type."""
+STATED = ("A", "B", "C", "D", "G", "F", "D_v", "offset_u", "offset_y")
+"""Numbers of a model that a claim has as they are."""
+BOUNDS = ("tolerance", "noise", "resolution", "disturbance")
+"""Numbers of a model that a claim has rounded outward."""
 LONGEST_EXPONENT = 5
 """Characters of an exponent: the digits of 1e-12345, written out, would be no work for a checker."""
 RECORDER_ULPS = 4
@@ -28,13 +45,13 @@ of a LinearSystem.
 
 
 def claimed(
-    model: dict[str, Any],
+    model: Document,
     u: Sequence[Sequence[F | None]],
     y: Sequence[Sequence[F | None]],
     precision: str = DOUBLE,
     lags: Sequence[int] | None = None,
     first: Sequence[Sequence[F]] | None = None,
-) -> dict[str, Any]:
+) -> Claim:
     """Return the numbers of a certificate that are no part of its proof: those of the model, of its bounds
     and of the samples.
 
@@ -45,77 +62,91 @@ def claimed(
             each first state, or None.
     """
     unit, floor = PRECISIONS[precision]
-
-    def up(values):
-        return [rounded_up(x, precision) for x in values]
-
-    out = {name: model[name] for name in ("A", "B", "C", "D", "G", "F", "D_v", "offset_u", "offset_y")}
-    out |= {name: up(model[name]) for name in ("tolerance", "noise", "resolution")}
-    out["disturbance"] = [
-        [-rounded_up(-lo, precision), rounded_up(hi, precision)] for lo, hi in model["disturbance"]
-    ]
-    out |= {"recorder": RECORDER_ULPS * unit, "floor": floor}
-    out |= {"u": _inputs(model, u), "y": _looked_at(y, lags)}
+    out: Document = {name: model[name] for name in STATED}
+    for name in ("tolerance", "noise", "resolution"):
+        out[name] = _rounded_up_all(model[name], precision)
+    out["disturbance"] = []
+    for lo, hi in model["disturbance"]:
+        out["disturbance"].append([-rounded_up(-lo, precision), rounded_up(hi, precision)])
+    out["recorder"], out["floor"] = RECORDER_ULPS * unit, floor
+    out["u"], out["y"] = _inputs(model, u), _looked_at(y, lags)
     if lags is not None:
-        out["lags"] = [F(lag) for lag in lags]
+        out["lags"] = list(map(F, lags))
     if model["averages"]:
-        bounds = up(a["bound"] for a in model["averages"])
-        out["averages"] = [{**a, "bound": bound} for a, bound in zip(model["averages"], bounds, strict=True)]
-        out |= {"runs": _runs(model, len(y), lags), "all_y": y}
+        bounds = _rounded_up_all((average["bound"] for average in model["averages"]), precision)
+        out["averages"] = _each_with_bound(model["averages"], bounds)
+        out["runs"] = _runs(model, len(y), lags)
+        out["all_y"] = y
     if model["constant"] and any(out["tolerance"]):
         out["constant"] = F(1)
     if model["uncertainties"]:
-        out["uncertainties"] = [{**parameter, "bound": F(1)} for parameter in model["uncertainties"]]
+        # a change of a matrix is half the width of its parameter, so that every |v| <= 1
+        out["uncertainties"] = _each_with_bound(model["uncertainties"], [F(1)] * len(model["uncertainties"]))
         out["variables"] = _variables(model, len(y))
     if first is not None:
         out["first_state"] = first
-    return _listed(out)
+    return cast(Claim, _listed(out))  # its fields were all put in above
 
 
-def statement(verdict: str, names: dict[str, Any], claim: dict[str, Any]) -> str:
+def _rounded_up_all(values: Iterable[F], precision: str) -> list[F]:
+    return [rounded_up(x, precision) for x in values]
+
+
+def _each_with_bound(parts: Sequence[Document], bounds: Sequence[F]) -> list[Document]:
+    return [{**part, "bound": bound} for part, bound in zip(parts, bounds, strict=True)]
+
+
+def statement(verdict: str, names: Document, claim: Mapping[str, Any]) -> str:
     """Return the sentence that a certificate proves.
 
     Args: verdict: FAULT or CONSISTENT. names: of a certificate. claim: numbers, as `claimed` returns them.
     """
-    who = "no behaviour" if verdict == "FAULT" else "a behaviour"
-    sample, count = names["sample"], len(claim["y"])
-    last = sample if isinstance(sample, int) else ", ".join(map(str, sample))
-    seen = ""
+    behaviour = "a behaviour"
+    if verdict == "FAULT":
+        behaviour = "no behaviour"
+    begins = ""
+    if "first_state" in claim:
+        begins = " and from a first state within its bounds"
+    last = names["sample"]
+    if not isinstance(last, int):
+        last = ", ".join(map(str, last))
+    window = f"the {len(claim['y'])} samples that end at sample {last}"
     if "lags" in claim:
-        seen = f", outputs looked at {', '.join(map(str, claim['lags']))} samples before the last,"
-    begins = " and from a first state within its bounds" if "first_state" in claim else ""
-    return (
-        f"{who} of {names['model']} within its bounds{begins} explains the {count} samples that end at "
-        f"sample {last}{seen}"
-    ).rstrip(",")
+        window += f", outputs looked at {', '.join(map(str, claim['lags']))} samples before the last"
+    return f"{behaviour} of {names['model']} within its bounds{begins} explains {window}"
 
 
-def compare(shown: dict[str, Any], claim: dict[str, Any], where: str = "numbers") -> None:
+def compare(shown: Document, claim: Mapping[str, object], where: str = "numbers") -> None:
     """Raise ValueError naming the first difference between what a certificate shows and what model and
     samples make of it.
     """
     for name, value in claim.items():
         if name not in shown:
             raise ValueError(f"{where}.{name} is missing")
-        found = _difference(shown[name], value)
-        if found is not None:
-            path, one, other = found
+        difference = _difference(shown[name], value)
+        if difference is not None:
+            path, one, other = difference
             raise ValueError(
                 f"the certificate is about something else: {where}.{name}{path} is {_text(one)}, model and "
                 f"data say {_text(other)}"
             )
 
 
-def numbers(tree: Any, seen: list[F]) -> Any:
-    """Return a tree of texts as one of Fractions, None as it is; append each number to `seen`.
+def numbers(tree: Document, every: list[F]) -> Document:
+    """Return a tree of texts as one of Fractions, None as it is; append each number to `every`.
 
     Raises:
         ValueError: a leaf that is no exact text.
     """
+    insist(isinstance(tree, dict), "the numbers of a certificate need names")
+    return {name: _read(branch, every) for name, branch in tree.items()}
+
+
+def _read(tree: object, every: list[F]) -> object:
     if isinstance(tree, dict):
-        return {name: numbers(branch, seen) for name, branch in tree.items()}
+        return numbers(tree, every)
     if isinstance(tree, list):
-        return [numbers(branch, seen) for branch in tree]
+        return [_read(branch, every) for branch in tree]
     if tree is None:
         return None
     if not isinstance(tree, str):
@@ -123,16 +154,17 @@ def numbers(tree: Any, seen: list[F]) -> Any:
     exponent = tree.lower().partition("e")[2]
     if len(exponent) > LONGEST_EXPONENT:
         raise ValueError(f"a number is too large or too small to be one of a recording: {tree[:40]}")
-    seen.append(F(tree))
-    return seen[-1]
+    every.append(F(tree))
+    return every[-1]
 
 
 def rounded_up(x: F, precision: str = DOUBLE) -> F:
     """Return the smallest float of a type that is not below x."""
     nearest = float(x)
     if precision == DOUBLE:
-        above = nearest if F(nearest) >= x else math.nextafter(nearest, math.inf)
-        return F(above)
+        if F(nearest) >= x:
+            return F(nearest)
+        return F(math.nextafter(nearest, math.inf))
     (single,) = struct.unpack("<f", struct.pack("<f", nearest))
     if F(single) >= x:
         return F(single)
@@ -147,7 +179,7 @@ def rounded_up(x: F, precision: str = DOUBLE) -> F:
     return F(above)
 
 
-def _inputs(model, u):
+def _inputs(model: Document, u: Sequence[Sequence[F | None]]) -> Sequence[Sequence[F | None]]:
     """Return the inputs that outputs of the window depend on: the last sample's only where one acts at
     once.
     """
@@ -159,45 +191,59 @@ def _inputs(model, u):
     return [*u[:-1], [None] * len(model["offset_u"])]
 
 
-def _looked_at(y, lags):
-    last = len(y) - 1
-    return [row if lags is None or last - j in lags else [None] * len(row) for j, row in enumerate(y)]
+def _looked_at(y: Sequence[Sequence[F | None]], lags: Sequence[int] | None) -> list[Sequence[F | None]]:
+    """Return the samples with None where the window does not look at its outputs."""
+    last, out = len(y) - 1, []
+    for j, row in enumerate(y):
+        if lags is None or last - j in lags:
+            out.append(row)
+        else:
+            out.append([None] * len(row))
+    return out
 
 
-def _runs(model, samples, lags):
+def _runs(model: Document, samples: int, lags: Sequence[int] | None) -> list[Document]:
     """Return {average, first sample} of every run of an average in the window; first None where it is not
     looked at.
     """
     runs = []
-    for a, average in enumerate(model["averages"]):
+    for number, average in enumerate(model["averages"]):
         length = len(average["weights"])
-        steps = samples if average["output"] else samples - 1
+        steps = samples  # outputs have s + 1 samples, disturbances s
+        if not average["output"]:
+            steps -= 1
         for first in range(steps - length + 1):
+            run: Document = {"average": F(number), "first": F(first)}
             last = first + length - 1
-            looked = not average["output"] or lags is None or samples - 1 - last in lags
-            runs.append({"average": F(a), "first": F(first) if looked else None})
+            if average["output"] and lags is not None and samples - 1 - last not in lags:
+                run["first"] = None
+            runs.append(run)
     return runs
 
 
-def _variables(model, samples):
+def _variables(model: Document, samples: int) -> list[list[F | None]]:
     """Return [number of a parameter, sample, or None where it keeps one value] of each variable."""
-    variables = []
+    variables: list[list[F | None]] = []
     for i, parameter in enumerate(model["uncertainties"]):
-        lags = [F(j) for j in range(samples)] if parameter["varying"] else [None]
-        variables += [[F(i), lag] for lag in lags]
+        if parameter["varying"]:
+            variables += [[F(i), F(j)] for j in range(samples)]
+        else:
+            variables.append([F(i), None])
     return variables
 
 
-def _listed(tree):
+def _listed(tree: object) -> object:
     """Return a tree with lists for tuples and Fractions for all numbers."""
     if isinstance(tree, dict):
         return {name: _listed(branch) for name, branch in tree.items()}
     if isinstance(tree, (list, tuple)):
         return [_listed(branch) for branch in tree]
-    return None if tree is None else F(tree)
+    if tree is None:
+        return None
+    return F(cast(F, tree))
 
 
-def _difference(shown, value):
+def _difference(shown: object, value: object) -> tuple[str, object, object] | None:
     """Return (path, shown, wanted) of the first difference of two trees, or None."""
     if isinstance(value, dict) and isinstance(shown, dict):
         if set(value) != set(shown):
@@ -207,17 +253,18 @@ def _difference(shown, value):
         if len(value) != len(shown):
             return "", f"{len(shown)} entries", f"{len(value)} entries"
         branches = [(f"[{i}]", one, other) for i, (one, other) in enumerate(zip(shown, value, strict=True))]
+    elif type(shown) is type(value) and shown == value:
+        return None
     else:
-        same = type(shown) is type(value) and shown == value
-        return None if same else ("", shown, value)
+        return "", shown, value
     for path, one, other in branches:
-        found = _difference(one, other)
-        if found is not None:
-            return path + found[0], found[1], found[2]
+        difference = _difference(one, other)
+        if difference is not None:
+            return path + difference[0], difference[1], difference[2]
     return None
 
 
-def _text(x):
-    if not isinstance(x, F):
-        return str(x)
-    return str(x) if len(str(x)) < 30 else repr(float(x))
+def _text(x: object) -> str:
+    if isinstance(x, F) and len(str(x)) >= 30:
+        return repr(float(x))
+    return str(x)

@@ -4,12 +4,13 @@ solvers that decide anew.
 Source: scipopt/vipr, cert_spec_v1_0.md; smt-lib.org, version 2.6.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from fractions import Fraction as F
-from typing import Any
+from typing import cast
 
 from jaxbound.certificates.checker.claim import numbers
 from jaxbound.certificates.checker.inequalities import Row, combination, rows_of, solution, unknowns
+from jaxbound.certificates.checker.words import Claim, Document
 
 __all__ = ["smt2", "vipr"]
 
@@ -20,14 +21,14 @@ NONLINEAR = (
 )
 
 
-def vipr(document: dict[str, Any]) -> str:
+def vipr(document: Document) -> str:
     """Return a certificate as VIPR 1.0: for FAULT the rows and the combination of them that is 0 >= a
     positive number, for CONSISTENT the rows and a solution.
 
     Raises:
         NotImplementedError: a FAULT of a model with uncertain parameters.
     """
-    c, proof = _read(document)
+    c, proof = _parts(document)
     fault = document["certificate"] == "FAULT"
     if fault and "uncertainties" in c:
         raise NotImplementedError(NONLINEAR)
@@ -35,72 +36,108 @@ def vipr(document: dict[str, Any]) -> str:
     rows = rows_of(c, v)
     place = {name: i for i, name in enumerate(unknowns(rows) or ["none"])}
     lines = [*_head(document, "%"), "VER 1.0", f"VAR {len(place)}", " ".join(place), "INT 0", "OBJ min", "0"]
-    constraints, ends = list[str](), []  # one for each end of a row, and their numbers
-    for row in rows:
-        sides = [("E", row.lo)] if row.lo == row.hi else [("G", row.lo), ("L", row.hi)]
-        at = {}
-        for sense, end in sides:
-            if end is not None:
-                at[sense] = len(constraints)
-                constraints.append(
-                    f"{row.name}{'' if sense == 'E' else sense} {sense} {end} {_sparse(row, place)}"
-                )
-        ends.append(at)
+    constraints, numbered = _constraints(rows, place)
     lines += [f"CON {len(constraints)} 0", *constraints]
-    if not fault:
+    if fault:
+        multipliers = combination(c, proof["relation"], rows)
+        lines += ["RTP infeas", "SOL 0", "DER 1", _contradiction(rows, numbered, multipliers)]
+    else:
         values = [f"{place[name]} {x}" for name, x in solution(c, proof["witness"], v) if name in place and x]
-        return "\n".join(
-            [*lines, "RTP range -inf inf", "SOL 1", f"witness {len(values)} {' '.join(values)}", "DER 0", ""]
-        )
+        lines += ["RTP range -inf inf", "SOL 1", f"witness {len(values)} {' '.join(values)}", "DER 0"]
+    return "\n".join([*lines, ""])
+
+
+def _constraints(rows: Sequence[Row], place: dict[str, int]) -> tuple[list[str], list[dict[str, int]]]:
+    """Return (a line for each end of a row, {sense: number of the line} of each row)."""
+    lines: list[str] = []
+    numbered = []
+    for row in rows:
+        at = {}
+        for sense, end in _ends(row, "E", "G", "L"):
+            name = row.name
+            if sense != "E":
+                name += sense
+            at[sense] = len(lines)
+            lines.append(f"{name} {sense} {end} {_sparse(row, place)}")
+        numbered.append(at)
+    return lines, numbered
+
+
+def _contradiction(rows: Sequence[Row], numbered: Sequence[dict[str, int]], multipliers: Sequence[F]) -> str:
+    """Return the derivation that a combination of lines is 0 >= a positive number."""
     used, total = [], F(0)
-    for row, at, x in zip(rows, ends, combination(c, proof["relation"], rows), strict=True):
-        if x:
-            sense = "E" if "E" in at else "G" if x > 0 else "L"
-            end = row.hi if sense == "L" else row.lo
-            assert end is not None
-            used.append(f"{at[sense]} {x}")
-            total += x * end
-    derived = f"contradiction G {total} 0 {{ lin {len(used)} {' '.join(used)} }} -1"
-    return "\n".join([*lines, "RTP infeas", "SOL 0", "DER 1", derived, ""])
+    for row, at, x in zip(rows, numbered, multipliers, strict=True):
+        if not x:
+            continue
+        sense, end = "L", row.hi
+        if "E" in at:
+            sense, end = "E", row.lo
+        elif x > 0:
+            sense, end = "G", row.lo
+        assert end is not None, "a multiplier uses an end that is there"
+        used.append(f"{at[sense]} {x}")
+        total += x * end
+    return f"contradiction G {total} 0 {{ lin {len(used)} {' '.join(used)} }} -1"
 
 
-def smt2(document: dict[str, Any]) -> str:
+def smt2(document: Document) -> str:
     """Return the rows of a certificate's window as an SMT-LIB 2 script, with the answer that is expected:
     unsat for FAULT, else sat.
     """
-    c, _ = _read(document)
+    c, _ = _parts(document)
     rows = rows_of(c)
-    products = any(len(monomial) > 1 for row in rows for monomial in row.terms)
+    logic, expected = "QF_LRA", "sat"
+    if any(len(monomial) > 1 for row in rows for monomial in row.terms):
+        logic = "QF_NRA"
+    if document["certificate"] == "FAULT":
+        expected = "unsat"
     lines = [
         *_head(document, ";"),
         "(set-info :smt-lib-version 2.6)",
-        f"(set-logic {'QF_NRA' if products else 'QF_LRA'})",
+        f"(set-logic {logic})",
+        f"(set-info :status {expected})",
     ]
-    lines.append(f"(set-info :status {'unsat' if document['certificate'] == 'FAULT' else 'sat'})")
     lines += [f"(declare-fun {name} () Real)" for name in unknowns(rows)]
     for row in rows:
         total = _sum(row)
-        sides = [("=", row.lo)] if row.lo == row.hi else [(">=", row.lo), ("<=", row.hi)]
-        lines += [f"(assert ({sense} {total} {_real(end)}))" for sense, end in sides if end is not None]
+        for sense, end in _ends(row, "=", ">=", "<="):
+            lines.append(f"(assert ({sense} {total} {_real(end)}))")
     return "\n".join([*lines, "(check-sat)", "(exit)", ""])
 
 
-def _read(document):
+def _ends(row: Row, equal: str, least: str, most: str) -> Iterator[tuple[str, F]]:
+    """Yield (sense, end) of each end of a row, of an equation once."""
+    if row.lo is not None and row.lo == row.hi:
+        yield equal, row.lo
+        return
+    if row.lo is not None:
+        yield least, row.lo
+    if row.hi is not None:
+        yield most, row.hi
+
+
+def _parts(document: Document) -> tuple[Claim, Document]:
     """Return (claim, proof) of a document."""
-    c = numbers(document["numbers"], [])
-    return {name: x for name, x in c.items() if name not in PROOF}, {
-        name: x for name, x in c.items() if name in PROOF
-    }
+    claim, proof = numbers(document["numbers"], []), {}
+    for name in PROOF:
+        if name in claim:
+            proof[name] = claim.pop(name)
+    return cast(Claim, claim), proof  # a certificate that was built here: nothing in it needs a check
 
 
-def _head(document, mark):
-    """Return comments that say what the text is about; whatever names are, they stay within their line."""
-    said = " ".join(document["statement"].split())
+def _head(document: Document, mark: str) -> list[str]:
+    """Return comments that name the verdict and the unknowns; whatever names are, they stay within their
+    line.
+    """
+    sentence = " ".join(document["statement"].split())
     unknown = (
         "xJ_I: state I at sample J, wJ_I: disturbance, vJ_I: unknown input, uJ_I: missing input, gI: "
         "gain, pK: parameter"
     )
-    return [f"{mark} {document['certificate']}: {said}", f"{mark} {unknown}, in deviations from the offsets"]
+    return [
+        f"{mark} {document['certificate']}: {sentence}",
+        f"{mark} {unknown}, in deviations from the offsets",
+    ]
 
 
 def _sparse(row: Row, place: dict[str, int]) -> str:
@@ -109,18 +146,26 @@ def _sparse(row: Row, place: dict[str, int]) -> str:
     return " ".join([str(len(terms)), *terms])
 
 
-def _sum(row):
+def _sum(row: Row) -> str:
     terms = [_product(monomial, x) for monomial, x in row.terms.items()]
     if not terms:
         return "0.0"
-    return terms[0] if len(terms) == 1 else f"(+ {' '.join(terms)})"
+    if len(terms) == 1:
+        return terms[0]
+    return f"(+ {' '.join(terms)})"
 
 
 def _product(monomial: Sequence[str], x: F) -> str:
-    return monomial[0] if len(monomial) == 1 and x == 1 else f"(* {_real(x)} {' '.join(monomial)})"
+    if len(monomial) == 1 and x == 1:
+        return monomial[0]
+    return f"(* {_real(x)} {' '.join(monomial)})"
 
 
-def _real(x):
+def _real(x: F) -> str:
     """Return an exact number as a term of sort Real."""
-    size = f"{abs(x.numerator)}.0" if x.denominator == 1 else f"(/ {abs(x.numerator)}.0 {x.denominator}.0)"
-    return f"(- {size})" if x < 0 else size
+    size = f"{abs(x.numerator)}.0"
+    if x.denominator != 1:
+        size = f"(/ {size} {x.denominator}.0)"
+    if x < 0:
+        return f"(- {size})"
+    return size

@@ -9,14 +9,13 @@ for a missing one.
 import csv
 import struct
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import datetime
 from fractions import Fraction as F
 from pathlib import Path
-from typing import Any
 
 from jaxbound.certificates.checker.claim import DOUBLE
-from jaxbound.certificates.checker.trajectories import insist
+from jaxbound.certificates.checker.words import Document, Ends, Matrix, Samples, Vector, insist
 
 __all__ = ["read_model", "read_samples"]
 
@@ -25,7 +24,7 @@ LATE = F(1, 2)
 """Share of a sampling period by which a step of time may differ from it, else it is a gap."""
 
 
-def read_model(path: Path) -> tuple[dict[str, Any], dict[str, Any], list[str], str | None, F]:
+def read_model(path: Path) -> tuple[Document, Document, list[str], str | None, F]:
     """Return (model, names, columns of inputs and outputs, column of the time or None, sampling period) of a
     model file.
 
@@ -35,50 +34,77 @@ def read_model(path: Path) -> tuple[dict[str, Any], dict[str, Any], list[str], s
     """
     table = tomllib.loads(path.read_text(encoding="utf-8-sig"), parse_float=str)
     matrices = table["matrices"]
-    for field in ("decouple", "where"):
+    insist("C" in matrices or "D" in matrices, f"{path}: C, or D where there are no states, is missing")
+    for field, place in (("decouple", table), ("where", table), ("E", matrices)):
         insist(
-            field not in table, f"{path}: {field} is more than this script reads; jaxbound verify reads it"
+            field not in place, f"{path}: {field} is more than this script reads; jaxbound verify reads it"
         )
-    insist("E" not in matrices, f"{path}: E is more than this script reads; jaxbound verify reads it")
     inputs, outputs, disturbances = (table.get(kind, []) for kind in ("inputs", "outputs", "disturbances"))
-    states = [{"name": s} if isinstance(s, str) else s for s in table.get("states", [])]
-    n, p = len(matrices.get("A", [])), len(matrices["C"] if "C" in matrices else matrices["D"])
-    m = _width(matrices.get("B", [])) or _width(matrices.get("D", []))
-    shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m), "G": (n, len(disturbances))}
-    shapes |= {"F": (n, _width(matrices.get("F", []))), "D_v": (p, _width(matrices.get("F", [])))}
-    model: dict[str, Any] = {}
+    shapes = _shapes(matrices, len(disturbances))
+    n, (p, m) = shapes["A"][0], shapes["D"]
+    model: Document = {}
     for letter, shape in shapes.items():
         model[letter] = _matrix(matrices.get(letter), *shape)
-    model |= {
-        f"offset_{side}": _each(signals, "offset", k)
-        for side, signals, k in (("u", inputs, m), ("y", outputs, p))
-    }
-    model |= {bound: _each(outputs, bound, p) for bound in ("tolerance", "noise", "resolution")}
-    model["disturbance"] = [_pair(d["bound"]) for d in disturbances]
+    model["offset_u"], model["offset_y"] = _each(inputs, "offset", m), _each(outputs, "offset", p)
+    for bound in ("tolerance", "noise", "resolution"):
+        model[bound] = _each(outputs, bound, p)
+    model["disturbance"] = [_pair(signal["bound"]) for signal in disturbances]
     model["averages"] = _averages(outputs, True) + _averages(disturbances, False)
     model["constant"] = table.get("constant_tolerance", False)
-    model["lags"] = None if "lags" not in table else sorted(int(lag) for lag in table["lags"])
-    model["uncertainties"] = [
-        _parameter(parameter, model, shapes) for parameter in table.get("uncertainty", [])
-    ]
-    names: dict[str, Any] = {"model": table.get("name", "model")}
-    for kind, signals, letter, count in (
-        ("states", states, "x", n),
-        ("inputs", inputs, "u", m),
-        ("outputs", outputs, "y", p),
-    ):
-        names[kind] = [s["name"] for s in signals] or [f"{letter}{i + 1}" for i in range(count)]
-    names["units"] = {s["name"]: s["unit"] for s in inputs + outputs + states if "unit" in s}
-    if model["uncertainties"]:
-        names["parameters"] = [parameter["name"] for parameter in table["uncertainty"]]
-    stated = {s["name"]: s.get("column", s["name"]) for s in inputs + outputs}
-    columns = [stated.get(name, name) for name in names["inputs"] + names["outputs"]]
-    for column in columns:
+    model["lags"] = None
+    if "lags" in table:
+        model["lags"] = sorted(map(int, table["lags"]))
+    model["uncertainties"] = []
+    for parameter in table.get("uncertainty", []):  # each moves the model to the middle of its range
+        model["uncertainties"].append(_parameter(parameter, model, shapes))
+
+    names = _names(table, n, m, p)
+    columns = {signal["name"]: signal.get("column", signal["name"]) for signal in inputs + outputs}
+    read = [columns.get(name, name) for name in names["inputs"] + names["outputs"]]
+    for column in read:
         insist(
             not column.startswith("="),
             f"{path}: the column {column!r} is more than this script reads; jaxbound verify reads it",
         )
-    return model, names, columns, table.get("time"), F(str(table["dt"]))
+    return model, names, read, table.get("time"), F(str(table["dt"]))
+
+
+def _shapes(matrices: Document, disturbances: int) -> dict[str, tuple[int, int]]:
+    """Return the shape of each matrix, from those that a model file states."""
+    at_once: Matrix = matrices.get("D", [])
+    n, p = len(matrices.get("A", [])), len(matrices.get("C", at_once))
+    m = _width(matrices.get("B", [])) or _width(at_once)
+    d = _width(matrices.get("F", []))
+    return {
+        "A": (n, n),
+        "B": (n, m),
+        "C": (p, n),
+        "D": (p, m),
+        "G": (n, disturbances),
+        "F": (n, d),
+        "D_v": (p, d),
+    }
+
+
+def _names(table: Document, n: int, m: int, p: int) -> Document:
+    """Return the names of a model and of its signals, those that it does not state by number."""
+    stated: dict[str, list[Document]] = {"states": []}
+    for state in table.get("states", []):
+        if isinstance(state, str):
+            state = {"name": state}
+        stated["states"].append(state)
+    stated["inputs"], stated["outputs"] = table.get("inputs", []), table.get("outputs", [])
+    names: Document = {"model": table.get("name", "model")}
+    for kind, letter, count in (("states", "x", n), ("inputs", "u", m), ("outputs", "y", p)):
+        numbered = [f"{letter}{i + 1}" for i in range(count)]
+        names[kind] = [signal["name"] for signal in stated[kind]] or numbered
+    names["units"] = {}
+    for signal in stated["inputs"] + stated["outputs"] + stated["states"]:
+        if "unit" in signal:
+            names["units"][signal["name"]] = signal["unit"]
+    if table.get("uncertainty"):
+        names["parameters"] = [parameter["name"] for parameter in table["uncertainty"]]
+    return names
 
 
 def read_samples(
@@ -89,7 +115,7 @@ def read_samples(
     last: int,
     count: int,
     precision: str = DOUBLE,
-) -> tuple[list[list[F | None]], list[str] | None]:
+) -> tuple[Samples, list[str] | None]:
     """Return (count rows of samples that end at sample `last`, the text of their times or None).
 
     Args:
@@ -104,7 +130,10 @@ def read_samples(
     with open(path, encoding="utf-8-sig", newline="") as file:
         header, *rows = csv.reader(file, strict=True)
     header = [name.strip() for name in header]
-    for column in (*columns, *([] if time is None else [time])):
+    wanted = list(columns)
+    if time is not None:
+        wanted.append(time)
+    for column in wanted:
         insist(
             header.count(column) == 1,
             f"{path}: there must be one column {column!r}, there are {header.count(column)}",
@@ -133,7 +162,7 @@ def read_samples(
     return samples, times
 
 
-def _cell(text, precision, path, k):
+def _cell(text: str, precision: str, path: Path, k: int) -> F | None:
     """Return the number of a cell, the nearest float of a type exactly, None where it is missing."""
     if text.strip().lower() in ("", "nan"):
         return None
@@ -142,10 +171,13 @@ def _cell(text, precision, path, k):
         exact = F(value)
     except (ValueError, OverflowError):
         raise ValueError(f"{path}: sample {k} has a cell {text!r}, which is no number") from None
-    return exact if precision == DOUBLE else F(*struct.unpack("<f", struct.pack("<f", value)))
+    if precision == DOUBLE:
+        return exact
+    return F(*struct.unpack("<f", struct.pack("<f", value)))
 
 
-def _seconds(text):
+def _seconds(text: str) -> F:
+    """Return a time of the data in seconds: a number, or a time stamp in ISO 8601."""
     try:
         return F(text)
     except ValueError:
@@ -154,11 +186,13 @@ def _seconds(text):
     return F(str((moment - datetime(1970, 1, 1, tzinfo=moment.tzinfo)).total_seconds()))
 
 
-def _width(rows):
-    return len(rows[0]) if rows else 0
+def _width(rows: Sequence[Sequence[object]]) -> int:
+    if not rows:
+        return 0
+    return len(rows[0])
 
 
-def _matrix(rows, height, width):
+def _matrix(rows: Sequence[Sequence[object]] | None, height: int, width: int) -> Matrix:
     """Return rows of exact numbers, of zeros where there is no matrix."""
     if not rows:
         return [[ZERO] * width for _ in range(height)]
@@ -166,47 +200,53 @@ def _matrix(rows, height, width):
         len(rows) == height and all(len(row) == width for row in rows),
         "a matrix has another shape than the others ask for",
     )
-    return [[F(str(x)) for x in row] for row in rows]
+    return [_exact(row) for row in rows]
 
 
-def _each(signals, field, count):
-    return [F(str(s.get(field, 0))) for s in signals] or [ZERO] * count
+def _exact(values: Iterable[object]) -> Vector:
+    return [F(str(x)) for x in values]
 
 
-def _pair(bound):
+def _each(signals: Sequence[Document], field: str, count: int) -> Vector:
+    """Return a field of each signal, 0 where it is not stated, or where no signal is."""
+    return _exact(signal.get(field, 0) for signal in signals) or [ZERO] * count
+
+
+def _pair(bound: object) -> Ends:
+    """Return (lo, hi) of a bound that is a pair, or a size of either sign."""
     if isinstance(bound, list):
-        lo, hi = bound
-        return F(str(lo)), F(str(hi))
-    return -F(str(bound)), F(str(bound))
+        lo, hi = _exact(bound)
+        return lo, hi
+    size = F(str(bound))
+    return -size, size
 
 
-def _averages(signals, measured):
-    found = []
+def _averages(signals: Sequence[Document], measured: bool) -> list[Document]:
+    averages = []
     for i, signal in enumerate(signals):
         for average in signal.get("averages", []):
-            weights = (
-                average["weights"]
-                if "weights" in average
-                else [F(1, average["samples"])] * average["samples"]
-            )
-            numbers = [F(str(x)) for x in weights]
-            found.append(
-                {"output": F(measured), "number": F(i), "weights": numbers, "bound": F(str(average["bound"]))}
-            )
-    return found
+            if "weights" in average:
+                weights = _exact(average["weights"])
+            else:
+                weights = [F(1, average["samples"])] * average["samples"]
+            bound = F(str(average["bound"]))
+            averages.append({"output": F(measured), "number": F(i), "weights": weights, "bound": bound})
+    return averages
 
 
-def _parameter(table, model, shapes):
+def _parameter(table: Document, model: Document, shapes: dict[str, tuple[int, int]]) -> Document:
     """Return a parameter as half its width times what it multiplies, and move the model to the middle of
     it.
     """
-    lo, hi = (F(str(x)) for x in table.get("between", [-1, 1]))
-    out: dict[str, Any] = {"varying": F(table.get("varying", True))}
+    lo, hi = _exact(table.get("between", [-1, 1]))
+    out: Document = {"varying": F(table.get("varying", True))}
     for letter in "ABCD":
         out[letter] = None
-        if table.get(letter):
-            change = _matrix(table[letter], *shapes[letter])
-            out[letter] = [[(hi - lo) / 2 * x for x in row] for row in change]
-            for row, by in zip(model[letter], change, strict=True):
-                row[:] = [a + (lo + hi) / 2 * b for a, b in zip(row, by, strict=True)]
+        if not table.get(letter):
+            continue
+        change = _matrix(table[letter], *shapes[letter])
+        out[letter] = []
+        for row, by in zip(model[letter], change, strict=True):
+            out[letter].append([(hi - lo) / 2 * x for x in by])
+            row[:] = [a + (lo + hi) / 2 * b for a, b in zip(row, by, strict=True)]
     return out

@@ -5,20 +5,25 @@ Unknowns, all in deviations from the offsets: xJ_I (state I at sample J), wJ_I (
 input), uJ_I (an input that is missing), gI (gain of output I, 1 / (1 + theta), where it keeps one value), pK
 (uncertain parameter K at a sample, or over the window).
 
-A row is lo <= sum of coefficients times products of unknowns <= hi. The words are those of `proof`.
+A row is lo <= sum of coefficients times products of unknowns <= hi. The letters are those of `proof`.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction as F
-from typing import Any
+from typing import Any, TypeAlias
 
-from jaxbound.certificates.checker.boxes import Polynomial
-from jaxbound.certificates.checker.trajectories import dots, limits, now, runs_of, turned
+from jaxbound.certificates.checker.polynomial import Polynomial
+from jaxbound.certificates.checker.trajectories import limits, plant_at, runs_of
+from jaxbound.certificates.checker.vectors import add, combine, dots
+from jaxbound.certificates.checker.words import Claim, Ends, Relation, Witness
 
 __all__ = ["Row", "combination", "rows_of", "solution", "unknowns"]
 
 ZERO, ONE = F(0), F(1)
+Place: TypeAlias = tuple[str, int, int]
+Expression: TypeAlias = Polynomial[str]
+"""A polynomial in the names of unknowns."""
 
 
 @dataclass(frozen=True)
@@ -30,168 +35,197 @@ class Row:
     """
 
     name: str
-    terms: dict
+    terms: dict[tuple[str, ...], F]
     lo: F | None
     hi: F | None
-    place: tuple
+    place: Place
 
 
-def rows_of(c: dict[str, Any], parameters: Sequence[F] | None = None) -> list[Row]:
+def rows_of(c: Claim, parameters: Sequence[F] | None = None) -> list[Row]:
     """Return the rows of a claim, equations of the states included.
 
     Args:
         c: see `claim.claimed`. parameters: values of uncertain parameters that are put in; None: they are
             unknowns, and rows not linear.
     """
-    names = [f"p{k}" for k in range(len(c.get("variables", [])))]
-    v: Sequence = [Polynomial({(name,): ONE}) for name in names] if parameters is None else parameters
-    rows = [
-        _row(name, Polynomial({(name,): ONE}), -bound, bound, ("p", 0, k))
-        for k, (name, bound) in enumerate(_bounds(c, names))
-    ]
-    if parameters is not None:
-        rows += [
-            _row(f"{name}_is", Polynomial({(name,): ONE}), x, x, ("is", 0, 0))
-            for name, x in zip(names, parameters, strict=True)
-        ]
+    rows, v = _parameter_rows(c, parameters)
     n, last = len(c["A"]), len(c["y"]) - 1
-    state, seen = _signals("x", 0, n), []
-    ends = c.get("first_state")
-    if ends is not None:
-        rows += [
-            _row(f"first{i}", x, lo, hi, ("x", 0, i))
-            for i, (x, (lo, hi)) in enumerate(zip(state, ends, strict=True))
-        ]
-    gains = _signals("g", None, len(c["noise"])) if "constant" in c else None
-    if gains is not None:
-        for i, (gain, tolerance) in enumerate(zip(gains, c["tolerance"], strict=True)):
-            rows.append(_row(f"gain{i}", gain, 1 / (1 + tolerance), 1 / (1 - tolerance), ("gain", 0, i)))
-    for j, (readings, w_ends) in enumerate(limits(c, None, None if gains is None else [ONE] * len(gains))):
-        A, B, C, D = (now(c, letter, j, v) for letter in "ABCD")
-        u, w, free = _inputs(c, j), _signals("w", j, len(w_ends)), _signals("v", j, len(c["D_v"][0]))
-        true = [
-            sum(parts, Polynomial({}))
-            for parts in zip(dots(C, state), dots(D, u), dots(c["D_v"], free), strict=True)
-        ]
-        seen.append((true, w))
-        for i, (t, reading) in enumerate(zip(true, readings, strict=True)):
-            rows += _reading(j, i, t, reading, gains)
+    x = _unknowns("x0_", n)
+    for i, (lo, hi) in enumerate(c.get("first_state", [])):
+        rows.append(_row(f"first{i}", x[i], lo, hi, ("x", 0, i)))
+    gains, known = None, None
+    if "constant" in c:
+        # a reading's limits at gain 1 times the gain are those at that gain
+        gains, known = _unknowns("g", len(c["noise"])), [ONE] * len(c["noise"])
+        rows += _gain_rows(c, gains)
+    true_values = []  # (outputs, disturbances) of each sample
+    for j, (readings, w_ends) in enumerate(limits(c, None, known)):
+        A, B, C, D = plant_at(c, j, v)
+        u, w, free = _inputs(c, j), _unknowns(f"w{j}_", len(w_ends)), _unknowns(f"v{j}_", len(c["D_v"][0]))
+        # t = C x + D u + D_v v
+        t = [Expression.of(terms) for terms in add(dots(C, x), dots(D, u), dots(c["D_v"], free))]
+        true_values.append((t, w))
+        for i, (output, reading) in enumerate(zip(t, readings, strict=True)):
+            rows += _reading_rows(j, i, output, reading, gains)
         if j == last:
-            continue
-        rows += [
-            _row(f"w{j}_{i}_bound", x, lo, hi, ("w", j, i))
-            for i, (x, (lo, hi)) in enumerate(zip(w, w_ends, strict=True))
-        ]
-        after = _signals("x", j + 1, n)
-        parts = zip(after, dots(A, state), dots(B, u), dots(c["G"], w), dots(c["F"], free), strict=True)
-        for i, (new, *moved) in enumerate(parts):
-            rows.append(
-                _row(f"step{j}_{i}", new + sum(moved, Polynomial({})) * -ONE, ZERO, ZERO, ("step", j, i))
-            )
-        state = after
-    return rows + list(_averages(c, seen))
+            break
+        for i, (disturbance, (lo, hi)) in enumerate(zip(w, w_ends, strict=True)):
+            rows.append(_row(f"w{j}_{i}_bound", disturbance, lo, hi, ("w", j, i)))
+        # x+ - (A x + B u + G w + F v) = 0
+        after = _unknowns(f"x{j + 1}_", n)
+        moved = add(dots(A, x), dots(B, u), dots(c["G"], w), dots(c["F"], free))
+        for i, (new, terms) in enumerate(zip(after, moved, strict=True)):
+            rows.append(_row(f"step{j}_{i}", new + terms * -ONE, ZERO, ZERO, ("step", j, i)))
+        x = after
+    return rows + list(_average_rows(c, true_values))
 
 
-def _bounds(c, names):
-    bounds = [c["uncertainties"][int(who)]["bound"] for who, _ in c.get("variables", [])]
-    return zip(names, bounds, strict=True)
+def _parameter_rows(c: Claim, values: Sequence[F] | None) -> tuple[list[Row], Sequence[F] | list[Expression]]:
+    """Return (the rows of the uncertain parameters, what stands for them in other rows)."""
+    v = _unknowns("p", len(c.get("variables", [])))
+    rows = []
+    for k, (x, (number, _)) in enumerate(zip(v, c.get("variables", []), strict=True)):
+        bound = c["uncertainties"][int(number)]["bound"]
+        rows.append(_row(f"p{k}", x, -bound, bound, ("p", 0, k)))
+    if values is None:
+        return rows, v
+    for k, (x, value) in enumerate(zip(v, values, strict=True)):
+        rows.append(_row(f"p{k}_is", x, value, value, ("is", 0, 0)))
+    return rows, values
 
 
-def _reading(j, i, t, reading, gains):
+def _gain_rows(c: Claim, gains: Sequence[Expression]) -> Iterator[Row]:
+    for i, (gain, tolerance) in enumerate(zip(gains, c["tolerance"], strict=True)):
+        yield _row(f"gain{i}", gain, 1 / (1 + tolerance), 1 / (1 - tolerance), ("gain", 0, i))
+
+
+def _reading_rows(
+    j: int, i: int, t: Expression, reading: Ends | None, gains: Sequence[Expression] | None
+) -> list[Row]:
     """Return the rows of one reading, none where it is missing."""
     if reading is None:
         return []
     lo, hi = reading
     if gains is None:
         return [_row(f"y{j}_{i}", t, lo, hi, ("y", j, i))]
-    above, below = t + gains[i] * -lo, t + gains[i] * -hi
-    return [
-        _row(f"y{j}_{i}_above", above, ZERO, None, ("above", j, i)),
-        _row(f"y{j}_{i}_below", below, None, ZERO, ("below", j, i)),
+    return [  # g lo <= t <= g hi
+        _row(f"y{j}_{i}_above", t + gains[i] * -lo, ZERO, None, ("above", j, i)),
+        _row(f"y{j}_{i}_below", t + gains[i] * -hi, None, ZERO, ("below", j, i)),
     ]
 
 
-def _averages(c, seen):
+def _average_rows(
+    c: Claim, true_values: Sequence[tuple[list[Expression], list[Expression]]]
+) -> Iterator[Row]:
     for k, (_, terms, ends) in enumerate(runs_of(c)):
         if ends is None:
             continue
-        total = Polynomial({})
+        total = Expression({})
         for measured, j, i, weight in terms:
-            true, w = seen[j]
-            total = total + (true if measured else w)[i] * weight
+            outputs, disturbances = true_values[j]
+            if measured:
+                total = total + outputs[i] * weight
+            else:
+                total = total + disturbances[i] * weight
         lo, hi = ends
         yield _row(f"average{k}", total, lo, hi, ("a", 0, k))
 
 
-def _signals(letter, j, count):
-    at = "" if j is None else f"{j}_"
-    return [Polynomial({(f"{letter}{at}{i}",): ONE}) for i in range(count)]
+def _unknowns(prefix: str, count: int) -> list[Expression]:
+    return [Expression({(f"{prefix}{i}",): ONE}) for i in range(count)]
 
 
-def _inputs(c, j):
+def _inputs(c: Claim, j: int) -> list[Expression]:
     """Return the inputs of a sample: numbers, an unknown where one is missing."""
-    found = []
+    inputs = []
     for i, (value, offset) in enumerate(zip(c["u"][j], c["offset_u"], strict=True)):
-        found.append(Polynomial({(f"u{j}_{i}",): ONE} if value is None else {(): value - offset}))
-    return found
+        if value is None:
+            inputs.append(Expression({(f"u{j}_{i}",): ONE}))
+        else:
+            inputs.append(Expression({(): value - offset}))
+    return inputs
 
 
-def _row(name, polynomial, lo, hi, place):
+def _row(name: str, expression: Expression, lo: F | None, hi: F | None, place: Place) -> Row:
     """Return a Row with what is known on the side of its ends."""
-    terms = dict(polynomial.terms)
+    terms = dict(expression.terms)
     known = terms.pop((), ZERO)
-    return Row(name, terms, None if lo is None else lo - known, None if hi is None else hi - known, place)
+    if lo is not None:
+        lo -= known
+    if hi is not None:
+        hi -= known
+    return Row(name, terms, lo, hi, place)
 
 
-def unknowns(rows: Sequence[Row]) -> list[str]:
+def unknowns(rows: Iterable[Row]) -> list[str]:
     """Return the names of all unknowns, in the order in which rows name them."""
-    found: dict[str, None] = {}
+    names: dict[str, None] = {}
     for row in rows:
         for monomial in row.terms:
-            found |= dict.fromkeys(monomial)
-    return list(found)
+            names |= dict.fromkeys(monomial)
+    return list(names)
 
 
-def combination(c: dict[str, Any], r: dict[str, Any], rows: Sequence[Row]) -> list[F]:
+def combination(c: Claim, r: Relation, rows: Sequence[Row]) -> list[F]:
     """Return a multiplier for each row: their sum is 0 = .., and is at least more than 0. Positive ones use
     lo, negative ones hi.
 
+    A relation multiplies readings and bounds; the equations of the states get what the samples after each
+    leave of the state (see `trajectories.follow`), and the gains what the readings leave of them.
+
     Args: c: a claim. r: the relation of a FAULT, as a certificate shows it. rows: as `rows_of` returns them.
     """
-    sign = 1 if r["residual"] > 0 else -1
-    after: list = [ZERO] * len(c["A"])  # how the samples later than j depend on the state after j
-    steps = {}
-    A, C = c["A"], c["C"]
-    plain = _with_averages(c, r)
-    for j in reversed(range(len(c["y"]))):
-        for i, x in enumerate(after):
-            steps[j, i] = -x
-        after = dots(turned([*C, *A]), plain[j] + after)
-    found, gained = [], dict.fromkeys(range(len(c["noise"])), ZERO)
+    sign = 1
+    if r["residual"] < 0:
+        sign = -1
+    states = _state_multipliers(c, r)
+    multipliers = []
+    gained = [ZERO] * len(c["noise"])  # minus what readings leave of each gain
     for row in rows:
-        kind, j, i = row.place
-        x = ZERO
-        if kind == "step":
-            x = sign * steps[j, i]
-        elif kind in ("y", "above", "below"):
-            x = sign * r["h"][j][i]
-            if (kind == "above" and x < 0) or (kind == "below" and x > 0):
-                x = ZERO
+        x = sign * _multiplier(row.place, r, states)
+        kind, _, i = row.place
+        if (kind == "above" and x < 0) or (kind == "below" and x > 0):
+            x = ZERO  # the other row of the reading has the end that counts
+        if kind in ("above", "below"):
             gained[i] -= x * row.terms.get((f"g{i}",), ZERO)
-        elif kind == "w":
-            x = sign * r["g"][j][i]
-        elif kind == "a":
-            x = sign * r["a"][i] if "a" in r else ZERO
-        elif kind == "x":
-            x = sign * r["x"][i]
-        found.append(x)
+        multipliers.append(x)
     for k, row in enumerate(rows):
-        if row.place[0] == "gain":
-            found[k] = gained[row.place[2]]
-    return found
+        kind, _, i = row.place
+        if kind == "gain":
+            multipliers[k] = gained[i]
+    return multipliers
 
 
-def _with_averages(c, r):
+def _multiplier(place: Place, r: Relation, states: dict[tuple[int, int], F]) -> F:
+    """Return the multiplier of a row in a relation, whatever its sign."""
+    kind, j, i = place
+    value: Any = ZERO
+    if kind == "step":
+        value = states[j, i]
+    elif kind in ("y", "above", "below"):
+        value = r["h"][j][i]
+    elif kind == "w":
+        value = r["g"][j][i]
+    elif kind == "a" and "a" in r:
+        value = r["a"][i]
+    elif kind == "x":
+        value = r["x"][i]
+    return F(value)
+
+
+def _state_multipliers(c: Claim, r: Relation) -> dict[tuple[int, int], F]:
+    """Return {(j, i): multiplier of the equation of state i after sample j}: minus q of `follow`."""
+    q = [ZERO] * len(c["A"])
+    outputs = _with_averages(c, r)
+    multipliers = {}
+    for j in reversed(range(len(c["y"]))):
+        for i, x in enumerate(q):
+            multipliers[j, i] = -x
+        q = combine([*outputs[j], *q], c["C"], c["A"])
+    return multipliers
+
+
+def _with_averages(c: Claim, r: Relation) -> list[list[F]]:
     """Return the multipliers of true outputs, a row for each sample, averages written out."""
     out = [list(row) for row in r["h"]]
     for x, terms, _ in runs_of(c, r.get("a")):
@@ -201,17 +235,20 @@ def _with_averages(c, r):
     return out
 
 
-def solution(c: dict[str, Any], witness: dict[str, Any], v: Sequence[F]) -> Iterator[tuple[str, F]]:
+def solution(c: Claim, witness: Witness, v: Sequence[F]) -> Iterator[tuple[str, F]]:
     """Yield (unknown, value) of a witness, at values v of uncertain parameters."""
-    yield from ((f"p{k}", x) for k, x in enumerate(v))
-    yield from ((f"g{i}", x) for i, x in enumerate(witness.get("gains", [])))
-    state = witness["state"]
-    for j, (u, w, free) in enumerate(
-        zip(witness["inputs"], witness["disturbances"], witness["unknown_inputs"], strict=True)
-    ):
-        u = [value - offset for value, offset in zip(u, c["offset_u"], strict=True)]
-        for letter, values in (("x", state), ("w", w), ("v", free), ("u", u)):
-            yield from ((f"{letter}{j}_{i}", x) for i, x in enumerate(values))
-        A, B = (now(c, letter, j, v) for letter in "AB")
-        parts = zip(dots(A, state), dots(B, u), dots(c["G"], w), dots(c["F"], free), strict=True)
-        state = [sum(terms, ZERO) for terms in parts]
+    yield from _named("p", v)
+    yield from _named("g", witness.get("gains", []))
+    x = witness["state"]
+    samples = zip(witness["inputs"], witness["disturbances"], witness["unknown_inputs"], strict=True)
+    for j, (inputs, w, free) in enumerate(samples):
+        u = [value - offset for value, offset in zip(inputs, c["offset_u"], strict=True)]
+        for letter, values in (("x", x), ("w", w), ("v", free), ("u", u)):
+            yield from _named(f"{letter}{j}_", values)
+        A, B, _, _ = plant_at(c, j, v)
+        x = add(dots(A, x), dots(B, u), dots(c["G"], w), dots(c["F"], free))
+
+
+def _named(prefix: str, values: Sequence[F]) -> Iterator[tuple[str, F]]:
+    for i, value in enumerate(values):
+        yield f"{prefix}{i}", value

@@ -6,12 +6,12 @@ import sys
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from jaxbound.certificates.checker.claim import DOUBLE, SINGLE, claimed
 from jaxbound.certificates.checker.files import read_model, read_samples
 from jaxbound.certificates.checker.proof import confirm
-from jaxbound.certificates.checker.trajectories import insist
+from jaxbound.certificates.checker.words import Document, insist
 
 __all__ = ["fewer_averages", "load", "main", "stated_lags"]
 
@@ -62,23 +62,24 @@ def main(argv: Sequence[str]) -> int:
     return code
 
 
-def load(path: Path) -> dict[str, Any]:
+def load(path: Path) -> Document:
     """Return a certificate from a JSON file.
 
     Raises:
         OSError: no such file. ValueError: not JSON, a field twice.
     """
 
-    def once(pairs):
-        insist(len({name for name, _ in pairs}) == len(pairs), "a field stands twice in it")
-        return dict(pairs)
+    def once(pairs: list[tuple[str, Any]]) -> Document:
+        fields = dict(pairs)
+        insist(len(fields) == len(pairs), "a field stands twice in it")
+        return fields
 
     document = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=once)
     insist(isinstance(document, dict) and "certificate" in document, "this is no certificate")
-    return document
+    return cast(Document, document)
 
 
-def stated_lags(document: dict[str, Any], model: dict[str, Any]) -> Sequence[int] | None:
+def stated_lags(document: Document, model: Document) -> Sequence[int] | None:
     """Return the lags that a certificate is about: those of the model, or None where it looks at every
     sample, which either verdict may.
 
@@ -91,53 +92,60 @@ def stated_lags(document: dict[str, Any], model: dict[str, Any]) -> Sequence[int
         model["lags"] is not None,
         "the certificate looks at some samples only, the model at all: give tested_model.toml of the report",
     )
-    return model["lags"]
+    return cast(Sequence[int], model["lags"])
 
 
-def fewer_averages(document: dict[str, Any], model: dict[str, Any]) -> dict[str, Any]:
+def fewer_averages(document: Document, model: Document) -> Document:
     """Return the model without its averages where a FAULT does without them: what fewer bounds contradict,
     all of them do.
     """
-    unused = document["certificate"] == "FAULT" and not {"averages", "lags"} & set(document["numbers"])
-    return {**model, "averages": []} if unused else model
+    used = {"averages", "lags"} & set(document["numbers"])
+    if document["certificate"] != "FAULT" or used:
+        return model
+    return {**model, "averages": []}
 
 
-def _check(document, args):
+def _check(document: Document, args: argparse.Namespace) -> None:
+    """Raise an exception unless a certificate proves what it says of a model file and a CSV file."""
     if "question" in document:
         return confirm(document)
     insist(
         args.model is not None and args.data is not None,
         "a certificate of a window is checked against --model and --data",
     )
-    model, names, columns, time, dt = read_model(args.model)
+    model, names, columns, stated_time, dt = read_model(args.model)
     sample, shown = document["names"]["sample"], document["names"]["times"]
-    last = sample[-1] if isinstance(sample, list) and len(sample) == 1 else sample
+    last = sample
+    if isinstance(sample, list) and len(sample) == 1:
+        last = sample[0]
     insist(type(last) is int and last >= 0, f"it names no sample of one recording: {sample}")
-    time = args.time or time
+    time = args.time or stated_time
     insist(shown is None or time is not None, "the certificate shows times: name their column by --time")
     insist(
         "first_state" not in document["numbers"],
         "bounds of a first state are neither in the model nor in the data: check it in Python",
     )
-    rows, times = read_samples(
-        args.data, columns, time, dt, last, len(document["numbers"]["y"]), args.precision
-    )
+    count = len(document["numbers"]["y"])
+    rows, times = read_samples(args.data, columns, time, dt, last, count, args.precision)
     m = len(model["offset_u"])
     u, y = [row[:m] for row in rows], [row[m:] for row in rows]
     claim = claimed(fewer_averages(document, model), u, y, args.precision, stated_lags(document, model))
-    names |= {"sample": sample, "times": None if shown is None else _labels(shown, times, dt)}
-    return confirm(document, names, claim)
+    names["sample"], names["times"] = sample, None
+    if shown is not None and times is not None:
+        names["times"] = _labels(shown, times, dt)
+    confirm(document, names, claim)
 
 
-def _labels(shown, times, dt):
-    """Return the times as they are shown where each is that of the data, as text or as a number of seconds,
-    else those of the data.
-    """
+def _labels(shown: list[str], times: list[str], dt: Fraction) -> list[str]:
+    """Return the times as they are shown where each is that of the data, else those of the data."""
     if len(shown) != len(times):
         return times
     for one, other in zip(shown, times, strict=True):
-        if one != other and not (
-            one.endswith(" s") and abs(Fraction(one[:-2]) - Fraction(other)) <= dt / 100
-        ):
+        if one != other and not _same_seconds(one, other, dt):
             return times
     return shown
+
+
+def _same_seconds(shown: str, time: str, dt: Fraction) -> bool:
+    """Return whether a text such as "12.5 s" is a time of the data, which a report may have rounded."""
+    return shown.endswith(" s") and abs(Fraction(shown[:-2]) - Fraction(time)) <= dt / 100

@@ -1,51 +1,78 @@
 """YES or NO to a question about sets {center + generators x : every |x_i| <= 1, constraints x = offsets},
 checked in fractions.
 
-YES shows an x, NO a combination l of the equations that no x keeps.
+Each question asks whether equations M x = d have a solution with every |x_i| <= 1. YES shows one, NO a
+combination l of the equations that none keeps. Whether a zonotope lies in a set is asked of its center and of
+each generator: M X = [d, ..] with the sum of every |row of X| at most 1.
 """
 
+from collections.abc import Sequence
 from fractions import Fraction as F
 from typing import Any
 
 from jaxbound.certificates.checker.claim import numbers
-from jaxbound.certificates.checker.trajectories import add, dots, insist, turned
+from jaxbound.certificates.checker.vectors import combine, dots, turned
+from jaxbound.certificates.checker.words import Document, Matrix, Vector, insist
 
 __all__ = ["decide"]
 
 
-def decide(document: dict[str, Any]) -> None:
-    """Check equations M x = d of what was asked, and an x in [-1, 1]^q or a direction l with l d > sum |l
-    M|.
-    """
-    seen: list[F] = []
-    c, yes = numbers(document["numbers"], seen), {"YES": True, "NO": False}[document["certificate"]]
-    insist(sum(seen) == 2 * c["sum"], "the numbers do not add up: one was changed")
+def decide(document: Document) -> None:
+    """Check equations M X = D of a question, and an X within its bounds or a direction that separates."""
+    every: list[F] = []
+    c = numbers(document["numbers"], every)
+    solvable = {"YES": True, "NO": False}[document["certificate"]]
+    insist(sum(every) == 2 * c["sum"], "the numbers do not add up: one was changed")
+    if document["question"] == "is_empty":
+        solvable = not solvable
+    M, D = _equations(document["question"], c)
+    if solvable:
+        X = c.get("X")
+        if X is None:
+            X = _column(c["x"])
+        insist([dots(turned(X), row) for row in M] == D, "x does not keep the equations")
+        insist(all(sum(map(abs, row)) <= 1 for row in X), "x is out of its bounds")
+        return
+    # a solution has l M x = l d, and |l M x| <= sum |l M|; of a set, the point farthest along l has none
+    along, (d, *spread) = combine(c["l"], M), combine(c["l"], D)
+    insist(d + sum(map(abs, spread)) > sum(map(abs, along)), "the equations might hold")
+
+
+def _equations(question: str, c: Document) -> tuple[Matrix, Matrix]:
+    """Return (M, D) of a question about the sets of a certificate."""
     first, *others = c["sets"]
     G, A, b = first["generators"], first["constraints"], first["offsets"]
     insist(all(len(row) == len(G[0]) for row in G + A), "a row of a set is too short")
-    if document["question"] == "is_empty":
-        M, D, yes = A, [[v] for v in b], not yes
-    elif document["question"] == "contains":
-        M, D = G + A, [[v] for v in add(c["point"], [-v for v in first["center"]]) + b]
-    else:
-        (second,) = others
-        G2, A2 = second["generators"], second["constraints"]
-        shift = add(second["center"], [-v for v in first["center"]])
-        if document["question"] == "contains_set":
-            insist(not A2, "the inner set must be a zonotope")
-            M, D = (
-                G + A,
-                [[v, *row] for v, row in zip(shift + b, G2 + [[F(0)] * len(G2[0]) for _ in b], strict=True)],
-            )
-        else:
-            insist(document["question"] == "intersects", "this question is not known")
-            M = [row + [-v for v in other] for row, other in zip(G, G2, strict=True)]
-            M += [row + [F(0)] * len(G2[0]) for row in A] + [[F(0)] * len(G[0]) + row for row in A2]
-            D = [[v] for v in shift + b + second["offsets"]]
-    if yes:
-        X = c["X"] if "X" in c else [[v] for v in c["x"]]
-        insist([dots(turned(X), row) for row in M] == D, "x does not keep the equations")
-        insist(all(sum(map(abs, row)) <= 1 for row in X), "x is out of its bounds")
-    else:
-        along, (d, *spread) = dots(turned(M), c["l"]), dots(turned(D), c["l"])
-        insist(d + sum(map(abs, spread)) > sum(map(abs, along)), "the equations might hold")
+    if question == "is_empty":  # A x = b
+        return A, _column(b)
+    if question == "contains":  # G x = point - center, A x = b
+        return G + A, _column(_less(c["point"], first["center"]) + b)
+    (second,) = others
+    G2, A2 = second["generators"], second["constraints"]
+    shift = _less(second["center"], first["center"])
+    if question == "contains_set":  # G X = [shift, G2], A X = [b, 0]
+        insist(not A2, "the inner set must be a zonotope")
+        inner = G2 + _zeros(len(b), len(G2[0]))
+        return G + A, [[v, *row] for v, row in zip(shift + b, inner, strict=True)]
+    insist(question == "intersects", "this question is not known")
+    # G x - G2 x2 = shift, A x = b, A2 x2 = b2
+    M = _side_by_side(G, [[-v for v in row] for row in G2])
+    M += _side_by_side(A, _zeros(len(A), len(G2[0])))
+    M += _side_by_side(_zeros(len(A2), len(G[0])), A2)
+    return M, _column(shift + b + second["offsets"])
+
+
+def _less(a: Sequence[F], b: Sequence[F]) -> Vector:
+    return [x - y for x, y in zip(a, b, strict=True)]
+
+
+def _column(values: Sequence[Any]) -> list[list[Any]]:
+    return [[v] for v in values]
+
+
+def _zeros(height: int, width: int) -> Matrix:
+    return [[F(0)] * width for _ in range(height)]
+
+
+def _side_by_side(left: Matrix, right: Matrix) -> Matrix:
+    return [[*a, *b] for a, b in zip(left, right, strict=True)]

@@ -1,101 +1,139 @@
-"""What holds for every trajectory of a plant, and what samples and bounds say of its signals: exact
-fractions.
+"""Relations that hold for every trajectory of a plant, and limits that samples and bounds set to its signals:
+exact fractions.
 
-The words are those of `proof`, c the numbers that a certificate claims.
+The letters are those of `proof`, c the claim of a certificate.
 """
 
 from collections.abc import Iterator, Sequence
 from fractions import Fraction as F
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
-__all__ = ["Run", "add", "dots", "follow", "insist", "limits", "now", "runs_of", "turned"]
+from jaxbound.certificates.checker.vectors import add, combine
+from jaxbound.certificates.checker.words import Average, Claim, Ends, Relation, Value, insist
+
+__all__ = ["Run", "follow", "limits", "plant_at", "runs_of"]
 
 ROUNDED = 10
 """Smallest normal numbers by which an average is widened for each of its samples."""
 
+Rows: TypeAlias = Sequence[Sequence[Any]]
+Error: TypeAlias = tuple[int, F] | None
+"""(number of an output, size): an error that is allowed to one sensor beyond its bounds."""
+Term: TypeAlias = tuple[bool, int, int, F]
+"""(whether of an output, sample, number of the signal, weight) in a weighted sum."""
 
-def insist(true: bool, reason: str) -> None:
-    """Raise ValueError with a reason unless something is true."""
-    if not true:
-        raise ValueError(reason)
 
+def follow(c: Claim, r: Relation, v: Sequence[Value]) -> None:
+    """Check that sum_j h_j t_j + g_j w_j - k_j u_j + x x_0 = 0 for every trajectory, whatever the parameters.
 
-def follow(c: dict[str, Any], r: dict[str, Any], v: Sequence) -> None:
-    """Check that sum h y + g w - k u = 0 for every trajectory, whatever the parameters v."""
-    q: list = [F(0)] * len(c["A"])  # how the samples later than j depend on the state after j
+    Backward in time, t_j = C x_j + D u_j + D_v v_j and x_(j+1) = A x_j + B u_j + G w_j + F v_j are put in.
+    The samples after j then depend on x_(j+1) alone, by q x_(j+1); what multiplies each signal of sample j
+    must be 0.
+
+    Args: v: values of the uncertain parameters, or polynomials.
+    """
     insist(len(r["h"]) == len(c["y"]), "the relation has another number of samples")
+    q: list[Any] = [F(0)] * len(c["A"])  # nothing comes after the last sample
     for j, (h, g, k) in reversed(list(enumerate(zip(r["h"], r["g"], r["k"], strict=True)))):
-        A, B, C, D = (now(c, letter, j, v) for letter in "ABCD")
-        insist(not any(add(dots(turned(c["G"]), q), g)), "the relation leaves a disturbance over")
-        insist(
-            not any(dots(turned([*c["D_v"], *c["F"]]), h + q)), "the relation leaves an unknown input over"
-        )
-        insist(dots(turned([*D, *B]), h + q) == k, "the relation does not fit the inputs")
-        q = dots(turned([*C, *A]), h + q)
+        A, B, C, D = plant_at(c, j, v)
+        both = [*h, *q]
+        # of w_j: q G + g = 0
+        insist(not any(add(combine(q, c["G"]), g)), "the relation leaves a disturbance over")
+        # of v_j: h D_v + q F = 0
+        insist(not any(combine(both, c["D_v"], c["F"])), "the relation leaves an unknown input over")
+        # of u_j: h D + q B = k
+        insist(combine(both, D, B) == k, "the relation does not fit the inputs")
+        q = combine(both, C, A)  # of x_j: h C + q A
+    # of x_0: q + x = 0, where x is 0 unless the first state has bounds
     insist(not any(add(q, r.get("x", [F(0)] * len(q)))), "the relation leaves the unknown state over")
 
 
-def now(c: dict[str, Any], letter: str, j: int, v: Sequence) -> Any:
-    """Return a matrix of the model at sample j, at parameters v (numbers or polynomials)."""
-    out = c[letter]
-    for (who, lag), x in zip(c.get("variables", []), v, strict=True):
-        change = c["uncertainties"][int(who)][letter]
-        if change is not None and lag in (None, j):
-            out = [
-                [a + x * b for a, b in zip(row, by, strict=True)] for row, by in zip(out, change, strict=True)
-            ]
-    return out
+def plant_at(c: Claim, j: int, v: Sequence[Value]) -> tuple[Rows, Rows, Rows, Rows]:
+    """Return A, B, C, D at sample j, at parameters v (numbers or polynomials)."""
+    A, B, C, D = _matrices(c)
+    for (number, lag), x in zip(c.get("variables", []), v, strict=True):
+        if lag not in (None, j):
+            continue  # the value of another sample
+        dA, dB, dC, dD = _changes(c, int(number))
+        A, B, C, D = _moved(A, x, dA), _moved(B, x, dB), _moved(C, x, dC), _moved(D, x, dD)
+    return A, B, C, D
+
+
+def _matrices(c: Claim) -> tuple[Rows, Rows, Rows, Rows]:
+    return c["A"], c["B"], c["C"], c["D"]
+
+
+def _changes(c: Claim, number: int) -> tuple[Rows | None, Rows | None, Rows | None, Rows | None]:
+    parameter = c["uncertainties"][number]
+    return parameter["A"], parameter["B"], parameter["C"], parameter["D"]
+
+
+def _moved(matrix: Rows, x: Value, change: Rows | None) -> Rows:
+    """Return M + x dM; change None: nothing of the matrix depends on the parameter."""
+    if change is None:
+        return matrix
+    moved = []
+    for row, by in zip(matrix, change, strict=True):
+        moved.append([a + x * b for a, b in zip(row, by, strict=True)])
+    return moved
 
 
 def limits(
-    c: dict[str, Any], error: tuple | None = None, gains: Sequence[F] | None = None
-) -> list[tuple[list, list]]:
-    """Return for each time ([lo, hi] of the true value behind each reading, None where it is missing; [lo,
-    hi] of each disturbance).
+    c: Claim, error: Error = None, gains: Sequence[F] | None = None
+) -> list[tuple[list[Ends | None], list[Ends]]]:
+    """Return for each sample ((lo, hi) of each true output, None where its reading is missing; (lo, hi) of
+    each disturbance).
+
+    Args: gains: 1 / (1 + theta) of each output, where it is known.
     """
     deltas = [_delta(c, i, error) for i in range(len(c["noise"]))]
     bounds = [(lo - c["floor"], hi + c["floor"]) for lo, hi in c["disturbance"]]
     out = []
     for row in c["y"]:
-        readings: list = []
+        readings: list[Ends | None] = []
         for i, (y, delta) in enumerate(zip(row, deltas, strict=True)):
-            if y is None:
-                readings.append(None)
-                continue
-            d = y - c["offset_y"][i]
-            factors = (
-                [1 / (1 - c["tolerance"][i]), 1 / (1 + c["tolerance"][i])] if gains is None else [gains[i]]
-            )
-            readings.append((min(f * (d - delta) for f in factors), max(f * (d + delta) for f in factors)))
+            readings.append(_true_output(c, i, y, delta, gains))
         out.append((readings, bounds))
     return out
+
+
+def _true_output(c: Claim, i: int, y: F | None, delta: F, gains: Sequence[F] | None) -> Ends | None:
+    """Return (lo, hi) of the true output behind a reading, in deviations; None where it is missing."""
+    if y is None:
+        return None
+    # y = (1 + theta) t + d with |d| <= delta, so t = (y - d) / (1 + theta): extreme at the ends of both
+    factors = [1 / (1 - c["tolerance"][i]), 1 / (1 + c["tolerance"][i])]
+    if gains is not None:
+        factors = [gains[i]]
+    y -= c["offset_y"][i]
+    return min(f * (y - delta) for f in factors), max(f * (y + delta) for f in factors)
 
 
 class Run(NamedTuple):
     """A run of an average: a bounded sum of true values, in deviations.
 
-    Fields: multiplier, in a relation; terms: [(whether of an output, sample, number, weight)], none where the
-    run is not looked at; ends: (lo, hi), None where it says nothing.
+    Fields: multiplier, in a relation; terms, none where the run is not looked at; ends: (lo, hi), None where
+    it says nothing.
     """
 
     multiplier: F
-    terms: list[tuple[bool, int, int, F]]
-    ends: tuple[F, F] | None
+    terms: list[Term]
+    ends: Ends | None
 
 
-def runs_of(
-    c: dict[str, Any], multipliers: Sequence[F] | None = None, error: tuple | None = None
-) -> Iterator[Run]:
+def runs_of(c: Claim, multipliers: Sequence[F] | None = None, error: Error = None) -> Iterator[Run]:
     """Yield the Run of each run of an average."""
     runs = c.get("runs", [])
-    for x, run in zip([F(0)] * len(runs) if multipliers is None else multipliers, runs, strict=True):
+    if multipliers is None:
+        multipliers = [F(0)] * len(runs)
+    for x, run in zip(multipliers, runs, strict=True):
         average = c["averages"][int(run["average"])]
         terms = _terms(average, run["first"])
         yield Run(x, terms, _run_ends(c, average["bound"], terms, error))
 
 
-def _terms(average, first):
-    """Return [(whether of an output, sample, number, weight)] of a run, none where it is not looked at."""
+def _terms(average: Average, first: F | None) -> list[Term]:
+    """Return the terms of a run, none where it is not looked at."""
     if first is None:
         return []
     terms = []
@@ -105,14 +143,17 @@ def _terms(average, first):
     return terms
 
 
-def _run_ends(c, bound, terms, error):
-    """Return (lo, hi) of the weighted sum over a run, None where it is not looked at or a reading is
-    missing.
+def _run_ends(c: Claim, bound: F, terms: Sequence[Term], error: Error) -> Ends | None:
+    """Return (lo, hi) of the weighted sum of true values over a run, None where it is not looked at or a
+    reading is missing.
+
+    The bound is one on the sum of noises. What resolution, recorder and an error add to each reading is added
+    by its weight; the floors are for numbers that a kernel rounds to zero on the way.
     """
     if not terms:
         return None
     middle = F(0)
-    sizes: dict[int, F] = {}
+    sizes: dict[int, F] = {}  # sum of |weight| by output
     rad = bound + ROUNDED * len(terms) * c["floor"]
     for measured, j, i, weight in terms:
         rad += ROUNDED * abs(weight) * c["floor"]
@@ -127,16 +168,18 @@ def _run_ends(c, bound, terms, error):
     return middle - rad, middle + rad
 
 
-def _delta(c, i, error):
-    """Return the largest |delta| of an output."""
+def _delta(c: Claim, i: int, error: Error) -> F:
+    """Return the largest |delta| of output i: noise + resolution + recorder (largest |y| + noise) + floor,
+    and an error that is allowed to it.
+    """
     largest = max(_looked_at(c, i), default=F(0))
-    allowed = error[1] if error is not None and error[0] == i else F(0)
-    return (
-        c["noise"][i] + c["resolution"][i] + c["recorder"] * (largest + c["noise"][i]) + c["floor"] + allowed
-    )
+    delta = c["noise"][i] + c["resolution"][i] + c["recorder"] * (largest + c["noise"][i]) + c["floor"]
+    if error is not None and error[0] == i:
+        delta += error[1]
+    return delta
 
 
-def _looked_at(c, i):
+def _looked_at(c: Claim, i: int) -> Iterator[F]:
     """Yield the size of each reading of an output that is looked at, alone or in an average."""
     readings = [row[i] for row in c["y"]]
     for run in c.get("runs", []):
@@ -146,18 +189,3 @@ def _looked_at(c, i):
     for y in readings:
         if y is not None:
             yield abs(y)
-
-
-def dots(rows: Any, vector: Sequence) -> list:
-    """Return the product of rows with a vector."""
-    return [sum((a * b for a, b in zip(row, vector, strict=True)), F(0)) for row in rows]
-
-
-def turned(matrix: Any) -> Any:
-    """Return the columns of a matrix."""
-    return zip(*matrix, strict=True)
-
-
-def add(a: Sequence, b: Sequence) -> list:
-    """Return the sum of two vectors."""
-    return [x + y for x, y in zip(a, b, strict=True)]
