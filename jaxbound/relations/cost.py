@@ -111,6 +111,6 @@ def _terms(model: LinearSystem, s: int) -> float:
         return sum(u.varying is varying and u.on(letter) is not None for u in model.uncertainties)
 
     per_sample, constant = acting("A", True), acting("A", False) + acting("C", False)
-    grown = (1.0 + per_sample) ** min(s, 900 / (1 + per_sample))
+    grown: float = (1.0 + per_sample) ** min(s, 900 / (1 + per_sample))
     of_constant = comb(min(s, 10**4) + constant, constant)
     return grown * of_constant * (1 + acting("C", True)) + (s + 1) * len(model.uncertainties)
