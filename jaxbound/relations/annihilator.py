@@ -329,4 +329,5 @@ def _moved(powers: np.ndarray, centre: np.ndarray, radius: np.ndarray) -> np.nda
     binomial = np.array([[comb(e, k) for e in range(top)] for k in range(top)], float)  # 0 where k > e
     rest = np.maximum(powers[None] - powers[:, None], 0)
     moved: np.ndarray = np.prod(binomial[powers[:, None], powers[None]] * centre**rest, -1)
-    return moved * np.prod(radius**powers, -1)[:, None]
+    moved *= np.prod(radius**powers, -1)[:, None]
+    return moved

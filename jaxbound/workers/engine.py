@@ -144,8 +144,7 @@ def spread(client: "Client", job: Job, tasks: Sequence[Any]) -> Iterator[tuple[i
     from distributed.comm import CommClosedError
 
     kind = _alike(client)
-    # a client that lost its scheduler does not know it any more
-    address = getattr(client.scheduler, "address", "")
+    address = _address(client)
     needs = {"resources": {"GPU": 1}} if kind.has_gpu else {}
     # sent once, and a task itself: what is scattered is lost with the worker that holds it
     packed = client.submit(_kept, pickle.dumps((job, kind.names, has_x64())), pure=False)
@@ -262,7 +261,7 @@ def _answers(client: "Client") -> dict[str, _Kind]:
         try:
             client.wait_for_workers(1, timeout=WAIT)
         except TimeoutError:
-            raise ConnectionError(f"the scheduler {client.scheduler.address} has no workers") from None
+            raise ConnectionError(f"the scheduler {_address(client)} has no workers") from None
         for address, answer in client.run(_about, on_error="return").items():
             if isinstance(answer, OSError):  # it died meanwhile
                 continue
@@ -275,6 +274,11 @@ def _answers(client: "Client") -> dict[str, _Kind]:
                 raise ConnectionError(f"the worker {address} is of no use: {type(answer).__name__}: {answer}")
             answers[address] = _Kind(*answer)
     return answers
+
+
+def _address(client: "Client") -> str:
+    """Return the address of the scheduler, nothing where a client has lost it."""
+    return getattr(client.scheduler, "address", "")
 
 
 def _difference(kind: dict[str, str], wanted: dict[str, str]) -> str:
