@@ -19,8 +19,8 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.consistency.drive import drive
-from jaxbound.consistency.interface import Block, LinearRelations, Progress, Run, WindowTest
+from jaxbound.consistency.drive import measured
+from jaxbound.consistency.interface import Arrays, Block, LinearRelations, LinearTest, Progress, Run
 from jaxbound.consistency.reading import Reading
 from jaxbound.consistency.unproved import stretch_block
 from jaxbound.estimation.counts import is_whole
@@ -121,7 +121,8 @@ def unknown_inputs(
             continue
         lag = lags[j] = horizon - position
         test = _test(model, horizon, position, j, dtype)
-        least, most = drive(test, recording, _share_of(progress, j, model.d))
+        report = _share_of(progress, j, model.d)
+        least, most = measured(test, recording.u, recording.y, recording.starts, report)
         empty = least > most
         least[empty], most[empty] = np.inf, -np.inf
         at = ..., slice(position, samples[-1] - lag), j
@@ -213,7 +214,7 @@ def _tightest_ways(model: LinearSystem, s: int, combinations: Iterable[Vector]) 
     return tuple(sorted(ways, key=width)[:KEPT])
 
 
-class _RangeTest(WindowTest):
+class _RangeTest(LinearTest):
     """Says in which interval a number is, of which each strip is a way to work it out."""
 
     gathered = False
@@ -232,13 +233,9 @@ class _RangeTest(WindowTest):
         """Lowest and highest, infinite where there is no window."""
         return (self.dtype, -np.inf), (self.dtype, np.inf)
 
-    def judge(self, run: Run, blocks: Sequence[Block]) -> list[tuple[jax.Array, jax.Array]]:
+    def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return (lo, hi) of each block."""
         return run(_ranges, blocks)
-
-    def judged(self, outs: list[np.ndarray]) -> list[np.ndarray]:
-        """Return the intervals as they are."""
-        return outs
 
 
 @kernel
