@@ -242,7 +242,7 @@ def demonstrate(out: Path, runs: int) -> int:
     return 0
 
 
-def _load_plotting():
+def _load_plotting() -> None:
     """Import matplotlib while the data are read: it takes as long as testing a million windows."""
     import matplotlib.backends.backend_agg
     import matplotlib.figure  # noqa: F401

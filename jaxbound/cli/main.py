@@ -97,7 +97,8 @@ def _run(args: argparse.Namespace) -> int:
         _configure()
     loudness = LOUDNESS.set(args.loudness)
     try:
-        return args.run(args)
+        code: int = args.run(args)
+        return code
     except Unverified as e:
         raise Refused(str(e)) from e
     finally:

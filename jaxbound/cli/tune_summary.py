@@ -1,7 +1,7 @@
 """Tuned bounds: the model file that gets them, and their description on the terminal and as JSON."""
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -42,7 +42,7 @@ def is_unfinished(path: Path) -> bool:
     return content == _mark(text) + text
 
 
-def _mark(text):
+def _mark(text: bytes) -> bytes:
     return MARK % hashlib.sha256(text).hexdigest().encode()
 
 
@@ -121,7 +121,7 @@ def show_tuning(tuning: TuneResult, written: Sequence[str], hints: Sequence[str]
     show(f"{tuning.model.name}: bounds tuned", "bold", rows, table=table)
 
 
-def _counts_text(counts):
+def _counts_text(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{n} {name}" for name, n in counts.items() if n)
 
 

@@ -45,7 +45,7 @@ def write_report(
     summary: Summary,
     *,
     seconds: dict[str, float] | None = None,
-    extra: Sequence[tuple] = (),
+    extra: Sequence[tuple[object, ...]] = (),
     progress: Callable[[float], object] | None = None,
     file: str = "report.html",
 ) -> list[str]:
@@ -129,7 +129,7 @@ def _alarm_rows(
     alarms: Sequence[Alarm],
     chosen: Sequence[int],
     why: Mapping[int, Any],
-) -> list[tuple]:
+) -> list[tuple[object, ...]]:
     """Return the rows of the deepest alarms in order of time."""
     rows = []
     for i in sorted(chosen):
@@ -189,7 +189,7 @@ def template(relations: Any) -> str:
 
 
 @template.register
-def _(observer: SetObserver):
+def _(observer: SetObserver[Any]) -> str:
     return "observation.html"
 
 
@@ -211,7 +211,7 @@ def about(relations: Any) -> dict[str, object]:
 
 
 @about.register
-def _(observer: SetObserver):
+def _(observer: SetObserver[Any]) -> dict[str, object]:
     """Return those of an observer: its order, its weights, whether it begins anew."""
     return {
         "order": f"{observer.order:g}",

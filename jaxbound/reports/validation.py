@@ -137,7 +137,7 @@ def _finite(end: ArrayLike, i: int) -> np.ndarray:
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def _row(res: ValidatedReport, recording: Recording, i: int, first: int, last: int) -> tuple:
+def _row(res: ValidatedReport, recording: Recording, i: int, first: int, last: int) -> tuple[object, ...]:
     """Return the row of a faulty stretch, with what the sensor showed and should have shown in its middle."""
     name, k = res.model.outputs[i], (first + last) // 2
     unit, corrected = res.model.unit(name), res.found.corrected
