@@ -75,10 +75,8 @@ class TrialTally:
             "clean": clean,
             "alarmed": false > 0,
         }
-        for name, part in parts.items():  # floats of bincount are exact below 2^53
-            total = (
-                np.bincount(which, part, sizes) if part is not None else np.bincount(which, minlength=sizes)
-            )
+        for name, part in parts.items():
+            total = np.bincount(which, part, sizes)  # its floats are exact below 2^53
             setattr(self, name, getattr(self, name) + total.astype(np.int64))
         np.add.at(self.delays, (which[seen], delay[seen]), 1)
 
