@@ -158,7 +158,7 @@ def sections(
     false_alarms: int,
     clean: int,
     runs: int,
-) -> list[tuple]:
+) -> list[tuple[object, ...]]:
     """Write the two figures of the paper into a folder; return them and the detection rates as sections of
     the report.
 

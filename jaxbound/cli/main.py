@@ -164,9 +164,10 @@ def _configure() -> None:
 
     from jaxbound.runs.cache import use_cache
 
-    jax.config.update("jax_enable_x64", True)
+    # jax states no types of these functions
+    jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]
     if not os.environ.get("JAX_PLATFORMS"):
-        jax.config.update("jax_platforms", "cpu")
+        jax.config.update("jax_platforms", "cpu")  # type: ignore[no-untyped-call]
     with suppress(ValueError):  # a folder that cannot be written: what is slow is not wrong
         use_cache()
 

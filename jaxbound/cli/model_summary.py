@@ -82,9 +82,9 @@ def _bounds_rows(model: LinearSystem) -> list[tuple[str, str]]:
     if model.d:
         rows.append(("unknown inputs", f"{model.d}, of which nothing is known"))
     for parameter in model.uncertainties:
-        lo, hi = map(float, parameter.between)
+        low, high = map(float, parameter.between)
         how = "varies" if parameter.varying else "constant"
-        rows.append(("parameter", f"{parameter.name} in [{lo:.6g}, {hi:.6g}], {how}"))
+        rows.append(("parameter", f"{parameter.name} in [{low:.6g}, {high:.6g}], {how}"))
     return rows
 
 

@@ -1,7 +1,13 @@
-"""The samples of a recording by their number and by their time."""
+"""The samples of a recording by their number and by their time.
+
+A time is datetime64 where the recording has stamps, else seconds as a float.
+"""
+
+from typing import Any
 
 import numpy as np
 
+from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.source import Source
 
 __all__ = ["SampleAxis"]
@@ -40,7 +46,7 @@ class SampleAxis:
             raise ValueError(f"no sample lies at {text}: the nearest is at {self.label(nearest)}; {ends}")
         return nearest
 
-    def _numbered(self, text):
+    def _numbered(self, text: str) -> int:
         if 0 <= int(text) < self.samples:
             return int(text)
         other = f"; for the time write --at {text}s" if self.also_a_time(text) else ""
@@ -48,7 +54,7 @@ class SampleAxis:
             f"there is no sample {text}: the recording has {self.samples}, numbered from 0{other}"
         )
 
-    def _nearest(self, time):
+    def _nearest(self, time: Any) -> int:
         """Return the number of the sample that lies nearest to a time."""
         low, high = 0, self.samples - 1  # the last sample that is not later is between them
         while low < high:
@@ -73,7 +79,7 @@ class SampleAxis:
             return ""
         return f"sample {text}; for the time write --at {text}s"
 
-    def _parsed(self, text):
+    def _parsed(self, text: str) -> np.datetime64 | float:
         try:
             if self.is_stamped:
                 return np.datetime64(text.replace(" ", "T").removesuffix("Z"), "ns")
@@ -82,8 +88,10 @@ class SampleAxis:
             like = f"its time as alarms.csv has it, like {self.label(0)}"
             raise ValueError(f"--at {text} names no sample: give its number, or {like}") from None
 
-    def _time(self, k):
-        return self._one(k).axis[0]
+    def _time(self, k: int) -> Any:
+        axis = self._one(k).axis
+        assert axis is not None, "a sample that is read has a time, or a number in its place"
+        return axis[0]
 
-    def _one(self, k):
+    def _one(self, k: int) -> Recording:
         return self.source.read(k, k + 1)

@@ -6,6 +6,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import jax
 import numpy as np
 
 from jaxbound.cli.terminal import show
@@ -92,7 +93,7 @@ def plain_tuning(tuning: TuneResult, out: Path, hints: Sequence[str]) -> dict[st
     }
 
 
-def _plain_bounds(bounds):
+def _plain_bounds(bounds: Mapping[str, np.ndarray | jax.Array]) -> dict[str, list[Any]]:
     return {kind: np.asarray(values).tolist() for kind, values in bounds.items()}
 
 
@@ -133,6 +134,7 @@ def _moved_bounds(tuning: TuneResult) -> Iterator[tuple[str, str, str, str]]:
         "noise": model.outputs,
         "disturbance": tuple(f"w{j + 1}" for j in range(model.g)),
     }
+    exact: dict[str, Sequence[Fraction | tuple[Fraction, Fraction]]]
     exact = {"tolerance": model.tolerance, "noise": model.noise, "disturbance": model.disturbance}
     parameters = tuple(u.name for u in model.uncertainties)
     for kind, bounds in relations.bounds.items():
@@ -145,12 +147,12 @@ def _moved_bounds(tuning: TuneResult) -> Iterator[tuple[str, str, str, str]]:
             yield name, _rounded_text(start), _rounded_text(smallest), _exact_text(written)
 
 
-def _rounded_text(bound):
+def _rounded_text(bound: np.ndarray | jax.Array) -> str:
     """Return a bound, or its two ends, with six digits."""
     return " to ".join(f"{end:.6g}" for end in np.ravel(bound))
 
 
-def _exact_text(bound):
+def _exact_text(bound: Fraction | tuple[Fraction, Fraction]) -> str:
     """Return a bound, or its two ends, as the model file has it."""
     if isinstance(bound, Fraction):
         return number_text(bound)

@@ -25,9 +25,12 @@ NEAR = 600
 class ValidatedRecording(Protocol):
     """A Validation of one recording, with the model and the samples that it came from: y (T, p)."""
 
-    model: LinearSystem
-    found: Validation
-    y: np.ndarray
+    @property
+    def model(self) -> LinearSystem: ...  # noqa: D102
+    @property
+    def found(self) -> Validation: ...  # noqa: D102
+    @property
+    def y(self) -> np.ndarray: ...  # noqa: D102
 
 
 @plot.register(Validation)

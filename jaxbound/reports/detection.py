@@ -131,7 +131,7 @@ def _alarm_rows(
     why: Mapping[int, Any],
 ) -> list[tuple[object, ...]]:
     """Return the rows of the deepest alarms in order of time."""
-    rows = []
+    rows: list[tuple[object, ...]] = []
     for i in sorted(chosen):
         a = alarms[i]
         lasts = float(recording.time[a.end] - recording.time[a.start]) + res.relations.model.dt

@@ -29,9 +29,10 @@ NEAR = 600  # samples around the first faulty one of a long recording, drawn one
 class ValidatedReport(ValidatedRecording, Protocol):
     """A validated recording of which a page tells: its verdicts (T,) and faulty stretches."""
 
-    horizon: int
-    remembers: bool
-
+    @property
+    def horizon(self) -> int: ...  # noqa: D102
+    @property
+    def remembers(self) -> bool: ...  # noqa: D102
     @property
     def status(self) -> np.ndarray: ...  # noqa: D102
     @property
