@@ -148,7 +148,7 @@ class Detector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-lea
         """Return (T,) int: -1 where a fault is proved, else 1."""
         return np.where(self.decision_function(X) < 0, -1, 1)
 
-    def _rows(self, X: Any, reset: bool) -> np.ndarray:
+    def _rows(self, X: object, reset: bool) -> np.ndarray:
         """Return the rows as an array of floats, checked as scikit-learn does."""
         least = 2 if reset else 1
         rows: np.ndarray = validate_data(

@@ -34,6 +34,7 @@ from jaxbound.recordings.live import LiveSource
 from jaxbound.recordings.pipetext import PipeText
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import irregular, seam_hints
+from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stream import Stream
 from jaxbound.relations.identity import identity
 from jaxbound.relations.sentence import latched, remembers
@@ -66,7 +67,7 @@ def judge_input(
     min_coverage: float = 0.5,
     as_json: bool = False,
 ) -> int:
-    """Judge what comes from standard input, or from a live source, until a signal or its end.
+    """Judge samples from standard input, or from a live source, until a signal or its end.
 
     Args:
         As of `judge_stream`; data: "-", or the name of a live source, see `live`.
@@ -120,7 +121,8 @@ def judge_stream(
         stated = load_model(model)
         tested, relations = window_relations(stated, options, model, None, lambda stage, share: None)
         if not relations.searched:  # strips: sooner done than handed to another thread
-            jax.config.update("jax_cpu_enable_async_dispatch", False)  # type: ignore[no-untyped-call]  # of jax
+            # jax states no types of this function
+            jax.config.update("jax_cpu_enable_async_dispatch", False)  # type: ignore[no-untyped-call]
         usable_device()
         judge = Live(Monitor(relations, options.method))
         path = _state_path(out, state)
@@ -159,7 +161,9 @@ def _is_file() -> bool:
         return stat.S_ISREG(os.fstat(0).st_mode)
 
 
-def _stream(data: str, model: Any, complaints: "_Complaints", memory: Any, whole: bool) -> Stream:
+def _stream(
+    data: str, model: SignalModel, complaints: "_Complaints", memory: dict[str, Any] | None, whole: bool
+) -> Stream:
     """Return the Stream of the data."""
     if LiveSource.takes(data):
         return LiveSource(data, model).stream(complaints, memory)
@@ -274,7 +278,7 @@ class _LiveRun:
         return self.conclude(min_coverage)
 
     def conclude(self, min_coverage: float) -> Summary:
-        """Say what was found and return its Summary."""
+        """Say the conclusion in words and return its Summary."""
         if self.file is not None:
             self.file.force()
         if self.checkpoint is not None:

@@ -73,7 +73,7 @@ def _waking() -> Iterator[int | None]:
 
 
 def arrivals(raw: Any, end: Ends) -> Iterator[Any]:
-    """Yield what comes, as soon as something does; None, at the end, if a signal ended it.
+    """Yield bytes or items as soon as some come; None, at the end, if a signal ended it.
 
     Args:
         raw: the number of an open file, of which bytes come; or an iterator.

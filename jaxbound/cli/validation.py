@@ -57,7 +57,7 @@ class Validated:
 
     @property
     def relations(self) -> "Validated":
-        """Where reports look for the model and the horizon."""
+        """The value itself, in which reports look for the model and the horizon."""
         return self
 
     @property
@@ -178,7 +178,7 @@ def evaluate_validation(
     with door():
         plant = load_model(model)
         source = open_source(data, plant)
-        held, recording = source.content, source.read(progress=lambda share: step("read", share))
+        content, recording = source.content, source.read(progress=lambda share: step("read", share))
         if options.lags is not None:
             raise ValueError(
                 f"--lags is for other methods: {VALIDATION} takes every sample of a recording in turn"
@@ -196,7 +196,7 @@ def evaluate_validation(
     reaches = outgrown(plant, res, "validation")
     hints = (*recording.hints, *bound_hints(plant), *reaches, *_assumptions(res, recording))
     summary = summarised(res, alarms, recording.label, min_coverage, hints, outgrown=bool(reaches))
-    close_all(sinks, Outcome(alarms, summary, plant, Path(data), held, options.method, horizon))
+    close_all(sinks, Outcome(alarms, summary, plant, Path(data), content, options.method, horizon))
     write_page(work, res, recording, summary, seconds=seconds, progress=lambda share: step("report", share))
     seconds["report"] = time.perf_counter() - start
     return Evaluation(summary, plant, seconds)

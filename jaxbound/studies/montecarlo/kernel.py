@@ -119,21 +119,21 @@ def move(
     unknowns: from `unknown_draws`.
     """
     theta, delta, share, extra = unknowns
-    since = k - onset
+    since, stuck = k - onset, held
     on = (since >= 0) & (since < act.length)
     p = plant.shape[2]
 
     def faulty(values: list[Array], channel: Array, dropped: float) -> list[Array]:
         """Return signals with the fault, where it is one of theirs; keep the value that one sticks to."""
-        nonlocal held
+        nonlocal stuck
         if act.kind in ("none", "tolerance"):
             return values
         out: list[Array] = []
         for i, value in enumerate(values):
             mine = on & (channel == i)
             if act.kind == "stuck":
-                held = jnp.where(mine & (since == 0), value, held)
-            changed = scenarios.changed(act, value, size, since, extra, held, dropped)
+                stuck = jnp.where(mine & (since == 0), value, stuck)
+            changed = scenarios.changed(act, value, size, since, extra, stuck, dropped)
             out.append(jnp.where(mine, changed, value))
         return out
 
@@ -144,7 +144,8 @@ def move(
     theta = [b * r for b, r in zip(tolerances, theta, strict=True)]
     noise = [b * r for b, r in zip(plant.noise, delta, strict=True)]
     x, y = recursion.step(plant, x, applied, theta, noise, share)
-    return x, faulty(y, act.output, jnp.nan), held
+    shown = faulty(y, act.output, jnp.nan)
+    return x, shown, stuck
 
 
 def recorded_input(u: Array | None, inputs: Array, k: Array, course: Course) -> list[Array]:

@@ -209,8 +209,8 @@ def tune(
             "the margin of constant_tolerance comes from a search for the best gains, which has no "
             "derivative: tune with steps=0 scales all bounds by one factor, or those that bounds= names"
         )
-    kept = held_out(int(label.max(initial=-1)) + 1, 0 if alone else calibrate)
-    unseen = gone | touched(np.isin(label, np.flatnonzero(kept)), s)
+    for_scale = held_out(int(label.max(initial=-1)) + 1, 0 if alone else calibrate)
+    unseen = gone | touched(np.isin(label, np.flatnonzero(for_scale)), s)
     search = _Search(relations, moved, good, unseen, bad, safety, optimizer, steps, every, state)
     if steps and not alone:
         search.run(lambda share: report(0.9 * share))
@@ -225,7 +225,7 @@ def tune(
         factors(relations.with_bounds(moved.bounds(smallest)), good),
         label,
         length,
-        kept,
+        for_scale,
         tuned=len(moved.names),
         convex=moved_kinds <= {"noise", "disturbance"},
         fixed=search.step == 0,
