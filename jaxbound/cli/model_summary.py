@@ -130,8 +130,8 @@ def plain_model(model: LinearSystem, relations: ParityRelation | UncertainRelati
     """Return a model, its relations and the sizes that are guaranteed, as JSON has them."""
     parameters = []
     for parameter in model.uncertainties:
-        ends = [float(x) for x in parameter.between]
-        parameters.append({"name": parameter.name, "between": ends, "varying": parameter.varying})
+        low, high = map(float, parameter.between)
+        parameters.append({"name": parameter.name, "between": [low, high], "varying": parameter.varying})
     plain: dict[str, Any] = {
         "name": model.name,
         "dt": model.dt,

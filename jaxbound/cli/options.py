@@ -77,9 +77,12 @@ class MethodOptions:
     def of(cls, args: argparse.Namespace) -> "MethodOptions":
         """Return the options of a command line; a command without one of them has its default."""
         given = {f.name: getattr(args, f.name) for f in fields(cls) if hasattr(args, f.name)}
-        settings = {option.field: getattr(args, option.dest, None) for option in shell_options()}
-        given["settings"] = {name: value for name, value in settings.items() if value is not None}
-        return cls(**given)
+        settings = {}
+        for option in shell_options():
+            value = getattr(args, option.dest, None)
+            if value is not None:
+                settings[option.field] = value
+        return cls(settings=settings, **given)
 
     @property
     def observes(self) -> bool:
@@ -103,8 +106,11 @@ class MethodOptions:
     @property
     def flags(self) -> dict[str, float]:
         """{flag: value} of the observer's own options, as they stand in a command line."""
-        flags = {option.field: option.flag for option in shell_options()}
-        return {flags[name]: value for name, value in self.settings.items()}
+        flags = {}
+        for option in shell_options():
+            if option.field in self.settings:
+                flags[option.flag] = self.settings[option.field]
+        return flags
 
     def check(self) -> None:
         """Raise ValueError for an option that the method does not take."""

@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, NoReturn, cast
 
 import jax
 import numpy as np
@@ -13,6 +13,7 @@ import numpy as np
 from jaxbound.cli.evaluation import Evaluation
 from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.terminal import door, usable_device
+from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarms import Alarm, group_alarms
 from jaxbound.diagnosis.hints import bound_hints, outgrown
 from jaxbound.estimation.validation import Validation, least_horizon, validate
@@ -56,9 +57,9 @@ class Validated:
     remembers = False  # a page says of it that it looks at windows
 
     @property
-    def relations(self) -> "Validated":
+    def relations(self) -> Relations:
         """The value itself, in which reports look for the model and the horizon."""
-        return self
+        return cast(Relations, self)  # it has those two, and `remembers`: no more is asked of it there
 
     @property
     def status(self) -> np.ndarray:

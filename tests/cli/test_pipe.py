@@ -400,7 +400,7 @@ class TestRestart:
         data, read = "".join(text).encode(), 0
         pipe(text, out=place / "whole")
         expected = (place / "whole/verdicts.csv").read_bytes()
-        points, save, write = [0], journal.Journal.save, rows._write
+        points, save, write = [0], journal.Journal.save, rows._write_all
 
         def point():
             points[0] -= 1
@@ -421,7 +421,7 @@ class TestRestart:
             point()
 
         monkeypatch.setattr(journal.Journal, "save", saving)
-        monkeypatch.setattr(rows, "_write", writing)
+        monkeypatch.setattr(rows, "_write_all", writing)
         kills, remembered = 0, [0]
 
         def chunks(start):

@@ -72,7 +72,7 @@ class TestSameBytes:
         r, folder, _, _ = case("section 5")
         held, source = open_parquet(folder, r.model).content, open_parquet(folder, r.model)
         streaming.write_parts(r, source, tmp_path, client=client)
-        monkeypatch.setattr(contents, "_digest", None)
+        monkeypatch.setattr(contents, "_digest_of_block", None)
         assert source.content == held
 
     def test_what_one_process_left_is_finished_by_workers(self, case, one, client, tmp_path, monkeypatch):
