@@ -190,7 +190,7 @@ def template(relations: Any) -> str:
     return "detection.html"
 
 
-@template.register
+@template.register(SetObserver)
 def _(observer: SetObserver[Any]) -> str:
     return "observation.html"
 
@@ -212,7 +212,7 @@ def about(relations: Any) -> dict[str, object]:
     }
 
 
-@about.register
+@about.register(SetObserver)
 def _(observer: SetObserver[Any]) -> dict[str, object]:
     """Return those of an observer: its order, its weights, whether it begins anew."""
     return {
