@@ -128,7 +128,7 @@ def _(res: Validated, alarms: Sequence[Alarm]) -> Evidence:
     )
 
 
-@columns_of.register
+@columns_of.register(Validated)
 def _(res: Validated) -> dict[str, "pa.Array"]:
     """Return the status, for each output its faults, its band and its corrected value, and bands of states.
 
