@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from jaxbound.consistency.engine import in_order, stretches_for
 from jaxbound.consistency.interface import Observer, Relations
 from jaxbound.diagnosis.again import again_hints
 from jaxbound.diagnosis.alarms import Alarm
@@ -42,6 +41,7 @@ from jaxbound.runs.loop import follow
 from jaxbound.runs.relations import relations_by
 from jaxbound.runs.summary import CODES, OUTSIDE, Summary, summarised
 from jaxbound.text.objects import readable
+from jaxbound.workers.engine import in_order, stretches_for
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxbound.consistency.engine import spread, stretches_for
 from jaxbound.consistency.interface import Observer, Relations
 from jaxbound.files.checkpoint import from_texts
 from jaxbound.models.fingerprint import fingerprint
@@ -42,6 +41,7 @@ from jaxbound.runs.parts import (
     unfinished_parts,
 )
 from jaxbound.runs.shares import numbers_of, stretches_listed
+from jaxbound.workers.engine import spread, stretches_for
 
 if TYPE_CHECKING:
     from distributed import Client

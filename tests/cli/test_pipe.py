@@ -21,7 +21,6 @@ from jaxbound.cli import evaluation, main
 from jaxbound.cli import pipe as piped
 from jaxbound.cli.options import MethodOptions
 from jaxbound.recordings.linetext import LineReader
-from jaxbound.relations import identity
 from jaxbound.runs import journal, rows
 from jaxbound.runs.refusals import Refused
 
@@ -486,7 +485,7 @@ class TestRestart:
         elif change == "version":
             monkeypatch.setattr(jb, "__version__", "0.0.1")
         else:
-            monkeypatch.setattr(identity.jax.dtypes, "canonicalize_dtype", lambda kind: np.dtype(np.float32))
+            monkeypatch.setattr("jax.dtypes.canonicalize_dtype", lambda kind: np.dtype(np.float32))
         with pytest.raises(
             Refused,
             match=f"monitor.sqlite is of another {what}: choose another place, or delete it to begin anew",

@@ -17,7 +17,6 @@ from jaxbound.recordings import parquet
 from jaxbound.recordings.parquet import open_parquet
 from jaxbound.recordings.read import read
 from jaxbound.recordings.stillness import Runs, follow_runs
-from jaxbound.relations import identity
 from jaxbound.runs import judges
 from jaxbound.runs.digest import detect_dataset, digest
 from jaxbound.runs.outputs import output_folder
@@ -280,7 +279,7 @@ class TestResume:
         elif change == "version":
             monkeypatch.setattr(jb, "__version__", "0.0.1")
         elif change == "precision":
-            monkeypatch.setattr(identity.jax.dtypes, "canonicalize_dtype", lambda kind: np.dtype(np.float32))
+            monkeypatch.setattr("jax.dtypes.canonicalize_dtype", lambda kind: np.dtype(np.float32))
         with pytest.raises(
             ValueError, match=f"part-00000.parquet is of {what}: choose another place, or delete it"
         ):
