@@ -10,7 +10,7 @@ unknowns within their bounds, and the proved test judges it like any other.
 """
 
 from functools import partial
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
@@ -85,20 +85,21 @@ def _recorded(
 def _factors(test: Reading, u: Array, y: Array) -> jax.Array:
     """Return t (T - s, N) of all windows, differentiable; NaN where no combination has its data."""
     count, N = y.shape[0] - test.horizon, y.shape[2]
-    us, ys = _windows(u, test.lags, count), _windows(y, test.horizon + 1, count)
+    # in a kernel these are traced
+    inputs, outputs = cast("tuple[jax.Array, jax.Array]", (u, y))
+    us, ys = _windows(inputs, test.lags, count), _windows(outputs, test.horizon + 1, count)
     if isinstance(test.shape, Frame):
-        inputs = jnp.zeros((test.lags, 0, count * N), y.dtype)
+        flat = jnp.zeros((test.lags, 0, count * N), y.dtype)
         if us and us[0]:
-            inputs = jnp.stack([jnp.stack(row) for row in us])
-        outputs = jnp.stack([jnp.stack(row) for row in ys])
-        mid, rad, _, known, _ = test.block(inputs, outputs)
+            flat = jnp.stack([jnp.stack(row) for row in us])
+        mid, rad, _, known, _ = test.block(flat, jnp.stack([jnp.stack(row) for row in ys]))
         return 1 - separation_margin(test.shape, mid, rad, known).reshape(count, N)
     mids, rads, _, knowns, _ = test.rows(us, ys)
-    t: jax.Array = 1 - strip_margin(test.shape, stored(mids), stored(rads), knowns).reshape(count, N)
+    t: jax.Array = 1 - strip_margin(test.strips, stored(mids), stored(rads), knowns).reshape(count, N)
     return stored(t)
 
 
-def _windows(x: Array, lags: int, count: int) -> list[list[Array]]:
+def _windows(x: jax.Array, lags: int, count: int) -> list[list[jax.Array]]:
     """Return each signal of x (T, c, N) at each of the `lags` samples of `count` windows, flat.
 
     stored: else the derivative is worked out anew for each sample of each window that it goes to
