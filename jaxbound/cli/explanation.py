@@ -8,10 +8,10 @@ from jaxbound.certificates.interface import certify
 from jaxbound.cli.options import OBSERVER
 from jaxbound.cli.sample_axis import SampleAxis
 from jaxbound.consistency.interface import FAMILIES
-from jaxbound.estimation.observer import observer
+from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.read import open_source
-from jaxbound.relations.parity import parity_relations
 from jaxbound.runs.contradiction import refuted_again
+from jaxbound.runs.relations import relations_by
 from jaxbound.runs.runfile import VALIDATION, is_outgrown, load_run
 
 __all__ = ["Explained", "explain_window"]
@@ -59,13 +59,10 @@ def explain_window(directory: str | Path, at: str) -> Explained:
             f"sample {k} is too early: the first window ends at sample {horizon}, {axis.label(horizon)}"
         )
     try:
+        relations = relations_by(method, model, _asked_horizon(model, method, horizon), options=options)
         if method == OBSERVER:
-            certificate, part = refuted_again(observer(model, **options), source, k)
+            certificate, part = refuted_again(relations, source, k)
         else:
-            if method in FAMILIES:
-                relations = FAMILIES[method](model, horizon)
-            else:
-                relations = parity_relations(model, horizon if model.lags is None else None)
             part = source.read(k - horizon, k + 1)
             if part.across(horizon)[horizon]:
                 raise ValueError("a window across a gap in time is MISSING")
@@ -75,3 +72,12 @@ def explain_window(directory: str | Path, at: str) -> Explained:
     first = part.samples - certificate.window.horizon - 1
     labels = [part.label(j) for j in range(first, part.samples)]
     return Explained(certificate, k, labels, is_outgrown(Path(directory)), axis.also_a_time(at))
+
+
+def _asked_horizon(model: LinearSystem, method: str, horizon: int) -> int | None:
+    """Return the horizon that makes the relations of a run anew, from the horizon that they had."""
+    if method == OBSERVER:
+        return None  # its options have one where the user gave one
+    if model.lags is not None and method not in FAMILIES:
+        return None  # the lags of the model say how long a window is
+    return horizon

@@ -79,7 +79,6 @@ def run(args: argparse.Namespace) -> int:
         options.check()
         units = read_manifest(args.manifest)
         usable_device()
-    of_observer = {name: value for name, value in options.observer_options.items() if name != "horizon"}
     results: list[UnitResult] = []
     stopped: Interrupted | None = None
     inputs = [args.manifest, *(path for unit in units for path in (unit.model, unit.recording))]
@@ -93,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
             with progress_bars(("units",)) as step, engine(args.scheduler, args.workers) as client:
                 how = args.method, args.horizon, args.alarm, args.min_coverage
                 report, pages = lambda share: step("units", share), UnitPages(work)
-                more = of_observer, client, args.state
+                more = options.observer_options, client, args.state
                 for result in detect_fleet(
                     units, *how, report, args.lags, pages if client is None else None, *more
                 ):

@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
     """Print the template, or describe a model; return the exit code."""
     with swift_imports():
         from jaxbound.cli.model_summary import plain_model, show_model
-        from jaxbound.cli.window import window_relations
+        from jaxbound.cli.window import parity_windows
         from jaxbound.models.modelfile import load_model
         from jaxbound.models.template import template
 
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
         return OK
     with door(), progress_bars(("relations",)) as step:
         model = load_model(args.model)
-        model, relations = window_relations(model, MethodOptions.of(args), args.model, None, step)
+        model, relations = parity_windows(model, MethodOptions.of(args), args.model, None, step)
     if args.json:
         text = json.dumps(plain_model(model, relations), indent=1, allow_nan=False, ensure_ascii=False)
         write(text + "\n")

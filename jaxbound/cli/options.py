@@ -6,17 +6,17 @@ help and completion are to be there at once.
 
 import argparse
 from argparse import ArgumentTypeError
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from jaxbound.cli.terminal import NORMAL, QUIET, VERBOSE, Refused
+from jaxbound.estimation.methods import OBSERVERS, shell_options
 
 __all__ = [
     "METHODS",
     "OBSERVER",
-    "OBSERVERS",
     "MethodOptions",
     "add_alarm",
     "add_engine",
@@ -37,11 +37,9 @@ __all__ = [
 ]
 
 OBSERVER = "observer"
-JOINT = "joint"
-# These two are texts of their own, because what is listed here is not worth the imports of its home. A test
-# compares them with `consistency.interface.METHODS` and with what `estimation.observer` takes.
+# A text of its own, because the home of these methods imports jax, for which a help does not wait. A test
+# compares it with `consistency.interface.METHODS`.
 METHODS = "joint, box, paving, linearized"
-OBSERVERS = ("zonotope", "strips", "joint", "constrained")
 LARGEST = 10**15
 DIGITS = 20  # a number of so many digits is not even converted
 
@@ -63,7 +61,8 @@ class MethodOptions:
     Fields:
         method: one of METHODS, "observer", or, for a command that has it, "validation".
         horizon, lags: the windows; None: those of the model.
-        order, latched, observer, span: of an observer, see `add_observer`.
+        order, latched, observer: of an observer, see `add_observer`.
+        settings: {field: value} of the observer's own options, see `estimation.method.ShellOption`.
     """
 
     method: str = "joint"
@@ -72,13 +71,18 @@ class MethodOptions:
     order: int | None = None
     latched: bool = False
     observer: str | None = None
-    span: int | None = None
+    settings: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, args: argparse.Namespace) -> "MethodOptions":
         """Return the options of a command line; a command without one of them has its default."""
         given = {f.name: getattr(args, f.name) for f in fields(cls) if hasattr(args, f.name)}
-        return cls(**given)
+        settings = {}
+        for option in shell_options():
+            value = getattr(args, option.dest, None)
+            if value is not None:
+                settings[option.field] = value
+        return cls(settings=settings, **given)
 
     @property
     def observes(self) -> bool:
@@ -95,25 +99,43 @@ class MethodOptions:
             "horizon": self.horizon,
             "restart": False if self.latched else None,
             "method": self.observer,
-            "window": self.span,
+            **self.settings,
         }
         return {name: value for name, value in keywords.items() if value is not None}
+
+    @property
+    def flags(self) -> dict[str, float]:
+        """{flag: value} of the observer's own options, as they stand in a command line."""
+        flags = {}
+        for option in shell_options():
+            if option.field in self.settings:
+                flags[option.flag] = self.settings[option.field]
+        return flags
 
     def check(self) -> None:
         """Raise ValueError for an option that the method does not take."""
         if not self.observes:
-            for name in ("order", "latched", "observer", "span"):
-                if getattr(self, name):
-                    raise ValueError(f"--{name} is for --method {OBSERVER}")
+            self._refuse_observing()
             return
         if self.lags is not None:
             raise ValueError("--lags is for windows: an observer looks at every sample")
-        if self.span is None:
-            return
-        if self.observer != JOINT:
-            raise ValueError(f"--span is for --observer {JOINT}")
-        if self.span % 2:
-            raise ValueError(f"--span needs an even number of samples, not {self.span}")
+        chosen = OBSERVERS[self.observer or next(iter(OBSERVERS))]
+        for kind in OBSERVERS.values():
+            for option in kind.shell:
+                if option.field in self.settings and kind is not chosen:
+                    raise ValueError(f"{option.flag} is for --observer {kind.name}")
+        try:
+            chosen(**self.settings)
+        except ValueError as e:
+            raise ValueError(f"{', '.join(self.flags)}: {e}") from None
+
+    def _refuse_observing(self) -> None:
+        """Raise ValueError for an option of an observer."""
+        for name in ("order", "latched", "observer"):
+            if getattr(self, name):
+                raise ValueError(f"--{name} is for --method {OBSERVER}")
+        for flag in self.flags:
+            raise ValueError(f"{flag} is for --method {OBSERVER}")
 
 
 def add_method(parser: argparse.ArgumentParser, more: str = "") -> None:
@@ -137,7 +159,7 @@ def add_windows(parser: argparse.ArgumentParser, about: str = "", least: int = 0
 
 
 def add_observer(parser: argparse.ArgumentParser) -> None:
-    """Add the options of a set observer."""
+    """Add the options of a set observer: those of all, and those that its methods list for the shell."""
     parser.add_argument(
         "--order",
         type=whole_number(1, 1000),
@@ -152,18 +174,20 @@ def add_observer(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--observer",
-        choices=OBSERVERS,
+        choices=tuple(OBSERVERS),
         metavar="NAME",
-        help="observer: zonotope (default, fast), strips (one set, least after every sample), joint (exact "
-        "tests of windows that remember: slow faults, some hundred times slower) or constrained (between "
-        "them)",
+        help=f"observer: {'; '.join(f'{name}: {kind.about}' for name, kind in OBSERVERS.items())} "
+        f"(default: {next(iter(OBSERVERS))})",
     )
-    parser.add_argument(
-        "--span",
-        type=whole_number(4, 1000),
-        metavar="N",
-        help="observer joint: samples of such a window, even (default: 32)",
-    )
+    for kind in OBSERVERS.values():
+        for option in kind.shell:
+            parser.add_argument(
+                option.flag,
+                dest=option.dest,
+                type=whole_number(option.least, option.most),
+                metavar="N",
+                help=f"observer {kind.name}: {option.help} (default: {option.default})",
+            )
 
 
 def add_alarm(parser: argparse.ArgumentParser) -> None:

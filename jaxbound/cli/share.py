@@ -121,16 +121,16 @@ def same_test(
         words += ["--method", options.method]
     if options.lags is not None:
         words += ["--lags", ",".join(map(str, options.lags))]
-    numbers = {
-        "horizon": options.horizon,
-        "order": options.order,
-        "observer": options.observer,
-        "span": options.span,
-        "overlap": overlap,
+    valued = {
+        "--horizon": options.horizon,
+        "--order": options.order,
+        "--observer": options.observer,
+        **options.flags,
+        "--overlap": overlap,
     }
-    for name, value in numbers.items():
+    for flag, value in valued.items():
         if value is not None:
-            words += [f"--{name}", value]
+            words += [flag, value]
     if options.latched:
         words.append("--latched")
     return shlex.join(map(str, (*words, *more)))

@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
             show_tuning,
             tuned_text,
         )
-        from jaxbound.cli.window import window_relations
+        from jaxbound.cli.window import parity_windows
         from jaxbound.files.whole import whole
         from jaxbound.models.modelfile import load_model
         from jaxbound.plots.canvas import to_png
@@ -118,7 +118,7 @@ def run(args: argparse.Namespace) -> int:
             recordings.append(read(file, model, lambda share, i=i: step("read", (i + share) / len(files))))
         longest = int(np.argmax([recording.samples for recording in recordings]))
         samples = recordings[longest].samples
-        model, relations = window_relations(model, MethodOptions.of(args), files[longest], samples, step)
+        model, relations = parity_windows(model, MethodOptions.of(args), files[longest], samples, step)
         tuning = tune(
             relations,
             recordings[: len(args.healthy)],

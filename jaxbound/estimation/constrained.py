@@ -30,7 +30,7 @@ class Constrained(ObserverMethod):
     about: ClassVar[str] = "between zonotope and joint"
     usual_order: ClassVar[float] = 5.0
     shell: ClassVar[tuple[ShellOption, ...]] = (
-        ShellOption("constraints", "--constraints", int, CONSTRAINTS, 1, MOST, "equations that are kept"),
+        ShellOption("constraints", "--constraints", CONSTRAINTS, 1, MOST, "equations that its set keeps"),
     )
 
     def __post_init__(self) -> None:

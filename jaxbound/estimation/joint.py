@@ -29,7 +29,7 @@ class Joint(ObserverMethod):
     name: ClassVar[str] = "joint"
     about: ClassVar[str] = "exact tests of windows that remember: slow faults, some hundred times slower"
     shell: ClassVar[tuple[ShellOption, ...]] = (
-        ShellOption("window", "--span", int, WINDOW, SHORTEST, LONGEST, "samples of such a window, even"),
+        ShellOption("window", "--span", WINDOW, SHORTEST, LONGEST, "samples of such a window, even"),
     )
 
     def __post_init__(self) -> None:

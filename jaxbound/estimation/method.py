@@ -15,19 +15,23 @@ __all__ = ["ObserverMethod", "ShellOption"]
 
 
 class ShellOption(NamedTuple):
-    """An option of a method on the command line.
+    """An option of a method on the command line, a whole number.
 
-    Fields: field: its name in the method's value; flag: its name on the command line; type: of its value;
-    default; least, most: of a number; help: one line, without the default.
+    Fields: field: its name in the method's value; flag: its name on the command line; default, least, most:
+    of its value; help: one line, without the default.
     """
 
     field: str
     flag: str
-    type: type[int] | type[float]
-    default: float
-    least: float
-    most: float
+    default: int
+    least: int
+    most: int
     help: str
+
+    @property
+    def dest(self) -> str:
+        """The name that argparse gives the option's value."""
+        return self.flag.strip("-").replace("-", "_")
 
 
 class ObserverMethod(ABC):

@@ -4,15 +4,20 @@ import dataclasses
 
 from jaxbound.estimation.constrained import Constrained
 from jaxbound.estimation.joint import Joint
-from jaxbound.estimation.method import ObserverMethod
+from jaxbound.estimation.method import ObserverMethod, ShellOption
 from jaxbound.estimation.zonotopes import LeastZonotope, WeightedZonotopes
 
-__all__ = ["OBSERVERS", "observer_method"]
+__all__ = ["OBSERVERS", "observer_method", "shell_options"]
 
 OBSERVERS: dict[str, type[ObserverMethod]] = {
     kind.name: kind for kind in (WeightedZonotopes, LeastZonotope, Joint, Constrained)
 }
 """Every method of `observer`, by the name that it has in keywords and on the command line."""
+
+
+def shell_options() -> list[ShellOption]:
+    """Return the options of all methods on the command line."""
+    return [option for kind in OBSERVERS.values() for option in kind.shell]
 
 
 def observer_method(method: str | ObserverMethod, **options: int | None) -> ObserverMethod:

@@ -7,7 +7,7 @@ window.
 from collections.abc import Callable, Iterable, Sequence
 from decimal import Decimal
 from fractions import Fraction
-from itertools import combinations
+from itertools import chain, combinations
 from math import gcd, lcm
 from operator import mul, truth
 from typing import TypeAlias, TypeVar, cast
@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike
 
 __all__ = """
     Matrix MatrixLike Number Row Rows Vector
-    add_multiple determinant dot identity integers inverse left_null_space matmul matrix minimal_span
-    multiply presentable primitive rank rational row_reduce scale transpose zeros
+    add_multiple beside columns_of determinant dot identity integers inverse left_null_space matmul matrix
+    minimal_span multiply presentable primitive rank rational row_reduce scale transpose zeros
 """.split()
 
 Vector: TypeAlias = tuple[Fraction, ...]
@@ -102,6 +102,29 @@ def zeros(rows: int, columns: int) -> Matrix:
 def transpose(a: Sequence[Sequence[T]]) -> tuple[tuple[T, ...], ...]:
     """Return the transpose."""
     return tuple(zip(*a, strict=True))
+
+
+def beside(*blocks: Sequence[Sequence[T]]) -> tuple[tuple[T, ...], ...]:
+    """Return matrices of as many rows each side by side.
+
+    Example:
+        >>> beside([[1], [2]], [[3, 4], [5, 6]])
+        ((1, 3, 4), (2, 5, 6))
+    """
+    return tuple(tuple(chain.from_iterable(rows)) for rows in zip(*blocks, strict=True))
+
+
+def columns_of(a: Sequence[Sequence[T]], numbers: Iterable[int]) -> tuple[tuple[T, ...], ...]:
+    """Return the matrix of some columns, by their numbers.
+
+    Example:
+        >>> columns_of([[1, 2, 3], [4, 5, 6]], (2, 0))
+        ((3, 1), (6, 4))
+    """
+    chosen, rows = tuple(numbers), []
+    for row in a:
+        rows.append(tuple(row[j] for j in chosen))
+    return tuple(rows)
 
 
 def dot(a: Iterable[Fraction | int], b: Iterable[Fraction | int]) -> Fraction:
@@ -228,7 +251,7 @@ def inverse(a: Rows) -> Matrix:
 
 def _beside_identity(a: Rows) -> Rows:
     """Return the rows of [a, I]."""
-    return [(*row, *unit) for row, unit in zip(a, identity(len(a)), strict=True)]
+    return beside(a, identity(len(a)))
 
 
 def integers(row: Row) -> tuple[tuple[int, ...], int]:

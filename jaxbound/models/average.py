@@ -13,12 +13,13 @@ rounded away adds its own part to the bound. Of a run with a missing sample noth
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, TypeAlias
+from typing import TypeAlias, cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.exact.linalg import Number, Vector
-from jaxbound.models.plant import number
+from jaxbound.models.numbers import is_whole, number
 from jaxbound.models.rows import WeightedSum
 from jaxbound.text.names import listed
 
@@ -39,8 +40,9 @@ class Average:
 
     def place(self, outputs: Sequence[str]) -> tuple[bool, int]:
         """Return (whether it is of an output, the number of that output or disturbance)."""
-        measured = self.signal in outputs
-        return measured, list(outputs).index(self.signal) if measured else int(self.signal[1:]) - 1
+        if self.signal in outputs:
+            return True, list(outputs).index(self.signal)
+        return False, int(self.signal[1:]) - 1
 
     def weighted_sum(self, outputs: Sequence[str]) -> WeightedSum:
         """Return the sum that is bounded, its signal by its number."""
@@ -59,7 +61,9 @@ class Average:
         return f"{of} of {len(self.weights)} samples of {self.signal}"
 
 
-Averaged: TypeAlias = Mapping[str, Mapping[int, Number] | Sequence[tuple[Any, Number]]] | Sequence[Average]
+Averaged: TypeAlias = (
+    Mapping[str, Mapping[int, Number] | Sequence[tuple[int | Sequence[Number], Number]]] | Sequence[Average]
+)
 """{signal: {samples: bound on their mean} or [(weights, bound)]}."""
 
 
@@ -76,56 +80,70 @@ def averages_of(
             0, a bound under which a disturbance could not last.
     """
     bounds = {f"w{j + 1}": ends for j, ends in enumerate(disturbance)}
-    out: list[Average] = []
+    averages = []
     for signal, weights, bound in _listed(given):
         if signal not in (*outputs, *bounds):
             raise ValueError(
                 f"averages speak of {signal!r}, but they are of outputs and disturbances: "
                 f"{listed((*outputs, *bounds), str)}"
             )
-        one = Average(
+        average = Average(
             signal,
             tuple(number(f"weights of an average of {signal!r}", x) for x in weights),
             number(f"bound of an average of {signal!r}", bound),
         )
-        if len(one.weights) < 2 or not one.weights[0] or not one.weights[-1]:
-            raise ValueError(
-                f"an average of {signal!r} needs two samples or more, the first and last of weights other "
-                f"than 0"
-            )
-        if one.bound < 0:
-            raise ValueError(f"the bound of the {one.text} must be >= 0, not {float(one.bound):g}")
-        lo, hi = bounds.get(signal, (Fraction(0), Fraction(0)))
-        total = abs(sum(one.weights, Fraction(0))) * (Fraction(0) if lo <= 0 <= hi else min(abs(lo), abs(hi)))
-        if total > one.bound:
-            raise ValueError(
-                f"no constant {signal} in [{float(lo):g}, {float(hi):g}] keeps the {one.text} within "
-                f"{float(one.bound):g}"
-            )
-        out.append(one)
-    return tuple(out)
+        _refuse(average, bounds.get(signal))
+        averages.append(average)
+    return tuple(averages)
 
 
-def _listed(given):
-    """Return [(signal, weights, bound)] of whatever form is given."""
+def _refuse(average: Average, ends: tuple[Fraction, Fraction] | None) -> None:
+    """Raise ValueError for an average that says nothing, or too much. ends: bounds of a disturbance."""
+    signal, weights, bound = average.signal, average.weights, average.bound
+    if len(weights) < 2 or not weights[0] or not weights[-1]:
+        raise ValueError(
+            f"an average of {signal!r} needs two samples or more, the first and last of weights other than 0"
+        )
+    if bound < 0:
+        raise ValueError(f"the bound of the {average.text} must be >= 0, not {float(bound):g}")
+    if ends is None or ends[0] <= 0 <= ends[1]:
+        return
+    lo, hi = ends
+    least = abs(sum(weights, Fraction(0))) * min(abs(lo), abs(hi))  # of a disturbance that lasts
+    if least > bound:
+        raise ValueError(
+            f"no constant {signal} in [{float(lo):g}, {float(hi):g}] keeps the {average.text} within "
+            f"{float(bound):g}"
+        )
+
+
+def _listed(given: Averaged | None) -> list[tuple[str, Sequence[Number], Number]]:
+    """Return [(signal, weights, bound)] of averages in any of their forms."""
     if given is None:
         return []
-    if not isinstance(given, Mapping):
-        if not all(isinstance(a, Average) for a in given):
+    rows: list[tuple[str, Sequence[Number], Number]] = []
+    if isinstance(given, Mapping):
+        for signal, stated in given.items():
+            pairs = stated.items() if isinstance(stated, Mapping) else stated
+            for samples, bound in pairs:
+                rows.append((str(signal), _weights(signal, samples), bound))
+        return rows
+    for average in given:
+        if not isinstance(average, Average):
             raise ValueError(
                 "averages must be a table, like {'T1': {16: 0.1}}: 16 samples of the error of T1 have a mean "
                 "of at most 0.1"
             )
-        return [(a.signal, a.weights, a.bound) for a in given]
-    found = []
-    for signal, said in given.items():
-        for samples, bound in said.items() if isinstance(said, Mapping) else said:
-            if np.ndim(samples) == 0:
-                if isinstance(samples, bool) or not isinstance(samples, (int, np.integer)) or samples < 2:
-                    raise ValueError(
-                        f"averages of {signal!r} need a whole number of samples >= 2, or weights, not "
-                        f"{samples!r}"
-                    )
-                samples = [Fraction(1, int(samples))] * int(samples)
-            found.append((str(signal), samples, bound))
-    return found
+        rows.append((average.signal, average.weights, average.bound))
+    return rows
+
+
+def _weights(signal: str, samples: int | Sequence[Number]) -> Sequence[Number]:
+    """Return the weights of a sum: as stated, or those of the mean of so many samples."""
+    if np.ndim(cast("ArrayLike", samples)) > 0:
+        return cast("Sequence[Number]", samples)
+    if not is_whole(samples) or samples < 2:
+        raise ValueError(
+            f"averages of {signal!r} need a whole number of samples >= 2, or weights, not {samples!r}"
+        )
+    return [Fraction(1, int(samples))] * int(samples)

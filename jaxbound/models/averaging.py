@@ -8,37 +8,42 @@ leave no such value: the recording's draws are then shrunk together towards a co
 by the one factor that is needed. Runs that begin before the recording count with that constant.
 """
 
-from collections.abc import Sequence
 from functools import partial
-from typing import Any
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.models.system import LinearSystem
+from jaxbound.random.threefry import Array
 from jaxbound.sets.floats import rounding
 
-__all__ = ["kept_averages", "places_of"]
+__all__ = ["AverageNumbers", "Places", "kept_averages", "places_of"]
 
-Places = tuple[tuple[bool, int, int], ...]
+Places: TypeAlias = tuple[tuple[bool, int, int], ...]
+"""(whether of an output, number of the signal, samples) of each average."""
+AverageNumbers: TypeAlias = tuple[tuple[np.ndarray, np.ndarray], ...]
+"""(weights (n,), bound) of each average."""
 
 
-def places_of(model: LinearSystem, dtype: np.dtype) -> tuple[Places, tuple]:
-    """Return ((of an output, number, samples) of each average, [(weights (n,), bound)] in floats, bounds
-    rounded down).
-    """
-    places = tuple((*a.place(model.outputs), len(a.weights)) for a in model.averages)
-    numbers = tuple(
-        (np.array([float(x) for x in a.weights], dtype), rounding.round_down(a.bound, dtype))
-        for a in model.averages
-    )
-    return places, numbers
+def places_of(model: LinearSystem, dtype: np.dtype) -> tuple[Places, AverageNumbers]:
+    """Return the places of a model's averages, and their numbers in floats, bounds rounded down."""
+    places, numbers = [], []
+    for average in model.averages:
+        weights = np.array([float(x) for x in average.weights], dtype)
+        places.append((*average.place(model.outputs), len(weights)))
+        numbers.append((weights, rounding.round_down(average.bound, dtype)))
+    return tuple(places), tuple(numbers)
 
 
 @partial(jax.jit, static_argnums=0)
 def kept_averages(
-    places: Places, averages: Sequence, noise: jax.Array, w: jax.Array, bounds: tuple[Any, Any, Any]
+    places: Places,
+    averages: AverageNumbers,
+    noise: jax.Array,
+    w: jax.Array,
+    bounds: tuple[jax.Array, jax.Array, jax.Array],
 ) -> tuple[jax.Array, jax.Array]:
     """Return noise (N, T, p) and disturbances w (N, T, g) that keep every average.
 
@@ -47,28 +52,44 @@ def kept_averages(
             hi (g,).
     """
     top, lo, hi = bounds
-    for measured, ends in ((True, (-top, top)), (False, (lo, hi))):
-        values = noise if measured else w
-        for i in sorted({i for of, i, _ in places if of is measured}):
-            mine = [
-                (n, *a) for (of, j, n), a in zip(places, averages, strict=True) if of is measured and j == i
-            ]
-            values = values.at[:, :, i].set(_one_signal(values[:, :, i], ends[0][i], ends[1][i], mine))
-        noise, w = (values, w) if measured else (noise, values)
+    noise = _kept_on_one_side(noise, (-top, top), _by_signal(places, averages, measured=True))
+    w = _kept_on_one_side(w, (lo, hi), _by_signal(places, averages, measured=False))
     return noise, w
 
 
-def _one_signal(x, lo, hi, averages):
+_Averages: TypeAlias = list[tuple[int, Array, Array]]
+"""(samples n, weights (n,), bound) of each average of one signal."""
+
+
+def _by_signal(places: Places, averages: AverageNumbers, measured: bool) -> dict[int, _Averages]:
+    """Return the averages of outputs, or of disturbances, by the number of their signal."""
+    found: dict[int, _Averages] = {}
+    for (of_output, signal, samples), (weights, bound) in zip(places, averages, strict=True):
+        if of_output is measured:
+            found.setdefault(signal, []).append((samples, weights, bound))
+    return dict(sorted(found.items()))
+
+
+def _kept_on_one_side(
+    values: jax.Array, ends: tuple[jax.Array, jax.Array], averages: dict[int, _Averages]
+) -> jax.Array:
+    """Return draws (N, T, c), of outputs or of disturbances, that keep the averages of each signal."""
+    for i, mine in averages.items():
+        kept = _one_signal(values[:, :, i], ends[0][i], ends[1][i], mine)
+        values = values.at[:, :, i].set(kept)
+    return values
+
+
+def _one_signal(x: jax.Array, lo: jax.Array, hi: jax.Array, averages: _Averages) -> jax.Array:
     """Return draws x (N, T) of one signal in [lo, hi] that keep averages [(n, weights (n,), bound)]."""
     dtype, longest = x.dtype, max(n for n, _, _ in averages)
     size = jnp.maximum(jnp.abs(lo), jnp.abs(hi))
-    rest = jnp.clip(
-        jnp.zeros((), dtype), lo, hi
-    )  # the constant nearest to 0: the model has made sure that it keeps all averages
+    # the constant nearest to 0: the model has made sure that it keeps all averages
+    rest = jnp.clip(jnp.zeros((), dtype), lo, hi)
     slack = [8 * n * rounding.unit(dtype) * jnp.sum(jnp.abs(f)) * size for n, f, _ in averages]
     held = [jnp.maximum(b - 2 * e, 0) for (_, _, b), e in zip(averages, slack, strict=True)]
 
-    def step(past, now):
+    def step(past: jax.Array, now: jax.Array) -> tuple[jax.Array, jax.Array]:
         low, high = jnp.full_like(now, lo), jnp.full_like(now, hi)
         for (n, f, _), b in zip(averages, held, strict=True):
             before = jnp.sum(past[longest - n :] * f[:-1, None], 0)
@@ -82,12 +103,21 @@ def _one_signal(x, lo, hi, averages):
     share = jnp.ones((len(x),), dtype)
     whole = jnp.concatenate([before, out])
     for (n, f, b), e in zip(averages, slack, strict=True):
-        begin, runs = longest - n, len(out)
-        add = lambda k, total, f=f, begin=begin, runs=runs: (
-            total + f[k] * (jax.lax.dynamic_slice_in_dim(whole, begin + k, runs, 0) - rest)
-        )
-        moved = jnp.max(jnp.abs(jax.lax.fori_loop(0, n, add, jnp.zeros_like(out))), 0)
+        moved = jnp.max(jnp.abs(_sums(f, n, whole, longest - n, rest, out)), 0)
         room = jnp.maximum(b - e - jnp.abs(rest * jnp.sum(f)), 0)
         share = jnp.minimum(share, jnp.where(moved > room, room / jnp.where(moved > 0, moved, 1), 1))
     share = jnp.where(share < 1, share * (1 - 8 * rounding.unit(dtype)), 1)
     return jnp.where(share[:, None] < 1, jnp.clip(rest + share[:, None] * (out.T - rest), lo, hi), out.T)
+
+
+def _sums(
+    weights: Array, n: int, whole: jax.Array, begin: int, rest: jax.Array, like: jax.Array
+) -> jax.Array:
+    """Return the weighted sums (T, N) of runs of n values less rest, the first run from `begin` on."""
+
+    def add(k: jax.Array, total: jax.Array) -> jax.Array:
+        run = jax.lax.dynamic_slice_in_dim(whole, begin + k, len(like), 0)
+        return total + weights[k] * (run - rest)
+
+    sums: jax.Array = jax.lax.fori_loop(0, n, add, jnp.zeros_like(like))
+    return sums

@@ -106,7 +106,7 @@ def from_control(sys: LabelledStateSpace, dt: float | None = None, **bounds: Any
     }
     if not re.fullmatch(r"sys\[\d+\].*", sys.name):
         names["name"] = sys.name
-    return _build(sys, 0 if sys.dt == 0 and sys.dt is not False else sys.dt, dt, names, bounds)
+    return _build(sys, sys.dt, dt, names, bounds)
 
 
 def from_scipy(sys: StateSpace, dt: float | None = None, **bounds: Any) -> LinearSystem:
@@ -129,7 +129,8 @@ def from_scipy(sys: StateSpace, dt: float | None = None, **bounds: Any) -> Linea
     kinds = _packages(sys).get("scipy", set())
     if "StateSpace" not in kinds:
         _refuse(sys, kinds, "sys.to_ss()", "scipy.signal")
-    return _build(sys, sys.dt if "dlti" in kinds else 0, dt, {}, bounds)
+    own = sys.dt if "dlti" in kinds else 0
+    return _build(sys, own, dt, {}, bounds)
 
 
 def _packages(obj: object) -> dict[str, set[str]]:
@@ -148,7 +149,9 @@ def _refuse(sys: object, kinds: set[str], convert: str, package: str) -> NoRetur
 
 def _given(labels: Sequence[str], automatic: str) -> tuple[str, ...] | None:
     """Return the labels, or None if python-control made them up."""
-    return None if all(re.fullmatch(automatic, s) for s in labels) else tuple(labels)
+    if all(re.fullmatch(automatic, label) for label in labels):
+        return None
+    return tuple(labels)
 
 
 def _build(
@@ -181,7 +184,7 @@ def _build(
     return LinearSystem(A, B, C, D, dt, **{**names, **bounds})
 
 
-def _hold(A, B, dt):
+def _hold(A: np.ndarray, B: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
     """Return (A_d, B_d) of x+ = A_d x + B_d u for x' = A x + B u with u constant over dt."""
     n, block = len(A), np.vectorize(rational, otypes=[object])
     step, _ = hold(block(A), block(B), rational(dt))

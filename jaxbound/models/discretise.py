@@ -56,35 +56,40 @@ def held(g: Affine, n: int, dt: Fraction) -> Affine:
     rest = np.concatenate([g.matrix[:, n:], g.constant[:, None]], axis=1)
     X, error = hold(g.matrix[:, :n], rest, dt)
     derivative = np.full((n, q, N + 1), Fraction(0), object)
-    square = lambda M: np.concatenate([M, np.full((N + 1 - n, N + 1), Fraction(0), object)])
-    M = square(np.concatenate([g.matrix, g.constant[:, None]], axis=1))
-    for k in range(
-        q
-    ):  # exp([[M, N], [0, M]]) has the derivative of exp(M) in the direction N at its upper right
-        direction = square(np.concatenate([g.change[:, k], g.shift[:, k, None]], axis=1))
+    M = _square(g.matrix, g.constant)
+    for k in range(q):
+        # exp([[M, N], [0, M]]) has the derivative of exp(M) in the direction N at its upper right
+        direction = _square(g.change[:, k], g.shift[:, k])
         block, e = exponential(np.block([[M, direction], [0 * M, M]]) * dt)
         derivative[:, k], error = block[:n, N + 1 :], max(e, error)
     through = absolute_integral(g.matrix[:, :n], dt)
     strayed = through @ (g.remainder + _largest(g) @ g.spread)
     turned = (abs(g.change[:, :, :n]) @ strayed) @ g.spread
-    return decimals(
-        Affine(
-            X[:n, N],
-            X[:n, :N],
-            derivative[:, :, N],
-            derivative[:, :, :N],
-            through @ (g.remainder + turned),
-            g.low,
-            g.high,
-            g.spread,
-        ),
-        error,
+    stepped = Affine(
+        constant=X[:n, N],
+        matrix=X[:n, :N],
+        shift=derivative[:, :, N],
+        change=derivative[:, :, :N],
+        remainder=through @ (g.remainder + turned),
+        low=g.low,
+        high=g.high,
+        spread=g.spread,
     )
+    return decimals(stepped, error)
+
+
+def _square(matrix: np.ndarray, constant: np.ndarray) -> np.ndarray:
+    """Return [matrix, constant] with rows of zeros below, as many as make it square."""
+    rows = np.concatenate([matrix, constant[:, None]], axis=1)
+    count, width = rows.shape
+    return np.concatenate([rows, np.full((width - count, width), Fraction(0), object)])
 
 
 def _largest(g: Affine) -> np.ndarray:
     """Return the bounds (k, q) of |shift + change zeta| over the box."""
-    return abs(g.shift + g.change @ ((g.low + g.high) / 2)) + abs(g.change) @ ((g.high - g.low) / 2)
+    middle, radius = (g.low + g.high) / 2, (g.high - g.low) / 2
+    largest: np.ndarray = abs(g.shift + g.change @ middle) + abs(g.change) @ radius
+    return largest
 
 
 def decimals(g: Affine, error: Fraction | int = 0) -> Affine:

@@ -7,15 +7,16 @@ have one relative error for all that they show: where such a fault meets a toler
 parameter of the plant, C + theta C and D + theta D, of the same bounds.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
-from jaxbound.exact.linalg import Number, zeros
+from jaxbound.exact.linalg import Matrix, Number, Vector, beside, columns_of, scale, transpose, zeros
+from jaxbound.exact.linalg import identity as unit_matrix
 from jaxbound.models.faults import refuse_unknown_signal
-from jaxbound.models.plant import number
-from jaxbound.models.system import LinearSystem
-from jaxbound.models.uncertainty import Uncertainty, centred
+from jaxbound.models.numbers import number
+from jaxbound.models.system import LinearSystem, matrices_at_zero
+from jaxbound.models.uncertainty import Uncertainty, coefficient
 
 __all__ = ["with_faults"]
 
@@ -65,89 +66,85 @@ def with_faults(
     rates = _rates(rate, drifts)
     model = _with_errors_as_parameters(model, [signal for signal, _ in named])
     k, n = len(named), model.n
-    own = {letter: centred(getattr(model, letter), model.uncertainties, letter, sign=-1) for letter in "ABCD"}
     parameters = []
     for p in model.uncertainties:
-        grown = _grown(model, named, {letter: getattr(p, letter) for letter in "ABCD"}, identity=0)
+        grown = _grown(model, named, {letter: coefficient(p, letter) for letter in "ABCD"}, identity=0)
         parts = {letter: rows for letter, rows in grown.items() if any(map(any, rows))}
         parameters.append(Uncertainty(p.name, **parts, varying=p.varying, between=p.between))
     moving = [i for i, (_, kind) in enumerate(named) if kind == "drift"]
-    moved_states = [[Fraction(i == j) for j in moving] for i in range(k)]
-    G = [
-        *_beside(model.G if model.g else zeros(n, 0), zeros(n, len(moving))),
-        *_beside(zeros(k, model.g), moved_states),
-    ]
+    G = model.G if model.g else zeros(n, 0)
+    G = beside(G, zeros(n, len(moving))) + beside(zeros(k, model.g), columns_of(unit_matrix(k), moving))
     pairs = [*model.disturbance, *((-bound, bound) for bound in rates)]
     changes: dict[str, Any] = dict(
-        _grown(model, named, own, identity=1),
+        _grown(model, named, matrices_at_zero(model), identity=1),
         uncertainties=parameters,
         states=(*model.states, *faults),
         disturbance=(G, pairs) if pairs else None,
-        unknown_inputs=([*model.F, *zeros(k, model.d)], model.D_v) if model.d else None,
+        unknown_inputs=(model.F + zeros(k, model.d), model.D_v) if model.d else None,
     )
     return model.replace(**changes)
 
 
-def _rates(rate, drifts):
+def _rates(rate: Number | Mapping[str, Number] | None, drifts: Sequence[str]) -> list[Fraction]:
     """Return the largest change of each drift from one sample to the next, exactly.
 
     Raises:
         ValueError: rates of other faults, a drift without one, a negative one.
     """
-    rates: dict[str, Any] = dict(rate) if isinstance(rate, Mapping) else dict.fromkeys(drifts, rate)
+    rates: dict[str, Number | None] = dict.fromkeys(drifts)
+    if isinstance(rate, Mapping):
+        rates = dict(rate)
+    elif rate is not None:
+        rates = dict.fromkeys(drifts, rate)
     spare = sorted(set(rates) - set(drifts))
     if spare:
         raise ValueError(f"rate is for drifts, and {spare[0]} is none")
     if rate is not None and not drifts:
         raise ValueError("rate is for drifts, and none of these faults is none")
+    stated = []
     for signal in drifts:
-        if rates.get(signal) is None:
+        largest = rates.get(signal)
+        if largest is None:
             raise ValueError(
                 f"{signal}:drift needs a rate: how much it moves at most from one sample to the next"
             )
-    bounds = [number(f"rate of {signal}", rates[signal]) for signal in drifts]
+        stated.append(largest)
+    bounds = [number(f"rate of {signal}", x) for signal, x in zip(drifts, stated, strict=True)]
     if any(bound < 0 for bound in bounds):
         raise ValueError("a rate must be >= 0")
     return bounds
 
 
-def _grown(model, named, part, identity):
+def _grown(
+    model: LinearSystem,
+    named: Sequence[tuple[str, str]],
+    part: Mapping[str, Matrix | None],
+    identity: int,
+) -> dict[str, Matrix]:
     """Return {letter: matrix} with a state for each fault, which stays as it is and acts on its signal.
 
     Args:
         named: (signal, kind) of the faults. part: the matrices of the model, identity 1, or of a parameter,
             identity 0, which adds nothing to the states of faults; None: it acts on none of such a matrix.
     """
-    k = len(named)
-    A, B, C, D = (part[letter] or _zeros_like(getattr(model, letter)) for letter in "ABCD")
+    n, m, p, k = model.n, model.m, model.p, len(named)
+    A, B = part["A"] or zeros(n, n), part["B"] or zeros(n, m)
+    C, D = part["C"] or zeros(p, n), part["D"] or zeros(p, m)
     on_states, on_outputs = [], []
     for signal, _ in named:
-        to_state, to_output = _columns(model, signal, B, D, identity)
+        to_state, to_output = _acts(model, signal, B, D, identity)
         on_states.append(to_state)
         on_outputs.append(to_output)
-    stays = [[Fraction(identity * (i == j)) for j in range(k)] for i in range(k)]
+    stays = [scale(row, identity) for row in unit_matrix(k)]
     return {
-        "A": [*_with_columns(A, on_states), *_beside(zeros(k, model.n), stays)],
-        "B": [*B, *zeros(k, model.m)],
-        "C": _with_columns(C, on_outputs),
+        "A": beside(A, transpose(on_states)) + beside(zeros(k, n), stays),
+        "B": B + zeros(k, m),
+        "C": beside(C, transpose(on_outputs)),
         "D": D,
     }
 
 
-def _with_columns(rows, columns):
-    """Return a matrix with more columns on its right."""
-    return [[*row, *(column[i] for column in columns)] for i, row in enumerate(rows)]
-
-
-def _beside(left, right):
-    return [[*row, *more] for row, more in zip(left, right, strict=True)]
-
-
-def _zeros_like(rows):
-    return zeros(len(rows), len(rows[0]) if rows else 0)
-
-
-def _with_errors_as_parameters(model, faulty):
+def _with_errors_as_parameters(model: LinearSystem, faulty: Collection[str]) -> LinearSystem:
     """Return the model with the relative errors of faulty outputs as parameters; of all, where they are
     constant.
     """
@@ -164,39 +161,36 @@ def _with_errors_as_parameters(model, faulty):
     )
 
 
-def _relative_error(model, i):
+def _relative_error(model: LinearSystem, i: int) -> Uncertainty | None:
     """Return the relative error of output i as an Uncertainty, None where it shows nothing; refuse what has
     none.
     """
-    beside = ""
+    obstacle = ""
     if any(model.D_v[i]):
-        beside = "an unknown input acts on the same output"
+        obstacle = "an unknown input acts on the same output"
     if any(p.C and any(p.C[i]) or p.D and any(p.D[i]) for p in model.uncertainties):
-        beside = "a parameter acts on the same output"
+        obstacle = "a parameter acts on the same output"
     if model.averages:
-        beside = "the model has averages"
+        obstacle = "the model has averages"
     name = model.outputs[i]
-    if beside:
+    if obstacle:
         raise ValueError(
-            f"a fault of a sensor makes its tolerance a parameter, and {beside}: give the tolerance of "
+            f"a fault of a sensor makes its tolerance a parameter, and {obstacle}: give the tolerance of "
             f"{name!r} as noise instead, the tolerance times the largest |{name}| (less its offset) on top "
             f"of what it has"
         )
-    alone = {
-        letter: _row_alone(getattr(model, letter), i) for letter in "CD" if any(getattr(model, letter)[i])
-    }
+    alone = {}
+    for letter, rows in (("C", model.C), ("D", model.D)):
+        if any(rows[i]):
+            others = zeros(len(rows), len(rows[i]))
+            alone[letter] = others[:i] + (rows[i],) + others[i + 1 :]
     if not alone:
         return None
     between = -model.tolerance[i], model.tolerance[i]
     return Uncertainty(f"tolerance of {name}", **alone, varying=not model.constant_tolerance, between=between)
 
 
-def _row_alone(rows, i):
-    """Return a matrix with zeros in all rows but one."""
-    return [row if j == i else [Fraction(0)] * len(row) for j, row in enumerate(rows)]
-
-
-def _fault(model, text):
+def _fault(model: LinearSystem, text: str) -> tuple[str, str]:
     """Return (signal, kind) of a text."""
     signal, _, kind = str(text).rpartition(":")
     if not signal or kind not in KINDS:
@@ -205,10 +199,10 @@ def _fault(model, text):
     return signal, kind
 
 
-def _columns(model, signal, B, D, own):
-    """Return (how a fault acts on x+, on y)."""
+def _acts(model: LinearSystem, signal: str, B: Matrix, D: Matrix, own: int) -> tuple[Vector, Vector]:
+    """Return how a fault acts on x+ and on y. own: its effect on an output that it is of."""
     if signal in model.outputs:
         i = model.outputs.index(signal)
-        return [Fraction(0)] * model.n, [Fraction(own * (i == j)) for j in range(model.p)]
+        return (Fraction(0),) * model.n, scale(unit_matrix(model.p)[i], own)
     i = model.inputs.index(signal)
-    return [row[i] for row in B], [row[i] for row in D]
+    return tuple(row[i] for row in B), tuple(row[i] for row in D)

@@ -10,7 +10,10 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from typing import Any, TypeAlias
+
+from jaxbound.exact.linalg import Matrix
+from jaxbound.models.average import Average
 
 __all__ = [
     "AVERAGE",
@@ -21,6 +24,7 @@ __all__ = [
     "RANGE",
     "TEXT",
     "TRUTH",
+    "Table",
     "ValueKind",
     "as_list",
     "as_table",
@@ -28,6 +32,11 @@ __all__ = [
     "known_fields",
     "number_text",
 ]
+
+Table: TypeAlias = dict[str, Any]
+"""A table as TOML has it."""
+Stated: TypeAlias = tuple[int | str | list[int | str], int | str]
+"""(samples or weights, bound) of an average."""
 
 AVERAGE = ("samples", "weights", "bound")
 LARGEST_EXPONENT = 400  # no float is that large, and an exact number would take as many digits
@@ -48,7 +57,7 @@ class ValueKind:
     spell: Callable[[Any], str]
 
 
-def known_fields(where: str, table: dict, fields: Sequence[str]) -> dict:
+def known_fields(where: str, table: Table, fields: Sequence[str]) -> Table:
     """Return the table if it has known fields only.
 
     Raises:
@@ -58,19 +67,21 @@ def known_fields(where: str, table: dict, fields: Sequence[str]) -> dict:
         if field in fields:
             continue
         near = difflib.get_close_matches(field, fields, n=1, cutoff=0.5)
-        hint = f"; did you mean {near[0]!r}? known" if near else "; known"
-        raise ValueError(f"{where} has the unknown field {field!r}{hint} fields are {', '.join(fields)}")
+        known = f"known fields are {', '.join(fields)}"
+        if near:
+            known = f"did you mean {near[0]!r}? {known}"
+        raise ValueError(f"{where} has the unknown field {field!r}; {known}")
     return table
 
 
-def as_table(where: str, value: object) -> dict:
+def as_table(where: str, value: object) -> Table:
     """Return a table, checked."""
     if not isinstance(value, dict):
         raise ValueError(f"{where} must be a table of fields")
     return value
 
 
-def as_list(field: str, value: object) -> list:
+def as_list(field: str, value: object) -> list[Any]:
     """Return a list, checked."""
     if isinstance(value, list):
         return value
@@ -85,21 +96,21 @@ def in_list(texts: Iterable[str]) -> str:
     return f"[{', '.join(texts)}]"
 
 
-def _named(field, where):
+def _named(field: str, where: str) -> str:
     return f"{field} of {where}" if where else field
 
 
-def _read_text(field, where, value):
+def _read_text(field: str, where: str, value: object) -> str:
     if not isinstance(value, str):
         raise ValueError(f"{_named(field, where)} must be text in quotes, not {value!r}")
     return value
 
 
-def _quoted(text):
+def _quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _read_number(field, where, value):
+def _read_number(field: str, where: str, value: object) -> int | str:
     """Return the number as it stands in the file, if floats can hold it: nothing else bounds the length of an
     exact one.
     """
@@ -115,7 +126,7 @@ def _read_number(field, where, value):
     return value
 
 
-def _fits_a_float(value):
+def _fits_a_float(value: int | str) -> bool:
     # The exponent comes first: a Fraction of 1e999999999 would take all memory.
     if isinstance(value, str):
         exponent = re.fullmatch(r"[^eE]*[eE]([-+]?[\d_]+)", value)
@@ -128,29 +139,31 @@ def _fits_a_float(value):
         return False
 
 
-def _spelled(x):
+def _spelled(x: Fraction) -> str:
     text = number_text(x)
-    return f'"{text}"' if "/" in text else text
+    if "/" in text:
+        return f'"{text}"'
+    return text
 
 
-def _read_truth(field, where, value):
+def _read_truth(field: str, where: str, value: object) -> bool:
     if not isinstance(value, bool):
         raise ValueError(f"{_named(field, where)} must be true or false, not {value!r}")
     return value
 
 
-def _read_range(field, where, value):
+def _read_range(field: str, where: str, value: object) -> list[int | str]:
     name = _named(field, where)
     if not isinstance(value, list) or len(value) != 2:
         raise ValueError(f"{name} must be [lowest, highest]")
     return [_read_number(name, "", end) for end in value]
 
 
-def _spelled_range(ends):
+def _spelled_range(ends: Iterable[Fraction]) -> str:
     return in_list(map(_spelled, ends))
 
 
-def _read_bound(field, where, value):
+def _read_bound(field: str, where: str, value: object) -> int | str | list[int | str]:
     """Return the bound of a disturbance: a number b for |w| <= b, or a pair of them."""
     name = _named(field, where)
     if isinstance(value, list):
@@ -158,36 +171,33 @@ def _read_bound(field, where, value):
     return _read_number(name, "", value)
 
 
-def _spelled_bound(ends):
+def _spelled_bound(ends: tuple[Fraction, Fraction]) -> str:
     low, high = ends
     if low == -high:
         return _spelled(high)
     return _spelled_range(ends)
 
 
-def _read_matrix(field, where, value):
+def _read_matrix(field: str, where: str, value: object) -> list[list[int | str]]:
     name = _named(field, where)
     if not isinstance(value, list) or not all(isinstance(row, list) for row in value):
         raise ValueError(f"{name} must be a list of rows, like [[1, 0], [0, 1]]")
-    for row in value:
-        for x in row:
-            _read_number(name, "", x)
-    return value
+    return [[_read_number(name, "", x) for x in row] for row in value]
 
 
-def _spelled_matrix(rows):
+def _spelled_matrix(rows: Matrix) -> str:
     lines = [f"    {in_list(map(_spelled, row))},\n" for row in rows]
     return f"[\n{''.join(lines)}]"
 
 
-def _read_averages(field, where, value):
+def _read_averages(field: str, where: str, value: object) -> list[Stated]:
     """Return [(samples or weights, bound)] of a list of averages."""
     if not isinstance(value, list):
         raise ValueError(f"{_named(field, where)} must be a list, like [{{samples = 16, bound = 0.1}}]")
     return [_read_average(where, entry) for entry in value]
 
 
-def _read_average(where, entry):
+def _read_average(where: str, entry: object) -> Stated:
     table = known_fields(f"an average of {where}", as_table(f"an average of {where}", entry), AVERAGE)
     if "bound" not in table or ("samples" in table) == ("weights" in table):
         raise ValueError(
@@ -205,7 +215,7 @@ def _read_average(where, entry):
     return [_read_number("weights", where, x) for x in weights], bound
 
 
-def _spelled_averages(averages):
+def _spelled_averages(averages: Iterable[Average]) -> str:
     entries = []
     for average in averages:
         over = f"weights = {in_list(map(_spelled, average.weights))}"
@@ -246,7 +256,7 @@ def number_text(x: Fraction | int) -> str:
     return f"{sign}{digits[:-places]}.{digits[-places:]}"
 
 
-def _decimal_places(denominator):
+def _decimal_places(denominator: int) -> int | None:
     """Return how many decimals a fraction with this denominator has, None where they never end."""
     twos = fives = 0
     while denominator % 2 == 0:
@@ -258,7 +268,7 @@ def _decimal_places(denominator):
     return max(twos, fives)
 
 
-def _whole_text(digits):
+def _whole_text(digits: str) -> str:
     """Return a whole number, a long one with an exponent where that makes it shorter."""
     mantissa = digits.rstrip("0")
     if len(digits) <= LONG or len(digits) - len(mantissa) < 6:
@@ -266,7 +276,7 @@ def _whole_text(digits):
     return f"{_mantissa(mantissa)}e{len(digits) - 1}"
 
 
-def _mantissa(digits):
+def _mantissa(digits: str) -> str:
     if len(digits) == 1:
         return digits
     return f"{digits[0]}.{digits[1:]}"

@@ -50,7 +50,10 @@ def _pieces(x: object) -> Iterator[bytes]:
     elif isinstance(x, np.ndarray | jax.Array):
         x = np.asarray(x)
         yield f"array {x.dtype} {x.shape}".encode()
-        yield from _pieces(x.tolist()) if x.dtype == object else (x.tobytes(),)
+        if x.dtype == object:
+            yield from _pieces(x.tolist())
+        else:
+            yield x.tobytes()
     elif isinstance(x, tuple | list):
         yield f"{len(x)} things".encode()
         for entry in x:
@@ -60,9 +63,8 @@ def _pieces(x: object) -> Iterator[bytes]:
         for name in sorted(x):
             yield from _pieces((name, x[name]))
     elif isinstance(x, LinearSystem):
-        yield from _pieces(
-            ("LinearSystem", [getattr(x, f.name) for f in fields(LinearSystem)])
-        )  # what equality compares
+        compared = [getattr(x, f.name) for f in fields(LinearSystem)]  # by equality
+        yield from _pieces(("LinearSystem", compared))
     elif is_dataclass(x) and not isinstance(x, type):
         yield from _pieces((type(x).__name__, [(f.name, getattr(x, f.name)) for f in fields(x)]))
     else:

@@ -10,9 +10,9 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 
 from jaxbound.exact import linalg
-from jaxbound.exact.linalg import Number, Vector
+from jaxbound.exact.linalg import Matrix, Number, columns_of
 from jaxbound.models.fingerprint import fingerprint
-from jaxbound.models.signals import Each
+from jaxbound.models.signals import Each, named
 from jaxbound.models.system import LinearSystem
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval, interval
@@ -57,9 +57,20 @@ class IntervalSystem:
     def __hash__(self) -> int:
         return hash(fingerprint(self))
 
-    n = property(lambda self: self.A.shape[0], doc="Number of states.")
-    m = property(lambda self: self.B.shape[1], doc="Number of inputs.")
-    p = property(lambda self: self.C.shape[0], doc="Number of outputs.")
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return self.A.shape[0]
+
+    @property
+    def m(self) -> int:
+        """Number of inputs."""
+        return self.B.shape[1]
+
+    @property
+    def p(self) -> int:
+        """Number of outputs."""
+        return self.C.shape[0]
 
     @property
     def name(self) -> str:
@@ -124,37 +135,43 @@ def interval_system(
     """
     A, C = _entries("A", A), _entries("C", C)
     n, p = A.shape[0], C.shape[0]
-    B = interval(np.zeros((n, 0))) if B is None else _entries("B", B)
+    B = _zeros(n, 0) if B is None else _entries("B", B)
     for name, X, shape in (("A", A, (n, n)), ("B", B, (n, B.shape[1])), ("C", C, (p, n))):
         if X.shape != shape:
             raise ValueError(f"{name} must have shape {shape} to fit A, B and C: its shape is {X.shape}")
     m = B.shape[1]
-    noise, tolerance = _upper(_numbers("noise", noise, p)), _upper(_numbers("tolerance", tolerance, p))
-    if (tolerance >= 1).any():
+    noises, tolerances = _upper(_numbers("noise", noise, p)), _upper(_numbers("tolerance", tolerance, p))
+    if (tolerances >= 1).any():
         raise ValueError("tolerance is relative and must be below 1 (2 % is 0.02)")
-    zero = lambda *shape: interval(np.zeros(shape))
-    names = lambda given, count, letter: (
-        tuple(given) if given is not None else tuple(f"{letter}{i + 1}" for i in range(count))
-    )
-    called = names(inputs, m, "u"), names(outputs, p, "y"), names(states, n, "x")
-    for field, some, count in zip(("inputs", "outputs", "states"), called, (m, p, n), strict=True):
-        if len(some) != count:
-            raise ValueError(f"{field} needs {count} names, one for each: {len(some)} given")
     return IntervalSystem(
-        A, B, C, zero(p, m), zero(n), tolerance, noise, {"u": zero(m), "y": zero(p)}, *called
+        A,
+        B,
+        C,
+        D=_zeros(p, m),
+        w=_zeros(n),
+        tolerance=tolerances,
+        noise=noises,
+        offset={"u": _zeros(m), "y": _zeros(p)},
+        inputs=named("inputs", inputs, m, "u"),
+        outputs=named("outputs", outputs, p, "y"),
+        states=named("states", states, n, "x"),
     )
+
+
+def _zeros(*shape: int) -> Interval:
+    return interval(np.zeros(shape))
 
 
 def _numbers(field: str, value: Each, count: int) -> list[Fraction]:
-    given = (
-        [value] * count
-        if isinstance(value, str) or np.asarray(value, object).ndim == 0
-        else list(cast("Sequence[Number]", value))
-    )
-    if len(given) != count:
-        raise ValueError(f"{field} needs one number, or one for each of {count} outputs: {len(given)} given")
+    """Return a number for each output exactly, checked."""
+    if isinstance(value, str) or np.ndim(np.asarray(value, object)) == 0:
+        stated = [cast("Number", value)] * count
+    else:
+        stated = list(cast("Sequence[Number]", value))
+    if len(stated) != count:
+        raise ValueError(f"{field} needs one number, or one for each of {count} outputs: {len(stated)} given")
     try:
-        values = [linalg.rational(cast("Number", v)) for v in given]
+        values = [linalg.rational(v) for v in stated]
     except (ValueError, TypeError) as e:
         raise ValueError(f"{field}: {e}") from None
     if any(v < 0 for v in values):
@@ -170,20 +187,26 @@ def _entries(name: str, rows: Entries) -> Interval:
         if not (np.isfinite(rows.lo).all() and np.isfinite(rows.hi).all()):
             raise ValueError(f"{name} must have finite bounds in every entry")
         return rows
-    pair = lambda x: x if isinstance(x, (list, tuple, np.ndarray)) and np.ndim(x) else (x, x)
     try:
-        ends = [[tuple(linalg.rational(v) for v in pair(x)) for x in row] for row in rows]
+        ends = [[_pair(x) for x in row] for row in rows]
     except (ValueError, TypeError) as e:
         raise ValueError(f"{name}: {e}") from None
-    if (
-        not ends
-        or any(len(row) != len(ends[0]) or not row for row in ends)
-        or any(len(x) != 2 for row in ends for x in row)
-    ):
+    width = len(ends[0]) if ends else 0
+    pairs = [pair for row in ends for pair in row]
+    if not width or any(len(row) != width for row in ends) or any(len(pair) != 2 for pair in pairs):
         raise ValueError(f"{name} needs rows of one length whose entries are numbers or pairs (lo, hi)")
-    if any(lo > hi for row in ends for lo, hi in row):
+    if any(lo > hi for lo, hi in pairs):
         raise ValueError(f"{name}: lo must be <= hi in every entry")
-    return _outward([[x[0] for x in row] for row in ends], [[x[1] for x in row] for row in ends])
+    lo, hi = np.array(pairs, object).T
+    return _outward(lo.reshape(-1, width), hi.reshape(-1, width))
+
+
+def _pair(x: object) -> tuple[Fraction, ...]:
+    """Return the ends of an entry exactly: a number twice, or the numbers of a sequence."""
+    if isinstance(x, list | tuple | np.ndarray) and np.ndim(x):
+        return tuple(linalg.rational(end) for end in x)
+    exact = linalg.rational(cast("Number", x))
+    return exact, exact
 
 
 def _upper(values: Sequence[Fraction]) -> np.ndarray:
@@ -193,7 +216,8 @@ def _upper(values: Sequence[Fraction]) -> np.ndarray:
     return out
 
 
-def _outward(lo, hi):
+def _outward(lo: object, hi: object) -> Interval:
+    """Return arrays, or rows, of exact numbers as an Interval, rounded outward."""
     return interval(rounding.round_down(np.array(lo, object)), rounding.round_up(np.array(hi, object)))
 
 
@@ -218,57 +242,56 @@ def as_intervals(model: LinearSystem | IntervalSystem, unknown_inputs: bool = Fa
     if model.d and not unknown_inputs:
         raise ValueError("validate takes no unknown inputs: use jb.observe, jb.unknown_inputs or jb.detect")
 
-    def hull(letter, left=None):
-        """Return the hull of a matrix, or of left times it."""
-        middle, spread = getattr(model, letter), [rows for u in model.uncertainties if (rows := u.on(letter))]
-        if not middle or not middle[0]:
-            return interval(np.zeros((len(left or middle), 0)))
-        if left:
-            middle, spread = linalg.matmul(left, middle), [linalg.matmul(left, s) for s in spread]
-        radius = [
-            [sum((abs(s[i][j]) for s in spread), Fraction(0)) for j in range(len(row))]
-            for i, row in enumerate(middle)
-        ]
-        move = lambda sign: [
-            [x + sign * r for x, r in zip(a, b, strict=True)] for a, b in zip(middle, radius, strict=True)
-        ]
-        return _outward(move(-1), move(1))
-
-    def pushed(G):
-        ends = [
-            [sorted((g * lo, g * hi)) for g, (lo, hi) in zip(row, model.disturbance, strict=True)]
-            for row in G
-        ]
-        return _outward(*([sum((e[side] for e in row), Fraction(0)) for row in ends] for side in (0, 1)))
-
-    w, left = pushed(model.G), _combinations(model)
-    moves = (
-        None
-        if left is None
-        else (hull("A", left), _outward(left, left), hull("B", left), pushed(linalg.matmul(left, model.G)))
-    )
-    noise = _upper([a + b for a, b in zip(model.noise, model.resolution, strict=True)])
-    offset = {
-        k: _outward(list(v), list(v)) if len(v) else interval(np.zeros(0)) for k, v in model.offset.items()
-    }
-    A, B, C, D = (hull(letter) for letter in "ABCD")
+    left = _combinations(model)
+    moves = None
+    if left is not None:
+        pushed = _pushed(model, linalg.matmul(left, model.G))
+        moves = _hull(model, "A", left), _outward(left, left), _hull(model, "B", left), pushed
     return IntervalSystem(
-        A,
-        B,
-        C,
-        D,
-        w,
-        _upper(model.tolerance),
-        noise,
-        offset,
-        model.inputs,
-        model.outputs,
-        model.states,
-        moves,
+        A=_hull(model, "A"),
+        B=_hull(model, "B"),
+        C=_hull(model, "C"),
+        D=_hull(model, "D"),
+        w=_pushed(model, model.G),
+        tolerance=_upper(model.tolerance),
+        noise=_upper([a + b for a, b in zip(model.noise, model.resolution, strict=True)]),
+        offset={side: _outward(list(point), list(point)) for side, point in model.offset.items()},
+        inputs=model.inputs,
+        outputs=model.outputs,
+        states=model.states,
+        moves=moves,
     )
 
 
-def _combinations(model: LinearSystem) -> Sequence[Vector] | None:
+def _hull(model: LinearSystem, letter: str, left: Matrix | None = None) -> Interval:
+    """Return the hull of a matrix of a model, or of left times it."""
+    middle: Matrix = getattr(model, letter)
+    if not middle or not middle[0]:
+        return _zeros(len(left or middle), 0)
+    spread = [rows for u in model.uncertainties if (rows := u.on(letter))]
+    if left:
+        middle, spread = linalg.matmul(left, middle), [linalg.matmul(left, rows) for rows in spread]
+    centre = np.array(middle, object)
+    radius = 0 * centre
+    for rows in spread:
+        radius = radius + abs(np.array(rows, object))
+    return _outward(centre - radius, centre + radius)
+
+
+def _pushed(model: LinearSystem, G: Matrix) -> Interval:
+    """Return an enclosure of G w over all disturbances w."""
+    low, high = [], []
+    for row in G:
+        lowest, highest = Fraction(0), Fraction(0)
+        for g, (lo, hi) in zip(row, model.disturbance, strict=True):
+            lowest += min(g * lo, g * hi)
+            highest += max(g * lo, g * hi)
+        low.append(lowest)
+        high.append(highest)
+    return _outward(low, high)
+
+
+def _combinations(model: LinearSystem) -> Matrix | None:
     """Return rows L (e, n) such that L (A x + B u + G d - x+) = 0 uses that the disturbances are fewer than
     the states; None if not.
 
@@ -276,20 +299,18 @@ def _combinations(model: LinearSystem) -> Sequence[Vector] | None:
     where A and B are certain; where they are not, T would widen what is certain of a single row: all rows
     stay, those without any disturbance are added.
     """
-    moving = [
-        j for j, (lo, hi) in enumerate(model.disturbance) if lo < hi
-    ]  # of the others nothing is unknown
-    G, n, g = [[row[j] for j in moving] for row in model.G], model.n, len(moving)
-    if not g or linalg.rank(G) in (0, n):
+    n = model.n
+    moving = [j for j, (lo, hi) in enumerate(model.disturbance) if lo < hi]  # the others are known
+    G = columns_of(model.G, moving)
+    rank = linalg.rank(G)
+    if rank in (0, n):
         return None
-    unit = [tuple(Fraction(i == j) for j in range(n)) for i in range(n)]
-    columns = [(*row, *one) for row, one in zip(G, unit, strict=True)]
+    columns = linalg.beside(G, linalg.identity(n))
     basis = linalg.row_reduce(columns)[1]  # columns of G first
-    T = linalg.inverse([[row[j] for j in basis] for row in columns])
-    free = T[linalg.rank(G) :]
-    if linalg.rank(G) == g and not any(u.on("A") or u.on("B") for u in model.uncertainties):
+    T = linalg.inverse(columns_of(columns, basis))
+    if rank == len(moving) and not any(u.on("A") or u.on("B") for u in model.uncertainties):
         return T
-    return [*unit, *free]
+    return linalg.identity(n) + T[rank:]
 
 
 def stacked(model: IntervalSystem, horizon: int, moves: Moves | None = None) -> Interval:
@@ -305,14 +326,16 @@ def stacked(model: IntervalSystem, horizon: int, moves: Moves | None = None) -> 
     Source: Alhaj-Dibo, Maquin, Ragot 2004, (4)-(6).
     """
     s, n, p = horizon, model.n, model.p
-    E, K = moves[:2] if moves else (model.A, interval(np.eye(n).astype(model.A.dtype)))
-    e, out = E.shape[0], []
-    for side, other in (("lo", "hi"), ("hi", "lo")):
-        M = np.zeros((s * e + (s + 1) * p, (s + 1) * n), model.A.dtype)
-        for j in range(s + 1):
-            if j < s:
-                M[j * e : (j + 1) * e, j * n : (j + 1) * n] = getattr(E, side)
-                M[j * e : (j + 1) * e, (j + 1) * n : (j + 2) * n] = -np.asarray(getattr(K, other))
-            M[s * e + j * p : s * e + (j + 1) * p, j * n : (j + 1) * n] = getattr(model.C, side)
-        out.append(M)
-    return interval(*out)
+    E, K = model.A, interval(np.eye(n).astype(model.A.dtype))
+    if moves:
+        E, K = moves[:2]
+    e = E.shape[0]
+    M = np.zeros((2, s * e + (s + 1) * p, (s + 1) * n), model.A.dtype)  # lowest, highest
+    for j in range(s):
+        rows = slice(j * e, (j + 1) * e)
+        M[:, rows, j * n : (j + 1) * n] = E.lo, E.hi
+        M[:, rows, (j + 1) * n : (j + 2) * n] = -np.asarray(K.hi), -np.asarray(K.lo)
+    for j in range(s + 1):
+        rows = slice(s * e + j * p, s * e + (j + 1) * p)
+        M[:, rows, j * n : (j + 1) * n] = model.C.lo, model.C.hi
+    return interval(M[0], M[1])

@@ -7,21 +7,26 @@ from dataclasses import dataclass, replace
 from decimal import Decimal
 from fractions import Fraction
 from math import ceil, floor
-from typing import Any
+from typing import Any, TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
-from jaxbound.exact.linalg import Number, rational
+from jaxbound.exact.linalg import Matrix, Number, beside, identity, rational
 from jaxbound.models.discretise import Affine, decimals, held
-from jaxbound.models.remainder import derivatives, plane
-from jaxbound.models.signals import Each
+from jaxbound.models.remainder import Plane, derivatives, plane
+from jaxbound.models.signals import Each, named
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.uncertainty import Uncertainty
+from jaxbound.models.unknown import Bounded
 from jaxbound.sets.floats.probe import refuse_unverified
 
 __all__ = ["linearize"]
+
+Ends: TypeAlias = list[tuple[Fraction, Fraction]]
+"""A box: (lo, hi) of each entry."""
 
 
 def linearize(
@@ -93,72 +98,97 @@ def linearize(
         raise ValueError(
             f"linearize needs at least one state and a positive dt: {n} states, dt={float(period):g}"
         )
-    names, between = _parameters(parameters)
-    signals = [*_names(bounds, "states", n, "x"), *_names(bounds, "inputs", m, "u")]
-    if (
-        not isinstance(region, dict)
-        or set(region) - {"x", "u"}
-        or "x" not in region
-        or (m and "u" not in region)
-    ):
-        raise ValueError(f'region needs the fields "x" and, with inputs, "u": not {region!r}')
-    box = [*_box("x", region["x"], at_x), *(_box("u", region["u"], at_u) if m else ()), *between]
-    call = lambda function: _Call(function, n, m, names)
+    between = _parameters(parameters)
+    names = tuple(between)
+    states = named("states", bounds.get("states"), n, "x")
+    inputs = named("inputs", bounds.get("inputs"), m, "u")
+    box = [*_region(region, at_x, at_u), *between.values()]
+    middles = _middles(list(between.values()))
+    where = f"linearized over {_in_words([*states, *inputs, *names], box)}"
+    arguments, origins = dict(bounds), {"model": where, "disturbance": where}
 
-    g = _about(call(f), box, [*at_x, *at_u], "f", n, signals)
-    g = held(g, n, period) if continuous else replace(g, constant=g.constant - np.array(at_x, object))
-    g, at_zero = _at_zero(g, middles := _middles(between))
-    given, y0 = dict(bounds), at_x
-    seen, seen_at_zero = (
-        0 * g.change,
-        np.array([[Fraction(i == j) for j in range(n + m)] for i in range(n)], object),
-    )
-    if output is None:
-        given.setdefault("outputs", tuple(signals[:n]) if "states" in bounds else None)
+    g = _about(_Call(f, n, m, names), box, [*at_x, *at_u], "f", n, [*states, *inputs])
+    if continuous:
+        g = held(g, n, period)
     else:
-        seen, seen_at_zero, y0, given["noise"] = _measured(call(output), box, [*at_x, *at_u], middles, bounds)
-    ranges = [
-        f"{s} in [{float(a):g}, {float(b):g}]" for s, (a, b) in zip([*signals, *names], box, strict=True)
-    ]
-    where = f"linearized over {', '.join(ranges)}"
-    sides = {
-        "model": where,
-        "disturbance": where,
-        **({"noise": f"as given, plus what was {where}"} if output is not None else {}),
-    }
-    given["provenance"] = {**sides, **dict(bounds.get("provenance") or {})}
-    given["disturbance"] = _disturbed(g, n, bounds.get("disturbance"))
+        g = replace(g, constant=g.constant - np.array(at_x, object))
+    g, dynamics = _at_zero(g, middles)
+    arguments["disturbance"] = _disturbed(g, n, bounds.get("disturbance"))
+
+    if output is None:  # y = x
+        y0, change = at_x, 0 * g.change
+        readout = np.array(identity(n + m), object)[:n]
+        if "states" in bounds:
+            arguments.setdefault("outputs", states)
+    else:
+        seen = _measured(_Call(output, n, m, names), box, [*at_x, *at_u], middles, bounds)
+        readout, change, y0 = seen.matrix, seen.change, seen.values
+        arguments["noise"] = seen.noise
+        origins["noise"] = f"as given, plus what was {where}"
+
     uncertainties = []
     for k, name in enumerate(names):
-        parts = {"A": g.change[:, k, :n], "B": g.change[:, k, n:], "C": seen[:, k, :n], "D": seen[:, k, n:]}
-        parts = {letter: part.tolist() for letter, part in parts.items() if part.size and (part != 0).any()}
+        parts = _nonzero_parts(g.change[:, k], change[:, k], n)
         if parts:
-            uncertainties.append(Uncertainty(name, **parts, varying=varying, between=between[k]))
-    (A, B), (C, D) = (np.split(matrix, [n], axis=1) for matrix in (at_zero, seen_at_zero))
+            uncertainties.append(Uncertainty(name, **parts, varying=varying, between=between[name]))
+    arguments["provenance"] = origins | dict(bounds.get("provenance") or {})
     return LinearSystem(
-        A.tolist(),
-        B.tolist() if m else None,
-        C.tolist(),
-        D.tolist() if m else None,
+        dynamics[:, :n].tolist(),
+        dynamics[:, n:].tolist() if m else None,
+        readout[:, :n].tolist(),
+        readout[:, n:].tolist() if m else None,
         period,
         uncertainties=uncertainties,
-        offset={"u": list(at_u), "y": list(y0)},
-        **given,
+        offset={"u": at_u, "y": y0},
+        **arguments,
     )
+
+
+def _region(region: Mapping[str, Any], at_x: list[Fraction], at_u: list[Fraction]) -> Ends:
+    """Return the box of states and inputs in which the model is to hold."""
+    known = isinstance(region, dict) and set(region) <= {"x", "u"}
+    if not known or "x" not in region or (at_u and "u" not in region):
+        raise ValueError(f'region needs the fields "x" and, with inputs, "u": not {region!r}')
+    box = _box("x", region["x"], at_x)
+    if at_u:
+        box += _box("u", region["u"], at_u)
+    return box
+
+
+def _in_words(names: Sequence[str], box: Ends) -> str:
+    """Return a box in words."""
+    texts = []
+    for name, (lo, hi) in zip(names, box, strict=True):
+        texts.append(f"{name} in [{float(lo):g}, {float(hi):g}]")
+    return ", ".join(texts)
+
+
+def _nonzero_parts(on_states: np.ndarray, on_outputs: np.ndarray, n: int) -> dict[str, list[list[Fraction]]]:
+    """Return {letter: coefficients} of a parameter in the matrices on which it acts."""
+    parts = {
+        "A": on_states[:, :n],
+        "B": on_states[:, n:],
+        "C": on_outputs[:, :n],
+        "D": on_outputs[:, n:],
+    }
+    return {letter: part.tolist() for letter, part in parts.items() if (part != 0).any()}
 
 
 @dataclass(frozen=True)
 class _Call:
     """f(x, u, p) as a function of one array, (x, u, p) joined."""
 
-    f: Any
+    f: Callable[..., jax.Array]
     n: int
     m: int
-    names: tuple
+    names: tuple[str, ...]
 
     def __call__(self, z: jax.Array) -> jax.Array:
         x, u, p = z[: self.n], z[self.n : self.n + self.m], z[self.n + self.m :]
-        value = self.f(x, u, *([{name: p[k] for k, name in enumerate(self.names)}] if self.names else []))
+        if self.names:
+            value = self.f(x, u, dict(zip(self.names, p, strict=True)))
+        else:
+            value = self.f(x, u)
         return jnp.ravel(jnp.asarray(value, z.dtype))
 
 
@@ -171,106 +201,137 @@ class _Parts:
     """
 
     f: _Call
-    middles: tuple
+    middles: tuple[float, ...]
 
     def __call__(self, z: jax.Array) -> jax.Array:
         here = len(z) - len(self.middles)
         by = derivatives(lambda p: self.f(jnp.concatenate([z[:here], p])))(z[here:])
-        return jnp.concatenate(
-            [self.f(jnp.concatenate([z[:here], jnp.array(self.middles, z.dtype)])), by.T.ravel()]
-        )
+        middle = jnp.concatenate([z[:here], jnp.array(self.middles, z.dtype)])
+        return jnp.concatenate([self.f(middle), by.T.ravel()])
 
 
-def _about(f, box, origin, letter, rows, labels):
-    """Return the Affine of a function over a box, about the working point."""
+def _about(
+    f: _Call, box: Ends, point: list[Fraction], letter: str, rows: int | None, labels: Sequence[str]
+) -> Affine:
+    """Return the Affine of a function over a box, about the working point.
+
+    Args:
+        letter: of the function, in sentences. rows: how many numbers it must return, None: any. labels: of
+            them.
+    """
     lo, hi = (np.array(ends, object) for ends in zip(*box, strict=True))
-    here, origin = len(origin), np.array(origin, object)
+    here, origin = len(point), np.array(point, object)
     (count,) = jax.eval_shape(f, jnp.zeros(len(box))).shape
     if rows is not None and count != rows:
         raise ValueError(f"{letter} must return one number for each of the {rows} states: it returns {count}")
-    q, middles = len(box) - here, _middles(box[here:])
-    found = plane(_Parts(f, middles), lo, hi, q, (f,)) if q else plane(f, lo, hi)
-    loose = sorted(
-        {i % count for i, ends in enumerate(found.remainder) if not np.isfinite(ends.astype(float)).all()}
-    )
-    if loose:
-        which = ", ".join(map(str, (labels[i] if rows else i + 1 for i in loose)))
-        raise ValueError(
-            f"{letter} is not proved to be continuous with bounded slopes all over the region (its value for "
-            f"{which}): choose a region without jumps, poles and roots of 0"
-        )
-    low, high = found.remainder.T  # the plane is about the middle of the box: move it
-    middle, rad = (
-        (found.slopes[:, :here] @ (origin - found.centre[:here]) + (low + high) / 2),
-        (high - low) / 2,
-    )
-    by = lambda part: np.moveaxis(part[count:].reshape(q, count, *part.shape[1:]), 0, 1)
-    spread = np.array(
-        [max(b - c, c - a) for (a, b), c in zip(box[here:], map(Fraction, middles), strict=True)], object
-    )
+    between = box[here:]
+    q, middles = len(between), _middles(between)
+    if q:
+        near = plane(_Parts(f, middles), lo, hi, q, (f,))
+    else:
+        near = plane(f, lo, hi)
+    _refuse_unbounded(near, count, letter, labels if rows else [])
+
+    def by(part: np.ndarray) -> np.ndarray:
+        """Return (count, q, ...): the rows that belong to derivatives by parameters."""
+        return np.moveaxis(part[count:].reshape(q, count, *part.shape[1:]), 0, 1)
+
+    low, high = near.remainder.T
+    slopes, radius = near.slopes[:, :here], (high - low) / 2
+    middle = slopes @ (origin - near.centre[:here]) + (low + high) / 2  # the plane was about that of the box
+    spread = np.zeros(q, object)
+    for k, ((a, b), c) in enumerate(zip(between, map(Fraction, middles), strict=True)):
+        spread[k] = max(b - c, c - a)
     return Affine(
-        middle[:count],
-        found.slopes[:count, :here],
-        by(middle),
-        by(found.slopes[:, :here]),
-        rad[:count] + by(rad) @ spread,
-        lo[:here] - origin,
-        hi[:here] - origin,
-        spread,
+        constant=middle[:count],
+        matrix=slopes[:count],
+        shift=by(middle),
+        change=by(slopes),
+        remainder=radius[:count] + by(radius) @ spread,
+        low=lo[:here] - origin,
+        high=hi[:here] - origin,
+        spread=spread,
     )
 
 
-def _middles(between):
-    """Return floats near the middles of pairs: what the parameters are counted from."""
+def _refuse_unbounded(near: Plane, count: int, letter: str, labels: Sequence[str]) -> None:
+    """Raise ValueError where a plane has no bounded remainder. labels: of the values, [] for numbers."""
+    loose = set()
+    for i, ends in enumerate(near.remainder):
+        if not np.isfinite(ends.astype(float)).all():
+            loose.add(i % count)
+    if not loose:
+        return
+    names = labels or [str(i + 1) for i in range(count)]
+    which = ", ".join(names[i] for i in sorted(loose))
+    raise ValueError(
+        f"{letter} is not proved to be continuous with bounded slopes all over the region (its value for "
+        f"{which}): choose a region without jumps, poles and roots of 0"
+    )
+
+
+def _middles(between: Ends) -> tuple[float, ...]:
+    """Return floats near the middles of pairs, from which the parameters are counted."""
     return tuple(float(np.asarray((a + b) / 2, jnp.result_type(float))) for a, b in between)
 
 
-def _measured(h, box, origin, middles, bounds):
-    """Return the coefficients of parameters in the outputs, their matrix at 0, their values at the working
-    point, and the noise with the rest.
+@dataclass(frozen=True, eq=False)
+class _Readout:
+    """The outputs, linear.
+
+    Fields: change (p, q, N): coefficients of parameters; matrix (p, N): at the value 0 of all of them;
+    values: at the working point; noise: with all that the linear part leaves out.
     """
+
+    change: np.ndarray
+    matrix: np.ndarray
+    values: list[Fraction]
+    noise: list[Fraction]
+
+
+def _measured(
+    h: _Call, box: Ends, origin: list[Fraction], middles: tuple[float, ...], bounds: Mapping[str, Any]
+) -> _Readout:
+    """Return the outputs of a function over a box, linear around the working point."""
     there = np.asarray(h(jnp.asarray(np.array([*origin, *middles], float))))
     if not np.isfinite(there).all():
         raise ValueError(f"the outputs at the working point must be numbers, not {there.tolist()}")
     y0 = [rational(float(y)) for y in there]
-    g, at_zero = _at_zero(_about(h, box, origin, "output", None, None), middles)
-    reach = abs(g.constant - np.array(y0, object)) + g.remainder
-    factor = [1 + t for t in _each("tolerance", bounds.get("tolerance", 0), len(y0))]
+    g, matrix = _at_zero(_about(h, box, origin, "output", None, []), middles)
+    tolerance = _each("tolerance", bounds.get("tolerance", 0), len(y0))
     noise = _each("noise", bounds.get("noise", 0), len(y0))
-    return (
-        g.change,
-        at_zero,
-        y0,
-        [b + _rounded(t * r, r, ceil) for b, t, r in zip(noise, factor, reach, strict=True)],
-    )
+    left_out = abs(g.constant - np.array(y0, object)) + g.remainder
+    for i, reach in enumerate(left_out):  # a sensor multiplies it by 1 + theta
+        noise[i] += _rounded((1 + tolerance[i]) * reach, reach, ceil)
+    return _Readout(g.change, matrix, y0, noise)
 
 
-def _at_zero(g, middles):
+def _at_zero(g: Affine, middles: tuple[float, ...]) -> tuple[Affine, np.ndarray]:
     """Return g and its matrix at the value 0 of every parameter, in decimals of floats; what they round away
     goes to the remainder.
     """
     g = decimals(g)
-    move = sum((Fraction(c) * g.change[:, k] for k, c in enumerate(middles)), 0 * g.matrix)
+    move = 0 * g.matrix
+    for k, c in enumerate(middles):
+        move = move + Fraction(c) * g.change[:, k]
     zero = decimals(replace(g, matrix=g.matrix - move))
     return zero, zero.matrix
 
 
-def _disturbed(g, n, more):
+def _disturbed(g: Affine, n: int, more: Bounded | None) -> tuple[Matrix, Ends]:
     """Return the disturbance of the model: one for each state, around the constant, and what the caller
     adds.
     """
-    G = [[int(i == j) for j in range(n)] for i in range(n)]
-    bound = [
-        (_rounded(c - r, r, floor), _rounded(c + r, r, ceil))
-        for c, r in zip(g.constant, g.remainder, strict=True)
-    ]
+    G, bound = identity(n), []
+    for c, r in zip(g.constant, g.remainder, strict=True):
+        bound.append((_rounded(c - r, r, floor), _rounded(c + r, r, ceil)))
     if more is None:
         return G, bound
     extra = LinearSystem(G, None, G, disturbance=more)  # reads every form of a disturbance
-    return [[*row, *added] for row, added in zip(G, extra.G, strict=True)], [*bound, *extra.disturbance]
+    return beside(G, extra.G), [*bound, *extra.disturbance]
 
 
-def _rounded(x, width, direction):
+def _rounded(x: Fraction, width: Fraction, direction: Callable[[Fraction], int]) -> Fraction:
     """Return a short decimal beyond x, floor or ceil, away by less than a millionth of the width."""
     if not width:
         return x
@@ -278,60 +339,54 @@ def _rounded(x, width, direction):
     return direction(x / tick) * tick
 
 
-def _point(field, values):
+def _point(field: str, values: object) -> list[Fraction]:
+    """Return one number, or several, exactly. field: its name in sentences."""
+    several = cast("Sequence[Number]", values if np.ndim(cast("ArrayLike", values)) else [values])
     try:
-        return [rational(x) for x in (values if np.ndim(values) else [values])]
+        return [rational(x) for x in several]
     except ValueError as e:
         raise ValueError(f"{field}: {e}") from None
 
 
-def _each(field, value, count):
+def _each(field: str, value: Each, count: int) -> list[Fraction]:
+    """Return a number for each output."""
     values = _point(field, value)
-    if len(values) not in (1, count):
+    if len(values) == 1:
+        return values * count
+    if len(values) != count:
         raise ValueError(f"{field} needs one number, or one for each of {count} outputs: {len(values)} given")
-    return values * count if len(values) < count else values
+    return values
 
 
-def _names(bounds, field, count, letter):
-    given = bounds.get(field)
-    names = (
-        [f"{letter}{i + 1}" for i in range(count)]
-        if given is None
-        else [given]
-        if isinstance(given, str)
-        else list(map(str, given))
-    )
-    if len(names) != count:
-        raise ValueError(f"{field} needs {count} names, one for each: {len(names)} given")
-    return names
-
-
-def _parameters(given):
-    """Return the names and their bounds as pairs of Fractions."""
-    names, between = tuple(map(str, given or {})), []
-    for name, ends in dict(given or {}).items():
-        if np.shape(ends) != (2,):
+def _parameters(stated: Mapping[str, Sequence[Number]] | None) -> dict[str, tuple[Fraction, Fraction]]:
+    """Return {name: (lo, hi)} of the parameters, exactly."""
+    between = {}
+    for name, ends in dict(stated or {}).items():
+        if np.shape(cast("ArrayLike", ends)) != (2,):
             raise ValueError(f"parameter {name!r} needs its lowest and its highest value, not {ends!r}")
         lo, hi = _point(f"parameter {name!r}", ends)
         if lo >= hi:
             raise ValueError(f"parameter {name!r} needs lo < hi, not [{float(lo):g}, {float(hi):g}]")
-        between.append((lo, hi))
-    return names, between
+        between[str(name)] = lo, hi
+    return between
 
 
-def _box(field, given, centre):
-    """Return pairs (lo, hi) of Fractions: radii around the centre, or pairs as given."""
-    k = len(centre)
-    if np.shape(given) == (k, 2):
-        pairs = [tuple(_point(f"region {field}", pair)) for pair in given]
+def _box(field: str, stated: object, centre: list[Fraction]) -> Ends:
+    """Return pairs (lo, hi) of Fractions: radii around the centre, or pairs as stated."""
+    k, shape, pairs = len(centre), np.shape(cast("ArrayLike", stated)), []
+    if shape == (k, 2):
+        for pair in cast("Sequence[object]", stated):
+            lo, hi = _point(f"region {field}", pair)
+            pairs.append((lo, hi))
     else:
-        radii = _point(f"region {field}", given)
+        radii = _point(f"region {field}", stated)
         if len(radii) not in (1, k):
             raise ValueError(
-                f"region {field} needs one radius, {k} radii or {k} pairs lo, hi: its shape is "
-                f"{np.shape(given)}"
+                f"region {field} needs one radius, {k} radii or {k} pairs lo, hi: its shape is {shape}"
             )
-        pairs = [(c - r, c + r) for c, r in zip(centre, radii * k if len(radii) < k else radii, strict=True)]
+        if len(radii) == 1:
+            radii = radii * k
+        pairs = [(c - r, c + r) for c, r in zip(centre, radii, strict=True)]
     for i, (lo, hi) in enumerate(pairs):
         if lo > hi:
             raise ValueError(

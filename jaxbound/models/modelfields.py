@@ -7,8 +7,11 @@ together (F and D_v, G and its bounds) are assembled in `model_arguments`.
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any, Protocol
 
+from jaxbound.exact.linalg import Matrix
+from jaxbound.models.average import Average
 from jaxbound.models.filevalues import (
     AVERAGES,
     BOUND,
@@ -17,14 +20,15 @@ from jaxbound.models.filevalues import (
     RANGE,
     TEXT,
     TRUTH,
+    Table,
     ValueKind,
     as_list,
     as_table,
     in_list,
     known_fields,
 )
-from jaxbound.models.system import LinearSystem
-from jaxbound.models.uncertainty import Uncertainty, centred
+from jaxbound.models.system import LinearSystem, matrices_at_zero
+from jaxbound.models.uncertainty import Uncertainty
 
 __all__ = ["FIELDS", "LISTS", "Entry", "Field", "entries", "field_names", "model_arguments", "value_texts"]
 
@@ -47,7 +51,7 @@ class Entry:
 class Home(Protocol):
     """The place of a field's values in a `LinearSystem`."""
 
-    def collect(self, arguments: dict[str, Any], name: str, place: str, tables: list[dict]) -> None:
+    def collect(self, arguments: dict[str, Any], name: str, place: str, tables: list[Table]) -> None:
         """Put the values of a field, those of all tables of a place, into the arguments of a LinearSystem."""
 
     def value(self, model: LinearSystem, name: str, entry: Entry) -> object:
@@ -60,7 +64,7 @@ class Elsewhere:
 
     written: Callable[[LinearSystem, Entry], object]
 
-    def collect(self, arguments: dict[str, Any], name: str, place: str, tables: list[dict]) -> None:
+    def collect(self, arguments: dict[str, Any], name: str, place: str, tables: list[Table]) -> None:
         """Leave the values to `model_arguments`."""
 
     def value(self, model: LinearSystem, name: str, entry: Entry) -> object:
@@ -74,7 +78,7 @@ class Argument:
 
     unwritten: object = None
 
-    def collect(self, arguments: dict[str, Any], name: str, place: str, tables: list[dict]) -> None:
+    def collect(self, arguments: dict[str, Any], name: str, place: str, tables: list[Table]) -> None:
         """Put the value of a field into the arguments."""
         for table in tables:
             if name in table:
@@ -92,7 +96,7 @@ class BySignal:
 
     argument: str
 
-    def collect(self, arguments: dict[str, Any], name: str, place: str, tables: list[dict]) -> None:
+    def collect(self, arguments: dict[str, Any], name: str, place: str, tables: list[Table]) -> None:
         """Put the values of the signals that have some into the argument."""
         values = arguments.setdefault(self.argument, {})
         for table in tables:
@@ -109,7 +113,7 @@ class BySignal:
 class OfEachOutput:
     """An argument of the same name that has a number for each output, 0 where a file says nothing."""
 
-    def collect(self, arguments: dict[str, Any], name: str, place: str, tables: list[dict]) -> None:
+    def collect(self, arguments: dict[str, Any], name: str, place: str, tables: list[Table]) -> None:
         """Put the numbers of all outputs into the argument."""
         if tables:
             arguments[name] = [table.get(name, 0) for table in tables]
@@ -125,7 +129,7 @@ class OffsetOf:
 
     side: str
 
-    def collect(self, arguments: dict[str, Any], name: str, place: str, tables: list[dict]) -> None:
+    def collect(self, arguments: dict[str, Any], name: str, place: str, tables: list[Table]) -> None:
         """Put the numbers of all signals of a side into the argument."""
         offset = arguments.setdefault("offset", {})
         if tables:
@@ -153,24 +157,29 @@ def _read_raw(field: str, where: str, value: object) -> object:
     return value  # LinearSystem says what is wrong with it
 
 
-def _read_lags(field: str, where: str, value: object) -> list:
+def _read_lags(field: str, where: str, value: object) -> list[Any]:
     return as_list(field, value)
 
 
-def _read_names(field: str, where: str, value: object) -> list:
+def _read_names(field: str, where: str, value: object) -> list[Any]:
     return [TEXT.read(field, where, name) for name in as_list(field, value)]
 
 
-def _read_states(field: str, where: str, value: object) -> list[dict]:
-    states = [{"name": state} if isinstance(state, str) else state for state in as_list(field, value)]
-    return [_read_entry(Entry("states", i), state) for i, state in enumerate(states)]
+def _read_states(field: str, where: str, value: object) -> list[Table]:
+    states = []
+    for i, state in enumerate(as_list(field, value)):
+        table = {"name": state} if isinstance(state, str) else state
+        states.append(_read_entry(Entry("states", i), table))
+    return states
 
 
 def _spelled_states(states: list[tuple[str, str | None]]) -> str:
     texts = []
     for name, unit in states:
         spelled = TEXT.spell(name)
-        texts.append(spelled if unit is None else f"{{name = {spelled}, unit = {TEXT.spell(unit)}}}")
+        if unit is not None:
+            spelled = f"{{name = {spelled}, unit = {TEXT.spell(unit)}}}"
+        texts.append(spelled)
     return in_list(texts)
 
 
@@ -184,52 +193,55 @@ NAMES = ValueKind(_read_names, lambda names: in_list(map(TEXT.spell, names)))
 STATES = ValueKind(_read_states, _spelled_states)
 
 
-def _period(model, entry):
-    from fractions import Fraction
-
+def _period(model: LinearSystem, entry: Entry) -> Fraction:
     return Fraction(repr(model.dt))
 
 
-def _horizon(model, entry):
-    return model.horizon if model.lags is None else None  # the largest of the lags says it
+def _horizon(model: LinearSystem, entry: Entry) -> int | None:
+    if model.lags is not None:
+        return None  # the largest of the lags says it
+    return model.horizon
 
 
-def _states(model, entry):
+def _states(model: LinearSystem, entry: Entry) -> list[tuple[str, str | None]]:
     return [(name, model.units.get(name)) for name in model.states]
 
 
-def _signals(model, entry):
+def _signals(model: LinearSystem, entry: Entry) -> tuple[str, ...]:
     return {"inputs": model.inputs, "outputs": model.outputs, "states": model.states}[entry.place]
 
 
-def _signal_name(model, entry):
+def _signal_name(model: LinearSystem, entry: Entry) -> str:
     return _signals(model, entry)[entry.number]
 
 
-def _averages(model, entry):
+def _averages(model: LinearSystem, entry: Entry) -> list[Average] | None:
     """Return the averages of an output or of a disturbance, None where there are none."""
-    signal = f"w{entry.number + 1}" if entry.place == "disturbances" else model.outputs[entry.number]
+    if entry.place == "disturbances":
+        signal = f"w{entry.number + 1}"
+    else:
+        signal = model.outputs[entry.number]
     return [average for average in model.averages if average.signal == signal] or None
 
 
-def _disturbance(model, entry):
+def _disturbance(model: LinearSystem, entry: Entry) -> tuple[Fraction, Fraction]:
     return model.disturbance[entry.number]
 
 
-def _parameter(name, unwritten=None):
+def _parameter(name: str, unwritten: object = None) -> Elsewhere:
     """Return the home of a field of an uncertain parameter."""
 
-    def value(model, entry):
-        parameter = getattr(model.uncertainties[entry.number], name)
-        return None if parameter == unwritten else parameter
+    def value(model: LinearSystem, entry: Entry) -> object:
+        stated = getattr(model.uncertainties[entry.number], name)
+        return None if stated == unwritten else stated
 
     return Elsewhere(value)
 
 
-def _matrix(letter):
+def _matrix(letter: str) -> Elsewhere:
     """Return the home of a matrix: in a file it is that at the value 0 of every parameter."""
 
-    def value(model, entry):
+    def value(model: LinearSystem, entry: Entry) -> Matrix | None:
         is_written = {
             "A": model.n,
             "B": model.n and model.m,
@@ -238,12 +250,24 @@ def _matrix(letter):
         }
         if not is_written[letter]:
             return None
-        return centred(getattr(model, letter), model.uncertainties, letter, sign=-1)
+        return matrices_at_zero(model)[letter]
 
     return Elsewhere(value)
 
 
-def _unwritten(model, entry):
+def _state_disturbances(model: LinearSystem, entry: Entry) -> Matrix | None:
+    return model.G if model.g else None
+
+
+def _unknown_on_states(model: LinearSystem, entry: Entry) -> Matrix | None:
+    return model.F if model.d else None
+
+
+def _unknown_on_outputs(model: LinearSystem, entry: Entry) -> Matrix | None:
+    return model.D_v if model.has_direct_unknown else None
+
+
+def _unwritten(model: LinearSystem, entry: Entry) -> None:
     return None
 
 
@@ -279,14 +303,9 @@ FIELDS = (
     Field("uncertainty", "between", RANGE, _parameter("between", unwritten=(-1, 1))),
     *(Field("uncertainty", letter, MATRIX, _parameter(letter)) for letter in "ABCD"),
     *(Field("matrices", letter, MATRIX, _matrix(letter)) for letter in "ABCD"),
-    Field("matrices", "G", MATRIX, Elsewhere(lambda model, entry: model.G if model.g else None)),
-    Field("matrices", "F", MATRIX, Elsewhere(lambda model, entry: model.F if model.d else None)),
-    Field(
-        "matrices",
-        "D_v",
-        MATRIX,
-        Elsewhere(lambda model, entry: model.D_v if model.has_direct_unknown else None),
-    ),
+    Field("matrices", "G", MATRIX, Elsewhere(_state_disturbances)),
+    Field("matrices", "F", MATRIX, Elsewhere(_unknown_on_states)),
+    Field("matrices", "D_v", MATRIX, Elsewhere(_unknown_on_outputs)),
     Field("matrices", "E", MATRIX, Elsewhere(_unwritten)),  # the model that is written is solved for x+
 )
 TABLES = ("inputs", "outputs", "disturbances", "uncertainty", "matrices", "provenance")
@@ -296,8 +315,10 @@ def field_names(place: str) -> tuple[str, ...]:
     """Return the names that a table of a model file may hold. place: its name, "" above all tables."""
     if place == "provenance":
         return PROVENANCE
-    names = [field.name for field in FIELDS if field.place == place]
-    return (*names, *TABLES) if not place else tuple(names)
+    names = tuple(field.name for field in FIELDS if field.place == place)
+    if not place:
+        return names + TABLES
+    return names
 
 
 def entries(model: LinearSystem) -> Iterator[Entry]:
@@ -326,7 +347,7 @@ def value_texts(model: LinearSystem, entry: Entry) -> dict[str, str]:
     return texts
 
 
-def model_arguments(document: dict) -> dict[str, Any]:
+def model_arguments(document: Table) -> dict[str, Any]:
     """Return the arguments of the `LinearSystem` that a model file states.
 
     Args:
@@ -356,7 +377,7 @@ def model_arguments(document: dict) -> dict[str, Any]:
     return arguments | _assembled(tables) | {"provenance": _read_provenance(document)}
 
 
-def _read_matrices(document: dict) -> dict:
+def _read_matrices(document: Table) -> Table:
     if "matrices" not in document:
         raise ValueError(
             "the table [matrices] is missing: it holds A, B, C and, if there is a direct path, D"
@@ -364,20 +385,21 @@ def _read_matrices(document: dict) -> dict:
     matrices = as_table("[matrices]", document["matrices"])
     matrices = known_fields("[matrices]", matrices, field_names("matrices"))
     is_static = "D" in matrices and "A" not in matrices and "C" not in matrices
-    for letter in () if is_static else ("A", "C"):
-        if letter not in matrices:
-            raise ValueError(f"[matrices] needs {letter}")
+    if not is_static:
+        for letter in ("A", "C"):
+            if letter not in matrices:
+                raise ValueError(f"[matrices] needs {letter}")
     for letter, rows in matrices.items():
         MATRIX.read(letter, "", rows)
     return matrices
 
 
-def _read_provenance(document: dict) -> dict:
+def _read_provenance(document: Table) -> Table:
     table = as_table("[provenance]", document.get("provenance", {}))
     return known_fields("[provenance]", table, PROVENANCE)
 
 
-def _read_entry(entry: Entry, table: object) -> dict:
+def _read_entry(entry: Entry, table: object) -> Table:
     """Check one table of several; return its values."""
     where = f"number {entry.number + 1} of {entry.place}"
     title = where  # with the name, where there is one: then a sentence goes on behind a comma
@@ -394,7 +416,7 @@ def _read_entry(entry: Entry, table: object) -> dict:
     return {name: kinds[name].read(name, where, value) for name, value in table.items()}
 
 
-def _refuse_half_of_a_pair(tables: Mapping[str, list[dict]]) -> None:
+def _refuse_half_of_a_pair(tables: Mapping[str, list[Table]]) -> None:
     """Raise ValueError where G stands without bounds of disturbances, or D_v without F."""
     (matrices,) = tables["matrices"]
     if ("G" in matrices) != bool(tables["disturbances"]):
@@ -410,11 +432,11 @@ def _refuse_half_of_a_pair(tables: Mapping[str, list[dict]]) -> None:
         )
 
 
-def _assembled(tables: Mapping[str, list[dict]]) -> dict[str, Any]:
+def _assembled(tables: Mapping[str, list[Table]]) -> dict[str, Any]:
     """Return the arguments that several fields make together."""
     (top,) = tables[""]
     (matrices,) = tables["matrices"]
-    arguments = {letter: matrices.get(letter) for letter in ("A", "B", "C", "D", "E")}
+    arguments: Table = {letter: matrices.get(letter) for letter in ("A", "B", "C", "D", "E")}
     arguments |= {"dt": top["dt"], "horizon": top.get("horizon"), "decouple": top.get("decouple", [])}
     for place in ("inputs", "outputs", "states"):
         arguments[place] = [table["name"] for table in tables[place]] or None

@@ -4,15 +4,22 @@ Saving and loading again gives the same model, Fraction by Fraction: see `fileva
 `modelfields` for the table of all fields.
 """
 
+from __future__ import annotations
+
 import re
+from collections.abc import MutableMapping
 from os import PathLike
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from jaxbound.files.whole import whole
 from jaxbound.models.filevalues import TEXT, number_text
 from jaxbound.models.modelfields import LISTS, Entry, entries, model_arguments, value_texts
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.template import template
+
+if TYPE_CHECKING:
+    from tomlkit import TOMLDocument
 
 __all__ = ["changed_text", "load_model", "model_text", "number_text", "save_model", "template"]
 
@@ -61,14 +68,14 @@ def load_model(path: str | PathLike[str]) -> LinearSystem:
         raise ValueError(f"{path}: {e}") from None
 
 
-def _swapped(path):
+def _swapped(path: Path) -> str:
     """Return the end of a sentence on a file that looks like a recording, "" of any other."""
     if path.suffix.lower() in RECORDED:
         return "; it looks like a recording: the model comes first"
     return ""
 
 
-def _comma(text, failure):
+def _comma(text: str, failure: str) -> str:
     """Return the end of a sentence on a number with a decimal comma in the line that TOML stumbles over."""
     at = re.search(r"at line (\d+)", failure)
     lines = text.splitlines()
@@ -97,7 +104,7 @@ def save_model(model: LinearSystem, path: str | PathLike[str]) -> None:
         f.write(model_text(model).encode())
 
 
-def _parsed(text):
+def _parsed(text: str) -> LinearSystem:
     """Return the model that the text of a file states."""
     import tomllib
 
@@ -145,7 +152,7 @@ def changed_text(text: str, model: LinearSystem) -> str:
     return model_text(model)
 
 
-def _change(document, before, after):
+def _change(document: TOMLDocument, before: LinearSystem, after: LinearSystem) -> None:
     """Change the values of a tomlkit document where two models differ."""
     for entry in entries(after):
         old, new = value_texts(before, entry), value_texts(after, entry)
@@ -161,15 +168,17 @@ def _change(document, before, after):
                 _set(document["provenance"], name, TEXT.spell(origin))
 
 
-def _table_of(document, entry: Entry):
-    if not entry.place:
-        return document
+def _table_of(document: TOMLDocument, entry: Entry) -> MutableMapping[str, Any]:
+    """Return the table of a document that an entry stands for."""
+    table: MutableMapping[str, Any] = document
     if entry.place in LISTS:
-        return document[entry.place][entry.number]
-    return document[entry.place]
+        table = document[entry.place][entry.number]
+    elif entry.place:
+        table = document[entry.place]
+    return table
 
 
-def _set(table, name, text):
+def _set(table: MutableMapping[str, Any], name: str, text: str | None) -> None:
     """Give a field of a tomlkit table the value of a text; None: take the field away."""
     from tomlkit import value
 

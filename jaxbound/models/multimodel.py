@@ -2,14 +2,13 @@
 says.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
 
-import jax
 import numpy as np
+from numpy.typing import ArrayLike
 
-from jaxbound.models.intervals import IntervalSystem, as_intervals
+from jaxbound.models.intervals import IntervalSystem, Moves, as_intervals
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval, interval
 from jaxbound.text.objects import readable
@@ -54,69 +53,60 @@ class MultiModel:
     """
 
     models: tuple[IntervalSystem, ...]
-    weights: Callable[..., Any]
+    weights: Callable[[np.ndarray], ArrayLike | Interval]
     partial: bool = False
 
     def __post_init__(self) -> None:
         models = tuple(as_intervals(m) for m in self.models)
         if len(models) < 2:
             raise ValueError(f"a MultiModel needs at least two models, not {len(models)}")
-        for field, letter in (("inputs", "m"), ("outputs", "p")):
-            if len({getattr(m, letter) for m in models}) > 1:
-                raise ValueError(
-                    f"all models need the same number of {field}: {[getattr(m, letter) for m in models]}"
-                )
+        counts = {"inputs": [m.m for m in models], "outputs": [m.p for m in models]}
+        for field, numbers in counts.items():
+            if len(set(numbers)) > 1:
+                raise ValueError(f"all models need the same number of {field}: {numbers}")
         for i, m in enumerate(models):
-            if any(
-                np.any(np.asarray(X.lo) != 0) or np.any(np.asarray(X.hi) != 0)
-                for X in (m.D, *m.offset.values())
-            ):
+            if not all(_is_zero(x) for x in (m.D, *m.offset.values())):
                 raise ValueError(f"model {i + 1} has feedthrough or an offset: a MultiModel takes neither")
         object.__setattr__(self, "models", models)
 
-    n = property(lambda self: sum(m.n for m in self.models), doc="Number of states of all sub-models.")
+    @property
+    def n(self) -> int:
+        """Number of states of all sub-models."""
+        return sum(m.n for m in self.models)
 
     def joined(self) -> IntervalSystem:
         """Return all sub-models as one IntervalSystem with C = [C_1 .. C_L], to be weighted at each sample,
         and with the widest noise.
         """
         models, first = self.models, self.models[0]
-        ends = lambda pick: interval(*(pick(side) for side in ("lo", "hi")))
-        row = lambda matrices, axis: ends(
-            lambda side: np.concatenate([np.asarray(getattr(X, side)) for X in matrices], axis)
-        )
-        beside = lambda letter, axis: row([getattr(m, letter) for m in models], axis)
-
-        def diagonal(matrices):
-            out = np.zeros((2, *np.sum([X.shape for X in matrices], 0)), matrices[0].dtype)
-            i = j = 0
-            for X in matrices:
-                (a, b), sides = X.shape, (X.lo, X.hi)
-                out[:, i : i + a, j : j + b] = sides
-                i, j = i + a, j + b
-            return interval(*out)
-
-        noise, tolerance = (np.max([getattr(m, f) for m in models], 0) for f in ("noise", "tolerance"))
-        states = tuple(f"{i + 1}.{name}" for i, m in enumerate(models) for name in m.states)
-        moves = None
-        if any(m.moves for m in models):
-            identity = lambda m: interval(np.eye(m.n).astype(m.A.dtype))
-            E, K, H, d = zip(*(m.moves or (m.A, identity(m), m.B, m.w) for m in models), strict=True)
-            moves = diagonal(E), diagonal(K), row(H, 0), row(d, 0)
+        names = []
+        for i, m in enumerate(models):
+            names += [f"{i + 1}.{name}" for name in m.states]
         return IntervalSystem(
-            diagonal([m.A for m in models]),
-            beside("B", 0),
-            beside("C", 1),
-            first.D,
-            beside("w", 0),
-            tolerance,
-            noise,
-            first.offset,
-            first.inputs,
-            first.outputs,
-            states,
-            moves,
+            A=_diagonal([m.A for m in models]),
+            B=_joined([m.B for m in models], 0),
+            C=_joined([m.C for m in models], 1),
+            D=first.D,
+            w=_joined([m.w for m in models], 0),
+            tolerance=np.max([m.tolerance for m in models], 0),
+            noise=np.max([m.noise for m in models], 0),
+            offset=first.offset,
+            inputs=first.inputs,
+            outputs=first.outputs,
+            states=tuple(names),
+            moves=self._moves(),
         )
+
+    def _moves(self) -> Moves | None:
+        """Return the moves of all sub-models, None where none has any."""
+        if not any(m.moves for m in self.models):
+            return None
+        each = []
+        for m in self.models:
+            identity = interval(np.eye(m.n).astype(m.A.dtype))
+            each.append(m.moves or (m.A, identity, m.B, m.w))
+        E, K, H, d = zip(*each, strict=True)
+        return _diagonal(E), _diagonal(K), _joined(H, 0), _joined(d, 0)
 
     def mu(self, u: np.ndarray) -> Interval:
         """Return the weights (..., L) for inputs u (..., m), as an Interval in the type of u.
@@ -124,25 +114,52 @@ class MultiModel:
         Raises:
             ValueError: weights of another shape, negative, or whose sum is not 1.
         """
-        given = self.weights(u)
-        certain = not isinstance(given, Interval)
-        lo, hi = (np.asarray(x) for x in ((given, given) if certain else (given.lo, given.hi)))
+        stated = self.weights(u)
+        if isinstance(stated, Interval):
+            lo, hi = np.asarray(stated.lo), np.asarray(stated.hi)
+        else:
+            lo = hi = np.asarray(stated)
         if lo.shape != (*u.shape[:-1], len(self.models)):
             raise ValueError(
                 f"weights must return shape {(*u.shape[:-1], len(self.models))} for u of shape {u.shape}, "
                 f"not {lo.shape}"
             )
-        holds = np.allclose(lo.sum(-1), 1) if certain else (lo.sum(-1) <= 1).all() and (hi.sum(-1) >= 1).all()
-        if not ((lo >= 0) & (hi >= lo)).all() or not holds:
+        if isinstance(stated, Interval):
+            sums_to_one = bool((lo.sum(-1) <= 1).all() and (hi.sum(-1) >= 1).all())
+        else:
+            sums_to_one = np.allclose(lo.sum(-1), 1)
+        if not ((lo >= 0) & (hi >= lo)).all() or not sums_to_one:
             raise ValueError("weights must be >= 0 and sum to 1 at every sample")
-        coarse = (
-            rounding.unit(lo.dtype) / rounding.unit(u.dtype) if np.issubdtype(lo.dtype, np.floating) else 1
-        )
-        low, high = rounding.outward(lo.astype(u.dtype), hi.astype(u.dtype), UNITS * max(float(coarse), 1))
-        return Interval(cast("jax.Array", np.maximum(low, 0)), cast("jax.Array", np.asarray(high)))
+        units = float(UNITS)
+        if np.issubdtype(lo.dtype, np.floating):  # of the coarser of both types
+            units *= max(float(rounding.unit(lo.dtype) / rounding.unit(u.dtype)), 1)
+        low, high = rounding.outward(lo.astype(u.dtype), hi.astype(u.dtype), units)
+        return Interval(np.maximum(low, 0), np.asarray(high))
 
     def columns(self, u: np.ndarray) -> Interval:
         """Return the weight of each state's column of C, (..., n), for inputs u (..., m). See `mu`."""
         mu, times = self.mu(u), [m.n for m in self.models]
-        lo, hi = (cast("jax.Array", np.repeat(side, times, axis=-1)) for side in (mu.lo, mu.hi))
-        return Interval(lo, hi)
+        return Interval(np.repeat(mu.lo, times, axis=-1), np.repeat(mu.hi, times, axis=-1))
+
+
+def _is_zero(x: Interval) -> bool:
+    return not (np.any(np.asarray(x.lo) != 0) or np.any(np.asarray(x.hi) != 0))
+
+
+def _joined(matrices: Sequence[Interval], axis: int) -> Interval:
+    """Return Intervals one after the other."""
+    lo = np.concatenate([np.asarray(x.lo) for x in matrices], axis)
+    hi = np.concatenate([np.asarray(x.hi) for x in matrices], axis)
+    return interval(lo, hi)
+
+
+def _diagonal(matrices: Sequence[Interval]) -> Interval:
+    """Return matrices along the diagonal of one, zeros beside them."""
+    shape = np.sum([x.shape for x in matrices], 0)
+    out = np.zeros((2, *shape), matrices[0].dtype)
+    i = j = 0
+    for x in matrices:
+        rows, columns = x.shape
+        out[:, i : i + rows, j : j + columns] = x.lo, x.hi
+        i, j = i + rows, j + columns
+    return interval(*out)

@@ -3,15 +3,16 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import cast
 
 import numpy as np
 
-from jaxbound.exact import linalg
-from jaxbound.exact.linalg import Matrix, MatrixLike, Number
+from jaxbound.exact.linalg import Matrix, MatrixLike, Number, zeros
+from jaxbound.models.numbers import entries_of, exact_matrix, number
 from jaxbound.models.uncertainty import Uncertainty, centred, influences
 from jaxbound.models.unknown import Bounded, Coupling, decoupled, unbounded_inputs
 
-__all__ = ["Plant", "number", "plant"]
+__all__ = ["Plant", "plant"]
 
 
 @dataclass(frozen=True)
@@ -77,54 +78,59 @@ def plant(
         ValueError: shapes that do not fit, a number that is not finite, a negative bound, a dt that is not
             positive.
     """
-    exact_A = _matrix("A", A) if A is not None and len(A) else ()
+    exact_A = _rows("A", A)
     n = len(exact_A)
     if n and len(exact_A[0]) != n:
         raise ValueError(f"A must be square, one row per state: its shape is ({n}, {len(exact_A[0])})")
-    direct = _matrix("D", D) if D is not None and np.size(np.asarray(D, object)) else None
-    if not n and direct is None:
+    direct = entries_of("D", D)
+    if not n and not direct:
         raise ValueError("A must be square, one row per state; a model without states needs D (y = D u)")
-    if C is not None and len(C):
-        exact_C = _matrix("C", C)
-    else:  # without states y = D u, and D says how many outputs there are
-        exact_C = ((),) * (len(direct) if direct is not None and not n else 0)
+    exact_C = _rows("C", C)
+    if not exact_C and not n:
+        exact_C = zeros(len(direct), 0)  # y = D u, and D says how many outputs there are
     p = len(exact_C)
     if p == 0:
         raise ValueError("the model has no output: C needs at least one row")
-    exact_B = _matrix("B", B) if B is not None and np.size(np.asarray(B, object)) else ((),) * n
-    m = len(exact_B[0]) if n else len(direct[0]) if direct else 0
-    exact_D = ((Fraction(0),) * m,) * p if direct is None else direct
-    for label, a, shape in (("B", exact_B, (n, m)), ("C", exact_C, (p, n)), ("D", exact_D, (p, m))):
-        if a and (len(a), len(a[0])) != shape:
-            raise ValueError(
-                f"{label} must have shape {shape} to fit A, B and C: its shape is {(len(a), len(a[0]))}"
-            )
-    known = influences(uncertainties, {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)})
-    middle = {
-        letter: centred(a, known, letter)
-        for letter, a in zip("ABCD", (exact_A, exact_B, exact_C, exact_D), strict=True)
-    }
+    exact_B = entries_of("B", B) or zeros(n, 0)
+    m = len(exact_B[0]) if n else len(direct[0])
+    exact_D = direct or zeros(p, m)
+    _refuse_shape("B", exact_B, (n, m))
+    _refuse_shape("C", exact_C, (p, n))
+    _refuse_shape("D", exact_D, (p, m))
+    parameters = influences(uncertainties, {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)})
     G, pairs = _disturbance(disturbance, n)
-    bounded, F, D_v = decoupled(known, decouple, *unbounded_inputs(unknown_inputs, n, p))
+    F, D_v = unbounded_inputs(unknown_inputs, n, p)
+    trusted, F, D_v = decoupled(parameters, decouple, F, D_v)
     period = float(number("dt", dt))
     if period <= 0:
         raise ValueError(f"dt must be a positive number of seconds, not {dt}")
-    return Plant(**middle, G=G, disturbance=pairs, F=F, D_v=D_v, uncertainties=bounded, dt=period)
+    return Plant(
+        A=centred(exact_A, parameters, "A"),
+        B=centred(exact_B, parameters, "B"),
+        C=centred(exact_C, parameters, "C"),
+        D=centred(exact_D, parameters, "D"),
+        G=G,
+        disturbance=pairs,
+        F=F,
+        D_v=D_v,
+        uncertainties=trusted,
+        dt=period,
+    )
 
 
-def number(field: str, x: Number) -> Fraction:
-    """Return a number of a field exactly; raise ValueError with its name."""
-    try:
-        return linalg.rational(x)
-    except ValueError as e:
-        raise ValueError(f"{field}: {e}") from None
+def _rows(field: str, a: MatrixLike | None) -> Matrix:
+    """Return a matrix exactly; () without rows."""
+    if a is None or not len(a):
+        return ()
+    return exact_matrix(field, a)
 
 
-def _matrix(field: str, a: MatrixLike) -> Matrix:
-    try:
-        return linalg.matrix(a)
-    except (ValueError, TypeError) as e:
-        raise ValueError(f"{field}: {e}") from None
+def _refuse_shape(field: str, a: Matrix, shape: tuple[int, int]) -> None:
+    """Raise ValueError for a matrix, if it has rows, of another shape."""
+    if a and (len(a), len(a[0])) != shape:
+        raise ValueError(
+            f"{field} must have shape {shape} to fit A, B and C: its shape is {(len(a), len(a[0]))}"
+        )
 
 
 def _disturbance(given: Bounded | None, n: int) -> tuple[Matrix, tuple[tuple[Fraction, Fraction], ...]]:
@@ -137,11 +143,14 @@ def _disturbance(given: Bounded | None, n: int) -> tuple[Matrix, tuple[tuple[Fra
         raise ValueError(
             "disturbance needs a pair (G, bound): how it acts on the states, and how large it can be"
         ) from None
-    rows = _matrix("G of the disturbance", G)
+    rows = exact_matrix("G of the disturbance", G)
     if len(rows) != n:
         raise ValueError(f"G of the disturbance needs one row per state ({n}): it has {len(rows)}")
     g = len(rows[0])
-    bounds = [bound] * g if isinstance(bound, str) or not np.iterable(bound) else list(bound)
+    if isinstance(bound, str) or not np.iterable(bound):
+        bounds = [bound] * g
+    else:
+        bounds = list(cast("Sequence[Number]", bound))
     if len(bounds) != g:
         raise ValueError(
             f"the bound of the disturbance needs one number, or one (or a pair [lo, hi]) for each of {g} "

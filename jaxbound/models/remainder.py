@@ -18,6 +18,7 @@ from typing import TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import ClosedJaxpr
 
 from jaxbound.sets.inclusion.derivatives import plain
 from jaxbound.sets.inclusion.jaxprs import evaluate, refuse_unsupported
@@ -76,8 +77,15 @@ def plane(
     slopes = slopes.at[:, len(c) - level :].set(0)
     found = _remainders((f, *smooth), _cells(f, box, c), c, slopes)
     ends = np.stack([np.asarray(found.lo).min(0), np.asarray(found.hi).max(0)], 1)
-    exact = np.vectorize(lambda x: Fraction(float(x)) if np.isfinite(x) else float(x), otypes=[object])
+    exact = np.vectorize(_exact, otypes=[object])
     return Plane(exact(c), exact(slopes), exact(ends))
+
+
+def _exact(x: float) -> Fraction | float:
+    """Return a finite float exactly, another as it is."""
+    if not np.isfinite(x):
+        return float(x)
+    return Fraction(float(x))
 
 
 def derivatives(f: Function) -> Function:
@@ -85,15 +93,22 @@ def derivatives(f: Function) -> Function:
     stop_gradient.
     """
 
-    def mathematics(x):
-        closed = jax.make_jaxpr(f)(jax.ShapeDtypeStruct(x.shape, x.dtype))
-        return plain(closed.jaxpr, closed.consts, [x])[0]
+    def mathematics(x: jax.Array) -> jax.Array:
+        closed = jax.make_jaxpr(f)(_like(x))
+        value: jax.Array = plain(closed.jaxpr, closed.consts, [x])[0]
+        return value
 
-    return jax.jacfwd(mathematics)
+    slopes: Function = jax.jacfwd(mathematics)
+    return slopes
+
+
+def _like(x: jax.Array) -> jax.ShapeDtypeStruct:
+    """Return the shape and type of an array."""
+    return jax.ShapeDtypeStruct(x.shape, x.dtype)  # type: ignore[no-untyped-call]  # jax states no types here
 
 
 @partial(jax.jit, static_argnums=0)
-def _at(f, x):
+def _at(f: Function, x: jax.Array) -> jax.Array:
     """Return the derivatives of f at a point, in plain floats, 0 where they are infinite: a choice, not a
     proof.
     """
@@ -101,7 +116,7 @@ def _at(f, x):
     return jnp.where(jnp.isfinite(slopes), slopes, 0)
 
 
-def _cells(f, box, c):
+def _cells(f: Function, box: Interval, c: jax.Array) -> Interval:
     """Return CELLS cells, an Interval (CELLS, N), that fill the box, cut most where the slopes of f change
     most.
     """
@@ -113,52 +128,63 @@ def _cells(f, box, c):
     cuts = np.ones(N, int)
     while cuts.prod() < CELLS:
         cuts[np.argmax(change / cuts)] *= 2
-    edges = [
-        np.clip(np.linspace(a, b, k + 1, dtype=lo.dtype), a, b) for a, b, k in zip(lo, hi, cuts, strict=True)
-    ]
-    for e, a, b in zip(edges, lo, hi, strict=True):
-        e[0], e[-1] = a, b
-    corner = lambda part: np.stack(
-        [g.ravel() for g in np.meshgrid(*[e[part] for e in edges], indexing="ij")], 1
-    )
-    return Interval(jnp.asarray(corner(slice(None, -1))), jnp.asarray(corner(slice(1, None))))
+    low, high = [], []
+    for a, b, k in zip(lo, hi, cuts, strict=True):
+        edges = np.clip(np.linspace(a, b, k + 1, dtype=lo.dtype), a, b)
+        edges[0], edges[-1] = a, b
+        low.append(edges[:-1])
+        high.append(edges[1:])
+    return Interval(_grid(low), _grid(high))
+
+
+def _grid(axes: list[np.ndarray]) -> jax.Array:
+    """Return all points (count, N) of a grid."""
+    along = np.meshgrid(*axes, indexing="ij")
+    return jnp.asarray(np.stack([numbers.ravel() for numbers in along], 1))
 
 
 @partial(jax.jit, static_argnums=0)
-def _remainders(functions, cells, c, slopes):
+def _remainders(
+    functions: tuple[Function, ...], cells: Interval, c: jax.Array, slopes: jax.Array
+) -> Interval:
     """Enclose the remainder of the first function beside the plane, over each cell. All functions are
     continuous.
     """
-    shape = jax.ShapeDtypeStruct(c.shape, c.dtype)
-    whole, first = (
-        [jax.make_jaxpr(g)(shape) for g in functions],
-        jax.make_jaxpr(derivatives(functions[0]))(shape),
-    )
+    shape = _like(c)
+    whole = [jax.make_jaxpr(g)(shape) for g in functions]
+    first = jax.make_jaxpr(derivatives(functions[0]))(shape)
     refuse_unsupported(first.jaxpr, "the derivative of the model", "write it with others")
-    run = lambda closed, boxes: jax.vmap(lambda box: _only(evaluate(closed.jaxpr, closed.consts, [box])))(
-        boxes
-    )
     q = mid(cells)
-    (value, _), (J, _) = run(whole[0], Interval(q, q)), run(first, cells)
-    continuous = jnp.all(jnp.stack([run(closed, cells)[1] for closed in whole]), 0)
+    value, _ = _enclosed(whole[0], Interval(q, q))
+    J, _ = _enclosed(first, cells)
+    continuous = jnp.all(jnp.stack([_enclosed(closed, cells)[1] for closed in whole]), 0)
     return jax.vmap(partial(_remainder, c, slopes))(cells, value, J, continuous)
 
 
-def _only(found):
-    """Return an enclosure of the only output, and whether it is continuous; a formula that has no value may
-    have any.
-    """
-    (out,), continuous = found
-    x = enclose(out)
-    return Interval(jnp.where(x.is_empty, -jnp.inf, x.lo), jnp.where(x.is_empty, jnp.inf, x.hi)), jnp.asarray(
-        continuous
-    )
+def _enclosed(closed: ClosedJaxpr, boxes: Interval) -> tuple[Interval, jax.Array]:
+    """Return an enclosure of the only output over each box, and whether it is continuous there."""
+
+    def over(box: Interval) -> tuple[Interval, jax.Array]:
+        (out,), continuous = evaluate(closed.jaxpr, closed.consts, [box])
+        x = enclose(out)
+        # a formula that has no value may have any
+        low, high = jnp.where(x.is_empty, -jnp.inf, x.lo), jnp.where(x.is_empty, jnp.inf, x.hi)
+        return Interval(low, high), jnp.asarray(continuous)
+
+    return jax.vmap(over)(boxes)
 
 
-def _remainder(c, slopes, cell, value, J, continuous):
+def _remainder(
+    c: jax.Array, slopes: jax.Array, cell: Interval, value: Interval, J: Interval, continuous: jax.Array
+) -> Interval:
     """Enclose the remainder over one cell by f's value in the middle and its slopes J all over the cell."""
     q = interval(mid(cell))
-    times = lambda M, x: sum(mul(M, x[None, :]), 1)
-    out = add(sub(value, times(interval(slopes), sub(q, c))), times(sub(J, slopes), sub(cell, q)))
+    near = sub(value, _times(interval(slopes), sub(q, c)))
+    out = add(near, _times(sub(J, slopes), sub(cell, q)))
     proved = continuous & ~jnp.isnan(out.lo) & ~jnp.isnan(out.hi)
     return Interval(jnp.where(proved, out.lo, -jnp.inf), jnp.where(proved, out.hi, jnp.inf))
+
+
+def _times(M: Interval, x: Interval) -> Interval:
+    """Return M x."""
+    return sum(mul(M, x[None, :]), 1)

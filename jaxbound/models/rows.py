@@ -87,7 +87,7 @@ class BoundedSum(Protocol):
 
     @property
     def text(self) -> str:
-        """What the sum is, as a reader would call it."""
+        """The name of the sum, for a reader."""
 
     def weighted_sum(self, outputs: tuple[str, ...]) -> WeightedSum:
         """Return the sum, its signals by their numbers."""
@@ -196,7 +196,7 @@ class WindowRows:
         return tuple(i for i, row in enumerate(self.all) if row.seen)
 
     def terms(self, row: Row) -> list[Term]:
-        """Return what a row weighs: every true value, signal by signal."""
+        """Return the true values that a row weighs, signal by signal."""
         found = []
         before, width = (0, self.outputs) if row.values.measured else (self.readings, self.disturbances)
         for number, weights in row.values.parts:

@@ -50,16 +50,14 @@ def true_value(
     """
     e = 1 / ((1 - tolerance) * (1 + tolerance))
     absent = [jnp.isnan(y) for y in samples]
-    samples = [
-        jnp.where(gone, 0, y) for gone, y in zip(absent, samples, strict=True)
-    ]  # keeps NaN out of gradients
+    # keeps NaN out of gradients
+    samples = [jnp.where(gone, 0, y) for gone, y in zip(absent, samples, strict=True)]
     if largest is None:
         largest = abs(samples[0])
         for y in samples[1:]:
             largest = jnp.maximum(largest, abs(y))
-    largest = jnp.minimum(
-        largest, np.finfo(largest.dtype).max
-    )  # an infinite sample stays its own row's matter
+    # an infinite sample stays its own row's matter
+    largest = jnp.minimum(largest, np.finfo(largest.dtype).max)
     rho = (
         noise
         + resolution
@@ -70,16 +68,12 @@ def true_value(
     for gone, y in zip(absent, samples, strict=True):
         d = y - offset
         above, below, half = abs(d + rho), abs(d - rho), 0.5 * tolerance
-        mid.append(
-            jnp.where(gone, jnp.nan, e * (d + half * (above - below)))
-        )  # above - below = 2 clip(d, -rho, rho)
-        rad.append(e * (rho + half * (above + below)))  # above + below = 2 max(|d|, rho)
-        size = (
-            e * (1 + tolerance) * (abs(y) + abs(offset)) + rad[-1]
-        )  # 0 * inf is NaN in every row of a window with an infinite sample
-        scale.append(
-            jnp.where(gone, jnp.nan, jnp.where(size < jnp.inf, size, jnp.inf))
-        )  # NaN is absence, never overflow
+        # above - below = 2 clip(d, -rho, rho), above + below = 2 max(|d|, rho)
+        mid.append(jnp.where(gone, jnp.nan, e * (d + half * (above - below))))
+        rad.append(e * (rho + half * (above + below)))
+        size = e * (1 + tolerance) * (abs(y) + abs(offset)) + rad[-1]
+        # 0 * inf is NaN in every row of a window with an infinite sample, and NaN is absence, never overflow
+        scale.append(jnp.where(gone, jnp.nan, jnp.where(size < jnp.inf, size, jnp.inf)))
     return mid, rad, scale
 
 
@@ -109,7 +103,8 @@ def input_slip(u: np.ndarray) -> np.ndarray:
     """
     if u.dtype == np.float64:
         return np.zeros_like(u)
-    return 1.01 * rounding.unit(u.dtype) * np.abs(u) + rounding.tiny(u.dtype)
+    slip: np.ndarray = 1.01 * rounding.unit(u.dtype) * np.abs(u) + rounding.tiny(u.dtype)
+    return slip
 
 
 def lift(tolerance: jax.Array) -> jax.Array:

@@ -11,11 +11,11 @@ import jax
 import numpy as np
 
 from jaxbound.exact.linalg import Number, Vector
-from jaxbound.models.plant import number
+from jaxbound.models.numbers import number
 from jaxbound.recordings.expressions import expression, is_expression
 from jaxbound.text.names import listed
 
-__all__ = ["Each", "ModelSignals", "Sensors", "Words", "model_signals", "sensors", "words"]
+__all__ = ["Each", "ModelSignals", "Sensors", "Words", "model_signals", "named", "sensors", "words"]
 
 Each: TypeAlias = Number | Sequence[Number] | np.ndarray | jax.Array
 """One number for all, or one for each."""
@@ -29,8 +29,7 @@ class ModelSignals:
     """The signals of a model. Build it with `model_signals`.
 
     Fields: inputs, outputs, states: names; input_offset (m,), output_offset (p,): the operating point; units,
-    columns: of signals by name;
-    ranges: (name, lowest, highest) of the inputs whose range is known.
+    columns: of signals by name; ranges: (name, lowest, highest) of the inputs whose range is known.
     """
 
     inputs: tuple[str, ...]
@@ -75,12 +74,10 @@ def model_signals(
             does not have.
     """
     m, p, n = sizes
-    called = (
-        _names("inputs", inputs, m, "u"),
-        _names("outputs", outputs, p, "y"),
-        _names("states", states, n, "x"),
-    )
-    recorded = called[0] + called[1]
+    input_names = named("inputs", inputs, m, "u")
+    output_names = named("outputs", outputs, p, "y")
+    state_names = named("states", states, n, "x")
+    recorded = input_names + output_names
     twice = sorted({x for x in recorded if recorded.count(x) > 1})
     if twice:
         raise ValueError(f"a signal name may stand for one signal only: {listed(twice)} is used twice")
@@ -88,42 +85,52 @@ def model_signals(
     unknown = set(offset) - {"u", "y"}
     if unknown:
         raise ValueError(f"offset has the fields 'u' and 'y', not {sorted(unknown)}")
-    points = (
-        _vector("offset u", offset.get("u", 0), called[0]),
-        _vector("offset y", offset.get("y", 0), called[1]),
-    )
-    found = words("columns", columns, (*recorded, "time", "where"))
-    for name, text in found:
+    input_offset = _vector("offset u", offset.get("u", 0), input_names)
+    output_offset = _vector("offset y", offset.get("y", 0), output_names)
+    texts = words("columns", columns, (*recorded, "time", "where"))
+    for name, text in texts:
         if name == "where" or (name != "time" and is_expression(text)):
-            expression(text)
+            expression(text)  # refuses what it cannot read
     return ModelSignals(
-        *called, *points, words("units", units, recorded + called[2]), found, _ranges(ranges, called[0])
+        input_names,
+        output_names,
+        state_names,
+        input_offset,
+        output_offset,
+        units=words("units", units, recorded + state_names),
+        columns=texts,
+        ranges=_ranges(ranges, input_names),
     )
 
 
-def _ranges(table, inputs):
+def _ranges(
+    table: Mapping[str, tuple[Number, Number]] | None, inputs: tuple[str, ...]
+) -> tuple[tuple[str, Fraction, Fraction], ...]:
     """Return (name, lowest, highest) of every input whose range is stated, in the order of the inputs."""
-    given = dict(table or {})
-    unknown = sorted(set(given) - set(inputs))
+    stated = dict(table or {})
+    unknown = sorted(set(stated) - set(inputs))
     if unknown:
         raise ValueError(f"ranges speaks of {listed(unknown)}, but the model's inputs are {listed(inputs)}")
-    out = []
+    ranges = []
     for name in inputs:
-        if name in given:
-            ends = np.asarray(given[name], object)
-            if ends.shape != (2,):
-                raise ValueError(
-                    f"the range of {name!r} needs two numbers, the lowest and the highest, not "
-                    f"{given[name]!r}"
-                )
-            lo, hi = (number(f"range of {name!r}", x) for x in ends)
-            if lo > hi:
-                raise ValueError(
-                    f"the range of {name!r} needs its lowest number first: {float(lo):g} is above "
-                    f"{float(hi):g}"
-                )
-            out.append((name, lo, hi))
-    return tuple(out)
+        if name in stated:
+            ranges.append((name, *_range(name, stated[name])))
+    return tuple(ranges)
+
+
+def _range(name: str, stated: tuple[Number, Number]) -> tuple[Fraction, Fraction]:
+    """Return the lowest and the highest number of an input, exactly."""
+    ends = np.asarray(stated, object)
+    if ends.shape != (2,):
+        raise ValueError(
+            f"the range of {name!r} needs two numbers, the lowest and the highest, not {stated!r}"
+        )
+    lo, hi = (number(f"range of {name!r}", x) for x in ends)
+    if lo > hi:
+        raise ValueError(
+            f"the range of {name!r} needs its lowest number first: {float(lo):g} is above {float(hi):g}"
+        )
+    return lo, hi
 
 
 def sensors(
@@ -184,10 +191,15 @@ def _vector(field: str, value: Each, names: tuple[str, ...]) -> Vector:
     return tuple(number(f"{field} of {s!r}", x) for s, x in zip(names, values, strict=True))
 
 
-def _names(field: str, given: str | Sequence[str] | None, count: int, letter: str) -> tuple[str, ...]:
-    if given is None:
+def named(field: str, stated: str | Sequence[str] | None, count: int, letter: str) -> tuple[str, ...]:
+    """Return the names of as many signals: those stated, or numbered with a letter.
+
+    Raises:
+        ValueError: another number of names, a name used twice.
+    """
+    if stated is None:
         return tuple(f"{letter}{i + 1}" for i in range(count))
-    names = (given,) if isinstance(given, str) else tuple(map(str, given))
+    names = (stated,) if isinstance(stated, str) else tuple(map(str, stated))
     if len(names) != count:
         raise ValueError(f"{field} needs {count} names, one for each: {len(names)} given")
     if len(set(names)) < count:

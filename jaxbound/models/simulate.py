@@ -6,25 +6,30 @@ levels (a plain recursion was off by 120 times that).
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
-from typing import Any
+from types import ModuleType
+from typing import NamedTuple, TypedDict, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxbound.models.averaging import kept_averages, places_of
+from jaxbound.exact.linalg import Matrix, beside, zeros
+from jaxbound.models.averaging import AverageNumbers, Places, kept_averages, places_of
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.draws import normal_draws, uniform_draws
 from jaxbound.models.faults import Fault, refuse_unknown_signal
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.uncertainty import Uncertainty
 from jaxbound.random.keys import key_of
+from jaxbound.random.threefry import Array
 from jaxbound.recordings.arrays import inputs_of, refuse_infinite
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.rounding import Pair
 from jaxbound.sets.floats.sizes import power
 from jaxbound.text.objects import readable
 
@@ -34,6 +39,8 @@ FEW, TINY = 2**16, 2**10
 """Samples of all recordings up to which as many as the next power of two, or of four, are compiled for: few
 shapes serve all.
 """
+THETA, NOISE, FAULT_NOISE, DISTURBANCE, PARAMETER = 0, 1, 2, 3, 5
+"""Streams of random numbers; the fourth has the normal ones of unknown inputs (`draws`)."""
 
 
 @readable
@@ -99,89 +106,135 @@ def simulate(
     model = as_model(model)
     if at not in ("uniform", "vertices"):
         raise ValueError(f"at must be 'uniform' or 'vertices', not {at!r}")
-    given: Any = np.zeros(0) if u is None else inputs_of(model, u)
-    if given.ndim < 2 or given.shape[-1] != model.m:
-        raise ValueError(f"u must have shape (..., T, {model.m}), time first: its shape is {given.shape}")
-    dtype = jax.dtypes.canonicalize_dtype(given.dtype)
-    given = _host(given).astype(dtype)
-    refuse_infinite("u", given, model.inputs) if not isinstance(given, jax.core.Tracer) else None
-    batch, (T, _) = given.shape[:-2], given.shape[-2:]
-    start: Any = np.zeros((model.n,), dtype) if x0 is None else _host(x0).astype(dtype)
-    if start.shape[-1:] != (model.n,) or (start.ndim > 1 and start.shape[:-1] != batch):
-        raise ValueError(
-            f"x0 must have shape ({model.n},) or {(*batch, model.n)}: its shape is {start.shape}"
-        )
-    v: Any = None if unknown_input is None else _host(unknown_input).astype(dtype)
-    if v is not None and v.shape != (*batch, T, model.d):
-        raise ValueError(f"unknown_input must have shape {(*batch, T, model.d)}: its shape is {v.shape}")
-    lo, hi = zip(*model.disturbance, strict=True) if model.g else ((), ())
-    numbers = {
-        "matrices": _columns([_double(_blocks(model, of), dtype) for of in (model, *model.uncertainties)]),
-        "offset_u": _double([model.offset["u"]], dtype),
-        "offset_y": _double([model.offset["y"]], dtype),
-    }
-    bounds: dict[str, Any] = {
-        "varying": np.array([p.varying for p in model.uncertainties], bool),
-        "lo": rounding.round_up(list(lo), dtype),
-        "hi": rounding.round_down(list(hi), dtype),
-        "tolerance": rounding.round_down(list(model.tolerance), dtype),
-        "noise": rounding.round_down(list(model.noise), dtype),
-    }
-    places, bounds["averages"] = places_of(model, dtype)
-    sizes = np.array([f.size for f in faults], dtype)
-    kinds = tuple(
-        (
-            f.kind,
-            model.outputs.index(f.signal) if f.signal in model.outputs else None,
-            model.inputs.index(f.signal) if f.signal in model.inputs else None,
-        )
-        for f in faults
-    )
-    count = math.prod(batch)
-    longer = _length(T, count) - T
-    base = 4 if count * (T + longer) <= TINY else 2
-    more = power(count, base) - count if 1 < count and count * (T + longer) <= FEW else 0
-    padded = lambda v: _library(v).pad(
-        v.reshape(count, *v.shape[len(batch) :]), ((0, more), (0, longer), (0, 0))
-    )
-    active = np.pad(_switches(model, faults, T), ((0, 0), (0, longer)))
-    start = _library(start).broadcast_to(start, (*batch, model.n)).reshape(count, model.n)
-    start = _library(start).pad(start, ((0, more), (0, 0)))
+    recorded = _recorded_inputs(model, u)
+    *leading, T, _ = recorded.shape
+    batch, dtype = tuple(leading), recorded.dtype
+    start = _first_states(model, x0, batch, dtype)
+    v = _stated_unknown_input(unknown_input, (*batch, T, model.d), dtype)
+    channels = [_channel(model, f) for f in faults]
+    active = _switches(model, faults, T)
+
+    # All is filled up to sizes that serve many simulations, and cut again at the end.
+    count, samples = _compiled_sizes(math.prod(batch), T)
+    start = _filled_states(start, count)
     widths = {
-        0: model.p,
-        1: model.p,
-        2: len(kinds) if "noise" in [f.kind for f in faults] else 0,
-        3: model.g,
-        5: len(model.uncertainties),
+        THETA: model.p,
+        NOISE: model.p,
+        FAULT_NOISE: len(faults) if any(f.kind == "noise" for f in faults) else 0,
+        DISTURBANCE: model.g,
+        PARAMETER: len(model.uncertainties),
     }
     streams = tuple(stream for stream, width in widths.items() if width)
     key = key_of(key)
-    draws = uniform_draws(key, streams, count + more, (T + longer) * max(widths.values()), dtype)
-    v = normal_draws(key, count + more, (T + longer, model.d), dtype) if v is None else padded(v)
-    arrays = draws, padded(given), start, v
+    draws = uniform_draws(key, streams, count, samples * max(widths.values()), dtype)
+    if v is None:
+        v = normal_draws(key, count, (samples, model.d), dtype)
+    else:
+        v = _filled(v, count, samples)
+    arrays = draws, _filled(recorded, count, samples), start, v
+
+    places, averages = places_of(model, dtype)
     run = _recorded if _library(*arrays) is np else _recorded_within
     out = run(
-        kinds,
+        tuple(channels),
         streams,
         places,
         at == "vertices",
         model.constant_tolerance,
-        numbers,
-        bounds,
-        sizes,
-        active,
+        _plant_numbers(model, dtype),
+        _bounds(model, averages, dtype),
+        np.array([f.size for f in faults], dtype),
+        np.pad(active, ((0, 0), (0, samples - T))),
         *arrays,
     )
     return Trajectory(*_cut(out, batch, T))
 
 
-def _library(*arrays: object) -> Any:
+class _Channel(NamedTuple):
+    """A fault as a kernel sees it: its kind, and the number of its output or of its input."""
+
+    kind: str
+    output: int | None
+    input: int | None
+
+
+class _PlantNumbers(TypedDict):
+    """The numbers of a plant, as pairs of floats: its matrices turned, and its operating point."""
+
+    matrices: tuple[np.ndarray, np.ndarray]
+    offset_u: tuple[np.ndarray, np.ndarray]
+    offset_y: tuple[np.ndarray, np.ndarray]
+
+
+class _Bounds(TypedDict):
+    """The bounds of what is drawn, rounded inward; varying: whether parameters are drawn anew each sample."""
+
+    varying: np.ndarray
+    lo: np.ndarray
+    hi: np.ndarray
+    tolerance: np.ndarray
+    noise: np.ndarray
+    averages: AverageNumbers
+
+
+def _recorded_inputs(model: LinearSystem, u: object) -> Array:
+    """Return inputs (..., T, m) in the float type of the simulation, checked."""
+    given = inputs_of(model, u)
+    if given is None:
+        given = np.zeros(0)
+    if given.ndim < 2 or given.shape[-1] != model.m:
+        raise ValueError(f"u must have shape (..., T, {model.m}), time first: its shape is {given.shape}")
+    inputs = _host(given).astype(jax.dtypes.canonicalize_dtype(given.dtype))
+    if not isinstance(inputs, jax.core.Tracer):
+        refuse_infinite("u", inputs, model.inputs)
+    return inputs
+
+
+def _first_states(
+    model: LinearSystem, x0: ArrayLike | None, batch: tuple[int, ...], dtype: np.dtype
+) -> Array:
+    """Return the first states (*batch, n), checked."""
+    start: Array = np.zeros((model.n,), dtype)
+    if x0 is not None:
+        start = _host(x0).astype(dtype)
+    if start.shape[-1:] != (model.n,) or (start.ndim > 1 and start.shape[:-1] != batch):
+        raise ValueError(
+            f"x0 must have shape ({model.n},) or {(*batch, model.n)}: its shape is {start.shape}"
+        )
+    spread: Array = _library(start).broadcast_to(start, (*batch, model.n))
+    return spread
+
+
+def _stated_unknown_input(v: ArrayLike | None, shape: tuple[int, ...], dtype: np.dtype) -> Array | None:
+    """Return unknown inputs (..., T, d) that are not to be drawn, checked."""
+    if v is None:
+        return None
+    stated = _host(v).astype(dtype)
+    if stated.shape != shape:
+        raise ValueError(f"unknown_input must have shape {shape}: its shape is {stated.shape}")
+    return stated
+
+
+def _library(*arrays: object) -> ModuleType:
     """Return NumPy for what is on the host, where nothing is compiled, jax.numpy for what is inside jit."""
-    return jnp if any(isinstance(x, jax.core.Tracer) for x in arrays) else np
+    for x in arrays:
+        if isinstance(x, jax.core.Tracer):
+            return jnp
+    return np
 
 
-def _host(x: ArrayLike) -> Any:
-    return _library(x).asarray(x)
+def _host(x: ArrayLike) -> Array:
+    """Return an array on the host, or as it is inside jit."""
+    array: Array = _library(x).asarray(x)
+    return array
+
+
+def _compiled_sizes(count: int, T: int) -> tuple[int, int]:
+    """Return the numbers of recordings and of samples that are compiled for."""
+    samples = _length(T, count)
+    if count <= 1 or count * samples > FEW:
+        return count, samples
+    return power(count, 4 if count * samples <= TINY else 2), samples
 
 
 def _length(T: int, count: int) -> int:
@@ -194,207 +247,308 @@ def _length(T: int, count: int) -> int:
     return -(-T // step) * step
 
 
-def _cut(out: tuple[jax.Array, ...], batch: tuple[int, ...], T: int) -> tuple[jax.Array, ...]:
+def _filled(v: Array, count: int, samples: int) -> Array:
+    """Return recordings (..., T, c) as (count, samples, c), zeros where there are none."""
+    recordings, (T, width) = math.prod(v.shape[:-2]), v.shape[-2:]
+    room = (0, count - recordings), (0, samples - T), (0, 0)
+    filled: Array = _library(v).pad(v.reshape(recordings, T, width), room)
+    return filled
+
+
+def _filled_states(start: Array, count: int) -> Array:
+    """Return first states (..., n) as (count, n), zeros where there are none."""
+    recordings = math.prod(start.shape[:-1])
+    room = (0, count - recordings), (0, 0)
+    filled: Array = _library(start).pad(start.reshape(recordings, start.shape[-1]), room)
+    return filled
+
+
+def _cut(out: tuple[Array, ...], batch: tuple[int, ...], T: int) -> tuple[jax.Array, ...]:
     """Cut the samples that were asked for out of those that were compiled for, on the host."""
-    cut = lambda v: v[: math.prod(batch), :T].reshape(*batch, T, v.shape[2])
-    if any(isinstance(v, jax.core.Tracer) for v in out):
-        return tuple(map(cut, out))
-    return tuple(jax.device_put([cut(np.asarray(v)) for v in out]))
+    within = any(isinstance(v, jax.core.Tracer) for v in out)
+    pieces = []
+    for v in out:
+        array = v if within else np.asarray(v)
+        pieces.append(array[: math.prod(batch), :T].reshape(*batch, T, v.shape[2]))
+    return tuple(pieces if within else jax.device_put(pieces))
+
+
+def _channel(model: LinearSystem, fault: Fault) -> _Channel:
+    """Return a fault with the number of its signal."""
+    refuse_unknown_signal(model, fault.signal, fault.kind)
+    if fault.signal in model.outputs:
+        return _Channel(fault.kind, model.outputs.index(fault.signal), None)
+    return _Channel(fault.kind, None, model.inputs.index(fault.signal))
 
 
 def _switches(model: LinearSystem, faults: Sequence[Fault], T: int) -> np.ndarray:
     """Return (faults, T) bool: where each fault acts."""
-    rows = []
-    for f in faults:
-        refuse_unknown_signal(model, f.signal, f.kind)
+    active = np.zeros((len(faults), T), bool)
+    for i, f in enumerate(faults):
         if f.start >= T:
             raise ValueError(
                 f"the fault of {f.signal!r} starts at sample {f.start}, but there are {T} samples"
             )
-        k = np.arange(T)
-        rows.append((k >= f.start) & (k < (T if f.stop is None else f.stop)))
-    return np.array(rows, bool).reshape(len(faults), T)
+        active[i, f.start : f.stop] = True
+    return active
 
 
-def _blocks(model: LinearSystem, of: Any) -> list[list[Fraction]]:
-    """Return the exact rows [A B G F; C D 0 D_v] of a model, or of what an uncertainty changes in it."""
-    widths = {
-        "A": model.n,
-        "B": model.m,
-        "C": model.n,
-        "D": model.m,
-        "G": model.g,
-        "F": model.d,
-        "D_v": model.d,
-        "": model.g,
+def _plant_numbers(model: LinearSystem, dtype: np.dtype) -> _PlantNumbers:
+    """Return the numbers of a model: its matrices, then what each parameter changes in them."""
+    pairs = [_double(_model_blocks(model), dtype)]
+    for u in model.uncertainties:
+        pairs.append(_double(_changed_blocks(model, u), dtype))
+    return {
+        "matrices": _columns(pairs),
+        "offset_u": _double([model.offset["u"]], dtype),
+        "offset_y": _double([model.offset["y"]], dtype),
     }
 
-    def row(letter: str, i: int) -> Sequence[Fraction]:
-        matrix = (
-            ()
-            if not letter
-            else getattr(of, letter)
-            if of is model
-            else of.on(letter)
-            if letter in "ABCD"
-            else ()
-        )
-        return matrix[i] if matrix else [Fraction(0)] * widths[letter]
 
-    upper = [[x for letter in ("A", "B", "G", "F") for x in row(letter, i)] for i in range(model.n)]
-    return upper + [[x for letter in ("C", "D", "", "D_v") for x in row(letter, i)] for i in range(model.p)]
+def _bounds(model: LinearSystem, averages: AverageNumbers, dtype: np.dtype) -> _Bounds:
+    """Return the bounds of a model in floats that lie within them."""
+    return {
+        "varying": np.array([p.varying for p in model.uncertainties], bool),
+        "lo": rounding.round_up([lo for lo, _ in model.disturbance], dtype),
+        "hi": rounding.round_down([hi for _, hi in model.disturbance], dtype),
+        "tolerance": rounding.round_down(list(model.tolerance), dtype),
+        "noise": rounding.round_down(list(model.noise), dtype),
+        "averages": averages,
+    }
 
 
-def _double(a, dtype):
+def _model_blocks(model: LinearSystem) -> Matrix:
+    """Return the exact rows [A B G F; C D 0 D_v] of a model."""
+    states = beside(model.A, model.B, model.G, model.F)
+    return states + beside(model.C, model.D, zeros(model.p, model.g), model.D_v)
+
+
+def _changed_blocks(model: LinearSystem, u: Uncertainty) -> Matrix:
+    """Return the changes of those rows by an uncertain parameter at its upper bound."""
+    n, m, p, others = model.n, model.m, model.p, model.g + model.d
+    states = beside(u.on("A") or zeros(n, n), u.on("B") or zeros(n, m), zeros(n, others))
+    return states + beside(u.on("C") or zeros(p, n), u.on("D") or zeros(p, m), zeros(p, others))
+
+
+def _double(a: Sequence[Sequence[Fraction]], dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:
     """Return exact numbers as a pair of float arrays whose sum is accurate to twice the digits."""
     shape = len(a), len(a[0]) if a else 0
-    hi = np.array([[float(x) for x in row] for row in a], np.float64).astype(dtype).reshape(shape)
-    lo = np.array(
-        [
-            [float(x - Fraction(float(h))) for x, h in zip(row, top, strict=True)]
-            for row, top in zip(a, hi, strict=True)
-        ],
-        np.float64,
-    )
-    return hi, lo.astype(dtype).reshape(shape)
+    hi, lo = np.zeros(shape, dtype), np.zeros(shape, dtype)
+    for i, row in enumerate(a):
+        for j, x in enumerate(row):
+            hi[i, j] = float(x)
+            lo[i, j] = float(x - Fraction(float(hi[i, j])))
+    return hi, lo
 
 
-def _columns(pairs):
+def _columns(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
     """Return double-word matrices (r, c) side by side, turned: (c, matrices, r, 1)."""
-    return tuple(np.stack(part).transpose(2, 0, 1)[..., None] for part in zip(*pairs, strict=True))
+    hi, lo = (np.stack(part).transpose(2, 0, 1)[..., None] for part in zip(*pairs, strict=True))
+    return hi, lo
 
 
-def _total(terms):
+def _total(terms: Pair) -> Pair:
     """Add double-word numbers (c, ...) along the first axis, by halves: there is little to compile."""
     count = len(terms[0])
     if count < 2:
-        return tuple(jnp.sum(v, 0) for v in terms)
+        return jnp.sum(terms[0], 0), jnp.sum(terms[1], 0)
     half = count // 2
-    total = _total(rounding.dd_add(*(tuple(v[start : start + half] for v in terms) for start in (0, half))))
-    return rounding.dd_add(total, tuple(v[-1] for v in terms)) if count % 2 else total
+    first, second = _at(terms, slice(half)), _at(terms, slice(half, 2 * half))
+    total = _total(rounding.dd_add(first, second))
+    if count % 2:
+        return rounding.dd_add(total, _at(terms, -1))
+    return total
 
 
-def _apply(matrices, vectors):
+def _at(pair: Pair, where: int | slice) -> Pair:
+    """Return the same entries of both words."""
+    return pair[0][where], pair[1][where]
+
+
+def _single(v: jax.Array) -> Pair:
+    """Return floats as double-word numbers."""
+    return v, jnp.zeros_like(v)
+
+
+def _column(row: Pair) -> Pair:
+    """Return double-word numbers (1, c) as (c, 1)."""
+    return row[0][0, :, None], row[1][0, :, None]
+
+
+def _apply(matrices: Pair, vectors: Pair) -> Pair:
     """Multiply double-word matrices, turned, (c, matrices, r, 1) with double-word vectors (c, N)."""
-    return _total(rounding.dd_mul(matrices, tuple(v[:, None, None] for v in vectors)))
+    return _total(rounding.dd_mul(matrices, (vectors[0][:, None, None], vectors[1][:, None, None])))
 
 
-def _recorded(kinds, streams, places, vertices, constant, numbers, bounds, sizes, active, draws, u, x0, v):
+def _recorded(
+    channels: tuple[_Channel, ...],
+    streams: tuple[int, ...],
+    places: Places,
+    vertices: bool,
+    constant: bool,
+    numbers: _PlantNumbers,
+    bounds: _Bounds,
+    sizes: Array,
+    active: Array,
+    draws: Array,
+    u: Array,
+    x0: Array,
+    v: Array,
+) -> tuple[Array, ...]:
     """Return (x, u, y, theta, noise, w, v, parameters) of recordings (N, T, .): by NumPy but for the
     trajectory, or inside jit.
     """
     each = dict(zip(streams, draws, strict=True))
-    theta, noise, w, parameters, extra = _unknowns(kinds, each, vertices, constant, bounds, sizes, active, u)
+    theta, noise, w, parameters, extra = _unknowns(
+        channels, each, vertices, constant, bounds, sizes, active, u
+    )
     if places:
-        noise, w = kept_averages(
-            places, bounds["averages"], noise, w, (bounds["noise"], bounds["lo"], bounds["hi"])
-        )
-    applied = _faulty(kinds, sizes, active, u, extra, 2, 0.0)
-    last = lambda x: _library(x).moveaxis(x, 0, 2)  # recordings: they fill a vector
-    x, y = _trajectory(numbers, x0.T, tuple(map(last, (applied, w, v, theta, noise, parameters))))
-    first = lambda x: (
-        jnp.moveaxis(x, 2, 0) if isinstance(x, jax.core.Tracer) else np.moveaxis(np.asarray(x), 2, 0)
-    )
-    return (
-        first(x),
-        u,
-        _faulty(kinds, sizes, active, first(y), extra, 1, np.nan),
-        theta,
-        noise,
-        w,
-        v,
-        parameters,
-    )
+        within = bounds["noise"], bounds["lo"], bounds["hi"]
+        noise, w = kept_averages(places, bounds["averages"], noise, w, within)
+    applied = _faulty(channels, sizes, active, u, extra, [c.input for c in channels], 0.0)
+    along = tuple(_recordings_last(x) for x in (applied, w, v, theta, noise, parameters))
+    states, outputs = _trajectory(numbers, x0.T, along)
+    y = _recordings_first(outputs)
+    y = _faulty(channels, sizes, active, y, extra, [c.output for c in channels], np.nan)
+    return _recordings_first(states), u, y, theta, noise, w, v, parameters
 
 
 _recorded_within = partial(jax.jit, static_argnums=(0, 1, 2, 3, 4))(_recorded)
 
 
+def _recordings_last(x: Array) -> Array:
+    """Return (N, T, c) as (T, c, N): recordings fill a vector."""
+    moved: Array = _library(x).moveaxis(x, 0, 2)
+    return moved
+
+
+def _recordings_first(x: jax.Array) -> Array:
+    """Return (T, c, N) as (N, T, c), on the host unless inside jit."""
+    if isinstance(x, jax.core.Tracer):
+        return jnp.moveaxis(x, 2, 0)
+    return np.moveaxis(np.asarray(x), 2, 0)
+
+
 @jax.jit
-def _trajectory(numbers, x0, along):
+def _trajectory(numbers: _PlantNumbers, x0: Array, along: tuple[Array, ...]) -> tuple[jax.Array, jax.Array]:
     """Return states (T, n, N) and outputs (T, p, N) from first states (n, N) and what acts (T, ., N): one
     program for every fault.
     """
-    single = lambda v: (v, jnp.zeros_like(v))
-    offset_u, offset_y = (
-        tuple(part[0, :, None] for part in numbers[name]) for name in ("offset_u", "offset_y")
+    # in a kernel all of these are traced
+    matrices, level_u, level_y = cast(
+        "tuple[Pair, Pair, Pair]", (numbers["matrices"], numbers["offset_u"], numbers["offset_y"])
     )
-    n = len(x0)
+    start, acting = cast("tuple[jax.Array, tuple[jax.Array, ...]]", (x0, along))
+    offset_u, offset_y = _column(level_u), _column(level_y)
+    n = len(start)
 
-    def step(x, now):
+    def step(x: Pair, now: tuple[jax.Array, ...]) -> tuple[Pair, tuple[jax.Array, jax.Array]]:
         inputs, w, v, theta, noise, parameters = now
-        deviation = rounding.dd_add(rounding.two_sum(inputs, -offset_u[0]), single(-offset_u[1]))
-        signals = tuple(
-            jnp.concatenate(part) for part in zip(x, deviation, single(w), single(v), strict=True)
-        )
-        both = _apply(numbers["matrices"], signals)  # of the model, and of what each parameter moves
+        deviation = rounding.dd_add(rounding.two_sum(inputs, -offset_u[0]), _single(-offset_u[1]))
+        high, low = zip(x, deviation, _single(w), _single(v), strict=True)
+        signals = jnp.concatenate(high), jnp.concatenate(low)
+        both = _apply(matrices, signals)  # of the model, and of what each parameter moves
+        rows = _at(both, 0)
         if len(parameters):
-            moved = rounding.dd_mul(single(parameters[:, None]), tuple(part[1:] for part in both))
-            both = rounding.dd_add(tuple(part[0] for part in both), _total(moved))
-        else:
-            both = tuple(part[0] for part in both)
-        after, true = (tuple(part[rows] for part in both) for rows in (slice(n), slice(n, None)))
-        y = rounding.dd_add(
-            true, rounding.dd_mul(single(theta), true)
-        )  # not (1 + theta) t: XLA turns (theta + 1) - 1 into theta
-        y = rounding.dd_add(rounding.dd_add(y, single(noise)), offset_y)
+            moved = rounding.dd_mul(_single(parameters[:, None]), _at(both, slice(1, None)))
+            rows = rounding.dd_add(rows, _total(moved))
+        after, true = _at(rows, slice(n)), _at(rows, slice(n, None))
+        # not (1 + theta) t: XLA turns (theta + 1) - 1 into theta
+        y = rounding.dd_add(true, rounding.dd_mul(_single(theta), true))
+        y = rounding.dd_add(rounding.dd_add(y, _single(noise)), offset_y)
         return after, (x[0], y[0])
 
-    return jax.lax.scan(step, single(x0), along)[1]
+    return jax.lax.scan(step, _single(start), acting)[1]
 
 
-def _unknowns(kinds, draws, vertices, constant, bounds, sizes, active, u):
+def _unknowns(
+    channels: tuple[_Channel, ...],
+    draws: Mapping[int, Array],
+    vertices: bool,
+    constant: bool,
+    bounds: _Bounds,
+    sizes: Array,
+    active: Array,
+    u: Array,
+) -> tuple[Array, Array, Array, Array, Array]:
     """Draw theta, noise, disturbances, parameters and the noise of faults of recordings. draws: by stream."""
     count, T, p = u.shape[0], u.shape[1], len(bounds["noise"])
     xp = _library(u, *draws.values())
 
-    def drawn(stream, width, anywhere=False):
-        x = (
-            draws[stream][:, : T * width].reshape(count, T, width)
-            if stream in draws
-            else xp.zeros((count, T, width), u.dtype)
-        )
-        return xp.where(x < 0, -1, 1).astype(x.dtype) if vertices and not anywhere else x
+    def drawn(stream: int, width: int) -> Array:
+        """Return draws (N, T, width) in [-1, 1); zeros where a stream has none."""
+        if stream not in draws:
+            nothing: Array = xp.zeros((count, T, width), u.dtype)
+            return nothing
+        return draws[stream][:, : T * width].reshape(count, T, width)
 
-    signs = drawn(0, p)
-    signs = signs[:, :1] if constant else signs
+    def extreme(x: Array) -> Array:
+        """Return draws, each moved to one of its ends where that is asked for."""
+        if not vertices:
+            return x
+        signs: Array = xp.where(x < 0, -1, 1).astype(x.dtype)
+        return signs
+
+    signs = extreme(drawn(THETA, p))
+    if constant:
+        signs = signs[:, :1]
     tolerance = xp.broadcast_to(bounds["tolerance"], (T, p))
-    for (kind, output, _), size, on in zip(kinds, sizes, active, strict=True):
-        if kind == "tolerance":
-            tolerance = xp.where(on[:, None] & (np.arange(p) == output)[None], size, tolerance)
+    for channel, size, on in zip(channels, sizes, active, strict=True):
+        if channel.kind == "tolerance":
+            here = on[:, None] & (np.arange(p) == channel.output)[None]
+            tolerance = xp.where(here, size, tolerance)
     lo, hi = bounds["lo"][None, None], xp.maximum(bounds["lo"], bounds["hi"])[None, None]
-    share = drawn(3, lo.shape[2])
+    share = extreme(drawn(DISTURBANCE, lo.shape[2]))
     w = xp.where(share == 1, hi, xp.clip(lo + 0.5 * (share + 1) * (hi - lo), lo, hi))
-    each = drawn(5, len(bounds["varying"]))
+    each = extreme(drawn(PARAMETER, len(bounds["varying"])))
     parameters = xp.where(bounds["varying"][None, None], each, each[:, :1])
-    extra = drawn(2, len(kinds), anywhere=True)
-    return tolerance[None] * signs, bounds["noise"][None, None] * drawn(1, p), w, parameters, extra
+    extra = drawn(FAULT_NOISE, len(channels))
+    noise = bounds["noise"][None, None] * extreme(drawn(NOISE, p))
+    return tolerance[None] * signs, noise, w, parameters, extra
 
 
-def _faulty(kinds, sizes, active, signals, extra, side, dropped):
-    """Apply the faults of one side, in order, to signals (N, T, c): 1 outputs, 2 inputs. extra (N, T,
-    faults): the noise of faults.
+def _faulty(
+    channels: tuple[_Channel, ...],
+    sizes: Array,
+    active: Array,
+    signals: Array,
+    extra: Array,
+    columns: Sequence[int | None],
+    dropped: float,
+) -> Array:
+    """Apply faults, in order, to signals (N, T, c).
+
+    Args:
+        extra: (N, T, faults), the noise of faults. columns: the number of the signal that each fault acts
+            on; None: it acts on none of these. dropped: what is left of a missing sample.
     """
     xp = _library(signals, extra)
-    for i, fault in enumerate(kinds):
-        c = fault[side]
-        if c is None or fault[0] == "tolerance":
+    for i, (channel, c) in enumerate(zip(channels, columns, strict=True)):
+        if c is None or channel.kind == "tolerance":
             continue
-        x, size, on = signals[:, :, c], sizes[i], active[i]
+        on = active[i]
         with np.errstate(over="ignore", invalid="ignore"):
-            changed = _changed(xp, fault[0], x, size, on, extra[:, :, i], dropped)
+            changed = _changed(xp, channel.kind, signals[:, :, c], sizes[i], on, extra[:, :, i], dropped)
         here = on[:, None] & (np.arange(signals.shape[2]) == c)[None]
         signals = xp.where(here[None], changed[:, :, None], signals)
     return signals
 
 
-def _changed(xp, kind, x, size, on, extra, dropped):
+def _changed(
+    xp: ModuleType, kind: str, x: Array, size: Array, on: Array, extra: Array, dropped: float
+) -> Array:
     """Return one signal (N, T) with its fault."""
+    changed: Array
     if kind == "stuck":
-        return xp.broadcast_to(xp.take(x, xp.argmax(on), 1)[:, None], x.shape)
-    if kind == "dropout":
-        return xp.full_like(x, dropped)
-    if kind == "gain":
-        return x * (1 + size)
-    since = (xp.cumsum(on) - 1).astype(x.dtype)[None]
-    return x + {"bias": size, "drift": size * since, "noise": size * extra}[kind]
+        changed = xp.broadcast_to(xp.take(x, xp.argmax(on), 1)[:, None], x.shape)
+    elif kind == "dropout":
+        changed = xp.full_like(x, dropped)
+    elif kind == "gain":
+        changed = x * (1 + size)
+    elif kind == "bias":
+        changed = x + size
+    elif kind == "drift":
+        changed = x + size * (xp.cumsum(on) - 1).astype(x.dtype)[None]
+    else:
+        changed = x + size * extra
+    return changed

@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxbound.exact.linalg import Matrix, MatrixLike, Number, Vector
 from jaxbound.models.average import Average, Averaged, averages_of
+from jaxbound.models.numbers import is_whole
 from jaxbound.models.plant import Plant, plant
 from jaxbound.models.signals import Each, ModelSignals, Sensors, Words, model_signals, sensors, words
 from jaxbound.models.uncertainty import Uncertainty, centred
@@ -19,7 +20,7 @@ from jaxbound.models.unknown import Bounded, Coupling, without_descriptor
 from jaxbound.text.objects import readable
 from jaxbound.text.units import without_unit
 
-__all__ = ["LinearSystem", "whole_lags"]
+__all__ = ["LinearSystem", "matrices_at_zero", "whole_lags"]
 
 ORIGINS = ("tolerance", "noise", "resolution", "disturbance", "model")
 
@@ -186,24 +187,14 @@ class LinearSystem:
                     "E and uncertainties do not go together: solve the equations for x+ first, or decouple "
                     "the parameters"
                 )
-            given = E, A, B, C, D, disturbance, unknown_inputs, states
-            A, B, C, D, disturbance, unknown_inputs, states = without_descriptor(*given)
+            A, B, C, D, disturbance, unknown_inputs, states = without_descriptor(
+                E, A, B, C, D, disturbance, unknown_inputs, states
+            )
         parts = plant(A, B, C, D, dt, disturbance, unknown_inputs, uncertainties, decouple)
         signals = model_signals(
             (parts.m, parts.p, parts.n), inputs, outputs, states, offset, units, columns, ranges
         )
-        if horizon is not None and (
-            isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 0
-        ):
-            raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
-        if lags is not None:
-            lags = whole_lags(lags)
-            if horizon not in (None, lags[-1]):
-                raise ValueError(
-                    f"lags up to {lags[-1]} say by themselves how long a window is: leave the horizon "
-                    f"{horizon} out"
-                )
-            horizon = lags[-1]
+        length, sparse = _window(horizon, lags)
         measured = sensors(signals.outputs, tolerance, noise, resolution, constant_tolerance)
         vars(self).update(
             plant=parts,
@@ -211,8 +202,8 @@ class LinearSystem:
             signals=signals,
             origins=words("provenance", provenance, ORIGINS),
             name=str(name),
-            horizon=None if horizon is None else int(horizon),
-            lags=lags,
+            horizon=length,
+            lags=sparse,
             averages=_averages(averages, parts, measured, signals.outputs),
         )
 
@@ -239,10 +230,7 @@ class LinearSystem:
 
     def _arguments(self) -> dict[str, Any]:
         """Return arguments that build this very model."""
-        matrices = {
-            letter: centred(getattr(self, letter), self.uncertainties, letter, sign=-1) for letter in "ABCD"
-        }
-        return matrices | {
+        return matrices_at_zero(self) | {
             "dt": self.dt,
             "tolerance": self.tolerance,
             "noise": self.noise,
@@ -293,12 +281,14 @@ class LinearSystem:
     @property
     def has_feedthrough(self) -> bool:
         """True if D is not zero: the newest input of a window then matters."""
-        return any(x for D in (self.D, *(u.D or () for u in self.uncertainties)) for row in D for x in row)
+        if any(map(any, self.D)):
+            return True
+        return any(u.D is not None and any(map(any, u.D)) for u in self.uncertainties)
 
     @property
     def has_direct_unknown(self) -> bool:
         """True if D_v is not zero: the newest unknown input of a window then matters."""
-        return any(x for row in self.D_v for x in row)
+        return any(map(any, self.D_v))
 
     def column(self, signal: str) -> str:
         """Return the column of a recording that holds a signal."""
@@ -315,14 +305,13 @@ class LinearSystem:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, LinearSystem):
             return NotImplemented
-        return self is other or all(
-            getattr(self, f.name) == getattr(other, f.name) for f in fields(LinearSystem)
-        )
+        if self is other:
+            return True
+        return all(getattr(self, f.name) == getattr(other, f.name) for f in fields(LinearSystem))
 
     def __hash__(self) -> int:
-        return hash(
-            (self.name, self.sensors, self.signals)
-        )  # a few numbers tell models apart; those of large matrices would cost more
+        # a few numbers tell models apart; those of large matrices would cost more
+        return hash((self.name, self.sensors, self.signals))
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
         raise FrozenInstanceError(
@@ -335,43 +324,68 @@ class LinearSystem:
             f"copy"
         )
 
-    def _rows(self):
+    def _rows(self) -> dict[str, str]:
+        """Return {name: text} of outputs and of uncertain parameters, for `readable`."""
+        rows = {}
         bounds = zip(self.outputs, self.tolerance, self.noise, self.resolution, strict=True)
-        rows = {
-            name: f"tolerance {float(t):.4g}, noise {float(n):.4g}, resolution {float(r):.4g} "
-            f"{self.unit(name)}"
-            for name, t, n, r in bounds
-        }
-        return rows | {u.name: repr(u) for u in self.uncertainties}
+        for name, tolerance, noise, resolution in bounds:
+            rows[name] = (
+                f"tolerance {float(tolerance):.4g}, noise {float(noise):.4g}, "
+                f"resolution {float(resolution):.4g} {self.unit(name)}"
+            )
+        for u in self.uncertainties:
+            rows[u.name] = repr(u)
+        return rows
 
     def __repr__(self) -> str:
-        horizon = (
-            ""
-            if self.horizon is None
-            else f", horizon {self.horizon}"
-            if self.lags is None
-            else f", lags {self.lags}"
-        )
+        window = ""
+        if self.lags is not None:
+            window = f", lags {self.lags}"
+        elif self.horizon is not None:
+            window = f", horizon {self.horizon}"
         signals = f"inputs {list(self.inputs)}, outputs {list(self.outputs)}"
-        return f"{type(self).__name__}({self.name!r}: {self.n} states, {signals}, dt={self.dt:g} s{horizon})"
+        return f"{type(self).__name__}({self.name!r}: {self.n} states, {signals}, dt={self.dt:g} s{window})"
 
 
-def _averages(given, parts, measured, outputs):
+def matrices_at_zero(model: LinearSystem) -> dict[str, Matrix]:
+    """Return A, B, C, D by their letters, at the value 0 of every uncertain parameter."""
+    middle = {"A": model.A, "B": model.B, "C": model.C, "D": model.D}
+    return {letter: centred(rows, model.uncertainties, letter, sign=-1) for letter, rows in middle.items()}
+
+
+def _averages(
+    given: Averaged | None, parts: Plant, measured: Sensors, outputs: tuple[str, ...]
+) -> tuple[Average, ...]:
     """Return the averages of a model; refuse what they do not go together with."""
-    found = averages_of(given, outputs, parts.disturbance)
-    if found and (parts.uncertainties or measured.constant_tolerance):
+    averages = averages_of(given, outputs, parts.disturbance)
+    if averages and (parts.uncertainties or measured.constant_tolerance):
         what = "uncertainties" if parts.uncertainties else "constant_tolerance"
         raise ValueError(
             f"averages and {what} do not go together: they are tested beside exact models and tolerances "
             f"drawn anew"
         )
-    for a in found:
-        if a.signal in outputs and measured.tolerance[outputs.index(a.signal)]:
+    for average in averages:
+        signal = average.signal
+        if signal in outputs and measured.tolerance[outputs.index(signal)]:
             raise ValueError(
-                f"averages of {a.signal!r} need its tolerance to be 0: a relative error of samples that "
+                f"averages of {signal!r} need its tolerance to be 0: a relative error of samples that "
                 f"differ has no mean; give the tolerance as noise"
             )
-    return found
+    return averages
+
+
+def _window(horizon: int | None, lags: Sequence[int] | None) -> tuple[int | None, tuple[int, ...] | None]:
+    """Return the horizon and the lags of the windows for which bounds were found, checked."""
+    if horizon is not None and (not is_whole(horizon) or horizon < 0):
+        raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
+    if lags is None:
+        return (None if horizon is None else int(horizon)), None
+    lags = whole_lags(lags)
+    if horizon not in (None, lags[-1]):
+        raise ValueError(
+            f"lags up to {lags[-1]} say by themselves how long a window is: leave the horizon {horizon} out"
+        )
+    return lags[-1], lags
 
 
 def whole_lags(lags: Sequence[int]) -> tuple[int, ...]:
@@ -380,7 +394,7 @@ def whole_lags(lags: Sequence[int]) -> tuple[int, ...]:
     Raises:
         ValueError: they are not different whole numbers >= 0, or 0 is not among them.
     """
-    whole = [isinstance(x, (int, np.integer)) and not isinstance(x, bool) and x >= 0 for x in lags]
-    if not all(whole) or len(set(lags)) < len(lags) or 0 not in lags:
+    whole = all(is_whole(x) and x >= 0 for x in lags)
+    if not whole or len(set(lags)) < len(lags) or 0 not in lags:
         raise ValueError(f"lags must be different whole numbers >= 0, 0 among them, not {tuple(lags)!r}")
     return tuple(sorted(map(int, lags)))

@@ -8,9 +8,10 @@ import numpy as np
 
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, MatrixLike, Number
+from jaxbound.models.numbers import exact_matrix
 from jaxbound.text.objects import readable
 
-__all__ = ["Uncertainty", "centred", "influences"]
+__all__ = ["Uncertainty", "centred", "coefficient", "influences"]
 
 LETTERS = ("A", "B", "C", "D")
 
@@ -66,10 +67,9 @@ class Uncertainty:
             raise ValueError("an uncertainty needs a name")
         matrices: dict[str, Matrix | None] = {}
         for letter, given in zip(LETTERS, (A, B, C, D), strict=True):
-            try:
-                matrices[letter] = None if given is None or not len(given) else linalg.matrix(given)
-            except (ValueError, TypeError) as e:
-                raise ValueError(f"{letter} of uncertainty {name!r}: {e}") from None
+            matrices[letter] = None
+            if given is not None and len(given):
+                matrices[letter] = exact_matrix(f"{letter} of uncertainty {name!r}", given)
         if not any(x for rows in matrices.values() for row in rows or () for x in row):
             raise ValueError(f"uncertainty {name!r} acts on nothing: give its coefficient in A, B, C or D")
         if not isinstance(varying, (bool, np.bool_)):
@@ -100,8 +100,16 @@ class Uncertainty:
         """Return radius times the coefficient in one matrix, None where it does not act: what v in [-1, 1]
         multiplies.
         """
-        rows = getattr(self, letter)
-        return None if rows is None else tuple(tuple(self.radius * x for x in row) for row in rows)
+        rows = coefficient(self, letter)
+        if rows is None:
+            return None
+        return tuple(linalg.scale(row, self.radius) for row in rows)
+
+
+def coefficient(u: Uncertainty, letter: str) -> Matrix | None:
+    """Return the coefficient of a parameter in one matrix, None where it does not act."""
+    rows: Matrix | None = getattr(u, letter)
+    return rows
 
 
 def influences(
@@ -112,22 +120,22 @@ def influences(
 
     Raises ValueError naming what does not fit, TypeError for anything that is no Uncertainty.
     """
-    found = (given,) if isinstance(given, Uncertainty) else tuple(given)
-    for u in found:
+    parameters = (given,) if isinstance(given, Uncertainty) else tuple(given)
+    for u in parameters:
         if not isinstance(u, Uncertainty):
             raise TypeError(f"uncertainties must be jb.Uncertainty(name, A=..., ...), not {type(u).__name__}")
         for letter in LETTERS:
-            rows = getattr(u, letter)
+            rows = coefficient(u, letter)
             if rows is not None and (len(rows), len(rows[0])) != shapes[letter]:
                 raise ValueError(
                     f"{letter} of uncertainty {u.name!r} must have the shape of the model's {letter}, "
                     f"{shapes[letter]}: its shape is {(len(rows), len(rows[0]))}"
                 )
-    names = [u.name for u in found]
+    names = [u.name for u in parameters]
     twice = sorted({x for x in names if names.count(x) > 1})
     if twice:
         raise ValueError(f"each uncertainty needs its own name: {', '.join(map(repr, twice))} is used twice")
-    return found
+    return parameters
 
 
 def centred(matrix: Matrix, uncertainties: Sequence[Uncertainty], letter: str, sign: int = 1) -> Matrix:
@@ -135,10 +143,8 @@ def centred(matrix: Matrix, uncertainties: Sequence[Uncertainty], letter: str, s
     all (sign -1).
     """
     for u in uncertainties:
-        rows = getattr(u, letter)
+        rows = coefficient(u, letter)
         if rows is not None and u.centre:
-            matrix = tuple(
-                tuple(x + sign * u.centre * d for x, d in zip(r, s, strict=True))
-                for r, s in zip(matrix, rows, strict=True)
-            )
+            pairs = zip(matrix, rows, strict=True)
+            matrix = tuple(linalg.add_multiple(row, sign * u.centre, d) for row, d in pairs)
     return tuple(tuple(map(Fraction, row)) for row in matrix)

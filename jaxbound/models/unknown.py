@@ -2,20 +2,18 @@
 states that no equation determines.
 """
 
-from collections.abc import Sequence
-from fractions import Fraction
+from collections.abc import Mapping, Sequence
 from typing import TypeAlias, cast
 
 import numpy as np
 
 from jaxbound.exact import linalg
-from jaxbound.exact.linalg import Matrix, MatrixLike, Number
+from jaxbound.exact.linalg import Matrix, MatrixLike, Number, Vector, columns_of
+from jaxbound.models.numbers import entries_of, exact_matrix
 from jaxbound.models.uncertainty import Uncertainty
 from jaxbound.text.names import listed
 
 __all__ = ["Bounded", "Coupling", "decoupled", "explicit", "unbounded_inputs", "without_descriptor"]
-
-ZERO = Fraction(0)
 
 Coupling: TypeAlias = MatrixLike | tuple[MatrixLike, MatrixLike]
 """How unknown inputs are given: F, or (F, D_v)."""
@@ -30,20 +28,27 @@ def unbounded_inputs(given: Coupling | None, n: int, p: int) -> tuple[Matrix, Ma
     """
     if given is None:
         return tuple(() for _ in range(n)), tuple(() for _ in range(p))
-    pair = len(given) == 2 and np.asarray(given[0], object).ndim == 2
-    first, second = (
-        cast("tuple[MatrixLike, MatrixLike]", given) if pair else (cast("MatrixLike", given), None)
-    )
-    F = _matrix("F", first)
+    on_states, on_outputs = _parts(given)
+    F = exact_matrix("F of the unknown inputs", on_states)
     if len(F) != n:
         raise ValueError(f"F of the unknown inputs needs one row per state ({n}): it has {len(F)}")
-    D_v = ((ZERO,) * len(F[0]),) * p if second is None else _matrix("D_v", second)
+    if on_outputs is None:
+        return F, linalg.zeros(p, len(F[0]))
+    D_v = exact_matrix("D_v of the unknown inputs", on_outputs)
     if (len(D_v), len(D_v[0])) != (p, len(F[0])):
         shape = (len(D_v), len(D_v[0]))
         raise ValueError(
             f"D_v of the unknown inputs must have shape {(p, len(F[0]))} to fit C and F: its shape is {shape}"
         )
     return F, D_v
+
+
+def _parts(given: Coupling) -> tuple[MatrixLike, MatrixLike | None]:
+    """Return F and D_v, None where there is F alone."""
+    if len(given) == 2 and np.asarray(given[0], object).ndim == 2:
+        F, D_v = cast("tuple[MatrixLike, MatrixLike]", given)
+        return F, D_v
+    return cast("MatrixLike", given), None
 
 
 def decoupled(
@@ -63,23 +68,34 @@ def decoupled(
         raise ValueError(
             f"decouple names {strange[0]!r}, but the uncertainties are {listed(known) or 'none'}"
         )
-    n, p = len(F), len(D_v)
-    rows = [list(row) for row in F + D_v]
+    trusted: list[Uncertainty] = []
     for u in uncertainties:
-        if u.name in names:
-            wide = lambda pair, u=u: next(
-                (len(getattr(u, o)[0]) for o in pair if getattr(u, o) is not None), 0
-            )
-            part = lambda letter, count, pair, u=u, wide=wide: (
-                getattr(u, letter) or ((ZERO,) * wide(pair),) * count
-            )
-            whole = [a + b for a, b in zip(part("A", n, "AC"), part("B", n, "BD"), strict=True)]
-            whole += [a + b for a, b in zip(part("C", p, "AC"), part("D", p, "BD"), strict=True)]
-            for j in linalg.row_reduce(whole)[1]:
-                for row, x in zip(rows, whole, strict=True):
-                    row.append(x[j])
-    rest = tuple(u for u in uncertainties if u.name not in names)
-    return rest, tuple(map(tuple, rows[:n])), tuple(map(tuple, rows[n:]))
+        if u.name not in names:
+            trusted.append(u)
+            continue
+        on_states, on_outputs = _independent_columns(u, len(F), len(D_v))
+        F, D_v = linalg.beside(F, on_states), linalg.beside(D_v, on_outputs)
+    return tuple(trusted), F, D_v
+
+
+def _independent_columns(u: Uncertainty, n: int, p: int) -> tuple[Matrix, Matrix]:
+    """Return the columns (n, k), (p, k) that span all that a parameter moves in x+ and in y."""
+    m = _width(u.B, u.D)
+    whole = linalg.beside(
+        (u.A or linalg.zeros(n, n)) + (u.C or linalg.zeros(p, n)),
+        (u.B or linalg.zeros(n, m)) + (u.D or linalg.zeros(p, m)),
+    )
+    pivots = linalg.row_reduce(whole)[1]
+    columns = tuple(tuple(row[j] for j in pivots) for row in whole)
+    return columns[:n], columns[n:]
+
+
+def _width(*matrices: Matrix | None) -> int:
+    """Return the number of columns of the first matrix that is there; 0 without one."""
+    for rows in matrices:
+        if rows is not None:
+            return len(rows[0])
+    return 0
 
 
 def explicit(
@@ -96,58 +112,73 @@ def explicit(
     Raises:
         ValueError: an equation without z+ that restricts the state, or puts a disturbance into an output.
     """
-    r, n = len(E), len(E[0])
-    unit = lambda i, count: tuple(Fraction(int(i == j)) for j in range(count))
-    reduced, pivots = linalg.row_reduce([tuple(row) + unit(i, r) for i, row in enumerate(E)])
-    kept = tuple(j for j in pivots if j < n)
-    x, T = [row[:n] for row in reduced[: len(kept)]], [row[n:] for row in reduced]
-    back = linalg.inverse(x + [unit(j, n) for j in range(n) if j not in kept])
-    rows = [a + b + g + f for a, b, g, f in zip(A, B, G, F, strict=True)]
-    widths = len(B[0]), len(G[0]), len(F[0])
-    rows = [linalg.matmul((row[:n],), back)[0] + row[n:] for row in linalg.matmul(T, rows)]
-    outputs = [
-        linalg.matmul((c,), back)[0] + d + (ZERO,) * widths[1] + v for c, d, v in zip(C, D, D_v, strict=True)
-    ]
-    ends = [sum((len(kept), *widths[:i])) for i in range(4)]
-    in_order = lambda row: (
-        row[: len(kept)] + row[n:] + row[len(kept) : n]
-    )  # x, u, w, then all that is unknown
-    rows, outputs = [in_order(row) for row in rows], [in_order(row) for row in outputs]
-    without = [row[ends[2] :] + row[: ends[2]] for row in rows[len(kept) :]]
-    unknown = len(rows[0]) - ends[2]
+    r, n, k_u, k_w = len(E), len(E[0]), len(B[0]), len(G[0])
+    reduced, pivots = linalg.row_reduce(linalg.beside(E, linalg.identity(r)))
+    determined = tuple(j for j in pivots if j < n)
+    k = len(determined)
+    x = tuple(row[:n] for row in reduced[:k])  # the new state is this times z
+    T = tuple(row[n:] for row in reduced)  # T E = [x; 0]
+    free = tuple(row for j, row in enumerate(linalg.identity(n)) if j not in determined)
+    back = linalg.inverse(x + free)  # z = back (new state, what nothing drives)
+
+    # columns in the order: new state, u, w, and then all that is unknown
+    known = k + k_u + k_w
+    moved, seen = linalg.matmul(linalg.matmul(T, A), back), linalg.matmul(C, back)
+    state, driven = range(k), range(k, n)
+    B, G, F = (linalg.matmul(T, M) for M in (B, G, F))
+    rows = linalg.beside(columns_of(moved, state), B, G, columns_of(moved, driven), F)
+    no_w = linalg.zeros(len(C), k_w)
+    outputs = linalg.beside(columns_of(seen, state), D, no_w, columns_of(seen, driven), D_v)
+
+    solved = _solved(rows[k:], known)
+    rows, outputs = _eliminated(rows[:k], solved), _eliminated(outputs, solved)
+    inputs, disturbances = range(k, k + k_u), range(k + k_u, known)
+    if any(map(any, columns_of(outputs, disturbances))):
+        raise ValueError(
+            "an equation without x+ puts a disturbance into an output: give it as noise of that output "
+            "instead"
+        )
+    left = [j for j in range(known, known + n - k + len(D_v[0])) if j not in solved]
+    is_picked = all(sum(map(bool, row)) == 1 for row in x)
+    return (
+        columns_of(rows, state),
+        columns_of(rows, inputs),
+        columns_of(outputs, state),
+        columns_of(outputs, inputs),
+        columns_of(rows, disturbances),
+        columns_of(rows, left),
+        columns_of(outputs, left),
+        determined if is_picked else None,
+    )
+
+
+def _solved(equations: Matrix, known: int) -> dict[int, Vector]:
+    """Solve equations, row times (known entries, unknown ones) = 0, for unknown entries.
+
+    Returns:
+        {number of an unknown entry: its row, 1 there and 0 at the others}.
+    """
     solved = {}
-    for row, j in zip(*linalg.row_reduce(without), strict=True):
+    reduced, pivots = linalg.row_reduce([row[known:] + row[:known] for row in equations])
+    for row, j in zip(reduced, pivots, strict=True):
+        unknown = len(row) - known
         if j >= unknown:
             raise ValueError(
                 "an equation without x+ restricts the states themselves: use it, or its shifted form, to "
                 "remove a state first"
             )
-        solved[j] = row[unknown:] + row[:unknown]
-    for part in (rows, outputs):
-        for i, row in enumerate(part):
-            for j, other in solved.items():
-                row = tuple(a - row[ends[2] + j] * b for a, b in zip(row, other, strict=True))
-            part[i] = row
-    if any(any(row[ends[1] : ends[2]]) for row in outputs):
-        raise ValueError(
-            "an equation without x+ puts a disturbance into an output: give it as noise of that output "
-            "instead"
-        )
-    left = [ends[2] + j for j in range(unknown) if j not in solved]
-    cut = lambda part, i: tuple(row[ends[i - 1] if i else 0 : ends[i]] for row in part)
-    rows = rows[: len(kept)]
-    pick = lambda part: tuple(tuple(row[j] for j in left) for row in part)
-    states = kept if all(sum(map(bool, row)) == 1 for row in x) else None
-    return (
-        cut(rows, 0),
-        cut(rows, 1),
-        cut(outputs, 0),
-        cut(outputs, 1),
-        cut(rows, 2),
-        pick(rows),
-        pick(outputs),
-        states,
-    )
+        solved[known + j] = row[unknown:] + row[:unknown]
+    return solved
+
+
+def _eliminated(rows: Matrix, solved: Mapping[int, Vector]) -> Matrix:
+    """Return rows without the entries that equations are solved for."""
+    out = []
+    for row in rows:
+        for j, equation in solved.items():
+            row = linalg.add_multiple(row, -row[j], equation)
+        out.append(row)
+    return tuple(out)
 
 
 def without_descriptor(
@@ -157,7 +188,7 @@ def without_descriptor(
     C: MatrixLike | None,
     D: MatrixLike | None,
     disturbance: Bounded | None,
-    given: Coupling | None,
+    coupled: Coupling | None,
     states: str | Sequence[str] | None,
 ) -> tuple[Matrix, Matrix, Matrix, Matrix, Bounded | None, Coupling | None, list[str] | None]:
     """Return (A, B, C, D, disturbance, unknown_inputs, states) of a model without E from the fields of one
@@ -165,40 +196,29 @@ def without_descriptor(
 
     Raises ValueError: shapes that do not fit, and as `explicit`.
     """
-    descriptor, exact_A, exact_C = _matrix("E", E), _matrix("A", A), _matrix("C", C)
+    descriptor, exact_A, exact_C = exact_matrix("E", E), exact_matrix("A", A), exact_matrix("C", C)
     r, n, p = len(descriptor), len(descriptor[0]), len(exact_C)
-    exact_B = _matrix("B", B) if B is not None and np.size(np.asarray(B, object)) else ((),) * r
+    exact_B = entries_of("B", B) or linalg.zeros(r, 0)
     m = len(exact_B[0])
-    exact_D = _matrix("D", D) if D is not None and np.size(np.asarray(D, object)) else ((ZERO,) * m,) * p
-    G = ((),) * r if disturbance is None else _matrix("G", disturbance[0])
+    exact_D = entries_of("D", D) or linalg.zeros(p, m)
+    G = linalg.zeros(r, 0)
+    if disturbance is not None:
+        G = exact_matrix("G", disturbance[0])
     shapes = ((r, n), (r, m), (p, n), (p, m), (r, len(G[0])))
     for letter, M, shape in zip("ABCDG", (exact_A, exact_B, exact_C, exact_D, G), shapes, strict=True):
         if (len(M), len(M[0])) != shape:
             raise ValueError(
                 f"{letter} must have shape {shape} to fit E, {(r, n)}: its shape is {(len(M), len(M[0]))}"
             )
-    called = (states,) if isinstance(states, str) else states
-    if called is not None and len(called) != n:
-        raise ValueError(f"states needs {n} names, one for each: {len(called)} given")
-    F, D_v = unbounded_inputs(given, r, p)
-    *plant, F, D_v, numbers = explicit(descriptor, exact_A, exact_B, exact_C, exact_D, G, F, D_v)
-    names = [called[j] for j in numbers] if called is not None and numbers is not None else None
-    kept_A, kept_B, kept_C, kept_D, G = plant
-    return (
-        kept_A,
-        kept_B,
-        kept_C,
-        kept_D,
-        None if disturbance is None else (G, disturbance[1]),
-        (F, D_v) if D_v[0] else None,
-        names,
+    names = [states] if isinstance(states, str) else states
+    if names is not None and len(names) != n:
+        raise ValueError(f"states needs {n} names, one for each: {len(names)} given")
+    F, D_v = unbounded_inputs(coupled, r, p)
+    kept_A, kept_B, kept_C, kept_D, G, F, D_v, numbers = explicit(
+        descriptor, exact_A, exact_B, exact_C, exact_D, G, F, D_v
     )
-
-
-def _matrix(letter: str, given: MatrixLike | None) -> Matrix:
-    try:
-        return linalg.matrix(cast("MatrixLike", given))  # None is refused there
-    except (ValueError, TypeError) as e:
-        raise ValueError(
-            f"{letter}{' of the unknown inputs' if letter in ('F', 'D_v') else ''}: {e}"
-        ) from None
+    bounded = None if disturbance is None else (G, disturbance[1])
+    coupling = (F, D_v) if D_v[0] else None
+    if names is None or numbers is None:
+        return kept_A, kept_B, kept_C, kept_D, bounded, coupling, None
+    return kept_A, kept_B, kept_C, kept_D, bounded, coupling, [names[j] for j in numbers]

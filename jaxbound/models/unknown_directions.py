@@ -19,16 +19,16 @@ Source: Basile, Marro 1992, 4.1 (the least conditioned invariant that holds rang
 that unknown inputs do not disturb, for N = 0: rank C F = rank F).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import combinations, islice
 from typing import Any
 
 from jaxbound.exact import linalg
-from jaxbound.exact.linalg import Matrix
-from jaxbound.models.system import LinearSystem
-from jaxbound.models.uncertainty import Uncertainty, centred
+from jaxbound.exact.linalg import Matrix, Vector, columns_of
+from jaxbound.models.system import LinearSystem, matrices_at_zero
+from jaxbound.models.uncertainty import Uncertainty, coefficient
 
 __all__ = ["Directions", "Way", "unknown_directions", "with_direct_states"]
 
@@ -86,9 +86,12 @@ def unknown_directions(model: LinearSystem) -> Directions | None:
         ValueError: uncertain parameters that act on the outputs, unknown inputs that explain whatever the
             outputs show.
     """
-    moves = [model.A, *(rows for u in model.uncertainties if (rows := u.on("A")))]
+    moves = [model.A]
     for u in model.uncertainties:
-        if model.d and u.C is not None and any(x for row in u.C for x in row):
+        moved = u.on("A")
+        if moved is not None:
+            moves.append(moved)
+        if model.d and u.C is not None and any(map(any, u.C)):
             raise ValueError(
                 f"an observer of unknown inputs needs certain outputs, and {u.name!r} acts on C: decouple "
                 f"it, or make C certain"
@@ -103,7 +106,7 @@ def unknown_directions(model: LinearSystem) -> Directions | None:
 
 
 def _smallest(
-    model: LinearSystem, moves: Sequence[Matrix], columns: Sequence[tuple]
+    model: LinearSystem, moves: Sequence[Matrix], columns: Sequence[Vector]
 ) -> tuple[Matrix, Matrix]:
     """Return bases (S, N), rows in reduced echelon form."""
     rows = linalg.row_reduce(columns)[0]
@@ -128,42 +131,52 @@ def _seen(C: Matrix, rows: Matrix) -> Matrix:
 
 
 def _ways(model: LinearSystem, rows: Matrix, hidden: Matrix) -> tuple[Way, ...]:
-    n, p = model.n, model.p
+    """Return the ways to take S out of a sample, those that amplify the errors of sensors least first."""
+    loud = []
+    for noise, resolution, tolerance in zip(model.noise, model.resolution, model.tolerance, strict=True):
+        loud.append(float(noise + resolution + tolerance))
+    quiet = sorted(range(model.p), key=lambda i: loud[i])
     seen = _seen(model.C, rows)
     kept = linalg.row_reduce(linalg.transpose(seen))[1]  # directions that outputs show, and differently
     S = linalg.transpose([rows[j] for j in kept])
-    loud = [float(a + b + t) for a, b, t in zip(model.noise, model.resolution, model.tolerance, strict=True)]
-    quiet = sorted(range(p), key=lambda i: loud[i])
-    identity = [tuple(Fraction(i == j) for j in range(n)) for i in range(n)]
-    places = [next(i for i, x in enumerate(row) if x) for row in hidden]
-    spread = [
-        [
-            sum((row[i] for row, place in zip(hidden, places, strict=True) if place == j), ZERO)
-            for j in range(n)
-        ]
-        for i in range(n)
-    ]
-    found: list[Way] = []
+    identity, Y = linalg.identity(model.n), _on_hidden(hidden, model.n)
+    ways: list[Way] = []
     for outputs in islice(combinations(quiet, len(kept)), TRIED):
-        chosen = [[seen[j][i] for j in kept] for i in outputs]
+        chosen = linalg.transpose(columns_of([seen[j] for j in kept], outputs))
         if linalg.rank(chosen) < len(kept):
             continue
-        narrow = linalg.matmul(S, linalg.inverse(chosen))
-        H = [[row[outputs.index(i)] if i in outputs else ZERO for i in range(p)] for row in narrow]
-        rest = _less(identity, linalg.matmul(H, model.C))
-        found.append(
-            Way(tuple(sorted(outputs)), *(_tuple(_less(X, linalg.matmul(spread, X))) for X in (rest, H)))
-        )
-    found.sort(
-        key=lambda way: sum(abs(float(x)) * size for row in way.H for x, size in zip(row, loud, strict=True))
-    )
-    return tuple(found[:WAYS])
+        columns = dict(zip(outputs, linalg.transpose(linalg.matmul(S, linalg.inverse(chosen))), strict=True))
+        none = (ZERO,) * model.n
+        H = linalg.transpose([columns.get(i, none) for i in range(model.p)])
+        M = _less(identity, linalg.matmul(H, model.C))
+        M, H = _less(M, linalg.matmul(Y, M)), _less(H, linalg.matmul(Y, H))
+        ways.append(Way(tuple(sorted(outputs)), M, H))
+    ways.sort(key=lambda way: _amplified(way.H, loud))
+    return tuple(ways[:WAYS])
 
 
-def _nothing_left(model, moves):
+def _on_hidden(hidden: Matrix, n: int) -> Matrix:
+    """Return Y (n, n), which takes the part N away: each row of its basis at the place where it has its 1."""
+    columns = dict.fromkeys(range(n), (ZERO,) * n)
+    for row in hidden:
+        place = next(i for i, x in enumerate(row) if x)
+        columns[place] = row
+    return linalg.transpose([columns[j] for j in range(n)])
+
+
+def _amplified(H: Matrix, loud: Sequence[float]) -> float:
+    """Return the size of what errors of sensors do to the states."""
+    total = 0.0
+    for row in H:
+        for x, size in zip(row, loud, strict=True):
+            total += abs(float(x)) * size
+    return total
+
+
+def _nothing_left(model: LinearSystem, moves: Sequence[Matrix]) -> str:
     """Return the sentence that says which unknown inputs explain everything, as few of them as do."""
     columns = dict(enumerate(linalg.transpose(model.F), 1))
-    for j in [*columns][::-1]:
+    for j in reversed(list(columns)):
         fewer = [c for i, c in columns.items() if i != j and any(c)]
         if fewer and linalg.rank(_seen(model.C, _smallest(model, moves, fewer)[0])) == model.p:
             del columns[j]
@@ -183,51 +196,40 @@ def with_direct_states(model: LinearSystem) -> LinearSystem:
     if not direct:
         return model
     k = len(direct)
-    own = {x: centred(getattr(model, x), model.uncertainties, x, sign=-1) for x in "ABCD"}
     parameters = []
     for u in model.uncertainties:
-        parts = {x: getattr(u, x) for x in "ABCD"}
+        parts = {letter: coefficient(u, letter) for letter in "ABCD"}
         parts = _with_states(model, parts, linalg.zeros(model.n, k), linalg.zeros(model.p, k))
         parameters.append(Uncertainty(u.name, **parts, varying=u.varying, between=u.between))
+    on_states, on_outputs = columns_of(model.F, direct), columns_of(model.D_v, direct)
     # What acted on an output at once now acts on its own state, which the next step brings.
-    columns = linalg.identity(model.d)
     others = [[ZERO if j in direct else x for j, x in enumerate(row)] for row in model.F]
+    own = linalg.identity(model.d)
     changes: dict[str, Any] = dict(
-        _with_states(model, own, _picked(model.F, direct), _picked(model.D_v, direct)),
+        _with_states(model, matrices_at_zero(model), on_states, on_outputs),
         uncertainties=parameters,
         states=(*model.states, *(f"unknown input {j + 1}" for j in direct)),
-        disturbance=([*model.G, *linalg.zeros(k, model.g)], model.disturbance) if model.g else None,
-        unknown_inputs=[*others, *(columns[j] for j in direct)],
+        disturbance=(model.G + linalg.zeros(k, model.g), model.disturbance) if model.g else None,
+        unknown_inputs=[*others, *(own[j] for j in direct)],
     )
     return model.replace(**changes)
 
 
 def _with_states(
-    model: LinearSystem, part: dict[str, Any], F: Sequence[Sequence], D_v: Sequence[Sequence]
-) -> dict[str, Any]:
+    model: LinearSystem, part: Mapping[str, Matrix | None], F: Matrix, D_v: Matrix
+) -> dict[str, Matrix | None]:
     """Return matrices with the states of unknown inputs: F and D_v are their columns in A and C."""
     k = len(F[0])
-    wider = dict(part)
-    if part["A"]:
-        wider["A"] = [*_beside(part["A"], F), *linalg.zeros(k, model.n + k)]
-    if part["B"] and part["B"][0]:
-        wider["B"] = [*part["B"], *linalg.zeros(k, model.m)]
-    if part["C"]:
-        wider["C"] = _beside(part["C"], D_v)
-    return wider
+    A, B, C = part["A"], part["B"], part["C"]
+    if A:
+        A = linalg.beside(A, F) + linalg.zeros(k, model.n + k)
+    if B and B[0]:
+        B = B + linalg.zeros(k, model.m)
+    if C:
+        C = linalg.beside(C, D_v)
+    return {"A": A, "B": B, "C": C, "D": part["D"]}
 
 
-def _beside(left, right):
-    return [[*row, *more] for row, more in zip(left, right, strict=True)]
-
-
-def _picked(rows, columns):
-    return [[row[j] for j in columns] for row in rows]
-
-
-def _less(a, b):
-    return [[x - y for x, y in zip(row, other, strict=True)] for row, other in zip(a, b, strict=True)]
-
-
-def _tuple(rows):
-    return tuple(map(tuple, rows))
+def _less(a: Matrix, b: Matrix) -> Matrix:
+    """Return a - b."""
+    return tuple(linalg.add_multiple(row, -1, other) for row, other in zip(a, b, strict=True))

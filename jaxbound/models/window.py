@@ -18,6 +18,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from functools import lru_cache
+from itertools import chain
 
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector
@@ -47,7 +48,9 @@ def input_lags(model: LinearSystem, horizon: int) -> int:
 
 def unknown_lags(model: LinearSystem, horizon: int) -> int:
     """Return how many samples of v a window of s + 1 outputs depends on: s, or s + 1 with D_v."""
-    return (horizon + 1 if model.has_direct_unknown else horizon) if model.d else 0
+    if not model.d:
+        return 0
+    return horizon + 1 if model.has_direct_unknown else horizon
 
 
 def bounded_sums(model: LinearSystem) -> tuple[BoundedSum, ...]:
@@ -74,7 +77,7 @@ def unbounded(model: LinearSystem, horizon: int) -> Matrix:
     """
     blocks = _outputs_on_state(model, horizon)
     through = _toeplitz(blocks, model.F, model.D_v, unknown_lags(model, horizon))
-    return tuple(o + v for o, v in zip((row for block in blocks for row in block), through, strict=True))
+    return linalg.beside(tuple(chain.from_iterable(blocks)), through)
 
 
 def _outputs_on_state(model: LinearSystem, horizon: int) -> list[Matrix]:
@@ -90,30 +93,28 @@ def _toeplitz(outputs_on_state: list[Matrix], drive: Matrix, direct: Matrix, lag
     outputs, `lags` samples of it.
     """
     width, p = len(direct[0]), len(direct)
-    still = tuple((ZERO,) * width for _ in direct)
-    responses = (
-        [direct] + [linalg.matmul(block, drive) if drive else still for block in outputs_on_state[:-1]]
-        if width
-        else []
-    )
-    return tuple(
-        tuple(responses[j - k][i][c] if j >= k else ZERO for k in range(lags) for c in range(width))
-        for j in range(len(outputs_on_state))
-        for i in range(p)
-    )
+    if not width:
+        return ((),) * (p * len(outputs_on_state))
+    responses = [direct]  # to one sample, so many samples later
+    for block in outputs_on_state[:-1]:
+        responses.append(linalg.matmul(block, drive) if drive else linalg.zeros(p, width))
+    rows: list[Vector] = []
+    for j in range(len(outputs_on_state)):
+        past = [responses[j - k] for k in range(min(j + 1, lags))]
+        later = linalg.zeros(p, width * (lags - len(past)))
+        rows += linalg.beside(*past, later)
+    return tuple(rows)
 
 
 def first_form(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
     """Return (O, H) with Y = O x_k + H U for an exact plant. Source: (3)."""
     blocks = _outputs_on_state(model, horizon)
-    return tuple(row for block in blocks for row in block), _toeplitz(
-        blocks, model.B, model.D, input_lags(model, horizon)
-    )
+    return tuple(chain.from_iterable(blocks)), _toeplitz(blocks, model.B, model.D, input_lags(model, horizon))
 
 
 def disturbance_form(model: LinearSystem, horizon: int) -> Matrix:
     """Return V with Y = O x_k + H U + V w for an exact plant."""
-    none = tuple((ZERO,) * model.g for _ in range(model.p))
+    none = linalg.zeros(model.p, model.g)  # a disturbance acts on the next state first
     return _toeplitz(_outputs_on_state(model, horizon), model.G, none, horizon)
 
 
@@ -125,15 +126,15 @@ def unknowns(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
     weighted sums of rows before.
     """
     O, H = first_form(model, horizon)
-    G_v = tuple(row[model.n :] for row in unbounded(model, horizon))
     V = disturbance_form(model, horizon)
+    G_v = tuple(row[model.n :] for row in unbounded(model, horizon))
     count = model.g * horizon
-    nothing = (ZERO,) * len(G_v[0])
-    own = tuple(
-        (ZERO,) * model.n + tuple(Fraction(int(i == j)) for j in range(count)) + nothing for i in range(count)
+    # the disturbances as rows of their own: 1 at themselves
+    own = linalg.beside(
+        linalg.zeros(count, model.n), linalg.identity(count), linalg.zeros(count, len(G_v[0]))
     )
-    lags = model.m * input_lags(model, horizon)
-    E, K = tuple(o + w + v for o, w, v in zip(O, V, G_v, strict=True)) + own, H + ((ZERO,) * lags,) * count
+    E = linalg.beside(O, V, G_v) + own
+    K = H + linalg.zeros(count, model.m * input_lags(model, horizon))
     rows = window_rows(model, horizon)
     F = [_spread(rows, row) for row in rows.of_sums]
     return E + linalg.matmul(F, E), K + linalg.matmul(F, K)
@@ -151,19 +152,24 @@ def second_form(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix, Matr
     """Return (L, M, N, H) with Y = L X + H U and M X = N U for an exact plant, X = (x_k, .., x_{k+s}, v_k,
     ..). Source: (10)-(12).
     """
-    n, m, lags, unknown = model.n, model.m, input_lags(model, horizon), unknown_lags(model, horizon)
-    L, H, M, N = [], [], [], []
-    for j in range(horizon + 1):
+    s, n, m, d = horizon, model.n, model.m, model.d
+    lags, unknown = input_lags(model, s), unknown_lags(model, s)
+    L, M, N, H = [], [], [], []
+    for j in range(s + 1):
         for i in range(model.p):
-            L.append(_blocks(horizon + 1, n, {j: model.C[i]}) + _blocks(unknown, model.d, {j: model.D_v[i]}))
-            H.append(_blocks(lags, m, {j: model.D[i]}) if j < lags else (ZERO,) * (lags * m))
-    for j in range(horizon):
-        for i in range(n):
-            step = {j: model.A[i], j + 1: tuple(Fraction(-int(i == c)) for c in range(n))}
-            M.append(_blocks(horizon + 1, n, step) + _blocks(unknown, model.d, {j: model.F[i]}))
-            N.append(_blocks(lags, m, {j: tuple(-x for x in model.B[i])}))
+            L.append(_placed(s + 1, n, {j: model.C[i]}) + _placed(unknown, d, {j: model.D_v[i]}))
+            H.append(_placed(lags, m, {j: model.D[i]}))
+    for j in range(s):
+        for i, one in enumerate(linalg.identity(n)):
+            step = {j: model.A[i], j + 1: linalg.scale(one, -1)}
+            M.append(_placed(s + 1, n, step) + _placed(unknown, d, {j: model.F[i]}))
+            N.append(_placed(lags, m, {j: linalg.scale(model.B[i], -1)}))
     return tuple(L), tuple(M), tuple(N), tuple(H)
 
 
-def _blocks(count: int, width: int, filled: Mapping[int, Vector]) -> Vector:
-    return tuple(x for j in range(count) for x in filled.get(j, (ZERO,) * width))
+def _placed(count: int, width: int, blocks: Mapping[int, Vector]) -> Vector:
+    """Return a row of so many blocks of one width, zeros where none is given."""
+    row: list[Fraction] = []
+    for j in range(count):
+        row += blocks.get(j, (ZERO,) * width)
+    return tuple(row)

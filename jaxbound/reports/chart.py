@@ -13,21 +13,31 @@ import numpy as np
 
 from jaxbound.plots.canvas import to_png
 from jaxbound.plots.plot import plot
-from jaxbound.reports.clock import Clock
+from jaxbound.reports.clock import AxisClock
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.characters import printable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Charts", "Piece", "Row", "band_key", "coded", "picture_of", "piece_of", "plain", "usual_step"]
+__all__ = [
+    "Charts",
+    "ChartPiece",
+    "ChartRow",
+    "band_key",
+    "coded",
+    "picture_of",
+    "piece_of",
+    "plain",
+    "usual_step",
+]
 
 VALUES = 80_000  # numbers of the whole recording in a page
 DPI = 80  # of the picture for readers without scripts
 
 
 @dataclass(frozen=True)
-class Row:
+class ChartRow:
     """One chart below the others.
 
     Fields: key: of its numbers; name; unit; kind: "signal", "margin", "combination" or "enclosed"; steps:
@@ -43,7 +53,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Piece:
+class ChartPiece:
     """A stretch of a recording: x (n,) s; status (n,), the worst of each bin; low, high: {key: (n,)},
     extremes of each bin.
 
@@ -56,28 +66,28 @@ class Piece:
     high: dict[str, np.ndarray]
     binned: bool = False
 
-    def reduced(self, most: int) -> "Piece":
+    def reduced(self, most: int) -> "ChartPiece":
         """Return the same stretch as the extremes of at most so many bins."""
         if len(self.x) <= most:
             return self
         edges = np.linspace(0, len(self.x), most, endpoint=False).astype(int)
         low = {key: np.fmin.reduceat(z, edges) for key, z in self.low.items()}
         high = {key: np.fmax.reduceat(z, edges) for key, z in self.high.items()}
-        return Piece(self.x[edges], np.maximum.reduceat(self.status, edges), low, high, True)
+        return ChartPiece(self.x[edges], np.maximum.reduceat(self.status, edges), low, high, True)
 
-    def fitting(self) -> "Piece":
+    def fitting(self) -> "ChartPiece":
         """Return the same stretch in no more numbers than a page takes."""
         twice = [key for key, high in self.high.items() if high is not self.low[key]]
         if len(self.x) * (len(self.low) + len(twice)) <= VALUES:
             return self
         return self.reduced(VALUES // (2 * len(self.low)))
 
-    def cut(self, first: int, stop: int) -> "Piece":
+    def cut(self, first: int, stop: int) -> "ChartPiece":
         """Return the points first .. stop - 1."""
         part = slice(first, stop)
         low = {key: z[part] for key, z in self.low.items()}
         high = {key: z[part] for key, z in self.high.items()}
-        return Piece(self.x[part], self.status[part], low, high, self.binned)
+        return ChartPiece(self.x[part], self.status[part], low, high, self.binned)
 
 
 @dataclass(frozen=True)
@@ -86,18 +96,18 @@ class Charts:
 
     Fields:
         rows: charts from top to bottom. clock: how times are written. samples: of the recording. last: time
-            of the last one, in s. whole: a Piece of all. near: stretches sample by sample, as `plain` returns
-            them.
+            of the last one, in s. whole: a ChartPiece of all. near: stretches sample by sample, as `plain`
+            returns them.
         begin, end: the time that is shown closer at first, in s. about: its place, in words. alarms: [number,
             begin, end, worst, in s] of each; alarm: the number of the one that is shown at first; -1: none.
     """
 
-    rows: Sequence[Row]
-    clock: Clock
+    rows: Sequence[ChartRow]
+    clock: AxisClock
     samples: int
     last: float
     step: float
-    whole: Piece
+    whole: ChartPiece
     near: Sequence[Mapping[str, Any]]
     begin: float
     end: float
@@ -136,7 +146,7 @@ def piece_of(
     status: np.ndarray,
     series: Mapping[str, np.ndarray],
     bands: Mapping[str, Interval] | None = None,
-) -> Piece:
+) -> ChartPiece:
     """Return a stretch sample by sample. series: {key: (T,)}; bands: of `band_key`s, not drawn where nothing
     is known, or nothing left (lo > hi).
     """
@@ -145,7 +155,7 @@ def piece_of(
         lo, hi = np.asarray(band.lo), np.asarray(band.hi)
         there = np.isfinite(lo) & np.isfinite(hi) & (lo <= hi)
         low[key], high[key] = np.where(there, lo, np.nan), np.where(there, hi, np.nan)
-    return Piece(np.asarray(x, float), np.asarray(status), low, high)
+    return ChartPiece(np.asarray(x, float), np.asarray(status), low, high)
 
 
 def band_key(key: str) -> str:
@@ -153,8 +163,8 @@ def band_key(key: str) -> str:
     return f"{key}:band"
 
 
-def plain(piece: Piece) -> dict[str, Any]:
-    """Return a Piece as JSON has it: numbers as base64 of float32, times as (first, step) where they are
+def plain(piece: ChartPiece) -> dict[str, Any]:
+    """Return a ChartPiece as JSON has it: numbers as base64 of float32, times as (first, step) where they are
     even.
     """
     series = {}

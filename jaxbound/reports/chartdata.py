@@ -18,8 +18,8 @@ from jaxbound.plots.combination import combination, expected_readings
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.uncertain import UncertainRelations
-from jaxbound.reports.chart import Charts, Piece, Row, band_key, coded, piece_of, plain, usual_step
-from jaxbound.reports.clock import Clock, axis_of, clock_of
+from jaxbound.reports.chart import ChartPiece, ChartRow, Charts, band_key, coded, piece_of, plain, usual_step
+from jaxbound.reports.clock import AxisClock, axis_of, clock_of
 from jaxbound.runs.digest import Digest
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
@@ -67,7 +67,7 @@ def charts(
     spans = [alarms[i] for i in sorted(chosen)]
     times = [[float(x(k)) for k in (alarm.start, alarm.end, alarm.worst)] for alarm in spans]
     return Charts(
-        rows=[*_combinations(res.relations), Row("margin", "margin", kind="margin"), *signals, *states],
+        rows=[*_combinations(res.relations), ChartRow("margin", "margin", kind="margin"), *signals, *states],
         clock=clock,
         samples=samples,
         last=float(x(samples - 1)),
@@ -82,27 +82,29 @@ def charts(
     )
 
 
-def signal_rows(res: Result | Digest) -> list[Row]:
-    """Return a Row for each output and each input; an input holds until its next sample."""
+def signal_rows(res: Result | Digest) -> list[ChartRow]:
+    """Return a ChartRow for each output and each input; an input holds until its next sample."""
     model = res.relations.model
-    outputs = [Row(f"s{i}", name, model.unit(name)) for i, name in enumerate(model.outputs)]
+    outputs = [ChartRow(f"s{i}", name, model.unit(name)) for i, name in enumerate(model.outputs)]
     inputs = [
-        Row(f"s{model.p + i}", name, model.unit(name), steps=True) for i, name in enumerate(model.inputs)
+        ChartRow(f"s{model.p + i}", name, model.unit(name), steps=True) for i, name in enumerate(model.inputs)
     ]
     return outputs + inputs
 
 
 def _whole(
-    res: Result, recording: Recording, signals: Sequence[Row]
-) -> tuple[Piece, Callable[[int], float], Clock]:
-    """Return the Piece of a Result, the time of a sample by its number, and the Clock."""
+    res: Result, recording: Recording, signals: Sequence[ChartRow]
+) -> tuple[ChartPiece, Callable[[int], float], AxisClock]:
+    """Return the ChartPiece of a Result, the time of a sample by its number, and the AxisClock."""
     time, clock = axis_of(recording, len(res.status), res.relations.model.dt)
     series = {"margin": res.margin, **_signals(res.u, res.y, signals)}
     bands = bands_of(res, slice(0, len(time)))
     return piece_of(time, res.status, series, bands).fitting(), time.__getitem__, clock
 
 
-def _digested(res: Digest, signals: Sequence[Row]) -> tuple[Piece, Callable[[int], float], Clock]:
+def _digested(
+    res: Digest, signals: Sequence[ChartRow]
+) -> tuple[ChartPiece, Callable[[int], float], AxisClock]:
     """Return the same of a Digest: its signals are in a file, of which the extremes are known."""
     line = res.line
     assert line.x is not None, "a Digest has all of its samples in its line"
@@ -117,23 +119,23 @@ def _digested(res: Digest, signals: Sequence[Row]) -> tuple[Piece, Callable[[int
     least, most = res.signals or ((), ())
     for row, lowest, highest in zip(signals, least, most, strict=False):
         low[row.key], high[row.key] = lowest, highest
-    piece = Piece(x, line.status, low, high, len(x) < res.samples)
+    piece = ChartPiece(x, line.status, low, high, len(x) < res.samples)
     return piece.fitting(), res.time.__getitem__, clock
 
 
-def _signals(u: np.ndarray, y: np.ndarray, signals: Sequence[Row]) -> dict[str, np.ndarray]:
+def _signals(u: np.ndarray, y: np.ndarray, signals: Sequence[ChartRow]) -> dict[str, np.ndarray]:
     """Return {key: (T,)} of the signals shown: outputs, then inputs."""
     columns = np.concatenate([y, u], 1).T
     return {row.key: column for row, column in zip(signals, columns, strict=False)}
 
 
-class Stretch:
+class ChartStretch:
     """Samples one by one, with the combination that each alarm among them violates.
 
-    first, stop: numbers of the samples; piece: their Piece. begin: the number of the first one in `res`.
+    first, stop: numbers of the samples; piece: their ChartPiece. begin: the number of the first one in `res`.
     """
 
-    def __init__(self, res: Result, first: int, stop: int, piece: Piece, begin: int) -> None:
+    def __init__(self, res: Result, first: int, stop: int, piece: ChartPiece, begin: int) -> None:
         """Begin without alarms."""
         self.res, self.first, self.stop, self.piece, self.begin = res, first, stop, piece, begin
         self.combined: dict[int, tuple[str, np.ndarray]] = {}
@@ -163,19 +165,19 @@ class Stretch:
 def _stretches(
     res: Result | Digest,
     x: Callable[[int], float],
-    signals: Sequence[Row],
+    signals: Sequence[ChartRow],
     alarms: Sequence[Alarm],
     chosen: Sequence[int],
     why: Mapping[int, object],
     worst: int | None,
-) -> list[Stretch]:
+) -> list[ChartStretch]:
     """Return the stretches around alarms, as many as patience allows, or that around the tightest window."""
     if not chosen:
         only = _stretch(res, x, worst or 0, signals)
         only.combine(-1, _explained(res, worst))
         return [only]
     begun = clock_time.perf_counter()
-    found: list[Stretch] = []
+    found: list[ChartStretch] = []
     for i in chosen:
         home = next((stretch for stretch in found if stretch.holds(alarms[i].worst)), None)
         if home is None:
@@ -188,8 +190,10 @@ def _stretches(
     return found
 
 
-def _stretch(res: Result | Digest, x: Callable[[int], float], sample: int, signals: Sequence[Row]) -> Stretch:
-    """Return the Stretch around one sample."""
+def _stretch(
+    res: Result | Digest, x: Callable[[int], float], sample: int, signals: Sequence[ChartRow]
+) -> ChartStretch:
+    """Return the ChartStretch around one sample."""
     samples = res.samples if isinstance(res, Digest) else len(res.status)
     first = max(min(sample - SPAN // 2, samples - SPAN), 0)
     stop, begin = min(first + SPAN, samples), first
@@ -206,21 +210,21 @@ def _stretch(res: Result | Digest, x: Callable[[int], float], sample: int, signa
         **_uncertain(res, ends),
     }
     piece = piece_of(time, res.status[ends], series, bands_of(res, ends))
-    return Stretch(res, first, stop, piece, begin)
+    return ChartStretch(res, first, stop, piece, begin)
 
 
 @singledispatch
-def state_rows(res: object) -> list[Row]:
-    """Return a Row for each state that is enclosed: none of windows."""
+def state_rows(res: object) -> list[ChartRow]:
+    """Return a ChartRow for each state that is enclosed: none of windows."""
     return []
 
 
 @state_rows.register
-def _(res: ObserverResult) -> list[Row]:
+def _(res: ObserverResult) -> list[ChartRow]:
     """Return those of an observer."""
     model = res.relations.model
     states = model.states[:STATES]
-    return [Row(f"x{i}", f"state {name}", model.unit(name)) for i, name in enumerate(states)]
+    return [ChartRow(f"x{i}", f"state {name}", model.unit(name)) for i, name in enumerate(states)]
 
 
 @singledispatch
@@ -288,11 +292,11 @@ def _explained(res: Result | Digest, worst: int | None) -> object:
     return None
 
 
-def _combinations(relations: object) -> Iterator[Row]:
+def _combinations(relations: object) -> Iterator[ChartRow]:
     """Yield the Rows of combinations: one that certificates state, or each relation alone."""
     if not isinstance(relations, UncertainRelations):
-        yield Row("combination", COMBINED, kind="combination")
+        yield ChartRow("combination", COMBINED, kind="combination")
         return
     for j, line in enumerate(relations.text().splitlines()[:RELATIONS]):
         name = line if len(line) <= TITLE else f"{line[: TITLE - 3]}..."
-        yield Row(f"c{j}", name, kind="combination")
+        yield ChartRow(f"c{j}", name, kind="combination")

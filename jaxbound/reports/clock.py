@@ -13,7 +13,7 @@ import numpy as np
 from jaxbound.recordings.recording import Recording
 from jaxbound.text.characters import printable
 
-__all__ = ["Clock", "axis_of", "clock_of", "shown_time"]
+__all__ = ["AxisClock", "axis_of", "clock_of", "shown_time"]
 
 EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
 ORDERS = ("Ymd", "dmY", "mdY", "")
@@ -21,7 +21,7 @@ ISO = ("Y4", "-", "m2", "-", "d2", " ", "H2", ":", "M2", ":", "S2")
 TRIED = 9  # labels that a pattern is checked with
 
 
-class Clock:
+class AxisClock:
     """How the time x of a sample, in s, is written.
 
     Fields: tokens: ("d2", ".", "m2", ...), a field and its least number of digits, or text as it is; empty:
@@ -40,7 +40,7 @@ class Clock:
         """Return a time as text.
 
         Example:
-            >>> Clock(ISO, 1.7e9).text(60.0), Clock(unit=" s", digits=2).text(0.30000001)
+            >>> AxisClock(ISO, 1.7e9).text(60.0), AxisClock(unit=" s", digits=2).text(0.30000001)
             ('2023-11-14 22:14:20', '0.3 s')
         """
         if self.tokens:
@@ -56,8 +56,8 @@ class Clock:
         return vars(self) | shown
 
 
-def axis_of(recording: Recording, samples: int, step: float) -> tuple[np.ndarray, Clock]:
-    """Return (time of each sample, Clock) of a recording in memory. step: usual seconds between two, of a
+def axis_of(recording: Recording, samples: int, step: float) -> tuple[np.ndarray, AxisClock]:
+    """Return (time of each sample, AxisClock) of a recording in memory. step: usual seconds between two, of a
     recording of one sample.
     """
     if not _goes_on(recording.time):
@@ -87,8 +87,8 @@ def _goes_on(time: np.ndarray | None) -> bool:
 
 def clock_of(
     label: Callable[[int], str], time: np.ndarray, stamp: np.datetime64 | None, samples: int, step: float
-) -> Clock:
-    """Return the Clock of a recording.
+) -> AxisClock:
+    """Return the AxisClock of a recording.
 
     Args:
         label: text of the time of a sample. time: (k,) s of the samples `0 .. samples - 1`, evenly picked,
@@ -103,8 +103,10 @@ def clock_of(
     return _dated(texts, at, stamp, float(time[0])) or _counted(texts[0], step)
 
 
-def _dated(texts: Sequence[str], at: np.ndarray, stamp: np.datetime64 | None, first: float) -> Clock | None:
-    """Return the Clock whose pattern gives all texts at their times, ISO where none does; None: no clock."""
+def _dated(
+    texts: Sequence[str], at: np.ndarray, stamp: np.datetime64 | None, first: float
+) -> AxisClock | None:
+    """Return the clock whose pattern gives all texts at their times, ISO where none does; None: no clock."""
     base = _midnight(texts[0]) if stamp is None else float((stamp - EPOCH) / SECOND)
     if base is None:
         return None
@@ -113,18 +115,18 @@ def _dated(texts: Sequence[str], at: np.ndarray, stamp: np.datetime64 | None, fi
     bodies = [text.removesuffix(zone) for text in texts]
     for tokens in _candidates(body):
         if all(_written(tokens, shifted + x) == text for x, text in zip(at, bodies, strict=True)):
-            return Clock((*tokens, zone) if zone else tokens, shifted - first)
+            return AxisClock((*tokens, zone) if zone else tokens, shifted - first)
     if stamp is None:
         return None
-    return Clock((*ISO, " UTC") if zone else ISO, base - first)
+    return AxisClock((*ISO, " UTC") if zone else ISO, base - first)
 
 
-def _counted(text: str, step: float) -> Clock:
-    """Return the Clock of times that are numbers, written as in a text; step: usual seconds between two."""
+def _counted(text: str, step: float) -> AxisClock:
+    """Return the clock of times that are numbers, written as in a text; step: usual seconds between two."""
     if text.startswith("sample "):
-        return Clock(before="sample ")
+        return AxisClock(before="sample ")
     digits = max(0, 2 - math.floor(math.log10(step or 1.0)))
-    return Clock(digits=digits, unit=" s" if text.endswith(" s") else "")
+    return AxisClock(digits=digits, unit=" s" if text.endswith(" s") else "")
 
 
 def _zone(text: str) -> tuple[str, str]:

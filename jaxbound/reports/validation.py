@@ -12,7 +12,7 @@ from jax.typing import ArrayLike
 from jaxbound.plots.validation import ValidatedRecording
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.sentence import looked_at
-from jaxbound.reports.chart import Charts, Piece, Row, band_key, picture_of, plain, usual_step
+from jaxbound.reports.chart import ChartPiece, ChartRow, Charts, band_key, picture_of, plain, usual_step
 from jaxbound.reports.clock import axis_of, shown_time
 from jaxbound.reports.page import TITLE, render
 from jaxbound.reports.parts import computed, model_values
@@ -94,13 +94,13 @@ def charts(res: ValidatedReport, recording: Recording, shown: Sequence[str]) -> 
     one.
     """
     time, clock = axis_of(recording, len(res.y), res.model.dt)
-    piece = Piece(time, res.status, *_extremes(res, len(shown)))
+    piece = ChartPiece(time, res.status, *_extremes(res, len(shown)))
     whole = piece.fitting()
     faulty = np.asarray(res.found.faulty).any(1)
     first = max(min(int(np.argmax(faulty)) - NEAR // 4, len(time) - NEAR), 0)
     close = piece.cut(first, first + NEAR)
     return Charts(
-        rows=[Row(f"y{i}", name, res.model.unit(name), "enclosed") for i, name in enumerate(shown)],
+        rows=[ChartRow(f"y{i}", name, res.model.unit(name), "enclosed") for i, name in enumerate(shown)],
         clock=clock,
         samples=len(time),
         last=float(time[-1]),

@@ -20,11 +20,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from jaxbound.consistency.engine import in_order, stretches_for
-from jaxbound.consistency.interface import FAMILIES
 from jaxbound.diagnosis.again import again_hints
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import outgrown
-from jaxbound.estimation.observer import observer
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.modelfile import load_model
 from jaxbound.models.system import LinearSystem
@@ -34,11 +32,11 @@ from jaxbound.recordings.expressions import missing_column
 from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.read import open_source
 from jaxbound.recordings.recording import Recording
-from jaxbound.relations.parity import parity_relations
 from jaxbound.relations.sentence import remembers
 from jaxbound.runs.continuation import Continuation, alone, beside, followed
 from jaxbound.runs.endings import ending_hints
 from jaxbound.runs.loop import follow
+from jaxbound.runs.relations import relations_by
 from jaxbound.runs.summary import CODES, OUTSIDE, Summary, summarised
 from jaxbound.text.objects import readable
 
@@ -355,7 +353,7 @@ class _Reader:
             longest = self._longest(model)
             refuse_short(unit.recording, recording.samples, longest if how.ahead == AHEAD else None)
         if relations is None:
-            relations = self._relations(model)
+            relations = relations_by(how.method, model, how.horizon, lags=how.lags, options=how.options)
         if self.shared[unit.model] > 1:
             self.models[unit.model] = model, relations
         if how.state is None:
@@ -369,14 +367,6 @@ class _Reader:
         if self.how.lags:
             return max(self.how.lags)
         return model.horizon if self.how.horizon is None else self.how.horizon
-
-    def _relations(self, model: LinearSystem) -> object:
-        """Return the relations of a model by the method, or its observer."""
-        if self.how.method in FAMILIES:
-            return FAMILIES[self.how.method](model, self.how.horizon)
-        if self.how.method == SetObserver.method:
-            return observer(model, horizon=self.how.horizon, **self.how.options or {})
-        return parity_relations(model, self.how.horizon, lags=self.how.lags)
 
 
 class _Given(NamedTuple):

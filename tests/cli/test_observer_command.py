@@ -224,7 +224,7 @@ def test_windows_that_remember_say_the_same_in_memory_in_parts_through_a_pipe_an
     monkeypatch.setattr(streaming, "LEAST", 1)
     assert detect("-q", *JOINT, "--chunk", "33", out="parts", data="run.parquet") == 1
     lines = (place / "run.csv").read_bytes().splitlines(keepends=True)
-    options = MethodOptions("observer", observer="joint", span=8)
+    options = MethodOptions("observer", observer="joint", settings={"window": 8})
     follow = partial(piped.judge_stream, "plant.toml", options=options, out=place / "pipe")
     assert follow([b"".join(lines[:70]), None]) == 0
     assert follow([b"".join(lines[70:100]), *lines[100:]]) == 1
@@ -305,7 +305,12 @@ def test_a_digest_proves_a_contradiction_from_few_samples(place, monkeypatch):
         (("--method", "box", "--observer", "joint"), "--observer is for --method observer"),
         (("--span", "8"), "--span is for --observer joint"),
         (("--observer", "strips", "--span", "8"), "--span is for --observer joint"),
-        (("--observer", "joint", "--span", "9"), "--span needs an even number of samples, not 9"),
+        (("--observer", "joint", "--constraints", "8"), "--constraints is for --observer constrained"),
+        (("--method", "box", "--span", "8"), "--span is for --method observer"),
+        (
+            ("--observer", "joint", "--span", "9"),
+            "--span: window must be an even number of samples >= 4",
+        ),
         (("--part", "1/2"), "--part is for windows: an observer carries what it knows from sample to sample"),
     ],
 )

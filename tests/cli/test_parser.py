@@ -68,7 +68,7 @@ def test_completion_yields_commands_options_choices_and_files(tmp_path):
     (tmp_path / "plant.toml").touch()
     assert completed("jaxbound de", tmp_path) == {"demo", "detect"}
     assert completed("jaxbound detect --me", tmp_path) == {"--merge", "--method"}
-    assert completed("jaxbound detect --observer ", tmp_path) == set(options.OBSERVERS)
+    assert completed("jaxbound detect --observer ", tmp_path) == set(methods.OBSERVERS)
     assert completed("jaxbound info pl", tmp_path) == {"plant.toml"}
 
 
@@ -102,5 +102,10 @@ def test_methods_are_those_of_the_tests_of_windows():
     assert tuple(options.METHODS.split(", ")) == METHODS
 
 
-def test_observers_are_those_that_are_registered():
-    assert set(options.OBSERVERS) == set(methods.OBSERVERS)
+def test_an_observer_lists_its_own_options_for_every_command_that_observes():
+    detect = main.commands()["detect"]
+    for kind in methods.OBSERVERS.values():
+        assert f"{kind.name}: {kind.about}" in " ".join(detect.format_help().split())
+        for option in kind.shell:
+            args = detect.parse_args(["m.toml", "d.csv", option.flag, str(option.least)])
+            assert options.MethodOptions.of(args).settings == {option.field: option.least}

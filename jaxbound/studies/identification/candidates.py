@@ -21,7 +21,8 @@ from jaxbound.studies.identification.regression import Scales
 from jaxbound.studies.identification.sizes import blindness
 
 __all__ = """
-    KINDS Candidate Problem Trial all_consistent candidate explains first_trials largest_need needs tested
+    KINDS Candidate FitProblem CandidateTrial all_consistent candidate explains first_trials largest_need
+    needs tested
 """.split()
 
 Relations = ParityRelation | UncertainRelations
@@ -34,7 +35,7 @@ exactly.
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class FitProblem:
     """A fit but for the recordings that a candidate sees.
 
     Fields:
@@ -52,8 +53,10 @@ class Problem:
     room: int
 
     @classmethod
-    def of(cls, records: Records, order: int, horizon: int, direct: bool, about: dict[str, Any]) -> "Problem":
-        """Return the Problem of fitting to all of these recordings."""
+    def of(
+        cls, records: Records, order: int, horizon: int, direct: bool, about: dict[str, Any]
+    ) -> "FitProblem":
+        """Return the FitProblem of fitting to all of these recordings."""
         scales = regression.scales_of(records)
         room = len(regression.windows_of(records, scales, horizon, regression.MOST).y)
         y = np.concatenate([r[1] for r in records])
@@ -74,7 +77,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class CandidateTrial:
     """A candidate fitted to the heads of the recordings, and the judgement of their tails.
 
     Fields:
@@ -88,7 +91,7 @@ class Trial:
     blindness: float
 
 
-def candidate(problem: Problem, records: Records, kind: str) -> Candidate:
+def candidate(problem: FitProblem, records: Records, kind: str) -> Candidate:
     """Return the Candidate of one of KINDS, fitted to recordings."""
     scales, order, horizon, direct = problem.scales, problem.order, problem.horizon, problem.direct
     p, m = len(problem.about["outputs"]), len(problem.about["inputs"])
@@ -124,13 +127,13 @@ def _refuse_few(records: Records, steps: int, windows: int, horizon: int, unknow
 
 
 def first_trials(
-    problem: Problem,
+    problem: FitProblem,
     kinds: Sequence[str],
     heads: Records,
     tails: Records,
     step: Callable[[float], object],
-) -> list[Trial]:
-    """Return a Trial of each kind. step: called with the share of the work done."""
+) -> list[CandidateTrial]:
+    """Return a CandidateTrial of each kind. step: called with the share of the work done."""
     trials = []
     for number, kind in enumerate(kinds):
         trials.append(_trial(problem, kind, heads, tails))
@@ -138,12 +141,12 @@ def first_trials(
     return trials
 
 
-def _trial(problem: Problem, kind: str, heads: Records, tails: Records) -> Trial:
+def _trial(problem: FitProblem, kind: str, heads: Records, tails: Records) -> CandidateTrial:
     first = candidate(problem, heads, kind)
     own = largest_need(needs(first.relations, heads))
     unseen = needs(first.relations, tails)
     covering = LinearSystem(**first.spec, noise=np.fmax(own, largest_need(unseen)) * first.spread)
-    return Trial(
+    return CandidateTrial(
         first,
         own * first.spread,
         tuple(x / own for x in unseen),

@@ -24,8 +24,8 @@ from jaxbound.studies.identification import advice
 from jaxbound.studies.identification.bounds import Means, rounded_up, verified
 from jaxbound.studies.identification.candidates import (
     KINDS,
-    Problem,
-    Trial,
+    CandidateTrial,
+    FitProblem,
     candidate,
     explains,
     first_trials,
@@ -122,7 +122,7 @@ def fit(
         about["lags"] = lags
     refuse_unverified()  # at the end the bounds are verified
     sentences = advice.inputs_at_rest(records, inputs, outputs)
-    problem = Problem.of(records, order, horizon, direct, about)
+    problem = FitProblem.of(records, order, horizon, direct, about)
     report(0.05)
 
     kind = "windows" if method == "auto" else method
@@ -211,7 +211,7 @@ def _is_whole(x: object) -> bool:
 
 
 def _unseen_with_means(
-    trial: Trial, samples: int, heads: Records, tails: Records, step: Callable[[float], object]
+    trial: CandidateTrial, samples: int, heads: Records, tails: Records, step: Callable[[float], object]
 ) -> list[np.ndarray]:
     """Return the needs of the tails once the means of so many errors are bounded as the heads allow."""
     head = LinearSystem(**trial.candidate.spec)

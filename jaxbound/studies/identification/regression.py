@@ -25,7 +25,7 @@ from jaxbound.studies.identification.records import Records
 
 __all__ = [
     "Scales",
-    "Windows",
+    "CompleteWindows",
     "coefficients",
     "growth",
     "least_squares",
@@ -52,7 +52,7 @@ class Scales:
 
 
 @dataclass(frozen=True)
-class Windows:
+class CompleteWindows:
     """Complete windows: u (N, s + 1, m), y (N, s + 1, p), and the number of the recording of each, (N,)."""
 
     u: np.ndarray
@@ -70,8 +70,8 @@ def scales_of(recordings: Records) -> Scales:
     return Scales(mu, positive(su, mu), my, positive(sy, my))
 
 
-def windows_of(recordings: Records, scales: Scales, horizon: int, most: int | None = None) -> Windows:
-    """Return the Windows of horizon + 1 samples, standardised, that are complete and cross no seam; at most
+def windows_of(recordings: Records, scales: Scales, horizon: int, most: int | None = None) -> CompleteWindows:
+    """Return the windows of horizon + 1 samples, standardised, that are complete and cross no seam; at most
     `most` of them, spread evenly.
 
     Args:
@@ -101,15 +101,17 @@ def windows_of(recordings: Records, scales: Scales, horizon: int, most: int | No
             for number in range(len(recordings))
         ]
     )
-    return Windows(gather(0, scales.u, scales.u_spread), gather(1, scales.y, scales.y_spread), chosen[:, 0])
+    return CompleteWindows(
+        gather(0, scales.u, scales.u_spread), gather(1, scales.y, scales.y_spread), chosen[:, 0]
+    )
 
 
-def least_squares(windows: Windows, order: int, direct: bool) -> tuple[np.ndarray, np.ndarray]:
+def least_squares(windows: CompleteWindows, order: int, direct: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return (theta, singular): coefficients ((order (p + m) + direct m + 1), p), one step ahead, and how
     well the regressors span, (., ).
 
     Args:
-        windows: Windows of order + 1 samples. direct: whether u_k acts on y_k.
+        windows: of order + 1 samples. direct: whether u_k acts on y_k.
     """
     u, y = windows.u, windows.y
     past = [y[:, order - i] for i in range(1, order + 1)] + [
@@ -195,13 +197,13 @@ def _around(theta, u, y, there, weight, order, direct):
 
 
 def refined(
-    theta: np.ndarray, windows: Windows, order: int, direct: bool, room: int = 0
+    theta: np.ndarray, windows: CompleteWindows, order: int, direct: bool, room: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (theta, spread): coefficients that minimise the window residuals, each output weighed by its own
     spread (p,).
 
     Args:
-        theta: where to begin, from `least_squares`. windows: Windows of s + 1 samples. room: at least so many
+        theta: where to begin, from `least_squares`. windows: of s + 1 samples. room: at least so many
             windows share a compilation.
     """
     given = _filled(windows, room)

@@ -20,7 +20,7 @@ from jaxbound.sets.floats.unrolled import stored
 from jaxbound.sets.strips.separation import Frame, separation_margin
 from jaxbound.sets.strips.strips import strip_margin
 from jaxbound.studies.montecarlo import kernel
-from jaxbound.studies.montecarlo.recursion import Plant
+from jaxbound.studies.montecarlo.recursion import FloatPlant
 from jaxbound.studies.montecarlo.scenarios import Act
 
 __all__ = ["attack_block", "worst_factor"]
@@ -96,7 +96,7 @@ def worst_factor(test: Reading, act: Act, onset: Array, u: Array, y: Array) -> t
 def attack_block(
     course: kernel.Course,
     test: Reading,
-    plant: Plant,
+    plant: FloatPlant,
     act: Act,
     limits: Array,
     u: Array | None,

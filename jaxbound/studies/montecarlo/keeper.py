@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxbound.files.checkpoint import Checkpoint
 from jaxbound.files.whole import whole
-from jaxbound.studies.montecarlo.tally import Tally
+from jaxbound.studies.montecarlo.tally import TrialTally
 
 __all__ = ["Keeper"]
 
@@ -23,7 +23,11 @@ class Keeper:
     """
 
     def __init__(
-        self, folder: str | os.PathLike, identity: Mapping[str, str], tallies: Sequence[Tally], rows: bool
+        self,
+        folder: str | os.PathLike,
+        identity: Mapping[str, str],
+        tallies: Sequence[TrialTally],
+        rows: bool,
     ) -> None:
         """Open a folder; take up the counts that a study with the same identity left there.
 

@@ -22,7 +22,7 @@ from jaxbound.consistency.reading import Reading
 from jaxbound.random.threefry import Array
 from jaxbound.sets.strips.strips import Strips, strip_verdict
 from jaxbound.studies.montecarlo import draws, recursion, scenarios
-from jaxbound.studies.montecarlo.recursion import Plant
+from jaxbound.studies.montecarlo.recursion import FloatPlant
 from jaxbound.studies.montecarlo.scenarios import Act
 
 __all__ = [
@@ -57,7 +57,7 @@ class Course:
 
 
 def unknown_draws(
-    course: Course, act: Act, plant: Plant, key: tuple[Array, Array], numbers: Array, k: Array
+    course: Course, act: Act, plant: FloatPlant, key: tuple[Array, Array], numbers: Array, k: Array
 ) -> Unknowns:
     """Return (theta, delta, share, extra) of step k: relative errors (None where there is no tolerance),
     noises, disturbances, fault.
@@ -103,7 +103,7 @@ def prepared(
 
 def move(
     act: Act,
-    plant: Plant,
+    plant: FloatPlant,
     unknowns: Unknowns,
     size: Array,
     onset: Array,
@@ -158,7 +158,7 @@ def recorded_input(u: Array | None, inputs: Array, k: Array, course: Course) -> 
 def count_block(
     course: Course,
     test: Reading,
-    plant: Plant,
+    plant: FloatPlant,
     act: Act,
     limits: Array,
     u: Array | None,
@@ -206,7 +206,7 @@ def count_block(
 
 @partial(jax.jit, static_argnums=0)
 def replay_block(
-    course: Course, plant: Plant, act: Act, limits: Array, u: Array | None, key: Array, numbers: Array
+    course: Course, plant: FloatPlant, act: Act, limits: Array, u: Array | None, key: Array, numbers: Array
 ) -> tuple[Array, Array, Array]:
     """Return the recordings that `count_block` tests: u (N, T, m), y (N, T, p), onset (N,)."""
     pair = key[0], key[1]

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from jaxbound.consistency.devices import everywhere, on_devices
 from jaxbound.consistency.engine import in_order
 from jaxbound.consistency.exchange import ExchangeTest
-from jaxbound.consistency.interface import relations_of
+from jaxbound.consistency.interface import Relations, relations_of
 from jaxbound.consistency.strips import StripsTest
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.conversion import ModelLike, as_model
@@ -41,9 +41,8 @@ from jaxbound.sets.floats.threads import inherited
 from jaxbound.sets.strips.strips import UNROLLED
 from jaxbound.studies.montecarlo import adversary, kernel, records, recursion, scenarios
 from jaxbound.studies.montecarlo.keeper import Keeper
-from jaxbound.studies.montecarlo.scenarios import Relations
 from jaxbound.studies.montecarlo.study_result import StudyResult
-from jaxbound.studies.montecarlo.tally import Tally
+from jaxbound.studies.montecarlo.tally import TrialTally
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -176,7 +175,7 @@ def study(
         "engine": run.__name__,
         "faults": [[t.label, t.sizes.tolist(), t.onset, t.length] for t in trials],
     }
-    tallies = [Tally(len(t.sizes), samples) for t in trials]
+    tallies = [TrialTally(len(t.sizes), samples) for t in trials]
     keeper = (
         None
         if out is None

@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.detection import detect
 from jaxbound.models.simulate import simulate
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.sentence import remembers
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.montecarlo import kernel, scenarios
-from jaxbound.studies.montecarlo.scenarios import Relations
 
 __all__ = ["count_recordings", "recording_block", "simulate_block"]
 

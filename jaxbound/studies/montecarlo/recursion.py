@@ -40,7 +40,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.random.threefry import Array
 from jaxbound.sets.floats import rounding
 
-__all__ = ["Plant", "fits", "plant_of", "reach", "rounding_room", "step"]
+__all__ = ["FloatPlant", "fits", "plant_of", "reach", "rounding_room", "step"]
 
 SHARE = 1e-2
 """Of the noise, that a study may take for rounding."""
@@ -48,7 +48,7 @@ SHARE = 1e-2
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class Plant:
+class FloatPlant:
     """The numbers of a model in floats; the noise is smaller by the room for rounding.
 
     Fields: A (n, n), B (n, m), C (p, n), D (p, m), G (n, g), tolerance, noise, offset_y (p,), offset_u (m,),
@@ -153,8 +153,8 @@ def _taken(model: LinearSystem, room: np.ndarray) -> list[float]:
     return [max(float(x - r), 0.0) for x, r in zip(room, map(float, model.resolution), strict=True)]
 
 
-def plant_of(model: LinearSystem, room: np.ndarray, dtype: np.dtype) -> Plant:
-    """Return the Plant of a model that `fits`, with `room` for rounding."""
+def plant_of(model: LinearSystem, room: np.ndarray, dtype: np.dtype) -> FloatPlant:
+    """Return the FloatPlant of a model that `fits`, with `room` for rounding."""
     noise = [
         float(rho) * (1 - 1e-15) - taken for rho, taken in zip(model.noise, _taken(model, room), strict=True)
     ]
@@ -164,7 +164,7 @@ def plant_of(model: LinearSystem, room: np.ndarray, dtype: np.dtype) -> Plant:
         rounding.round_down([b[1] for b in model.disturbance], dtype),
     )
     vector = lambda values: np.array([float(x) for x in values], dtype)
-    return Plant(
+    return FloatPlant(
         A.astype(dtype),
         B.astype(dtype),
         C.astype(dtype),
@@ -181,7 +181,7 @@ def plant_of(model: LinearSystem, room: np.ndarray, dtype: np.dtype) -> Plant:
 
 
 def step(
-    plant: Plant,
+    plant: FloatPlant,
     x: list[Array],
     applied: list[Array],
     theta: Sequence[Array | None],

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.detectability import detectable
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.faults import KINDS, Fault, refuse_unknown_signal
@@ -17,16 +18,10 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.random.threefry import Array
 from jaxbound.relations.bounds import model_bounds
 from jaxbound.relations.parity import ParityRelation
-from jaxbound.relations.redundancy import Redundancy
-from jaxbound.relations.residual import Residual
 from jaxbound.relations.sentence import remembers
-from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.studies.montecarlo import recursion
 
-__all__ = ["Act", "Relations", "Trial", "act_of", "changed", "largest_input", "trials"]
-
-Relations = ParityRelation | UncertainRelations | Redundancy | Residual | SetObserver
-"""Of a monitor: whatever `detect` takes."""
+__all__ = ["Act", "Trial", "act_of", "changed", "largest_input", "trials"]
 
 SIZELESS = ("stuck", "dropout")
 GRID = np.array([0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2])

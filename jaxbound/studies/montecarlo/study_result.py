@@ -8,7 +8,7 @@ import numpy as np
 from jaxbound.models.system import LinearSystem
 from jaxbound.studies.montecarlo.proportions import proportion_interval
 from jaxbound.studies.montecarlo.scenarios import Trial
-from jaxbound.studies.montecarlo.tally import Tally
+from jaxbound.studies.montecarlo.tally import TrialTally
 from jaxbound.text.objects import readable
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class StudyResult:
     model: LinearSystem
     horizon: int
     trials: tuple[Trial, ...]
-    tallies: tuple[Tally, ...]
+    tallies: tuple[TrialTally, ...]
     at: str
     samples: int
     confidence: float
@@ -152,7 +152,7 @@ def _columns(trial, tally, confidence):
     }
 
 
-def delay_quantile(tally: Tally, share: float) -> np.ndarray:
+def delay_quantile(tally: TrialTally, share: float) -> np.ndarray:
     """Return (S,) the least delay by which that share of all scenarios is detected, inf where it never is,
     nan without scenarios.
     """

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxbound.studies.montecarlo.proportions import proportion_interval, rate_interval
 
-__all__ = ["Tally"]
+__all__ = ["TrialTally"]
 
 SUMS = (
     "scenarios",
@@ -24,7 +24,7 @@ SUMS = (
 )
 
 
-class Tally:
+class TrialTally:
     """The counts of one Trial, per size.
 
     Fields, (S,) each: scenarios; detected: those with a FAULT window that the fault touches; hits, windows:

@@ -36,7 +36,7 @@ from jaxbound.studies.tuning.parametrization import Moving, unflatten
 if TYPE_CHECKING:
     import optax
 
-__all__ = ["RATE", "Problem", "default_optimizer", "descend", "gradient", "log_factors", "problem_of"]
+__all__ = ["RATE", "Objective", "default_optimizer", "descend", "gradient", "log_factors", "objective_of"]
 
 LogFactors = tuple[jax.Array, tuple[jax.Array, ...]]
 """log t (N,) of windows, and its slopes, arrays (., N) of a row a bound."""
@@ -50,7 +50,7 @@ TIE = 0.01  # weight of the width where faulty windows count
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class Problem:
+class Objective:
     """The numbers of a step beside the windows.
 
     Fields: test, the Reading of parity relations; relations, if uncertain ones take its place; log_safety;
@@ -68,17 +68,17 @@ class Problem:
     relations: UncertainRelations | None = field(metadata={"static": True})
 
 
-def problem_of(
+def objective_of(
     relations: ParityRelation | UncertainRelations, moved: Moving, safety: float, dtype: np.dtype
-) -> Problem:
-    """Return the Problem of tuning the bounds `moved` of relations for recordings of a float dtype."""
+) -> Objective:
+    """Return the Objective of tuning the bounds `moved` of relations for recordings of a float dtype."""
     fixed, select, weights, most = (
         jax.device_put(np.asarray(x, dtype)) for x in (moved.fixed, moved.select, moved.weights, moved.most)
     )
     own = relations if isinstance(relations, UncertainRelations) else None
     test = None if own else jax.device_put(relations.reading(dtype))
     log_safety = jax.device_put(np.log(np.asarray(safety, dtype)))
-    return Problem(test, fixed, select, weights, most, log_safety, moved.sizes, own)
+    return Objective(test, fixed, select, weights, most, log_safety, moved.sizes, own)
 
 
 @lru_cache(maxsize=1)
@@ -92,7 +92,7 @@ def default_optimizer() -> "optax.GradientTransformation":
 
 
 def descend(
-    problem: Problem,
+    problem: Objective,
     optimizer: "optax.GradientTransformation",
     every: int,
     state: "tuple[jax.Array, optax.OptState]",
@@ -106,7 +106,7 @@ def descend(
     """Make `every` steps, as far as there are that many.
 
     Args:
-        problem: a Problem. optimizer: an optax.GradientTransformation. state: (z (b,), the logarithms of the
+        optimizer: an optax.GradientTransformation. state: (z (b,), the logarithms of the
             values; that of the optimizer). first, steps: number of the first step, and how many there are in
             all. rate: (first, last) factor on what the optimizer says; between them half a period of a
             cosine.
@@ -134,7 +134,7 @@ def descend(
 
 
 def log_factors(
-    z: jax.Array, problem: Problem, u: jax.Array, y: jax.Array
+    z: jax.Array, problem: Objective, u: jax.Array, y: jax.Array
 ) -> tuple[jax.Array, tuple[jax.Array, ...]]:
     """Return log t (N,) of windows u (s + 1, m, N), y (s + 1, p, N) under the values exp(z), and its slopes,
     arrays (., N) of b rows.
@@ -179,7 +179,7 @@ def _advance(optimizer, problem, state, best, number, share, rate, inside, prese
 
 def gradient(
     z: jax.Array,
-    problem: Problem,
+    problem: Objective,
     share: float,
     number: int,
     inside: LogFactors,

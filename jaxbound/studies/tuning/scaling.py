@@ -22,7 +22,7 @@ from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.tuning.parametrization import Moving
 
-__all__ = ["Windows", "factors", "smallest_scale", "worst", "windows_of"]
+__all__ = ["JoinedRecordings", "factors", "smallest_scale", "worst", "joined_recordings"]
 
 FEW = 16  # worst windows that a test of all adds to those searched
 LEAST, MOST = 1e-12, 1e15  # factors looked at
@@ -30,7 +30,7 @@ NEAR_ONE = 0.999999  # of a tolerance
 
 
 @dataclass(frozen=True)
-class Windows:
+class JoinedRecordings:
     """Recordings laid end to end.
 
     Fields: u (T, m), y (T, p) NumPy; starts: samples (0 apart) that do not follow the one before; first:
@@ -68,7 +68,9 @@ class Windows:
         )
 
 
-def windows_of(model: LinearSystem, horizon: int, given: object, what: str = "healthy") -> Windows:
+def joined_recordings(
+    model: LinearSystem, horizon: int, given: object, what: str = "healthy"
+) -> JoinedRecordings:
     """Lay recordings end to end.
 
     Args:
@@ -100,7 +102,7 @@ def windows_of(model: LinearSystem, horizon: int, given: object, what: str = "he
         us.append(u)
         ys.append(y)
     inner = np.unique(np.array([s for s in starts if 0 < s < at], np.int64))
-    found = Windows(np.concatenate(us), np.concatenate(ys), inner, np.array(first))
+    found = JoinedRecordings(np.concatenate(us), np.concatenate(ys), inner, np.array(first))
     if found.without(horizon).all():
         raise ValueError(
             f"the {what} data hold no window of {horizon + 1} samples in a row: give longer recordings, or a "
@@ -109,7 +111,7 @@ def windows_of(model: LinearSystem, horizon: int, given: object, what: str = "he
     return found
 
 
-def factors(relations: ParityRelation | UncertainRelations, windows: Windows) -> np.ndarray:
+def factors(relations: ParityRelation | UncertainRelations, windows: JoinedRecordings) -> np.ndarray:
     """Return (T,) the factors t = 1 - margin of all windows, NaN where there is none or it has no data."""
     if isinstance(relations, UncertainRelations):  # the test gives the windows that it leaves open no size
         t = 1 - np.asarray(margins(relations, windows.u, windows.y))
@@ -126,13 +128,16 @@ def worst(t: np.ndarray, count: int) -> np.ndarray:
 
 
 def smallest_scale(
-    relations: ParityRelation | UncertainRelations, moved: Moving, values: np.ndarray, windows: Windows
+    relations: ParityRelation | UncertainRelations,
+    moved: Moving,
+    values: np.ndarray,
+    windows: JoinedRecordings,
 ) -> tuple[float, float]:
     """Enclose the smallest factor on `values` at which the proved test accepts every window.
 
     Args:
         relations: parity or uncertain ones. moved: a Moving. values: (b,) its values at the factor 1.
-            windows: Windows.
+            windows: JoinedRecordings.
 
     Returns:
         (low, high): at low the test proves some window inconsistent, so the true factor is above; at high it

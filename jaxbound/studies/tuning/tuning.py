@@ -25,9 +25,9 @@ from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.sizes import power
 from jaxbound.studies.tuning.confidence import Risk, blocks_of, held_out, risk_of, touched
-from jaxbound.studies.tuning.descent import BLOCK, RATE, default_optimizer, descend, problem_of
+from jaxbound.studies.tuning.descent import BLOCK, RATE, default_optimizer, descend, objective_of
 from jaxbound.studies.tuning.parametrization import model_with, moving
-from jaxbound.studies.tuning.scaling import factors, smallest_scale, windows_of, worst
+from jaxbound.studies.tuning.scaling import factors, joined_recordings, smallest_scale, worst
 from jaxbound.text.objects import readable
 
 if TYPE_CHECKING:
@@ -183,8 +183,8 @@ def tune(
     refuse_unverified()
     model, s, report = relations.model, relations.horizon, progress or (lambda share: None)
     moved = moving(relations, bounds, weights)
-    good = windows_of(model, s, healthy)
-    bad = None if faulty is None else windows_of(model, s, faulty, "faulty")
+    good = joined_recordings(model, s, healthy)
+    bad = None if faulty is None else joined_recordings(model, s, faulty, "faulty")
     if bad is not None:
         _refuse_same(good, bad)
     across, gone = good.across(s), good.without(s)
@@ -280,7 +280,7 @@ class _Search:
         """Make all steps, or those until an interruption."""
         optimizer, rate = (self.optimizer, (1.0, 1.0)) if self.optimizer else (default_optimizer(), RATE)
         dtype, s = self.good.y.dtype, self.relations.horizon
-        problem = problem_of(self.relations, self.moved, self.safety, dtype)
+        problem = objective_of(self.relations, self.moved, self.safety, dtype)
         z = jax.device_put(np.log(self.moved.start).astype(dtype))
         carry = z, optimizer.init(z)
         if self.file is not None:

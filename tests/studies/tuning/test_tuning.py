@@ -11,9 +11,9 @@ import pytest
 import jaxbound as jb
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.tuning import descent, tuning
-from jaxbound.studies.tuning.descent import gradient, log_factors, problem_of
+from jaxbound.studies.tuning.descent import gradient, log_factors, objective_of
 from jaxbound.studies.tuning.parametrization import moving
-from jaxbound.studies.tuning.scaling import smallest_scale, windows_of
+from jaxbound.studies.tuning.scaling import joined_recordings, smallest_scale
 from tests import tuning_case
 from tests.oracles import Plant
 from tests.systems import PAPER
@@ -109,11 +109,11 @@ def test_several_bounds_come_within_2_percent_of_the_program_over_all_of_them(gu
 def test_gradient_is_that_of_the_proved_scale(plant, s, rng):
     u, y = tuning_case.recording(Plant(**plant), 60, rng)
     r = relations(plant, s)
-    moved, good = moving(r), windows_of(r.model, s, (u, y))
+    moved, good = moving(r), joined_recordings(r.model, s, (u, y))
     value = lambda z: np.log(moved.total(np.exp(z))) + np.log(smallest_scale(r, moved, np.exp(z), good)[1])
     z = np.log(moved.start * np.exp(rng.uniform(-0.3, 0.3, len(moved.start))))
     z += np.log(smallest_scale(r, moved, np.exp(z), good)[1])
-    problem = problem_of(r, moved, 1.0, y.dtype)
+    problem = objective_of(r, moved, 1.0, y.dtype)
     ends = np.flatnonzero(~good.without(s))
     healthy = tuple(jnp.asarray(np.moveaxis(x, 0, 2)) for x in good.gather(ends, s))
     z = jnp.asarray(z)

@@ -1,0 +1,39 @@
+"""The numbers of a model's arguments, exact, and refused with the name of their field."""
+
+from fractions import Fraction
+from typing import TypeGuard, cast
+
+import numpy as np
+
+from jaxbound.exact import linalg
+from jaxbound.exact.linalg import Matrix, MatrixLike, Number
+
+__all__ = ["entries_of", "exact_matrix", "is_whole", "number"]
+
+
+def is_whole(x: object) -> TypeGuard[int]:
+    """Return whether something is a whole number: of Python or NumPy, and no bool."""
+    return isinstance(x, int | np.integer) and not isinstance(x, bool)
+
+
+def number(field: str, x: Number) -> Fraction:
+    """Return a number of a field exactly; raise ValueError with its name."""
+    try:
+        return linalg.rational(x)
+    except ValueError as e:
+        raise ValueError(f"{field}: {e}") from None
+
+
+def exact_matrix(field: str, a: MatrixLike | None) -> Matrix:
+    """Return a matrix exactly; raise ValueError with the name of its field."""
+    try:
+        return linalg.matrix(cast("MatrixLike", a))  # None is refused there
+    except (ValueError, TypeError) as e:
+        raise ValueError(f"{field}: {e}") from None
+
+
+def entries_of(field: str, a: MatrixLike | None) -> Matrix:
+    """Return a matrix exactly; () where it is left out or has no entry."""
+    if a is None or not np.size(np.asarray(a, object)):
+        return ()
+    return exact_matrix(field, a)

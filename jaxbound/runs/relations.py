@@ -1,0 +1,38 @@
+"""The relations that a run tests by, from the name of its method."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from jaxbound.consistency.interface import FAMILIES, OBSERVER, Relations
+from jaxbound.estimation.observer import observer
+from jaxbound.models.system import LinearSystem
+from jaxbound.relations.parity import parity_relations
+
+__all__ = ["relations_by"]
+
+
+def relations_by(
+    method: str,
+    model: LinearSystem,
+    horizon: int | None = None,
+    *,
+    lags: Sequence[int] | None = None,
+    options: Mapping[str, Any] | None = None,
+    progress: Callable[[float], object] | None = None,
+) -> Relations:
+    """Return the relations of a model for a method: a registered family, an observer, or parity relations.
+
+    Args:
+        method: the name of a family, "observer", or a method of `detect`.
+        horizon, lags: as for `parity_relations`; an observer and a family take no lags.
+        options: more keywords of `observer`.
+        progress: called with the share of the parity relations that are there.
+
+    Raises:
+        ValueError: no relation, or no observer, of this model.
+    """
+    if method in FAMILIES:
+        return FAMILIES[method](model, horizon)
+    if method == OBSERVER:
+        return observer(model, **{"horizon": horizon, **(options or {})})
+    return parity_relations(model, horizon, lags=lags, progress=progress)
