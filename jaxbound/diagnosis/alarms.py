@@ -5,19 +5,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.certificates.interface import WindowCertificate
+from jaxbound.certificates.interface import Judgement, WindowCertificate
 from jaxbound.consistency.interface import Relations
 from jaxbound.relations.sentence import latched
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
-
-if TYPE_CHECKING:  # a result groups its alarms by this file
-    from jaxbound.diagnosis.result import Result
 
 __all__ = [
     "BEGAN_ANEW",
@@ -78,7 +75,7 @@ class Alarm:
     depth: float
     worst: int
     recording: tuple[int, ...] = ()
-    result: "Result | None" = field(default=None, repr=False, compare=False)
+    result: "Explained | None" = field(default=None, repr=False, compare=False)
     ended: str = field(default="", repr=False)
 
     @cached_property
@@ -112,6 +109,16 @@ class Alarm:
         return self.result._candidates_of(self)
 
 
+class Explained(Judgement, Protocol):
+    """A Result, as far as its alarms ask it."""
+
+    def explain(self, at: int | tuple[int, ...]) -> WindowCertificate:
+        """Return the certificate of a window."""
+
+    def _candidates_of(self, alarm: Alarm) -> tuple[str, ...]:
+        """Return the signals that alone could explain an alarm."""
+
+
 def check_rule(k: int, n: int, hold: int = 0, clear: int = 1) -> None:
     """Raise ValueError if an alarm rule is none; see `Result.alarms`."""
     for name, value, low in (("k", k, 1), ("n", n, 1), ("hold", hold, 0), ("clear", clear, 1)):
@@ -121,7 +128,9 @@ def check_rule(k: int, n: int, hold: int = 0, clear: int = 1) -> None:
         raise ValueError(f"k of n needs k <= n: {k} of {n}")
 
 
-def group_alarms(result: "Result", k: int, n: int, hold: int, clear: int, horizon: int | None) -> list[Alarm]:
+def group_alarms(
+    result: Explained, k: int, n: int, hold: int, clear: int, horizon: int | None
+) -> list[Alarm]:
     """Group the FAULT windows of a Result: see `Result.alarms`. Array operations over time; the loop is over
     alarms.
 

@@ -1,19 +1,16 @@
 """Hints on bounds, and on a model that does not fit, as sentences for whoever acts on verdicts."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jaxbound.certificates.interface import Judgement
 from jaxbound.consistency.interface import Relations
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.sentence import latched
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import percent, times
 from jaxbound.text.units import same_unit, without_unit
-
-if TYPE_CHECKING:  # a result gives its hints by this file
-    from jaxbound.diagnosis.result import Result
 
 __all__ = ["bound_hints", "column_unit_hints", "fit_hints", "outgrown", "unfit"]
 
@@ -99,7 +96,7 @@ def outgrown(model: LinearSystem, relations: Relations | None = None, looks_back
     return [f"{FOR.format(horizon + 1)} and {reach}: {MAY}; fit again with {again}"]
 
 
-def fit_hints(result: "Result") -> list[str]:
+def fit_hints(result: Judgement) -> list[str]:
     """Return a sentence, or none, on each recording of a Result that the model or its bounds seem not to
     fit.
     """

@@ -6,18 +6,16 @@ makes nearly all of them consistent is worth a sentence. A dead signal explained
 it must do better than zero.
 """
 
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from jaxbound.certificates.interface import Judgement
 from jaxbound.consistency.drive import drive
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.sets.floats.status import Status
-
-if TYPE_CHECKING:  # a result gives its hints by this file
-    from jaxbound.diagnosis.result import Result
 
 __all__ = ["unit_hints"]
 
@@ -72,7 +70,7 @@ DIFFERENCES = (
 DEAD = Conversion("0", 0.0, 0.0, "a dead signal")
 
 
-def unit_hints(result: "Result") -> list[str]:
+def unit_hints(result: Judgement) -> list[str]:
     """Return a sentence, or none, on signals that seem to be recorded in another unit than the model has.
 
     Args:
