@@ -36,7 +36,7 @@ import jaxbound as jb
 from benchmarks import fleet, timing
 from benchmarks.parquet import resident
 from benchmarks.scale import FILE, generate, linked, paper
-from jaxbound.consistency.engine import TASKS
+from jaxbound.workers.engine import TASKS
 
 EVERY = 0.2  # seconds between two looks at the processes
 PAUSE = 2.0  # seconds that all workers live before one is killed: work has to be done in between

@@ -56,7 +56,7 @@ def exchanges(relations, u, y):
     low, high = np.zeros(size, int), np.full(size, 400)
     while (high - low > 1).any():
         for cap in np.unique((low + high) // 2):
-            done = np.asarray(exchange.candidates((test, int(cap), 1.0), one, *block)[2])
+            done = np.asarray(exchange.candidates(exchange.Settings(test, int(cap), 1.0), one, *block)[2])
             high, low = np.where(done, np.minimum(high, cap), high), np.where(done, low, np.maximum(low, cap))
 
     return float(high.mean()), int(high.max())

@@ -20,6 +20,7 @@ FLOORS = (
     "files",
     "recordings",
     "sets",
+    "workers",
     "models",
     "consistency",
     "relations",

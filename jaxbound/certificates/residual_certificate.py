@@ -120,6 +120,7 @@ def _(
     if not (np.isfinite(u).all() and np.isfinite(y).all()):
         raise nothing_to_explain(at)
     paved = search(relations, u[None], y[None], 100 * BUDGET)
+    assert paved.status is not None
     if status is None:
         status = Status(int(paved.status[0]))
     witness = None

@@ -266,6 +266,7 @@ def _(
     if not cases:
         raise nothing_to_explain(at)
     case, _ = cases[0]  # without the samples that the window lacks
+    assert case is not None  # a single pattern of missing samples
     p = polynomial_window(case, u, y)
     budget = 1
     if method == "paving" or status == Status.FAULT:

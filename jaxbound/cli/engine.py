@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from jaxbound.consistency.engine import connected
 from jaxbound.runs.refusals import Refused
+from jaxbound.workers.engine import connected
 
 if TYPE_CHECKING:
     from distributed import Client

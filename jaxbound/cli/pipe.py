@@ -37,7 +37,7 @@ from jaxbound.recordings.stream import Stream
 from jaxbound.relations.identity import identity
 from jaxbound.relations.sentence import latched, remembers
 from jaxbound.runs.endings import endings_said
-from jaxbound.runs.journal import FORMER, STATE, Journal, LiveCheckpoint
+from jaxbound.runs.journal import STATE, Journal, LiveCheckpoint, refuse_former_state
 from jaxbound.runs.judges import Live
 from jaxbound.runs.loop import Memory, follow
 from jaxbound.runs.outputs import OutputFolder, output_folder, refuse_targets
@@ -131,7 +131,8 @@ def judge_stream(
         before = None if journal is None else journal.before
         work: Any = nullcontext()
         if folder is not None:
-            _refuse_former(folder.path, state)
+            if state is None:
+                refuse_former_state(folder.path)
             # a state tells whether the verdicts are its own
             folder.check((VERDICTS, STATE), foreign=before is None)
             work = folder.work()
@@ -192,16 +193,6 @@ def _folder(model: Path, out: Path | None, state: Path | None) -> Iterator[Outpu
                 raise Refused(f"--state {path} is where the verdicts are written: give another name")
             folder.check((VERDICTS, STATE), foreign=False)
         yield folder
-
-
-def _refuse_former(out, state):
-    """Raise Refused where an earlier jaxbound keeps its state in the folder."""
-    former = out / FORMER
-    if state is None and former.exists() and not (out / STATE).exists():
-        raise Refused(
-            f"{former} is the state of an earlier jaxbound, from which this one cannot go on: choose another "
-            "folder, or delete it to begin anew"
-        )
 
 
 class _LiveRun:

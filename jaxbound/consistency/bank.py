@@ -1,19 +1,18 @@
 """Banks: every relation has a verdict of its own, packed beside those of the others."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
 
 import jax
 import numpy as np
 from jax.typing import DTypeLike
 
 from jaxbound.consistency import whole_numbers
-from jaxbound.consistency.interface import Judged, LinearRelations, WindowTest
-from jaxbound.consistency.reading import gather
+from jaxbound.consistency.interface import Arrays, Judged, LinearRelations, LinearTest, Outputs, Run
+from jaxbound.consistency.reading import Block, Reading, gather
 from jaxbound.consistency.strips import StripsTest
-from jaxbound.consistency.strips_on_host import host_strips
+from jaxbound.consistency.strips_on_host import HostStrips, host_strips
 from jaxbound.consistency.unproved import stretch_block
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.kernel import kernel
@@ -26,14 +25,13 @@ MOST = 128
 HIGH = np.uint32(0xAAAAAAAA)  # the high bit of every verdict; it is FAULT if the low one is set too
 
 
-class BankTest(WindowTest):
+class BankTest(LinearTest):
     """Tests each relation of a bank alone: FAULT is a proof, CONSISTENT only with a single relation.
 
     Raises:
         NotImplementedError: constant tolerances. ValueError: too many relations.
     """
 
-    relations: LinearRelations
     gathered = False
     replayed = False
 
@@ -55,7 +53,7 @@ class BankTest(WindowTest):
             )
 
     @cached_property
-    def reading(self) -> Any:
+    def reading(self) -> Reading:
         """How the kernel reads a window, and the strips of the bank."""
         r = self.relations
         return dataclasses.replace(r.reading(self.dtype, "box"), shape=bank_of(r.W, r.K, self.dtype))
@@ -66,16 +64,16 @@ class BankTest(WindowTest):
         return stretch_block(self.reading)
 
     @property
-    def outputs(self) -> tuple:
+    def outputs(self) -> Outputs:
         """The packed arrays of `bank_verdicts`."""
-        first, *others = verdict_dtypes(self.reading.shape, self.dtype)
+        first, *others = verdict_dtypes(self.reading.bank, self.dtype)
         return (first, np.nan), *((dtype, 0) for dtype in others)
 
-    def judge(self, run: Callable, blocks: list) -> list:
+    def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return the packed verdicts of stretches of samples."""
         return run(bank_windows, blocks)
 
-    def judged(self, outs: list) -> Judged:
+    def judged(self, outs: Sequence[np.ndarray]) -> Judged:
         """Return the verdicts of the whole bank, and those of its relations as words."""
         words, margin = unpacked(*outs)
         words = np.where(np.isnan(margin), np.uint32(0), words)
@@ -95,9 +93,8 @@ class BankTest(WindowTest):
         """
         r, s = self.relations, self.horizon
         words = np.array(judged.words)
-        words[-1] &= np.uint32(
-            2 ** (2 * ((r.count - 1) % PACKED + 1)) - 1
-        )  # where there is no relation nothing is said
+        last = (r.count - 1) % PACKED + 1  # relations in the last word: nothing is said of others
+        words[-1] &= np.uint32(2 ** (2 * last) - 1)
         flat = words.reshape(len(words), -1)
         doubtful = np.zeros(len(at), bool)
         for number, proved in enumerate(contradicted):
@@ -113,16 +110,15 @@ class BankTest(WindowTest):
             doubtful[open_] = True
         status = status_of_words(words, r.count)
         nothing = (judged.status == Status.FAULT) & (status != Status.FAULT)
-        return Judged(
-            status, np.where(nothing, 0, judged.margin).astype(judged.margin.dtype), words
-        ), doubtful
+        margin = np.where(nothing, 0, judged.margin).astype(judged.margin.dtype)
+        return Judged(status, margin, words), doubtful
 
     @cached_property
-    def _exact_reading(self):
+    def _exact_reading(self) -> Reading:
         return self.relations.reading(self.dtype, "box")
 
     @cached_property
-    def _host(self):
+    def _host(self) -> HostStrips:
         r = self.relations
         return host_strips(r.reading(np.float64, "box"), r.W, r.K, self.dtype)
 
@@ -134,10 +130,10 @@ class BankTest(WindowTest):
 
 
 @kernel
-def bank_windows(test: Any, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ...]:
+def bank_windows(test: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ...]:
     """Return the verdicts of every relation over a stretch and the margin of the tightest one, packed."""
     mid, rad, scale, known, known_scale = test.stretch(u, y)
-    return bank_verdicts(test.shape, mid, rad, scale, known, known_scale, test.lift)
+    return bank_verdicts(test.bank, mid, rad, scale, known, known_scale, test.lift)
 
 
 def status_of_words(words: np.ndarray, count: int) -> np.ndarray:
@@ -145,8 +141,7 @@ def status_of_words(words: np.ndarray, count: int) -> np.ndarray:
     relation.
     """
     fault = (words & (words << np.uint32(1)) & HIGH != 0).any(0)
-    inside = Status.CONSISTENT if count == 1 else Status.UNDECIDED
-    status = np.where(
-        fault, np.int8(Status.FAULT), np.where((words != 0).any(0), np.int8(inside), np.int8(Status.MISSING))
-    )
-    return np.where((count == 1) & ~fault & (words[0] == Status.UNDECIDED), np.int8(Status.UNDECIDED), status)
+    if count == 1:
+        return np.asarray(words[0].astype(np.int8))
+    spoken = np.where((words != 0).any(0), np.int8(Status.UNDECIDED), np.int8(Status.MISSING))
+    return np.where(fault, np.int8(Status.FAULT), spoken)

@@ -6,9 +6,9 @@ last digits put outside is UNDECIDED.
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -16,19 +16,42 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from jaxbound.consistency.gridding import whole_windows
-from jaxbound.consistency.interface import Budget, Relations, WindowTest
+from jaxbound.consistency.interface import Arrays, Budget, Cases, Relations, Run, WindowTest
+from jaxbound.consistency.reading import Block
 from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.inclusion.inclusion import inclusion
 from jaxbound.sets.intervals.interval import Interval
-from jaxbound.sets.paving.paving import pave
+from jaxbound.sets.paving.paving import Paving, pave
 
 __all__ = ["BUDGET", "BisectionTest", "flat", "search", "whole_budget"]
 
 BUDGET = 1000
 """Boxes that may be evaluated for a window."""
+Function: TypeAlias = Callable[..., Any]
+"""f(z, u_window, y_window) -> arrays that are all 0 for some z, as a user writes it."""
+
+
+class ResidualRelations(Relations):
+    """f(z, u_window, y_window) = 0 for some z in a box: `relations.residual` has them."""
+
+    if TYPE_CHECKING:
+
+        @property
+        def f(self) -> Function:
+            """The residual."""
+            raise NotImplementedError
+
+        @property
+        def box(self) -> Interval:
+            """(n,): the unknowns."""
+            raise NotImplementedError
+
+    def shape(self, m: int, p: int) -> int:
+        """Return the number of residuals for windows of m inputs and p outputs."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -37,10 +60,13 @@ class _Thick:
     no slopes of the samples.
     """
 
-    f: Callable
+    f: Function
 
-    def __call__(self, z, u_lo, u_hi, y_lo, y_hi):
-        return inclusion(flat(self.f), "best")(z, Interval(u_lo, u_hi), Interval(y_lo, y_hi))
+    def __call__(
+        self, z: Interval, u_lo: jax.Array, u_hi: jax.Array, y_lo: jax.Array, y_hi: jax.Array
+    ) -> Interval:
+        enclosure: Interval = inclusion(flat(self.f), "best")(z, Interval(u_lo, u_hi), Interval(y_lo, y_hi))
+        return enclosure
 
 
 class BisectionTest(WindowTest):
@@ -54,11 +80,14 @@ class BisectionTest(WindowTest):
         ValueError: a budget that is no whole number >= 1.
     """
 
+    relations: ResidualRelations
     padded = sharded = False
     block, short = 2**13, 2**8
     constants = None
 
-    def __init__(self, relations: Relations, method: str, dtype: DTypeLike, budget: Budget = None) -> None:
+    def __init__(
+        self, relations: ResidualRelations, method: str, dtype: DTypeLike, budget: Budget = None
+    ) -> None:
         super().__init__(relations, method, dtype)
         self.budget = BUDGET if budget is None else whole_budget(budget)
         _ = relations.count  # refuses a function that gives nothing to be zero, and signals without names
@@ -68,97 +97,102 @@ class BisectionTest(WindowTest):
         """How many samples of u a window has: all."""
         return self.horizon + 1
 
-    def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> list:
+    def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Cases:
         """Leave out windows with missing samples."""
         return whole_windows(self, u, y, starts)
 
-    def judge(self, run: Callable, blocks: list) -> list:
+    def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return (status, margin) of windows."""
-        found = [self._judged(*(np.moveaxis(x, -1, 0) for x in block)) for block in blocks]
-        return [(status, np.full(len(status), np.nan, self.dtype)) for status in found]
+        judged = []
+        for u, y in blocks:
+            status = self._judged(np.moveaxis(u, -1, 0), np.moveaxis(y, -1, 0))
+            judged.append((status, np.full(len(status), np.nan, self.dtype)))
+        return judged
 
     def margins(self, given: Recording) -> jax.Array:
-        """Raise: a residual is any function of its unknowns, and what is no set of half-widths has no common
-        factor on them.
-        """
+        """Raise NotImplementedError: the unknowns of a residual are a box, not a set of half-widths."""
         raise NotImplementedError(
             "a residual has no margin: its unknowns are a box, with no common factor on half-widths to be "
             "found"
         )
 
-    def _judged(self, U, Y):
+    def _judged(self, U: np.ndarray, Y: np.ndarray) -> np.ndarray:
         """Return the status of windows (N, s + 1, channels), their number filled up to one of two sizes,
         which alone are compiled.
         """
         size = self.short if len(Y) <= self.short else self.block
-        status = search(self.relations, U, Y, self.budget, size).status.copy()
+        status = np.array(search(self.relations, U, Y, self.budget, size).status)
         outside = np.flatnonzero(status == Status.FAULT)
         if len(outside):
             status[outside] = _exclude(self.relations, U[outside], Y[outside], self.budget, size).status
         return status
 
 
-def whole_budget(budget: Any) -> int:
+def whole_budget(budget: object) -> int:
     """Return a budget of boxes a window; raise ValueError if it is none."""
     if isinstance(budget, bool) or not isinstance(budget, int | np.integer) or budget < 1:
         raise ValueError(f"budget must be a whole number of boxes a window >= 1, not {budget!r}")
     return int(budget)
 
 
-def search(relations: Any, U: np.ndarray, Y: np.ndarray, budget: int, size: int = BisectionTest.short) -> Any:
+def search(
+    relations: ResidualRelations, U: np.ndarray, Y: np.ndarray, budget: int, size: int = BisectionTest.short
+) -> Paving:
     """Search for unknowns that explain each window."""
-    return _pave(relations, flat(relations.f), (U, Y), budget, size, solutions="one", cut="smear")
+    f = flat(relations.f)
+    return _paved(relations, f, (U, Y), budget, size, solutions="one", cut="smear")
 
 
-def _exclude(relations, U, Y, budget, size):
-    """Exclude unknowns for all samples that round to the recorded ones, and all inputs that round to what is
-    computed with.
-    """
-    samples, slip = recorded(Y, RECORDER_ULPS + 2), 2 * input_slip(U)  # 2: for this computation
-    return _pave(
-        relations,
-        _Thick(relations.f),
-        (U - slip, U + slip, *samples),
-        budget,
-        size,
-        solutions="none",
-        cut="widest",
-    )
+def _exclude(relations: ResidualRelations, U: np.ndarray, Y: np.ndarray, budget: int, size: int) -> Paving:
+    """Exclude unknowns for all samples that round to the recorded ones, and inputs that round to ours."""
+    slip = 2 * input_slip(U)  # 2: for this computation
+    windows = U - slip, U + slip, *recorded(Y, RECORDER_ULPS + 2)
+    return _paved(relations, _Thick(relations.f), windows, budget, size, solutions="none", cut="widest")
 
 
-def _pave(relations, f, windows, budget, size, **options):
+def _paved(
+    relations: ResidualRelations,
+    f: Callable[..., Any],
+    windows: tuple[np.ndarray, ...],
+    budget: int,
+    size: int,
+    solutions: str,
+    cut: str,
+) -> Paving:
     """Pave for every window, their number filled up to `size` by targets that are empty, which the first box
     excludes.
     """
-    count, dtype = len(windows[0]), np.result_type(relations.box.dtype, windows[-1].dtype)
-    box = Interval(*(np.asarray(end).astype(dtype) for end in (relations.box.lo, relations.box.hi)))
-    args = tuple(np.concatenate([x, np.zeros((size - count, *x.shape[1:]), x.dtype)]) for x in windows)
-    filler = np.repeat(
-        (np.arange(size) >= count)[:, None], relations.shape(windows[0].shape[-1], windows[-1].shape[-1]), 1
-    )
+    inputs, outputs, count = windows[0], windows[-1], len(windows[0])
+    dtype = np.result_type(relations.box.dtype, outputs.dtype)
+    lo, hi = np.asarray(relations.box.lo), np.asarray(relations.box.hi)
+    box = Interval(lo.astype(dtype), hi.astype(dtype))
+    args = []
+    for x in windows:
+        args.append(np.concatenate([x, np.zeros((size - count, *x.shape[1:]), x.dtype)]))
+    residuals = relations.shape(inputs.shape[-1], outputs.shape[-1])
+    filler = np.repeat((np.arange(size) >= count)[:, None], residuals, 1)
     target = Interval(np.where(filler, np.inf, 0).astype(dtype), np.where(filler, -np.inf, 0).astype(dtype))
     depth = box.shape[0] * (np.finfo(dtype).nmant + 1) // 2
-    found = pave(f, box, target, max_boxes=budget, max_depth=depth, args=args, **options)
-    return dataclasses.replace(
-        found, status=np.asarray(found.status)[:count], evaluated=found.evaluated[:count]
-    )
+    paving = pave(f, box, target, max_boxes=budget, max_depth=depth, args=args, solutions=solutions, cut=cut)
+    status = np.asarray(paving.status)[:count]
+    return dataclasses.replace(paving, status=status, evaluated=paving.evaluated[:count])
 
 
 @dataclass(frozen=True)
 class flat:
-    """f with everything it returns in one array; two of one f are equal, so that they share a compilation."""
+    """f with all its results in one array; two of one f are equal, so that they share a compilation."""
 
-    f: Callable
+    f: Function
 
-    def __call__(self, z: Any, u: Any, y: Any) -> Any:
-        """Return what f returns, end to end."""
+    def __call__(self, z: jax.Array, u: jax.Array, y: jax.Array) -> jax.Array:
+        """Return the results of f end to end."""
         parts = [jnp.ravel(x) for x in jax.tree.leaves(self.f(z, u, y))]
         return jnp.concatenate(parts) if parts else jnp.zeros(0, z.dtype)
 
 
-def recorded(y: Any, ulps: float) -> tuple[Any, Any]:
-    """Return (lo, hi) of what was recorded as y (N, s + 1, p): samples are known to so many unit roundoffs of
-    the largest in the window.
+def recorded(y: np.ndarray, ulps: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return (lo, hi) of the values recorded as y (N, s + 1, p): samples are known to so many unit roundoffs
+    of the largest in the window.
     """
     spread = ulps * rounding.unit(y.dtype) * np.abs(y).max(1, keepdims=True) + 2 * rounding.tiny(y.dtype)
     return y - spread, y + spread

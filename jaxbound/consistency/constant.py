@@ -17,24 +17,26 @@ inequalities: Davis 1987.
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any, NamedTuple
+from types import ModuleType
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.interface import LinearRelations, WindowTest
-from jaxbound.consistency.reading import gather
-from jaxbound.consistency.strips_on_host import host_strips
+from jaxbound.consistency.covers import status_of_cover
+from jaxbound.consistency.interface import Again, Arrays, LinearTest, Outs, Progress, Run
+from jaxbound.consistency.reading import Block, Reading, RowValues, Samples, gather
+from jaxbound.consistency.strips_on_host import HostStrips, host_strips
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.paving.frontier import Verdicts, explore
 
-__all__ = ["ConstantTest", "gain_bounds", "narrowed", "signed"]
+__all__ = ["ConstantTest", "GainBounds", "gain_bounds", "gain_tolerance", "narrowed", "own_factor", "signed"]
 
 BLOCK = 2**9
 HELD = 2**26  # bytes of strips at most that a block keeps
@@ -43,9 +45,14 @@ HALVINGS = 8  # of the search for the margin
 DEPTH = 64  # cuts of a box of gains
 BOXES = 2000  # at most for a window that the first box leaves open
 OPEN = 4  # beside the Status of a window: to be searched on
+LEAST = 1e-6
+"""The least size of a margin whose sign is proved."""
+Carry = TypeVar("Carry")
+Sums: TypeAlias = tuple[jax.Array, ...]
+Triple: TypeAlias = tuple[jax.Array, jax.Array, jax.Array]
 
 
-class ConstantTest(WindowTest):
+class ConstantTest(LinearTest):
     """Searches for gains, the same in all samples of a window, that explain it: FAULT and CONSISTENT are
     proofs.
 
@@ -53,50 +60,50 @@ class ConstantTest(WindowTest):
     the true factor, but seldom 30 % above it.
     """
 
-    relations: LinearRelations
-
     @property
     def block(self) -> int:
         """How many windows are judged at once: fewer where there are many strips, all of which are kept for a
         block.
         """
-        shape = self.reading.shape
-        entries = len(shape.h) * 2 * (len(self.reading.noise) + 2)
-        return min(BLOCK, max(2**5, 2 ** int(np.log2(HELD / (entries * self.dtype.itemsize)))))
+        entries = len(self.reading.strips.h) * 2 * (len(self.reading.noise) + 2)
+        fitting = int(2 ** int(np.log2(HELD / (entries * self.dtype.itemsize))))
+        return min(BLOCK, max(2**5, fitting))
 
-    short = property(
-        lambda self: self.block,
-        doc="How many windows are judged at once where there are few: another size, other bits.",
-    )
+    @property
+    def short(self) -> int:  # type: ignore[override]  # nobody sets it, here least of all
+        """How many windows are judged at once where there are few: another size, other bits."""
+        return self.block
 
-    def judge(self, run: Callable, blocks: list) -> list:
+    def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return (status, margin, open) of windows, each by one box of gains."""
-        said = ((np.asarray(status), margin) for status, margin in run(_first, blocks))
-        return [(status, margin, status == OPEN) for status, margin in said]
+        judged = []
+        for status, margin in run(_first, blocks):
+            judged.append((status, margin, np.asarray(status) == OPEN))
+        return judged
 
     def settle(
-        self, u: np.ndarray, y: np.ndarray, outs: list, left: np.ndarray, again: Callable, progress: Callable
+        self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress
     ) -> None:
         """Cut the box of gains of those windows that it does not decide as a whole."""
-        if len(left):
-            status, margin = outs
-            at = left + self.horizon
-            status[at] = self._search(u, y, left)
-            margin[at] = np.where(
-                status[at] == Status.UNDECIDED, 0, signed(margin[at], status[at] == Status.CONSISTENT)
-            )
+        if not len(left):
+            return
+        status, margin = outs
+        at = left + self.horizon
+        now = self._search(u, y, left)
+        status[at] = now
+        margin[at] = np.where(now == Status.UNDECIDED, 0, signed(margin[at], now == Status.CONSISTENT))
 
     def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """Return (N,) bool: which windows one strip contradicts whatever the gains, in NumPy; see
         `WindowTest.contradicted`.
         """
-        return self._host.contradicted(u, y, starts).any(0)
+        return np.asarray(self._host.contradicted(u, y, starts).any(0))
 
     @cached_property
-    def _host(self):
+    def _host(self) -> HostStrips:
         r = self.relations
-        strips = (r.W, r.K) if self.method == "box" else (r.circuits, r.circuits_known)
-        return host_strips(r.reading(np.float64, self.method), *strips, self.dtype, constant=True)
+        reading = r.reading(np.float64, self.method)
+        return host_strips(reading, *r.strips(self.method), self.dtype, constant=True)
 
     def margins(self, given: Recording) -> jax.Array:
         """Raise: the best gains are found by a search that has no derivative."""
@@ -105,70 +112,77 @@ class ConstantTest(WindowTest):
             "detect(...).margin"
         )
 
-    def _search(self, u, y, starts):
+    def _search(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """Return the status of windows that one box of gains does not decide."""
-        test, given = self.reading, gather(u, y, starts, self.lags, self.horizon)
+        test, count = self.reading, len(starts)
+        samples = gather(u, y, starts, self.lags, self.horizon)
         on_device = jax.device_put(test)
-        lo, hi = (np.asarray(x) for x in gain_bounds(test, np)[:2])
-        judge = lambda lo, hi, owner: _boxes(
-            on_device, *(x[..., owner] for x in given), lo, hi
-        )  # any number of windows compiles once
-        found = explore(
-            judge, lo, hi, len(starts), DEPTH, BOXES, "kernel", first=True, sizes=(min(2**10, self.block),)
-        )
-        status = np.where(
-            np.bincount(found.owner, minlength=len(starts)) == 0,
-            np.int8(Status.FAULT),
-            np.int8(Status.UNDECIDED),
-        )
-        status[found.proofs[2]] = Status.CONSISTENT
-        missing = np.isnan(given[0]).any((0, 1)) if given[0].size else np.zeros(len(starts), bool)
-        return np.where((status == Status.CONSISTENT) & missing, np.int8(Status.UNDECIDED), status)
+        bounds = gain_bounds(test, np)
+
+        def judge(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> Verdicts[jax.Array]:
+            of_boxes = (x[..., owner] for x in samples)  # any number of windows compiles once
+            verdicts: Verdicts[jax.Array] = _boxes(on_device, *of_boxes, lo, hi)
+            return verdicts
+
+        sizes = (min(2**10, self.block),)
+        lo, hi = np.asarray(bounds.lo), np.asarray(bounds.hi)
+        cover = explore(judge, lo, hi, count, DEPTH, BOXES, "kernel", first=True, sizes=sizes)
+        status = status_of_cover(cover, count)
+        missing = np.isnan(samples[0]).any((0, 1))
+        status[missing & (status == Status.CONSISTENT)] = Status.UNDECIDED
+        return status
 
 
-def gain_bounds(test: Any, xp: Any) -> tuple:
-    """Return (lo, hi, inner_lo, inner_hi): a box of gains that holds [1 / (1 + sigma), 1 / (1 - sigma)], and
-    one inside it that holds 1.
+class GainBounds(NamedTuple):
+    """Boxes of gains (g,): lo, hi holds [1 / (1 + sigma), 1 / (1 - sigma)]; inner_lo, inner_hi lies inside it
+    and holds 1.
     """
+
+    lo: jax.Array
+    hi: jax.Array
+    inner_lo: jax.Array
+    inner_hi: jax.Array
+
+
+def gain_bounds(test: Reading, xp: ModuleType) -> GainBounds:
+    """Return the boxes of gains of a test; xp: NumPy, or jax.numpy inside a kernel."""
     u4 = 4 * rounding.unit(test.noise.dtype)
     low, high = 1 / (1 + test.tolerance), 1 / (1 - test.tolerance)
     fixed = test.tolerance == 0
     ends = (xp.where(fixed, 1, low * (1 - u4)), xp.where(fixed, 1, high * (1 + u4)))
     inner = (xp.minimum(low * (1 + u4), 1), xp.maximum(high * (1 - u4), 1))
     one = xp.ones(min(1, len(test.disturbance)), test.noise.dtype)  # the gain of disturbances
-    return tuple(xp.concatenate([x.astype(one.dtype), one]) for x in (*ends, *inner))
+    return GainBounds(*(xp.concatenate([x.astype(one.dtype), one]) for x in (*ends, *inner)))
 
 
 @kernel
-def _first(test, u, y):
+def _first(test: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return (status or OPEN, margin) of windows u (lags, m, N), y (s + 1, p, N)."""
     strips, silent = _strips(test, u, y)
     lo, hi = (jnp.repeat(end[:, None], y.shape[2], 1) for end in gain_bounds(test, jnp)[:2])
-    out, fits, present, _, _, point, _ = _judge(test, strips, lo, hi)
-    status = jnp.where(
-        out, Status.FAULT, jnp.where(fits, jnp.where(silent, Status.UNDECIDED, Status.CONSISTENT), OPEN)
-    )
-    margin = 1 - _factor(test, strips, point)
-    margin = jnp.where(status == OPEN, margin, signed(margin, fits))
-    return jnp.where(present, status, Status.MISSING).astype(jnp.int8), jnp.where(present, margin, jnp.nan)
+    box = _judge(test, strips, lo, hi)
+    held = jnp.where(silent, Status.UNDECIDED, Status.CONSISTENT)
+    status = jnp.where(box.out, Status.FAULT, jnp.where(box.fits, held, OPEN))
+    margin = 1 - _factor(test, strips, box.point)
+    margin = jnp.where(status == OPEN, margin, signed(margin, box.fits))
+    status = jnp.where(box.present, status, Status.MISSING).astype(jnp.int8)
+    return status, jnp.where(box.present, margin, jnp.nan)
 
 
-def signed(margin: Any, inside: Any) -> Any:
+def signed(margin: Samples, inside: Samples) -> Samples:
     """Give a margin the sign that was proved."""
-    least = 1e-6
-    return (
-        np.where(inside, np.maximum(margin, least), np.minimum(margin, -least))
-        if isinstance(margin, np.ndarray)
-        else jnp.where(inside, jnp.maximum(margin, least), jnp.minimum(margin, -least))
-    )
+    if isinstance(margin, np.ndarray):
+        return np.asarray(np.where(inside, np.maximum(margin, LEAST), np.minimum(margin, -LEAST)))
+    return jnp.where(inside, jnp.maximum(margin, LEAST), jnp.minimum(margin, -LEAST))
 
 
 @kernel
-def _boxes(test, u, y, lo, hi):
+def _boxes(test: Reading, u: jax.Array, y: jax.Array, lo: jax.Array, hi: jax.Array) -> Verdicts[jax.Array]:
     """Return the Verdicts on boxes of gains (p, N), each of its window u (lags, m, N), y (s + 1, p, N)."""
     strips, _ = _strips(test, u, y)
-    out, fits, _, lo, hi, point, axis = _judge(test, strips, lo, hi)
-    return Verdicts(~out & ~fits, fits & ~out, (point, point), (lo, hi), axis)
+    box = _judge(test, strips, lo, hi)
+    out, fits = box.out, box.fits
+    return Verdicts(~out & ~fits, fits & ~out, (box.point, box.point), (box.lo, box.hi), box.axis)
 
 
 class _Strip(NamedTuple):
@@ -186,27 +200,31 @@ class _Strip(NamedTuple):
     absent: jax.Array
 
 
-def _strips(test, u, y):
+def _strips(test: Reading, u: jax.Array, y: jax.Array) -> tuple[_Strip, jax.Array]:
     """Return (strips of all circuits, whether a missing input silences one) of windows u (lags, m, N), y (s +
     1, p, N).
     """
     rows = dataclasses.replace(test, tolerance=jnp.zeros_like(test.tolerance)).block(u, y)
-    strips = jax.lax.map(
-        lambda circuit: _strip(test, rows, *circuit), (test.shape.rows, test.shape.h, test.shape.k)
-    )
-    return strips, test.silenced(rows[3])
+
+    def strip_of(circuit: Triple) -> _Strip:
+        return _strip(test, rows, *circuit)
+
+    strips: _Strip = jax.lax.map(strip_of, (test.strips.rows, test.strips.h, test.strips.k))
+    return strips, test.silenced(rows.known)
 
 
-def _strip(test, rows, support, h, k) -> _Strip:
+def _strip(
+    test: Reading, rows: RowValues[jax.Array], support: jax.Array, h: jax.Array, k: jax.Array
+) -> _Strip:
     """Return the strip of one circuit; sums are loops, so that what compiles is small whatever the
     horizon.
     """
-    mid, rad, scale, known, known_scale = rows
+    mid, rad, scale, inputs, input_scale = rows
     p, outputs, windows = len(test.noise), len(test.noise) * (test.horizon + 1), mid.shape[1]
     gains = p + min(1, len(test.disturbance))
     gain = jnp.where(support < outputs, support % p, p)
 
-    def term(j, total):
+    def term(j: jax.Array, total: Sums) -> Sums:
         a, e, magnitude = total
         i, share = support[j], jnp.where(jnp.arange(gains) == gain[j], h[j], 0)[:, None]
         return (
@@ -215,51 +233,67 @@ def _strip(test, rows, support, h, k) -> _Strip:
             magnitude + jnp.abs(h[j]) * scale[i],
         )
 
-    def reach(j, total):  # a missing value counts only where it is used
+    def reach(j: jax.Array, total: Sums) -> Sums:
+        def counted(x: jax.Array) -> jax.Array:  # a missing value counts only where it is used
+            return jnp.where(k[j] == 0, 0, x)
+
         b, magnitude = total
-        used = lambda x: jnp.where(k[j] == 0, 0, x)
-        return b + used(k[j] * known[j]), magnitude + used(jnp.abs(k[j]) * known_scale[j])
+        return b + counted(k[j] * inputs[j]), magnitude + counted(jnp.abs(k[j]) * input_scale[j])
 
     none = jnp.zeros((gains, windows), mid.dtype)
     a, e, magnitude = jax.lax.fori_loop(0, len(h), term, (none, none, none[0]))
-    b, magnitude = (
-        jax.lax.fori_loop(0, len(k), reach, (none[0], magnitude)) if len(k) else (none[0], magnitude)
-    )
+    b = none[0]
+    if len(k):
+        b, magnitude = jax.lax.fori_loop(0, len(k), reach, (b, magnitude))
     slack, usable = _slack(test, magnitude)
     return _Strip(a, e, b, slack, usable, jnp.isnan(magnitude))
 
 
-def _slack(test, magnitude):
-    """Return what rounding may change in one side of a strip, for any gains that count, and where that is
-    small enough to compare.
+def _slack(test: Reading, magnitude: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Bound the rounding of one side of a strip, for any gains that count; return (it, where it is small
+    enough to compare).
 
     A strip here has no more roundings than in `rounding.residual_error`, with the row g d for m: 3 u g (|y| +
     |offset|) instead of 5 u (1 + sigma) (..), then the coefficient, the product and the sum. Narrowing adds
     the sum over gains, a difference and a quotient; the factor 2 covers them for up to as many gains as
     terms.
     """
-    terms = test.shape.h.shape[1] + test.shape.k.shape[1] + len(test.noise)
+    strips = test.strips
+    terms = strips.h.shape[1] + strips.k.shape[1] + len(test.noise)
     gamma, floor = rounding.residual_error(terms, magnitude.dtype)
-    most = jnp.max(gain_bounds(test, jnp)[1])
+    most = jnp.max(gain_bounds(test, jnp).hi)
     usable = magnitude < np.asarray(2.0 ** (np.finfo(magnitude.dtype).maxexp // 2), magnitude.dtype)
-    slack = 2 * (gamma * most * magnitude + floor * (1 + jnp.max(jnp.abs(test.shape.h))) * (1 + most))
+    slack = 2 * (gamma * most * magnitude + floor * (1 + jnp.max(jnp.abs(strips.h))) * (1 + most))
     return jnp.where(usable, slack, 0), usable
 
 
-def _fold(step, carry, strips):
+def _fold(step: Callable[[Carry, _Strip], Carry], carry: Carry, strips: _Strip) -> Carry:
     """Run `step` over all circuits."""
-    return jax.lax.scan(lambda carry, strip: (step(carry, strip), None), carry, strips)[0]
+    last: Carry = jax.lax.scan(lambda carry, strip: (step(carry, strip), None), carry, strips)[0]
+    return last
 
 
-def _judge(test, strips, lo, hi):
-    """Judge one box of gains (g, N) for each window: (out, fits, present, lo, hi, point, axis).
+class _Judgement(NamedTuple):
+    """One box of gains (g, N) for each window.
 
-    out: proved that no gains of the box keep all strips. fits: the gains `point`, within the tolerance, are
-    proved to keep them. present: some circuit has all its data. lo, hi: the box without parts where a strip
-    fails. axis: the gain that moves the strips most.
+    Fields: out: proved that no gains of the box keep all strips; fits: the gains `point`, within the
+    tolerance, are proved to keep them; present: some circuit has all its data; lo, hi: the box without parts
+    where a strip fails; axis: the gain that moves the strips most.
     """
 
-    def narrow(carry, strip):
+    out: jax.Array
+    fits: jax.Array
+    present: jax.Array
+    lo: jax.Array
+    hi: jax.Array
+    point: jax.Array
+    axis: jax.Array
+
+
+def _judge(test: Reading, strips: _Strip, lo: jax.Array, hi: jax.Array) -> _Judgement:
+    """Judge one box of gains (g, N) for each window."""
+
+    def narrow(carry: Triple, strip: _Strip) -> Triple:
         lo, hi, out = carry
         usable = strip.usable
         for slope, least in (
@@ -270,7 +304,7 @@ def _judge(test, strips, lo, hi):
             out = out | missed
         return lo, hi, out
 
-    def keeps(carry, strip):
+    def keeps(carry: Triple, strip: _Strip) -> Triple:
         fits, present, lean = carry
         inside = jnp.abs(_dot(point, strip.a) - strip.b) + strip.slack <= _dot(point, strip.e)
         lean = jnp.maximum(lean, jnp.where(strip.usable[None], jnp.abs(strip.a), 0))
@@ -281,10 +315,10 @@ def _judge(test, strips, lo, hi):
     out |= jnp.any(lo > hi, 0)
     point = jnp.clip(0.5 * lo + 0.5 * hi, *(x[:, None] for x in gain_bounds(test, jnp)[2:]))
     fits, present, lean = _fold(keeps, (~out, none, jnp.zeros_like(lo)), strips)
-    return out, fits, present, lo, hi, point, jnp.argmax(lean * (hi - lo), 0)
+    return _Judgement(out, fits, present, lo, hi, point, jnp.argmax(lean * (hi - lo), 0))
 
 
-def _dot(x, y):
+def _dot(x: jax.Array, y: jax.Array) -> jax.Array:
     return jnp.sum(x * y, 0)
 
 
@@ -301,22 +335,24 @@ def narrowed(
     return below, above, total < least
 
 
-def _factor(test, strips, guess):
+def _factor(test: Reading, strips: _Strip, guess: jax.Array) -> jax.Array:
     """Return t, the factor on all bounds at which the best gains found explain a window; not rounded.
 
     Bisection between a factor that some gains reach and one that is taken to be too small: where narrowing
     the gains by it leaves nothing, or the middle of what it leaves does not reach it.
     """
-    sigma = jnp.concatenate(
-        [test.tolerance, jnp.zeros_like(test.noise, shape=min(1, len(test.disturbance)))]
-    )[:, None]
+    sigma = gain_tolerance(test)
 
-    def factor(g):
-        own = jnp.max(jnp.where(sigma > 0, jnp.abs(1 / g - 1) / jnp.where(sigma > 0, sigma, 1), 0), 0)
-        needs = lambda strip: jnp.abs(_dot(g, strip.a) - strip.b) / _dot(g, strip.e)
-        return _fold(lambda t, strip: jnp.maximum(t, jnp.where(strip.absent, 0, needs(strip))), own, strips)
+    def factor(g: jax.Array) -> jax.Array:
+        own = own_factor(g, sigma)
 
-    def halve(i, bracket):
+        def worst(t: jax.Array, strip: _Strip) -> jax.Array:
+            needs = jnp.abs(_dot(g, strip.a) - strip.b) / _dot(g, strip.e)
+            return jnp.maximum(t, jnp.where(strip.absent, 0, needs))
+
+        return _fold(worst, own, strips)
+
+    def halve(i: jax.Array, bracket: Sums) -> Sums:
         low, high, t, middle, empty = bracket
         new = factor(middle)
         better = (new < high) & ~empty
@@ -324,7 +360,7 @@ def _factor(test, strips, guess):
         low = jnp.where(i == 0, high / 32, jnp.where(better & (new <= t), low, t))
         t = jnp.sqrt(low * high)
 
-        def narrow(carry, strip):
+        def narrow(carry: Triple, strip: _Strip) -> Triple:
             lo, hi, empty = carry
             for sign in (1, -1):
                 slope = jnp.where(strip.absent[None], 0, t[None] * strip.e + sign * strip.a)
@@ -338,4 +374,16 @@ def _factor(test, strips, guess):
 
     nothing = jnp.zeros_like(guess[0])
     start = nothing, nothing + jnp.inf, nothing, guess, nothing > 0
-    return jax.lax.fori_loop(0, HALVINGS + 1, halve, start)[1]
+    best: jax.Array = jax.lax.fori_loop(0, HALVINGS + 1, halve, start)[1]
+    return best
+
+
+def gain_tolerance(test: Reading) -> jax.Array:
+    """Return sigma (g, 1) of each gain, 0 for that of disturbances."""
+    none = jnp.zeros_like(test.noise, shape=min(1, len(test.disturbance)))
+    return jnp.concatenate([test.tolerance, none])[:, None]
+
+
+def own_factor(g: jax.Array, sigma: jax.Array) -> jax.Array:
+    """Return the factor on tolerances at which gains g (g, N) are within them."""
+    return jnp.max(jnp.where(sigma > 0, jnp.abs(1 / g - 1) / jnp.where(sigma > 0, sigma, 1), 0), 0)

@@ -7,29 +7,40 @@ and one compilation serves all of them.
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import TypeVar
 
 import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from jaxbound.consistency.interface import Array, Arrays
 from jaxbound.sets.floats.probe import default_device
 
 __all__ = ["everywhere", "on_devices"]
 
 AXIS = "windows"
+T = TypeVar("T")
 
 
-def everywhere(constants: Any, devices: Sequence[jax.Device]) -> Any:
+def everywhere(constants: T, devices: Sequence[jax.Device]) -> T:
     """Return a PyTree of arrays placed on each of the devices, as `on_devices` takes it."""
-    if len(devices) == 1:
-        return jax.device_put(constants, None if default_device() is None else devices[0])
-    return jax.device_put(constants, NamedSharding(_mesh(devices), PartitionSpec()))
+    if len(devices) > 1:
+        where: NamedSharding | jax.Device | None = NamedSharding(_mesh(devices), _spec(0))
+    elif default_device() is None:  # not committed to a device: JAX still chooses
+        where = None
+    else:
+        where = devices[0]
+    placed: T = jax.device_put(constants, where)
+    return placed
 
 
 def on_devices(
-    kernel: Callable, constants: Any, blocks: list[tuple], devices: Sequence[jax.Device], axis: int = 0
-) -> list:
+    kernel: Callable[..., T],
+    constants: object,
+    blocks: Sequence[Arrays],
+    devices: Sequence[jax.Device],
+    axis: int = 0,
+) -> list[T]:
     """Start a kernel on blocks of windows, one a device.
 
     Args:
@@ -39,39 +50,49 @@ def on_devices(
             in all arrays.
 
     Returns:
-        [what the kernel returns] for each block, on its device, as soon as the work is under way.
+        [the kernel's result] for each block, on its device, as soon as the work is under way.
     """
     if len(devices) == 1:
         return [kernel(constants, *block) for block in blocks]
     mesh, count = _mesh(devices), len(blocks)
-    blocks = [
-        *blocks,
-        *blocks[-1:] * (len(devices) - count),
-    ]  # devices without work repeat the last block: nobody waits for them longer
-    stacked = [_stacked(parts, mesh, axis) for parts in zip(*blocks, strict=True)]
+    # devices without work repeat the last block: nobody waits for them longer
+    filled = [*blocks, *[blocks[-1]] * (len(devices) - count)]
+    stacked = [_stacked(parts, mesh, axis) for parts in zip(*filled, strict=True)]
     out, tree = jax.tree.flatten(_on_mesh(kernel, mesh, axis, constants, *stacked))
-    parts = [{shard.device: shard.data for shard in x.addressable_shards} for x in out]
-    return [jax.tree.unflatten(tree, [part[device] for part in parts]) for device in devices[:count]]
+    of_device = []
+    for x in out:
+        of_device.append({shard.device: shard.data for shard in x.addressable_shards})
+    results = []
+    for device in devices[:count]:
+        results.append(jax.tree.unflatten(tree, [parts[device] for parts in of_device]))
+    return results
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
-def _on_mesh(kernel, mesh, axis, constants, *stacked):
-    share = lambda x: jax.ShapeDtypeStruct(
-        [n // (mesh.size if i == axis % x.ndim else 1) for i, n in enumerate(x.shape)], x.dtype
-    )
-    spec = lambda x: _spec(x.ndim, axis)
-    result = jax.eval_shape(kernel, constants, *map(share, stacked))
+def _on_mesh(kernel: Callable[..., T], mesh: Mesh, axis: int, constants: object, *stacked: jax.Array) -> T:
+    """Run a kernel on blocks that are stacked along an axis, a block on each device."""
+
+    def spec(x: jax.Array | jax.ShapeDtypeStruct) -> PartitionSpec:
+        return _spec(x.ndim, axis)
+
+    blocks = []
+    for x in stacked:
+        shape = list(x.shape)
+        shape[axis] //= mesh.size
+        blocks.append(jax.ShapeDtypeStruct(shape, x.dtype))  # type: ignore[no-untyped-call]  # of JAX
+    result = jax.eval_shape(kernel, constants, *blocks)
     alone = jax.shard_map(
         kernel,
         mesh=mesh,
-        in_specs=(PartitionSpec(), *map(spec, stacked)),
+        in_specs=(_spec(0), *map(spec, stacked)),
         out_specs=jax.tree.map(spec, result),
         check_vma=False,
     )
-    return alone(constants, *stacked)
+    together: T = alone(constants, *stacked)
+    return together
 
 
-def _stacked(parts, mesh, axis):
+def _stacked(parts: Sequence[Array], mesh: Mesh, axis: int) -> jax.Array:
     """Return the array whose parts along an axis lie on one device each; only that part is sent to it."""
     devices = list(mesh.devices.flat)
     shape = list(parts[0].shape)
@@ -82,9 +103,13 @@ def _stacked(parts, mesh, axis):
     )
 
 
-def _spec(ndim, axis):
-    return PartitionSpec(*(AXIS if i == axis % ndim else None for i in range(ndim)))
+def _spec(ndim: int, axis: int = 0) -> PartitionSpec:
+    """Return the sharding of arrays of so many dimensions along an axis; 0: whole on each device."""
+    names: list[str | None] = [None] * ndim
+    if ndim:
+        names[axis] = AXIS
+    return PartitionSpec(*names)  # type: ignore[no-untyped-call]  # JAX has no types for it
 
 
-def _mesh(devices):
+def _mesh(devices: Sequence[jax.Device]) -> Mesh:
     return Mesh(np.array(devices), (AXIS,))

@@ -9,18 +9,27 @@ import contextlib
 import math
 import os
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar, overload
 
 import jax
 import numpy as np
 from jax.typing import DTypeLike
 
 from jaxbound.consistency.devices import everywhere, on_devices
-from jaxbound.consistency.interface import Arrays, Block, Judged, Kernel, Observer, Progress, Run, WindowTest
-from jaxbound.consistency.reading import gather
+from jaxbound.consistency.interface import (
+    Array,
+    Arrays,
+    Judged,
+    Observer,
+    Progress,
+    Run,
+    Verdicts,
+    WindowTest,
+)
+from jaxbound.consistency.reading import Block, gather
 from jaxbound.consistency.twice import decided_twice
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import crossing
@@ -29,7 +38,7 @@ from jaxbound.sets.floats.probe import default_device, usable_devices
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.threads import inherited
 
-__all__ = ["drive", "windows"]
+__all__ = ["drive", "measured", "windows"]
 
 CORES = os.cpu_count() or 1
 AHEAD = 3  # groups of blocks that are under way at once
@@ -38,6 +47,21 @@ SMALL = 2**10  # arrays below this are not worth an alignment
 ALIGNMENT = 64  # bytes, at which XLA adopts an array of the host
 
 Devices = tuple[jax.Device, ...]
+Part = tuple[np.ndarray, Arrays]
+"""(starts of windows, what is judged of them)."""
+T = TypeVar("T")
+
+
+@overload
+def drive(
+    test: WindowTest, given: Recording, progress: Progress | None = None, size: int | None = None
+) -> Judged: ...
+
+
+@overload
+def drive(
+    test: Observer[Any], given: Recording, progress: Progress | None = None, size: int | None = None
+) -> Any: ...
 
 
 def drive(
@@ -45,7 +69,7 @@ def drive(
     given: Recording,
     progress: Progress | None = None,
     size: int | None = None,
-) -> Any:
+) -> Verdicts:
     """Return the verdicts (..., T) of all windows of a recording, or of a batch of one length.
 
     Args:
@@ -58,7 +82,7 @@ def drive(
     return windows(test, given.u, given.y, given.starts, progress, size)
 
 
-def _folded(observer: Observer[Any], given: Recording) -> Any:
+def _folded(observer: Observer[Any], given: Recording) -> Verdicts:
     """Return the verdicts of an observer on one recording, or on each recording of a batch."""
     lead = given.y.shape[:-2]
     if not lead or observer.batched:
@@ -71,40 +95,53 @@ def _folded(observer: Observer[Any], given: Recording) -> Any:
         nothing = np.empty(given.y.shape[:-1])
         return Judged(nothing.astype(np.int8), nothing)
 
-    def beside(*parts: np.ndarray) -> np.ndarray:
+    def together(*parts: np.ndarray) -> np.ndarray:
         return np.stack(parts).reshape(*lead, *np.shape(parts[0]))
 
-    return jax.tree.map(beside, *each)
+    verdicts: Verdicts = jax.tree.map(together, *each)
+    return verdicts
 
 
 def windows(
     test: WindowTest,
-    u: np.ndarray | jax.Array,
-    y: np.ndarray | jax.Array,
+    u: Array,
+    y: Array,
     starts: np.ndarray,
     progress: Progress | None = None,
     size: int | None = None,
-) -> Any:
+) -> Judged:
     """Return the verdicts that `drive` gives for a Recording of these samples.
 
     Args:
         test, progress, size: as for `drive`. u: (..., T, m). y: (..., T, p). starts: of that Recording.
     """
-    horizon, shape, block = test.horizon, y.shape[:-1], size or test.block
-    length = shape[-1]
-    u, y = _end_to_end(u), _end_to_end(y)
-    report = _nothing if progress is None else _rising(progress)
-    judge_all = _gathered if test.gathered else _stretches
-    outs = judge_all(test, u, y, length, _endless(starts, horizon, length), block, report)
-    report(1.0)
-    judged = test.judged([out.reshape(shape) for out in outs])
-    if test.twice or is_outside_xla() or not isinstance(judged, Judged):
+    flat_u, flat_y, block = _end_to_end(u), _end_to_end(y), size or test.block
+    judged = test.judged(measured(test, u, y, starts, progress, block))
+    if test.twice or is_outside_xla():
         return judged
 
     def contradicted(ends: np.ndarray) -> np.ndarray:
-        return _contradicted(test, u, y, ends - horizon, block)
+        return _contradicted(test, flat_u, flat_y, ends - test.horizon, block)
 
-    return decided_twice(test, judged, u, y, contradicted)
+    return decided_twice(test, judged, flat_u, flat_y, contradicted)
+
+
+def measured(
+    test: WindowTest,
+    u: Array,
+    y: Array,
+    starts: np.ndarray,
+    progress: Progress | None = None,
+    size: int | None = None,
+) -> list[np.ndarray]:
+    """Return the `outputs` (..., T) of a test, before anything is decided; arguments as of `windows`."""
+    shape = y.shape[:-1]
+    length, report = shape[-1], _rising(progress)
+    fill = _gathered if test.gathered else _stretches
+    endless = _endless(starts, test.horizon, length)
+    outs = fill(test, _end_to_end(u), _end_to_end(y), length, endless, size or test.block, report)
+    report(1.0)
+    return [out.reshape(shape) for out in outs]
 
 
 def _endless(starts: np.ndarray, horizon: int, length: int) -> np.ndarray | slice:
@@ -118,10 +155,10 @@ def _contradicted(
     test: WindowTest, u: np.ndarray, y: np.ndarray, starts: np.ndarray, size: int
 ) -> np.ndarray:
     """Return which windows that start at these samples contradict their bounds, without XLA."""
-    found = test.contradicted(u, y, starts)
+    refuted = test.contradicted(u, y, starts)
     if not test.replayed:
-        return test.exactly(found, u, y, starts)
-    left = np.flatnonzero(~found)
+        return test.exactly(refuted, u, y, starts)
+    left = np.flatnonzero(~refuted)
     if len(left) >= AGAIN and test.block < AGAIN:  # each size is another program to write down
         size = max(size, AGAIN)
     for first in range(0, len(left), size):
@@ -130,37 +167,41 @@ def _contradicted(
         # A primitive of a newer jax, which NumPy does not know, confirms nothing.
         with outside_xla(), contextlib.suppress(NotImplementedError):
             judged = windows(test, u[at], y[at], NOWHERE, size=size)
-            found[chosen] = judged.status[:, -1] == Status.FAULT
-    return found
+            refuted[chosen] = judged.status[:, -1] == Status.FAULT
+    return refuted
 
 
 def _runner(test: WindowTest, devices: Devices, axis: int) -> Run:
     """Return the function that runs kernels of a test on blocks, one a device; axis: of the windows."""
     constants = _placed(test, devices)
 
-    def run(kernel: Kernel, blocks: Sequence[Block]) -> list[Any]:
-        return on_devices(kernel, constants, list(blocks), devices, axis)
+    def run(kernel: Callable[..., T], blocks: Sequence[Arrays]) -> list[T]:
+        return on_devices(kernel, constants, blocks, devices, axis)
 
     return run
 
 
-def _run_nothing(kernel: Kernel, blocks: Sequence[Block]) -> list[Any]:
+def _run_nothing(kernel: Callable[..., T], blocks: Sequence[Arrays]) -> list[T]:
     """Stand in for `_runner` where a test calls its kernels itself."""
     raise NotImplementedError("a test that is not sharded calls its kernels itself")
 
 
-def _end_to_end(x: np.ndarray | jax.Array) -> np.ndarray:
+def _end_to_end(x: Array) -> np.ndarray:
     """Return samples (..., T, n) as (N, n), on the host."""
     x = np.asarray(x)
-    return x if x.ndim == 2 else x.reshape(math.prod(x.shape[:-1]), x.shape[-1])
+    if x.ndim == 2:
+        return x
+    return x.reshape(math.prod(x.shape[:-1]), x.shape[-1])
 
 
 def _nothing(share: float) -> None:
     """Report nothing."""
 
 
-def _rising(progress: Progress) -> Progress:
+def _rising(progress: Progress | None) -> Progress:
     """Return a callback that passes on shares of work that are larger than the one before."""
+    if progress is None:
+        return _nothing
     last = 0.0
 
     def report(share: float) -> None:
@@ -185,14 +226,16 @@ def _stretches(
     s, samples, kinds = test.horizon, len(y), test.outputs
     outs = [_aligned(samples, dtype) for dtype, _ in kinds]
     firsts = range(0, samples - s, size)
-    devices = usable_devices()[: None if len(firsts) > 1 else 1]
+    devices = usable_devices()
+    if len(firsts) < 2:
+        devices = devices[:1]
     run = _runner(test, devices, 0)
-    pending: deque[tuple[range, list[Any]]] = deque()
+    pending: deque[tuple[range, Sequence[Arrays]]] = deque()
 
-    def collect(chosen: range, judged: list[Any]) -> None:
-        for first, found in zip(chosen, judged, strict=True):
+    def collect(chosen: range, judged: Sequence[Arrays]) -> None:
+        for first, values in zip(chosen, judged, strict=True):
             stop = min(first + s + size, samples)
-            for out, value in zip(outs, found, strict=True):
+            for out, value in zip(outs, values, strict=True):
                 out[first + s : stop] = np.asarray(value)[: stop - first - s]
             report(stop / samples)
 
@@ -205,8 +248,8 @@ def _stretches(
     for done in pending:
         collect(*done)
     for out, (_, nothing) in zip(outs, kinds, strict=True):
-        recordings = out if samples == length else out.reshape(-1, length)
-        recordings[..., endless] = nothing
+        if samples:
+            out.reshape(-1, length)[..., endless] = nothing
     test.settle(u, y, outs, NOWHERE, _left_open, report)
     return outs
 
@@ -262,7 +305,7 @@ class _Gathering:
     report: Progress
 
     def judge_all(self, starts: np.ndarray) -> np.ndarray:
-        """Judge the windows that start at `starts`, write what is found, return the starts left open."""
+        """Judge the windows that start at `starts`, write their values, return the starts left open."""
         test, size = self.test, self.size
         devices = usable_devices()
         if len(starts) <= size or is_outside_xla():
@@ -276,8 +319,8 @@ class _Gathering:
             judged = self._on_threads(groups, devices, workers)
         left, finished = [NOWHERE], 0
         for parts in judged:
-            for chosen, found in parts:
-                left.append(self._write(chosen, found))
+            for chosen, values in parts:
+                left.append(self._write(chosen, values))
                 finished += len(chosen)
                 self.report(finished / len(starts))
         return np.concatenate(left)
@@ -286,50 +329,59 @@ class _Gathering:
         """Return how many threads judge at once."""
         if self.test.threads:  # where the host waits, others use the cores
             return max(2, CORES // len(devices))
-        return 1 if self.test.sharded else len(devices)
+        if self.test.sharded:
+            return 1
+        return len(devices)
 
-    def _in_turn(self, groups: list[np.ndarray], devices: Devices) -> Any:
-        """Yield what is judged of each group; the next ones are gathered while one is under way."""
-        pending: deque[list[tuple[np.ndarray, Arrays]]] = deque()
+    def _in_turn(self, groups: list[np.ndarray], devices: Devices) -> Iterator[list[Part]]:
+        """Yield the parts of each group; the next groups are gathered while one is under way."""
+        pending: deque[list[Part]] = deque()
         for group in groups:
             pending.append(self._judge(group, devices))
             if len(pending) >= AHEAD:
                 yield pending.popleft()
         yield from pending
 
-    def _on_threads(self, groups: list[np.ndarray], devices: Devices, workers: int) -> Any:
+    def _on_threads(self, groups: list[np.ndarray], devices: Devices, workers: int) -> Iterator[list[Part]]:
         """Yield the same from threads: compiled code runs outside the interpreter's lock."""
         default = default_device()
 
-        def judge(number: int, group: np.ndarray) -> list[tuple[np.ndarray, Arrays]]:
-            own = default if self.test.sharded else devices[number % len(devices)]
+        def judge(number: int, group: np.ndarray) -> list[Part]:
+            own = default
+            if not self.test.sharded:
+                own = devices[number % len(devices)]
             with jax.default_device(own):
                 return self._judge(group, devices)
 
         with ThreadPoolExecutor(workers) as pool:
             yield from pool.map(inherited(judge), range(len(groups)), groups)
 
-    def _judge(self, group: np.ndarray, devices: Devices) -> list[tuple[np.ndarray, Arrays]]:
-        """Return [(starts, what is judged of their windows)], a block each."""
+    def _judge(self, group: np.ndarray, devices: Devices) -> list[Part]:
+        """Return the parts of a group, a block each."""
         test, size = self.test, self.size
-        run = _runner(test, devices, -1) if test.sharded else _run_nothing
+        run: Run = _run_nothing
+        if test.sharded:
+            run = _runner(test, devices, -1)
         parts = [group[i : i + size] for i in range(0, len(group), size)]
-        blocks = []
+        blocks: list[Block] = []
         for part in parts:
             if test.padded:  # the last window again and again
                 part = part.take(np.arange(size), mode="clip")
             blocks.append(gather(self.u, self.y, part, test.lags, test.horizon))
         return list(zip(parts, test.judge(run, blocks), strict=True))
 
-    def _write(self, chosen: np.ndarray, found: Arrays) -> np.ndarray:
-        """Write what was found of the windows that start at `chosen`; return the starts left open."""
-        values = [np.asarray(x)[..., : len(chosen)] for x in found]
+    def _write(self, chosen: np.ndarray, arrays: Arrays) -> np.ndarray:
+        """Write the values of the windows that start at `chosen`; return the starts left open."""
+        values = [np.asarray(x)[..., : len(chosen)] for x in arrays]
         count = len(self.outs)
-        self.test.write(self.outs, chosen + self.test.horizon, tuple(values[:count]))
-        return chosen[values[-1]] if len(values) > count else chosen[:0]
+        self.test.write(self.outs, chosen + self.test.horizon, values[:count])
+        if len(values) == count:
+            return chosen[:0]
+        left: np.ndarray = chosen[values[-1]]
+        return left
 
 
-def _placed(test: WindowTest, devices: Devices) -> Any:
+def _placed(test: WindowTest, devices: Devices) -> object:
     """Return the constants of a test on devices; a test remembers them."""
     if devices not in test.placed:
         test.placed[devices] = everywhere(test.constants, devices)

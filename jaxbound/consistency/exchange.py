@@ -7,17 +7,28 @@ shared by all windows that it fits.
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property, partial
-from typing import Any
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
 from jaxbound.consistency import whole_numbers
-from jaxbound.consistency.interface import Judged, LinearRelations, WindowTest
-from jaxbound.consistency.reading import gather
+from jaxbound.consistency.interface import (
+    Again,
+    Arrays,
+    Judged,
+    LinearRelations,
+    LinearTest,
+    Outputs,
+    Outs,
+    Progress,
+    Run,
+)
+from jaxbound.consistency.reading import Block, Reading, RowValues, gather
 from jaxbound.consistency.strips_on_host import contradicted_by
 from jaxbound.consistency.twice import Twice
 from jaxbound.consistency.unproved import unproved_margins
@@ -31,6 +42,7 @@ from jaxbound.sets.strips import separation
 __all__ = [
     "PATIENCE",
     "ExchangeTest",
+    "Settings",
     "candidates",
     "exchange_margins",
     "imaged",
@@ -49,7 +61,15 @@ than the first.
 """
 
 
-class ExchangeTest(WindowTest):
+class Settings(NamedTuple):
+    """A reading with the frame of a search, how many steps that takes at most, and how fine it is."""
+
+    reading: Reading
+    steps: int
+    finer: float
+
+
+class ExchangeTest(LinearTest):
     """Searches for the combination of relations that speaks most against a window, or the behaviour that
     explains it.
 
@@ -61,225 +81,248 @@ class ExchangeTest(WindowTest):
             finer: of `separation.separation_search`.
     """
 
-    relations: LinearRelations
-
     threads = twice = True
     short = 16  # the work grows with the block
 
     def __init__(
-        self, relations: Any, dtype: Any, reading: Any = None, steps: int | None = None, finer: float = 1.0
+        self,
+        relations: LinearRelations,
+        dtype: DTypeLike,
+        reading: Reading | None = None,
+        steps: int | None = None,
+        finer: float = 1.0,
     ) -> None:
         super().__init__(relations, "joint", dtype)
         self.finer = finer
         if reading is not None:
             self.reading = reading
-        self.steps = 2 * len(relations.frame.inner) + 6 if steps is None else steps
+        self.steps = 2 * len(self.exact_frame.inner) + 6 if steps is None else steps
 
     @property
-    def constants(self) -> Any:
+    def exact_frame(self) -> ExactFrame:
+        """The frame of the relations, in fractions."""
+        frame = self.relations.frame
+        assert frame is not None
+        return frame
+
+    @property
+    def constants(self) -> Settings:
         """The reading, and how long and how finely to search."""
-        return self.reading, self.steps, self.finer
+        return Settings(self.reading, self.steps, self.finer)
 
     @property
     def block(self) -> int:
         """How many windows are judged at once: their inverses should stay in the cache."""
-        return _block_of(self.reading.shape)
+        return _block_of(self.reading.frame)
 
     @property
-    def outputs(self) -> tuple:
+    def outputs(self) -> Outputs:
         """The margins, whose sign is the verdict."""
         return ((self.dtype, np.nan),)
 
-    def judge(self, run: Callable, blocks: list) -> list:
-        """Return (margin, open): proofs, in a second kernel, of what a first one finds; between them are real
-        arrays, as proofs need.
+    def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
+        """Return (margin, open): proofs, in a second kernel, of the hints of a first one; between them are
+        real arrays, as proofs need.
         """
         ones = [np.ones(y.shape[-1], self.dtype) for _, y in blocks]
         searched = run(candidates, [(one, *block) for one, block in zip(ones, blocks, strict=True)])
-        judged = run(verdicts, [(one, *found) for one, found in zip(ones, searched, strict=True)])
-        decided = (
-            self._twice.decided(
-                margin, partial(self._by_hints, block, found), partial(self._contradicted, block, found)
-            )
-            for block, found, (margin, _) in zip(blocks, searched, judged, strict=True)
-        )
-        return [(margin, ~np.asarray(settled)) for margin, (_, settled) in zip(decided, judged, strict=True)]
+        proved = run(verdicts, [(one, *hints) for one, hints in zip(ones, searched, strict=True)])
+        judged = []
+        for block, hints, (margin, settled) in zip(blocks, searched, proved, strict=True):
+            again = partial(self._by_hints, block, hints)
+            decided = self._twice.decided(margin, again, partial(self._contradicted, block, hints))
+            judged.append((decided, ~np.asarray(settled)))
+        return judged
 
     @cached_property
-    def _twice(self):
+    def _twice(self) -> Twice:
         return Twice(self.block)
 
-    def _by_hints(self, block, found, at):
-        """Return the margins of some windows of a block, in NumPy from their samples, by what the search
-        found for them.
+    def _by_hints(self, block: Block, hints: Arrays, at: np.ndarray) -> np.ndarray:
+        """Return the margins of some windows of a block, in NumPy from their samples, by the hints of a
+        search.
         """
-        one, (u, y), (h, d, done) = (
-            np.ones(len(at), self.dtype),
-            (x[..., at] for x in block),
-            (np.asarray(x)[..., at] for x in found[:3]),
-        )
-        return verdicts(self.constants, one, h, d, done, *imaged(self.constants, one, u, y))[0]
+        one = np.ones(len(at), self.dtype)
+        u, y = (x[..., at] for x in block)
+        h, d, done = (np.asarray(x)[..., at] for x in hints[:3])
+        margin: np.ndarray = verdicts(self.constants, one, h, d, done, *imaged(self.constants, one, u, y))[0]
+        return margin
 
-    def _contradicted(self, block, found, at):
-        """Return which windows of a block the combinations that the search found contradict; see
-        `contradicted_by`.
-        """
+    def _contradicted(self, block: Block, hints: Arrays, at: np.ndarray) -> np.ndarray:
+        """Return which windows of a block the combinations of a search contradict; see `contradicted_by`."""
         if self.reading.window.sums:
             return np.zeros(len(at), bool)
         u, y = (x[..., at] for x in block)
-        return contradicted_by(self.reading, self.reading.shape, u, y, np.asarray(found[0])[:, at])
+        return contradicted_by(self.reading, self.reading.frame, u, y, np.asarray(hints[0])[:, at])
 
-    def write(self, outs: list, at: np.ndarray, found: tuple) -> None:
+    def write(self, outs: Sequence[np.ndarray], at: np.ndarray, values: Sequence[np.ndarray]) -> None:
         """Write margins; a proof stays one."""
-        (margin,), (values,) = outs, found
-        if np.count_nonzero(nothing := values == 0):
-            values = np.where(nothing & (abs(margin[at]) > 0), margin[at], values)
-        margin[at] = values
+        (margin,), (new,) = outs, values
+        nothing = new == 0
+        if nothing.any():
+            new = np.where(nothing & (abs(margin[at]) > 0), margin[at], new)
+        margin[at] = new
 
     def settle(
-        self, u: np.ndarray, y: np.ndarray, outs: list, left: np.ndarray, again: Callable, progress: Callable
+        self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress
     ) -> None:
-        """Decide what rounding leaves open far from the boundary, then search on with frames that fit the
-        samples that are there.
+        """Decide in whole numbers what rounding leaves open far from the boundary; search on for the rest,
+        with frames that fit the samples that are there.
         """
         (margin,), s = outs, self.horizon
         self._whole_numbers(u, y, margin)
-        assert self.relations.frame is not None
-        k = len(self.relations.frame.inner)
+        steps = PATIENCE * (len(self.exact_frame.inner) + 10)
         for frame, chosen in self._frames(u, y, left):
-            starts = left[chosen]
-            own = frame is self.relations.frame
-            reading = (
-                self.reading
-                if own
-                else dataclasses.replace(self.reading, shape=rounded_frame(self.relations, frame, self.dtype))
-            )
+            starts, reading = left[chosen], self.reading
+            if frame is not self.exact_frame:
+                shape = rounded_frame(self.relations, frame, self.dtype)
+                reading = dataclasses.replace(reading, shape=shape)
             for finer in FINER:
-                starts = again(
-                    ExchangeTest(self.relations, self.dtype, reading, PATIENCE * (k + 10), finer), starts
-                )
+                starts = again(ExchangeTest(self.relations, self.dtype, reading, steps, finer), starts)
                 starts = starts[margin[starts + s] == 0]  # what is proved needs no other search
                 if not len(starts):
                     break
 
-    def judged(self, outs: list) -> Judged:
-        """Return the verdicts that the margins say."""
+    def judged(self, outs: Sequence[np.ndarray]) -> Judged:
+        """Return the verdicts: the signs of the margins, MISSING where these are NaN."""
         (margin,) = outs
-        return Judged(
-            CONSISTENT * (margin > 0) + UNDECIDED * (margin == 0) + FAULT * (margin < 0), margin
-        )  # NaN: MISSING, which is 0
+        status = CONSISTENT * (margin > 0) + UNDECIDED * (margin == 0) + FAULT * (margin < 0)
+        return Judged(status, margin)
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""
         return unproved_margins(self, exchange_margins, _given_margins, given, search=_best)
 
-    def _whole_numbers(self, u, y, margin):
-        if not np.count_nonzero(nothing := margin == 0):
+    def _whole_numbers(self, u: np.ndarray, y: np.ndarray, margin: np.ndarray) -> None:
+        """Decide thin windows in whole numbers, in place."""
+        starts = np.flatnonzero(margin == 0) - self.horizon
+        if not len(starts):
             return
-        starts = np.flatnonzero(nothing) - self.horizon
         starts = starts[whole_numbers.thin(self.reading, *self._gather(u, y, starts))]
         for frame, chosen in self._frames(u, y, starts):
             windows = gather(u, y, starts[chosen], self.lags, self.horizon)
-            margin[starts[chosen] + self.horizon] = whole_numbers.exact_search(
-                self.relations, self.reading, frame, *windows
-            )
+            proved = whole_numbers.exact_search(self.relations, self.reading, frame, *windows)
+            margin[starts[chosen] + self.horizon] = proved
 
-    def _gather(self, u, y, starts):
+    def _gather(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Block:
         u, y = gather(u, y, starts, self.lags, self.horizon)
         return u, self.reading.seen(y)
 
-    def _frames(self, u, y, starts):
+    def _frames(
+        self, u: np.ndarray, y: np.ndarray, starts: np.ndarray
+    ) -> list[tuple[ExactFrame, np.ndarray]]:
         """Return [(exact frame, numbers of windows)]: for every window a frame whose inner rows and inputs it
         has.
         """
         if not len(starts):
             return []
-        gathered = gather(u, y, starts, self.lags, self.horizon)
-        missing, absent = (
-            np.isnan(gathered[0]).reshape(-1, len(starts)).T,
-            self.reading.window.absent(gathered[1]).T,
-        )
+        inputs, outputs = gather(u, y, starts, self.lags, self.horizon)
+        missing = np.isnan(inputs).reshape(-1, len(starts)).T
+        absent = self.reading.window.absent(outputs).T
         patterns, which = np.unique(np.concatenate([absent, missing], 1), axis=0, return_inverse=True)
-        rows = absent.shape[1]
-        frames, numbers = [self.relations.frame], []
-        by_inputs: dict[tuple[int, ...], list[int]] = {(): [0]}
+        frames, numbers = _Frames(self.exact_frame), []
         for pattern in patterns:
-            gone, inputs = (
-                set(np.flatnonzero(pattern[:rows]).tolist()),
-                tuple(np.flatnonzero(pattern[rows:]).tolist()),
-            )
-            number = next((i for i in by_inputs.get(inputs, ()) if _fits(frames[i], gone, inputs)), None)
-            if number is None:
-                number = len(frames)
-                assert self.relations.frame is not None
-                frames.append(reframe(self.relations.frame, gone, inputs))
-                by_inputs.setdefault(inputs, []).append(number)
-            numbers.append(number)
+            rows, lost = np.split(pattern, [absent.shape[1]])
+            numbers.append(frames.number(np.flatnonzero(rows).tolist(), np.flatnonzero(lost).tolist()))
         chosen = np.array(numbers)[which.ravel()]
-        return [(frames[i], np.flatnonzero(chosen == i)) for i in np.unique(chosen).tolist()]
+        return [(frames.all[i], np.flatnonzero(chosen == i)) for i in np.unique(chosen).tolist()]
+
+
+class _Frames:
+    """Frames for windows that lack samples, made when they are first asked for.
+
+    Fields: all: the frames; by_inputs: {inputs that are missing: numbers of the frames made without these}.
+    """
+
+    def __init__(self, whole: ExactFrame) -> None:
+        self.all = [whole]
+        self.by_inputs: dict[tuple[int, ...], list[int]] = {(): [0]}
+
+    def number(self, rows: list[int], inputs: list[int]) -> int:
+        """Return the number of a frame without these rows and inputs."""
+        gone, missing = set(rows), tuple(inputs)
+        made = self.by_inputs.setdefault(missing, [])
+        for number in made:
+            if _fits(self.all[number], gone, missing):
+                return number
+        self.all.append(reframe(self.all[0], gone, missing))
+        made.append(len(self.all) - 1)
+        return made[-1]
 
 
 @jax.jit
-def exchange_margins(test: Any, u: jax.Array, y: jax.Array) -> jax.Array:
+def exchange_margins(test: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
     """Return the unproved margins (T - s,) of one recording u (T, m), y (T, p): NaN where data are
     missing.
     """
     return _given_margins(test, u, y)
 
 
-def _given_margins(test: Any, u: jax.Array, y: jax.Array, best: jax.Array | None = None) -> jax.Array:
+def _given_margins(test: Reading, u: jax.Array, y: jax.Array, *best: jax.Array) -> jax.Array:
     """Return the same, differentiable; best: from `_best`, else it is searched for."""
-    if best is None:
-        found = _over_blocks(lambda *rows: separation.separation_margin(test.shape, *rows), test, u, y)
-    else:
-        found = _over_blocks(
-            lambda mid, rad, known, best: separation.margin_of(best, mid, rad, known), test, u, y, best
-        )
-    return found.reshape(-1)[: y.shape[0] - test.horizon]
+
+    def searched(rows: RowValues[jax.Array]) -> jax.Array:
+        return separation.separation_margin(test.frame, rows.mid, rows.rad, rows.known)
+
+    def of_best(rows: RowValues[jax.Array], best: jax.Array) -> jax.Array:
+        return separation.margin_of(best, rows.mid, rows.rad, rows.known)
+
+    margins = _over_blocks(of_best if best else searched, test, u, y, *best)
+    return margins.reshape(-1)[: y.shape[0] - test.horizon]
 
 
-def _best(test: Any, u: jax.Array, y: jax.Array) -> jax.Array:
+def _best(test: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
     """Return the combinations (blocks, rows + l, N) that speak most against each window: margins and their
     derivatives follow from them.
     """
-    return _over_blocks(lambda *rows: separation.separation_best(test.shape, *rows), test, u, y)
+
+    def best(rows: RowValues[jax.Array]) -> jax.Array:
+        return separation.separation_best(test.frame, rows.mid, rows.rad, rows.known)
+
+    return _over_blocks(best, test, u, y)
 
 
-def _over_blocks(kernel, test, u, y, *more):
-    """Return what kernel(mid, rad, known, *one of each of more) gives of all windows of a recording, block
-    after block.
+def _over_blocks(
+    kernel: Callable[..., jax.Array], test: Reading, u: jax.Array, y: jax.Array, *more: jax.Array
+) -> jax.Array:
+    """Return the results of kernel(rows, *one of each of more) for all windows of a recording, block after
+    block.
     """
-    count, size = y.shape[0] - test.horizon, _block_of(test.shape)
+    count, size = y.shape[0] - test.horizon, _block_of(test.frame)
     blocks = -(-count // size)
-    fill = lambda x: jnp.pad(x, ((0, blocks * size - count), (0, 0)), mode="edge")
-    u, y = fill(u), fill(y)
 
-    def one_block(given):
+    def filled(x: jax.Array) -> jax.Array:
+        return jnp.pad(x, ((0, blocks * size - count), (0, 0)), mode="edge")
+
+    def taken(x: jax.Array, first: jax.Array, lags: int) -> jax.Array:
+        samples = x[first + jnp.arange(lags)[:, None] + jnp.arange(size)[None]]
+        return jnp.moveaxis(samples, 1, 2)
+
+    u, y = filled(u), filled(y)
+
+    def one_block(given: tuple[jax.Array, ...]) -> jax.Array:
         first, *rest = given
-        take = lambda x, lags: jnp.moveaxis(
-            x[first + jnp.arange(lags)[:, None] + jnp.arange(size)[None]], 1, 2
-        )
-        mid, rad, _, known, _ = test.block(take(u, test.lags), take(y, test.horizon + 1))
-        return kernel(mid, rad, known, *rest)
+        rows = test.block(taken(u, first, test.lags), taken(y, first, test.horizon + 1))
+        return kernel(rows, *rest)
 
-    return jax.lax.map(one_block, (size * jnp.arange(blocks), *more))
+    results: jax.Array = jax.lax.map(one_block, (size * jnp.arange(blocks), *more))
+    return results
 
 
 @kernel
-def candidates(given: Any, one: jax.Array, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ...]:
+def candidates(given: Settings, one: jax.Array, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ...]:
     """Return the combinations (h, d, done) that speak most against each window of a block, and their `Image`;
     nothing is proved yet.
     """
-    test, steps, finer = given
     image = _imaged(given, one, u, y)
-    return *separation.separation_search(test.shape, image, one, steps, finer), *image
+    return *separation.separation_search(given.reading.frame, image, one, given.steps, given.finer), *image
 
 
-def _imaged(given, one, u, y):
+def _imaged(given: Settings, one: jax.Array, u: jax.Array, y: jax.Array) -> separation.Image:
     """Return the `Image` of the windows of a block."""
-    test, *_ = given
+    test = given.reading
     mid, rad, scale, known, known_scale = (x / one[None] for x in test.block(u, y))
-    return separation.separation_image(test.shape, mid, rad, scale, known, known_scale, test.lift, one)
+    return separation.separation_image(test.frame, mid, rad, scale, known, known_scale, test.lift, one)
 
 
 imaged = kernel(_imaged)
@@ -287,32 +330,38 @@ imaged = kernel(_imaged)
 
 @kernel
 def verdicts(
-    given: Any, one: jax.Array, h: jax.Array, d: jax.Array, done: jax.Array, *image: jax.Array
+    given: Settings, one: jax.Array, h: jax.Array, d: jax.Array, done: jax.Array, *image: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Return (margin, settled) of the windows of a block, proved from what `candidates` found."""
-    test, *_ = given
-    return separation.separation_verdict(test.shape, separation.Image(*image), one, h, d, done)
+    """Return (margin, settled) of the windows of a block, proved from the `candidates` of a search."""
+    return separation.separation_verdict(given.reading.frame, separation.Image(*image), one, h, d, done)
 
 
-def _block_of(frame):
+def _block_of(frame: separation.Frame) -> int:
     """Return how many windows stand side by side: what their exchanges change should stay in the cache."""
     c, k = frame.R.shape
     if k <= 8:
         return 1024
-    return 64 if min(c, k) * k <= LARGE else 16
+    if min(c, k) * k <= LARGE:
+        return 64
+    return 16
 
 
-def rounded_frame(relations: Any, frame: ExactFrame, dtype: Any) -> separation.Frame:
+def rounded_frame(relations: LinearRelations, frame: ExactFrame, dtype: DTypeLike) -> separation.Frame:
     """Return a frame in floats, of one of few widths, so that few are compiled."""
-    k, more = len(relations.frame.inner), len(frame.inner) - len(relations.frame.inner)
-    return separation.frame_of(frame, dtype, k + (power(more) if more > 0 else 0))
+    assert relations.frame is not None
+    width, more = len(relations.frame.inner), len(frame.inner) - len(relations.frame.inner)
+    if more > 0:
+        width += power(more)
+    return separation.frame_of(frame, dtype, width)
 
 
-def _fits(frame, gone, inputs):
+def _fits(frame: ExactFrame, gone: set[int], inputs: tuple[int, ...]) -> bool:
     """Say whether a frame serves windows without the rows `gone` and the inputs `inputs`, which it was made
     without.
     """
-    relations = zip(frame.used, frame.outer, frame.K, strict=True)
-    return gone.isdisjoint(frame.inner) and not any(
-        row[b] for used, j, row in relations if used and j not in gone for b in inputs
-    )
+    if not gone.isdisjoint(frame.inner):
+        return False
+    for used, j, row in zip(frame.used, frame.outer, frame.K, strict=True):
+        if used and j not in gone and any(row[b] for b in inputs):
+            return False
+    return True

@@ -9,16 +9,17 @@ FAULT; what is left is cut in two. A behaviour is one of given gains, a cut is t
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.constant import gain_bounds, narrowed, signed
-from jaxbound.consistency.exchange import PATIENCE, ExchangeTest, rounded_frame
+from jaxbound.consistency.constant import gain_bounds, gain_tolerance, narrowed, own_factor, signed
+from jaxbound.consistency.exchange import PATIENCE, ExchangeTest, Settings, rounded_frame
+from jaxbound.consistency.interface import Again, Array, Arrays, Outs, Progress, Run
+from jaxbound.consistency.reading import Block, Reading
 from jaxbound.consistency.twice import warn_doubtful
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
@@ -41,57 +42,68 @@ class GainsTest(ExchangeTest):
     the true factor.
     """
 
-    def judge(self, run: Callable, blocks: list) -> list:
+    def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return (margin, open): of each window by one box of gains."""
-        given = []
+        bounds = gain_bounds(self.reading, np)
+        boxes = []
         for u, y in blocks:
-            lo, hi = (
-                np.repeat(np.asarray(x)[:, None], y.shape[-1], 1) for x in gain_bounds(self.reading, np)[:2]
-            )
-            given.append((np.ones(y.shape[-1], self.dtype), u, y, lo, hi))
-        searched = run(candidates, given)
-        judged = run(
-            concluded, [(block[0], *block[3:], *found) for block, found in zip(given, searched, strict=True)]
-        )
-        return [
-            self._decided(block, found, np.asarray(margin), np.asarray(settled))
-            for block, found, (margin, settled, _) in zip(given, searched, judged, strict=True)
-        ]
+            count = y.shape[-1]
+            lo, hi = (np.repeat(np.asarray(x)[:, None], count, 1) for x in (bounds.lo, bounds.hi))
+            boxes.append((np.ones(count, self.dtype), u, y, lo, hi))
+        searched = run(candidates, boxes)
+        to_conclude = []
+        for (one, _, _, lo, hi), found in zip(boxes, searched, strict=True):
+            to_conclude.append((one, lo, hi, *found))
+        judged = []
+        conclusions = run(concluded, to_conclude)
+        for box, found, (margin, settled, _) in zip(boxes, searched, conclusions, strict=True):
+            judged.append(self._decided(box, found, np.asarray(margin), np.asarray(settled)))
+        return judged
 
-    def _decided(self, block, found, margin, settled):
+    def _decided(
+        self, box: Arrays, found: Arrays, margin: np.ndarray, settled: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return (margin, open) of a block; the margin of a window that is left open has no sign yet."""
-        proved = self._twice.decided(np.where(settled, margin, 0), partial(self._again, block, found))
+        proved = self._twice.decided(np.where(settled, margin, 0), partial(self._again, box, found))
         return np.where(settled, proved, margin), ~settled
 
-    def _again(self, block, found, at):
-        """Return the margins of some windows of a block, in NumPy from their samples, by what the search
-        found for them; 0: open.
+    def _again(self, box: Arrays, found: Arrays, at: np.ndarray) -> np.ndarray:
+        """Return the margins of some windows of a block, in NumPy from their samples, by the hints of a
+        search; 0: open.
         """
-        one, *samples, lo, hi = (x[..., at] for x in block)
+        one, u, y, lo, hi = (x[..., at] for x in box)
         hints = (np.asarray(x)[..., at] for x in found[4:7])
-        gains, mid, rad, known, *image = prepared(self.constants, one, *samples, lo, hi)
-        margin, settled, _ = concluded(self.constants, one, lo, hi, gains, mid, rad, known, *hints, *image)
+        gains, mid, rad, known, image = prepared(self.constants, one, u, y, lo, hi)
+        rows = gains, mid, rad, known
+        margin, settled, _ = concluded(self.constants, one, lo, hi, *rows, *hints, *image)
         return np.where(settled, margin, 0)
 
     def settle(
-        self, u: np.ndarray, y: np.ndarray, outs: list, left: np.ndarray, again: Callable, progress: Callable
+        self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress
     ) -> None:
         """Cut the box of gains of those windows that it does not decide as a whole, with frames that fit the
         samples that are there.
         """
         (margin,), s = outs, self.horizon
         for frame, chosen in self._frames(u, y, left):
-            reading = dataclasses.replace(
-                self.reading, shape=rounded_frame(self.relations, frame, self.dtype)
-            )
+            shape = rounded_frame(self.relations, frame, self.dtype)
+            reading = dataclasses.replace(self.reading, shape=shape)
             at = left[chosen] + s
             us, ys = self._gather(u, y, left[chosen])
             first = margin[at]
             margin[at] = self._search(reading, us, ys, first)
             self._confirm(reading, us, ys, margin, at, first)
 
-    def _confirm(self, reading, u, y, margin, at, first):
-        """Search once more outside XLA for the gains of windows for which none were found."""
+    def _confirm(
+        self,
+        reading: Reading,
+        u: np.ndarray,
+        y: np.ndarray,
+        margin: np.ndarray,
+        at: np.ndarray,
+        first: np.ndarray,
+    ) -> None:
+        """Search once more outside XLA for the gains of windows for which there were none."""
         wrong = np.flatnonzero(margin[at] < 0)
         if not len(wrong) or is_outside_xla():
             return
@@ -112,96 +124,95 @@ class GainsTest(ExchangeTest):
             "detect(...).margin"
         )
 
-    def _search(self, reading, u, y, margin):
+    def _search(self, reading: Reading, u: np.ndarray, y: np.ndarray, first: np.ndarray) -> np.ndarray:
         """Return the margins of windows u (lags, m, N), y (s + 1, p, N): 0 where the budget does not
-        decide.
+        decide. first: their margins so far.
         """
-        assert self.relations.frame is not None
-        constants = jax.device_put((reading, PATIENCE * (len(self.relations.frame.inner) + 10), FINER))
-        lo, hi = (np.asarray(x) for x in gain_bounds(reading, np)[:2])
-        first = np.array(margin)
+        count, bounds = len(first), gain_bounds(reading, np)
+        settings = Settings(reading, PATIENCE * (len(self.exact_frame.inner) + 10), FINER)
+        constants = jax.device_put(settings)
 
-        def judged(lo, hi, owner):
+        def judged(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> _Conclusion:
             one = np.ones(len(owner), self.dtype)
             found = candidates(constants, one, u[..., owner], y[..., owner], lo, hi)
-            return concluded(constants, one, lo, hi, *found)
+            conclusion: _Conclusion = concluded(constants, one, lo, hi, *found)
+            return conclusion
 
-        found = explore(
-            lambda *box: judged(*box)[2],
-            lo,
-            hi,
-            len(margin),
-            DEPTH,
-            BOXES,
-            "kernel",
-            first=True,
-            sizes=(self.block,),
-        )
-        out = np.where(
-            np.bincount(found.owner, minlength=len(margin)) > 0, 0, signed(first, np.zeros(len(margin), bool))
-        )
-        gains, _, owner = found.proofs
+        def verdicts(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> Verdicts[jax.Array]:
+            return judged(lo, hi, owner)[2]
+
+        def margins(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> jax.Array:
+            return judged(lo, hi, owner)[0]
+
+        lo, hi, sizes = np.asarray(bounds.lo), np.asarray(bounds.hi), (self.block,)
+        cover = explore(verdicts, lo, hi, count, DEPTH, BOXES, "kernel", first=True, sizes=sizes)
+        left = np.bincount(cover.owner, minlength=count) > 0
+        out = np.where(left, 0, signed(first, np.zeros(count, bool)))
+        gains, _, owner = cover.proofs
         which, at = np.unique(owner, return_index=True)
         if len(which):
-            sizes = in_blocks(lambda *box: judged(*box)[0], gains[:, at], gains[:, at], which, (self.block,))[
-                0
-            ]
-            out[which] = signed(sizes, np.ones(len(which), bool))
+            (size,) = in_blocks(margins, gains[:, at], gains[:, at], which, sizes)
+            out[which] = signed(size, np.ones(len(which), bool))
         return out.astype(self.dtype)
 
 
+_Conclusion = tuple[jax.Array, jax.Array, Verdicts[jax.Array]]
+_Prepared = tuple[jax.Array, jax.Array, jax.Array, jax.Array, separation.Image]
+
+
 @kernel
-def candidates(given: Any, one: jax.Array, u: jax.Array, y: jax.Array, lo: jax.Array, hi: jax.Array) -> tuple:
+def candidates(
+    given: Settings, one: jax.Array, u: jax.Array, y: jax.Array, lo: jax.Array, hi: jax.Array
+) -> tuple[jax.Array, ...]:
     """Return (gains, mid, rad, known, h, d, done, *image) at the middle of a box of gains lo, hi (g, N) a
     window; nothing is proved yet.
     """
-    test, steps, finer = given
-    gains, mid, rad, known, image = _prepared(given, one, u, y, lo, hi)
-    found = separation.separation_search(test.shape, image, one, steps, finer)
-    return gains, mid, rad, known, *found, *image
+    *rows, image = _prepared(given, one, u, y, lo, hi)
+    found = separation.separation_search(given.reading.frame, image, one, given.steps, given.finer)
+    return *rows, *found, *image
 
 
-def _prepared(given, one, u, y, lo, hi):
+def _prepared(
+    given: Settings, one: jax.Array, u: jax.Array, y: jax.Array, lo: jax.Array, hi: jax.Array
+) -> _Prepared:
     """Return (gains, mid, rad, known, image) at the middle of a box of gains."""
-    test, *_ = given
+    test = given.reading
     inner = (x[:, None] for x in gain_bounds(test, jnp)[2:])
     gains = jnp.clip(0.5 * lo + 0.5 * hi, *inner) / one[None]
     rows = dataclasses.replace(test, tolerance=jnp.zeros_like(test.tolerance)).block(u, y)
     mid, rad, scale, known, known_scale = (x / one[None] for x in rows)
     of = jnp.take(gains, _gain(test, jnp.arange(len(mid))), 0)  # of each row
-    lift = jnp.max(gain_bounds(test, jnp)[1])
+    lift = jnp.max(gain_bounds(test, jnp).hi)
     scaled = (mid * of, rad * of, 2 * scale * of)  # twice: what the products round
-    return (
-        gains,
-        mid,
-        rad,
-        known,
-        separation.separation_image(test.shape, *scaled, known, 2 * known_scale, lift, one),
-    )
+    image = separation.separation_image(test.frame, *scaled, known, 2 * known_scale, lift, one)
+    return gains, mid, rad, known, image
 
 
-@kernel
-def prepared(*given: Any) -> tuple:
-    """Return what `candidates` returns but for (h, d, done), which are searched for."""
-    gains, mid, rad, known, image = _prepared(*given)
-    return gains, mid, rad, known, *image
+prepared = kernel(_prepared)
+"""The same without a search, for hints that are there."""
 
 
 @kernel
 def concluded(
-    given: Any, one: jax.Array, lo: jax.Array, hi: jax.Array, gains: jax.Array, *found: jax.Array
-) -> tuple:
-    """Return (margin, settled, Verdicts) of boxes of gains lo, hi (g, N), from what `candidates` found in
-    their middle.
+    given: Settings,
+    one: jax.Array,
+    lo: jax.Array,
+    hi: jax.Array,
+    gains: jax.Array,
+    mid: jax.Array,
+    rad: jax.Array,
+    known: jax.Array,
+    h: jax.Array,
+    d: jax.Array,
+    done: jax.Array,
+    *rest: jax.Array,
+) -> _Conclusion:
+    """Return (margin, settled, Verdicts) of boxes of gains lo, hi (g, N), from the candidates in their
+    middle.
     """
-    test, *_ = given
-    mid, rad, known, h, d, done, *rest = found
-    frame, image = test.shape, separation.Image(*rest)
-    margin, _ = separation.separation_verdict(frame, image, one, h, d, done)
-    sigma = jnp.concatenate(
-        [test.tolerance, jnp.zeros_like(gains[:, 0], shape=len(gains) - len(test.tolerance))]
-    )[:, None]
-    own = jnp.max(jnp.where(sigma > 0, jnp.abs(1 / gains - 1) / jnp.where(sigma > 0, sigma, 1), 0), 0)
+    test, image = given.reading, separation.Image(*rest)
+    margin, _ = separation.separation_verdict(test.frame, image, one, h, d, done)
+    own = own_factor(gains, gain_tolerance(test))
     inside, nothing = margin > 0, jnp.isnan(margin)
     a, e, b, slack, usable = _strip(test, image, h, mid, rad, known)
     out = jnp.zeros_like(inside)
@@ -222,13 +233,15 @@ def concluded(
     return size, ~open_, Verdicts(open_, inside, (gains, gains), (low, high), axis)
 
 
-def _gain(test, rows):
+def _gain(test: Reading, rows: jax.Array) -> jax.Array:
     """Return the number of the gain of each row: that of its output, one more for disturbances."""
     p = len(test.noise)
     return jnp.where(rows < p * (test.horizon + 1), rows % p, p)
 
 
-def _strip(test, image, h, mid, rad, known):
+def _strip(
+    test: Reading, image: separation.Image, h: jax.Array, mid: jax.Array, rad: jax.Array, known: jax.Array
+) -> tuple[jax.Array, ...]:
     """Return (a, e (g, N), b, slack (N,), usable) of the combination h (c, N): |sum_i g_i a_i - b| <= sum_i
     g_i e_i where gains explain.
 
@@ -236,34 +249,35 @@ def _strip(test, image, h, mid, rad, known):
     no more than twice the roundings that `rounding.search_error` counts, at magnitudes that the largest gain
     multiplies once more.
     """
-    frame, gains = test.shape, len(test.noise) + min(1, len(test.disturbance))
+    frame, gains = test.frame, len(test.noise) + min(1, len(test.disturbance))
     c, k = frame.R.shape
     order = jnp.concatenate([frame.outer, frame.inner])
     present = image.present
     h = jnp.where(present[:c], h, 0)
-    through = lambda matrix: jax.lax.fori_loop(
-        0,
-        c,
-        lambda j, total: total + matrix[j][:, None] * h[j][None],
-        jnp.zeros((matrix.shape[1], h.shape[1]), h.dtype),
-    )
+
+    def through(matrix: Array) -> jax.Array:
+        def add(j: jax.Array, total: jax.Array) -> jax.Array:
+            return total + matrix[j][:, None] * h[j][None]
+
+        sums: jax.Array = jax.lax.fori_loop(0, c, add, jnp.zeros((matrix.shape[1], h.shape[1]), h.dtype))
+        return sums
+
+    def taken(x: jax.Array) -> jax.Array:
+        return jnp.where(present, jnp.take(x, order, 0, mode="clip"), 0)
+
     share = jnp.concatenate([h, -through(frame.R)])
-    taken = lambda x: jnp.where(present, jnp.take(x, order, 0, mode="clip"), 0)
     mine = jax.nn.one_hot(_gain(test, order), gains, dtype=bool, axis=0)[:, :, None]
     a = jnp.sum(jnp.where(mine, (share * taken(mid))[None], 0), 1)
     e = jnp.sum(jnp.where(mine, (jnp.abs(share) * taken(rad))[None], 0), 1)
     there = jnp.where(jnp.isnan(known), 0, known)
-    b = jnp.sum(through(frame.K) * there, 0) if len(known) else jnp.zeros_like(h[0])
-    most = jnp.max(gain_bounds(test, jnp)[1])
+    if len(known):
+        b = jnp.sum(through(frame.K) * there, 0)
+    else:
+        b = jnp.zeros_like(h[0])
+    most = jnp.max(gain_bounds(test, jnp).hi)
     gamma, _ = rounding.search_error(c, k, len(known), h.dtype)
-    slack = (
-        4
-        * most
-        * (gamma * jnp.sum(jnp.abs(h) * image.magnitude[:c], 0) + image.floor * (1 + jnp.sum(jnp.abs(h), 0)))
-    )
-    usable = (
-        image.complete
-        & present[:c].any(0)
-        & (slack < np.asarray(2.0 ** (np.finfo(h.dtype).maxexp // 2), h.dtype))
-    )
+    rounded = gamma * jnp.sum(jnp.abs(h) * image.magnitude[:c], 0)
+    slack = 4 * most * (rounded + image.floor * (1 + jnp.sum(jnp.abs(h), 0)))
+    usable = image.complete & present[:c].any(0)
+    usable &= slack < np.asarray(2.0 ** (np.finfo(h.dtype).maxexp // 2), h.dtype)
     return a, e, b, jnp.where(usable, slack, 0), usable

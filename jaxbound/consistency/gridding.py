@@ -5,16 +5,28 @@ section 4, and because it converges from outside to what the joint test computes
 """
 
 import math
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
-from jaxbound.consistency.interface import Budget, LinearRelations, Open, WindowTest
+from jaxbound.consistency.interface import (
+    Arrays,
+    Budget,
+    Cases,
+    LinearRelations,
+    LinearTest,
+    Open,
+    Run,
+    WindowTest,
+)
+from jaxbound.consistency.reading import Block
 from jaxbound.consistency.strips_on_host import host_strips
+from jaxbound.exact.linalg import Matrix
 from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.models.window import input_lags
 from jaxbound.sets.floats import rounding
@@ -29,17 +41,20 @@ BUDGET = 3, 100_000
 """(q, boxes a window) of a paving where nothing else is asked."""
 
 
+Numbers: TypeAlias = jax.Array | np.ndarray
+
+
 def internal_form(
-    z: Any,
-    y_lo: Any,
-    y_hi: Any,
-    tolerance: Any,
-    rho: Any,
-    W_lo: Any,
-    W_hi: Any,
-    w_lo: Any = (),
-    w_hi: Any = (),
-) -> Any:
+    z: Interval,
+    y_lo: Numbers,
+    y_hi: Numbers,
+    tolerance: Numbers,
+    rho: Numbers,
+    W_lo: Numbers,
+    W_hi: Numbers,
+    w_lo: Numbers | tuple[()] = (),
+    w_hi: Numbers | tuple[()] = (),
+) -> Interval:
     """Enclose p_int = W (mu, -w), mu = (theta y + rho delta) / (1 + theta), w = (w_hi + w_lo + (w_hi - w_lo)
     omega) / 2.
 
@@ -53,11 +68,11 @@ def internal_form(
     if len(w_lo):
         lo, hi = interval(w_lo), interval(w_hi)
         w = -0.5 * (hi + lo + (hi - lo) * z[shared + rows :])
-        mu = Interval(*(jnp.concatenate(ends) for ends in ((mu.lo, w.lo), (mu.hi, w.hi))))
+        mu = Interval(jnp.concatenate((mu.lo, w.lo)), jnp.concatenate((mu.hi, w.hi)))
     return matmul(Interval(W_lo, W_hi), mu)
 
 
-class PavingTest(WindowTest):
+class PavingTest(LinearTest):
     """Paves the unknowns of each window: FAULT is a proof, anything else UNDECIDED. No gauge is measured, the
     margin is NaN.
 
@@ -65,120 +80,124 @@ class PavingTest(WindowTest):
         budget: (q, boxes): stop at r > q - 1, and after so many boxes a window; None: `BUDGET`.
     """
 
-    relations: LinearRelations
-
     padded = sharded = False
     block = short = 2**14
+    constants = None
 
     def __init__(self, relations: LinearRelations, dtype: DTypeLike, budget: Budget = None) -> None:
         super().__init__(relations, "paving", dtype)
-        self.q: float
-        self.boxes: int
+        self.q: int
         if isinstance(budget, int):
             raise TypeError(f"the budget of the paving is a pair (q, boxes a window), not {budget}")
         self.q, self.boxes = BUDGET if budget is None else budget
         if self.boxes < 1:
             raise ValueError(f"the budget of the paving needs at least one box, not {self.boxes}")
 
-    constants = None
-
     @property
     def lags(self) -> int:
         """How many samples of u a window has."""
         return input_lags(self.relations.model, self.horizon)
 
-    def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> list:
+    def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Cases:
         """Leave out windows with missing samples."""
         return whole_windows(self, u, y, starts)
 
-    def judge(self, run: Callable, blocks: list) -> list:
+    def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return (status, margin) of windows."""
-        windows = ([np.moveaxis(x, -1, 0) for x in block] for block in blocks)
-        found = [_pave(self.relations, U, Y, self.q, self.boxes) for U, Y in windows]
-        return [(status, np.full(len(status), np.nan, self.dtype)) for status in found]
+        judged = []
+        for u, y in blocks:
+            status = self._judged(np.moveaxis(u, -1, 0), np.moveaxis(y, -1, 0))
+            judged.append((status, np.full(len(status), np.nan, self.dtype)))
+        return judged
 
     def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """Return (N,) bool: which windows one strip contradicts, in NumPy: what is excluded by boxes is by
         strips.
         """
         r = self.relations
-        if r.frame is None:
-            method, strips = "joint", (r.circuits, r.circuits_known)
-        else:
-            method, strips = "box", (r.W, r.K)
-        host = host_strips(r.reading(np.float64, method), *strips, self.dtype, r.model.constant_tolerance)
+        method = "joint" if r.frame is None else "box"
+        reading, constant = r.reading(np.float64, method), r.model.constant_tolerance
+        host = host_strips(reading, *r.strips(method), self.dtype, constant)
         return np.asarray(host.contradicted(u, y, starts).any(0))
 
+    def _judged(self, U: np.ndarray, Y: np.ndarray) -> np.ndarray:
+        """Return the status of windows U (N, lags, m), Y (N, s + 1, p), their number filled up to a power of
+        two.
+        """
+        r, model, dtype = self.relations, self.relations.model, Y.dtype
+        windows, count = len(Y), power(max(len(Y), 128))
+        U, Y = _filled(U, count), _filled(Y, count)
+        W, slip = _enclosed(r.W, dtype), 2 * input_slip(U)  # 2: for the two differences
+        outputs = Interval(Y, Y), _enclosed(model.offset["y"], dtype)
+        inputs = Interval(U - slip, U + slip), _enclosed(model.offset["u"], dtype)
+        flat, external = _external((outputs, inputs), W, _enclosed(r.K, dtype))
+        tolerance = rounding.round_up(r.bounds["tolerance"], dtype)
+        noise = rounding.round_up(r.bounds["noise"], dtype)
+        largest = abs(Y).max(1) + noise
+        recorder = (RECORDER_ULPS + 4) * rounding.unit(dtype) * largest
+        rho = noise + rounding.round_up(list(model.resolution), dtype) + recorder
+        lo, hi = r.bounds.get("disturbance", np.zeros((0, 2))).T
+        w_lo = np.tile(rounding.round_down(lo, dtype), r.horizon)
+        w_hi = np.tile(rounding.round_up(hi, dtype), r.horizon)
+        rows = Y.shape[1]
+        if not model.constant_tolerance:
+            tolerance = np.tile(tolerance, rows)
+        of_all = [np.broadcast_to(x, (count, *x.shape)) for x in (tolerance, W.lo, W.hi, w_lo, w_hi)]
+        args = flat.lo, flat.hi, of_all[0], np.tile(rho, rows), *of_all[1:]
+        edge = np.ones(len(tolerance) + flat.shape[1] + len(w_lo), dtype)
+        filler = (np.arange(count) >= windows)[:, None]  # an empty target is excluded by the first box
+        target = Interval(np.where(filler, np.inf, external.lo), np.where(filler, -np.inf, external.hi))
+        box = Interval(-edge, edge)
+        status = reaches(internal_form, box, target, self.q, self.boxes, tuple(map(np.asarray, args)))
+        return status[:windows]
 
-def whole_windows(test: WindowTest, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> list:
+
+def whole_windows(test: WindowTest, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Cases:
     """Return the cases of a test that takes whole windows alone: what is missing makes a window MISSING, what
     is infinite UNDECIDED.
     """
-    lacking, endless = (
-        _span(bad(u), starts, test.lags) | _span(bad(y), starts, test.horizon + 1)
-        for bad in (np.isnan, np.isinf)
-    )
+    counted, lengths = (u, y), (test.lags, test.horizon + 1)
+    lacking, endless = np.zeros(len(starts), bool), np.zeros(len(starts), bool)
+    for x, length in zip(counted, lengths, strict=True):
+        lacking |= _span(np.isnan(x), starts, length)
+        endless |= _span(np.isinf(x), starts, length)
     cases = [(test, starts[~lacking & ~endless]), (Open(test, np.nan), starts[endless])]
     return [(case, own) for case, own in cases if len(own)]
 
 
-def _span(bad, starts, length):
+def _span(bad: np.ndarray, starts: np.ndarray, length: int) -> np.ndarray:
     """Return whether any of so many samples from each of `starts` on is bad (T, channels)."""
     counted = np.concatenate([[0], np.cumsum(bad.any(1))])
-    return counted[starts + length] > counted[starts]
+    return np.asarray(counted[starts + length] > counted[starts])
 
 
-def _pave(relations, U, Y, q, boxes):
-    model, windows, dtype = relations.model, len(Y), Y.dtype
-    count = power(max(windows, 128))
-    U, Y = (np.concatenate([x, np.zeros((count - windows, *x.shape[1:]), dtype)]) for x in (U, Y))
-    encloses = lambda exact: Interval(rounding.round_down(exact, dtype), rounding.round_up(exact, dtype))
-    W, slip = encloses(relations.W), 2 * input_slip(U)  # 2: for the two differences
-    given = (
-        (Interval(Y, Y), encloses(model.offset["y"])),
-        (Interval(U - slip, U + slip), encloses(model.offset["u"])),
-    )
-    flat, external = _external(given, W, encloses(relations.K))
-    bounds = {k: rounding.round_up(relations.bounds[k], dtype) for k in ("tolerance", "noise")}
-    largest = abs(Y).max(1) + bounds["noise"]
-    rho = (
-        bounds["noise"]
-        + rounding.round_up(list(model.resolution), dtype)
-        + (RECORDER_ULPS + 4) * rounding.unit(dtype) * largest
-    )
-    lo, hi = relations.bounds.get("disturbance", np.zeros((0, 2))).T
-    w_lo, w_hi = (
-        np.tile(x, relations.horizon) for x in (rounding.round_down(lo, dtype), rounding.round_up(hi, dtype))
-    )
-    rows = Y.shape[1]
-    each = lambda x: np.broadcast_to(x, (count, *x.shape))
-    tolerance = bounds["tolerance"] if model.constant_tolerance else np.tile(bounds["tolerance"], rows)
-    args = (
-        flat.lo,
-        flat.hi,
-        each(tolerance),
-        np.tile(rho, rows),
-        each(W.lo),
-        each(W.hi),
-        each(w_lo),
-        each(w_hi),
-    )
-    edge = np.ones(len(tolerance) + flat.shape[1] + len(w_lo), dtype)
-    filler = (np.arange(count) >= windows)[:, None]  # an empty target is excluded by the first box
-    target = Interval(np.where(filler, np.inf, external.lo), np.where(filler, -np.inf, external.hi))
-    return reaches(internal_form, Interval(-edge, edge), target, q, boxes, tuple(map(np.asarray, args)))[
-        :windows
-    ]
+def _filled(x: np.ndarray, count: int) -> np.ndarray:
+    """Return an array with zeros behind it, so that there are so many entries."""
+    return np.concatenate([x, np.zeros((count - len(x), *x.shape[1:]), x.dtype)])
+
+
+def _enclosed(exact: Matrix | Sequence[Fraction], dtype: DTypeLike) -> Interval:
+    """Return exact numbers as an Interval of floats."""
+    return Interval(rounding.round_down(exact, dtype), rounding.round_up(exact, dtype))
 
 
 @kernel
-def _external(given, W, K):
-    """Return (measured (N, rows), p_ext (N, r)) of windows: their samples, offsets taken off, and what W and
-    K make of them.
+def _external(
+    given: tuple[tuple[Interval, Interval], tuple[Interval, Interval]], W: Interval, K: Interval
+) -> tuple[Interval, Interval]:
+    """Return (measured (N, rows), p_ext (N, r)) of windows: their samples without offsets, and their product
+    with W and K.
     """
-    flat, known = (sub(samples, offset[None, None]) for samples, offset in given)
-    flat, known = (
-        jax.tree.map(lambda x: x.reshape(len(x), math.prod(x.shape[1:])), ends) for ends in (flat, known)
-    )
-    external = matmul(flat, Interval(W.lo.T[: flat.shape[1]], W.hi.T[: flat.shape[1]]))
-    return flat, external - matmul(known, Interval(K.lo.T, K.hi.T)) if known.shape[1] else external
+    measured, known = (sub(samples, offset[None, None]) for samples, offset in given)
+    measured, known = _flat(measured), _flat(known)
+    rows = measured.shape[1]
+    external = matmul(measured, Interval(W.lo.T[:rows], W.hi.T[:rows]))
+    if known.shape[1]:
+        external = external - matmul(known, Interval(K.lo.T, K.hi.T))
+    return measured, external
+
+
+def _flat(x: Interval) -> Interval:
+    """Return samples (N, s + 1, channels) as (N, rows)."""
+    shape = len(x.lo), math.prod(x.shape[1:])
+    return Interval(x.lo.reshape(shape), x.hi.reshape(shape))

@@ -17,25 +17,40 @@ import numpy as np
 from jax.typing import DTypeLike
 from numpy.typing import ArrayLike
 
+from jaxbound.consistency.reading import Block, Reading
 from jaxbound.exact.frames import ExactFrame
 from jaxbound.exact.linalg import Matrix
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.sets.floats.status import Status
+from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.objects import readable
 
 __all__ = [
     "FAMILIES",
     "METHODS",
     "OBSERVER",
+    "Again",
+    "Arrays",
+    "Block",
+    "Budget",
+    "Cases",
+    "Compensation",
     "Judged",
     "LinearRelations",
+    "LinearTest",
     "Observer",
     "Open",
+    "Outputs",
+    "Outs",
+    "Progress",
     "Reach",
     "Relations",
+    "Run",
+    "Starts",
     "Verdicts",
+    "WindowReading",
     "WindowTest",
     "family",
     "refuse_options",
@@ -48,19 +63,43 @@ OBSERVER = "observer"
 Array: TypeAlias = np.ndarray | jax.Array
 Bounds: TypeAlias = Mapping[str, Array]
 """{"noise": (p,), ..}: the half-widths, or lowest and highest values, that verdicts rest on."""
-Budget: TypeAlias = int | tuple[float, int] | None
+Budget: TypeAlias = int | tuple[int, int] | None
 """Effort for each window: a number of boxes, or (q, boxes) for "paving"; None: the default."""
 Compensation: TypeAlias = ArrayLike
 """Of "linearized", a number that each relation may be off by, or one for each."""
 Starts: TypeAlias = ArrayLike
 """Numbers of the samples that do not follow the one before."""
-Block: TypeAlias = tuple[np.ndarray, np.ndarray]
-"""Samples (u, y) of as many windows as are judged at once."""
 Arrays: TypeAlias = Sequence[Array]
-Kernel: TypeAlias = Callable[..., Any]
-Run: TypeAlias = Callable[[Kernel, Sequence[Block]], list[Any]]
-"""run(kernel, blocks) calls a jitted kernel(constants, *block) on all blocks, one a device."""
 Progress: TypeAlias = Callable[[float], object]
+"""Takes the share of the work done."""
+Outputs: TypeAlias = Sequence[tuple[DTypeLike, float]]
+"""((dtype, value where there is no window), ...), one for each array over samples."""
+Outs: TypeAlias = Sequence[np.ndarray]
+"""Arrays of `Outputs` over all samples."""
+Cases: TypeAlias = Sequence[tuple["WindowTest", np.ndarray]]
+"""Tests, each with the starts of the windows that it judges."""
+Again: TypeAlias = Callable[["WindowTest", np.ndarray], np.ndarray]
+"""again(test, starts) judges windows by another test and returns the starts of those that it leaves open."""
+Result = TypeVar("Result", covariant=True)
+
+
+class Run(Protocol):
+    """Runs a jitted kernel(constants, *block) on all blocks, one a device, and returns a result for each."""
+
+    def __call__(self, kernel: Callable[..., Result], blocks: Sequence[Arrays]) -> list[Result]:
+        """Run a kernel."""
+
+
+class WindowReading(Protocol):
+    """Numbers by which kernels read a window, a PyTree of arrays."""
+
+    @property
+    def horizon(self) -> int:
+        """A window has horizon + 1 samples."""
+
+    @property
+    def lags(self) -> int:
+        """How many samples of u a window has."""
 
 
 class Reach(Protocol):
@@ -128,9 +167,9 @@ class Relations:
 
         @property
         def made(self) -> tuple[object, ...] | None:
-            """How relations came from the model, beside horizon and bounds; None: nothing tells them apart.
+            """How relations came from the model, beside horizon and bounds; None: no two can be told apart.
 
-            Verdicts that are kept are known again by it; without it none are kept.
+            Kept verdicts are found again by it. Without it none are kept.
             """
             raise NotImplementedError
 
@@ -161,7 +200,7 @@ class Relations:
 
         @property
         def restart(self) -> bool:
-            """Whether what remembers begins anew behind a FAULT; else FAULT stays until a gap."""
+            """Whether an observer begins anew behind a FAULT; else FAULT stays until a gap."""
             raise NotImplementedError
 
     else:
@@ -178,10 +217,10 @@ class Relations:
         """Whether a FAULT stays until a gap, as that of an observer that does not begin anew."""
         return self.remembers and not self.restart
 
-    def recording(self, u: Any, y: Any = None, starts: Starts = ()) -> tuple[Self, Recording]:
+    def recording(self, u: object, y: object = None, starts: Starts = ()) -> tuple[Self, Recording]:
         """Return (relations, Recording) of the samples that a user gives: see `Recording.of`.
 
-        The relations are these, or, where names of signals were missing, the same with those of the samples.
+        The relations are these. Where signals had no names, they are the same with the names of the samples.
         """
         return self, Recording.of(self.model, u, y, starts)
 
@@ -196,7 +235,7 @@ class Relations:
         """
         raise NotImplementedError(f"{type(self).__name__} needs a method test(method, dtype, ..)")
 
-    def reading(self, dtype: DTypeLike, method: str = "joint") -> Any:
+    def reading(self, dtype: DTypeLike, method: str = "joint") -> WindowReading:
         """Return the numbers by which kernels read a window, as a PyTree of arrays in a float dtype.
 
         Raises:
@@ -212,7 +251,7 @@ class Relations:
         """
         raise NotImplementedError(f"{type(self).__name__} has no bounds that may be changed or tuned")
 
-    def external(self, u: Any, y: Any = None, starts: Starts = ()) -> jax.Array:
+    def external(self, u: object, y: object = None, starts: Starts = ()) -> jax.Array:
         """Return the residuals (..., T, count), NaN where a window is incomplete; not rounded, for pictures.
 
         Raises:
@@ -220,7 +259,7 @@ class Relations:
         """
         raise NotImplementedError(f"{type(self).__name__} has no residuals to show")
 
-    def internal(self, u: Any, y: Any = None, starts: Starts = ()) -> Any:
+    def internal(self, u: object, y: object = None, starts: Starts = ()) -> Interval:
         """Return the Interval (..., T, count) that bounds allow each residual; not rounded, for pictures.
 
         Raises:
@@ -268,6 +307,16 @@ class LinearRelations(Relations):
             """The numbers that the exchange search needs where circuits are too many, else None."""
             raise NotImplementedError
 
+    def strips(self, method: str) -> tuple[Matrix, Matrix]:
+        """Return rows over (Y, w) and over U: of each relation ("box"), else of all circuits."""
+        if method == "box":
+            return self.W, self.K
+        return self.circuits, self.circuits_known
+
+    def reading(self, dtype: DTypeLike, method: str = "joint") -> Reading:
+        """Return the Reading of all circuits ("joint") or of each relation alone ("box") in a float dtype."""
+        raise NotImplementedError
+
 
 def relations_of(given: object, verb: str, example: str) -> Relations:
     """Return the relations, or the observer, that a user gives to a verb.
@@ -287,41 +336,45 @@ class WindowTest:
     """One way to decide windows of `horizon` + 1 samples.
 
     Args:
-        relations: what it tests. method: as of `detect`. dtype: of the samples.
+        relations: what is tested. method: as of `detect`. dtype: of the samples.
 
-    A subclass says what a kernel takes beside samples (`constants`), how many windows at once (`block`, a
-    function of shapes alone, else verdicts would depend on the cut), and judges blocks of them (`judge`).
-    What it leaves open it may settle by another way (`settle`).
+    A subclass states what its kernels take beside samples (`constants`) and how many windows they take at
+    once (`block`), and judges blocks of them (`judge`). It may settle the windows that it leaves open by
+    another way (`settle`). `block` must depend on shapes alone: else verdicts would depend on how a recording
+    is cut.
     """
 
     gathered: ClassVar[bool] = True
-    """Blocks are windows u (lags, m, N), y (s + 1, p, N); else stretches u (N + s, m), y (N + s, p)."""
+    """Whether blocks are windows u (lags, m, N), y (s + 1, p, N); else stretches u (N + s, m), y (N + s,
+    p)."""
     padded: ClassVar[bool] = True
-    """Blocks are filled up to their size; else the last one is shorter."""
+    """Whether blocks are filled up to their size; else the last one is shorter."""
     sharded: ClassVar[bool] = True
-    """`judge` runs its kernels by `run`; else it is called on one device after the other."""
+    """Whether `judge` runs its kernels by `run`; else it is called on one device after the other."""
     threads: ClassVar[bool] = False
-    """Several blocks at once: where the host waits between two kernels."""
+    """Whether several blocks are judged at once: where the host waits between two kernels."""
     twice: ClassVar[bool] = False
-    """`judge` and `settle` decide each FAULT a second time themselves."""
+    """Whether `judge` and `settle` decide each FAULT a second time themselves."""
     replayed: ClassVar[bool] = True
-    """Or `contradicted` and `exactly` see whatever contradicts."""
-    short: ClassVar[int] = 64
+    """Whether kernels are evaluated in NumPy for a FAULT that `contradicted` does not see; else `exactly` is
+    asked."""
+
+    short: int = 64
     """How many windows are judged at once where there are few."""
 
     def __init__(self, relations: Relations, method: str, dtype: DTypeLike) -> None:
         self.relations, self.method, self.dtype = relations, method, np.dtype(dtype)
         self.horizon = relations.horizon
-        self.placed: dict[tuple[jax.Device, ...], Any] = {}  # `constants` on devices, as `drive` puts them
+        self.placed: dict[tuple[jax.Device, ...], object] = {}  # `constants` on devices, as `drive` puts them
 
     @property
-    def constants(self) -> Any:
-        """A PyTree of arrays that kernels take first."""
+    def constants(self) -> object:
+        """A PyTree of arrays that kernels take first; by default `reading`."""
         return self.reading
 
     @cached_property
-    def reading(self) -> Any:
-        """How kernels read a window: from `relations.reading`."""
+    def reading(self) -> WindowReading:
+        """The numbers by which kernels read a window: `relations.reading`."""
         return self.relations.reading(self.dtype, self.method)
 
     @property
@@ -335,45 +388,38 @@ class WindowTest:
         raise NotImplementedError
 
     @property
-    def outputs(self) -> tuple[tuple[np.dtype, float], ...]:
-        """((dtype, value where there is no window), ...): the arrays that `judge` fills."""
+    def outputs(self) -> Outputs:
+        """The arrays over samples that `judge` fills: by default status and margin."""
         return (np.dtype(np.int8), Status.MISSING), (self.dtype, np.nan)
 
-    def cases(
-        self, u: np.ndarray, y: np.ndarray, starts: np.ndarray
-    ) -> Sequence[tuple["WindowTest", np.ndarray]]:
-        """Return [(test, starts)]: who judges which of the windows that start at these samples; the rest
-        stays MISSING.
+    def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Cases:
+        """Return [(test, starts)]: the tests that judge windows, and the samples with which these start.
+
+        Windows that are in no case stay MISSING.
         """
         return [(self, starts)] if len(starts) else []
 
-    def judge(self, run: Run, blocks: list[Block]) -> list[Any]:
+    def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Judge blocks of windows.
 
         Args:
             run: of (kernel, blocks), runs a jitted kernel(constants, *block) on all blocks, one a device, and
-                returns what it returns.
+                returns a result for each.
             blocks: [(u, y)].
 
         Returns:
-            For each block the arrays of `outputs`, the windows on their last axis; one more of bool says
-            which are left open.
+            For each block the arrays of `outputs`, the windows on their last axis. One more array of bool
+            may say which windows are left open.
         """
         raise NotImplementedError
 
-    def write(self, outs: list[np.ndarray], at: np.ndarray, found: tuple[np.ndarray, ...]) -> None:
-        """Write what was found of the windows that end at samples `at`."""
-        for out, values in zip(outs, found, strict=True):
-            out[at] = values
+    def write(self, outs: Sequence[np.ndarray], at: np.ndarray, values: Sequence[np.ndarray]) -> None:
+        """Write the values of windows that end at samples `at` into the arrays of `outputs`."""
+        for out, own in zip(outs, values, strict=True):
+            out[at] = own
 
     def settle(
-        self,
-        u: np.ndarray,
-        y: np.ndarray,
-        outs: list[np.ndarray],
-        left: np.ndarray,
-        again: Callable[["WindowTest", np.ndarray], np.ndarray],
-        progress: Progress,
+        self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress
     ) -> None:
         """Decide windows that were left open, in place.
 
@@ -389,37 +435,34 @@ class WindowTest:
         """Return (N,) bool: which windows are seen to contradict their bounds, from all samples u (T, m), y
         (T, p) and without XLA.
 
-        What is not seen here is asked of `judge` and `settle`, with kernels evaluated in NumPy, unless
-        `replayed` is False. See `twice`.
+        A FAULT that is not seen here is decided again by `judge` and `settle`, with kernels evaluated in
+        NumPy; by `exactly` where `replayed` is False. See `twice`.
         """
         return np.zeros(len(starts), bool)
 
-    def exactly(self, found: np.ndarray, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
-        """Return what `contradicted` found, with what it left open decided exactly; of tests that are not
-        `replayed`.
-        """
-        return found
+    def exactly(self, seen: np.ndarray, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """Return `seen`, the result of `contradicted`, with the windows that it left open decided exactly."""
+        return seen
 
     def withdrawn(
         self, judged: Judged, at: np.ndarray, contradicted: np.ndarray, u: np.ndarray, y: np.ndarray
     ) -> tuple[Judged, np.ndarray]:
-        """Return (the verdicts with UNDECIDED in place of FAULT where nothing contradicts, at which of the
-        samples `at` there are such).
+        """Put UNDECIDED in place of FAULT where nothing contradicts; return (the verdicts, at which of `at`).
 
         Args:
-            at: ends of the windows. contradicted: of them, from `contradicted`. u, y: all samples.
+            at: ends of the windows that are FAULT. contradicted: of them, from `contradicted`. u, y: all
+                samples.
         """
         gone = at[~contradicted]
         judged.status.reshape(-1)[gone] = Status.UNDECIDED
         judged.margin.reshape(-1)[gone] = 0
         return judged, ~contradicted
 
-    def judged(self, outs: list[np.ndarray]) -> Any:
-        """Return the verdicts from the arrays of `outputs`, each (..., T): a Judged, of a test whose windows
-        are not decided another value.
+    def judged(self, outs: Sequence[np.ndarray]) -> Judged:
+        """Return the verdicts from the arrays of `outputs`, each (..., T).
 
-        Tested alone, relations that all hold need not hold together: no window is CONSISTENT by "box" but of
-        a single relation.
+        Tested alone, relations that all hold need not hold together: by "box" no window is CONSISTENT unless
+        there is a single relation.
         """
         status, margin = outs
         if self.method == "box" and self.relations.count > 1:
@@ -434,6 +477,17 @@ class WindowTest:
         raise NotImplementedError(
             f"margins has no fast path for these relations and {self.method!r}: detect(...).margin has them"
         )
+
+
+class LinearTest(WindowTest):
+    """One way to decide windows of linear relations."""
+
+    relations: LinearRelations
+
+    @cached_property
+    def reading(self) -> Reading:
+        """The numbers by which kernels read a window: `relations.reading`."""
+        return self.relations.reading(self.dtype, self.method)
 
 
 def refuse_options(
@@ -494,7 +548,7 @@ class Observer(Relations, Generic[Carry]):
 
     @property
     def relations(self) -> Self:
-        """What a Result calls relations: this observer."""
+        """This observer: a Result asks it for relations."""
         return self
 
     def init(self) -> Carry:
@@ -515,7 +569,7 @@ class Observer(Relations, Generic[Carry]):
         watch.begun = carry
         return watch
 
-    def recording(self, u: Any, y: Any = None, starts: Starts = ()) -> tuple[Self, Recording]:
+    def recording(self, u: object, y: object = None, starts: Starts = ()) -> tuple[Self, Recording]:
         """Return (this observer, the Recording of its signals)."""
         return self, Recording.of(self.signals, u, y, starts).finite()
 
@@ -546,15 +600,17 @@ class Observer(Relations, Generic[Carry]):
         )
 
 
-FAMILIES: dict[str, Callable[[Any, int | None], Relations]] = {}
-"""{method: how relations, or an observer, of a model and a horizon are built}, beside those of jaxbound."""
+Build: TypeAlias = Callable[[Any, int | None], Relations]
+"""build(model, horizon or None) makes relations or an observer; it says itself which models it takes."""
+FAMILIES: dict[str, Build] = {}
+"""{method: how relations, or an observer, are built}, beside those of jaxbound."""
 
 
-def family(method: str) -> Callable[[Callable[[Any, int | None], Relations]], Any]:
+def family(method: str) -> Callable[[Build], Build]:
     """Register a family of relations for the shell: `jaxbound detect --method METHOD` tests by it.
 
     Args:
-        method: the name. What is decorated takes (model, horizon or None) and returns relations or an
+        method: the name. The decorated function takes (model, horizon or None) and returns relations or an
             observer.
 
     Raises:
@@ -563,7 +619,7 @@ def family(method: str) -> Callable[[Callable[[Any, int | None], Relations]], An
     if method in (*METHODS, OBSERVER, *FAMILIES):
         raise ValueError(f"the method {method!r} is there already: give another name")
 
-    def register(build: Callable[[Any, int | None], Relations]) -> Callable[[Any, int | None], Relations]:
+    def register(build: Build) -> Build:
         FAMILIES[method] = build
         return build
 
@@ -571,7 +627,7 @@ def family(method: str) -> Callable[[Callable[[Any, int | None], Relations]], An
 
 
 class Open(WindowTest):
-    """Says nothing of windows: they are UNDECIDED, with a margin that is given."""
+    """Says nothing of windows: they are UNDECIDED, with one margin for all."""
 
     padded = sharded = False
     block = 2**16
@@ -586,10 +642,10 @@ class Open(WindowTest):
         """How many samples of u a window has."""
         return self._lags
 
-    def judge(self, run: Run, blocks: list[Block]) -> list[Any]:
+    def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return UNDECIDED for all windows."""
         return [self._undecided(y.shape[-1]) for _, y in blocks]
 
-    def _undecided(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+    def _undecided(self, count: int) -> Arrays:
         status = np.full(count, Status.UNDECIDED, np.int8)
         return status, np.full(count, self.margin, self.dtype)

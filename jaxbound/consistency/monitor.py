@@ -7,18 +7,21 @@ compiler: from 4 windows on all blocks agree bit by bit (scalar code for 1 or 2 
 the short ones have 64 and 16. A verdict is a proof with any rounding.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias, TypeGuard
 
 import jax
 import numpy as np
 from jax.typing import DTypeLike
+from numpy.typing import ArrayLike
 
 from jaxbound.consistency.drive import windows
 from jaxbound.consistency.interface import (
+    OBSERVER,
     Budget,
     Compensation,
     Observer,
     Relations,
+    Starts,
     WindowTest,
     relations_of,
 )
@@ -32,11 +35,13 @@ from jaxbound.text.objects import readable
 __all__ = ["Monitor", "MonitorState", "Verdict"]
 
 BURST = 8  # short blocks; more windows than in these are judged in long blocks
+State: TypeAlias = Any
+"""A MonitorState, or what an Observer carries: a PyTree, for which JAX has no type."""
 
 
 @readable
 class MonitorState(NamedTuple):
-    """What a Monitor remembers: a PyTree of NumPy arrays. `np.savez(file, **state._asdict())` saves it, and
+    """The memory of a Monitor: a PyTree of NumPy arrays. `np.savez(file, **state._asdict())` saves it, and
     `mon.init()._replace(**np.load(file))` restores it.
 
     Fields: u (s, m), y (s, p): the last samples, NaN where there is none; follows: how many of them follow
@@ -109,9 +114,11 @@ class Monitor:
         budget: Budget = None,
         compensation: Compensation = 0.0,
     ) -> None:
-        self._observer = relations if isinstance(relations, Observer) else None
-        if self._observer is not None:
-            self.relations, self.method = relations, "observer"
+        self.relations: Relations = relations
+        self.method = OBSERVER
+        self._observer: Observer[Any] | None = None
+        if isinstance(relations, Observer):
+            self._observer = relations
             return
         relations_of(relations, "a Monitor", "Monitor(parity_relations(model))")
         refuse_unverified()
@@ -119,26 +126,27 @@ class Monitor:
         test = relations.test(method, self.dtype, budget, compensation)
         assert isinstance(test, WindowTest)
         self._test = test
-        self.relations, self.method = self._test.relations, self._test.method
-        model = self.relations.model
-        self._names = model.inputs, model.outputs
-        self._dt: float = np.nan if model.dt is None else model.dt
+        self.relations, self.method = test.relations, test.method
+        dt = self.relations.model.dt
+        self._dt = np.nan if dt is None else dt
 
-    def _head(self):
+    def _head(self) -> str:
         return f"Monitor ({self.method}) of {repr(self.relations).splitlines()[0]}"
 
-    def _rows(self):
+    def _rows(self) -> dict[str, str]:
         return {} if self._observer is not None else {"samples": str(self.dtype)}
 
-    def init(self) -> Any:
-        """Return the MonitorState before the first sample; of an Observer what it carries."""
+    def init(self) -> State:
+        """Return the MonitorState before the first sample; of an Observer its first carry."""
         if self._observer is not None:
             return self._observer.init()
-        s, m = self.relations.horizon, self.relations.model
-        nothing = lambda n: np.full((s, n), np.nan, self.dtype)
-        return MonitorState(nothing(m.m), nothing(m.p), np.int64(0), np.int64(0), np.float64(np.nan))
+        s, model = self.relations.horizon, self.relations.model
+        u, y = (np.full((s, channels), np.nan, self.dtype) for channels in (model.m, model.p))
+        return MonitorState(u, y, np.int64(0), np.int64(0), np.float64(np.nan))
 
-    def step(self, state: Any, u: Any, y: Any, *, new: bool = False, time: Any = None) -> tuple[Any, Any]:
+    def step(
+        self, state: State, u: object, y: object, *, new: bool = False, time: float | None = None
+    ) -> tuple[State, Any]:
         """Take the next sample.
 
         Args:
@@ -155,15 +163,16 @@ class Monitor:
             ValueError: shapes that do not fit the model, an infinite sample, y narrower than dtype. The state
                 given is still good.
         """
-        starts, time = (0,) if new else (), None if time is None else [time]
-        state, judged = self.run(state, one_row(u, "u"), one_row(y, "y"), starts=starts, time=time)
+        starts: Starts = (0,) if new else ()
+        times = None if time is None else [time]
+        state, judged = self.run(state, one_row(u, "u"), one_row(y, "y"), starts=starts, time=times)
         if type(judged) is Verdict:
             return state, Verdict(judged.status[0], judged.margin[0])
         return state, jax.tree.map(lambda x: x[0], judged)  # of an Observer
 
     def run(
-        self, state: Any, u: Any, y: Any = None, *, starts: Any = (), time: Any = None
-    ) -> tuple[Any, Any]:
+        self, state: State, u: object, y: object = None, *, starts: Starts = (), time: ArrayLike | None = None
+    ) -> tuple[State, Any]:
         """Take the next N samples at once.
 
         Args:
@@ -183,93 +192,116 @@ class Monitor:
                     "an Observer has no clock: say with starts, or new, where samples do not follow each "
                     "other"
                 )
-            return self._observer.fold(
-                state, Recording.of(self._observer.signals, u, y, starts, narrow=False)
-            )
-        s = self.relations.horizon
-        u, y, starts, told = self._samples(u, y, starts)
-        count, (seams, last) = len(y), self._seams(told, len(y), time, state)
-        starts = np.concatenate([starts, seams]) if len(seams) else starts
-        all_u, all_y = np.concatenate([state.u, u]), np.concatenate([state.y, y])
-        seams_of_all = starts + s if len(starts) else starts
-        if state.follows < s:
-            seams_of_all = np.concatenate([[s - int(state.follows)], seams_of_all])
-        status, margin = (
-            self._judge(all_u, all_y, seams_of_all)
-            if count
-            else (np.zeros(0, np.int8), np.zeros(0, self.dtype))
-        )
-        follows = count - starts.max() if len(starts) else count + state.follows
-        follows = (
-            0 if told is not None and told.excluded is not None and told.excluded[-1:].any() else follows
-        )
+            piece = Recording.of(self._observer.signals, u, y, starts, narrow=False)
+            return self._observer.fold(state, piece)
+        own, s = self._piece(u, y, starts), self._test.horizon
+        count, begun = len(own.y), own.starts
+        seams, last = self._seams(own, time, state)
+        if len(seams):
+            begun = np.concatenate([begun, seams])
+        all_u, all_y = np.concatenate([state.u, own.u]), np.concatenate([state.y, own.y])
+        verdict = Verdict(np.zeros(0, np.int8), np.zeros(0, self.dtype))
+        if count:
+            broken = begun + s  # counted in all samples
+            if state.follows < s:
+                broken = np.concatenate([[s - int(state.follows)], broken])
+            verdict = self._judge(all_u, all_y, broken)
+        follows = self._follows(own, begun, state)
         keep = len(all_y) - s
-        after = MonitorState(
-            all_u[keep:].copy(),
-            all_y[keep:].copy(),
-            np.int64(min(follows, s)),
-            state.samples + count,
-            np.float64(last),
-        )
-        return after, Verdict(status, margin)
+        u, y = all_u[keep:].copy(), all_y[keep:].copy()
+        after = MonitorState(u, y, np.int64(follows), state.samples + count, np.float64(last))
+        return after, verdict
 
-    def _samples(self, u, y, starts):
-        """Return (u, y, starts), u and y in our dtype, and the Recording of what tables tell beside, or None;
-        or refuse them.
-        """
-        inputs, outputs = self._names
-        fits = lambda x, n: (
-            type(x) is np.ndarray and x.dtype == self.dtype and x.ndim == 2 and x.shape[1] == n
-        )
-        told = None
-        if not (fits(u, len(inputs)) and fits(y, len(outputs)) and len(u) == len(y)):
-            told = Recording.of(self.relations.model, u, y, starts, regular=False)
-            if told.y.dtype.itemsize < self.dtype.itemsize:
-                raise ValueError(
-                    f"y is in {told.y.dtype}, which rounds more than {self.dtype}, the type of this Monitor, "
-                    f"allows for: "
-                    f"build it as Monitor(relations, dtype=np.{told.y.dtype})"
-                )
-            u, y, starts = np.asarray(told.u, self.dtype), np.asarray(told.y, self.dtype), told.starts
-            if y.ndim != 2:
-                raise ValueError(
-                    f"a Monitor follows one recording: y must have shape (N, {len(outputs)}), not {y.shape}"
-                )
+    def _piece(self, u: object, y: object, starts: Starts) -> "_Piece":
+        """Return samples in our dtype, with all that a table tells beside, or refuse them."""
+        model = self.relations.model
+        if self._fits(u, model.m) and self._fits(y, model.p) and len(u) == len(y):
+            none = isinstance(starts, tuple) and not starts
+            piece = _Piece(u, y, NOWHERE if none else all_starts(starts, len(y)))
         else:
-            starts = NOWHERE if type(starts) is tuple and not starts else all_starts(starts, len(y))
-        if np.count_nonzero(np.isinf(u)) or np.count_nonzero(np.isinf(y)):
-            Recording(u, y, starts, *self._names).finite()
-        return u, y, starts, told
+            piece = self._of_table(u, y, starts)
+        if np.count_nonzero(np.isinf(piece.u)) or np.count_nonzero(np.isinf(piece.y)):
+            Recording(piece.u, piece.y, piece.starts, model.inputs, model.outputs).finite()
+        return piece
 
-    def _seams(self, told, count, time, state):
+    def _fits(self, x: object, channels: int) -> TypeGuard[np.ndarray]:
+        """Return whether x is an array as it will be judged: nothing to convert, which takes longest."""
+        return type(x) is np.ndarray and x.dtype == self.dtype and x.ndim == 2 and x.shape[1] == channels
+
+    def _of_table(self, u: object, y: object, starts: Starts) -> "_Piece":
+        """Return samples of tables, or of anything else that `Recording.of` takes."""
+        model = self.relations.model
+        table = Recording.of(model, u, y, starts, regular=False)
+        if table.y.dtype.itemsize < self.dtype.itemsize:
+            raise ValueError(
+                f"y is in {table.y.dtype}, which rounds more than {self.dtype}, the type of this Monitor, "
+                f"allows for: "
+                f"build it as Monitor(relations, dtype=np.{table.y.dtype})"
+            )
+        own_u, own_y = np.asarray(table.u, self.dtype), np.asarray(table.y, self.dtype)
+        if own_y.ndim != 2:
+            raise ValueError(
+                f"a Monitor follows one recording: y must have shape (N, {len(model.outputs)}), not "
+                f"{own_y.shape}"
+            )
+        return _Piece(own_u, own_y, table.starts, table)
+
+    def _seams(
+        self, piece: "_Piece", time: ArrayLike | None, state: MonitorState
+    ) -> tuple[np.ndarray, float]:
         """Return the samples that do not follow the one before by their time, and the time of the last one,
         in s.
         """
-        dt = self._dt
-        if not count or (time is None and (told is None or told.time is None)):
-            index = None if told is None else told.index
-            counted = (
-                index is not None and unlabelled(index) and not state.samples
-            )  # the numbers of later rows go on from here
-            return NOWHERE, (count - 1) * dt if counted and count else state.time
-        if time is None:
-            begin = told.origin + told.time[0]
-            off = abs(begin - state.time - dt) - np.spacing(
-                abs(begin)
-            )  # rows of one table were looked at already
-            return np.zeros(int(off > TOLERATED_STEP * dt), np.int64), told.origin + told.time[-1]
-        time = np.asarray(time, np.float64).reshape(-1)
+        count, table, before = len(piece.y), piece.table, float(state.time)
+        if not count:
+            return NOWHERE, before
+        if time is not None:
+            return self._seams_at(np.asarray(time, np.float64).reshape(-1), count, before)
+        if table is None:
+            return NOWHERE, before
+        if table.time is None:
+            # the numbers of later rows go on from here
+            if table.index is not None and unlabelled(table.index) and not state.samples:
+                return NOWHERE, (count - 1) * self._dt
+            return NOWHERE, before
+        begin = table.origin + table.time[0]
+        # rows of one table were looked at already
+        off = abs(begin - before - self._dt) - np.spacing(abs(begin))
+        return np.zeros(int(off > TOLERATED_STEP * self._dt), np.int64), table.origin + table.time[-1]
+
+    def _seams_at(self, time: np.ndarray, count: int, before: float) -> tuple[np.ndarray, float]:
+        """Return the same by the times (N,) of all samples."""
         if len(time) != count:
             raise ValueError(f"time needs one number a sample: {len(time)} for {count} samples")
-        seams = ~(np.abs(np.diff(time, prepend=state.time) - dt) <= TOLERATED_STEP * dt)
-        seams[0] &= not np.isnan(state.time)
+        steps = np.diff(time, prepend=before)
+        seams = ~(np.abs(steps - self._dt) <= TOLERATED_STEP * self._dt)
+        seams[0] &= not np.isnan(before)
         return np.flatnonzero(seams), time[-1]
 
-    def _judge(self, u, y, starts):
-        """Return (status, margin) of all windows in samples that begin with the s before the first of
-        them.
-        """
-        s = self._test.horizon
-        few = len(y) - s <= BURST * self._test.short
-        judged = windows(self._test, u, y, starts, size=self._test.short if few else None)
-        return judged.status[s:], judged.margin[s:]
+    def _follows(self, piece: "_Piece", begun: np.ndarray, state: MonitorState) -> int:
+        """Return how many of the last samples follow each other, at most those that are kept."""
+        table = piece.table
+        if table is not None and table.excluded is not None and table.excluded[-1:].any():
+            return 0
+        count = len(piece.y)
+        follows = count - begun.max() if len(begun) else count + state.follows
+        return int(min(follows, self._test.horizon))
+
+    def _judge(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Verdict:
+        """Return the verdicts of all windows in samples that begin with the s before the first of them."""
+        s, size = self._test.horizon, None
+        if len(y) - s <= BURST * self._test.short:
+            size = self._test.short
+        judged = windows(self._test, u, y, starts, size=size)
+        return Verdict(judged.status[s:], judged.margin[s:])
+
+
+class _Piece(NamedTuple):
+    """The next samples. Fields: u (N, m), y (N, p); starts; table: the Recording that they came from, None
+    for plain arrays.
+    """
+
+    u: np.ndarray
+    y: np.ndarray
+    starts: np.ndarray
+    table: Recording | None = None

@@ -2,27 +2,39 @@
 bisected.
 """
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
 
 import jax
 import numpy as np
+from jax.typing import DTypeLike
 
 from jaxbound.consistency.bisection import whole_budget
-from jaxbound.consistency.interface import Open, WindowTest
+from jaxbound.consistency.interface import (
+    Again,
+    Arrays,
+    Budget,
+    Cases,
+    Compensation,
+    Open,
+    Outs,
+    Progress,
+    Run,
+    WindowTest,
+)
 from jaxbound.consistency.parametric_margins import parametric_margins
 from jaxbound.consistency.parametric_windows import (
-    BLOCK,
     LEAST,
     SEARCHED,
     bisected,
+    block_of,
     cases,
     finite,
     judged_by,
     judged_whole,
 )
-from jaxbound.consistency.reading import gather
+from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations
+from jaxbound.consistency.reading import Block, gather
 from jaxbound.consistency.unproved import within
 from jaxbound.recordings.arrays import refuse_infinite
 from jaxbound.recordings.recording import Recording
@@ -51,105 +63,94 @@ class ParametricTest(WindowTest):
         ValueError: a budget that is no whole number >= 1, an allowance that is none.
     """
 
-    relations: Any  # UncertainRelations, of the floor above
+    relations: PolynomialRelations
     sharded = False
     constants = None
 
     def __init__(
         self,
-        relations: Any,
+        relations: PolynomialRelations,
         method: str,
-        dtype: Any,
-        budget: Any = None,
-        allowance: Any = 0.0,
+        dtype: DTypeLike,
+        budget: Budget = None,
+        allowance: Compensation = 0.0,
         whole: "ParametricTest | None" = None,
     ) -> None:
         super().__init__(relations, method, dtype)
         self.budget = BUDGET if budget is None else whole_budget(budget)
         self.allowance = np.asarray(allowance, float)
-        fits = (
-            self.allowance.shape in ((), (relations.count,))
-            and (self.allowance >= 0).all()
-            and np.isfinite(self.allowance).all()
-        )
-        if not fits:
+        fits = self.allowance.shape in ((), (relations.count,)) and bool((self.allowance >= 0).all())
+        if not fits or not np.isfinite(self.allowance).all():
             raise ValueError(
                 f"compensation must be one finite number >= 0, or one for each of {relations.count} "
-                f"relations, not {allowance}"
+                f"relations, not {allowance!s}"
             )
-        self.kind, self.proved, self.whole = (
-            judged_by(relations, method),
-            relations.complete == "proved",
-            whole,
-        )
+        self.kind, self.proved = judged_by(relations, method), relations.complete == "proved"
+        self.whole = whole
 
     @property
     def block(self) -> int:
         """How many windows are judged at once."""
-        return SEARCHED if self.kind == "zonotope" else BLOCK
-
-    short = block
+        return block_of(self.kind)
 
     @property
-    def lags(self) -> int:
-        """How many samples of u a window has."""
-        return self.reading.window.lags
+    def short(self) -> int:  # type: ignore[override]  # nobody sets it, here least of all
+        """How many windows are judged at once where there are few: no fewer."""
+        return self.block
 
     @cached_property
-    def reading(self) -> Any:
+    def reading(self) -> PolynomialReading:
         """How kernels read a window: where samples are missing, in the shape of others that lack some, if it
         fits.
         """
         read, whole = self.relations.reading(self.dtype, self.method), self.whole
         if whole is None:
             return read
-        exponents, count = (
-            whole.relations.exponents_of_losses,
-            1 if self.kind == "vertices" else whole.relations.count,
-        )
-        fits = (
-            read.count <= count
-            and set(read.exponents) <= set(exponents)
-            and (self.kind != "vertices" or multiaffine(exponents))
-        )
-        return read.filled(count, exponents, whole.reading.noisy) if fits else read
+        exponents, single = whole.relations.exponents_of_losses, self.kind == "vertices"
+        count = 1 if single else whole.relations.count
+        if read.count > count or not set(read.exponents) <= set(exponents):
+            return read
+        if single and not multiaffine(exponents):
+            return read
+        return read.filled(count, exponents, whole.reading.noisy)
 
     @cached_property
-    def _on_device(self):
-        return jax.device_put(self.reading)
+    def _on_device(self) -> PolynomialReading:
+        on_device: PolynomialReading = jax.device_put(self.reading)
+        return on_device
 
-    def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> list:
+    def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Cases:
         """Return a test for each pattern of missing samples; the rarest stay open."""
         refuse_infinite("u", u, self.relations.model.inputs)
         refuse_infinite("y", y, self.relations.model.outputs)
-        found: list[tuple[WindowTest, np.ndarray]] = []
+        tests: list[tuple[WindowTest, np.ndarray]] = []
         for case, chosen in cases(self.relations, u, y, starts):
-            if case is None:
-                found.append((Open(self, 0.0), starts[chosen]))
-            else:
-                whole = None if case is self.relations else self
-                allowance = self.allowance if case.count == self.relations.count else self.allowance.max()
-                found.append(
-                    (
-                        ParametricTest(case, self.method, self.dtype, self.budget, allowance, whole),
-                        starts[chosen],
-                    )
-                )
-        return found
+            test = Open(self, 0.0) if case is None else self._of(case)
+            tests.append((test, starts[chosen]))
+        return tests
 
-    def judge(self, run: Callable, blocks: list) -> list:
+    def _of(self, case: PolynomialRelations) -> "ParametricTest":
+        """Return the test of windows that lack the same samples, or none."""
+        whole = None if case is self.relations else self
+        allowance = self.allowance
+        if case.count != self.relations.count:
+            allowance = allowance.max()
+        return ParametricTest(case, self.method, self.dtype, self.budget, allowance, whole)
+
+    def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return (status, margin, open) of blocks of windows; open is what paving may decide."""
-        found = [
-            judged_whole(self._on_device, finite(block), self.kind, self.proved, self.allowance)
-            for block in blocks
-        ]
-        left = lambda status: (
-            np.asarray(status) == Status.UNDECIDED if self.method == "paving" else np.zeros(len(status), bool)
-        )
-        return [(status, margin, left(status)) for status, margin in found]
+        # all blocks are under way before the host waits for the first
+        judged = [self._judged_whole(block) for block in blocks]
+        if self.method == "paving":
+            return [(status, margin, np.asarray(status) == Status.UNDECIDED) for status, margin in judged]
+        return [(status, margin, np.zeros(len(status), bool)) for status, margin in judged]
+
+    def _judged_whole(self, block: Block) -> tuple[jax.Array, jax.Array]:
+        """Return (status, margin) of a block of windows, each by its whole box of parameters."""
+        return judged_whole(self._on_device, finite(block), self.kind, self.proved, self.allowance)
 
     def settle(
-        self, u: np.ndarray, y: np.ndarray, outs: list, left: np.ndarray, again: Callable, progress: Callable
+        self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress
     ) -> None:
         """Bisect the parameters of windows that were left open."""
         if self.method != "paving":
@@ -158,9 +159,9 @@ class ParametricTest(WindowTest):
         for first in range(0, len(left), SEARCHED):
             at = left[first : first + SEARCHED] + self.horizon
             windows = finite(gather(u, y, at - self.horizon, self.lags, self.horizon))
-            status[at] = found = bisected(self.reading, windows, self.proved, self.budget)
-            margin[at] = np.where(found == Status.FAULT, np.minimum(margin[at], -LEAST), margin[at])
-            margin[at] = np.where(found == Status.CONSISTENT, np.maximum(margin[at], LEAST), margin[at])
+            status[at] = now = bisected(self.reading, windows, self.proved, self.budget)
+            margin[at] = np.where(now == Status.FAULT, np.minimum(margin[at], -LEAST), margin[at])
+            margin[at] = np.where(now == Status.CONSISTENT, np.maximum(margin[at], LEAST), margin[at])
             progress((first + len(at)) / len(left))
 
     def margins(self, given: Recording) -> jax.Array:

@@ -14,17 +14,18 @@ Source: Dinkelbach 1967.
 """
 
 import math
+from collections.abc import Callable, Iterable
 from functools import partial
-from typing import Any
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.consistency.interface import Array
 from jaxbound.consistency.parametric_windows import (
-    BLOCK,
-    SEARCHED,
     at_vertices,
+    block_of,
     cases,
     farthest,
     judged_by,
@@ -33,6 +34,8 @@ from jaxbound.consistency.parametric_windows import (
     samples_of,
     terms_of,
 )
+from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations
+from jaxbound.consistency.unproved import is_traced
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.strips import polynomials
 
@@ -40,9 +43,15 @@ __all__ = ["needed_compensation", "parametric_margins"]
 
 STEPS = 30
 """Newton steps of a compensation; 3 to 5 are usual."""
+Newton: TypeAlias = tuple[jax.Array, jax.Array, int]
+"""(e so far, which of it still grow, number of the step)."""
 
 
-def parametric_margins(relations: Any, u: Any, y: Any) -> jax.Array:
+Measure: TypeAlias = Callable[[PolynomialReading, Array, Array, str], jax.Array]
+"""Of (reading, u (lags, m, N), y (s + 1, p, N), kind): a number (N,) for each window."""
+
+
+def parametric_margins(relations: PolynomialRelations, u: Array, y: Array) -> jax.Array:
     """Return the unproved margins (..., T), NaN where a window has no usable data. See `consistency.margins`.
 
     Where u or y are traced nobody knows what is missing: windows that lack a sample which a relation needs
@@ -51,20 +60,27 @@ def parametric_margins(relations: Any, u: Any, y: Any) -> jax.Array:
     shape, s = y.shape[:-1], relations.horizon
     u, y = (x.reshape(math.prod(shape), x.shape[-1]) for x in (u, y))
     out = jnp.full(len(y), jnp.nan, y.dtype)
+    if not len(y):
+        return out.reshape(shape)
     samples = np.arange(len(y))
-    starts = samples[samples % shape[-1] < shape[-1] - s] if len(y) else samples
-    if any(isinstance(x, jax.core.Tracer) for x in (u, y)):
-        chosen: Any = [(relations, np.arange(len(starts)))] if len(starts) else []
-    else:
+    starts = samples[samples % shape[-1] < shape[-1] - s]
+    chosen: Iterable[tuple[PolynomialRelations | None, np.ndarray]]
+    if not is_traced(u, y):
         u, y = np.asarray(u), np.asarray(y)
         chosen = cases(relations, u, y, starts)
+    elif len(starts):
+        chosen = [(relations, np.arange(len(starts)))]
+    else:
+        chosen = []
     for case, own in chosen:
-        found = 0.0 if case is None else _over_blocks(_margins, case, u, y, starts[own])
+        found: Array | float = 0.0
+        if case is not None:
+            found = _over_blocks(_margins, case, u, y, starts[own])
         out = out.at[starts[own] + s].set(found)
     return out.reshape(shape)
 
 
-def needed_compensation(relations: Any, given: Recording, share: float) -> Any:
+def needed_compensation(relations: PolynomialRelations, given: Recording, share: float) -> float:
     """Return the least compensation that is enough for all windows of a Recording but a share of them; see
     `compensation`.
     """
@@ -73,11 +89,13 @@ def needed_compensation(relations: Any, given: Recording, share: float) -> Any:
     u, y = (x.reshape(math.prod(y.shape[:-1]), x.shape[-1]) for x in (u, y))
     across[: relations.horizon] = True
     starts = np.flatnonzero(~np.tile(across, len(y) // T)) - relations.horizon
-    parts = [
-        np.zeros(len(own)) if case is None else np.asarray(_over_blocks(_needs, case, u, y, starts[own]))
-        for case, own in cases(relations, u, y, starts)
-    ]
-    needs = np.sort(np.concatenate([*parts, np.zeros(0)]))
+    parts = [np.zeros(0)]
+    for case, own in cases(relations, u, y, starts):
+        if case is None:
+            parts.append(np.zeros(len(own)))
+        else:
+            parts.append(np.asarray(_over_blocks(_needs, case, u, y, starts[own])))
+    needs = np.sort(np.concatenate(parts))
     if not len(needs):
         raise ValueError(
             f"no window of {relations.horizon + 1} samples has data: nothing says what compensation is needed"
@@ -85,39 +103,48 @@ def needed_compensation(relations: Any, given: Recording, share: float) -> Any:
     return float(needs[len(needs) - 1 - math.floor(share * len(needs))])
 
 
-def _over_blocks(kernel, relations, u, y, starts):
-    """Return what a kernel says of the windows that start at `starts`: compiled blocks, one loop inside where
+def _over_blocks(
+    measure: Measure, relations: PolynomialRelations, u: Array, y: Array, starts: np.ndarray
+) -> jax.Array:
+    """Return the numbers of the windows that start at `starts`: compiled blocks, one loop inside where
     something is traced.
     """
     kind = judged_by(relations, "joint")
-    block = SEARCHED if kind == "zonotope" else BLOCK
-    test = relations.reading(y.dtype)
+    block, test = block_of(kind), relations.reading(y.dtype)
     filled = np.concatenate([starts, np.repeat(starts[:1], -len(starts) % block)]).reshape(-1, block)
-    if not any(isinstance(x, jax.core.Tracer) for x in (u, y, *relations.bounds.values())):
+    if not is_traced(u, y, *relations.bounds.values()):
+        assert isinstance(u, np.ndarray) and isinstance(y, np.ndarray)
         test = jax.device_put(test)
-        return jnp.concatenate([kernel(test, *samples_of(test, u, y, chosen), kind) for chosen in filled])[
-            : len(starts)
-        ]
+        blocks = [measure(test, *samples_of(test, u, y, chosen), kind) for chosen in filled]
+        return jnp.concatenate(blocks)[: len(starts)]
     u, y = jnp.asarray(u), jnp.asarray(y)
 
-    def one_block(first):
-        take = lambda x, lags: jnp.moveaxis(x[first[None] + np.arange(lags)[:, None]], 1, 2)
-        return kernel(test, take(u, test.window.lags), take(y, test.horizon + 1), kind)
+    def taken(x: jax.Array, first: jax.Array, lags: int) -> jax.Array:
+        return jnp.moveaxis(x[first[None] + np.arange(lags)[:, None]], 1, 2)
 
-    return jax.lax.map(one_block, jnp.asarray(filled)).reshape(-1)[: len(starts)]
+    def one_block(first: jax.Array) -> jax.Array:
+        return measure(test, taken(u, first, test.lags), taken(y, first, test.horizon + 1), kind)
+
+    numbers: jax.Array = jax.lax.map(one_block, jnp.asarray(filled))
+    return numbers.reshape(-1)[: len(starts)]
 
 
-def _margins(test, u, y, kind):
-    """Return 1 - gauge (N,) of windows u (lags, m, N), y (s + 1, p, N): outside of a trace by what `detect`
-    has compiled already.
+def _margins(test: PolynomialReading, u: Array, y: Array, kind: str) -> jax.Array:
+    """Return 1 - gauge (N,) of windows u (lags, m, N), y (s + 1, p, N): outside of a trace by the kernels
+    that `detect` has compiled already.
     """
-    if any(isinstance(x, jax.core.Tracer) for x in (u, y, *jax.tree.leaves(test))):
+    if is_traced(u, y, test):
         return _smooth_margins(test, u, y, kind)
+    margin: jax.Array
     terms = terms_of(test, u, y)
-    return at_vertices(test, terms, False)[1] if kind == "vertices" else on_whole(test, terms, False)[1]
+    if kind == "vertices":
+        _, margin = at_vertices(test, terms, False)
+    else:
+        _, margin, *_ = on_whole(test, terms, False)
+    return margin
 
 
-def _smooth_margins(test, u, y, kind):
+def _smooth_margins(test: PolynomialReading, u: Array, y: Array, kind: str) -> jax.Array:
     """Return the same, with derivatives; a missing sample that matters gives NaN."""
     value, spread, rad, _ = terms_of(test, u, y)
     gone = jnp.isnan(value[:, 0])
@@ -134,29 +161,33 @@ def _smooth_margins(test, u, y, kind):
 
 
 @partial(jax.jit, static_argnums=3)
-def _needs(test, u, y, kind):
+def _needs(test: PolynomialReading, u: jax.Array, y: jax.Array, kind: str) -> jax.Array:
     """Return the compensation (N,) that each window needs."""
     c, G, _ = linear_image(test, terms_of(test, u, y), 0.0)
     G = G[:, : G.shape[1] - len(c)]  # without the compensation's own columns
     needed = jnp.max(jnp.maximum(jnp.abs(c) - jnp.sum(jnp.abs(G), 1), 0), 0)
 
-    def step(carry):
+    def step(carry: Newton) -> Newton:
         e, _, count = carry
         own = jnp.where(np.eye(len(c), dtype=bool)[:, :, None], e[None, None], 0)
         h, _ = farthest(c, jnp.concatenate([G, own], 1))
         residual, width = _across(h, c, G)
         more = jnp.maximum(e, _ratio(residual - width, jnp.sum(jnp.abs(h), 0)))
-        return more, more > e * (1 + 4 * jnp.finfo(e.dtype).eps), count + 1
+        return more, more > e * (1 + 4 * np.finfo(e.dtype).eps), count + 1
 
-    going = lambda carry: jnp.any(carry[1]) & (carry[2] < STEPS)
-    return jax.lax.while_loop(going, step, (needed, needed >= 0, 0))[0]
+    def going(carry: Newton) -> jax.Array:
+        _, growing, count = carry
+        return jnp.any(growing) & (count < STEPS)
+
+    most: jax.Array = jax.lax.while_loop(going, step, (needed, needed >= 0, 0))[0]
+    return most
 
 
-def _across(h, c, G):
+def _across(h: jax.Array, c: jax.Array, G: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return (|h c|, sum_j |h g_j|)."""
     return jnp.abs(jnp.sum(h * c, 0)), jnp.sum(jnp.abs(jnp.sum(h[:, None] * G, 0)), 0)
 
 
-def _ratio(a, b):
+def _ratio(a: jax.Array, b: jax.Array) -> jax.Array:
     """Return a / b; a / 0 = inf for a > 0, else 0."""
     return jnp.where(b > 0, a / jnp.where(b > 0, b, 1), jnp.where(a > 0, jnp.inf, 0))

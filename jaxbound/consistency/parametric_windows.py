@@ -18,13 +18,16 @@ Source: Ploix, Adrot 2006, sections 3-4; golden "Sound test".
 """
 
 from collections.abc import Iterator
-from typing import Any
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.reading import gather
+from jaxbound.consistency.covers import status_of_cover
+from jaxbound.consistency.interface import Array, Compensation
+from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations
+from jaxbound.consistency.reading import Block, gather
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.paving.frontier import Verdicts, explore
@@ -36,8 +39,10 @@ __all__ = [
     "LEAST",
     "SEARCHED",
     "VERTICES",
+    "Terms",
     "at_vertices",
     "bisected",
+    "block_of",
     "candidates",
     "cases",
     "concluded",
@@ -67,9 +72,28 @@ SHARE = 0.99
 LEAST = 1e-6
 
 
+Family = TypeVar("Family", bound=PolynomialRelations)
+StatusAndMargin: TypeAlias = tuple[jax.Array, jax.Array]
+"""(status, margin) of windows."""
+Newton: TypeAlias = tuple[jax.Array, tuple[jax.Array, ...]]
+"""A point, and (z, p, J, bend, R) of the step that led to it."""
+
+
+class Terms(NamedTuple):
+    """Polynomials of windows, see `PolynomialReading.polynomials`, with one bound on the error of each row.
+
+    Fields: value (count, K, N); spread (count, K, R); rad (R, N); error (count, N).
+    """
+
+    value: jax.Array
+    spread: jax.Array
+    rad: jax.Array
+    error: jax.Array
+
+
 def cases(
-    relations: Any, u: np.ndarray, y: np.ndarray, starts: np.ndarray
-) -> Iterator[tuple[Any, np.ndarray]]:
+    relations: Family, u: np.ndarray, y: np.ndarray, starts: np.ndarray
+) -> Iterator[tuple[Family | None, np.ndarray]]:
     """Yield (relations, numbers of the windows that they fit): windows that lack the same samples lack the
     same rows and inputs.
 
@@ -78,10 +102,9 @@ def cases(
     """
     if not len(starts):
         return
-    inputs, outputs = (
-        np.isnan(x).reshape(-1, len(starts)).T
-        for x in gather(u, y, starts, relations.reading(y.dtype).window.lags, relations.horizon)
-    )
+    count = len(starts)
+    windows = gather(u, y, starts, relations.reading(y.dtype).lags, relations.horizon)
+    inputs, outputs = (np.isnan(x).reshape(-1, count).T for x in windows)
     lost, rows = np.concatenate([outputs, inputs], 1), outputs.shape[1]
     whole = ~lost.any(1)
     if whole.any():
@@ -95,98 +118,115 @@ def cases(
     if rare.any():
         yield None, broken[rare]
     for number in order[:PATTERNS]:
-        case = relations.without(
-            *(set(np.flatnonzero(x).tolist()) for x in np.split(patterns[number], [rows]))
-        )
+        gone, silent = (np.flatnonzero(x).tolist() for x in np.split(patterns[number], [rows]))
+        case = relations.without(set(gone), set(silent))
         if case is not None:
             yield case, broken[which.ravel() == number]
 
 
-def samples_of(test: Any, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Any:
+def samples_of(test: PolynomialReading, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Block:
     """Return the samples (lags, m, N) and (s + 1, p, N) of windows; unneeded ones that are missing become
     0.
     """
-    return finite(gather(u, y, starts, test.window.lags, test.horizon))
+    return finite(gather(u, y, starts, test.lags, test.horizon))
 
 
-def finite(windows: Any) -> Any:
+def finite(windows: Block) -> Block:
     """Return samples with 0 for those that are missing, and not needed."""
-    return tuple(np.nan_to_num(x, nan=0.0, posinf=np.inf, neginf=-np.inf) for x in windows)
+    u, y = windows
+    return (
+        np.nan_to_num(u, nan=0.0, posinf=np.inf, neginf=-np.inf),
+        np.nan_to_num(y, nan=0.0, posinf=np.inf, neginf=-np.inf),
+    )
 
 
-def judged_by(relations: Any, method: str) -> str:
+def judged_by(relations: PolynomialRelations, method: str) -> str:
     """Return how a block is judged: "vertices", "zonotope", "linearized" or "box"."""
     if method in ("linearized", "box"):
         return method
-    exact = (
-        relations.count == 1
-        and polynomials.multiaffine(relations.exponents)
-        and len(relations.variables) <= VERTICES
-    )
-    return "vertices" if exact else "zonotope"
+    few = relations.count == 1 and len(relations.variables) <= VERTICES
+    if few and polynomials.multiaffine(relations.exponents):
+        return "vertices"
+    return "zonotope"
 
 
-def judged_whole(test: Any, samples: Any, kind: str, proved: bool, allowance: Any) -> Any:
+def block_of(kind: str) -> int:
+    """Return how many windows are judged at once, by how they are judged."""
+    return SEARCHED if kind == "zonotope" else BLOCK
+
+
+def judged_whole(
+    test: PolynomialReading, samples: Block, kind: str, proved: bool, allowance: Compensation
+) -> StatusAndMargin:
     """Return (status, margin) of a block of windows."""
+    judged: StatusAndMargin
     terms = terms_of(test, *samples)
     if kind == "vertices":
-        return at_vertices(test, terms, proved)
-    if kind == "box":
-        return _box(test, terms, proved)
-    if kind == "linearized":
-        return _suspected(test, *_linear(test, terms, allowance))
-    return on_whole(test, terms, proved)[:2]
+        judged = at_vertices(test, terms, proved)
+    elif kind == "box":
+        judged = _box(test, terms, proved)
+    elif kind == "linearized":
+        judged = _suspected(*_linear(test, terms, allowance))
+    else:
+        status, margin, *_ = on_whole(test, terms, proved)
+        judged = status, margin
+    return judged
 
 
-def _noise_part(test, z):
+def _noise_part(test: PolynomialReading, z: jax.Array) -> jax.Array:
     """Return the noises among the columns of an image."""
-    m = len(test.noisy) + (0 if test.spare is None else len(test.spare))
-    lumps = len(test.N) if m and len(test.exponents) > 1 else 0
-    return z[len(z) - lumps - m : len(z) - lumps]
+    own = len(test.noisy)
+    if test.spare is not None:
+        own += len(test.spare)
+    lumps = len(test.N) if own and len(test.exponents) > 1 else 0
+    return z[len(z) - lumps - own : len(z) - lumps]
 
 
-def _status(margin, inside):
+def _status(margin: jax.Array, inside: jax.Array) -> jax.Array:
     decided = jnp.where(margin < 0, Status.FAULT, jnp.where(inside, Status.CONSISTENT, Status.UNDECIDED))
     return jnp.where(jnp.isnan(margin), Status.MISSING, decided).astype(jnp.int8)
 
 
 @kernel
-def terms_of(test: Any, u: Any, y: Any) -> Any:
-    """Return (value, spread, rad, error): a window's polynomials, and one bound on the error of each row."""
+def terms_of(test: PolynomialReading, u: jax.Array, y: jax.Array) -> Terms:
+    """Return the polynomials of windows, and one bound on the error of each row."""
     value, error, spread, rad = test.polynomials(u, y)
-    return value, spread, rad, polynomials.row_error(value, error, spread, rad, test.exponents)
+    return Terms(value, spread, rad, polynomials.row_error(value, error, spread, rad, test.exponents))
 
 
-def linear_image(test: Any, terms: Any, allowance: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
+def linear_image(
+    test: PolynomialReading, terms: Terms, allowance: Compensation
+) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (c, G, error) of the whole box of parameters without all that is of order 2; `allowance` is a
     generator in each row.
     """
     value, spread, rad, error = terms
     c, G = polynomials.image(value, spread, rad, test.exponents, linear=True)
     own = jnp.broadcast_to(jnp.asarray(allowance, c.dtype), (len(c),))[:, None] * jnp.ones_like(c)
-    return (
-        c,
-        jnp.concatenate([G, jnp.where(np.eye(len(c), dtype=bool)[:, :, None], own[:, None], 0)], 1),
-        error,
-    )
+    columns = jnp.where(np.eye(len(c), dtype=bool)[:, :, None], own[:, None], 0)
+    return c, jnp.concatenate([G, columns], 1), error
 
 
 @kernel
-def _linear(test, terms, allowance):
-    """Return (c, G, error, h) of the linearized test: see `linear_image`."""
+def _linear(
+    test: PolynomialReading, terms: Terms, allowance: Compensation
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array | None]:
+    """Return (c, G, error, h) of the linearized test: see `linear_image`; h: None where strips are few."""
     c, G, error = linear_image(test, terms, allowance)
     r, q, _ = G.shape
-    return c, G, error, None if varying.strip_count(r, q, alone=True) else farthest(c, G)[0]
+    if varying.strip_count(r, q, alone=True):
+        return c, G, error, None
+    return c, G, error, farthest(c, G)[0]
 
 
 @kernel
-def _suspected(test, c, G, error, h):
+def _suspected(c: jax.Array, G: jax.Array, error: jax.Array, h: jax.Array | None) -> StatusAndMargin:
     margin = _outside(c, G, error, h)
     return jnp.where(jnp.isnan(margin), Status.MISSING, Status.UNDECIDED).astype(jnp.int8), margin
 
 
 @kernel
-def at_vertices(test: Any, terms: Any, proved: Any) -> tuple[jax.Array, jax.Array]:
+def at_vertices(test: PolynomialReading, terms: Terms, proved: bool) -> StatusAndMargin:
     """Return (status, margin) of a single multi-affine relation: see `polynomials.vertex_margin`."""
     value, spread, rad, error = terms
     margin, inside = polynomials.vertex_margin(value, spread, rad, test.exponents, error)
@@ -194,7 +234,7 @@ def at_vertices(test: Any, terms: Any, proved: Any) -> tuple[jax.Array, jax.Arra
 
 
 @kernel
-def _box(test, terms, proved):
+def _box(test: PolynomialReading, terms: Terms, proved: bool) -> StatusAndMargin:
     """Return (status, margin) where each relation is tested alone: by its vertices if it has few, else by the
     sum of all its parts.
     """
@@ -218,12 +258,17 @@ def _box(test, terms, proved):
     return _status(worst, inside), worst
 
 
-def _outside(c, G, error, h):
+def _outside(c: jax.Array, G: jax.Array, error: jax.Array, h: jax.Array | None) -> jax.Array:
     """Return the margin, < 0 is a proof: by all strips where they are few or h is None, else by the direction
     h, an array.
     """
-    few = h is None or varying.strip_count(*G.shape[:2])
-    return varying.strip_margins(c, G, error) if few else varying.refutes(c, G, error, h)
+    margin: jax.Array
+    r, q, _ = G.shape
+    if h is None or varying.strip_count(r, q):
+        margin = varying.strip_margins(c, G, error)
+    else:
+        margin = varying.refutes(c, G, error, h)
+    return margin
 
 
 def farthest(c: jax.Array, G: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -233,10 +278,25 @@ def farthest(c: jax.Array, G: jax.Array) -> tuple[jax.Array, jax.Array]:
     return h / size, z
 
 
+class Candidates(NamedTuple):
+    """Hints of a search for boxes: their polynomials, the image c + G [-1, 1]^q, a direction h, a point start
+    (v, e), and the axis along which to cut.
+    """
+
+    terms: Terms
+    c: jax.Array
+    G: jax.Array
+    h: jax.Array
+    start: jax.Array
+    axis: jax.Array
+
+
 @kernel
-def candidates(test: Any, terms: Any, mid: Any, radius: Any, owner: Any) -> tuple:
-    """Return (terms, c, G, h, start, axis) of boxes mid +- radius (n, N) of windows `owner`: what `concluded`
-    proves something by.
+def candidates(
+    test: PolynomialReading, terms: Terms, mid: jax.Array, radius: jax.Array, owner: jax.Array
+) -> Candidates:
+    """Return the hints by which `concluded` proves something, of boxes mid +- radius (n, N) of windows
+    `owner`.
 
     The image is c + G [-1, 1]^q, up to the error; start (v, e) and h are candidates for a point and a
     direction; axis is where to cut.
@@ -246,19 +306,19 @@ def candidates(test: Any, terms: Any, mid: Any, radius: Any, owner: Any) -> tupl
     c, G = polynomials.image(value, spread, rad, test.exponents, mid, radius)
     h, z = farthest(c, G)
     start = jnp.concatenate([jnp.clip(mid + radius * z[: len(mid)], -1, 1), _noise_part(test, z)])
-    return (
-        (value, spread, rad, error),
-        c,
-        G,
-        h,
-        start,
-        jnp.argmax(polynomials.bends(value, test.exponents, radius), 0),
-    )
+    axis = jnp.argmax(polynomials.bends(value, test.exponents, radius), 0)
+    return Candidates(Terms(value, spread, rad, error), c, G, h, start, axis)
 
 
 @kernel
 def concluded(
-    test: Any, terms: Any, c: jax.Array, G: jax.Array, h: jax.Array, start: jax.Array, proved: Any
+    test: PolynomialReading,
+    terms: Terms,
+    c: jax.Array,
+    G: jax.Array,
+    h: jax.Array,
+    start: jax.Array,
+    proved: bool,
 ) -> tuple[jax.Array, ...]:
     """Return (status, margin, found, open) of boxes: refuted by a direction or strips, explained by a zero
     near a start.
@@ -268,16 +328,13 @@ def concluded(
     """
     margin = _outside(c, G, terms[3], h)
     found = _explained(test, terms, start, proved & (margin >= 0))
-    return (
-        _status(margin, found),
-        jnp.where(found, jnp.maximum(margin, LEAST), margin),
-        found,
-        ~(margin < 0) & ~found,
-    )
+    status = _status(margin, found)
+    size = jnp.where(found, jnp.maximum(margin, LEAST), margin)
+    return status, size, found, ~(margin < 0) & ~found
 
 
-def _explained(test, terms, start, wanted):
-    """Return where a zero is proved to exist near start, among the windows where that is wanted.
+def _explained(test: PolynomialReading, terms: Terms, start: jax.Array, wanted: jax.Array) -> jax.Array:
+    """Say near which starts a zero is proved to exist, among the windows where that is wanted.
 
     Newton's method moves a point towards a zero and never onto the sides of the box, where it would have no
     room left. It is carried by a loop, so that values, slopes and proof are of one point.
@@ -285,7 +342,7 @@ def _explained(test, terms, start, wanted):
     value, spread, rad, error = terms
     order = max(1, *map(sum, test.exponents))
 
-    def newton(_, carry):
+    def newton(_: int | jax.Array, carry: Newton) -> Newton:
         z = carry[0]
         p, J, bend = polynomials.slopes(value, spread, rad, test.exponents, z)
         R = varying.right_inverse(J, z)
@@ -293,48 +350,47 @@ def _explained(test, terms, start, wanted):
         return moved, (z, p, J, bend, R)
 
     first = jnp.clip(start, -SHARE, SHARE)
-    nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(newton, 0, (first,))[1])
-    z, p, J, bend, R = jax.lax.fori_loop(
-        0, jnp.where(jnp.any(wanted), NEWTON + 1, 0), newton, (first, nothing)
-    )[1]
+    shapes = jax.eval_shape(newton, 0, (first, ()))[1]
+    nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+    steps = jnp.where(jnp.any(wanted), NEWTON + 1, 0)
+    z, p, J, bend, R = jax.lax.fori_loop(0, steps, newton, (first, nothing))[1]
     J_error = jnp.broadcast_to((order * error)[:, None], J.shape)
     return wanted & varying.holds(p, error, J, J_error, z, R, bend)
 
 
-def on_boxes(test: Any, terms: Any, mid: Any, radius: Any, owner: Any, proved: Any) -> tuple:
+def on_boxes(
+    test: PolynomialReading, terms: Terms, mid: Array, radius: Array, owner: np.ndarray, proved: bool
+) -> tuple[jax.Array, ...]:
     """Return (status, margin, found, open, start, h, axis) of boxes: see `candidates` and `concluded`."""
-    terms, c, G, h, start, axis = candidates(test, terms, mid, radius, owner)
-    return *concluded(test, terms, c, G, h, start, proved), start, h, axis
+    own, c, G, h, start, axis = candidates(test, terms, mid, radius, owner)
+    return *concluded(test, own, c, G, h, start, proved), start, h, axis
 
 
-def on_whole(test: Any, terms: Any, proved: Any) -> tuple:
+def on_whole(test: PolynomialReading, terms: Terms, proved: bool) -> tuple[jax.Array, ...]:
     """Return the same of the whole box of parameters, for each window of a block."""
-    count, dtype = terms[0].shape[-1], terms[0].dtype
+    count, dtype = terms.value.shape[-1], terms.value.dtype
     one = np.ones((len(test.size), count), dtype)
     return on_boxes(test, terms, 0 * one, one, np.arange(count, dtype=np.int32), proved)
 
 
-def bisected(test: Any, samples: Any, proved: bool, budget: int) -> np.ndarray:
+def bisected(test: PolynomialReading, samples: Block, proved: bool, budget: int) -> np.ndarray:
     """Return the status of windows, at most a block, by bisection of their parameters, in blocks of boxes as
     large as those of windows.
     """
     count, n, dtype = samples[1].shape[-1], len(test.size), samples[1].dtype
-    samples = [np.concatenate([x, np.repeat(x[..., :1], SEARCHED - count, -1)], -1) for x in samples]
+    filled = (np.concatenate([x, np.repeat(x[..., :1], SEARCHED - count, -1)], -1) for x in samples)
     on_device = jax.device_put(test)
-    terms = terms_of(on_device, *samples)
+    terms = terms_of(on_device, *filled)
     grow = 1 + 4 * np.finfo(dtype).eps
 
-    def judge(lo, hi, owner):
+    def judge(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> Verdicts[jax.Array]:
         mid = 0.5 * (lo + hi)
-        found, keep, _, _, axis = on_boxes(
-            on_device, terms, mid, np.maximum(hi - mid, mid - lo) * grow, owner, proved
-        )[2:]
-        return Verdicts(keep, found, (mid, mid), None, axis) if proved else Verdicts(keep, axis=axis)
+        radius = np.maximum(hi - mid, mid - lo) * grow
+        _, _, found, keep, _, _, axis = on_boxes(on_device, terms, mid, radius, owner, proved)
+        if not proved:
+            return Verdicts(keep, axis=axis)
+        return Verdicts(keep, found, (mid, mid), None, axis)
 
     one = np.ones(n, dtype)
-    found = explore(judge, -one, one, count, 200, budget, "kernel", first=True, sizes=(SEARCHED,))
-    status = np.where(
-        np.bincount(found.owner, minlength=count) == 0, np.int8(Status.FAULT), np.int8(Status.UNDECIDED)
-    )
-    status[found.proofs[2]] = Status.CONSISTENT
-    return status
+    cover = explore(judge, -one, one, count, 200, budget, "kernel", first=True, sizes=(SEARCHED,))
+    return status_of_cover(cover, count)

@@ -1,4 +1,4 @@
-"""What a kernel needs of uncertain relations, and the polynomials of every window.
+"""Uncertain relations as kernels read them, and the polynomials of every window.
 
 With the true outputs and disturbances z_j = mid_j + rad_j xi_j, |xi_j| <= 1, a healthy window satisfies for
 some v in the box
@@ -9,18 +9,36 @@ Source: Ploix, Adrot 2006, (6), (14).
 """
 
 import dataclasses
+from collections.abc import Collection
 from dataclasses import dataclass, field
-from typing import Any, Self
+from typing import TYPE_CHECKING, NamedTuple, Self, TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
+from jaxbound.consistency.interface import Relations
 from jaxbound.consistency.reading import Reading
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.unrolled import total
 
-__all__ = ["PolynomialReading"]
+__all__ = ["Exponents", "PolynomialReading", "PolynomialRelations", "Polynomials"]
+
+Exponents: TypeAlias = tuple[tuple[int, ...], ...]
+"""Monomials v^alpha, an exponent for each variable; the first is the constant."""
+
+
+class Polynomials(NamedTuple):
+    """The relations of N windows as polynomials in v and xi: see `PolynomialReading.polynomials`.
+
+    Fields: value, error (count, K, N); spread (count, K, R); rad (R, N).
+    """
+
+    value: jax.Array
+    error: jax.Array
+    spread: jax.Array
+    rad: jax.Array
 
 
 @jax.tree_util.register_dataclass
@@ -39,8 +57,8 @@ class PolynomialReading:
     N: jax.Array
     K: jax.Array
     size: jax.Array
-    exponents: tuple = field(metadata={"static": True})
-    noisy: tuple = field(metadata={"static": True})
+    exponents: Exponents = field(metadata={"static": True})
+    noisy: tuple[int, ...] = field(metadata={"static": True})
     spare: jax.Array | None = None
 
     @property
@@ -49,11 +67,16 @@ class PolynomialReading:
         return self.window.horizon
 
     @property
+    def lags(self) -> int:
+        """How many samples of u a window has."""
+        return self.window.lags
+
+    @property
     def count(self) -> int:
         """Number of relations."""
         return self.N.shape[0]
 
-    def filled(self, count: int, exponents: tuple, noisy: tuple) -> Self:
+    def filled(self, count: int, exponents: Exponents, noisy: tuple[int, ...]) -> Self:
         """Return the same relations in a larger shape, which others share with them: what is compiled for one
         is compiled for all.
 
@@ -62,17 +85,18 @@ class PolynomialReading:
         """
         place, more = [exponents.index(a) for a in self.exponents], count - self.count
 
-        def wide(x):
+        def wide(x: jax.Array) -> jax.Array:
             out = np.zeros((count, len(exponents), x.shape[2]), x.dtype)
             out[: self.count, place] = x
-            return out
+            return cast("jax.Array", out)  # on the host, as x is: kernels take arrays of either kind
 
-        spare: Any = np.append(np.zeros(self.count, self.N.dtype), np.ones(more, self.N.dtype))
+        own, others = np.zeros(self.count, self.N.dtype), np.ones(more, self.N.dtype)
+        spare = cast("jax.Array", np.append(own, others))
         return dataclasses.replace(
             self, N=wide(self.N), K=wide(self.K), exponents=exponents, noisy=noisy, spare=spare
         )
 
-    def polynomials(self, u: jax.Array, y: jax.Array) -> Any:
+    def polynomials(self, u: jax.Array, y: jax.Array) -> Polynomials:
         """Return (value, error, spread, rad): the relations of every window as polynomials in v and xi within
         [-1, 1].
 
@@ -103,40 +127,31 @@ class PolynomialReading:
         N, coefficients = self._scaled(self.N), self._scaled(jnp.concatenate([self.N, -self.K], 2))
         x, magnitude = jnp.concatenate([mid, known]), jnp.concatenate([scale, known_scale])
         gone = jnp.isnan(magnitude)
-        fine = jnp.isfinite(x) & jnp.isfinite(
-            magnitude
-        )  # then the radius is finite: it is part of the magnitude
-        x, magnitude, rad = (
-            jnp.where(fine, x, 0),
-            jnp.where(fine, magnitude, 0),
-            jnp.where(fine[: len(rad)], rad, 0),
-        )
+        # then the radius is finite: it is part of the magnitude
+        fine = jnp.isfinite(x) & jnp.isfinite(magnitude)
+        x, magnitude = jnp.where(fine, x, 0), jnp.where(fine, magnitude, 0)
+        rad = jnp.where(fine[: len(rad)], rad, 0)
         broken = jnp.any(~fine & ~gone, 0)
-        times = lambda a, b: total(a[:, :, j, None] * b[j][None, None] for j in range(len(b)))
-        value, size = times(coefficients, x), times(abs(coefficients), magnitude)
+        value, size = _times(coefficients, x), _times(abs(coefficients), magnitude)
         absent = jnp.any(jnp.any(coefficients != 0, 1)[..., None] & gone[None], 1)
         order = max(map(sum, self.exponents))
-        gamma, floor = rounding.residual_error(self.N.shape[2] + self.K.shape[2] + order + 2, mid.dtype)
-        floor = (floor * (1 + jnp.sum(magnitude, 0)) * self._lift(order))[None, None]
+        gamma, least = rounding.residual_error(self.N.shape[2] + self.K.shape[2] + order + 2, mid.dtype)
+        floor = (least * (1 + jnp.sum(magnitude, 0)) * self._lift(order))[None, None]
         error = jnp.where(broken[None, None], jnp.inf, 2 * (gamma * size + floor))
-        quiet = [j for j in range(mid.shape[0]) if j not in self.noisy]
-        if quiet:
-            rest = jnp.sum(
-                jnp.sum(abs(N[:, :, np.array(quiet)]), 1)[..., None] * rad[np.array(quiet)][None], 1
-            )
+        quiet = np.array([j for j in range(mid.shape[0]) if j not in self.noisy], int)
+        if len(quiet):
+            rest = jnp.sum(jnp.sum(abs(N[:, :, quiet]), 1)[..., None] * rad[quiet][None], 1)
             error = error.at[:, 0].add((1 + gamma) * rest)
         noisy = np.array(self.noisy, int)
         value = value.at[:, 0].set(jnp.where(absent, jnp.nan, value[:, 0]))
         spread, rad = N[:, :, noisy], rad[noisy]
         if self.spare is not None:
             own = jnp.where(np.arange(N.shape[1])[:, None] == 0, jnp.diag(self.spare)[:, None], 0)
-            spread, rad = (
-                jnp.concatenate([spread, own], 2),
-                jnp.concatenate([rad, jnp.ones_like(value[:, 0])]),
-            )
-        return value, error, spread, rad
+            spread = jnp.concatenate([spread, own], 2)
+            rad = jnp.concatenate([rad, jnp.ones_like(value[:, 0])])
+        return Polynomials(value, error, spread, rad)
 
-    def _scaled(self, coefficients):
+    def _scaled(self, coefficients: jax.Array) -> jax.Array:
         """Return coefficients for v in [-1, 1]: times size^alpha."""
         powers, exponents = jnp.ones(len(self.exponents), self.size.dtype), np.array(self.exponents, int)
         for i in range(exponents.shape[1]):
@@ -144,11 +159,51 @@ class PolynomialReading:
                 powers = powers * jnp.where(exponents[:, i] > e, self.size[i], 1)
         return coefficients * powers[None, :, None]
 
-    def _lift(self, order):
-        """At least every factor that multiplies something after its own rounding."""
+    def _lift(self, order: int) -> jax.Array:
+        """Return at least every factor that multiplies something after its own rounding."""
         power = jnp.ones((), self.size.dtype)
         for _ in range(order):
             power = power * jnp.maximum(1, jnp.max(self.size, initial=0))
-        return (
-            self.window.lift * (1 + jnp.max(abs(self.N), initial=0) + jnp.max(abs(self.K), initial=0)) * power
-        )
+        lift = self.window.lift
+        return lift * (1 + jnp.max(abs(self.N), initial=0) + jnp.max(abs(self.K), initial=0)) * power
+
+
+def _times(coefficients: jax.Array, x: jax.Array) -> jax.Array:
+    """Return (count, K, N): coefficients (count, K, R) times x (R, N), term by term."""
+    return total(coefficients[:, :, j, None] * x[j][None, None] for j in range(len(x)))
+
+
+class PolynomialRelations(Relations):
+    """Relations polynomial in uncertain parameters: `relations.uncertain` has them."""
+
+    if TYPE_CHECKING:
+
+        @property
+        def variables(self) -> tuple[tuple[str, int | None], ...]:
+            """((name of the parameter, lag or None), ..): what the polynomials are in."""
+            raise NotImplementedError
+
+        @property
+        def complete(self) -> str:
+            """Whether the relations say all that can be said: "proved", "sampled" or "partial"."""
+            raise NotImplementedError
+
+    @property
+    def exponents(self) -> Exponents:
+        """The monomials of the relations and all that divide one of them, orders ascending."""
+        raise NotImplementedError
+
+    @property
+    def exponents_of_losses(self) -> Exponents:
+        """The monomials of these relations and of those for windows that lack one sample."""
+        raise NotImplementedError
+
+    def reading(self, dtype: DTypeLike, method: str = "joint") -> PolynomialReading:
+        """Return the PolynomialReading of these relations in a float dtype."""
+        raise NotImplementedError
+
+    def without(self, rows: Collection[int], inputs: Collection[int]) -> Self | None:
+        """Return relations of the same window that need neither these of its rows nor these of its inputs, or
+        None if there are none.
+        """
+        raise NotImplementedError

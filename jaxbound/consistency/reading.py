@@ -4,9 +4,9 @@ One of three evaluators of `models.rows`: middles, radii and the magnitudes that
 to, on arrays over windows, inside a kernel.
 """
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Generic, NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -14,18 +14,35 @@ import numpy as np
 
 from jaxbound.models import sensor
 from jaxbound.models.rows import WindowRows
-from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.strips.bank import Bank
 from jaxbound.sets.strips.separation import Frame
 from jaxbound.sets.strips.strips import Strips
 
-__all__ = ["Reading", "forms", "gather"]
+__all__ = ["Block", "Reading", "RowValues", "Samples", "gather"]
 
 Samples = TypeVar("Samples", np.ndarray, jax.Array)
+Values = TypeVar("Values", jax.Array, list[jax.Array])
+Block: TypeAlias = tuple[np.ndarray, np.ndarray]
+"""Samples (u, y) of as many windows as are judged at once."""
+Parts: TypeAlias = tuple[jax.Array, jax.Array, jax.Array]
+"""(mid, rad, scale) of some rows."""
 AVERAGING = 16
 """Terms of a sum that the error bound of one row pays for, with a magnitude as large again: see
 `Reading._summed`.
 """
+
+
+class RowValues(NamedTuple, Generic[Values]):
+    """Rows of N windows: arrays (rows, N), known (l, N), or lists of (N,), so that what is done with them
+    fuses.
+    """
+
+    mid: Values
+    rad: Values
+    scale: Values
+    known: Values
+    known_scale: Values
 
 
 @jax.tree_util.register_dataclass
@@ -33,12 +50,12 @@ AVERAGING = 16
 class Reading:
     """Everything a kernel needs of a relation: arrays are traced, so models of one shape share a compilation.
 
-    Fields: shape, the Strips of a few circuits or the Frame of an exchange search; tolerance, noise,
+    Fields: shape, the Strips of a few circuits, the Frame of an exchange search or a Bank; tolerance, noise,
     resolution, offset_y (p,); disturbance (g, 2); offset_u (m,); window: its rows; lags, the samples of u in
     a window; average (a,): bounds of the sums of the window.
     """
 
-    shape: Strips | Frame
+    shape: Strips | Frame | Bank
     tolerance: jax.Array
     noise: jax.Array
     resolution: jax.Array
@@ -59,75 +76,103 @@ class Reading:
         """At least every factor that multiplies a row after its own rounding."""
         return sensor.lift(self.tolerance)
 
+    @property
+    def strips(self) -> Strips:
+        """The strips, of a reading that has them."""
+        assert isinstance(self.shape, Strips)
+        return self.shape
+
+    @property
+    def frame(self) -> Frame:
+        """The frame, of a reading for an exchange search."""
+        assert isinstance(self.shape, Frame)
+        return self.shape
+
+    @property
+    def bank(self) -> Bank:
+        """The bank, of a reading that has one."""
+        assert isinstance(self.shape, Bank)
+        return self.shape
+
     def seen(self, y: Samples) -> Samples:
         """Return the samples y (s + 1, p, N) of windows, NaN where they are not looked at."""
         if self.window.lags is None:
             return y
-        xp = np if isinstance(y, np.ndarray) else jnp
-        return xp.where(self.window.kept[:, None, None], y, np.asarray(np.nan, y.dtype))
+        kept, nothing = self.window.kept[:, None, None], np.asarray(np.nan, y.dtype)
+        if isinstance(y, np.ndarray):
+            return np.where(kept, y, nothing)
+        return jnp.where(kept, y, nothing)
 
-    def silenced(self, known: list) -> jax.Array:
+    def silenced(self, known: Sequence[jax.Array] | jax.Array) -> jax.Array:
         """Say which windows lack a known value that some circuit needs: the circuits that are left do not
         describe their set exactly.
         """
-        strips: Any = self.shape  # or a bank: what has circuits on known values
-        silenced = jnp.zeros_like(known[0], bool) if len(known) else jnp.zeros((), bool)
+        if not len(known):
+            return jnp.zeros((), bool)
+        silenced = jnp.zeros_like(known[0], bool)
         for b, value in enumerate(known):
-            silenced |= jnp.isnan(value) & jnp.any(strips.k[:, b] != 0)
+            silenced |= jnp.isnan(value) & jnp.any(self.strips.k[:, b] != 0)
         return silenced
 
-    def stretch(self, u: jax.Array, y: jax.Array) -> tuple:
+    def stretch(self, u: jax.Array, y: jax.Array) -> RowValues[jax.Array] | RowValues[list[jax.Array]]:
         """Return the rows of all windows of a stretch, u (N + s, m), y (N + s, p): see `rows`; as arrays for
         strips that run in a scan.
         """
-        if self.window.sums or isinstance(self.shape, Strips) and self.shape.supports is None:
+        in_a_scan = isinstance(self.shape, Strips) and self.shape.supports is None
+        if self.window.sums or in_a_scan:
             return self.block(*self.windows(u, y))
         count = y.shape[0] - self.horizon
-        return self.rows(
-            [[u[j : j + count, i] for i in range(u.shape[1])] for j in range(self.lags)],
-            [[y[j : j + count, i] for i in range(y.shape[1])] for j in range(self.horizon + 1)],
-        )
+        return self.rows(_later(u, self.lags, count), _later(y, self.horizon + 1, count))
 
     def windows(self, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the samples u (lags, m, N), y (s + 1, p, N) of all windows of a stretch, u (N + s, m), y (N
         + s, p).
         """
         count = y.shape[0] - self.horizon
-        take = lambda x, lags: jax.lax.map(
-            lambda j: jax.lax.dynamic_slice_in_dim(x.T, j, count, 1), jnp.arange(lags)
-        )
-        return take(u, self.lags), take(y, self.horizon + 1)
 
-    def block(self, u: jax.Array, y: jax.Array) -> tuple:
+        def cut(x: jax.Array, lags: int) -> jax.Array:
+            def later(j: jax.Array) -> jax.Array:
+                return jax.lax.dynamic_slice_in_dim(x.T, j, count, 1)
+
+            samples: jax.Array = jax.lax.map(later, jnp.arange(lags))
+            return samples
+
+        return cut(u, self.lags), cut(y, self.horizon + 1)
+
+    def block(self, u: jax.Array, y: jax.Array) -> RowValues[jax.Array]:
         """Return the rows of N windows u (lags, m, N), y (s + 1, p, N) as arrays (rows, N), (l, N): few
         operations, whatever s.
         """
         whole, y = y, self.seen(y)
-        taken = whole if self.window.lags is None else jnp.where(self.window.used[:, :, None], whole, jnp.nan)
+        count = y.shape[2]
+        taken = whole
+        if self.window.lags is not None:
+            taken = jnp.where(self.window.used[:, :, None], whole, jnp.nan)
         largest = jnp.max(jnp.where(jnp.isnan(taken), 0, abs(taken)), 0, keepdims=True)
-        tolerance, noise, resolution, offset = (
-            x[None, :, None] for x in (self.tolerance, self.noise, self.resolution, self.offset_y)
+        (mid,), (rad,), (scale,) = sensor.true_value(
+            [y],
+            self.tolerance[None, :, None],
+            self.noise[None, :, None],
+            self.resolution[None, :, None],
+            self.offset_y[None, :, None],
+            largest,
         )
-        rows = [
-            x.reshape(-1, y.shape[2])
-            for (x,) in sensor.true_value([y], tolerance, noise, resolution, offset, largest)
-        ]
+        mid, rad, scale = mid.reshape(-1, count), rad.reshape(-1, count), scale.reshape(-1, count)
         if self.horizon and len(self.disturbance):
-            rows = [
-                jnp.concatenate([x, *[w] * self.horizon])
-                for x, w in zip(rows, self._disturbance(y[0, 0]), strict=True)
-            ]
+            w_mid, w_rad, w_scale = self._disturbance(y[0, 0])
+            mid = jnp.concatenate([mid, *[w_mid] * self.horizon])
+            rad = jnp.concatenate([rad, *[w_rad] * self.horizon])
+            scale = jnp.concatenate([scale, *[w_scale] * self.horizon])
         for number in range(len(self.window.sums)):
-            rows = [
-                jnp.concatenate(pair)
-                for pair in zip(rows, self._summed(number, whole, largest[0]), strict=True)
-            ]
-        known = [u - self.offset_u[None, :, None], abs(u) + abs(self.offset_u)[None, :, None]]
-        return *rows, *(x.reshape(-1, y.shape[2]) for x in known)
+            own_mid, own_rad, own_scale = self._summed(number, whole, largest[0])
+            mid = jnp.concatenate([mid, own_mid])
+            rad = jnp.concatenate([rad, own_rad])
+            scale = jnp.concatenate([scale, own_scale])
+        known = u - self.offset_u[None, :, None]
+        known_scale = abs(u) + abs(self.offset_u)[None, :, None]
+        return RowValues(mid, rad, scale, known.reshape(-1, count), known_scale.reshape(-1, count))
 
-    def _summed(
-        self, number: int, y: jax.Array, largest: jax.Array
-    ) -> tuple[jax.Array, jax.Array, jax.Array]:
+    def _summed(self, number: int, y: jax.Array, largest: jax.Array) -> Parts:
         """Return (mid, rad, scale) of the runs of one sum, (runs, N) each, NaN in mid and scale where a
         sample is missing.
 
@@ -163,12 +208,7 @@ class Reading:
         return self.resolution[i] + ulps * (jnp.minimum(largest[i], top) + self.noise[i])
 
     def _added(
-        self,
-        sums: tuple[jax.Array, ...],
-        one: jax.Array,
-        weights: tuple[float, ...],
-        y: jax.Array,
-        i: int,
+        self, sums: tuple[jax.Array, ...], one: jax.Array, weights: tuple[float, ...], y: jax.Array, i: int
     ) -> tuple[jax.Array, ...]:
         """Return (sums, their magnitudes), (runs, N) each as `one`, with the weighted samples of output i
         added.
@@ -177,47 +217,56 @@ class Reading:
         d, size = y[:, i] - self.offset_y[i], abs(y[:, i]) + abs(self.offset_y[i])
         factors = np.asarray(weights, y.dtype)
 
-        def add(k, sums):
-            def take(x):
-                return jax.lax.dynamic_slice_in_dim(x, k, runs, 0)
-
+        def add(k: jax.Array, sums: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
             f = jnp.asarray(factors)[k]
-            return sums[0] + f * take(d), sums[1] + jnp.abs(f) * take(size)
+            value = sums[0] + f * jax.lax.dynamic_slice_in_dim(d, k, runs, 0)
+            magnitude = sums[1] + jnp.abs(f) * jax.lax.dynamic_slice_in_dim(size, k, runs, 0)
+            return value, magnitude
 
-        return jax.lax.fori_loop(0, len(weights), add, sums or (0 * one, 0 * one))
+        total: tuple[jax.Array, ...] = jax.lax.fori_loop(0, len(weights), add, sums or (0 * one, 0 * one))
+        return total
 
-    def _disturbance(self, like):
+    def _disturbance(self, like: jax.Array) -> Parts:
         """Return (mid, rad, scale) of one sample of the disturbances, (g, N) each."""
         lo, hi, one = self.disturbance[:, 0], self.disturbance[:, 1], jnp.ones_like(like)
         tiny = rounding.tiny(like.dtype)
-        return [
-            x[:, None] * one[None]
-            for x in (0.5 * (lo + hi), 0.5 * (hi - lo) + tiny, abs(lo) + abs(hi) + tiny)
-        ]
+        mid, rad, scale = 0.5 * (lo + hi), 0.5 * (hi - lo) + tiny, abs(lo) + abs(hi) + tiny
+        return mid[:, None] * one[None], rad[:, None] * one[None], scale[:, None] * one[None]
 
-    def rows(self, u: Any, y: Any) -> tuple:
-        """Return (mid, rad, scale, known, known_scale), lists of (N,), of windows with the samples
-        u[lag][input], y[lag][output].
+    def rows(
+        self, u: Sequence[Sequence[jax.Array]], y: Sequence[Sequence[jax.Array]]
+    ) -> RowValues[list[jax.Array]]:
+        """Return the rows of windows with the samples u[lag][input], y[lag][output].
 
         Rows are the true outputs, time-major, then the disturbances w_k .. w_{k+s-1}.
         """
-        per_output, nothing = [], jnp.full_like(y[0][0], jnp.nan)
+        nothing = jnp.full_like(y[0][0], jnp.nan)
+        per_output = []
         for i in range(len(self.noise)):
-            samples = [now[i] if self.window.looked_at(j) else nothing for j, now in enumerate(y)]
-            per_output.append(
-                sensor.true_value(
-                    samples, self.tolerance[i], self.noise[i], self.resolution[i], self.offset_y[i]
-                )
-            )
-        mid, rad, scale = (
-            [output[part][j] for j in range(self.horizon + 1) for output in per_output] for part in range(3)
-        )
+            samples = []
+            for j, now in enumerate(y):
+                samples.append(now[i] if self.window.looked_at(j) else nothing)
+            bounds = self.tolerance[i], self.noise[i], self.resolution[i], self.offset_y[i]
+            per_output.append(sensor.true_value(samples, *bounds))
+        rows: tuple[list[jax.Array], ...] = ([], [], [])
+        for part, values in enumerate(rows):
+            for j in range(self.horizon + 1):
+                values += [output[part][j] for output in per_output]
         if len(self.disturbance):
-            for rows, w in zip((mid, rad, scale), self._disturbance(jnp.ones_like(y[0][0])), strict=True):
-                rows.extend([*w] * self.horizon)
-        known = [v - self.offset_u[i] for now in u for i, v in enumerate(now)]
-        known_scale = [abs(v) + abs(self.offset_u[i]) for now in u for i, v in enumerate(now)]
-        return mid, rad, scale, known, known_scale
+            for values, w in zip(rows, self._disturbance(jnp.ones_like(y[0][0])), strict=True):
+                values.extend([*w] * self.horizon)
+        known, known_scale = [], []
+        for now in u:
+            known += [v - self.offset_u[i] for i, v in enumerate(now)]
+        for now in u:
+            known_scale += [abs(v) + abs(self.offset_u[i]) for i, v in enumerate(now)]
+        mid, rad, scale = rows
+        return RowValues(mid, rad, scale, known, known_scale)
+
+
+def _later(x: jax.Array, lags: int, count: int) -> list[list[jax.Array]]:
+    """Return the samples x (N + lags - 1, n) of N windows as columns (N,): [lag][channel]."""
+    return [[x[j : j + count, i] for i in range(x.shape[1])] for j in range(lags)]
 
 
 def _size(weights: tuple[float, ...]) -> float:
@@ -225,25 +274,11 @@ def _size(weights: tuple[float, ...]) -> float:
     return sum(map(abs, weights))
 
 
-def gather(u: np.ndarray, y: np.ndarray, starts: np.ndarray, lags: int, horizon: int) -> tuple:
+def gather(u: np.ndarray, y: np.ndarray, starts: np.ndarray, lags: int, horizon: int) -> Block:
     """Return the samples u (lags, m, N), y (s + 1, p, N) of windows that start at samples of u (T, m), y (T,
     p).
     """
     rows = starts + np.arange(horizon + 1)[:, None]
-    taken = lambda x, rows: x.take(rows, 0).transpose(0, 2, 1).copy()  # x[rows] is ten times slower
-    return taken(u, rows[:lags]), taken(y, rows)
-
-
-def forms(kernel: Callable, relations: Any, test: Callable, u: Any, y: Any, starts: Any) -> tuple:
-    """Return the arrays (..., T, count) that kernel(test(dtype), u (T, m), y (T, p)) makes of recordings; NaN
-    where there is no window.
-    """
-    given = Recording.of(relations.model, u, y, starts)
-    u, y = jax.device_put((given.u, given.y))  # jnp.asarray compiles a copy for each shape
-    if y.shape[-2] <= relations.horizon:
-        return (jnp.full((*y.shape[:-1], relations.count), jnp.nan, y.dtype),) * 3
-    for _ in range(y.ndim - 2):
-        kernel = jax.vmap(kernel, (None, 0, 0))
-    found = kernel(test(y.dtype), u, y)
-    across = np.flatnonzero(given.across(relations.horizon))
-    return tuple(x.at[..., across, :].set(jnp.nan) for x in found) if len(across) else found
+    # take: u[rows] is ten times slower
+    inputs = u.take(rows[:lags], 0).transpose(0, 2, 1).copy()
+    return inputs, y.take(rows, 0).transpose(0, 2, 1).copy()

@@ -2,19 +2,19 @@
 pass.
 """
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency import whole_numbers
-from jaxbound.consistency.interface import LinearRelations, WindowTest
-from jaxbound.consistency.reading import gather
-from jaxbound.consistency.strips_on_host import host_strips
+from jaxbound.consistency.interface import Again, Arrays, LinearTest, Outs, Progress, Run
+from jaxbound.consistency.reading import Block, Reading, gather
+from jaxbound.consistency.strips_on_host import HostStrips, host_strips
 from jaxbound.consistency.unproved import stretch_block, unproved_margins
+from jaxbound.exact.linalg import Matrix
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.status import Status
@@ -23,12 +23,10 @@ from jaxbound.sets.strips.strips import status_of, strip_margin, strip_verdict
 __all__ = ["StripsTest", "verdicts"]
 
 
-class StripsTest(WindowTest):
+class StripsTest(LinearTest):
     """Tests windows circuit by circuit ("joint": both verdicts are proofs) or relation by relation
     ("box").
     """
-
-    relations: LinearRelations
 
     gathered = False
     replayed = False
@@ -38,12 +36,12 @@ class StripsTest(WindowTest):
         """How many windows are judged at once."""
         return stretch_block(self.reading)
 
-    def judge(self, run: Callable, blocks: list) -> list:
+    def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return (status, margin) of stretches of samples."""
         return run(verdicts, blocks)
 
     def settle(
-        self, u: np.ndarray, y: np.ndarray, outs: list, left: np.ndarray, again: Callable, progress: Callable
+        self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress
     ) -> None:
         """Decide in whole numbers what rounding leaves open far from the boundary."""
         status, margin = outs
@@ -51,25 +49,24 @@ class StripsTest(WindowTest):
 
     def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """Return (N,) bool: which windows one strip contradicts, in NumPy; see `WindowTest.contradicted`."""
-        return self._host.contradicted(u, y, starts).any(0)
+        return np.asarray(self._host.contradicted(u, y, starts).any(0))
 
-    def exactly(self, found: np.ndarray, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
-        """Return the same, of what NumPy does not see in whole numbers."""
-        left = np.flatnonzero(~found)
+    def exactly(self, seen: np.ndarray, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """Return the same, in whole numbers where NumPy sees nothing."""
+        left = np.flatnonzero(~seen)
         for first in range(0, len(left), whole_numbers.BLOCK):
             part = left[first : first + whole_numbers.BLOCK]
             windows = gather(u, y, starts[part], self.lags, self.horizon)
-            found[part] = whole_numbers.exact_strips(self.relations, self.reading, self._exact, *windows) < 0
-        return found
+            seen[part] = whole_numbers.exact_strips(self.relations, self.reading, self._exact, *windows) < 0
+        return seen
 
     @cached_property
-    def _exact(self):
+    def _exact(self) -> tuple[Matrix, Matrix]:
         """The exact strips: rows over (Y, w), and over U."""
-        r = self.relations
-        return (r.W, r.K) if self.method == "box" else (r.circuits, r.circuits_known)
+        return self.relations.strips(self.method)
 
     @cached_property
-    def _host(self):
+    def _host(self) -> HostStrips:
         h, k = self._exact
         return host_strips(self.relations.reading(np.float64, self.method), h, k, self.dtype)
 
@@ -79,24 +76,22 @@ class StripsTest(WindowTest):
 
 
 @kernel
-def verdicts(test: Any, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+def verdicts(test: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return (status, margin) of the windows of one stretch of samples, tested circuit by circuit."""
     mid, rad, scale, known, known_scale = test.stretch(u, y)
-    margin = strip_verdict(test.shape, mid, rad, scale, known, known_scale, test.lift)
-    margin = jax.lax.optimization_barrier(
-        margin
-    )  # else the compiler works out everything once for each of the two results
+    margin = strip_verdict(test.strips, mid, rad, scale, known, known_scale, test.lift)
+    # else the compiler works out everything once for each of the two results
+    margin = jax.lax.optimization_barrier(margin)  # type: ignore[no-untyped-call]  # of JAX
     status = status_of(margin)
     unsure = test.silenced(known) & (status == Status.CONSISTENT)
     return jnp.where(unsure, Status.UNDECIDED, status).astype(jnp.int8), margin
 
 
 @jax.jit
-def _margins(test, u, y):
-    mid, rad, _, known, _ = test.stretch(u, y)
-    return strip_margin(test.shape, mid, rad, known)
+def _margins(test: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
+    rows = test.stretch(u, y)
+    return strip_margin(test.strips, rows.mid, rows.rad, rows.known)
 
 
-_smooth_margins = jax.checkpoint(
-    _margins
-)  # to keep what a derivative needs of every window takes longer, and much longer to compile
+# to keep what a derivative needs of every window takes longer, and much longer to compile
+_smooth_margins = jax.checkpoint(_margins)

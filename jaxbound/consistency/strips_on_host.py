@@ -17,14 +17,20 @@ N terms. S, and what the recorder rounded away, are those of the largest sample 
 and one number for all its windows.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from jax.typing import DTypeLike
 
+from jaxbound.consistency.interface import Array
+from jaxbound.consistency.reading import Reading
+from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models.rows import Kind
 from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.strips.separation import Frame
 
 __all__ = ["HostStrips", "contradicted_by", "host_strips"]
 
@@ -34,6 +40,14 @@ DENSE = 4
 """Windows are gathered where fewer than one in so many is asked for, else cut out as stretches."""
 
 
+Ends: TypeAlias = np.ndarray | float
+"""Numbers over samples or windows, or one for all of them."""
+Cut: TypeAlias = Callable[[np.ndarray, int], np.ndarray]
+"""Takes, of a series over samples, the one of each window that comes so many samples after its first."""
+SLIGHTLY = 1 + 1e-15
+"""A factor that pays for the last roundings of a bound."""
+
+
 @dataclass(frozen=True)
 class _Series:
     """Bounds of rows over a block of samples.
@@ -41,25 +55,43 @@ class _Series:
     Fields: lo, hi: arrays over samples, or numbers; size: what rounding errors are relative to.
     """
 
-    lo: Any
-    hi: Any
+    lo: Ends
+    hi: Ends
     size: float
+
+
+class _Input(NamedTuple):
+    """An input over a block of samples. Fields: values; slip: how far each may be off, None for not at all;
+    size: what rounding errors are relative to.
+    """
+
+    values: np.ndarray
+    slip: np.ndarray | None
+    size: float
+
+
+class _HostStrip(NamedTuple):
+    """One strip: rows and their coefficients h, inputs and their coefficients k."""
+
+    rows: tuple[int, ...]
+    h: tuple[float, ...]
+    inputs: tuple[int, ...]
+    k: tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class HostStrips:
     """Strips and the bounds of a relation in float64, for NumPy. Build it with `host_strips`.
 
-    Fields: strips: ((numbers of rows, coefficients, numbers of inputs, coefficients), ..), one a strip;
-    reading: in float64; recorded: the float type of the recording; gains: ((lo, hi), ..) of g = 1 / (1 +
-    theta), one an output, where tolerances keep one value over a window: rows are then those of g = 1, and it
-    multiplies their sum.
+    Fields: strips; reading: in float64; recorded: the float type of the recording; gains: ((lo, hi), ..) of
+    g = 1 / (1 + theta), one an output, where tolerances keep one value over a window: rows are then those of
+    g = 1, and it multiplies their sum.
     """
 
-    strips: tuple
-    reading: Any
+    strips: tuple[_HostStrip, ...]
+    reading: Reading
     recorded: np.dtype
-    gains: tuple = ()
+    gains: tuple[tuple[float, float], ...] = ()
 
     def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """Return (strips, N) bool: which strips contradict the windows of u (T, m), y (T, p) that start at
@@ -74,22 +106,31 @@ class HostStrips:
                 first = stop
         return out
 
-    def _block(self, u, y, starts):
+    def _block(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """Return the same of windows that lie close together."""
         s, begin, end = self.reading.horizon, int(starts[0]), int(starts[-1]) + 1
         span = slice(begin, end + s)
-        dense = DENSE * len(starts) >= end - begin
         at = starts - begin
-        cut = (lambda x, shift: x[shift : shift + end - begin]) if dense else (lambda x, shift: x[shift + at])
+        dense = DENSE * len(starts) >= end - begin
+
+        def stretch(x: np.ndarray, shift: int) -> np.ndarray:
+            return x[shift : shift + end - begin]
+
+        def gathered(x: np.ndarray, shift: int) -> np.ndarray:
+            return np.asarray(x[shift + at])
+
         series = self._series(y[span])
         inputs = [self._input(u[span, i], i) for i in range(u.shape[1])]
-        found = [self._strip(strip, series, inputs, cut, u.shape[1]) for strip in self.strips]
-        shape = end - begin if dense else len(starts)
-        found = [np.broadcast_to(x, shape) for x in found]
-        return np.stack([x[at] for x in found] if dense else found)
+        cut, count = (stretch, end - begin) if dense else (gathered, len(starts))
+        seen = []
+        for strip in self.strips:
+            seen.append(np.broadcast_to(self._seen(strip, series, inputs, cut), count))
+        if dense:
+            seen = [x[at] for x in seen]
+        return np.stack(seen)
 
-    def _series(self, y):
-        """Return {(kind, number): _Series} of all rows over samples y."""
+    def _series(self, y: np.ndarray) -> dict[tuple[Kind, int], _Series]:
+        """Return the _Series of all rows over samples y, by kind and number."""
         series = {}
         for i in range(y.shape[1]):
             series[Kind.READING, i] = self._reading(y[:, i], i)
@@ -99,70 +140,75 @@ class HostStrips:
             series[Kind.SUM, number] = self._sum(y, number)
         return series
 
-    def _strip(self, strip, series, inputs, cut, m):
-        """Return whether one strip contradicts windows."""
-        rows, h, known, k = strip
-        sums: dict = {}
+    def _seen(
+        self, strip: _HostStrip, series: dict[tuple[Kind, int], _Series], inputs: list[_Input], cut: Cut
+    ) -> np.ndarray:
+        """Return whether one strip contradicts windows: an array (N,), or one bool for all."""
+        sums: dict[int | None, tuple[Ends, Ends]] = {}
         size = 0.0
-        for i, c in zip(rows, h, strict=True):
+        for i, c in zip(strip.rows, strip.h, strict=True):
             row = self.reading.window.all[i]
             if not row.seen:
-                return np.False_
+                return np.zeros((), bool)
             x = series[row.kind, row.number]
-            lo, hi = (cut(end, row.first) if isinstance(end, np.ndarray) else end for end in (x.lo, x.hi))
-            gain = row.number if self.gains and row.kind is Kind.READING else None
+            lo, hi = _cut_ends(cut, x, row.first)
+            if c < 0:
+                lo, hi = hi, lo
+            gain = None
+            if self.gains and row.kind is Kind.READING:
+                gain = row.number
             below, above = sums.get(gain, (0.0, 0.0))
-            sums[gain] = below + c * (lo if c > 0 else hi), above + c * (hi if c > 0 else lo)
+            sums[gain] = below + c * lo, above + c * hi
             size += abs(c) * x.size
         least, most = self._together(sums)
-        slip: Any = 0.0
-        for j, c in zip(known, k, strict=True):
-            value, error, largest = inputs[j % m]
-            value = c * cut(value, j // m)
+        slip: Ends = 0.0
+        for j, c in zip(strip.inputs, strip.k, strict=True):
+            lag, number = divmod(j, len(inputs))
+            own = inputs[number]
+            value = c * cut(own.values, lag)
             least, most = least - value, most - value
-            size += abs(c) * largest
-            if error is not None:
-                slip = slip + abs(c) * cut(error, j // m)
-        gamma, floor = rounding.residual_error(len(rows) + len(known) + 8, np.float64)
-        error = slip + (gamma * size + floor * (1 + max(map(abs, (*h, *k)))))
-        return (least > error) | (most < -error)
+            size += abs(c) * own.size
+            if own.slip is not None:
+                slip = slip + abs(c) * cut(own.slip, lag)
+        terms, largest = len(strip.rows) + len(strip.inputs), max(map(abs, (*strip.h, *strip.k)))
+        gamma, floor = rounding.residual_error(terms + 8, np.float64)
+        error = slip + (gamma * size + floor * (1 + largest))
+        return np.asarray((least > error) | (most < -error))
 
-    def _together(self, sums):
+    def _together(self, sums: dict[int | None, tuple[Ends, Ends]]) -> tuple[Ends, Ends]:
         """Return the least and the most of sums, each times any of its gains."""
-        least, most = sums.pop(None, (0.0, 0.0))
+        least, most = sums.get(None, (0.0, 0.0))
         for number, (below, above) in sums.items():
+            if number is None:
+                continue
             lo, hi = self.gains[number]
             least = least + np.minimum(lo * below, hi * below)
             most = most + np.maximum(lo * above, hi * above)
         return least, most
 
-    def _reading(self, y, i):
+    def _reading(self, y: np.ndarray, i: int) -> _Series:
         """Return the _Series of an output, from its samples."""
         r = self.reading
         y = y.astype(np.float64, copy=False)
         sigma, offset, noise = float(r.tolerance[i]), float(r.offset_y[i]), float(r.noise[i])
         largest = _largest(y)
         tiny = float(rounding.tiny(np.float64))
-        rho = (
-            noise
-            + float(r.resolution[i])
-            + RECORDER_ULPS * float(rounding.unit(self.recorded)) * (largest + noise)
-            + 4 * tiny
-        ) * (1 + 1e-15)
-        lo, hi = _between(y - offset if offset else y, rho, 0 if self.gains else sigma)
+        rho = (noise + float(r.resolution[i]) + self._rounded(largest + noise) + 4 * tiny) * SLIGHTLY
+        own = 0.0 if self.gains else sigma
+        lo, hi = _between(_moved(y, offset), rho, own)
         return _Series(lo, hi, (largest + abs(offset) + rho) / (1 - sigma))
 
-    def _rounded(self, largest):
-        """Return what the recorder may have rounded away."""
+    def _rounded(self, largest: float) -> float:
+        """Return the most that the recorder rounds away."""
         return RECORDER_ULPS * float(rounding.unit(self.recorded)) * largest
 
-    def _disturbance(self, j):
+    def _disturbance(self, j: int) -> _Series:
         """Return the _Series of a disturbance: its bounds."""
         lo, hi = map(float, self.reading.disturbance[j])
         tiny = float(rounding.tiny(np.float64))
         return _Series(lo - tiny, hi + tiny, max(abs(lo), abs(hi)) + tiny)
 
-    def _sum(self, y, number):
+    def _sum(self, y: np.ndarray, number: int) -> _Series:
         """Return the _Series of a sum, at the sample with which its run begins."""
         r, values = self.reading, self.reading.window.sums[number]
         total = sum(_size(weights) for _, weights in values.parts)
@@ -185,19 +231,35 @@ class HostStrips:
         padded[:runs] = middle
         return _Series(padded - half, padded + half, 2 * size)
 
-    def _input(self, u, i):
-        """Return (values, how far each may be off or None, size) of an input."""
-        slip = None if self.recorded == np.float64 else input_slip(u).astype(np.float64)
+    def _input(self, u: np.ndarray, i: int) -> _Input:
+        """Return an input, from its samples."""
+        slip = None
+        if self.recorded != np.float64:
+            slip = input_slip(u).astype(np.float64)
         u, offset = u.astype(np.float64, copy=False), float(self.reading.offset_u[i])
-        return (u - offset if offset else u), slip, _largest(u) + abs(offset)
+        return _Input(_moved(u, offset), slip, _largest(u) + abs(offset))
 
 
-def _size(weights):
+def _cut_ends(cut: Cut, series: _Series, first: int) -> tuple[Ends, Ends]:
+    """Return the ends of a row in each window, from the sample with which it begins."""
+    if isinstance(series.lo, np.ndarray) and isinstance(series.hi, np.ndarray):
+        return cut(series.lo, first), cut(series.hi, first)
+    return series.lo, series.hi
+
+
+def _moved(x: np.ndarray, offset: float) -> np.ndarray:
+    """Return x - offset: x itself for 0, of which no copy is made."""
+    if not offset:
+        return x
+    return x - offset
+
+
+def _size(weights: Vector) -> float:
     """Return the sum of magnitudes."""
     return sum(abs(float(x)) for x in weights)
 
 
-def _between(d, rho, sigma):
+def _between(d: np.ndarray, rho: Ends, sigma: Ends) -> tuple[np.ndarray, np.ndarray]:
     """Return the ends of the true values, in deviations, behind readings d that are off by rho and a share
     sigma.
     """
@@ -208,12 +270,12 @@ def _between(d, rho, sigma):
     return np.minimum(below * wide, below * near), np.maximum(above * wide, above * near)
 
 
-def _largest(x):
+def _largest(x: np.ndarray) -> float:
     """Return the largest magnitude; missing samples have none."""
     return float(np.fmax.reduce(np.abs(x), initial=0.0))
 
 
-def contradicted_by(test: Any, frame: Any, u: np.ndarray, y: np.ndarray, h: np.ndarray) -> np.ndarray:
+def contradicted_by(test: Reading, frame: Frame, u: np.ndarray, y: np.ndarray, h: np.ndarray) -> np.ndarray:
     """Return (N,) bool: which windows are contradicted by combinations of their relations.
 
     Args:
@@ -221,7 +283,7 @@ def contradicted_by(test: Any, frame: Any, u: np.ndarray, y: np.ndarray, h: np.n
             the windows. h (c, N): the combinations, of outer rows; whatever they are, what is said here is
             proved, with the error of `rounding.search_error`.
     """
-    R, K, h = (np.asarray(x, np.float64) for x in (frame.R, frame.K, h))
+    R, K, h = _doubles(frame.R), _doubles(frame.K), _doubles(h)
     outer, inner, N = np.asarray(frame.outer), np.asarray(frame.inner), h.shape[1]
     windows = _Windows(test, u, y)
     of, here = np.nonzero(h.T)  # few: a search ends with about as many as there are states
@@ -239,7 +301,17 @@ def contradicted_by(test: Any, frame: Any, u: np.ndarray, y: np.ndarray, h: np.n
     floor *= largest * largest * (1 + windows.size.sum() + windows.known_size.sum())
     error = np.bincount(of, np.abs(h) * (gamma * size[here] + floor), N) + floor
     with np.errstate(invalid="ignore"):
-        return (least - value > error) | (most - value < -error)
+        return np.asarray((least - value > error) | (most - value < -error))
+
+
+def _doubles(x: Array) -> np.ndarray:
+    """Return an array in float64, on the host."""
+    return np.asarray(x, np.float64)
+
+
+def _highest(x: np.ndarray) -> np.ndarray:
+    """Return the largest entry along the last axis, missing ones left out."""
+    return np.asarray(np.fmax.reduce(x, -1, initial=0.0))
 
 
 class _Windows:
@@ -248,32 +320,32 @@ class _Windows:
     Fields: size (rows,), known_size (l,): what rounding errors are relative to, of the largest samples.
     """
 
-    def __init__(self, test: Any, u: np.ndarray, y: np.ndarray) -> None:
+    def __init__(self, test: Reading, u: np.ndarray, y: np.ndarray) -> None:
         unit, self._tiny = float(rounding.unit(y.dtype)), float(rounding.tiny(y.dtype))
-        floats = lambda x: np.asarray(x, np.float64)
         self._y = test.seen(y)
         largest = np.fmax.reduce(np.abs(self._y), 0, initial=0.0).astype(np.float64)
-        self._sigma, self._offset, noise = map(floats, (test.tolerance, test.offset_y, test.noise))
-        bound = noise + floats(test.resolution) + RECORDER_ULPS * unit * noise + 4 * self._tiny
-        self._rho = (bound[:, None] + RECORDER_ULPS * unit * largest) * (1 + 1e-15)
-        top = lambda x: np.fmax.reduce(x, -1, initial=0.0)
-        outputs = (top(largest) + np.abs(self._offset) + top(self._rho)) / (1 - self._sigma)
-        disturbances = np.abs(floats(test.disturbance)).sum(1) + self._tiny
-        self._ends = np.tile(floats(test.disturbance), (test.horizon, 1))
+        self._sigma, self._offset, noise = map(_doubles, (test.tolerance, test.offset_y, test.noise))
+        bound = noise + _doubles(test.resolution) + RECORDER_ULPS * unit * noise + 4 * self._tiny
+        self._rho = (bound[:, None] + RECORDER_ULPS * unit * largest) * SLIGHTLY
+        outputs = (_highest(largest) + np.abs(self._offset) + _highest(self._rho)) / (1 - self._sigma)
+        disturbance = _doubles(test.disturbance)
+        disturbances = np.abs(disturbance).sum(1) + self._tiny
+        self._ends = np.tile(disturbance, (test.horizon, 1))
         self.size = np.concatenate([np.tile(outputs, len(y)), np.tile(disturbances, test.horizon)])
-        offset_u = floats(test.offset_u)
+        offset_u = _doubles(test.offset_u)
         self._known = np.ascontiguousarray((u - offset_u[:, None]).reshape(-1, y.shape[2]).T)
-        self.known_size = np.tile(top(top(np.abs(u)).T.astype(np.float64)) + np.abs(offset_u), len(u))
+        inputs = _highest(_highest(np.abs(u)).T.astype(np.float64)) + np.abs(offset_u)
+        self.known_size = np.tile(inputs, len(u))
 
     def reached(self, k: np.ndarray, of: np.ndarray) -> np.ndarray:
-        """Return what inputs do (entries,): k (entries, l) of so many windows; a missing input counts only
+        """Return k times inputs (entries,), k (entries, l) of so many windows; a missing input counts only
         where it is used.
         """
         known = self._known[of]
         missing = np.isnan(known)
         if missing.any():
             known = np.where(missing & (k == 0), 0, known)
-        return np.einsum("ij,ij->i", k, known)
+        return np.asarray(np.einsum("ij,ij->i", k, known))
 
     def sums(self, rows: np.ndarray, of: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the least and the most (N,) of weighted sums: of so many rows of so many windows."""
@@ -291,7 +363,7 @@ class _Windows:
 
 
 def host_strips(
-    reading: Any, exact_h: Any, exact_k: Any, recorded: Any, constant: bool = False
+    reading: Reading, exact_h: Matrix, exact_k: Matrix, recorded: DTypeLike, constant: bool = False
 ) -> HostStrips:
     """Return HostStrips of exact rows h over the rows of a window and k over its inputs.
 
@@ -299,14 +371,17 @@ def host_strips(
         reading: of the relations, in float64. recorded: the float type of the recording. constant: whether
             tolerances keep one value over a window.
     """
-    numbers = lambda row: tuple(i for i, x in enumerate(row) if x)
-    floats = lambda row: tuple(float(rounding.fraction_to_float(x)) for x in row if x)
-    strips = tuple(
-        (numbers(h), floats(h), numbers(k), floats(k)) for h, k in zip(exact_h, exact_k, strict=True)
-    )
-    gains: tuple = ()
+    strips = []
+    for h, k in zip(exact_h, exact_k, strict=True):
+        strips.append(_HostStrip(*_sparse(h), *_sparse(k)))
+    gains = []
     if constant:
-        gains = tuple(
-            (1 / (1 + t) * (1 - 1e-15), 1 / (1 - t) * (1 + 1e-15)) for t in map(float, reading.tolerance)
-        )
-    return HostStrips(strips, reading, np.dtype(recorded), gains)
+        for sigma in map(float, reading.tolerance):
+            gains.append((1 / (1 + sigma) * (1 - 1e-15), 1 / (1 - sigma) * SLIGHTLY))
+    return HostStrips(tuple(strips), reading, np.dtype(recorded), tuple(gains))
+
+
+def _sparse(row: Vector) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    """Return the places of the entries of a row that are not 0, and these in floats."""
+    places = tuple(i for i, x in enumerate(row) if x)
+    return places, tuple(float(rounding.fraction_to_float(row[i])) for i in places)

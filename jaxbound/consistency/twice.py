@@ -9,12 +9,12 @@ that NumPy refutes says that something is broken.
 import warnings
 from collections.abc import Callable
 from importlib.metadata import version
-from typing import Any
+from typing import TypeAlias
 
 import jax
 import numpy as np
 
-from jaxbound.consistency.interface import Judged, WindowTest
+from jaxbound.consistency.interface import Array, Judged, WindowTest
 from jaxbound.recordings.recording import NOWHERE
 from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
 from jaxbound.sets.floats.status import Status
@@ -25,45 +25,63 @@ SHARE = 2**15
 """One of so many CONSISTENT windows is looked at, """
 LEAST = 8
 """but at least so many, in a row, where there are `SHARE` of them."""
+Look: TypeAlias = Callable[[np.ndarray], np.ndarray]
+"""Says without XLA which of some numbered windows contradict their bounds."""
 
 
 class Doubtful(RuntimeWarning):
-    """What XLA proved could not be proved again outside XLA: the verdict is UNDECIDED."""
+    """A proof by XLA is not confirmed outside XLA: the verdict is UNDECIDED."""
 
 
 def decided_twice(
-    test: WindowTest, judged: Judged, u: np.ndarray, y: np.ndarray, contradicted: Callable
+    test: WindowTest, judged: Judged, u: np.ndarray, y: np.ndarray, contradicted: Look
 ) -> Judged:
     """Return the verdicts of windows with those UNDECIDED that a second look does not confirm.
 
     Args:
         test: the WindowTest. judged: its verdicts. u (T, m), y (T, p): all samples. contradicted: of the
-            numbers of the samples at which windows end, which of these contradict their bounds, found without
-                XLA: see `WindowTest.contradicted`.
+            numbers of the samples at which windows end, says which of these contradict their bounds: see
+            `WindowTest.contradicted`.
     """
     status = judged.status.reshape(-1)
-    faulty = np.flatnonzero(status == Status.FAULT) if status.max(initial=0) == Status.FAULT else NOWHERE
-    if len(faulty) and not (proved := contradicted(faulty)).all():
-        judged, doubtful = test.withdrawn(judged, faulty, proved, u, y)
-        if doubtful.any():
-            first = int(faulty[doubtful.argmax()])
-            warn_doubtful(
-                f"{int(doubtful.sum())} of {len(faulty)} windows are FAULT by XLA, the first of them ends at "
-                f"sample {first}"
-            )
+    faulty = NOWHERE
+    if status.max(initial=0) == Status.FAULT:  # of nearly all recordings the maximum alone is asked for
+        faulty = np.flatnonzero(status == Status.FAULT)
+    if len(faulty):
+        judged = _confirmed(test, judged, u, y, faulty, contradicted(faulty))
     some = _some_healthy(status)
-    if len(some) and (wrong := np.atleast_2d(test.contradicted(u, y, some - test.horizon)).any(0)).any():
-        first = int(some[wrong.argmax()])
-        warn_doubtful(
-            f"{int(wrong.sum())} of {len(some)} windows are CONSISTENT by XLA, the first of them ends at "
-            f"sample {first}"
-        )
+    if not len(some):
+        return judged
+    wrong = np.asarray(np.atleast_2d(test.contradicted(u, y, some - test.horizon)).any(0))
+    if wrong.any():
+        _warn_of(some, wrong, "CONSISTENT")
         judged.status.reshape(-1)[some[wrong]] = Status.UNDECIDED
         judged.margin.reshape(-1)[some[wrong]] = 0
     return judged
 
 
-def _some_healthy(status):
+def _confirmed(
+    test: WindowTest, judged: Judged, u: np.ndarray, y: np.ndarray, faulty: np.ndarray, proved: np.ndarray
+) -> Judged:
+    """Return the verdicts without those FAULT, at samples `faulty`, that are not proved."""
+    if proved.all():
+        return judged
+    judged, doubtful = test.withdrawn(judged, faulty, proved, u, y)
+    if doubtful.any():
+        _warn_of(faulty, doubtful, "FAULT")
+    return judged
+
+
+def _warn_of(ends: np.ndarray, doubtful: np.ndarray, verdict: str) -> None:
+    """Warn of the doubtful ones among windows that end at samples `ends`."""
+    first = int(ends[doubtful.argmax()])
+    warn_doubtful(
+        f"{int(doubtful.sum())} of {len(ends)} windows are {verdict} by XLA, the first of them ends at "
+        f"sample {first}"
+    )
+
+
+def _some_healthy(status: np.ndarray) -> np.ndarray:
     """Return the ends of CONSISTENT windows in a short stretch, somewhere in many windows; none of few."""
     count = len(status) // SHARE
     if not count:
@@ -86,7 +104,7 @@ class Twice:
         self.passed = 0
 
     def decided(
-        self, margin: Any, again: Callable[[np.ndarray], Any], contradicted: Callable | None = None
+        self, margin: Array, again: Callable[[np.ndarray], Array], contradicted: Look | None = None
     ) -> np.ndarray:
         """Return the margins of a block with 0 in place of a proof that NumPy does not confirm.
 
@@ -99,22 +117,25 @@ class Twice:
         margin = np.asarray(margin)
         if is_outside_xla():
             return margin
-        faulty = np.flatnonzero(margin < 0)
-        some = self._some(margin) if contradicted is not None else faulty[:0]
-        doubtful = some[contradicted(some)] if contradicted is not None and len(some) else some
-        if contradicted is not None and len(faulty):
-            faulty = faulty[~contradicted(faulty)]
+        faulty, doubtful = np.flatnonzero(margin < 0), NOWHERE
+        if contradicted is not None:
+            doubtful = self._some(margin)
+            if len(doubtful):
+                doubtful = doubtful[contradicted(doubtful)]
+            if len(faulty):
+                faulty = faulty[~contradicted(faulty)]
         if len(faulty):
             with outside_xla():
-                found = np.asarray(again(np.resize(faulty, max(self.block, len(faulty)))))[: len(faulty)]
-            doubtful = np.concatenate([doubtful, faulty[~(found < 0)]])
+                # one size, so that the program is written down once
+                proved = np.asarray(again(np.resize(faulty, max(self.block, len(faulty)))))[: len(faulty)]
+            doubtful = np.concatenate([doubtful, faulty[~(proved < 0)]])
         if len(doubtful):
             margin = np.array(margin)
             margin[doubtful] = 0
             warn_doubtful(f"{len(doubtful)} windows of a block are decided by XLA")
         return margin
 
-    def _some(self, margin):
+    def _some(self, margin: np.ndarray) -> np.ndarray:
         """Return the number of a CONSISTENT window, now and then."""
         self.passed += len(margin)
         if self.passed < SHARE:

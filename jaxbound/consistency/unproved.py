@@ -3,16 +3,17 @@ traced.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Protocol, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.drive import drive
-from jaxbound.consistency.interface import WindowTest
+from jaxbound.consistency.drive import measured
+from jaxbound.consistency.interface import Array, Arrays, LinearTest, Outputs, Run, WindowTest
+from jaxbound.consistency.reading import Block, Reading
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.probe import usable_devices
 from jaxbound.sets.strips.separation import Frame
@@ -20,19 +21,31 @@ from jaxbound.sets.strips.strips import UNROLLED, Strips
 
 __all__ = ["is_traced", "stretch_block", "unproved_margins", "within"]
 
+Search: TypeAlias = Callable[[Reading, jax.Array, jax.Array], jax.Array]
 
-def is_traced(*trees: Any) -> bool:
+
+class Smooth(Protocol):
+    """Margins (N,) of the windows of a stretch, to be differentiated."""
+
+    def __call__(self, reading: Reading, u: jax.Array, y: jax.Array, /, *found: jax.Array) -> jax.Array:
+        """Return the margins; found: the result of a search, if there is one."""
+
+
+def is_traced(*trees: object) -> bool:
     """Return whether anything in these PyTrees is traced."""
     return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(trees))
 
 
-def stretch_block(reading: Any) -> int:
+def stretch_block(reading: Reading) -> int:
     """Return how many windows a kernel takes at once from contiguous samples: a function of the shape of the
     test alone.
     """
-    if isinstance(reading.shape, Strips) and reading.shape.supports is None:
+    shape = reading.shape
+    if isinstance(shape, Strips) and shape.supports is None:
         return 2**12  # their rows are arrays, which should stay in the cache: twice as fast as 2**14
-    return 2**16 if not isinstance(reading.shape, Frame) and len(reading.shape.h) <= UNROLLED else 2**14
+    if isinstance(shape, Frame) or len(shape.h) > UNROLLED:
+        return 2**14
+    return 2**16
 
 
 QUICK = {"xla_cpu_use_fusion_emitters": False}
@@ -42,24 +55,34 @@ rests on what runs so.
 
 
 def unproved_margins(
-    test: WindowTest, kernel: Callable, smooth: Callable, given: Recording, search: Callable | None = None
+    test: LinearTest,
+    kernel: Callable[..., jax.Array],
+    smooth: Smooth,
+    given: Recording,
+    search: Search | None = None,
 ) -> jax.Array:
     """Return the margins (..., T) that a jitted kernel(reading, u (N + s, m), y (N + s, p)) gives; see
     `WindowTest.margins`.
 
-    smooth: the same, to be differentiated. search: of the same arguments, what smooth takes last and nothing
-    is differentiated through: compiled alone, once for values and derivatives.
+    smooth: the same, to be differentiated. search: of the same arguments, returns an array that smooth takes
+    last and nothing is differentiated through: compiled alone, once for values and derivatives.
     """
+    margins: jax.Array
     reading, devices = test.reading, usable_devices()
     if not is_traced(given.u, given.y, reading) and (devices[0].platform == "cpu" or len(devices) > 1):
-        return jax.device_put(drive(_Unproved(test, kernel), given))
-    found = () if search is None else (_searched(search, reading, given.u, given.y),)
-    return _whole(smooth, reading, given.u, given.y, _gone(given, test.horizon), *found)
+        (on_host,) = measured(_Unproved(test, kernel), given.u, given.y, given.starts)
+        margins = jax.device_put(on_host)
+        return margins
+    found = []
+    if search is not None:
+        found.append(_searched(search, reading, given.u, given.y))
+    margins = _whole(smooth, reading, given.u, given.y, _gone(given, test.horizon), *found)
+    return margins
 
 
 @partial(jax.jit, static_argnums=0)
 def _whole(
-    kernel: Callable, reading: Any, u: jax.Array, y: jax.Array, gone: np.ndarray, *found: jax.Array
+    kernel: Smooth, reading: Reading, u: jax.Array, y: jax.Array, gone: np.ndarray, *found: jax.Array
 ) -> jax.Array:
     """Return the margins (..., T) of recordings u (..., T, m), y (..., T, p), NaN where `gone` (T,): one
     program, none op by op.
@@ -69,22 +92,30 @@ def _whole(
     return jnp.where(gone.reshape((1,) * (y.ndim - 2) + gone.shape), jnp.nan, margin)
 
 
-def _searched(search: Callable, *given: Any) -> jax.Array:
-    """Return search(*given) as constants for a derivative: where jax.grad alone traces, what it finds are
+def _searched(search: Search, reading: Reading, u: Array, y: Array) -> jax.Array:
+    """Return the result of a search as constants for a derivative: where jax.grad alone traces, they are
     numbers.
     """
-    given = jax.tree.map(lambda x: jax.lax.stop_gradient(x) if is_traced(x) else x, given)
-    if is_traced(given):
-        return _alone(search, *given)
+    arguments = jax.tree.map(_constant, (reading, u, y))
+    best: jax.Array
+    if is_traced(arguments):
+        best = _alone(search, *arguments)
+        return best
     try:
-        return _alone_quickly(search, *given)
+        best = _alone_quickly(search, *arguments)
     except jax.errors.JaxRuntimeError as refused:
         if "compile option" not in str(refused):  # of another jaxlib, or another device
             raise
-        return _alone(search, *given)
+        best = _alone(search, *arguments)
+    return best
 
 
-def _search_flat(search: Callable, reading: Any, u: jax.Array, y: jax.Array) -> jax.Array:
+def _constant(x: Array) -> Array:
+    """Return an array through which nothing is differentiated."""
+    return jax.lax.stop_gradient(x) if is_traced(x) else x
+
+
+def _search_flat(search: Search, reading: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
     return search(reading, *_flat(u, y))
 
 
@@ -92,7 +123,7 @@ _alone = jax.jit(_search_flat, static_argnums=0)
 _alone_quickly = jax.jit(_search_flat, static_argnums=0, compiler_options=QUICK)  # only as the outermost jit
 
 
-def _flat(u, y):
+def _flat(u: jax.Array, y: jax.Array) -> list[jax.Array]:
     """Return samples (..., T, n) laid end to end."""
     return [x.reshape(math.prod(y.shape[:-1]), x.shape[-1]) for x in (u, y)]
 
@@ -111,21 +142,19 @@ class _Unproved(WindowTest):
     """Gives margins alone."""
 
     gathered = False
+    reading: Reading
 
-    def __init__(self, test, kernel):
+    def __init__(self, test: LinearTest, kernel: Callable[..., jax.Array]) -> None:
         super().__init__(test.relations, test.method, test.dtype)
         self.reading, self.kernel = test.reading, kernel
 
     @property
-    def block(self):
+    def block(self) -> int:
         return stretch_block(self.reading)
 
     @property
-    def outputs(self):
+    def outputs(self) -> Outputs:
         return ((self.dtype, np.nan),)
 
-    def judge(self, run, blocks):
+    def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         return [(margin,) for margin in run(self.kernel, blocks)]
-
-    def judged(self, outs):
-        return outs[0]

@@ -14,7 +14,7 @@ Blocks of windows at once, as NumPy arrays of Python's integers: some microsecon
 with such a set come here.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import ceil, lcm
@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.interface import LinearRelations
+from jaxbound.consistency.interface import Array, LinearRelations, Progress
 from jaxbound.consistency.reading import Reading, gather
 from jaxbound.consistency.whole_rows import WholeRows, whole_rows
 from jaxbound.exact.frames import ExactFrame
@@ -56,14 +56,18 @@ def thin(test: Reading, u: np.ndarray, y: np.ndarray) -> np.ndarray:
 
     So do windows whose sums may overflow, or bounds near underflow.
     """
-    about = lambda x: np.asarray(x, y.dtype)[:, None]
-    size, least = np.fmax.reduce(np.abs(y), 0), np.fmin.reduce(np.abs(y - about(test.offset_y)), 0)
-    bound = about(test.noise) + about(test.resolution) + about(test.tolerance) * least
-    small = ~(bound > THIN[y.dtype] * rounding.unit(y.dtype) * (size + np.abs(about(test.offset_y)))).all(0)
-    small |= (size > np.sqrt(np.finfo(y.dtype).max)).any(0) | (bound < 2.0**40 * rounding.tiny(y.dtype)).any(
-        0
-    )
-    return small & ~np.isinf(y).any((0, 1)) & ~np.isinf(u).any((0, 1))
+
+    def column(x: Array) -> np.ndarray:
+        return np.asarray(x, y.dtype)[:, None]
+
+    offset = column(test.offset_y)
+    size, least = np.fmax.reduce(np.abs(y), 0), np.fmin.reduce(np.abs(y - offset), 0)
+    bound = column(test.noise) + column(test.resolution) + column(test.tolerance) * least
+    small = ~(bound > THIN[y.dtype] * rounding.unit(y.dtype) * (size + np.abs(offset))).all(0)
+    small |= (size > np.sqrt(np.finfo(y.dtype).max)).any(0)
+    small |= (bound < 2.0**40 * rounding.tiny(y.dtype)).any(0)
+    infinite = np.isinf(y).any((0, 1)) | np.isinf(u).any((0, 1))
+    return np.asarray(small & ~infinite)
 
 
 def _wide(test: Reading, y: np.ndarray) -> bool:
@@ -89,10 +93,9 @@ def settle(
     y: np.ndarray,
     status: np.ndarray,
     margin: np.ndarray,
-    progress: Callable[[float], object] | None = None,
+    progress: Progress | None = None,
 ) -> None:
-    """Decide what strips of NumPy recordings u (T, m), y (T, p) left open though it may be far from the
-    boundary.
+    """Decide windows of NumPy recordings u (T, m), y (T, p) that strips left open far from the boundary.
 
     Args:
         method: "joint" or "box". status, margin: (T,), changed in place. progress: called with the share
@@ -106,9 +109,7 @@ def settle(
     if len(left):
         left = left[thin(test, *gather(u, y, left - s, test.lags, s))]
     if len(left):
-        strips = relations.W, relations.K
-        if method == "joint":
-            strips = relations.circuits, relations.circuits_known
+        strips = relations.strips(method)
         for first in range(0, len(left), BLOCK):
             part = left[first : first + BLOCK]
             margin[part] = exact_strips(relations, test, strips, *gather(u, y, part - s, test.lags, s))
@@ -166,7 +167,7 @@ def _silenced(rows: WholeRows, inputs: Matrix) -> np.ndarray:
     needed = np.zeros(len(rows.missing), bool)
     for k in inputs:
         needed |= _nonzero(k)
-    return np.any(rows.missing[needed], 0)
+    return np.asarray(np.any(rows.missing[needed], 0))
 
 
 @dataclass(frozen=True)
@@ -193,7 +194,7 @@ class _WholeStrip:
 
     def present(self, rows: WholeRows) -> np.ndarray:
         """Return (N,) bool: which windows have all samples that it needs."""
-        return ~(rows.absent[self.support].any(0) | rows.missing[self.inputs].any(0))
+        return np.asarray(~(rows.absent[self.support].any(0) | rows.missing[self.inputs].any(0)))
 
 
 def _whole_strip(rows: WholeRows, h: Vector, k: Vector) -> _WholeStrip:
@@ -344,7 +345,7 @@ def _usable(rows: WholeRows, frame: ExactFrame, image: _WholeImage) -> np.ndarra
     through = np.array([_nonzero(row) for row in frame.R], int).reshape(c, k)
     driven = np.array([_nonzero(row) for row in frame.K], int).reshape(c, len(rows.known))
     lacking = through @ ~image.real + driven @ rows.missing
-    return (np.where(image.present, lacking, 0).sum(0) == 0) & image.present.any(0)
+    return np.asarray((np.where(image.present, lacking, 0).sum(0) == 0) & image.present.any(0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.consistency.drive import drive
-from jaxbound.consistency.interface import WindowTest
+from jaxbound.consistency.drive import measured
+from jaxbound.consistency.interface import LinearTest
 from jaxbound.consistency.unproved import stretch_block
 from jaxbound.exact import linalg
 from jaxbound.exact.circuits import circuits
@@ -114,7 +114,7 @@ def unknown_inputs(
             continue
         test = _test(model, horizon, position, j, y.dtype)
         report = None if progress is None else lambda share, j=j: progress((j + share) / model.d)
-        found = drive(test, given, report)
+        found = measured(test, given.u, given.y, given.starts, report)
         empty = found[0] > found[1]
         for side, values, nothing in zip((lo, hi), found, (np.inf, -np.inf), strict=True):
             values[empty] = nothing
@@ -172,7 +172,7 @@ def _test(model, s, position, j, dtype):
     return _RangeTest(stated_relations(model, s, tuple(h[:count] for h in ways), known), ways, known, dtype)
 
 
-class _RangeTest(WindowTest):
+class _RangeTest(LinearTest):
     """Says in which interval a number is, of which each strip is a way to work it out."""
 
     gathered = False
@@ -191,9 +191,6 @@ class _RangeTest(WindowTest):
 
     def judge(self, run, blocks):
         return run(_ranges, blocks)
-
-    def judged(self, outs):
-        return outs
 
 
 @kernel

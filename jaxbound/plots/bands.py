@@ -1,7 +1,7 @@
 """A band that holds a signal, and the samples of it: drawn alike wherever something is enclosed over time."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -186,9 +186,19 @@ def _finite(ends: ArrayLike) -> np.ndarray:
     return np.where(np.isfinite(ends), ends, np.nan)
 
 
-def _fill(ax: "Axes", at: np.ndarray, y: np.ndarray, edges: np.ndarray, **options: Any) -> None:
-    """Fill between the extremes of samples in each bin. options: of matplotlib's fill_between."""
-    ax.fill_between(at, np.fmin.reduceat(y, edges), np.fmax.reduceat(y, edges), **options)
+def _fill(
+    ax: "Axes",
+    at: np.ndarray,
+    y: np.ndarray,
+    edges: np.ndarray,
+    color: str,
+    lw: float,
+    label: str,
+    alpha: float | None = None,
+) -> None:
+    """Fill between the extremes of samples in each bin."""
+    least, most = np.fmin.reduceat(y, edges), np.fmax.reduceat(y, edges)
+    ax.fill_between(at, least, most, color=color, lw=lw, alpha=alpha, label=label)
 
 
 def _limits(ax: "Axes", lo: np.ndarray, hi: np.ndarray, y: np.ndarray) -> None:

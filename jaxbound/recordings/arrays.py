@@ -30,6 +30,8 @@ __all__ = [
     "refuse_infinite",
 ]
 
+HALF = "{} is in half precision: convert it to float32 and state in `resolution` what was rounded away"
+
 
 def is_made(data: object) -> bool:
     """Return whether this is a Recording, or the like: it has .u and .y, which are no columns of a table."""
@@ -46,15 +48,16 @@ def inputs_of(model: Named, u: Data, name: str = "u") -> np.ndarray | jax.Array 
     u = as_table(u, name, model.inputs)
     if getattr(u, "dtype", None) == np.float16:  # no resolution to be stated: they are what they are
         u = np.asarray(u, np.float64)
-    return None if u is None else _columns(model, u, name, model.inputs)
+    if u is None:
+        return None
+    return _signals_by_name(model, u, name, model.inputs)
 
 
 def floats(data: Data, name: str) -> np.ndarray:
     """Return numbers that are no signals of a model as an array of floats: NaN where they are masked, null or
     missing.
     """
-    data = as_table(data, name)
-    return _plain(data if not hasattr(data, "iloc") else _of_frame(data, name), name)
+    return _without_names(as_table(data, name), name)
 
 
 def float_arrays(model: Named, u: Data, y: Data, narrow: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -63,11 +66,12 @@ def float_arrays(model: Named, u: Data, y: Data, narrow: bool) -> tuple[np.ndarr
     Raises:
         ValueError: a shape that does not fit the model or the other array, text, half precision.
     """
-    y = _channels(_columns(model, y, "y", model.outputs), "y", model.outputs)
-    u = _columns(model, u, "u", model.inputs) if u is not None else None
-    if u is None:
-        if model.inputs:
-            raise ValueError(f"u is missing: the model has the inputs {listed(model.inputs, str)}")
+    y = _channels(_signals_by_name(model, y, "y", model.outputs), "y", model.outputs)
+    if u is not None:
+        u = _signals_by_name(model, u, "u", model.inputs)
+    elif model.inputs:
+        raise ValueError(f"u is missing: the model has the inputs {listed(model.inputs, str)}")
+    else:
         u = np.zeros((*y.shape[:-1], 0), y.dtype)
     u = _channels(u, "u", model.inputs)
     if u.shape[-2] != y.shape[-2]:
@@ -76,13 +80,19 @@ def float_arrays(model: Named, u: Data, y: Data, narrow: bool) -> tuple[np.ndarr
         dtype = jax.dtypes.canonicalize_dtype(y.dtype)
         if dtype != y.dtype and isinstance(y, np.ndarray):
             _warn_rounded(y, dtype)
-        y = y if y.dtype == dtype else y.astype(dtype)
-        u = u if u.dtype == dtype else u.astype(dtype)
+        u, y = _in_type(u, dtype), _in_type(y, dtype)
     try:
         batch = np.broadcast_shapes(u.shape[:-2], y.shape[:-2])
     except ValueError:
         raise ValueError(f"the leading axes of u {u.shape} and y {y.shape} do not fit each other") from None
-    return _spread(u, batch), _spread(y, batch)
+    return _broadcast(u, batch), _broadcast(y, batch)
+
+
+def _in_type(x: np.ndarray, dtype: np.dtype) -> np.ndarray:
+    """Return an array, or a tracer, in a type; it is not copied where it has that already."""
+    if x.dtype == dtype:
+        return x
+    return x.astype(dtype)
 
 
 def _warn_rounded(y: np.ndarray, dtype: np.dtype) -> None:
@@ -116,20 +126,21 @@ def computed(e: Expression, frames: Mapping[str, Any], name: str) -> np.ndarray:
     """Return the values of an Expression over the columns of DataFrames, and over their index by its name."""
     import pandas as pd
 
-    found: dict[str, Any] = {}
+    series: dict[str, pd.Series] = {}
     for frame in reversed(list(frames.values())):
-        found |= {str(frame.index.name): frame.index.to_series()} | {c: frame[c] for c in frame.columns}
-    e = e.among(list(found))
-    number = lambda c: _numbers(lambda: found[c].to_numpy(np.float64, na_value=np.nan), name)
-    text = lambda c: found[c].astype(object).where(found[c].notna(), None).to_numpy(object)
-    dates = {
-        c: found[c].to_numpy("datetime64[ns]")
-        for c in e.columns
-        if pd.api.types.is_datetime64_any_dtype(found[c])
-    }
-    return e.values(
-        {c: dates[c] if c in dates else text(c) if c in e.texts else number(c) for c in e.columns}
-    )
+        series[str(frame.index.name)] = frame.index.to_series()
+        series |= {column: frame[column] for column in frame.columns}
+    e = e.among(list(series))
+    values: dict[str, np.ndarray] = {}
+    for column in e.columns:
+        cells = series[column]
+        if pd.api.types.is_datetime64_any_dtype(cells):
+            values[column] = cells.to_numpy("datetime64[ns]")
+        elif column in e.texts:
+            values[column] = cells.astype(object).where(cells.notna(), None).to_numpy(object)
+        else:
+            values[column] = _converted(partial(cells.to_numpy, np.float64, na_value=np.nan), name)
+    return e.values(values)
 
 
 def recorded_type(data: object, name: str) -> np.dtype:
@@ -139,78 +150,91 @@ def recorded_type(data: object, name: str) -> np.dtype:
     Raises:
         ValueError: half precision.
     """
-    if hasattr(data, "dtypes") and hasattr(data, "iloc"):
-        types = list(data.dtypes) if hasattr(data, "columns") else [data.dtypes]
-        types = [getattr(t, "numpy_dtype", t) for t in types]  # of pandas' own types
-    else:
-        types = [data.dtype if hasattr(data, "dtype") else np.asarray(data).dtype]
+    types = _types_of(data)
     if np.float16 in types:
-        raise ValueError(
-            f"{name} is in half precision: convert it to float32 and state in `resolution` what was rounded "
-            f"away"
-        )
-    return np.dtype(np.float32 if np.float32 in types else np.float64)
+        raise ValueError(HALF.format(name))
+    if np.float32 in types:
+        return np.dtype(np.float32)
+    return np.dtype(np.float64)
 
 
-def _columns(model: Named, data: Data, name: str, channels: Sequence[str]) -> np.ndarray:
+def _types_of(data: Any) -> list[Any]:
+    """Return the type of an array, or of each column of a table."""
+    if not hasattr(data, "dtypes") or not hasattr(data, "iloc"):
+        return [data.dtype if hasattr(data, "dtype") else np.asarray(data).dtype]
+    types = [data.dtypes]
+    if hasattr(data, "columns"):
+        types = list(data.dtypes)
+    return [getattr(t, "numpy_dtype", t) for t in types]  # of pandas' own types
+
+
+def _signals_by_name(model: Named, data: Data, name: str, channels: Sequence[str]) -> np.ndarray:
     """Pick the channels of a DataFrame by name; turn anything else into an array of floats."""
     if not is_table(data):
-        return _plain(_of_frame(data, name) if hasattr(data, "iloc") else data, name)
-    column = getattr(model, "column", lambda channel: channel)
-    present, taken, whole, sources = list(data.columns), {}, data, []
+        return _without_names(data, name)
+    column_for = getattr(model, "column", str)
+    present = list(data.columns)
+    taken: dict[str, np.ndarray] = {}
+    sources: list[str] = []  # columns of the table that numbers come from
     for channel in channels:
-        if is_expression(text := column(channel)) and channel not in present:
+        text = column_for(channel)
+        if is_expression(text) and channel not in present:
             taken[channel] = computed(expression(text), {"": data}, name)
             sources += [c for c in expression(text).among(present).columns if c in present]
+    table = data
     if taken:
-        data = data.assign(**taken)
-        present = list(data.columns)
-    stripped = {str(c).strip() for c in present}
-    wanted = [c if c in taken or column(c).strip() not in stripped else column(c) for c in channels]
-    wanted = [find_column(c, present, name) for c in wanted]
-    recorded = recorded_type(
-        whole[[*(c for c in wanted if c not in taken), *sources]], name
-    )  # of one column, if of any
-    found = _plain(_of_frame(data[wanted], name), name)
-    return (
-        found.astype(recorded, copy=False) if name == "y" else found
-    )  # what was rounded away counts in the type it was recorded in
+        table = data.assign(**taken)
+    stripped = {str(c).strip() for c in table.columns}
+    wanted: list[str] = []
+    for channel in channels:
+        called = channel
+        if channel not in taken and column_for(channel).strip() in stripped:
+            called = column_for(channel)
+        wanted.append(find_column(called, list(table.columns), name))
+    recorded = recorded_type(data[[*(c for c in wanted if c not in taken), *sources]], name)
+    numbers = _float_array(_of_frame(table[wanted], name), name)
+    if name == "y":  # what was rounded away counts in the type it was recorded in
+        return numbers.astype(recorded, copy=False)
+    return numbers
+
+
+def _without_names(data: Data, name: str) -> np.ndarray:
+    """Return an array of floats of a table, or of what has no names of columns."""
+    if hasattr(data, "iloc"):
+        data = _of_frame(data, name)
+    return _float_array(data, name)
 
 
 def _of_frame(data: "pd.DataFrame", name: str) -> np.ndarray:
-    plain = data.to_numpy()
-    return (
-        plain
-        if plain.dtype != object
-        else _numbers(partial(data.to_numpy, dtype=np.float64, na_value=np.nan), name)
-    )
+    plain: np.ndarray = data.to_numpy()
+    if plain.dtype != object:
+        return plain
+    return _converted(partial(data.to_numpy, dtype=np.float64, na_value=np.nan), name)
 
 
-def _plain(data: Data, name: str) -> np.ndarray:
+def _float_array(data: Data, name: str) -> np.ndarray:
     """Return an array of floats, NaN where it was masked."""
     if isinstance(data, jax.Array):
         if not np.issubdtype(data.dtype, np.floating):
             data = data.astype(float)
         return cast(np.ndarray, data)  # an array of JAX stays one
-    mask = np.ma.getmask(data) if isinstance(data, np.ma.MaskedArray) else np.ma.nomask
-    data = np.asarray(data)
-    if data.dtype == np.float16:
-        raise ValueError(
-            f"{name} is in half precision: convert it to float32 and state in `resolution` what was rounded "
-            f"away"
-        )
-    if np.iscomplexobj(data) or data.dtype.kind in "mM":
-        raise ValueError(
-            f"{name} must be numbers, not {'complex ones' if np.iscomplexobj(data) else 'times'}"
-        )
-    if not np.issubdtype(data.dtype, np.floating) or data.dtype.itemsize > 8:
-        data = _numbers(lambda: data.astype(np.float64), name)
-    if not data.dtype.isnative:  # of a file from another kind of machine
-        data = data.astype(data.dtype.newbyteorder("="))
-    return data if mask is np.ma.nomask else np.where(mask, np.array(np.nan, data.dtype), data)
+    x = np.asarray(data)
+    if x.dtype == np.float16:
+        raise ValueError(HALF.format(name))
+    if np.iscomplexobj(x):
+        raise ValueError(f"{name} must be numbers, not complex ones")
+    if x.dtype.kind in "mM":
+        raise ValueError(f"{name} must be numbers, not times")
+    if not np.issubdtype(x.dtype, np.floating) or x.dtype.itemsize > 8:
+        x = _converted(partial(x.astype, np.float64), name)
+    if not x.dtype.isnative:  # of a file from another kind of machine
+        x = x.astype(x.dtype.newbyteorder("="))
+    if isinstance(data, np.ma.MaskedArray) and np.ma.getmask(data) is not np.ma.nomask:
+        return np.where(np.ma.getmask(data), np.array(np.nan, x.dtype), x)
+    return x
 
 
-def _numbers(convert: Callable[[], np.ndarray], name: str) -> np.ndarray:
+def _converted(convert: Callable[[], np.ndarray], name: str) -> np.ndarray:
     try:
         return convert()
     except (ValueError, TypeError) as e:
@@ -228,11 +252,9 @@ def _channels(x: np.ndarray, name: str, channels: Sequence[str]) -> np.ndarray:
     return x
 
 
-def _spread(x: np.ndarray, batch: tuple[int, ...]) -> np.ndarray:
+def _broadcast(x: np.ndarray, batch: tuple[int, ...]) -> np.ndarray:
     if x.shape[:-2] == batch:
         return x
-    return (
-        np.broadcast_to(np.asarray(x), batch + x.shape[-2:])
-        if not isinstance(x, jax.core.Tracer)
-        else jax.numpy.broadcast_to(x, batch + x.shape[-2:])
-    )
+    if isinstance(x, jax.core.Tracer):
+        return jax.numpy.broadcast_to(x, batch + x.shape[-2:])
+    return np.broadcast_to(np.asarray(x), batch + x.shape[-2:])

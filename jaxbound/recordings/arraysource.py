@@ -1,18 +1,15 @@
 """Arrays and tables in memory as a source, so that what takes a file takes them too."""
 
-from collections.abc import Callable
 from os import PathLike
 
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.source import Source
+from jaxbound.recordings.source import Progress, Source
 
 __all__ = ["Arrays"]
 
 
 class Arrays(Source):
-    """What `Recording.of` takes: a table or a Recording that holds both inputs and outputs, or a tuple (u, y)
-    or (u, y, starts).
-    """
+    """A table or a Recording that holds both inputs and outputs, or a tuple (u, y) or (u, y, starts)."""
 
     label = "recording"
 
@@ -26,7 +23,8 @@ class Arrays(Source):
         """Return None: nothing on a disk will be the same later."""
         return None
 
-    def whole(self, progress: Callable | None = None) -> Recording:
+    def whole(self, progress: Progress | None = None) -> Recording:
         """Return the Recording."""
-        parts = self.data if isinstance(self.data, tuple) else (self.data,)
-        return Recording.of(self.model, *parts)
+        if isinstance(self.data, tuple):
+            return Recording.of(self.model, *self.data)
+        return Recording.of(self.model, self.data)

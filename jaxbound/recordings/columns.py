@@ -35,18 +35,16 @@ def from_arrow(column: "pa.Array") -> np.ndarray:
     """
     import pyarrow as pa
 
-    stamps = pa.types.is_timestamp(column.type)
-    dtype = np.dtype(
-        f"datetime64[{column.type.unit}]"
-        if stamps
-        else np.float32
-        if pa.types.is_float32(column.type)
-        else np.float64
-    )
+    dtype: np.dtype = np.dtype(np.float64)
+    missing = "NaN"
+    if pa.types.is_timestamp(column.type):
+        dtype, missing = np.dtype(f"datetime64[{column.type.unit}]"), "NaT"
+    elif pa.types.is_float32(column.type):
+        dtype = np.dtype(np.float32)
     x = np.frombuffer(column.buffers()[1], dtype, len(column), dtype.itemsize * column.offset)
-    return (
-        np.where(valid(column), x, np.array("NaT" if stamps else np.nan, dtype)) if column.null_count else x
-    )
+    if not column.null_count:
+        return x
+    return np.where(valid(column), x, np.array(missing, dtype))
 
 
 def valid(column: "pa.Array") -> np.ndarray:
@@ -62,18 +60,23 @@ def to_arrow(x: ArrayLike) -> "pa.Array":
     import pyarrow as pa
 
     x = np.ascontiguousarray(x)
-    bits = lambda mask: pa.py_buffer(np.packbits(mask, bitorder="little"))
     if x.dtype == bool:
-        return pa.Array.from_buffers(pa.bool_(), len(x), [None, bits(x)])
+        return pa.Array.from_buffers(pa.bool_(), len(x), [None, _packed_bits(x)])
     if x.dtype.kind == "M":
         x = x.astype("datetime64[ns]")
-        return pa.Array.from_buffers(
-            pa.timestamp("ns"), len(x), [bits(~np.isnat(x)), pa.py_buffer(x.view(np.int64))]
-        )
+        data = pa.py_buffer(x.view(np.int64))
+        return pa.Array.from_buffers(pa.timestamp("ns"), len(x), [_packed_bits(~np.isnat(x)), data])
     if x.dtype.kind == "f":
         x = x.astype(np.float64)
-        return pa.Array.from_buffers(pa.float64(), len(x), [bits(~np.isnan(x)), pa.py_buffer(x)])
+        return pa.Array.from_buffers(pa.float64(), len(x), [_packed_bits(~np.isnan(x)), pa.py_buffer(x)])
     return pa.Array.from_buffers(pa.int64(), len(x), [None, pa.py_buffer(x.astype(np.int64))])
+
+
+def _packed_bits(mask: np.ndarray) -> "pa.Buffer":
+    """Return bools as Arrow holds them, eight in a byte."""
+    import pyarrow as pa
+
+    return pa.py_buffer(np.packbits(mask, bitorder="little"))
 
 
 def words(names: Sequence[str], codes: np.ndarray) -> "pa.Array":
@@ -119,7 +122,8 @@ def write_columns(path: str | PathLike[str], columns: Mapping[str, "pa.Array"], 
     """Write {name: pyarrow array} as CSV, with quotes only if a text needs them; `append` to a file that has
     its header already.
     """
-    with open(path, "ab" if append else "wb") as f:
+    mode = "ab" if append else "wb"
+    with open(path, mode) as f:
         if not append:
             names = io.StringIO()
             csv.writer(names, lineterminator="\n").writerow(map(cell, columns))
@@ -132,8 +136,10 @@ def write_rows(sink: IO[bytes], columns: Mapping[str, "pa.Array"]) -> None:
     import pyarrow as pa
     import pyarrow.csv
 
-    plain = all(map(is_plain, columns.values()))
-    options = pyarrow.csv.WriteOptions(include_header=False, quoting_style="none" if plain else "needed")
+    quoting = "needed"
+    if all(map(is_plain, columns.values())):
+        quoting = "none"
+    options = pyarrow.csv.WriteOptions(include_header=False, quoting_style=quoting)
     pyarrow.csv.write_csv(pa.Table.from_arrays(list(columns.values()), list(columns)), sink, options)
 
 
@@ -142,7 +148,6 @@ def is_plain(column: "pa.Array") -> bool:
     import pyarrow as pa
     import pyarrow.compute as pc
 
-    return (
-        not pa.types.is_string(column.type)
-        or not pc.any(pc.match_substring_regex(column, '[",\r\n]')).as_py()
-    )
+    if not pa.types.is_string(column.type):
+        return True
+    return not pc.any(pc.match_substring_regex(column, '[",\r\n]')).as_py()

@@ -1,5 +1,5 @@
-"""What a recording holds, as a digest: by it a later command knows that it reads what was tested, whatever
-the dates of files say.
+"""Digests of recordings: by them a later command knows that it reads what was tested, whatever the dates of
+files say.
 """
 
 import hashlib
@@ -10,9 +10,11 @@ from pathlib import Path
 
 from jaxbound.recordings.parquetfiles import files_of
 
-__all__ = ["Contents", "content"]
+__all__ = ["Contents", "Digests", "content"]
 
 BLOCK = 1 << 24  # bytes that a thread takes at once
+Digests = dict[tuple[Path, int], bytes]
+"""{(file, first byte of a block): digest of the block}."""
 
 
 def content(path: Path) -> str | None:
@@ -37,13 +39,14 @@ class Contents:
     more than to read it.
 
     Args:
-        path: of a file, or of a folder of Parquet files. known: {(file, first byte of a block): its digest},
-            to which others are added.
+        path: of a file, or of a folder of Parquet files. known: digests of blocks, to which others are added.
     """
 
-    def __init__(self, path: Path, known: dict[tuple[Path, int], bytes] | None = None) -> None:
+    def __init__(self, path: Path, known: Digests | None = None) -> None:
         self.path, self.files = path, files_of(path)
-        self.known = {} if known is None else known
+        if known is None:
+            known = {}
+        self.known = known
 
     def all(self) -> str:
         """Return the digest of all bytes, and of the names and sizes of the files."""
@@ -52,9 +55,9 @@ class Contents:
         whole = hashlib.blake2b(digest_size=32)
         for (file, at), digest in blocks.items():
             if at == 0:
-                name = (
-                    file.relative_to(self.path).as_posix() if self.path.is_dir() else ""
-                )  # a file may be moved
+                name = ""  # a file may be moved
+                if self.path.is_dir():
+                    name = file.relative_to(self.path).as_posix()
                 whole.update(f"{len(name)} {name} {sizes[file]} ".encode())
             whole.update(digest)
         return whole.hexdigest()
@@ -65,20 +68,21 @@ class Contents:
         """
         return hashlib.blake2b(b"".join(self._blocks(spans).values()), digest_size=32).hexdigest()
 
-    def _blocks(self, spans):
-        """Return {(file, first byte): digest} of the blocks in order."""
-        wanted = dict.fromkeys(
-            (file, at) for file, first, stop in spans for at in range(first // BLOCK * BLOCK, stop, BLOCK)
-        )
+    def _blocks(self, spans: Iterable[tuple[Path, int, int]]) -> Digests:
+        """Return the digests of the blocks in order."""
+        wanted: dict[tuple[Path, int], None] = {}
+        for file, first, stop in spans:
+            for at in range(first // BLOCK * BLOCK, stop, BLOCK):
+                wanted[file, at] = None
         new = [block for block in wanted if block not in self.known]
-        with ThreadPoolExecutor(max(min(len(new), os.cpu_count() or 1), 1)) as threads:
-            self.known.update(
-                zip(new, threads.map(_digest, *zip(*new, strict=True)), strict=True) if new else ()
-            )
+        if new:
+            with ThreadPoolExecutor(min(len(new), os.cpu_count() or 1)) as threads:
+                self.known.update(zip(new, threads.map(_digest_of_block, new), strict=True))
         return {block: self.known[block] for block in wanted}
 
 
-def _digest(file, at):
+def _digest_of_block(block: tuple[Path, int]) -> bytes:
+    file, at = block
     with open(file, "rb", buffering=0) as f:
         f.seek(at)
         return hashlib.blake2b(f.read(BLOCK), digest_size=32).digest()

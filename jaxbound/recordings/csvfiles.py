@@ -2,20 +2,25 @@
 names.
 """
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from jaxbound.recordings.columns import from_arrow, valid
-from jaxbound.recordings.csvtext import above_header, is_number, parse_columns, sniff
+from jaxbound.recordings.csvtext import Layout, Planned, above_header, parse_columns, planned, sniff
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import check_period, usual_period
-from jaxbound.recordings.selection import NO_TIME, STAMPS, TELLING, wanted
-from jaxbound.recordings.source import Source, told
+from jaxbound.recordings.selection import NO_TIME, STAMPS, TELLING, Wanted
+from jaxbound.recordings.signals import SignalModel
+from jaxbound.recordings.source import Progress, Source, with_hints
 from jaxbound.recordings.timestamps import parse_stamps, read_numbers, with_day
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 __all__ = ["CsvFile"]
 
@@ -28,91 +33,102 @@ class CsvFile(Source):
         """Return True for every path: what is no CSV file is refused in a sentence."""
         return isinstance(data, str | PathLike)
 
-    def whole(self, progress: Callable[[float], object] | None = None) -> Recording:
+    def whole(self, progress: Progress | None = None) -> Recording:
         """Return the Recording of the file.
 
         Raises:
             ValueError: anything that is not a regular recording of this model: what, and in which row.
         """
-        return _read(Path(str(self.data)), self.model, progress or (lambda share: None))
+        return _recording_of(Path(str(self.data)), self.model, progress or (lambda share: None))
 
 
-def _read(path, model, report):
+def _recording_of(path: Path, model: SignalModel, report: Progress) -> Recording:
     layout = sniff(path)
     try:
-        plan = wanted(layout.names, model, layout.dated)
+        plan = planned(layout, model)
     except ValueError as e:
         raise ValueError(f"{e}{above_header(layout)}") from None
-    if (
-        plan.time is None
-        and layout.names[0] == ""
-        and layout.first[0]
-        and not is_number(layout.first[0], layout.decimal)
-    ):
-        plan = replace(plan, time="")  # an index of time stamps without a name
     report(0.05)
-    index = {name: layout.names.index(name) for name in plan.columns}
-    text_time = plan.time is not None and not is_number(layout.first[index[plan.time]], layout.decimal)
-    table = parse_columns(
-        layout, index, {*plan.texts, *([plan.time, plan.day] if text_time else [])}, plan.time is not None
-    )
+    table = parse_columns(layout, plan)
     report(0.7)
-    count = len(table[plan.columns[0]])
+    count = len(table[plan.wanted.columns[0]])
     if count < 2:
         raise ValueError("the file has one row of data: a recording has at least two")
-    hints = list(layout.hints)
-    written = table[plan.time] if plan.time is not None else None
+    written = _written_times(layout, plan.wanted, table)
+    columns = _columns_of(layout, plan, table)
+    times = _times_of(layout, plan, written, model.dt, count)
+    if plan.wanted.time is not None:
+        columns.setdefault(plan.wanted.time, times.time if times.stamps is None else times.stamps)
+    samples = plan.wanted.samples(columns, count)
+    recording = Recording.filed(model, samples, (times.time, times.stamps, written), path.name)
+    dt = _period_of(layout, plan.wanted, model, times.time)
+    report(0.9)
+    hints = (*layout.hints, *filter(None, [times.hint]))
+    return with_hints(model, replace(recording, dt=dt), layout.row, plan.wanted.condition, hints)
+
+
+class _FileTimes(NamedTuple):
+    """The times of all rows: in s; as datetime64 or None; a sentence for the owner or ""."""
+
+    time: np.ndarray
+    stamps: np.ndarray | None
+    hint: str
+
+
+def _written_times(layout: Layout, plan: Wanted, table: Mapping[str, "pa.Array"]) -> "pa.Array | None":
+    """Return the times as they stand in the file, None where there are none; refuse a row without."""
+    if plan.time is None:
+        return None
+    written = table[plan.time]
     if plan.day is not None:
         written = with_day(table[plan.day], written)
-    if written is not None and written.null_count:
+    if written.null_count:
         first = layout.row(int(np.argmin(valid(written))))
         raise ValueError(f"{first} has no time: every row needs one, {written.null_count} do not have it")
-    columns = {
-        c: _values(layout, c, table[c])
-        for c in plan.numbers
-        if c not in (plan.time, plan.day) or not text_time
-    }
-    columns |= {c: np.array(table[c].to_pylist(), object) for c in plan.texts}
-    if written is None:
-        if model.dt is None:
+    return written
+
+
+def _columns_of(layout: Layout, plan: Planned, table: Mapping[str, "pa.Array"]) -> dict[str, np.ndarray]:
+    """Return {column: floats, or texts} of the columns that signals and the condition need."""
+    columns: dict[str, np.ndarray] = {}
+    for name in plan.wanted.numbers:
+        if name not in (plan.wanted.time, plan.wanted.day) or not plan.is_text:
+            columns[name] = _floats_of(layout, name, table[name])
+    for name in plan.wanted.texts:
+        columns[name] = np.array(table[name].to_pylist(), object)
+    return columns
+
+
+def _times_of(
+    layout: Layout, plan: Planned, written: "pa.Array | None", dt: float | None, count: int
+) -> _FileTimes:
+    """Return the times of all rows; refuse a file without any where the model has no dt."""
+    name = plan.wanted.time
+    if name is None:
+        if dt is None:
             raise ValueError(f"the file has no time column: {NO_TIME}")
-        time, stamps = np.arange(count) * model.dt, None
-        hints.append(
-            f"the file has no time column: the rows are taken to be dt = {model.dt:g} s apart, and none to "
-            f"be missing"
-        )
-    elif text_time:
-        time, stamps, hint = parse_stamps(written, model.dt, layout.row)
-        hints += [hint] if hint else []
-    else:
-        time, stamps, hint = read_numbers(_values(layout, plan.time, written), model.dt)
-        hints += [hint] if hint else []
-    columns.setdefault(plan.time, time if stamps is None else stamps)
-    u, y, excluded = plan.samples(columns, count)
-    recording = Recording.filed(model, (u, y, excluded), (time, stamps, written), path.name)
+        apart = f"the rows are taken to be dt = {dt:g} s apart, and none to be missing"
+        return _FileTimes(np.arange(count) * dt, None, f"the file has no time column: {apart}")
+    if plan.is_text:
+        return _FileTimes(*parse_stamps(written, dt, layout.row))
+    return _FileTimes(*read_numbers(_floats_of(layout, name, written), dt))
+
+
+def _period_of(layout: Layout, plan: Wanted, model: SignalModel, time: np.ndarray) -> float:
+    """Return the sampling period in s; refuse times that have another than the model's."""
     try:
         dt = usual_period(time) if model.dt is None else model.dt
         check_period(time, dt, getattr(model, "stated", "the model has"))
     except ValueError as e:
-        others = [
-            name
-            for name in layout.names
-            if name not in (plan.time, plan.day) and layout.dated(name) in STAMPS
-        ]
-        which = (
-            f"; the time is taken from column {plan.time!r}, another is {others[0]!r}: say which it is, "
-            f"{TELLING}"
-            if others
-            else ""
-        )
-        raise ValueError(f"{e}{which}") from None
-    report(0.9)
-    return told(
-        model, replace(recording, dt=dt), layout.row, plan.where.text if plan.where else "", tuple(hints)
-    )
+        for name in layout.names:
+            if name not in (plan.time, plan.day) and layout.dated(name) in STAMPS:
+                taken = f"the time is taken from column {plan.time!r}, another is {name!r}"
+                raise ValueError(f"{e}; {taken}: say which it is, {TELLING}") from None
+        raise
+    return dt
 
 
-def _values(layout, name, column):
+def _floats_of(layout: Layout, name: str, column: "pa.Array") -> np.ndarray:
     """Return a column as floats, NaN where a sample is missing; refuse infinity and a column without any
     number.
     """

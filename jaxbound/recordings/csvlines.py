@@ -79,7 +79,7 @@ class CountedLines:
         if not filled:
             self._trailing += int(ends)
         elif len(filled) < len(data):
-            self._trailing = len(_ended(data[len(filled) :])) - 1
+            self._trailing = len(_line_ends(data[len(filled) :])) - 1
         else:
             self._trailing = 0
         self._unfinished = not data.endswith((b"\n", b"\r"))
@@ -110,11 +110,11 @@ def split_lines(data: bytes) -> list[bytes]:
         >>> split_lines(b"a\nb\r\nc\rd\r\r\n\n")
         [b'a', b'b', b'c', b'd', b'']
     """
-    lines = _ended(data)
+    lines = _line_ends(data)
     return lines if lines[-1] else lines[:-1]
 
 
-def _ended(data: bytes) -> list[bytes]:
+def _line_ends(data: bytes) -> list[bytes]:
     """Return the lines of bytes and what stands behind the last end, perhaps nothing."""
     if b"\r" in data:
         if b"\r\r\n" in data:
@@ -128,7 +128,7 @@ def lines_of(path: str | PathLike[str]) -> Iterator[bytes]:
     with open(path, "rb", buffering=0) as file:
         counted, rest = CountedLines(file), b""
         while block := counted.read():
-            *whole, rest = _ended(rest + block)
+            *whole, rest = _line_ends(rest + block)
             yield from whole
         if rest:
             yield rest
@@ -151,11 +151,11 @@ def is_open(line: bytes, delimiter: bytes) -> bool:
         >>> is_open(b'1,"2', b","), is_open(b'1,5" pipe', b","), is_open(b'"a ""b"" c",2', b",")
         (True, False, False)
     """
-    return b'"' in line and _closed(delimiter).fullmatch(line) is None
+    return b'"' in line and _without_open_quotes(delimiter).fullmatch(line) is None
 
 
 @cache
-def _closed(delimiter: bytes) -> re.Pattern[bytes]:
+def _without_open_quotes(delimiter: bytes) -> re.Pattern[bytes]:
     d = re.escape(delimiter)
     quoted = rb'"(?:[^"]|"")*+"(?:[^"' + d + rb"][^" + d + rb"]*+)?+"
     cell = rb"(?:" + quoted + rb'|(?!")[^' + d + rb"]*+)"

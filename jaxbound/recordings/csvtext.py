@@ -1,4 +1,4 @@
-"""The text of a CSV file: how it is written, its columns, and the row that cannot be read.
+"""The text of a CSV file: its delimiter and decimal sign, its columns, and the row that cannot be read.
 
 Columns are parsed by pyarrow, only those that are wanted; when that fails, or gives another number of rows
 than there are lines, a second, slow pass finds the row and says what stands there. Rows are counted as a
@@ -8,33 +8,50 @@ spreadsheet does: the header is row 1.
 import csv
 import re
 from bisect import bisect_right
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 from jaxbound.recordings.csvlines import BOM, CountedLines, is_blank, is_open, lines_of
+from jaxbound.recordings.selection import Wanted, wanted
+from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.timestamps import DIGITS, stamp_kind
 from jaxbound.text.names import listed
 
 if TYPE_CHECKING:
+    import pyarrow as pa
     import pyarrow.csv as pc
 
-__all__ = ["BLANK", "UNCLOSED", "Layout", "cells_of", "is_number", "parse_columns", "parsing", "sniff"]
+__all__ = [
+    "BLANK",
+    "UNCLOSED",
+    "Layout",
+    "Planned",
+    "above_header",
+    "cells_of",
+    "converting",
+    "delimiter_of",
+    "is_number",
+    "numbered_columns",
+    "parse_columns",
+    "parsing",
+    "planned",
+    "sniff",
+]
 
 WORDS = ("NaN", "nan", "NAN", "null", "NULL", "Null", "NA", "N/A", "n/a", "#N/A", "None", "none")
 MISSING_CELLS = ("", " ", *WORDS, *(f" {x}" for x in WORDS))
-ENOUGH, LINES, LONGEST = (
-    1 << 18,
-    8,
-    1 << 26,
-)  # bytes and lines of a file that show how it is written; bytes looked at at most
+ENOUGH, LINES = 1 << 18, 8  # bytes and lines of a file that show how it is written
+LONGEST = 1 << 26  # bytes looked at at most, for a header of many columns
 ENDS = (b"\n", b"\r")
 FURTHER = 20  # lines below the first row that show whether it is the header
 MANY = 10  # words that a sentence on cells that are no numbers repeats at most
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(inf|infinity)|nan", re.IGNORECASE)
 UNCLOSED = "has a quotation mark that is not closed: remove it, or close it on the same line"
+DELIMITERS = (";", "\t", ",")
+WITH_COMMA = re.compile(r"\s*[-+]?\d*,\d+([eE].*)?\s*")
 BLANK = (
     "is blank, and without a column of times nothing says whether a sample is missing there: "
     "remove the line, or leave its cells blank between their delimiters"
@@ -50,19 +67,21 @@ SIGNATURES = {
 
 @dataclass(frozen=True)
 class Layout:
-    """How a CSV file is written."""
+    """The layout of a CSV file: how its cells and numbers are written.
+
+    Fields: skip: lines before the data; first: cells of the first row of data; hints: for its owner; blank:
+    numbers of the lines that are no rows, once they are known.
+    """
 
     path: Path
     names: list[str]
     delimiter: str
     decimal: str
     encoding: str
-    skip: int  # lines before the data
-    first: list[str]  # cells of the first data row
+    skip: int
+    first: list[str]
     hints: list[str] = field(default_factory=list)
-    blank: list[int] = field(
-        default_factory=list
-    )  # numbers of the lines that are no rows, once they are known
+    blank: list[int] = field(default_factory=list)
 
     def row(self, k: int) -> str:
         """Return how the user finds sample k."""
@@ -80,7 +99,18 @@ class Layout:
     def dated(self, name: str) -> str:
         """Return the kind of the first cell of a column, see `stamp_kind`."""
         cell = self._cells.get(name) or ""
-        return stamp_kind(cell) if DIGITS.fullmatch(cell.strip()) or not is_number(cell, self.decimal) else ""
+        if is_number(cell, self.decimal) and not DIGITS.fullmatch(cell.strip()):
+            return ""
+        return stamp_kind(cell)
+
+    @property
+    def decimals(self) -> tuple[str, ...]:
+        """The decimal signs that numbers may have, the likeliest first."""
+        if self.delimiter == ",":
+            return (".",)
+        if self.decimal == ".":
+            return ".", ","
+        return ",", "."
 
     @cached_property
     def _cells(self) -> dict[str, str]:
@@ -90,12 +120,52 @@ class Layout:
 def sniff(path: Path, head: bytes | None = None) -> Layout:
     """Look at the first lines of the file, or at these bytes, and find out how it is written."""
     if head is None:
-        with open(path, "rb") as f:
-            head = f.read(ENOUGH)
-            while (
-                max(map(head.count, ENDS)) < LINES and len(head) < LONGEST and (more := f.read(ENOUGH))
-            ):  # a header of many columns
-                head += more
+        head = _head_of(path)
+    _refuse_no_csv(head)
+    text, encoding = _decoded(head)
+    hints: list[str] = []
+    if encoding != "utf-8":
+        hints = ["the file is not in UTF-8: it is read as Windows-1252, which matters for column names only"]
+    # enough of them; splitting all takes longer than parsing
+    lines = re.split(r"\r*\n|\r", text, maxsplit=1000)
+    skip = next((i for i, line in enumerate(lines) if line.strip()), None)
+    if skip is None:
+        raise ValueError(f"the file begins with {len(lines)} blank lines: a header is needed")
+    delimiter = ""
+    stated = re.fullmatch(r"sep=(.)\s*", lines[skip])  # as Excel writes it
+    if stated is not None and len(lines) > skip + 1:
+        delimiter, skip = stated[1], skip + 1
+    header = lines[skip]
+    delimiter = delimiter or delimiter_of(header)
+    names = [name.strip() for name in cells_of(header, delimiter)]
+    data = [cells_of(line, delimiter) for line in lines[skip + 1 : skip + 200] if line.strip()]
+    decimal = _decimal_of(data, delimiter)
+    if all(is_number(name, decimal) for name in names):
+        instead = ", ".join(["time", *"abcdefgh"[: len(names) - 1]])
+        raise ValueError(
+            f"the first row must hold the names of the columns: it holds numbers ({listed(names[:3], str)}). "
+            f"Put a line above it, such as: {instead}"
+        )
+    if not data:
+        raise ValueError("the file has a header but no row of data")
+    first = data[0] + [""] * (len(names) - len(data[0]))
+    return Layout(path, names, delimiter, decimal, encoding, skip + 1, first, hints)
+
+
+def _head_of(path: Path) -> bytes:
+    """Return the first bytes of a file, with some lines in them if there are any."""
+    with open(path, "rb") as f:
+        head = f.read(ENOUGH)
+        while max(map(head.count, ENDS)) < LINES and len(head) < LONGEST:
+            more = f.read(ENOUGH)
+            if not more:
+                break
+            head += more
+    return head
+
+
+def _refuse_no_csv(head: bytes) -> None:
+    """Raise ValueError if the first bytes of a file show that it is empty, or no text in bytes."""
     if not head.strip(BOM + b" \t\r\n"):
         raise ValueError("the file is empty")
     for magic, kind in SIGNATURES.items():
@@ -105,68 +175,91 @@ def sniff(path: Path, head: bytes | None = None) -> Layout:
         raise ValueError("the file is in UTF-16: save it as UTF-8")
     if b"\0" in head:
         raise ValueError("this is a binary file, or text in UTF-16: give a CSV file in UTF-8")
-    hints, encoding = [], "utf-8"
+
+
+def _decoded(head: bytes) -> tuple[str, str]:
+    """Return (text, encoding) of the first bytes of a file: UTF-8, or Windows-1252 where they are not."""
+    body = head.removeprefix(BOM)
+    end = max(map(body.rfind, ENDS)) + 1
+    if end and len(head) >= ENOUGH:  # they end within a line, perhaps within a character
+        body = body[:end]
     try:
-        body = head.removeprefix(BOM)
-        end = max(map(body.rfind, ENDS)) + 1
-        text = (body if len(head) < ENOUGH or not end else body[:end]).decode()
+        return body.decode(), "utf-8"
     except UnicodeDecodeError:
-        if sum(b < 9 for b in head) or sum(b > 127 for b in head) > len(head) // 4:
+        controls, foreign = sum(b < 9 for b in head), sum(b > 127 for b in head)
+        if controls or foreign > len(head) // 4:
             raise ValueError("this is not a text file: give a CSV file in UTF-8") from None
-        encoding, text = "cp1252", head.decode("cp1252", "replace")
-        hints.append(
-            "the file is not in UTF-8: it is read as Windows-1252, which matters for column names only"
-        )
-    lines = re.split(
-        r"\r*\n|\r", text, maxsplit=1000
-    )  # enough of them; splitting all takes longer than parsing
-    skip = next((i for i, line in enumerate(lines) if line.strip()), None)
-    if skip is None:
-        raise ValueError(f"the file begins with {len(lines)} blank lines: a header is needed")
-    delimiter = None
-    if (m := re.fullmatch(r"sep=(.)\s*", lines[skip])) and len(lines) > skip + 1:  # as Excel writes it
-        delimiter, skip = m[1], skip + 1
-    header = lines[skip]
-    delimiter = delimiter or next((d for d in (";", "\t", ",") if d in header), ",")
-    names = [name.strip() for name in cells_of(header, delimiter)]
-    data = [cells_of(line, delimiter) for line in lines[skip + 1 : skip + 200] if line.strip()]
-    decimal = (
-        ","
-        if delimiter != ","
-        and any(re.fullmatch(r"\s*[-+]?\d*,\d+([eE].*)?\s*", c) for row in data for c in row)
-        else "."
-    )
-    if all(is_number(name, decimal) for name in names):
-        raise ValueError(
-            f"the first row must hold the names of the columns: it holds numbers ({listed(names[:3], str)}). "
-            f"Put a line above it, such as: {', '.join(['time', *('abcdefgh'[: len(names) - 1])])}"
-        )
-    if not data:
-        raise ValueError("the file has a header but no row of data")
-    first = data[0] + [""] * (len(names) - len(data[0]))
-    return Layout(path, names, delimiter, decimal, encoding, skip + 1, first, hints)
+        return head.decode("cp1252", "replace"), "cp1252"
+
+
+def delimiter_of(header: str) -> str:
+    """Return the delimiter between the cells of a header."""
+    for delimiter in DELIMITERS:
+        if delimiter in header:
+            return delimiter
+    return ","
+
+
+def _decimal_of(rows: Iterable[Iterable[str]], delimiter: str) -> str:
+    """Return the decimal sign: a comma where some cell is written so, and cells are not parted by it."""
+    if delimiter == ",":
+        return "."
+    for row in rows:
+        if any(map(WITH_COMMA.fullmatch, row)):
+            return ","
+    return "."
 
 
 def above_header(layout: Layout) -> str:
     """Return the end of a sentence on a column that is not there: "", or that the first row is no
     header.
     """
-    lines = [
-        _text(line, layout)
-        for line, _ in zip(lines_of(layout.path), range(layout.skip + FURTHER), strict=False)
-    ]
-    widths = [max(len(cells_of(line, d)) for d in (";", "\t", ",")) for line in lines]
-    first = widths[layout.skip - 1] if len(widths) >= layout.skip else 0
+    widths: list[int] = []
+    for line, _ in zip(lines_of(layout.path), range(layout.skip + FURTHER), strict=False):
+        text = _line_text(line, layout)
+        widths.append(max(len(cells_of(text, delimiter)) for delimiter in DELIMITERS))
+    first = 0
+    if len(widths) >= layout.skip:
+        first = widths[layout.skip - 1]
     if not widths or first >= max(widths):
         return ""
-    here, there = (
-        f"row {layout.skip} has {first} cell{'s' * (first != 1)}",
-        f"row {widths.index(max(widths)) + 1} has {max(widths)}",
-    )
+    here = f"row {layout.skip} has {first} cell{'s' * (first != 1)}"
+    there = f"row {widths.index(max(widths)) + 1} has {max(widths)}"
     return f"; the header must be the first row: {here}, {there}"
 
 
-def _text(line: bytes, layout: Layout) -> str:
+class Planned(NamedTuple):
+    """The columns of a CSV file that a model needs, and how they are read.
+
+    Fields: wanted: the columns; numbers: {column: its number in the file}; is_text: whether the time is
+    written as text; texts: columns that are not read as numbers.
+    """
+
+    wanted: Wanted
+    numbers: dict[str, int]
+    is_text: bool
+    texts: frozenset[str]
+
+
+def planned(layout: Layout, model: SignalModel) -> Planned:
+    """Find the columns of a model in a file.
+
+    Raises:
+        ValueError: see `selection.wanted`.
+    """
+    plan = wanted(layout.names, model, layout.dated)
+    first = layout.first[0]
+    if plan.time is None and layout.names[0] == "" and first and not is_number(first, layout.decimal):
+        plan = replace(plan, time="")  # an index of time stamps without a name, as pandas writes one
+    index = {name: layout.names.index(name) for name in plan.columns}
+    texts = frozenset(plan.texts)
+    is_text = plan.time is not None and not is_number(layout.first[index[plan.time]], layout.decimal)
+    if is_text:
+        texts |= {name for name in (plan.time, plan.day) if name is not None}
+    return Planned(plan, index, is_text, texts)
+
+
+def _line_text(line: bytes, layout: Layout) -> str:
     return line.removeprefix(BOM).decode(layout.encoding, "replace")
 
 
@@ -189,13 +282,16 @@ def is_number(cell: str, decimal: str) -> bool:
 
 
 def parsing(layout: Layout) -> "pc.ParseOptions":
-    """Return how pyarrow takes the lines apart: one that is blank is no row, but where there is one column a
-    missing sample.
+    """Return the options by which pyarrow takes lines apart.
+
+    A blank line is no row; where there is one column it is a missing sample.
     """
     import pyarrow.csv as pc
 
-    def of_wrong_length(row):
-        return "skip" if layout.is_blank(row.text.encode()) else "error"
+    def of_wrong_length(row: "pc.InvalidRow") -> str:
+        if layout.is_blank(row.text.encode()):
+            return "skip"
+        return "error"
 
     return pc.ParseOptions(
         delimiter=layout.delimiter,
@@ -205,14 +301,37 @@ def parsing(layout: Layout) -> "pc.ParseOptions":
     )
 
 
-def parse_columns(
-    layout: Layout, index: Mapping[str, int], texts: Iterable[str], timed: bool = True
-) -> dict[str, Any]:
+def converting(layout: Layout, plan: Planned) -> list["pc.ConvertOptions"]:
+    """Return the options by which pyarrow reads cells, one for each decimal sign that there may be."""
+    import pyarrow as pa
+    import pyarrow.csv as pc
+
+    kinds = {f"f{i}": pa.string() if name in plan.texts else pa.float64() for name, i in plan.numbers.items()}
+    options: list[pc.ConvertOptions] = []
+    for decimal in layout.decimals:
+        options.append(
+            pc.ConvertOptions(
+                include_columns=list(kinds),
+                decimal_point=decimal,
+                null_values=list(MISSING_CELLS),
+                strings_can_be_null=True,
+                column_types=kinds,
+            )
+        )
+    return options
+
+
+def numbered_columns(layout: Layout) -> list[str]:
+    """Return the names by which pyarrow calls all columns: those in the file may stand twice."""
+    return [f"f{i}" for i in range(len(layout.names))]
+
+
+def parse_columns(layout: Layout, plan: Planned) -> dict[str, "pa.Array"]:
     """Return {column: pyarrow array} of the wanted columns, an element for each row of the file.
 
     Args:
-        layout: of the file; its .blank is filled. index: {column: its number}. texts: those that are not
-            numbers. timed: a column tells the time; without one a blank line between rows is refused.
+        layout: of the file; its .blank is filled. plan: the columns; without a time, a blank line between
+            rows is refused.
 
     Raises:
         ValueError: a row that cannot be read, or is not what pyarrow took for one: which, and why.
@@ -220,24 +339,14 @@ def parse_columns(
     import pyarrow as pa
     import pyarrow.csv as pc
 
-    key = {name: f"f{i}" for name, i in index.items()}
     read = pc.ReadOptions(
-        column_names=[f"f{i}" for i in range(len(layout.names))],
+        column_names=numbered_columns(layout),
         skip_rows=layout.skip,
         encoding=layout.encoding,
         block_size=max(1 << 20, 64 * len(layout.names), 16 * sum(map(len, layout.names))),
     )
-    failure = None
-    for decimal in (
-        (layout.decimal, "," if layout.decimal == "." else ".") if layout.delimiter != "," else (".",)
-    ):
-        convert = pc.ConvertOptions(
-            include_columns=list(key.values()),
-            decimal_point=decimal,
-            null_values=list(MISSING_CELLS),
-            strings_can_be_null=True,
-            column_types={k: pa.string() if name in texts else pa.float64() for name, k in key.items()},
-        )
+    failure: Exception | None = None
+    for convert in converting(layout, plan):
         with open(layout.path, "rb", buffering=0) as file:
             lines = CountedLines(file, layout.delimiter)
             try:
@@ -245,16 +354,18 @@ def parse_columns(
             except (pa.ArrowInvalid, pa.ArrowKeyError, UnicodeError) as e:
                 failure = failure or e
                 continue
-        _refuse_lost_rows(layout, lines, table.num_rows, timed)
-        return {name: table[k].combine_chunks() for name, k in key.items()}
-    raise ValueError(_bad_row(layout, index, texts) or str(failure).splitlines()[0])
+        _refuse_lost_rows(layout, lines, table.num_rows, plan.wanted.time is not None)
+        return {name: table[f"f{i}"].combine_chunks() for name, i in plan.numbers.items()}
+    raise ValueError(_bad_row(layout, plan) or str(failure).splitlines()[0])
 
 
-def _refuse_lost_rows(layout, counted, rows, timed):
+def _refuse_lost_rows(layout: Layout, counted: CountedLines, rows: int, timed: bool) -> None:
     """Raise ValueError unless every line below the header is a row that was read; note those that are
     blank.
     """
-    last = counted.lines if len(layout.names) == 1 else counted.last
+    last = counted.last
+    if len(layout.names) == 1:  # a blank line is a row there
+        last = counted.lines
     if rows == last - layout.skip and not counted.open_end:
         return
     for number, line in enumerate(lines_of(layout.path), 1):
@@ -272,32 +383,46 @@ def _refuse_lost_rows(layout, counted, rows, timed):
         raise ValueError(f"row {between[0]} {BLANK}")
 
 
-def _bad_row(layout, index, texts):
+def _bad_row(layout: Layout, plan: Planned) -> str:
     """Return a sentence on the first row that cannot be read, and on all cells like it: the slow second
-    pass.
+    pass. "" where there is none.
     """
-    first, others = "", 0
-    words: dict[str, None] = {}
+    cells = _OddCells()
     for number, line in enumerate(lines_of(layout.path), 1):
         if number <= layout.skip or layout.is_blank(line):
             continue
         if layout.is_open(line):
-            return first or f"row {number} {UNCLOSED}"
-        row = cells_of(_text(line, layout), layout.delimiter, spaced=False)
+            return cells.first or f"row {number} {UNCLOSED}"
+        row = cells_of(_line_text(line, layout), layout.delimiter, spaced=False)
         if len(row) != len(layout.names):
-            return first or f"row {number} has {len(row)} cells, the header has {len(layout.names)} columns"
-        for name, i in index.items():
-            cell = row[i]
-            if name in texts or cell in MISSING_CELLS or is_number(cell, layout.decimal):
-                continue
-            word = cell.strip()[:60]
-            if first:
-                others += 1
-                words |= {word: None} if len(words) < MANY else {}
-            else:
-                first = (
-                    f"row {number} of column {name!r} holds {word!r}, which is not a number: leave a "
-                    f"missing sample blank"
-                )
-    more = f"; {others} more cells hold {listed(list(words))}, too" if others else ""
-    return f"{first}{more}" or None
+            many = f"row {number} has {len(row)} cells, the header has {len(layout.names)} columns"
+            return cells.first or many
+        for name, i in plan.numbers.items():
+            is_read = name in plan.texts or row[i] in MISSING_CELLS or is_number(row[i], layout.decimal)
+            if not is_read:
+                cells.add(number, name, row[i].strip()[:60])
+    return cells.sentence()
+
+
+class _OddCells:
+    """Cells that are no numbers: a sentence on the first, how many others, and the words in them."""
+
+    def __init__(self) -> None:
+        self.first, self.others = "", 0
+        self.words: dict[str, None] = {}
+
+    def add(self, row: int, column: str, word: str) -> None:
+        """Take the next cell."""
+        if not self.first:
+            what = f"row {row} of column {column!r} holds {word!r}"
+            self.first = f"{what}, which is not a number: leave a missing sample blank"
+            return
+        self.others += 1
+        if len(self.words) < MANY:
+            self.words[word] = None
+
+    def sentence(self) -> str:
+        """Return the sentence on all of them."""
+        if not self.others:
+            return self.first
+        return f"{self.first}; {self.others} more cells hold {listed(list(self.words))}, too"

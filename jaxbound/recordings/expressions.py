@@ -172,7 +172,8 @@ class Expression:
                 pairs = zip(node.ops, parts[:-1], parts[1:], strict=True)
                 return reduce(np.logical_and, [self._compared(op, a, b) for op, a, b in pairs])
             case ast.UnaryOp(op=ast.Not()):
-                return np.logical_not(np.asarray(parts[0]))
+                negated: np.ndarray = np.logical_not(np.asarray(parts[0]))
+                return negated
             case ast.UnaryOp() | ast.BinOp():
                 return ARITHMETIC[type(node.op)](*map(_as_number, parts))
         raise AssertionError(f"{node} was let through")
@@ -225,7 +226,8 @@ def _operands(node: ast.expr) -> Sequence[ast.expr]:
 
 def fails(values: np.ndarray) -> np.ndarray:
     """Return (N,) bool: where a condition with these values does not hold, or has none."""
-    return np.nan_to_num(values) == 0
+    failing: np.ndarray = np.nan_to_num(values) == 0
+    return failing
 
 
 def is_expression(column: str) -> bool:
@@ -261,7 +263,7 @@ def expression(text: str) -> Expression:
             return f" {ticked.setdefault(word[1:-1].strip(), f'_{len(ticked)}_in_backticks')} "
         return WORDS.get(word, word)
 
-    tree = _parsed(text, PIECES.sub(as_python, text).strip())
+    tree = _tree_of(text, PIECES.sub(as_python, text).strip())
     nodes = list(ast.walk(tree))
     _check_nodes(text, nodes)
     texts, strings = _compared_with_text(nodes)
@@ -275,7 +277,7 @@ def expression(text: str) -> Expression:
     return Expression(text, columns, frozenset(names[x] for x in texts), names, tree)
 
 
-def _parsed(text: str, code: str) -> ast.expr:
+def _tree_of(text: str, code: str) -> ast.expr:
     """Return the tree of Python's code for a text."""
     wrong = ""
     try:
@@ -296,15 +298,15 @@ def _check_nodes(text: str, nodes: Iterable[ast.AST]) -> None:
     """Raise ValueError if an expression holds more than columns, numbers, operations and known functions."""
     for node in nodes:
         if isinstance(node, ast.Attribute):
-            _refuse(text, "an attribute")
+            _refuse_part(text, "an attribute")
         if isinstance(node, ast.MatMult):
-            _refuse(text, "@")
+            _refuse_part(text, "@")
         if not isinstance(node, ALLOWED):
-            _refuse(text, f"what Python calls {type(node).__name__}")
+            _refuse_part(text, f"what Python calls {type(node).__name__}")
         if not isinstance(node, ast.Call):
             continue
         if not isinstance(node.func, ast.Name) or node.func.id not in FUNCTIONS or node.keywords:
-            _refuse(text, f"the function {ast.unparse(node.func)}")
+            _refuse_part(text, f"the function {ast.unparse(node.func)}")
         name, count = node.func.id, len(node.args)
         if count != (2 if name == "arctan2" else 1):
             raise ValueError(f"the expression {text!r} gives {name} {count} numbers")
@@ -342,10 +344,10 @@ def _check_constants(text: str, nodes: Iterable[ast.AST], strings: set[int]) -> 
                 f"the expression {text!r} holds the text {value!r}: text can only be compared with a column"
             )
         else:
-            _refuse(text, f"{value!r}")
+            _refuse_part(text, f"{value!r}")
 
 
-def _refuse(text: str, what: str) -> NoReturn:
+def _refuse_part(text: str, what: str) -> NoReturn:
     raise ValueError(
         f"the expression {text!r} holds {what}: there are columns, numbers, + - * / // % **, comparisons, "
         f"and, or, not, and the functions {', '.join(FUNCTIONS)}"
@@ -386,10 +388,12 @@ def likely(names: Iterable[str], patterns: Iterable[str]) -> list[str]:
 
 
 def _is_missing(column: np.ndarray) -> np.ndarray:
-    """Return which cells of a column hold nothing: None, NaT or NaN."""
+    """Return (N,) bool: the cells of a column that hold nothing, None, NaT or NaN."""
+    empty: np.ndarray
     if column.dtype == object:
-        empty: np.ndarray = column == None  # noqa: E711, cell by cell
-        return empty
-    if column.dtype.kind == "M":
-        return np.isnat(column)
-    return np.isnan(column)
+        empty = column == None  # noqa: E711, cell by cell
+    elif column.dtype.kind == "M":
+        empty = np.isnat(column)
+    else:
+        empty = np.isnan(column)
+    return empty

@@ -1,9 +1,6 @@
-"""Hints for the owner of a recording: what is missing, what the recorder rounds, what is
-too short.
-"""
+"""Hints for the owner of a recording: missing samples, a recorder that rounds, too few samples."""
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol, SupportsFloat
 
 import numpy as np
 
@@ -19,13 +16,8 @@ __all__ = [
     "rounding_hints",
 ]
 
-
-class Rounded(Named, Protocol):
-    """Names of signals, and how far the recording of each output is stated to be rounded."""
-
-    @property
-    def resolution(self) -> Sequence[SupportsFloat]:
-        """Half a step of each output."""
+FIRST = 20_000
+"""Samples of which the different values are looked at first."""
 
 
 def refuse_short(source: object, samples: int | None, horizon: int | None) -> None:
@@ -52,11 +44,8 @@ def missing_hints(
 
 def missing_samples(model: Named, u: np.ndarray, y: np.ndarray) -> dict[str, int]:
     """Return {signal: number of its missing samples}."""
-    return {
-        name: int(np.isnan(x[:, i]).sum())
-        for names, x in ((model.inputs, u), (model.outputs, y))
-        for i, name in enumerate(names)
-    }
+    missing = [*np.isnan(u).sum(0).tolist(), *np.isnan(y).sum(0).tolist()]
+    return dict(zip((*model.inputs, *model.outputs), missing, strict=True))
 
 
 def missing_sentences(missing: Mapping[str, int], samples: int) -> list[str]:
@@ -68,19 +57,28 @@ def missing_sentences(missing: Mapping[str, int], samples: int) -> list[str]:
     ]
 
 
-def rounding_hints(model: Rounded, y: np.ndarray) -> list[str]:
-    """Return sentences on outputs that the recorder seems to round more than the model states."""
-    found: dict[str, list[str]] = {}
+def rounding_hints(model: Named, y: np.ndarray) -> list[str]:
+    """Return sentences on outputs that the recorder seems to round more than the model states.
+
+    Args:
+        model: with .resolution, half a step of each output; without it nothing is stated. y: (T, p).
+    """
+    resolution: Sequence[float] | None = getattr(model, "resolution", None)
+    if resolution is None:
+        return []
+    outputs: dict[str, list[str]] = {}
     for i, name in enumerate(model.outputs):
         step = recorded_step(y[:, i])
-        if step and float(model.resolution[i]) < step / 2 * (1 - 1e-9):
-            found.setdefault(f"{step:.6g}", []).append(name)
-    return [
-        f"every sample of {listed(names, str)} is a multiple of {step}, more than the resolution that the "
-        f"model states: "
-        f"if the recorder rounds, add `resolution = {float(step) / 2:.6g}` there in the model file"
-        for step, names in found.items()
-    ]
+        if step and float(resolution[i]) < step / 2 * (1 - 1e-9):
+            outputs.setdefault(f"{step:.6g}", []).append(name)
+    sentences: list[str] = []
+    for written, names in outputs.items():
+        multiple = f"every sample of {listed(names, str)} is a multiple of {written}"
+        advice = f"add `resolution = {float(written) / 2:.6g}` there in the model file"
+        sentences.append(
+            f"{multiple}, more than the resolution that the model states: if the recorder rounds, {advice}"
+        )
+    return sentences
 
 
 def recorded_step(x: np.ndarray) -> float:
@@ -88,23 +86,34 @@ def recorded_step(x: np.ndarray) -> float:
     that rounds.
     """
     x = x[~np.isnan(x)]
-    values = np.unique(x[:20_000])
+    values = np.unique(x[:FIRST])
     if len(values) < 3:
         return 0.0
-    fits = lambda v, step, slack: (abs(v / step - np.rint(v / step)) <= slack).all()
-    top, found = float(abs(x).max()), 0.0
-    for places in range(10):
-        if top * 10.0**places > 1e12:
-            break
-        if fits(values, 10.0**-places, 2e-15 * top * 10.0**places + 1e-9) and fits(
-            x, 10.0**-places, 2e-15 * top * 10.0**places + 1e-9
-        ):
-            found = 10.0**-places
-            break
+    decimal = _decimal_step(x, values)
     gaps = np.diff(values)
     coarse = float(gaps.min())
-    if coarse > max(1.5 * found, 1e-6 * top) and fits(gaps, coarse, 0.01):
+    if coarse > max(1.5 * decimal, 1e-6 * float(abs(x).max())) and _are_multiples(gaps, coarse, 0.01):
         coarse = float((values[-1] - values[0]) / np.rint(gaps / coarse).sum())
-        if fits(x - values[0], coarse, 0.02):
+        if _are_multiples(x - values[0], coarse, 0.02):
             return coarse
-    return found
+    return decimal
+
+
+def _decimal_step(x: np.ndarray, values: np.ndarray) -> float:
+    """Return the largest power of ten, 1 to 1e-9, that all numbers are multiples of, or 0.
+
+    Args:
+        x: all numbers. values: some of them, which rule out most steps sooner.
+    """
+    top = float(abs(x).max())
+    for places in range(10):
+        if top * 10.0**places > 1e12:
+            return 0.0
+        step, slack = 10.0**-places, 2e-15 * top * 10.0**places + 1e-9
+        if _are_multiples(values, step, slack) and _are_multiples(x, step, slack):
+            return step
+    return 0.0
+
+
+def _are_multiples(x: np.ndarray, step: float, slack: float) -> bool:
+    return bool((abs(x / step - np.rint(x / step)) <= slack).all())

@@ -1,22 +1,38 @@
-"""How the lines of CSV of one stream are written, and what stands in some of them."""
+"""Lines of CSV of one stream: how they are written, and the cells of some of them."""
 
 import re
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jaxbound.recordings.columns import from_arrow
-from jaxbound.recordings.csvtext import BLANK, MISSING_CELLS, UNCLOSED, cells_of, is_number, parsing, sniff
-from jaxbound.recordings.selection import wanted
+from jaxbound.recordings.csvtext import (
+    BLANK,
+    MISSING_CELLS,
+    UNCLOSED,
+    cells_of,
+    converting,
+    is_number,
+    numbered_columns,
+    parsing,
+    planned,
+    sniff,
+)
+from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.timestamps import with_day
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 __all__ = ["FEW", "SOURCE", "LineReader", "WrongCells"]
 
 FEW = 8  # lines that are read one by one
 PLAIN = re.compile(r" *[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)? *")
 SOURCE = "standard input"
+Cells = tuple[dict[str, np.ndarray], "pa.Array | None"]
+"""({column: (N,) numbers or texts}, the time as texts or None where it is a column of numbers or none)."""
 
 
 class WrongCells(ValueError):
@@ -30,52 +46,30 @@ class LineReader:
         head: the header and the first line of data, before them perhaps one with the delimiter, as bytes.
             model: whose signals are wanted.
 
-    Fields: head; plan (`derived.Wanted`); is_text: the time is written as text; layout (`csvtext.Layout`).
+    Fields: head; layout (`csvtext.Layout`); plan (`selection.Wanted`); index: {column: its number}; texts:
+    columns that are not read as numbers; is_text: the time is written as text.
 
     Raises:
         WrongCells: the first line of data has more or fewer cells than the header. ValueError: a column is
             not there, no header, no text.
     """
 
-    def __init__(self, head: list[bytes], model: Any) -> None:
-        import pyarrow as pa
+    def __init__(self, head: list[bytes], model: SignalModel) -> None:
         import pyarrow.csv as pc
 
         try:
             layout = sniff(Path(SOURCE), b"\n".join(head) + b"\n")
-            plan = wanted(layout.names, model, layout.dated)
+            plan = planned(layout, model)
         except ValueError as e:
             raise ValueError(f"{SOURCE}: {str(e).replace('the file', 'the stream')}") from None
-        self.layout = layout
+        self.head, self.layout = head, layout
+        self.plan, self.index, self.is_text, self.texts = plan
         if not self.fits(head[-1]) or layout.is_open(head[-1]):
             raise WrongCells(self.trouble(head[-1]))
-        if (
-            plan.time is None
-            and layout.names[0] == ""
-            and layout.first[0]
-            and not is_number(layout.first[0], layout.decimal)
-        ):
-            plan = replace(plan, time="")
-        index = {name: layout.names.index(name) for name in plan.columns}
-        text = plan.time is not None and not is_number(layout.first[index[plan.time]], layout.decimal)
-        strings = {*plan.texts, *([plan.time, plan.day] if text else [])}
-        self.head, self.plan, self.is_text, self.index = head, plan, text, index
-        names = [f"f{i}" for i in range(len(layout.names))]
+        # one thread: lines come a few at a time
+        names = numbered_columns(layout)
         self.reading = pc.ReadOptions(column_names=names, encoding=layout.encoding, use_threads=False)
-        self.parsing = parsing(layout)
-        kinds = {f"f{i}": pa.string() if name in strings else pa.float64() for name, i in index.items()}
-        self.converting = [
-            pc.ConvertOptions(
-                include_columns=list(kinds),
-                decimal_point=d,
-                null_values=list(MISSING_CELLS),
-                strings_can_be_null=True,
-                column_types=kinds,
-            )
-            for d in (
-                (layout.decimal, "," if layout.decimal == "." else ".") if layout.delimiter != "," else (".",)
-            )
-        ]
+        self.parsing, self.converting = parsing(layout), converting(layout, plan)
 
     def cells(self, line: bytes) -> list[str]:
         """Return the cells of a line as texts."""
@@ -92,21 +86,25 @@ class LineReader:
         """Return whether a line has as many cells as the header."""
         return len(self.cells(line)) == len(self.layout.names)
 
-    def columns(self, lines: list[bytes]) -> tuple[dict[str, np.ndarray], Any]:
+    def columns(self, lines: list[bytes]) -> Cells:
         """Return ({column: (N,) numbers or texts}, the time as a pyarrow array of texts, or None where it is
         a column of numbers or none).
 
         Raises:
             ValueError: some line cannot be read, or holds an infinite number.
         """
-        columns, stamps = (len(lines) <= FEW and self._few(lines)) or self._many(lines)
-        for name, x in columns.items():
+        cells = None
+        if len(lines) <= FEW:
+            cells = self._few(lines)
+        if cells is None:
+            cells = self._many(lines)
+        for name, x in cells[0].items():
             if x.dtype != object and np.isinf(x).any():
                 raise ValueError(f"of column {name!r} is infinite")
-        return columns, stamps
+        return cells
 
     def trouble(self, line: bytes) -> str:
-        """Return what is wrong with a line, as far as its cells show; or ""."""
+        """Return the trouble with a line, as far as its cells show; or ""."""
         if self.layout.is_open(line):
             return UNCLOSED
         if self.layout.is_blank(line):
@@ -116,8 +114,8 @@ class LineReader:
             return f"has {len(cells)} cells, the header has {len(self.layout.names)} columns"
         for name, i in self.index.items():
             cell = cells[i].strip()
-            text = name in self.plan.texts or (name in (self.plan.time, self.plan.day) and self.is_text)
-            if not text and cell not in MISSING_CELLS and not is_number(cell, self.layout.decimal):
+            is_read = name in self.texts or cell in MISSING_CELLS or is_number(cell, self.layout.decimal)
+            if not is_read:
                 return (
                     f"of column {name!r} holds {cell[:60]!r}, which is not a number: leave a missing "
                     f"sample blank"
@@ -129,62 +127,80 @@ class LineReader:
         their own.
         """
         cells = self.cells(line)
-        return " ".join(
-            cells[self.index[name]].strip() for name in (self.plan.day, self.plan.time) if name is not None
-        )
+        halves = [name for name in (self.plan.day, self.plan.time) if name is not None]
+        return " ".join(cells[self.index[name]].strip() for name in halves)
 
-    def _stamps(self, columns):
-        """Take the time out of columns of texts and return it, or None where it is a column of numbers or
-        none.
-        """
-        if not self.is_text:
-            return None
-        stamps = columns.pop(self.plan.time)
-        return stamps if self.plan.day is None else with_day(columns.pop(self.plan.day), stamps)
-
-    def _few(self, lines):
-        """Return what `_many` returns, of a few lines that are plain, sooner than pyarrow gets going; None
-        where it must look at them.
-        """
+    def _few(self, lines: list[bytes]) -> Cells | None:
+        """Return the same as `_many`, sooner than pyarrow gets going; None where it must look at lines."""
         import pyarrow as pa
 
         if self.plan.texts:
             return None
-        rows = []
+        rows: list[list[str]] = []
         for line in lines:
             cells = line.decode(self.layout.encoding, "replace").split(self.layout.delimiter)
             if len(cells) != len(self.layout.names) or b'"' in line:
                 return None
             rows.append([cells[i] for i in self.index.values()])
-        columns, texts = {}, {}
-        for name, cells in zip(self.index, zip(*rows, strict=True), strict=True):
-            if name in (self.plan.time, self.plan.day) and self.is_text:
-                texts[name] = pa.array([None if c in MISSING_CELLS else c for c in cells], pa.string())
+        columns: dict[str, np.ndarray] = {}
+        times: dict[str, pa.Array] = {}
+        for name, column in zip(self.index, zip(*rows, strict=True), strict=True):
+            if name in self.texts:
+                times[name] = pa.array([None if c in MISSING_CELLS else c for c in column], pa.string())
                 continue
-            if self.layout.decimal == ",":
-                cells = [c.replace(",", ".") for c in cells]
-            if not all(PLAIN.fullmatch(c) or c in MISSING_CELLS for c in cells):
+            numbers = self._plain_numbers(column)
+            if numbers is None:
                 return None
-            columns[name] = np.array([np.nan if c in MISSING_CELLS else float(c) for c in cells])
-        return columns, self._stamps(texts)
+            columns[name] = numbers
+        return columns, self._time_of(times)
 
-    def _many(self, lines):
+    def _plain_numbers(self, cells: Sequence[str]) -> np.ndarray | None:
+        """Return the numbers in cells, NaN where one is missing; None where some is written otherwise."""
+        numbers: list[float] = []
+        for cell in cells:
+            if self.layout.decimal == ",":
+                cell = cell.replace(",", ".")
+            if cell in MISSING_CELLS:
+                numbers.append(np.nan)
+            elif PLAIN.fullmatch(cell):
+                numbers.append(float(cell))
+            else:
+                return None
+        return np.array(numbers)
+
+    def _many(self, lines: list[bytes]) -> Cells:
         """Return ({column: (N,) numbers or texts}, the time as a pyarrow array of texts or None)."""
+        table = self._table(b"\n".join(lines) + b"\n")
+        if table.num_rows != len(lines) or self.layout.is_open(lines[-1]):
+            raise ValueError(UNCLOSED)
+        columns: dict[str, np.ndarray] = {}
+        times: dict[str, pa.Array] = {}
+        for name, i in self.index.items():
+            cells = table[f"f{i}"].combine_chunks()
+            if name in self.plan.texts:
+                columns[name] = np.array(cells.to_pylist(), object)
+            elif name in self.texts:
+                times[name] = cells
+            else:
+                columns[name] = from_arrow(cells)
+        return columns, self._time_of(times)
+
+    def _table(self, body: bytes) -> "pa.Table":
         import pyarrow as pa
         import pyarrow.csv as pc
 
-        body = b"\n".join(lines) + b"\n"
         for convert in self.converting:
             try:
-                table = pc.read_csv(pa.BufferReader(body), self.reading, self.parsing, convert)
-                break
+                return pc.read_csv(pa.BufferReader(body), self.reading, self.parsing, convert)
             except pa.ArrowInvalid:
                 continue
-        else:
-            raise ValueError("cannot be read")
-        if table.num_rows != len(lines) or self.layout.is_open(lines[-1]):
-            raise ValueError(UNCLOSED)
-        found = {name: table[f"f{i}"].combine_chunks() for name, i in self.index.items()}
-        stamps = self._stamps(found)
-        columns = {name: from_arrow(x) for name, x in found.items() if name not in self.plan.texts}
-        return columns | {name: np.array(found[name].to_pylist(), object) for name in self.plan.texts}, stamps
+        raise ValueError("cannot be read")
+
+    def _time_of(self, texts: "dict[str, pa.Array]") -> "pa.Array | None":
+        """Return the time of columns of texts; None where it is a column of numbers or none."""
+        if not self.is_text:
+            return None
+        assert self.plan.time is not None, "it is a column"
+        if self.plan.day is None:
+            return texts[self.plan.time]
+        return with_day(texts[self.plan.day], texts[self.plan.time])

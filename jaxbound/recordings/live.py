@@ -12,7 +12,7 @@ one that ends is a recording: `detect(relations, read(readings(model), model))`.
 """
 
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from runpy import run_path
@@ -22,9 +22,10 @@ import numpy as np
 
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import around, check_period, tick
-from jaxbound.recordings.source import Source
+from jaxbound.recordings.signals import SignalModel
+from jaxbound.recordings.source import Progress, Source
 from jaxbound.recordings.stream import Complain, Stream
-from jaxbound.recordings.timestamps import time_label
+from jaxbound.recordings.timestamps import from_epoch, time_label
 
 __all__ = ["LiveSource", "Readings", "joined"]
 
@@ -45,7 +46,9 @@ class LiveSource(Source):
         """Return whether data are an iterator, or the name of a function in a file that is there."""
         if isinstance(data, Iterator):
             return True
-        named = NAMED.fullmatch(data) if isinstance(data, str) else None
+        if not isinstance(data, str):
+            return False
+        named = NAMED.fullmatch(data)
         return named is not None and Path(named[1]).is_file()
 
     @classmethod
@@ -56,10 +59,12 @@ class LiveSource(Source):
     @property
     def label(self) -> str:
         """The name of the function; of an iterator its kind."""
-        return self.data if isinstance(self.data, str) else type(self.data).__name__
+        if isinstance(self.data, str):
+            return self.data
+        return type(self.data).__name__
 
     def stream(self, complain: Complain, memory: dict[str, Any] | None = None) -> "Readings":
-        """Return the Stream of what the function yields, behind a memory."""
+        """Return the Stream of the readings of the function, behind a memory."""
         if isinstance(self.data, Iterator):
             return Readings(self.model, self.data, complain, memory)
         named = NAMED.fullmatch(str(self.data))
@@ -69,8 +74,8 @@ class LiveSource(Source):
             raise ValueError(f"{named[1]} has no function {named[2]}")
         return Readings(self.model, function(self.model), complain, memory)
 
-    def whole(self, progress: Callable[[float], object] | None = None) -> Recording:
-        """Return all that the function yields as one Recording; it has to end."""
+    def whole(self, progress: Progress | None = None) -> Recording:
+        """Return all readings of the function as one Recording; it has to end."""
         return joined(self.model, self.stream(lambda kind, sentence: None).raw)
 
 
@@ -84,7 +89,7 @@ class Readings(Stream):
 
     def __init__(
         self,
-        model: Any,
+        model: SignalModel,
         readings: Iterable[Any],
         complain: Complain = lambda kind, sentence: None,
         memory: dict[str, Any] | None = None,
@@ -124,10 +129,12 @@ class Readings(Stream):
     def label(self, when: str | float) -> str:
         """Return a time as text."""
         seconds = float(when)
-        stamp = np.datetime64(round(seconds * 1e9), "ns") if seconds > EPOCH else None
-        return time_label(seconds, stamp, self.model.dt)
+        stamp = None
+        if seconds > EPOCH:
+            stamp = np.datetime64(round(seconds * 1e9), "ns")
+        return time_label(seconds, stamp, self.dt)
 
-    def _new(self, piece):
+    def _new(self, piece: Recording) -> Recording:
         """Return the samples of a reading that were not judged before, with the seams before and in them."""
         counted = piece.time is None
         time = self._times(piece)
@@ -135,7 +142,7 @@ class Readings(Stream):
             piece, time = self._behind(piece, time)
             if not piece.samples:
                 return piece
-        check_period(time, self.model.dt)
+        check_period(time, self.dt)
         known = self.clock.samples
         self.clock, seams = tick(self.clock, time)
         starts = np.union1d(np.union1d(piece.starts, seams - known), around(piece.excluded))
@@ -145,34 +152,39 @@ class Readings(Stream):
         self.resumed = False
         return replace(piece, time=time, starts=starts.astype(np.int64))
 
-    def _times(self, piece):
+    def _times(self, piece: Recording) -> np.ndarray:
         """Return the times of samples in s, counted from one instant in all pieces."""
         if piece.time is None:
-            return (self.clock.samples + np.arange(piece.samples)) * self.model.dt
+            return (self.clock.samples + np.arange(piece.samples)) * self.dt
         if np.isnan(piece.origin):
             return np.asarray(piece.time, float)
         return piece.origin + np.asarray(piece.time, float)
 
-    def _behind(self, piece, time):
-        """Return the samples after the last one that another process judged."""
-        fresh = np.flatnonzero(time > self.clock.last)
-        first = int(fresh[0]) if len(fresh) else piece.samples
+    def _behind(self, piece: Recording, time: np.ndarray) -> tuple[Recording, np.ndarray]:
+        """Return the samples after the last one that another process judged, and their times."""
+        fresh = time > self.clock.last
+        first = piece.samples
+        if fresh.any():
+            first = int(np.argmax(fresh))
         if first:
             self.complain("replay", f"{first} samples were judged before and are skipped")
         return piece.cut(first, piece.samples), time[first:]
 
 
-def joined(model: Any, readings: Iterable[Any]) -> Recording:
+def joined(model: SignalModel, readings: Iterable[Any]) -> Recording:
     """Return the readings of a stream that ends as one Recording."""
     stream = Readings(model, readings)
     whole: Recording | None = None
     seams: list[np.ndarray] = []
     for first, piece in stream.pieces(stream.raw):
         seams.append(piece.starts + first)
-        whole = piece if whole is None else whole.followed(piece)
+        if whole is None:
+            whole = piece
+        else:
+            whole = whole.followed(piece)
     if whole is None:
         raise ValueError("there is no reading: a recording has at least two samples")
     stamps = None
     if stream.clock.last > EPOCH and whole.time is not None:
-        stamps = np.round(whole.time * 1e9).astype("int64").astype("datetime64[ns]")
+        stamps = from_epoch(whole.time, 1.0)
     return replace(whole, starts=np.unique(np.concatenate(seams)), stamps=stamps, hints=())

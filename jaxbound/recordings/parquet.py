@@ -4,12 +4,12 @@ size does not matter.
 Rows count from 1.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -31,14 +31,22 @@ from jaxbound.recordings.parquetfiles import (
 )
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import Clock, around, check_period, tick, usual_period
-from jaxbound.recordings.selection import NO_TIME, Wanted
-from jaxbound.recordings.source import Source, overlapping, told
-from jaxbound.recordings.timestamps import EPOCHS, epoch_scale, since_epoch, time_label
+from jaxbound.recordings.selection import NO_TIME, Wanted, source_columns
+from jaxbound.recordings.signals import SignalModel
+from jaxbound.recordings.source import Progress, Source, overlapping, with_hints
+from jaxbound.recordings.timestamps import EPOCHS, epoch_scale, from_epoch, since_epoch, time_label
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 __all__ = ["PARTIAL", "VERDICTS", "ParquetSource", "is_parquet", "open_parquet"]
 
 PROBE = 100_000  # samples that show the sampling period, the unit of time and the rounding of the recorder
 BATCH = 1 << 16  # rows decoded at once at least
+Types = dict[str, "pa.DataType"]
+"""{column: its type}."""
+Origin = Any
+"""The instant that times are counted from: a float of an epoch, a datetime64 of time stamps, or None."""
 
 
 def is_parquet(path: Path) -> bool:
@@ -61,6 +69,7 @@ class ParquetSource(Source):
         path: as given; files: the files in order; rows: (F + 1,) number of the first sample of each file, and
             of all samples.
         model: whose signals are read; plan: the columns for them; time_name: the column of the time, or None.
+        dt: sampling period in s, of the model, or else as the time column shows it.
         dtype: float32 if an output, or what it is computed from, is stored so, else float64: what was rounded
             away is counted in the type it was recorded in.
         origin: what the time is counted from; scale: units a second of a numeric time column that is an
@@ -70,15 +79,16 @@ class ParquetSource(Source):
     """
 
     path: Path
-    files: tuple
+    files: tuple[Path, ...]
     rows: np.ndarray
-    model: Any
+    model: SignalModel
     plan: Wanted
     dtype: np.dtype
-    origin: Any = None
+    dt: float
+    origin: Origin = None
     scale: float | None = None
-    hints: tuple = ()
-    states: tuple = ()
+    hints: tuple[str, ...] = ()
+    states: tuple[tuple[int, int], ...] = ()
 
     parts = True
 
@@ -90,9 +100,9 @@ class ParquetSource(Source):
         return isinstance(data, str | PathLike) and is_parquet(Path(data))
 
     @classmethod
-    def open(cls, data: Any, model: Any) -> "ParquetSource":
+    def open(cls, data: object, model: SignalModel) -> "ParquetSource":
         """Return the source of a file or folder. See `open_parquet`."""
-        return open_parquet(data, model)
+        return open_parquet(str(data), model)
 
     @cached_property
     def content(self) -> str | None:
@@ -100,18 +110,16 @@ class ParquetSource(Source):
         return self._contents.all()
 
     @cached_property
-    def _contents(self):
+    def _contents(self) -> Contents:
         return Contents(self.path, self.digests)
 
     def content_of(self, first: int, stop: int) -> str:
-        """Return the digest of what the samples first..stop are read from, without the rest of large
+        """Return the digest of the row groups that the samples first..stop are in, without the rest of large
         files.
         """
-        spans = [
-            (file, *span)
-            for file, low, high in self._in(first, stop)
-            for span in spans_of(file, self.name(file), low, high)
-        ]
+        spans: list[tuple[Path, int, int]] = []
+        for file, low, high in self._in(first, stop):
+            spans += [(file, begin, end) for begin, end in spans_of(file, self.name(file), low, high)]
         return self._contents.of(spans)
 
     @property
@@ -119,10 +127,10 @@ class ParquetSource(Source):
         """What is known of the recording before it is read, as text: files, their sizes and rows, how columns
         and time are understood.
         """
-        files = [
-            (self.name(file) if self.path.is_dir() else "", state[0])
-            for file, state in zip(self.files, self.states, strict=True)
-        ]
+        names = [""]  # a file may be moved
+        if self.path.is_dir():
+            names = list(map(self.name, self.files))
+        files = [(name, size) for name, (size, _) in zip(names, self.states, strict=True)]
         return repr(
             (
                 files,
@@ -149,7 +157,7 @@ class ParquetSource(Source):
                 )
 
     @property
-    def time_name(self) -> Any:
+    def time_name(self) -> str | None:
         """The column of the time, or None."""
         return self.plan.time
 
@@ -161,11 +169,12 @@ class ParquetSource(Source):
     def row(self, k: int) -> str:
         """Return how the user finds sample k."""
         i = int(np.searchsorted(self.rows, k, "right")) - 1
-        return f"row {k - self.rows[i] + 1}" + (
-            f" of {self.name(self.files[i])}" if self.path.is_dir() else ""
-        )
+        row = f"row {k - self.rows[i] + 1}"
+        if self.path.is_dir():
+            return f"{row} of {self.name(self.files[i])}"
+        return row
 
-    def tables(self, first: int, stop: int, size: int) -> Iterator:
+    def tables(self, first: int, stop: int, size: int) -> Iterator[tuple[int, "pa.Table"]]:
         """Yield (number of its first sample, pyarrow table) for the samples first..stop, `size` rows each,
         the last one what is left.
 
@@ -174,7 +183,8 @@ class ParquetSource(Source):
         """
         import pyarrow as pa
 
-        held, rows, start = [], 0, first
+        held: list[pa.RecordBatch] = []
+        rows, start = 0, first
         for batch in self._batches(first, stop, size, self.plan.columns):
             while len(batch):
                 part = batch.slice(0, size - rows)
@@ -184,37 +194,31 @@ class ParquetSource(Source):
                     yield start, pa.Table.from_batches(held)
                     held, rows, start = [], 0, start + rows
 
-    def chunk(self, start: int, table: Any) -> Recording:
+    def chunk(self, start: int, table: "pa.Table") -> Recording:
         """Return the samples of a table from `tables` as a Recording without hints and without starts; those
         left out are .excluded.
 
         Raises:
             ValueError: a sample is infinite or too large, or has no time.
         """
-        x = {
-            c: self._numbers(start, c, table.column(c))
-            for c in self.plan.numbers
-            if c != self.time_name or self._numeric(table)
-        }
-        x |= {c: np.array(table.column(c).to_pylist(), object) for c in self.plan.texts}
-        written = None if self.time_name is None else _whole(table.column(self.time_name))
-        time, stamps = (
-            (np.arange(start, start + len(table)) * self.model.dt, None)
-            if written is None
-            else self.times(start, written)
-        )
-        x.setdefault(self.time_name, time if stamps is None else stamps)
+        columns: dict[str, np.ndarray] = {}
+        written = stamps = None
+        time = np.arange(start, start + len(table)) * self.dt
+        if self.time_name is not None:
+            written = _one_array(table.column(self.time_name))
+            time, stamps = self.times(start, written)
+            columns[self.time_name] = time if stamps is None else stamps
+        for name in self.plan.numbers:
+            if name != self.time_name or _is_numeric(table.column(name).type):
+                columns[name] = self._numbers(start, name, table.column(name))
+        for name in self.plan.texts:
+            columns[name] = np.array(table.column(name).to_pylist(), object)
         try:
-            u, y, excluded = self.plan.samples(x, len(table), self.dtype)
+            samples = self.plan.samples(columns, len(table), self.dtype)
         except ValueError as e:
             raise ValueError(f"{self.path}: {e}") from None
-        return Recording.filed(self.model, (u, y, excluded), (time, stamps, written), self.path.name)
-
-    def _numeric(self, table):
-        import pyarrow as pa
-
-        kind = table.column(self.time_name).type
-        return pa.types.is_integer(kind) or pa.types.is_floating(kind)
+        recording = Recording.filed(self.model, samples, (time, stamps, written), self.path.name)
+        return replace(recording, dt=self.dt)
 
     def pieces(
         self, size: int, overlap: int = 0, first: int = 0, stop: int | None = None
@@ -222,17 +226,16 @@ class ParquetSource(Source):
         """Yield (number of its first sample, Recording) of `size` samples each, behind the `overlap` before
         them. See `tables`, `chunk`.
         """
-        chunks = (
-            (at, self.chunk(at, table))
-            for at, table in self.tables(first, self.samples if stop is None else stop, size)
-        )
-        return overlapping(chunks, overlap, self.model.dt)
+        if stop is None:
+            stop = self.samples
+        chunks = ((at, self.chunk(at, table)) for at, table in self.tables(first, stop, size))
+        return overlapping(chunks, overlap, self.dt)
 
     def find(self, text: str) -> None:
-        """Return None: what is written in files is not searched, but where its time is."""
+        """Return None: times are not searched in files, but found by number."""
         return None
 
-    def read(self, first: int = 0, stop: int | None = None, progress: Callable | None = None) -> Recording:
+    def read(self, first: int = 0, stop: int | None = None, progress: Progress | None = None) -> Recording:
         """Return the samples first..stop as one Recording, with its seams; hints only if that is all of them.
 
         Raises:
@@ -240,37 +243,44 @@ class ParquetSource(Source):
                 all samples.
         """
         report = progress or (lambda share: None)
-        stop = self.samples if stop is None else stop
+        if stop is None:
+            stop = self.samples
         ((_, table),) = self.tables(first, stop, stop - first)
         report(0.7)
         r = self.chunk(first, table)
         if stop - first < self.samples:
-            return replace(r, starts=np.union1d(tick(Clock(self.model.dt), r.time)[1], around(r.excluded)))
+            _, seams = tick(Clock(self.dt), r.time)
+            return replace(r, starts=np.union1d(seams, around(r.excluded)))
         try:
-            return told(self.model, r, self.row, self.plan.where.text if self.plan.where else "", self.hints)
+            return with_hints(self.model, r, self.row, self.plan.condition, self.hints)
         except ValueError as e:
             raise ValueError(f"{self.path}: {e}") from None
 
     def name(self, file: Path) -> str:
         """Return how the user knows one of the files."""
-        return file.relative_to(self.path).as_posix() if self.path.is_dir() else str(file)
+        return _name_in(self.path, file)
 
     def time(self, k: int) -> float:
         """Return the time of sample k in seconds."""
+        if self.time_name is None:
+            return k * self.dt
         (batch,) = self._batches(k, k + 1, 1, [self.time_name])
         return float(self.times(k, batch.column(0))[0][0])
 
-    def _batches(self, first, stop, size, columns):
+    def _batches(self, first: int, stop: int, size: int, columns: list[str]) -> Iterator["pa.RecordBatch"]:
+        """Yield record batches of the samples first..stop."""
         for file, low, high in self._in(first, stop):
             yield from self._of_file(file, low, high, size, columns)
 
-    def _in(self, first, stop):
+    def _in(self, first: int, stop: int) -> Iterator[tuple[Path, int, int]]:
         """Yield (file, its first row, the row behind its last) for the samples first..stop."""
         for file, low, high in zip(self.files, self.rows[:-1], self.rows[1:], strict=True):
             if low < stop and high > first:
                 yield file, int(max(first - low, 0)), int(min(stop, high) - low)
 
-    def _of_file(self, file, first, stop, size, columns):
+    def _of_file(
+        self, file: Path, first: int, stop: int, size: int, columns: list[str]
+    ) -> Iterator["pa.RecordBatch"]:
         """Yield record batches of the rows first..stop of one file; row groups outside are not touched."""
         self.unchanged(file)
         with opened(file, self.name(file)) as f:
@@ -286,22 +296,20 @@ class ParquetSource(Source):
                     yield batch.slice(low, high - low)
                 at += len(batch)
 
-    def _numbers(self, start, name, column):
+    def _is_computed_with(self, column: str) -> bool:
+        """Return whether a signal or the condition is an expression over a column."""
+        signals = (*self.plan.inputs, *self.plan.outputs, self.plan.where)
+        return any(isinstance(signal, Expression) and column in signal.columns for signal in signals)
+
+    def _numbers(self, start: int, name: str, column: "pa.ChunkedArray") -> np.ndarray:
         """Return a column as floats, NaN where a sample is missing."""
         import pyarrow as pa
 
-        computed = any(
-            isinstance(s, Expression) and name in s.columns
-            for s in (*self.plan.inputs, *self.plan.outputs, self.plan.where)
-        )
+        kind = pa.float64()
+        if pa.types.is_float32(column.type) and not self._is_computed_with(name):
+            kind = pa.float32()
         try:
-            x = from_arrow(
-                _whole(
-                    column.cast(
-                        pa.float32() if pa.types.is_float32(column.type) and not computed else pa.float64()
-                    )
-                )
-            )
+            x = from_arrow(_one_array(column.cast(kind)))
         except pa.ArrowInvalid:
             raise ValueError(
                 f"column {name!r} of {self.path} holds whole numbers too large for a float: scale them"
@@ -314,29 +322,30 @@ class ParquetSource(Source):
             )
         return x
 
-    def times(self, start: int, written: Any) -> tuple[np.ndarray, np.ndarray | None]:
+    def times(self, start: int, written: "pa.Array") -> tuple[np.ndarray, np.ndarray | None]:
         """Return (seconds, datetime64[ns] or None) of a piece of the time column, which begins at sample
         `start`.
         """
         import pyarrow as pa
 
-        numeric = pa.types.is_integer(written.type) or pa.types.is_floating(written.type)
-        values: Any = since_epoch(from_arrow(written.cast(pa.float64(), safe=False))) if numeric else None
-        known = np.isfinite(values) if numeric else valid(written)
-        if not known.all():
-            raise ValueError(
-                f"{self.path}: {self.row(start + int(np.argmin(known)))} has no time: every row needs one"
-            )
-        if not numeric:
+        if not _is_numeric(written.type):
+            self._refuse_untimed(start, valid(written))
             stamps = _stamps(written, self.path, self.time_name)
-            return (stamps - (stamps[0] if self.origin is None else self.origin)) / np.timedelta64(
-                1, "s"
-            ), stamps
+            origin = stamps[0]
+            if self.origin is not None:
+                origin = self.origin
+            return (stamps - origin) / np.timedelta64(1, "s"), stamps
+        values = since_epoch(from_arrow(written.cast(pa.float64(), safe=False)))
+        self._refuse_untimed(start, np.isfinite(values))
         if self.scale is None:
             return values, None
-        return (values - self.origin) / self.scale, np.round(values * (1e9 / self.scale)).astype(
-            "int64"
-        ).astype("datetime64[ns]")
+        return (values - self.origin) / self.scale, from_epoch(values, self.scale)
+
+    def _refuse_untimed(self, start: int, known: np.ndarray) -> None:
+        """Refuse a piece, which begins at sample `start`, in which some time is not known."""
+        if not known.all():
+            row = self.row(start + int(np.argmin(known)))
+            raise ValueError(f"{self.path}: {row} has no time: every row needs one")
 
     def stamp(self, seconds: float) -> np.datetime64 | None:
         """Return the time stamp that lies so many seconds behind the first, or None where the time is in
@@ -344,7 +353,9 @@ class ParquetSource(Source):
         """
         if self.origin is None:
             return None
-        origin = np.datetime64(round(self.origin * (1e9 / self.scale)), "ns") if self.scale else self.origin
+        origin: np.datetime64 = self.origin
+        if self.scale is not None:
+            origin = np.datetime64(round(self.origin * (1e9 / self.scale)), "ns")
         return origin + np.timedelta64(round(seconds * 1e9), "ns")
 
     def probe(self) -> Recording:
@@ -353,7 +364,7 @@ class ParquetSource(Source):
         return self.chunk(0, table)
 
 
-def open_parquet(path: str | PathLike, model: Any) -> ParquetSource:
+def open_parquet(path: str | PathLike[str], model: SignalModel) -> ParquetSource:
     """Look at the Parquet files of a recording without reading them.
 
     Args:
@@ -373,105 +384,142 @@ def open_parquet(path: str | PathLike, model: Any) -> ParquetSource:
     path = Path(path)
     files = files_of(path)
     states = tuple(map(_state, files))
-    source = ParquetSource(
-        path, files, np.zeros(len(files) + 1, np.int64), model, Wanted((), (), None, None), np.dtype(float)
-    )
+    found = _schemas(path, files, model)
+    rows = np.cumsum([0, *found.counts])
+    if rows[-1] < 2:
+        how_many = "one row" if rows[-1] else "no row"
+        raise ValueError(f"{path}: {how_many} of data: a recording has at least two")
+    types = found.types
+    plan = plan_of(list(types), types, model, found.dated)
+    single = any(types.get(c) == pa.float32() for signal in plan.outputs for c in source_columns(signal))
+    dtype = np.dtype(np.float32 if single else np.float64)
+    hints: tuple[str, ...] = ()
+    zone = None
+    if plan.time is not None:
+        zone = getattr(types[plan.time], "tz", None)
+    if zone not in (None, "UTC"):
+        hints = (f"time stamps have the zone {zone}: they are shown in UTC",)
+    dt = model.dt or np.nan  # until the times show it
+    return _clocked(ParquetSource(path, files, rows, model, plan, dtype, dt, hints=hints, states=states))
+
+
+class _Schemas(NamedTuple):
+    """The columns of the files of a recording, which are those of the first.
+
+    Fields: counts: rows of each file; types: {column: type} of those that are wanted; dated: columns with
+    time stamps.
+    """
+
+    counts: list[int]
+    types: Types
+    dated: frozenset[str]
+
+
+def _schemas(path: Path, files: tuple[Path, ...], model: SignalModel) -> _Schemas:
+    """Look at the columns of all files; refuse files that differ in those that are wanted."""
     counts: list[int] = []
-    first: dict[str, Any] = {}
+    first: Types = {}
     dated: frozenset[str] = frozenset()
+    first_name = _name_in(path, files[0])
     for file in files:
-        name = source.name(file) if path.is_dir() else str(path)
+        name = _name_in(path, file)
         with opened(file, name) as f:
             counts.append(f.metadata.num_rows)
             try:
                 dated = dated or dated_columns(f)
-                schema = checked(f.schema_arrow, model, name, dated)
+                types = checked(f.schema_arrow, model, name, dated)
             except ValueError as e:
-                mixed = f", as the files before it have (first {source.name(files[0])})" if first else ""
-                raise ValueError(f"{path}{'/' + name if path.is_dir() else ''}: {e}{mixed}") from None
-        first = first or schema
-        for column in {**first, **schema}:
-            if first.get(column) != schema.get(column):
-                here, before = (
-                    f"of type {s[column]}" if column in s else "not used" for s in (schema, first)
-                )
-                same = "all files of a folder need the same columns"
-                raise ValueError(
-                    f"{path}/{name}: column {column!r} is {here}, {before} in {source.name(files[0])}: {same}"
-                )
-    rows = np.cumsum([0, *counts])
-    if rows[-1] < 2:
-        raise ValueError(
-            f"{path}: {'no row' if not rows[-1] else 'one row'} of data: a recording has at least two"
-        )
-    plan = plan_of(list(first), first, model, dated)
-    stored = [c for s in plan.outputs for c in (s.columns if isinstance(s, Expression) else (s,))]
-    single = pa.float32() in {first.get(c) for c in stored}
-    zone = getattr(first.get(plan.time), "tz", None)
-    hints = (f"time stamps have the zone {zone}: they are shown in UTC",) if zone not in (None, "UTC") else ()
-    dtype = np.dtype(np.float32 if single else np.float64)
-    return _clocked(ParquetSource(path, files, rows, model, plan, dtype, hints=hints, states=states))
+                mixed = ""
+                if first:
+                    mixed = f", as the files before it have (first {first_name})"
+                raise ValueError(f"{file}: {e}{mixed}") from None
+        first = first or types
+        _refuse_other_types(path / name, types, first, first_name)
+    return _Schemas(counts, first, dated)
 
 
-def _state(file):
-    found = file.stat()
-    return found.st_size, found.st_mtime_ns
+def _refuse_other_types(place: Path, types: Types, first: Types, first_name: str) -> None:
+    """Refuse a file whose columns are not those of the first file."""
+    for column in {**first, **types}:
+        if first.get(column) != types.get(column):
+            here, before = _use_of(column, types), _use_of(column, first)
+            same = "all files of a folder need the same columns"
+            raise ValueError(f"{place}: column {column!r} is {here}, {before} in {first_name}: {same}")
 
 
-def _whole(column):
+def _use_of(column: str, types: Types) -> str:
+    if column in types:
+        return f"of type {types[column]}"
+    return "not used"
+
+
+def _name_in(path: Path, file: Path) -> str:
+    """Return how the user knows a file of a folder, or one that is a recording alone."""
+    if path.is_dir():
+        return file.relative_to(path).as_posix()
+    return str(path)
+
+
+def _state(file: Path) -> tuple[int, int]:
+    about = file.stat()
+    return about.st_size, about.st_mtime_ns
+
+
+def _one_array(column: "pa.Array | pa.ChunkedArray") -> "pa.Array":
+    """Return a column as one array."""
     import pyarrow as pa
 
-    return column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
+    if isinstance(column, pa.ChunkedArray):
+        return column.combine_chunks()
+    return column
 
 
-def _stamps(written, path, name):
+def _is_numeric(kind: "pa.DataType") -> bool:
+    """Return whether a type is that of whole numbers or of floats."""
+    import pyarrow as pa
+
+    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind))
+
+
+def _stamps(written: "pa.Array", path: Path, name: str | None) -> np.ndarray:
     """Return datetime64[ns] of a column of time stamps, dates or ISO 8601 texts."""
     import pyarrow as pa
 
-    if not pa.types.is_timestamp(written.type):
-        for kind in (pa.timestamp("ns"), pa.timestamp("ns", "UTC")):
-            try:
-                written = written.cast(kind)
-                break
-            except pa.ArrowInvalid:
-                pass
-        else:
-            first = written[0].as_py()
-            raise ValueError(
-                f"{path}: the time column {name!r} holds texts like {first!r}: write it as time stamps, or "
-                f"as ISO 8601"
-            )
-    return from_arrow(written).astype("datetime64[ns]")
+    if pa.types.is_timestamp(written.type):
+        return from_arrow(written).astype("datetime64[ns]")
+    for kind in (pa.timestamp("ns"), pa.timestamp("ns", "UTC")):
+        try:
+            return from_arrow(written.cast(kind)).astype("datetime64[ns]")
+        except pa.ArrowInvalid:
+            continue
+    first = written[0].as_py()
+    holds = f"the time column {name!r} holds texts like {first!r}"
+    raise ValueError(f"{path}: {holds}: write it as time stamps, or as ISO 8601")
 
 
-def _clocked(source):
+def _clocked(source: ParquetSource) -> ParquetSource:
     """Return the source with its time understood; refuse files in the wrong order and another period than the
     model's.
     """
     dt = source.model.dt
-    if source.time_name is None and dt is None:
-        raise ValueError(f"{source.path}: there is no time column: {NO_TIME}")
     if source.time_name is None:
-        return replace(
-            source,
-            hints=(
-                f"the recording has no time column: the rows are taken to be dt = {dt:g} s apart, and none "
-                f"to be missing",
-            ),
-        )
+        if dt is None:
+            raise ValueError(f"{source.path}: there is no time column: {NO_TIME}")
+        apart = f"the rows are taken to be dt = {dt:g} s apart, and none to be missing"
+        return replace(source, hints=(f"the recording has no time column: {apart}",))
     probe = source.probe()
     if probe.stamps is not None:
         source = replace(source, origin=probe.stamps[0])
-    elif (scale := epoch_scale(probe.time, dt)) is not None:
-        source, unit = replace(source, origin=float(probe.time[0]), scale=scale), EPOCHS[scale]
-        source = replace(
-            source, hints=() if scale == 1 else (f"the time column is read as an epoch in {unit}",)
-        )
-        probe = source.probe()
+    else:
+        scale = epoch_scale(probe.time, dt)
+        if scale is not None:
+            hints = () if scale == 1 else (f"the time column is read as an epoch in {EPOCHS[scale]}",)
+            source = replace(source, origin=float(probe.time[0]), scale=scale, hints=hints)
+            probe = source.probe()
     try:
         if dt is None:
             dt = usual_period(probe.time)
-            source = replace(source, model=replace(source.model, dt=dt))
+            source = replace(source, dt=dt)
         check_period(probe.time, dt, getattr(source.model, "stated", "the model has"))
     except ValueError as e:
         raise ValueError(f"{source.path}: {e}") from None
@@ -480,15 +528,21 @@ def _clocked(source):
     return source
 
 
-def _refuse_disorder(source):
-    end, last = -np.inf, None
-    label = lambda seconds: time_label(seconds, source.stamp(seconds), source.model.dt)
+def _refuse_disorder(source: ParquetSource) -> None:
+    """Refuse files of which one begins before the end of the one before it."""
+    end, last = -np.inf, ""
     for file, low, high in zip(source.files, source.rows[:-1], source.rows[1:], strict=True):
-        if low < high:
-            if (begin := source.time(low)) < end:
-                raise ValueError(
-                    f"{source.path}: {source.name(file)} begins at {label(begin)}, before the end of {last} "
-                    f"at {label(end)}: "
-                    "files follow each other by name, so rename them, or give one at a time"
-                )
-            end, last = source.time(high - 1), source.name(file)
+        if low == high:
+            continue
+        begin = source.time(low)
+        if begin < end:
+            raise ValueError(
+                f"{source.path}: {source.name(file)} begins at {_label(source, begin)}, before the end of "
+                f"{last} at {_label(source, end)}: files follow each other by name, so rename them, or give "
+                f"one at a time"
+            )
+        end, last = source.time(high - 1), source.name(file)
+
+
+def _label(source: ParquetSource, seconds: float) -> str:
+    return time_label(seconds, source.stamp(seconds), source.dt)

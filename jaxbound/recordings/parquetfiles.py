@@ -1,5 +1,4 @@
-"""Parquet files as they lie on a disk: which belong to a recording, which are damaged, which columns they
-have.
+"""Parquet files of a recording as they lie on a disk: their order, their columns, and damage.
 
 A page that was damaged on the disk is noticed where its writer left a checksum in it, or where it cannot be
 unpacked any more. Of another page nothing tells at the first reading; at every later one the digest of the
@@ -12,13 +11,17 @@ verdicts of ours, are left out.
 import re
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
-from itertools import accumulate
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING
 
 from jaxbound.recordings.selection import STAMPS, Wanted, wanted
+from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.timestamps import stamp_kind
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
 
 __all__ = [
     "INDEX",
@@ -48,22 +51,33 @@ def files_of(path: Path) -> tuple[Path, ...]:
         raise FileNotFoundError(f"there is no data file {path}")
     if not path.is_dir():
         return (path,)
-    skipped = lambda part: part[0] in "._" or part in (VERDICTS, PARTIAL)
-    inside = [p for p in path.rglob("*") if p.is_file() and not any(map(skipped, p.relative_to(path).parts))]
+    inside = [p for p in path.rglob("*") if p.is_file() and not _is_left_out(p.relative_to(path))]
     files = [p for p in inside if p.suffix.lower() in SUFFIXES]
     if not files:
-        names = ", ".join(sorted(p.name for p in inside)[:3])
-        raise ValueError(
-            f"{path} is a folder without Parquet files: " + (f"it has {names}" if names else "it is empty")
-        )
-    natural = lambda p: [
-        (int(t), "") if t.isdecimal() else (-1, t) for t in re.split(r"(\d+)", p.relative_to(path).as_posix())
-    ]
-    return tuple(sorted(files, key=natural))
+        found = "it is empty"
+        if inside:
+            found = f"it has {', '.join(sorted(p.name for p in inside)[:3])}"
+        raise ValueError(f"{path} is a folder without Parquet files: {found}")
+    return tuple(sorted(files, key=lambda p: _natural_order(p.relative_to(path).as_posix())))
+
+
+def _is_left_out(inside: Path) -> bool:
+    return any(part[0] in "._" or part in (VERDICTS, PARTIAL) for part in inside.parts)
+
+
+def _natural_order(name: str) -> list[tuple[int, str]]:
+    """Return a key by which part-9 comes before part-10."""
+    key: list[tuple[int, str]] = []
+    for piece in re.split(r"(\d+)", name):
+        if piece.isdecimal():
+            key.append((int(piece), ""))
+        else:
+            key.append((-1, piece))
+    return key
 
 
 class Damage:
-    """Turns what pyarrow says of a damaged file into a sentence."""
+    """A context that turns errors of pyarrow on a damaged file into a sentence."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -76,48 +90,43 @@ class Damage:
     ) -> None:
         import pyarrow as pa
 
-        if (
-            kind is not None
-            and issubclass(kind, (pa.ArrowException, OSError))
-            and not getattr(e, "filename", None)
-        ):
-            raise ValueError(
-                f"{self.name} is a damaged Parquet file: {str(e).splitlines()[0].rstrip('.')}"
-            ) from None
+        # an OSError with a file name is of the system: no such file, no right to read it
+        if isinstance(e, (pa.ArrowException, OSError)) and not getattr(e, "filename", None):
+            why = str(e).splitlines()[0].rstrip(".")
+            raise ValueError(f"{self.name} is a damaged Parquet file: {why}") from None
 
 
-def opened(file: Path, name: str) -> Any:
-    """Return a pyarrow.parquet.ParquetFile that reads row group by row group; refuse what is no whole Parquet
-    file.
-    """
+def opened(file: Path, name: str) -> "pq.ParquetFile":
+    """Open a file to be read row group by row group; refuse one that is no whole Parquet file."""
     import pyarrow.parquet as pq
 
     with open(file, "rb") as f:
         begins = f.read(4) == b"PAR1"
         f.seek(max(file.stat().st_size - 4, 0))
         ends = f.read(4) == b"PAR1" and file.stat().st_size > 8
-    if not begins or not ends:
-        raise ValueError(
-            f"{name} is a truncated Parquet file: its end is missing"
-            if begins
-            else f"{name} is no Parquet file"
-        )
+    if not begins:
+        raise ValueError(f"{name} is no Parquet file")
+    if not ends:
+        raise ValueError(f"{name} is a truncated Parquet file: its end is missing")
     with Damage(name):  # not pre_buffer: pyarrow would hold whole row groups
         return pq.ParquetFile(file, buffer_size=1 << 20, pre_buffer=False, page_checksum_verification=True)
 
 
-def groups_of(f: Any, first: int, stop: int) -> tuple[list[int], int]:
-    """Return (the row groups of a ParquetFile that hold the rows first..stop, number of the first row in
-    them).
-    """
-    ends = list(accumulate((f.metadata.row_group(g).num_rows for g in range(f.num_row_groups)), initial=0))
-    groups = [g for g in range(f.num_row_groups) if ends[g] < stop and ends[g + 1] > first]
-    return groups, ends[groups[0]] if groups else 0
+def groups_of(f: "pq.ParquetFile", first: int, stop: int) -> tuple[list[int], int]:
+    """Return (the row groups that hold the rows first..stop, number of the first row in them)."""
+    groups: list[int] = []
+    begin = end = 0
+    for g in range(f.num_row_groups):
+        start, end = end, end + f.metadata.row_group(g).num_rows
+        if start < stop and end > first:
+            begin = begin if groups else start
+            groups.append(g)
+    return groups, begin
 
 
 def spans_of(file: Path, name: str, first: int, stop: int) -> list[tuple[int, int]]:
-    """Return spans of bytes, (first, behind the last): the row groups that hold the rows first..stop, and
-    what says where they are.
+    """Return spans of bytes, (first, behind the last): the row groups that hold the rows first..stop, and the
+    footer that says where they are.
     """
     with opened(file, name) as f:
         groups, _ = groups_of(f, first, stop)
@@ -125,29 +134,42 @@ def spans_of(file: Path, name: str, first: int, stop: int) -> list[tuple[int, in
         spans = [(max(end - f.metadata.serialized_size - 8, 0), end)]
         for g in groups:
             group = f.metadata.row_group(g)
-            chunks = [group.column(c) for c in range(group.num_columns)]
-            starts = [min(c.data_page_offset, c.dictionary_page_offset or c.data_page_offset) for c in chunks]
-            spans.append(
-                (min(starts), max(at + c.total_compressed_size for at, c in zip(starts, chunks, strict=True)))
-            )
+            begins, ends = [], []
+            for c in range(group.num_columns):
+                chunk = group.column(c)
+                begin = min(chunk.data_page_offset, chunk.dictionary_page_offset or chunk.data_page_offset)
+                begins.append(begin)
+                ends.append(begin + chunk.total_compressed_size)
+            spans.append((min(begins), max(ends)))
         return spans
 
 
-def dated_columns(file: Any) -> frozenset[str]:
+def dated_columns(file: "pq.ParquetFile") -> frozenset[str]:
     """Return the columns of an open file that hold time stamps: by their type, or texts by the first of
     them.
     """
     import pyarrow as pa
 
-    fields = {f.name: f.type for f in file.schema_arrow}
-    texts = [c for c, kind in fields.items() if pa.types.is_string(kind) or pa.types.is_large_string(kind)]
-    first = next(file.iter_batches(batch_size=1, columns=texts), None) if texts else None
-    row = first.to_pylist()[0] if first is not None and first.num_rows else {}
-    stamps = {c for c, kind in fields.items() if pa.types.is_timestamp(kind) or pa.types.is_date(kind)}
-    return frozenset(stamps | {c for c in texts if stamp_kind(row.get(c)) in STAMPS})
+    texts: list[str] = []
+    stamps: set[str] = set()
+    fields = {field.name: field.type for field in file.schema_arrow}
+    for column, kind in fields.items():
+        if pa.types.is_timestamp(kind) or pa.types.is_date(kind):
+            stamps.add(column)
+        if _is_text_type(kind):
+            texts.append(column)
+    if not texts:
+        return frozenset(stamps)
+    first = next(file.iter_batches(batch_size=1, columns=texts), None)
+    if first is not None and first.num_rows:
+        (row,) = first.to_pylist()
+        stamps |= {column for column in texts if stamp_kind(row[column]) in STAMPS}
+    return frozenset(stamps)
 
 
-def checked(schema: Any, model: Any, name: str, dated: Container[str] = ()) -> dict[str, Any]:
+def checked(
+    schema: "pa.Schema", model: SignalModel, name: str, dated: Container[str] = ()
+) -> dict[str, "pa.DataType"]:
     """Return {column: type} of the wanted columns of a file, the signals first; refuse types that are not
     numbers or time.
 
@@ -156,63 +178,68 @@ def checked(schema: Any, model: Any, name: str, dated: Container[str] = ()) -> d
     """
     import pyarrow as pa
 
-    kinds = pa.types
     plan = plan_of(schema.names, {f.name: f.type for f in schema}, model, dated)
-    time = plan.time
     for column in plan.numbers:
         kind = schema.field(column).type
-        if column == time and (kinds.is_temporal(kind) or kinds.is_string(kind)):
+        if column == plan.time and (pa.types.is_temporal(kind) or pa.types.is_string(kind)):
             continue
-        if kinds.is_float16(kind):
-            raise ValueError(
-                f"column {column!r} is in half precision: write it as float32 and state in `resolution` what "
-                f"was rounded away"
-            )
-        if not any(
-            is_kind(kind)
-            for is_kind in (
-                kinds.is_integer,
-                kinds.is_floating,
-                kinds.is_decimal,
-                kinds.is_boolean,
-                kinds.is_null,
-            )
-        ):
-            raise ValueError(f"column {column!r} holds {_kind(kind)}: numbers are needed")
-    found = {column: schema.field(column).type for column in plan.columns}
-    if time is not None:
-        kind = found[time] = schema.field(time).type
-        text = kinds.is_string(kind) or kinds.is_large_string(kind)
-        if not (
-            kinds.is_timestamp(kind)
-            or kinds.is_date(kind)
-            or kinds.is_integer(kind)
-            or kinds.is_floating(kind)
-            or text
-        ):
-            raise ValueError(
-                f"the time column {time!r} holds {_kind(kind)}: time stamps or numbers are needed"
-            )
-    return found
+        _refuse_no_numbers(column, kind)
+    types = {column: schema.field(column).type for column in plan.columns}
+    if plan.time is not None:
+        types[plan.time] = schema.field(plan.time).type
+        _refuse_no_times(plan.time, types[plan.time])
+    return types
 
 
-def plan_of(names: Sequence[str], types: Mapping[str, Any], model: Any, dated: Container[str] = ()) -> Wanted:
+def _refuse_no_numbers(column: str, kind: "pa.DataType") -> None:
+    """Raise ValueError if the type of a signal's column is none of numbers."""
+    from pyarrow import types
+
+    if types.is_float16(kind):
+        raise ValueError(
+            f"column {column!r} is in half precision: write it as float32 and state in `resolution` what "
+            f"was rounded away"
+        )
+    numeric = types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind)
+    if not numeric and not types.is_boolean(kind) and not types.is_null(kind):
+        raise ValueError(f"column {column!r} holds {_in_words(kind)}: numbers are needed")
+
+
+def _refuse_no_times(column: str, kind: "pa.DataType") -> None:
+    """Raise ValueError if the type of the time column is none of time stamps, texts or numbers."""
+    from pyarrow import types
+
+    stamps = types.is_timestamp(kind) or types.is_date(kind) or _is_text_type(kind)
+    if not stamps and not types.is_integer(kind) and not types.is_floating(kind):
+        what = _in_words(kind)
+        raise ValueError(f"the time column {column!r} holds {what}: time stamps or numbers are needed")
+
+
+def plan_of(
+    names: Sequence[str],
+    types: Mapping[str, "pa.DataType"],
+    model: SignalModel,
+    dated: Container[str] = (),
+) -> Wanted:
     """Return the Wanted of a file with these columns; the time may be an index without a name."""
     import pyarrow as pa
 
-    plan = wanted(names, model, lambda name: "stamp" if name != INDEX and name in dated else "")
-    return (
-        replace(plan, time=INDEX)
-        if plan.time is None and INDEX in types and pa.types.is_temporal(types[INDEX])
-        else plan
-    )
+    def kind_of_cells(name: str) -> str:
+        return "stamp" if name != INDEX and name in dated else ""
+
+    plan = wanted(names, model, kind_of_cells)
+    if plan.time is None and INDEX in types and pa.types.is_temporal(types[INDEX]):
+        return replace(plan, time=INDEX)
+    return plan
 
 
-def _kind(kind):
+def _is_text_type(kind: "pa.DataType") -> bool:
     import pyarrow as pa
 
-    return (
-        f"text ({kind})"
-        if pa.types.is_string(kind) or pa.types.is_large_string(kind)
-        else f"values of type {kind}"
-    )
+    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
+
+
+def _in_words(kind: "pa.DataType") -> str:
+    if _is_text_type(kind):
+        return f"text ({kind})"
+    return f"values of type {kind}"

@@ -6,9 +6,9 @@ spans it. What has been taken is remembered in a few numbers and lines, so that 
 behind it, whether the sender begins again or not.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -18,8 +18,12 @@ from jaxbound.recordings.csvtext import is_number
 from jaxbound.recordings.linetext import SOURCE, LineReader, WrongCells
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import TOLERATED_STEP, check_period, tick
+from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stream import Complain, Stream
-from jaxbound.recordings.timestamps import EPOCHS, parse_stamps, since_epoch, time_label
+from jaxbound.recordings.timestamps import from_epoch, parse_stamps, scale_of, since_epoch, time_label
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 __all__ = ["PipeText"]
 
@@ -30,7 +34,7 @@ Line = tuple[int, bytes]
 """A line with its number."""
 
 
-class _Samples(NamedTuple):
+class _LineSamples(NamedTuple):
     """The samples of some lines, before they are a Recording.
 
     Fields: time (N,) in s; written, the time as it stands there, numbers or a pyarrow array of texts; u, y;
@@ -43,6 +47,27 @@ class _Samples(NamedTuple):
     y: np.ndarray
     starts: np.ndarray
     excluded: np.ndarray | None
+
+    def behind(self, first: int) -> "_LineSamples":
+        """Return the samples from number `first` on."""
+        excluded = self.excluded
+        if excluded is not None:
+            excluded = excluded[first:]
+        time, written, u, y = self.time[first:], self.written[first:], self.u[first:], self.y[first:]
+        return _LineSamples(time, written, u, y, self.starts, excluded)
+
+
+class _LineTimes(NamedTuple):
+    """The times of some rows.
+
+    Fields: time (N,) in s; stamps: as datetime64, or None; written: as they stand there; before: time of the
+    sample before them, in seconds of the same count.
+    """
+
+    time: np.ndarray
+    stamps: np.ndarray | None
+    written: Any
+    before: float
 
 
 class PipeText(Stream):
@@ -60,17 +85,21 @@ class PipeText(Stream):
     raw = 0
 
     def __init__(
-        self, model: Any, complain: Complain, memory: dict[str, Any] | None = None, whole: bool = True
+        self,
+        model: SignalModel,
+        complain: Complain,
+        memory: dict[str, Any] | None = None,
+        whole: bool = True,
     ) -> None:
         super().__init__(model, complain)
         self.whole = whole
         self.tail = self.last = self.rest = b""  # half a line; the last row; half a line of a process before
-        self.reader: Any = None  # a LineReader, as soon as there is a row of data
+        self.reader: LineReader | None = None  # as soon as there is a row of data
         self.begun: list[Line] = []  # lines before that
         self.number = 0  # lines so far
         self.resumed = 0  # those before this process, as long as it is not clear how the stream goes on
         self.texts: list[str] = []  # the first and the last time, where it is written as text
-        self.origin: Any = None  # a float, of a time that is an epoch, with units a second in .scale
+        self.origin: float | None = None  # of a time that is an epoch, with units a second in .scale
         self.scale: float | None = None
         self.broken = self.aside = self.repeated = False
         self.skip = self.skipped = 0  # lines that were judged before, to be left out and left out already
@@ -81,7 +110,7 @@ class PipeText(Stream):
         if memory is not None:
             self._resume_from(memory)
 
-    def _resume_from(self, memory):
+    def _resume_from(self, memory: dict[str, Any]) -> None:
         """Go on from a memory."""
         self.reader = LineReader([line.encode("latin-1") for line in memory["head"]], self.model)
         self.rest, self.last = (memory[name].encode("latin-1") for name in ("tail", "last"))
@@ -98,7 +127,9 @@ class PipeText(Stream):
         return self.skip > 0
 
     def memory(self) -> dict[str, Any] | None:
-        """Return what another PipeText needs to go on, as JSON holds it; None before the first sample."""
+        """Return the state from which another PipeText goes on, as JSON holds it; None before the first
+        sample.
+        """
         if self.reader is None:
             return None
         return {
@@ -130,7 +161,7 @@ class PipeText(Stream):
             self._lose("the last line has no end: it is not judged")
         self.refuse_empty()
 
-    def _numbered(self, piece):
+    def _numbered(self, piece: Recording | None) -> tuple[int, Recording]:
         if piece is None:
             return self.nothing()
         return self.clock.samples - piece.samples, piece
@@ -152,15 +183,15 @@ class PipeText(Stream):
         pieces = [piece for piece in self._pieces(rows) if len(piece.time)]
         if not pieces:
             return None
-        samples = pieces[0] if len(pieces) == 1 else _concatenated(pieces)
+        samples = pieces[0] if len(pieces) == 1 else _in_one(pieces)
         self._refuse_period(samples.time, end)
         return self._recording(samples)
 
     def when(self, piece: Recording, k: int) -> str | float:
         """Return the time of a sample: its text, or seconds."""
-        if self.reader.is_text:
-            text: str = piece.column[k].as_py().strip()
-            return text
+        written = piece.column[k].as_py()
+        if isinstance(written, str):
+            return written.strip()
         return float(piece.time[k])
 
     def label(self, when: str | float) -> str:
@@ -168,29 +199,29 @@ class PipeText(Stream):
         if isinstance(when, str):
             return when
         if self.scale is None or self.origin is None:
-            return time_label(when, None, self.model.dt)
+            return time_label(when, None, self.dt)
         nanoseconds = round((self.origin + when * self.scale) * (1e9 / self.scale))
-        return time_label(when, np.datetime64(nanoseconds, "ns"), self.model.dt)
+        return time_label(when, np.datetime64(nanoseconds, "ns"), self.dt)
 
     def refuse_empty(self) -> None:
         """Raise ValueError at the end of a stream without samples, or with another period than dt."""
         if self.shown:
-            check_period(np.array(self.shown), self.model.dt)
+            check_period(np.array(self.shown), self.dt)
         if self.reader is None:
             if self.begun:
                 raise ValueError(f"{SOURCE} ended before the first row of data")
             raise ValueError(f"{SOURCE} is empty")
 
-    def _refuse_period(self, time, end):
+    def _refuse_period(self, time: np.ndarray, end: bool) -> None:
         """Refuse another sampling period than the model's, once enough samples show theirs."""
         if self.shown is None:
             return
         self.shown.extend(time[: SHOWN - len(self.shown)].tolist())
         if len(self.shown) == SHOWN or end:
-            check_period(np.array(self.shown), self.model.dt)
+            check_period(np.array(self.shown), self.dt)
             self.shown = None
 
-    def _recording(self, samples):
+    def _recording(self, samples: _LineSamples) -> Recording:
         """Return the Recording of samples."""
         written = samples.written
         if isinstance(written, np.ndarray):
@@ -203,36 +234,46 @@ class PipeText(Stream):
             self.model.outputs,
             samples.excluded,
             time=samples.time,
-            dt=self.model.dt,
+            dt=self.dt,
             written=written,
             source=SOURCE,
         )
 
-    def _lose(self, sentence):
+    def _lose(self, sentence: str) -> None:
         """Say that a line is left out."""
         self.lost += 1
         self.complain("line", sentence)
 
-    def _lines(self, data, end):
-        """Return the complete lines, with their numbers; what is behind them waits for more bytes."""
+    def _lines(self, data: bytes, end: bool) -> list[Line]:
+        """Return the complete lines, with their numbers; the bytes behind them wait for more."""
         data = self.tail + self._continued(data, end)
-        cut = len(data) if end else max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
+        cut = len(data)
+        if not end:
+            cut = max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
         lines, tail = split_lines(data[:cut]), data[cut:]
         if len(tail) > LONGEST:
             raise ValueError(f"{SOURCE}: a megabyte without a line end is no CSV")
+        numbered = list(enumerate(lines, self.number + 1))
         if self.rest and lines:
-            lines[0] = self._joined(lines[0])
+            whole = self._joined(lines[0])
+            if whole is None:
+                del numbered[0]
+            else:
+                numbered[0] = self.number + 1, whole
         self.tail = tail
-        first, self.number = self.number + 1, self.number + len(lines)
-        return [(n, line) for n, line in enumerate(lines, first) if line is not None]
+        self.number += len(lines)
+        return numbered
 
-    def _rows(self, lines):
+    def _rows(self, lines: list[Line]) -> list[Line]:
         """Return the lines that are rows of data and new."""
-        if lines and self.reader is None:
+        if self.reader is None:
             lines = self._begin(lines)
-        rows = self.blank + [(n, line) for n, line in lines if self.reader.is_row(line)]
+        if self.reader is None:
+            return []
+        reader = self.reader
+        rows = self.blank + [(n, line) for n, line in lines if reader.is_row(line)]
         self.blank = []
-        while rows and self.reader.layout.is_blank(rows[-1][1]):
+        while rows and reader.layout.is_blank(rows[-1][1]):
             self.blank.insert(0, rows.pop())
         if rows and self.resumed:
             rows = self._resume(rows)
@@ -240,7 +281,7 @@ class PipeText(Stream):
             rows = self._replayed(rows)
         return rows
 
-    def _continued(self, data, end):
+    def _continued(self, data: bytes, end: bool) -> bytes:
         r"""Return bytes behind those before, without those that belong to the end of the last line.
 
         That end may be \r, \r\n or \r\r\n. A line is taken as soon as \r ends it; other \r behind it wait for
@@ -256,13 +297,15 @@ class PipeText(Stream):
             else:
                 self.returns = len(data)
                 return b""
-        complete = data if end else data.rstrip(b"\r")
+        complete = data
+        if not end:
+            complete = data.rstrip(b"\r")
         self.returns = len(data) - len(complete)
         if self.returns:
             return complete + b"\r"
         return complete
 
-    def _begin(self, lines):
+    def _begin(self, lines: list[Line]) -> list[Line]:
         """Find out how the stream is written, once there is a row of data; return the lines from there on."""
         self.begun += lines
         while self.begun and not self.begun[0][1].removeprefix(BOM).strip():
@@ -277,24 +320,26 @@ class PipeText(Stream):
                 continue
             head = [text for _, text in (*self.begun[: header + 1], self.begun[at])]
             try:
-                self.reader = LineReader(head, self.model)
+                reader = LineReader(head, self.model)
             except WrongCells as e:
                 self._lose(f"line {number} {e}")
                 del self.begun[at]
                 continue
+            self.reader = reader
             rows, self.begun = self.begun[header + 1 :], []
-            return [row for row in rows if row[0] >= number or not self.reader.layout.is_blank(row[1])]
+            return [row for row in rows if row[0] >= number or not reader.layout.is_blank(row[1])]
         return []
 
-    def _joined(self, line):
+    def _joined(self, line: bytes) -> bytes | None:
         """Return the first line of a stream that goes on behind half a line: that line, or the whole one.
 
         None where one cannot tell.
         """
+        reader = self._known_reader
         both, self.rest = (line, self.rest + line), b""
-        if line.removeprefix(BOM).strip() in [head.strip() for head in self.reader.head]:
+        if line.removeprefix(BOM).strip() in [head.strip() for head in reader.head]:
             return line
-        fitting = [text for text in both if self.reader.fits(text)]
+        fitting = [text for text in both if reader.fits(text)]
         if len(fitting) == 2:
             fitting = [text for text in fitting if self._is_next(text)]
         if len(fitting) == 1:
@@ -303,30 +348,38 @@ class PipeText(Stream):
         self._lose("line 1 may be the rest of one that was begun before")
         return None
 
-    def _is_next(self, line):
+    @property
+    def _known_reader(self) -> LineReader:
+        """The reader, where there has been a row of data."""
+        assert self.reader is not None, "there was a row of data"
+        return self.reader
+
+    def _is_next(self, line: bytes) -> bool:
         """Return whether a line of data is of the sample dt after the last one."""
-        if self.reader.plan.time is None or not self.clock.samples:
+        reader = self._known_reader
+        if reader.plan.time is None or not self.clock.samples:
             return False
         try:
-            step = self._step_to(self.reader.stamp(line))
+            step = self._step_to(reader.stamp(line))
         except ValueError:
             return False
-        return abs(step - self.model.dt) <= TOLERATED_STEP * self.model.dt
+        return abs(step - self.dt) <= TOLERATED_STEP * self.dt
 
-    def _step_to(self, cell):
+    def _step_to(self, cell: str) -> float:
         """Return the seconds from the last sample to one whose time is written so."""
         import pyarrow as pa
 
-        if self.reader.is_text:
-            return np.diff(parse_stamps(pa.array([*self.texts, cell]), self.model.dt, str)[0])[-1]
+        if self._known_reader.is_text:
+            time, _, _ = parse_stamps(pa.array([*self.texts, cell]), self.dt, str)
+            return float(time[-1] - time[-2])
         value = float(since_epoch(np.array([float(cell.replace(",", "."))]))[0])
-        if self.scale is not None:
+        if self.scale is not None and self.origin is not None:
             value = (value - self.origin) / self.scale
         return value - self.clock.last
 
-    def _resume(self, rows):
+    def _resume(self, rows: list[Line]) -> list[Line]:
         """Find out how the stream goes on: return the lines that are new, as far as that is clear."""
-        plan, head = self.reader.plan, [_bare(line) for line in self.reader.head]
+        plan, head = self._known_reader.plan, [_bare(line) for line in self._known_reader.head]
         while rows and _bare(rows[0][1]) in head[:-1]:
             rows, self.repeated = rows[1:], True
         if not rows:
@@ -341,20 +394,21 @@ class PipeText(Stream):
         self.resumed = 0
         return rows
 
-    def _refuse_other_header(self, line):
+    def _refuse_other_header(self, line: bytes) -> None:
         """Refuse a line that is a header with other columns than before."""
-        cells = [cell.strip() for cell in self.reader.cells(line)]
-        if self.repeated or any(is_number(cell, self.reader.layout.decimal) for cell in cells):
+        reader = self._known_reader
+        cells = [cell.strip() for cell in reader.cells(line)]
+        if self.repeated or any(is_number(cell, reader.layout.decimal) for cell in cells):
             return
-        if set(cells) & set(self.reader.plan.columns):
+        if set(cells) & set(reader.plan.columns):
             raise ValueError(
                 f"{SOURCE} begins with another header than before, {', '.join(cells)}: choose another --out "
                 f"or --state"
             )
 
-    def _continued_rows(self, rows):
+    def _continued_rows(self, rows: list[Line]) -> list[Line]:
         """Return rows of a sender that goes on, numbered behind those before."""
-        if self.reader.plan.time is None:
+        if self._known_reader.plan.time is None:
             self.broken = True
             self.complain("replay", "no time says whether lines were lost between: windows begin anew")
         elif self.clock.samples:
@@ -363,7 +417,7 @@ class PipeText(Stream):
         self.number += behind
         return [(n + behind, line) for n, line in rows]
 
-    def _replayed(self, rows):
+    def _replayed(self, rows: list[Line]) -> list[Line]:
         """Return the lines behind those that an earlier process took."""
         old = [row for row in rows if row[0] <= self.skip]
         if old and old[-1][0] == self.skip or self.number >= self.skip:
@@ -376,7 +430,7 @@ class PipeText(Stream):
             self.skip = 0
         return rows[len(old) :]
 
-    def _pieces(self, rows):
+    def _pieces(self, rows: list[Line]) -> Iterator[_LineSamples]:
         """Yield the samples of lines, which are halved until the one that cannot be read is alone."""
         try:
             yield self._samples(rows)
@@ -388,35 +442,41 @@ class PipeText(Stream):
                 return
             number, line = rows[0]
             self.broken = True
-            self._lose(f"line {number} {self.reader.trouble(line) or str(e).strip()}")
+            trouble = self._known_reader.trouble(line) or str(e).strip()
+            self._lose(f"line {number} {trouble}")
 
-    def _samples(self, rows):
+    def _samples(self, rows: list[Line]) -> _LineSamples:
         """Return the samples of lines that can all be read."""
-        count, plan = len(rows), self.reader.plan
-        columns, texts = self.reader.columns([line for _, line in rows])
-        cells = columns.get(plan.time) if texts is None else texts
-        time, stamps, written, before = self._times(cells, count)
-        columns.setdefault(plan.time, time if stamps is None else stamps)
+        count, plan = len(rows), self._known_reader.plan
+        columns, texts = self._known_reader.columns([line for _, line in rows])
+        if texts is not None:
+            times = self._text_times(texts)
+        elif plan.time is not None:
+            times = self._number_times(columns[plan.time])
+        else:
+            times = self._counted_times(count)
+        if plan.time is not None:
+            columns.setdefault(plan.time, times.time if times.stamps is None else times.stamps)
         u, y, excluded = plan.samples(columns, count)
-        samples = _Samples(time, written, u, y, np.zeros(0, np.int64), excluded)
+        samples = _LineSamples(times.time, times.written, u, y, np.zeros(0, np.int64), excluded)
         if self.after is not None:
-            samples, rows = self._behind(samples, rows, before)
+            samples, rows = self._behind(samples, rows, times.before)
             if not rows:
                 return samples
-        return self._seamed(samples, rows, before)
+        return self._seamed(samples, rows, times.before)
 
-    def _behind(self, samples, rows, before):
+    def _behind(
+        self, samples: _LineSamples, rows: list[Line], before: float
+    ) -> tuple[_LineSamples, list[Line]]:
         """Return samples and rows behind the last one that was judged; the sender may have begun anywhere."""
-        count = len(rows)
-        fresh = np.flatnonzero(samples.time > before)
-        first = int(fresh[0]) if len(fresh) else count
+        fresh = samples.time > before
+        first = len(rows)
+        if fresh.any():
+            first = int(np.argmax(fresh))
         self.skipped += first
         self.number -= first
-        time, written, u, y, starts, excluded = samples
-        if excluded is not None:
-            excluded = excluded[first:]
-        cut = _Samples(time[first:], written[first:], u[first:], y[first:], starts, excluded)
-        if first == count:
+        cut = samples.behind(first)
+        if first == len(rows):
             return cut, []
         self.after = None
         if self.skipped:
@@ -428,29 +488,30 @@ class PipeText(Stream):
             )
         return cut, rows[first:]
 
-    def _last_label(self, before):
+    def _last_label(self, before: float) -> str:
         """Return the time of the last sample as a reader would write it."""
-        return self.label(self.texts[-1].strip() if self.reader.is_text else before)
+        if self._known_reader.is_text:
+            return self.label(self.texts[-1].strip())
+        return self.label(before)
 
-    def _seamed(self, samples, rows, before):
+    def _seamed(self, samples: _LineSamples, rows: list[Line], before: float) -> _LineSamples:
         """Return samples that are taken, with their seams."""
-        dt, known, time = self.model.dt, self.clock.samples, samples.time
-        if len(time) == 1 and known and abs(time[0] - before - dt) <= TOLERATED_STEP * dt:  # soon said
+        known, time = self.clock.samples, samples.time
+        # one sample that is on time, as most are: sooner said than by `tick`
+        if len(time) == 1 and known and abs(time[0] - before - self.dt) <= TOLERATED_STEP * self.dt:
             self.clock = replace(self.clock, samples=known + 1, last=float(time[0]))
             starts = np.zeros(0, np.int64)
         else:
             self.clock, seams = tick(replace(self.clock, last=before), time)
             starts = seams - known
-        if self.reader.is_text:
-            first = self.texts[0] if self.texts else samples.written[0].as_py()
-            self.texts = [first, samples.written[-1].as_py()]
+        if self._known_reader.is_text:
+            if not self.texts:
+                self.texts = [samples.written[0].as_py()]
+            self.texts = [self.texts[0], samples.written[-1].as_py()]
+        steps = np.diff(time, prepend=before)
         for k in starts[:TOLD]:
-            step = time[k] - (time[k - 1] if k else before)
-            self.complain(
-                "seam",
-                f"line {rows[k][0]} comes {step:.6g} s after the sample before it, not dt = {dt:g} s: "
-                "windows across are MISSING",
-            )
+            late = f"comes {steps[k]:.6g} s after the sample before it, not dt = {self.dt:g} s"
+            self.complain("seam", f"line {rows[k][0]} {late}: windows across are MISSING")
         if self.broken:
             starts, self.broken = np.union1d(starts, [0]), False
         excluded = samples.excluded
@@ -459,64 +520,64 @@ class PipeText(Stream):
             starts, self.aside = np.union1d(starts, edges), bool(excluded[-1])
         return samples._replace(starts=starts)
 
-    def _times(self, cells, count):
-        """Return the times of rows.
+    def _counted_times(self, count: int) -> _LineTimes:
+        """Return the times of rows that tell none: they are dt apart."""
+        time = (self.clock.samples + np.arange(count)) * self.dt
+        return _LineTimes(time, None, time, (self.clock.samples - 1) * self.dt)
 
-        Returns:
-            (time (N,) in s; as datetime64 or None; as written; time of the sample before as seconds of the
-            same count).
-        """
-        if cells is None:
-            time = (self.clock.samples + np.arange(count)) * self.model.dt
-            return time, None, time, (self.clock.samples - 1) * self.model.dt
-        if self.reader.is_text:
-            return self._text_times(cells)
+    def _number_times(self, cells: np.ndarray) -> _LineTimes:
+        """Return times that are written as numbers: seconds, or an epoch."""
         if np.isnan(cells).any():
             raise ValueError("has no time")
         values = since_epoch(cells)
         if self.origin is None:
             self.origin = float(values[0])
-            self.scale = next((scale for scale in EPOCHS if 1e9 * scale <= self.origin < 5e9 * scale), None)
+            self.scale = scale_of(self.origin)
         if self.scale is None:
-            return values, None, cells, self.clock.last
-        stamps = np.round(values * (1e9 / self.scale)).astype("int64").astype("datetime64[ns]")
-        return (values - self.origin) / self.scale, stamps, cells, self.clock.last
+            return _LineTimes(values, None, cells, self.clock.last)
+        time = (values - self.origin) / self.scale
+        return _LineTimes(time, from_epoch(values, self.scale), cells, self.clock.last)
 
-    def _text_times(self, cells):
-        """Return the same of times that are written as text; they are read behind the first and the last."""
+    def _text_times(self, cells: "pa.Array") -> _LineTimes:
+        """Return times that are written as text; they are read behind the first and the last, by which the
+        order of day and month stays what it was.
+        """
         import pyarrow as pa
 
         before = self.texts
         if cells.null_count:
             raise ValueError("has no time")
         every = pa.concat_arrays([pa.array(before, pa.string()), cells])
-        time, stamps, hint = parse_stamps(every, self.model.dt, lambda k: "")
-        if hint and not before:
-            self.complain("hint", hint)
+        time, stamps, hint = parse_stamps(every, self.dt, lambda k: "")
+        if not before:
+            if hint:
+                self.complain("hint", hint)
+            return _LineTimes(time, stamps, cells, np.nan)
         if stamps is not None:
             stamps = stamps[len(before) :]
-        last = time[1] if before else np.nan
-        return time[len(before) :], stamps, cells, last
+        return _LineTimes(time[len(before) :], stamps, cells, time[1])
 
 
-def _bare(line):
+def _bare(line: bytes) -> bytes:
     """Return a line as headers are compared."""
     return line.removeprefix(BOM).strip()
 
 
-def _concatenated(pieces):
+def _in_one(pieces: list[_LineSamples]) -> _LineSamples:
     """Return samples of lines that follow each other as one."""
     import pyarrow as pa
 
-    firsts = np.cumsum([0, *(len(piece.time) for piece in pieces)])
-    starts = [piece.starts + first for piece, first in zip(pieces, firsts, strict=False)]
-    time, written, u, y, _, excluded = zip(*pieces, strict=True)
-    texts = isinstance(written[0], pa.Array)
-    return _Samples(
-        np.concatenate(time),
-        pa.concat_arrays(written) if texts else np.concatenate(written),
-        np.concatenate(u),
-        np.concatenate(y),
-        np.concatenate(starts),
-        None if excluded[0] is None else np.concatenate(excluded),
-    )
+    starts: list[np.ndarray] = []
+    first = 0
+    for piece in pieces:
+        starts.append(piece.starts + first)
+        first += len(piece.time)
+    times, writtens, inputs, outputs, _, sets_aside = zip(*pieces, strict=True)
+    join: Callable[[Any], Any] = np.concatenate
+    if isinstance(writtens[0], pa.Array):
+        join = pa.concat_arrays
+    excluded = None
+    if sets_aside[0] is not None:
+        excluded = np.concatenate(sets_aside)
+    signals = np.concatenate(inputs), np.concatenate(outputs)
+    return _LineSamples(np.concatenate(times), join(writtens), *signals, np.concatenate(starts), excluded)

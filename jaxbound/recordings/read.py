@@ -1,12 +1,11 @@
-"""Recordings from files: one door for whatever a path leads to."""
+"""Recordings from files: one door for all kinds of paths."""
 
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 from jaxbound.recordings.arraysource import Arrays
 from jaxbound.recordings.csvfiles import CsvFile
@@ -14,13 +13,16 @@ from jaxbound.recordings.live import LiveSource
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import TOLERATED_DT
-from jaxbound.recordings.signals import Signals, signals_of
-from jaxbound.recordings.source import KINDS, Source
+from jaxbound.recordings.signals import Named, Signals, signals_of
+from jaxbound.recordings.source import KINDS, Progress, Source
 
 __all__ = ["kind_of", "open_source", "read", "read_signals"]
 
+Signal = str | tuple[str, str]
+"""A name, or (name, column)."""
 
-def read(path: Any, model: Any, progress: Callable[..., object] | None = None) -> Recording:
+
+def read(path: object, model: Named, progress: Callable[..., object] | None = None) -> Recording:
     r"""Read the signals of a model from a CSV file, a Parquet file or a folder of Parquet files, which follow
     each other by name.
 
@@ -60,9 +62,8 @@ def read(path: Any, model: Any, progress: Callable[..., object] | None = None) -
     return open_source(path, model).read(progress=progress)
 
 
-def open_source(data: Any, model: Any) -> Source:
-    """Return the Source of what a user holds: a path, arrays, tables. See `read` for the paths, and for what
-    is raised.
+def open_source(data: object, model: Named) -> Source:
+    """Return the Source of a path, of arrays or tables. See `read` for the paths, and for errors.
 
     Args:
         data: a path; or what `Recording.of` takes: a table or a Recording of both, or a tuple (u, y) or (u,
@@ -74,8 +75,8 @@ def open_source(data: Any, model: Any) -> Source:
 
 def kind_of(data: object) -> type[Source]:
     """Return the kind of source that takes the data: the one that was registered last, else one of ours."""
-    path = isinstance(data, str | PathLike) and not LiveSource.takes(data)
-    if path and str(data) != "-" and not Path(str(data)).exists():
+    is_path = isinstance(data, str | PathLike) and not LiveSource.takes(data)
+    if is_path and str(data) != "-" and not Path(str(data)).exists():
         raise FileNotFoundError(f"there is no data file {data}")
     return next(kind for kind in (*reversed(KINDS), *BUILT_IN) if kind.takes(data))
 
@@ -95,8 +96,8 @@ class ReadOnce(Source):
         """Return None: what was read is gone."""
         return None
 
-    def whole(self, progress: Callable[..., object] | None = None) -> Recording:
-        """Return the Recording of what is in it, of whatever kind."""
+    def whole(self, progress: Progress | None = None) -> Recording:
+        """Return the Recording of the bytes in it, of whatever kind."""
         if str(self.data) == "-":
             raise ValueError(
                 "standard input is read by `jaxbound detect MODEL.toml -`: give the name of a file here"
@@ -116,12 +117,12 @@ BUILT_IN: tuple[type[Source], ...] = (LiveSource, Arrays, ParquetSource, ReadOnc
 
 
 def read_signals(
-    paths: Any,
-    inputs: Sequence,
-    outputs: Sequence,
+    paths: Iterable[object] | str | PathLike[str],
+    inputs: Sequence[Signal],
+    outputs: Sequence[Signal],
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
-    progress: Callable[..., object] | None = None,
+    progress: Progress | None = None,
 ) -> list[Recording]:
     """Read recordings before there is a model, to fit one.
 
@@ -139,36 +140,53 @@ def read_signals(
     Raises:
         OSError, ValueError: as `read`; recordings of different dt; no sample for which `where` holds.
     """
-    paths = [paths] if isinstance(paths, (str, Path)) else list(paths)
+    paths = [paths] if isinstance(paths, str | PathLike) else list(paths)
     if not paths:
         raise ValueError("there is no recording: give at least one")
-    named = [[s if isinstance(s, str) else s[0] for s in side] for side in (inputs, outputs)]
-    if not named[1]:
+    if not outputs:
         raise ValueError("there is no output: give at least one")
-    columns = dict(columns or {}) | {s[0]: s[1] for s in (*inputs, *outputs) if not isinstance(s, str)}
-    model = Signals(tuple(named[0]), tuple(named[1]), columns, dt)
-    found = []
+    columns = dict(columns or {})
+    columns |= {signal[0]: signal[1] for signal in (*inputs, *outputs) if not isinstance(signal, str)}
+    model = Signals(tuple(map(_name_of, inputs)), tuple(map(_name_of, outputs)), columns, dt)
+    recordings: list[Recording] = []
     for i, path in enumerate(paths):
-        report = None if progress is None else lambda share, i=i: progress((i + share) / len(paths))
-        r = read(path, model, report)
+        r = read(path, model, _share_of(progress, i, len(paths)))
         if r.excluded is not None and r.excluded.all():
             raise ValueError(
-                f"{path}: the condition {columns['where']!r} holds for none of its {len(r.time)} samples"
+                f"{path}: the condition {columns['where']!r} holds for none of its {r.samples} samples"
             )
-        found.append(r)
-    low, high = min(found, key=lambda r: r.dt), max(found, key=lambda r: r.dt)
-    if high.dt - low.dt > TOLERATED_DT * low.dt:
-        slow, quick = (paths[found.index(r)] for r in (high, low))
-        fold = high.dt / low.dt
-        thin = (
-            f"keep one of every {round(fold)} rows of {quick}"
-            if abs(fold - round(fold)) < TOLERATED_DT
-            else "bring them to one period"
-        )
-        raise ValueError(
-            f"{slow} has a sample every {high.dt:g} s, {quick} every {low.dt:g} s, and a model has one "
-            f"sampling period: "
-            f"fit a model to each, or {thin} first"
-        )
-    said = [] if dt is not None else [f"dt = {found[0].dt:g} s, the median step of the time"]
-    return [replace(r, dt=found[0].dt, hints=(*said, *r.hints)) for r in found]
+        recordings.append(r)
+    _refuse_other_periods(paths, recordings)
+    period = recordings[0].dt
+    hints: tuple[str, ...] = ()
+    if dt is None:
+        hints = (f"dt = {period:g} s, the median step of the time",)
+    return [replace(r, dt=period, hints=(*hints, *r.hints)) for r in recordings]
+
+
+def _name_of(signal: Signal) -> str:
+    if isinstance(signal, str):
+        return signal
+    return signal[0]
+
+
+def _share_of(progress: Progress | None, i: int, count: int) -> Progress | None:
+    """Return the progress of recording i of so many as a function of its own share."""
+    if progress is None:
+        return None
+    return lambda share: progress((i + share) / count)
+
+
+def _refuse_other_periods(paths: Sequence[object], recordings: Sequence[Recording]) -> None:
+    """Raise ValueError if recordings of one model have several sampling periods."""
+    periods = [r.dt for r in recordings]
+    low, high = min(periods), max(periods)
+    if high - low <= TOLERATED_DT * low:
+        return
+    slow, quick = paths[periods.index(high)], paths[periods.index(low)]
+    fold = high / low
+    thin = "bring them to one period"
+    if abs(fold - round(fold)) < TOLERATED_DT:
+        thin = f"keep one of every {round(fold)} rows of {quick}"
+    several = f"{slow} has a sample every {high:g} s, {quick} every {low:g} s"
+    raise ValueError(f"{several}, and a model has one sampling period: fit a model to each, or {thin} first")

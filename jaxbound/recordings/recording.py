@@ -1,5 +1,5 @@
-"""A recording is a value: u, y, where samples do not follow each other, which do not count. Every verb builds
-one first, by one door.
+"""Recordings as values: u, y, the seams between samples, the samples that do not count. Every verb builds one
+first, by one door.
 
 Tables in (`table`), checked arrays out. What a table says beyond its numbers is found here, so that no verb
 can forget it: the names of its columns, gaps in the time of its rows, samples that the model's `where` leaves
@@ -205,7 +205,7 @@ class Recording:
         inputs, outputs = tuple(model.inputs), tuple(model.outputs)
         if names and (given.inputs, given.outputs) != (inputs, outputs):
             signals = [x[..., i] for x in (u, y) for i in range(x.shape[-1])]
-            u, y = _stacked(inputs, names, signals, u), _stacked(outputs, names, signals, y)
+            u, y = _stack_of(inputs, names, signals, u), _stack_of(outputs, names, signals, y)
         seams = _union(own_starts, all_starts(starts, np.shape(y)[-2]))
         stated = getattr(model, "dt", None)
         if dt and stated:
@@ -245,7 +245,10 @@ class Recording:
     @property
     def axis(self) -> np.ndarray | None:
         """The time for a plot: dates where there are, else seconds."""
-        return self.time if self.stamps is None else self.stamps
+        if self.stamps is not None:
+            return self.stamps
+        time: np.ndarray | None = self.time
+        return time
 
     def label(self, k: int) -> str:
         """Return the time of sample k as its owner would write it."""
@@ -259,7 +262,9 @@ class Recording:
         if self.stamps is not None:
             return time_label(self.time[k], self.stamps[k], 1.0)
         steps = np.abs(np.diff(self.time[:1000]))  # gaps and a clock that goes back are exceptions
-        usual = float(np.median(steps)) if len(steps) else 0.0
+        usual = 0.0
+        if len(steps):
+            usual = float(np.median(steps))
         return time_label(self.time[k], None, usual or 1.0)
 
     def cut(self, first: int, stop: int) -> "Recording":
@@ -293,8 +298,10 @@ class Recording:
 
             parts["written"] = pa.concat_arrays([self.written, other.written])
         for name in ("excluded", "index", "time", "stamps"):
-            both = getattr(self, name), getattr(other, name)
-            parts[name] = None if any(x is None for x in both) else np.concatenate(both)
+            one, behind = getattr(self, name), getattr(other, name)
+            parts[name] = None
+            if one is not None and behind is not None:
+                parts[name] = np.concatenate([one, behind])
         u, y = np.concatenate([self.u, other.u], -2), np.concatenate([self.y, other.y], -2)
         return replace(self, u=u, y=y, **parts)
 
@@ -315,7 +322,7 @@ class Recording:
         return self
 
 
-def _stacked(
+def _stack_of(
     wanted: Sequence[str], names: Sequence[str], signals: Sequence[np.ndarray], like: np.ndarray
 ) -> np.ndarray:
     """Return the wanted ones of signals (..., T) with these names as an array (..., T, n)."""

@@ -31,6 +31,27 @@ DISORDER = 0.1  # share of steps back in time from which on the rows are out of 
 TOLERATED_STEP = 0.20  # one step against the model's dt: logger jitter is far below, a missing row far above
 REPEATED = ": more than half of the rows repeat the time of the row before"
 KINDS = ("gap", "early", "repeated", "backward")
+JUMPS = ("gap", "backward")
+"""Kinds of which one is longer than another."""
+SENTENCES = {
+    "gap": (
+        "the recording has a gap of {size} before {at}",
+        "the recording has {n} gaps, the longest, {size}, before {at}",
+    ),
+    "early": (
+        "{at} comes only {size} after the row before it",
+        "{n} rows come too soon, the first, {at}, after {size}",
+    ),
+    "repeated": (
+        "{at} repeats the time of the row before it",
+        "{n} rows repeat the time of the row before, the first is {at}",
+    ),
+    "backward": (
+        "the clock goes back by {size} before {at}",
+        "the clock goes back {n} times, the farthest, {size}, before {at}",
+    ),
+}
+"""{kind: (of one seam, of several)}."""
 UNITS = {1e3: "ms", 1e6: "us", 1e9: "ns"}
 
 
@@ -83,32 +104,41 @@ def tick(clock: Clock, time: ArrayLike) -> tuple[Clock, np.ndarray]:
     time = np.asarray(time, np.float64)
     if not len(time):
         return clock, np.zeros(0, np.int64)
-    follows = clock.samples > 0
-    steps = np.diff(time, prepend=clock.last) if follows else np.diff(time)
+    steps, first = np.diff(time), clock.samples + 1
+    if clock.samples:  # the first one follows a sample before
+        steps, first = np.diff(time, prepend=clock.last), clock.samples
     odd = np.flatnonzero(~(np.abs(steps - clock.dt) <= TOLERATED_STEP * clock.dt))
-    starts = odd + clock.samples + (not follows)
-    found = {seam.kind: seam for seam in clock.seams}
-    step = steps[odd]
-    early = (step > 0) & (step < clock.dt)
-    for kind, which in (
-        ("gap", step > clock.dt),
-        ("early", early),
-        ("repeated", step == 0),
-        ("backward", step < 0),
-    ):
+    starts, step = odd + first, steps[odd]
+    seams = {seam.kind: seam for seam in clock.seams}
+    kinds = {
+        "gap": step > clock.dt,
+        "early": (step > 0) & (step < clock.dt),
+        "repeated": step == 0,
+        "backward": step < 0,
+    }
+    for kind, which in kinds.items():
         if which.any():
-            extreme = (
-                np.argmax(np.abs(np.where(which, step, 0)))
-                if kind in ("gap", "backward")
-                else np.argmax(which)
-            )
-            fresh = Seam(kind, int(which.sum()), int(starts[extreme]), float(step[extreme]))
-            old = found.get(kind)
-            worse = old is None or (kind in ("gap", "backward") and abs(fresh.step) > abs(old.step))
-            found[kind] = (
-                fresh if old is None else replace(fresh if worse else old, count=fresh.count + old.count)
-            )
-    return Clock(clock.dt, clock.samples + len(time), float(time[-1]), tuple(found.values())), starts
+            at = _place_of_worst(kind, which, step)
+            fresh = Seam(kind, int(which.sum()), int(starts[at]), float(step[at]))
+            seams[kind] = _with_more(seams.get(kind), fresh)
+    return Clock(clock.dt, clock.samples + len(time), float(time[-1]), tuple(seams.values())), starts
+
+
+def _place_of_worst(kind: str, which: np.ndarray, step: np.ndarray) -> int:
+    """Return the number of the longest jump of a kind, or of the first where jumps are alike."""
+    if kind in JUMPS:
+        return int(np.argmax(np.abs(np.where(which, step, 0))))
+    return int(np.argmax(which))
+
+
+def _with_more(old: Seam | None, fresh: Seam) -> Seam:
+    """Return the seams of a kind so far, with more of them."""
+    if old is None:
+        return fresh
+    count = old.count + fresh.count
+    if fresh.kind in JUMPS and abs(fresh.step) > abs(old.step):
+        return replace(fresh, count=count)
+    return replace(old, count=count)
 
 
 def crossing(starts: ArrayLike, horizon: int, first: int, stop: int) -> np.ndarray:
@@ -145,7 +175,9 @@ def around(excluded: np.ndarray | None) -> np.ndarray:
         >>> around(np.array([False, True, True, False, True]))
         array([1, 3, 4])
     """
-    return np.flatnonzero(np.diff(np.asarray(() if excluded is None else excluded, np.int8), prepend=0))
+    if excluded is None:
+        return np.zeros(0, np.int64)
+    return np.flatnonzero(np.diff(np.asarray(excluded, np.int8), prepend=0))
 
 
 def aside(excluded: np.ndarray | None, horizon: int) -> int:
@@ -172,8 +204,9 @@ def all_starts(given: ArrayLike, samples: int) -> np.ndarray:
             f"{given.shape}"
         )
     starts = np.unique(given.astype(np.int64))
-    if len(starts) and not 0 <= starts[0] <= starts[-1] < samples:
-        wrong = starts[0] if starts[0] < 0 else starts[-1]
+    outside = starts[(starts < 0) | (starts >= samples)]
+    if len(outside):
+        wrong = outside[0] if outside[0] < 0 else outside[-1]
         raise ValueError(f"starts needs the numbers of samples, 0 to {samples - 1} here: it holds {wrong}")
     return starts
 
@@ -192,17 +225,16 @@ def usual_period(time: np.ndarray) -> float:
         >>> usual_period(np.array([0.0, 2.9977, 6.0003, 9.0]))
         3.0
     """
-    median = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    if len(time) < 2:
+        raise ValueError("one row has no sampling period: a recording has at least two")
+    median = float(np.median(np.diff(time)))
     if not median > 0:
         refuse_backward(time)
-        if len(time) > 1:
-            raise ValueError(f"the rows of the recording are 0 s apart{REPEATED}")
-        raise ValueError("one row has no sampling period: a recording has at least two")
-    return next(
-        float(x)
-        for digits in range(1, 18)
-        if abs(float(x := f"{median:.{digits}g}") - median) <= 0.002 * median
-    )
+        raise ValueError(f"the rows of the recording are 0 s apart{REPEATED}")
+    digits = 1
+    while abs(float(f"{median:.{digits}g}") - median) > 0.002 * median:
+        digits += 1
+    return float(f"{median:.{digits}g}")
 
 
 def refuse_backward(time: np.ndarray) -> int:
@@ -225,26 +257,29 @@ def check_period(time: np.ndarray, dt: float, whose: str = "the model has") -> N
     if len(time) < 2:
         return
     median, back = float(np.median(np.diff(time))), refuse_backward(time)
-    if abs(median - dt) > TOLERATED_DT * dt and back > DISORDER * len(time):
+    if _is_near(median, dt):
+        return
+    if back > DISORDER * len(time):
         raise ValueError(f"{back} of {len(time)} rows go back in time: sort them by time")
-    if abs(median - dt) > TOLERATED_DT * dt:
-        near = next(
-            (
-                f": is its time in {unit}?"
-                for f, unit in UNITS.items()
-                if abs(median / f - dt) <= TOLERATED_DT * dt
-            ),
-            "",
-        )
-        same = REPEATED if median == 0 else ""
-        fold = round(dt / median) if median else 0
-        if not near and fold > 1 and abs(dt / median - fold) <= TOLERATED_DT * fold:
-            near = f": keep one of every {fold} rows, or take a model with dt = {median:.3g}"
-        elif not near and median:
-            near = f": a model with dt = {median:.3g} fits it"
-        raise ValueError(
-            f"{whose} dt = {dt:g} s, but the rows of the recording are {median:.6g} s apart{near}{same}"
-        )
+    apart = f"{whose} dt = {dt:g} s, but the rows of the recording are {median:.6g} s apart"
+    raise ValueError(f"{apart}{_advice(median, dt)}")
+
+
+def _is_near(period: float, dt: float) -> bool:
+    return not abs(period - dt) > TOLERATED_DT * dt
+
+
+def _advice(median: float, dt: float) -> str:
+    """Return the likely reason of another sampling period, and the remedy, as the end of a sentence."""
+    if median == 0:
+        return REPEATED
+    for factor, unit in UNITS.items():
+        if _is_near(median / factor, dt):
+            return f": is its time in {unit}?"
+    fold = round(dt / median)
+    if fold > 1 and abs(dt / median - fold) <= TOLERATED_DT * fold:
+        return f": keep one of every {fold} rows, or take a model with dt = {median:.3g}"
+    return f": a model with dt = {median:.3g} fits it"
 
 
 def irregular(clock: Clock, label: Callable[[int], str], where: Callable[[int], str]) -> str:
@@ -259,38 +294,21 @@ def irregular(clock: Clock, label: Callable[[int], str], where: Callable[[int], 
     if count <= max(clock.samples - 1, 0) / 2:
         return ""
     seam = min(clock.seams, key=lambda s: s.sample)
-    return (
-        f"the recording is not regular: {count} of {clock.samples - 1} steps differ from dt = {clock.dt:g} s "
-        f"by more than "
-        f"{TOLERATED_STEP:.0%}; {where(seam.sample)} ({label(seam.sample)}), for one, comes {seam.step:.6g} "
-        f"s after the row before it"
-    )
+    many = f"{count} of {clock.samples - 1} steps differ from dt = {clock.dt:g} s"
+    one = f"{where(seam.sample)} ({label(seam.sample)}), for one,"
+    late = f"comes {seam.step:.6g} s after the row before it"
+    return f"the recording is not regular: {many} by more than {TOLERATED_STEP:.0%}; {one} {late}"
 
 
 def seam_hints(clock: Clock, label: Callable[[int], str], where: Callable[[int], str]) -> list[str]:
     """Return one sentence a kind of seam: how many, the worst or the first, and what became of it. Arguments
     as for `irregular`.
     """
-    out = []
+    sentences: list[str] = []
     for seam in sorted(clock.seams, key=lambda s: KINDS.index(s.kind)):
-        n, at, size = seam.count, f"{where(seam.sample)} ({label(seam.sample)})", f"{abs(seam.step):.6g} s"
-        what = {
-            "gap": (
-                f"the recording has a gap of {size} before {at}",
-                f"the recording has {n} gaps, the longest, {size}, before {at}",
-            ),
-            "early": (
-                f"{at} comes only {size} after the row before it",
-                f"{n} rows come too soon, the first, {at}, after {size}",
-            ),
-            "repeated": (
-                f"{at} repeats the time of the row before it",
-                f"{n} rows repeat the time of the row before, the first is {at}",
-            ),
-            "backward": (
-                f"the clock goes back by {size} before {at}",
-                f"the clock goes back {n} times, the farthest, {size}, before {at}",
-            ),
-        }[seam.kind][n > 1]
-        out.append(f"{what}: the recording is split there, and windows across are MISSING")
-    return out
+        one, many = SENTENCES[seam.kind]
+        sentence = one if seam.count == 1 else many
+        at, size = f"{where(seam.sample)} ({label(seam.sample)})", f"{abs(seam.step):.6g} s"
+        event = sentence.format(n=seam.count, at=at, size=size)
+        sentences.append(f"{event}: the recording is split there, and windows across are MISSING")
+    return sentences

@@ -1,10 +1,7 @@
-"""Which columns of a recording a model needs, and how its signals come out of them: as they are, or by an
-expression.
-"""
+"""Columns of a recording that a model needs, and its signals out of them: as they are, or computed."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -21,7 +18,16 @@ from jaxbound.recordings.expressions import (
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.text.names import listed
 
-__all__ = ["NO_TIME", "STAMPS", "TELLING", "Wanted", "time_column", "wanted", "where_hints"]
+__all__ = [
+    "NO_TIME",
+    "STAMPS",
+    "TELLING",
+    "Wanted",
+    "source_columns",
+    "time_column",
+    "wanted",
+    "where_hints",
+]
 
 STAMPS, DAYS = ("stamp", "day", "clock"), ("day", "digits")  # kinds of cells, see `stamp_kind`
 DAILY = 43200  # seconds: what is sampled less often needs no clock
@@ -44,44 +50,48 @@ class Wanted:
     inputs: tuple[str | Expression, ...]
     outputs: tuple[str | Expression, ...]
     where: Expression | None
-    time: Any  # a name, or None
-    day: Any = None  # likewise
+    time: str | None
+    day: str | None = None
 
     @property
     def signals(self) -> list[str]:
         """Names of the columns that signals need, each once, in the order of the inputs and outputs."""
-        return list(
-            dict.fromkeys(
-                c
-                for s in self.inputs + self.outputs
-                for c in (s.columns if isinstance(s, Expression) else (s,))
-            )
-        )
+        needed: list[str] = []
+        for signal in self.inputs + self.outputs:
+            needed += source_columns(signal)
+        return list(dict.fromkeys(needed))
 
     @property
     def numbers(self) -> list[str]:
         """Names of the columns that hold numbers, the signals' first; a numeric time that only orders the
         samples is not among them.
         """
-        where = [c for c in self.where.columns if c not in self.where.texts] if self.where else []
+        if self.where is None:
+            return self.signals
+        where = [c for c in self.where.columns if c not in self.where.texts]
         return list(dict.fromkeys(self.signals + where))
 
     @property
     def texts(self) -> list[str]:
         """Names of the columns that are compared with text, the time left out."""
-        expressions = [s for s in (*self.inputs, *self.outputs, self.where) if isinstance(s, Expression)]
-        return list(
-            dict.fromkeys(
-                c for e in expressions for c in e.columns if c in e.texts and c not in (self.time, self.day)
-            )
-        )
+        texts: list[str] = []
+        for signal in (*self.inputs, *self.outputs, self.where):
+            if isinstance(signal, Expression):
+                texts += [c for c in signal.columns if c in signal.texts and c not in (self.time, self.day)]
+        return list(dict.fromkeys(texts))
+
+    @property
+    def condition(self) -> str:
+        """The condition `where` as text, "" where there is none."""
+        if self.where is None:
+            return ""
+        return self.where.text
 
     @property
     def columns(self) -> list[str]:
         """Names of all columns that are read, each once, the time last."""
-        return list(
-            dict.fromkeys(self.numbers + self.texts + [c for c in (self.day, self.time) if c is not None])
-        )
+        times = [column for column in (self.day, self.time) if column is not None]
+        return list(dict.fromkeys(self.numbers + self.texts + times))
 
     def samples(
         self, columns: Mapping[str, np.ndarray], count: int, dtype: DTypeLike = np.float64
@@ -96,11 +106,8 @@ class Wanted:
         Raises:
             ValueError: see `Expression.values`.
         """
-        value = lambda s: s.values(columns) if isinstance(s, Expression) else columns[s]
-        stack = lambda signals, to: (
-            np.stack([value(s) for s in signals], 1, dtype=to) if signals else np.zeros((count, 0), to)
-        )
-        u, y, excluded = stack(self.inputs, None), stack(self.outputs, dtype), None
+        u, y = _stack(self.inputs, columns, count, None), _stack(self.outputs, columns, count, dtype)
+        excluded = None
         if self.where is not None:
             excluded = fails(self.where.values(columns))
             u[excluded], y[excluded] = np.nan, np.nan
@@ -123,14 +130,35 @@ def wanted(names: Sequence[str], model: SignalModel, dated: Callable[[str], str]
         ValueError: a column is not there, or there twice; several hold time stamps and none is called like
             time; several hold days.
     """
-    inputs, outputs = (
-        tuple(_source(s, names, model) for s in side) for side in (model.inputs, model.outputs)
-    )
-    found = Wanted(inputs, outputs, None, None)
-    where = model.columns.get("where")
-    free = [name for name in names if name not in found.signals]
+    inputs = tuple(_column_for(signal, names, model) for signal in model.inputs)
+    outputs = tuple(_column_for(signal, names, model) for signal in model.outputs)
+    signals = Wanted(inputs, outputs, None, None)
+    taken = signals.signals
+    free = [name for name in names if name not in taken]
     day, time = time_column(names, free, model.columns.get("time"), dated, getattr(model, "dt", None))
-    return Wanted(inputs, outputs, None if where is None else expression(where).among(names), time, day)
+    if "where" not in model.columns:
+        return replace(signals, time=time, day=day)
+    return replace(signals, where=expression(model.columns["where"]).among(names), time=time, day=day)
+
+
+def source_columns(signal: str | Expression) -> tuple[str, ...]:
+    """Return the names of the columns that a signal is taken or computed from."""
+    if isinstance(signal, Expression):
+        return signal.columns
+    return (signal,)
+
+
+def _stack(
+    signals: Sequence[str | Expression],
+    columns: Mapping[str, np.ndarray],
+    count: int,
+    dtype: DTypeLike | None,
+) -> np.ndarray:
+    """Return signals as an array (count, n); dtype None: as wide as the widest of them."""
+    if not signals:
+        return np.zeros((count, 0), dtype)
+    values = [s.values(columns) if isinstance(s, Expression) else columns[s] for s in signals]
+    return np.stack(values, 1, dtype=dtype)
 
 
 def time_column(
@@ -151,14 +179,26 @@ def time_column(
     Raises:
         ValueError: as `wanted`.
     """
-    called = [named] if named is not None else likely(free, TIMES)
-    if not called:
-        stamps = {name: kind for name in free if (kind := dated(name)) in STAMPS}
-        halves = sorted(stamps.values()) == ["clock", "day"]
-        called = [name for name in stamps if stamps[name] == "clock"] if halves else _only_dated(list(stamps))
+    if named is not None:
+        called = [named]
+    else:
+        called = likely(free, TIMES) or _with_stamps(free, dated)
     if not called:
         return None, None
     return _day_and_clock(find_column(called[0], names, "the recording"), names, free, dated, dt)
+
+
+def _with_stamps(free: Sequence[str], dated: Callable[[str], str]) -> list[str]:
+    """Return the column that holds time stamps, of a day and a clock that of the clock; refuse several."""
+    stamps = {name: dated(name) for name in free}
+    stamps = {name: kind for name, kind in stamps.items() if kind in STAMPS}
+    if sorted(stamps.values()) == ["clock", "day"]:
+        return [name for name, kind in stamps.items() if kind == "clock"]
+    if len(stamps) > 1:
+        raise ValueError(
+            f"the columns {listed(list(map(str, stamps)))} hold time stamps: say which is the time, {TELLING}"
+        )
+    return list(stamps)
 
 
 def _day_and_clock(
@@ -171,48 +211,50 @@ def _day_and_clock(
     """Return (the column of the day or None, the time): the other half of a time stamp stands beside it, or
     is called like a time.
     """
-    kind = dated(time) if time in free else ""
-    if kind not in ("clock", *DAYS) or (dt or 0) >= DAILY:
+    if time not in free or (dt or 0) >= DAILY:
         return None, time
-    at, others = names.index(time), DAYS if kind == "clock" else ("clock",)
-    near = dict.fromkeys([*names[max(at - 1, 0) : at], *names[at + 1 : at + 2], *likely(free, TIMES)])
+    kind = dated(time)
+    if kind == "clock":
+        what, other, others = "times without a day", "days", set(DAYS)
+    elif kind in DAYS:
+        what, other, others = "days", "times", {"clock"}
+    else:
+        return None, time
+    at = names.index(time)
+    near = {*names[max(at - 1, 0) : at], *names[at + 1 : at + 2], *likely(free, TIMES)}
     halves = [c for c in free if c in near and c != time and dated(c) in others]
     if len(halves) > 1:
-        what = "times without a day" if kind == "clock" else "days"
         raise ValueError(
-            f"column {time!r} holds {what}, and the columns {listed(halves)} hold "
-            f"{'days' if kind == 'clock' else 'times'}: "
-            "keep one of them"
+            f"column {time!r} holds {what}, and the columns {listed(halves)} hold {other}: keep one of them"
         )
     if not halves:
         return None, time
-    return (halves[0], time) if kind == "clock" else (time, halves[0])
+    if kind == "clock":
+        return halves[0], time
+    return time, halves[0]
 
 
-def _only_dated(columns: list[str]) -> list[str]:
-    """Return the columns with time stamps where there is one at most; refuse several."""
-    if len(columns) > 1:
-        raise ValueError(
-            f"the columns {listed(list(map(str, columns)))} hold time stamps: say which is the time, "
-            f"{TELLING}"
-        )
-    return columns
-
-
-def _source(signal: str, names: Sequence[str], model: SignalModel) -> str | Expression:
-    named = model.column(signal)
-    e = expression(named) if is_expression(named) else None
+def _column_for(signal: str, names: Sequence[str], model: SignalModel) -> str | Expression:
+    """Return the column of a signal or its Expression; if it is not there, the column called like it."""
+    stated = model.column(signal)
+    computed = None
+    if is_expression(stated):
+        computed = expression(stated)
     try:
-        return find_column(named, names, "the recording") if e is None else e.among(names)
+        if computed is not None:
+            return computed.among(names)
+        return find_column(stated, names, "the recording")
     except ValueError:
-        if signal in names and signal != named and (e is not None or named not in names):
+        if signal in names and signal != stated and (computed is not None or stated not in names):
             return find_column(signal, names, "the recording")
         raise
 
 
 def where_hints(where: str, left_out: int, samples: int) -> list[str]:
-    """Return a sentence on the samples that are no part of the recording. Args: where: the condition as text;
-    left_out: how many.
+    """Return a sentence on the samples that are no part of the recording, if there are any.
+
+    Args:
+        where: the condition as text. left_out, samples: how many.
     """
     if not left_out:
         return []

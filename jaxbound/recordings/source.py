@@ -5,23 +5,26 @@ A kind whose recordings fit into memory says which data are its own (`takes`) an
 (`whole`); the rest is here.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from jaxbound.recordings.contents import content
+from jaxbound.recordings.contents import Digests, content
 from jaxbound.recordings.hints import missing_hints, rounding_hints
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import Clock, around, irregular, seam_hints, tick
 from jaxbound.recordings.selection import where_hints
+from jaxbound.recordings.signals import Named, SignalModel
 from jaxbound.recordings.stillness import still_hints
 
-__all__ = ["KINDS", "Source", "overlapping", "register", "told"]
+__all__ = ["KINDS", "Progress", "Source", "overlapping", "register", "with_hints"]
+
+Progress = Callable[[float], object]
+"""Called with the share of the work done."""
 
 KINDS: list[type["Source"]] = []  # of users; the last that takes the data opens them
 
@@ -69,8 +72,10 @@ class Source:
     """Whether it is read in pieces, so that its size does not matter, and verdicts are written in parts."""
     live = False
     """Whether samples come as time goes by: they are judged by a Monitor, see `live.LiveSource`."""
+    _whole: Recording | None = None
+    """The data as they were read first."""
 
-    def __init__(self, data: object, model: Any) -> None:
+    def __init__(self, data: object, model: SignalModel) -> None:
         self.data, self.model = data, model
 
     @classmethod
@@ -79,18 +84,18 @@ class Source:
         raise NotImplementedError
 
     @classmethod
-    def open(cls, data: object, model: Any) -> "Source":
+    def open(cls, data: object, model: SignalModel) -> "Source":
         """Return the source of these data."""
         return cls(data, model)
 
     @classmethod
     def digest(cls, data: object) -> str | None:
-        """Return what the data hold as a digest, by which they are known again; None where what was read is
-        gone. See `contents`.
+        """Return the digest of the data, by which they are known again; None where what was read is gone. See
+        `contents`.
         """
         return content(Path(str(data)))
 
-    def whole(self, progress: Callable | None = None) -> Recording:
+    def whole(self, progress: Progress | None = None) -> Recording:
         """Read everything. progress: called with the share of the work done."""
         raise NotImplementedError
 
@@ -105,13 +110,13 @@ class Source:
         return str(self.content)
 
     def content_of(self, first: int, stop: int) -> str:
-        """Return a digest of what the samples first .. stop - 1 are read from; where that is not known, of
-        all data.
+        """Return a digest of the bytes that the samples first .. stop - 1 are read from; where these are not
+        known, of all data.
         """
         return str(self.content)
 
     @cached_property
-    def digests(self) -> dict:
+    def digests(self) -> Digests:
         """Digests of blocks that are known so far, as `contents` has them; those that another process has
         read may be added.
         """
@@ -127,22 +132,32 @@ class Source:
         """The number of samples; None: not known before the end."""
         return self.read().samples
 
-    def read(self, first: int = 0, stop: int | None = None, progress: Callable | None = None) -> Recording:
+    def read(self, first: int = 0, stop: int | None = None, progress: Progress | None = None) -> Recording:
         """Return the samples first .. stop - 1, by default all, with hints only if that is all of them.
 
         Raises:
             OSError, ValueError: data that are no recording of this model.
         """
-        if "_whole" not in self.__dict__:
-            try:
-                found = self.whole(progress)
-            except ValueError as e:
-                name = self.data if isinstance(self.data, str | PathLike) else self.label
-                raise ValueError(f"{name}: {e}") from None
-            time = np.arange(found.samples) * (self.model.dt or 1.0) if found.time is None else found.time
-            self._whole = replace(found, time=time, source=found.source or self.label)
-        last = self._whole.samples if stop is None else stop
-        return self._whole if (first, last) == (0, self._whole.samples) else self._whole.cut(first, last)
+        if self._whole is None:
+            self._whole = self._timed(progress)
+        whole = self._whole
+        if stop is None:
+            stop = whole.samples
+        if (first, stop) == (0, whole.samples):
+            return whole
+        return whole.cut(first, stop)
+
+    def _timed(self, progress: Progress | None) -> Recording:
+        """Return all data as a Recording that has times."""
+        try:
+            whole = self.whole(progress)
+        except ValueError as e:
+            name = self.data if isinstance(self.data, str | PathLike) else self.label
+            raise ValueError(f"{name}: {e}") from None
+        time = whole.time
+        if time is None:
+            time = np.arange(whole.samples) * (self.model.dt or 1.0)
+        return replace(whole, time=time, source=whole.source or self.label)
 
     def pieces(
         self, size: int, overlap: int = 0, first: int = 0, stop: int | None = None
@@ -150,24 +165,30 @@ class Source:
         """Yield (number of its first sample, Recording) of `size` samples each, behind the `overlap` samples
         before them that there are.
         """
-        end = (self.samples or 0) if stop is None else stop
+        end = stop
+        if end is None:
+            end = self.samples or 0
         for at in range(first, end, size):
             begin = max(at - overlap, first)
             yield begin, self.read(begin, min(at + size, end))
 
     def find(self, text: str) -> int | None:
-        """Return the number of the sample whose time is written so; None: there is none, or it is not looked
-        for in what is written.
+        """Return the number of the sample whose time is written so; None: there is none, or times are no
+        texts.
         """
-        written: Any = self.read().written
+        written = self.read().written
         if written is None or str(written.type) != "string":
             return None
-        at = written.index(text).as_py()
-        return None if at < 0 else at
+        at: int = written.index(text).as_py()
+        if at < 0:
+            return None
+        return at
 
 
-def told(model: Any, r: Recording, row: Callable, where: str, first: tuple = ()) -> Recording:
-    """Return a whole recording as it was read with its seams, and what its owner should know.
+def with_hints(
+    model: Named, r: Recording, row: Callable[[int], str], where: str, first: Sequence[str] = ()
+) -> Recording:
+    """Return a whole recording as it was read with its seams, and with sentences for its owner.
 
     Args:
         r: without starts and hints. row: number of a sample -> "row 7". where: the condition of the model as
@@ -177,7 +198,8 @@ def told(model: Any, r: Recording, row: Callable, where: str, first: tuple = ())
         ValueError: more seams than steps of one sampling period.
     """
     clock, starts = tick(Clock(r.dt or 1.0), r.time)
-    if sentence := irregular(clock, r.label, row):
+    sentence = irregular(clock, r.label, row)
+    if sentence:
         raise ValueError(sentence)
     hints = [*first, *seam_hints(clock, r.label, row), *missing_hints(model, r.u, r.y, r.excluded)]
     hints += [*rounding_hints(model, r.y), *still_hints(model, r.u, r.y, r.label)]
@@ -197,11 +219,15 @@ def overlapping(
         chunks: (number of its first sample, Recording without starts). dt: sampling period in s, by which
             seams are found.
     """
-    tail, clock = None, None
+    tail: Recording | None = None
+    clock: Clock | None = None
     for start, chunk in chunks:
-        clock = Clock(dt, samples=start) if clock is None else clock
+        if clock is None:
+            clock = Clock(dt, samples=start)
         clock, seams = tick(clock, chunk.time)
-        piece = chunk if tail is None else tail.followed(chunk)
+        piece = chunk
+        if tail is not None:
+            piece = tail.followed(chunk)
         origin = start + chunk.samples - piece.samples
         seams = np.concatenate([piece.starts, seams[seams > origin] - origin])
         piece = replace(piece, starts=np.union1d(seams, around(piece.excluded)))

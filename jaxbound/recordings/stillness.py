@@ -24,8 +24,8 @@ __all__ = [
     "Run",
     "Runs",
     "Stretch",
-    "follow",
-    "joined",
+    "follow_runs",
+    "joined_runs",
     "signal_hints",
     "still_hints",
     "stretches",
@@ -80,7 +80,7 @@ class Runs:
     samples: int = 0
     counts: np.ndarray | None = None
     present: int = 0
-    longest: tuple = ()
+    longest: tuple[Run, ...] = ()
     low: float = math.inf
     high: float = -math.inf
     last: Run | None = None
@@ -98,7 +98,7 @@ class Stretch(NamedTuple):
     extreme: str  # "largest", "smallest", or "" if the run is at neither
 
 
-def follow(runs: Runs, x: np.ndarray) -> Runs:
+def follow_runs(runs: Runs, x: np.ndarray) -> Runs:
     """Take the next chunk of one signal.
 
     Args:
@@ -126,33 +126,48 @@ def follow(runs: Runs, x: np.ndarray) -> Runs:
     counts[1] += present - int(lengths[there].sum())
     long = np.flatnonzero(done & (lengths >= SATURATED))
     long = long[np.argsort(-lengths[long], kind="stable")[:KEPT]]
-    run = lambda i: Run(int(lengths[i]), int(starts[i] + runs.samples), float(values[i]))
-    low, high = float(np.fmin.reduce(x, initial=np.inf)), float(np.fmax.reduce(x, initial=-np.inf))
-    first, last = (run(i) if there[i] else None for i in (0, -1))
-    return joined(
-        runs, Runs(runs.samples + len(x), counts, present, tuple(map(run, long)), low, high, last, first)
+
+    def run(i: int | np.intp) -> Run:
+        return Run(int(lengths[i]), int(starts[i] + runs.samples), float(values[i]))
+
+    return joined_runs(
+        runs,
+        Runs(
+            samples=runs.samples + len(x),
+            counts=counts,
+            present=present,
+            longest=tuple(map(run, long)),
+            low=float(np.fmin.reduce(x, initial=np.inf)),
+            high=float(np.fmax.reduce(x, initial=-np.inf)),
+            last=run(-1) if there[-1] else None,
+            first=run(0) if there[0] else None,
+        ),
     )
 
 
-def joined(a: Runs, b: Runs) -> Runs:
+def joined_runs(a: Runs, b: Runs) -> Runs:
     """Return the Runs of two stretches of samples that follow each other, of which the second was followed
     from `Runs(a.samples)` on.
     """
-    if a.counts is None or b.counts is None:
-        return a if b.counts is None else b
-    counts, finished, first, last = a.counts + b.counts, [*a.longest, *b.longest], a.first, b.last
-    if (over := a.last) is not None:
-        if b.first is not None and b.first.value == over.value:  # one run across the seam
-            over = Run(over.length + b.first.length, over.start, over.value)
-            first = over if a.first == a.last else first
-            if b.first == b.last:
-                over, last = None, over
-            else:
-                counts[min(b.first.length, CAP)] -= 1
-                finished = [r for r in finished if r != b.first]
-        if over is not None:
-            counts[min(over.length, CAP)] += 1
-            finished += [over] if over.length >= SATURATED else []
+    if b.counts is None:
+        return a
+    if a.counts is None:
+        return b
+    counts, finished = a.counts + b.counts, [*a.longest, *b.longest]
+    first, over, last = a.first, a.last, b.last
+    if over is not None and b.first is not None and b.first.value == over.value:  # one run across the seam
+        over = Run(over.length + b.first.length, over.start, over.value)
+        if a.first == a.last:
+            first = over
+        if b.first == b.last:  # it may still go on
+            over, last = None, over
+        else:
+            counts[min(b.first.length, CAP)] -= 1
+            finished = [run for run in finished if run != b.first]
+    if over is not None:
+        counts[min(over.length, CAP)] += 1
+        if over.length >= SATURATED:
+            finished.append(over)
     finished.sort(key=lambda r: (-r.length, r.start))
     low, high = min(a.low, b.low), max(a.high, b.high)
     return Runs(b.samples, counts, a.present + b.present, tuple(finished[:KEPT]), low, high, last, first)
@@ -164,43 +179,55 @@ def stretches(runs: Runs, driven: bool = False) -> tuple[Stretch, ...]:
     Example:
         >>> x = np.sin(np.arange(500.0))
         >>> x[300:400] = x[300]
-        >>> stretches(follow(Runs(), x))
+        >>> stretches(follow_runs(Runs(), x))
         (Stretch(kind='frozen', longest=Run(length=100, start=300, value=-0.99975...), times=1, extreme=''),)
     """
     if runs.counts is None or not runs.present:
         return ()
-    everything = sorted(
-        (*runs.longest, *([runs.last] if runs.last else [])), key=lambda r: (-r.length, r.start)
-    )
-    if everything and everything[0].length == runs.present >= FROZEN:
-        return () if driven else (Stretch("constant", everything[0], 1, ""),)
-    counts = runs.counts + (np.bincount([min(runs.last.length, CAP)], minlength=CAP + 1) if runs.last else 0)
-    least = {r: _least(counts, runs.present, r, driven) for r in everything}
-    frozen = [r for r in everything if r.length >= FROZEN * least[r]]
-    out = [Stretch("frozen", frozen[0], len(frozen), _extreme(runs, frozen[0].value))] if frozen else []
-    for end in () if driven else {"largest", "smallest"} - {_extreme(runs, r.value) for r in frozen}:
-        resting = [
-            r for r in everything if _extreme(runs, r.value) == end and r.length >= SATURATED * least[r]
-        ]
-        if len(resting) >= AGAIN or (resting and resting[0].length >= RESTING * least[resting[0]]):
-            out.append(Stretch("saturated", resting[0], len(resting), end))
-    return tuple(out)
+    counts, every = runs.counts, [*runs.longest]
+    if runs.last is not None:
+        counts = counts + np.bincount([min(runs.last.length, CAP)], minlength=CAP + 1)
+        every.append(runs.last)
+    every.sort(key=lambda run: (-run.length, run.start))
+    if every and every[0].length == runs.present >= FROZEN:
+        if driven:
+            return ()
+        return (Stretch("constant", every[0], 1, ""),)
+    least = {run: _usual_length(counts, runs.present, run, driven) for run in every}
+    frozen = [run for run in every if run.length >= FROZEN * least[run]]
+    still: list[Stretch] = []
+    if frozen:
+        still.append(Stretch("frozen", frozen[0], len(frozen), _which_extreme(runs, frozen[0].value)))
+    if driven:
+        return tuple(still)
+    frozen_at = {_which_extreme(runs, run.value) for run in frozen}
+    for end in ("largest", "smallest"):
+        if end in frozen_at:
+            continue
+        resting = [run for run in every if _which_extreme(runs, run.value) == end]
+        resting = [run for run in resting if run.length >= SATURATED * least[run]]
+        once = resting and resting[0].length >= RESTING * least[resting[0]]
+        if once or len(resting) >= AGAIN:
+            still.append(Stretch("saturated", resting[0], len(resting), end))
+    return tuple(still)
 
 
-def _least(counts: np.ndarray, present: int, run: Run, driven: bool) -> float:
+def _usual_length(counts: np.ndarray, present: int, run: Run, driven: bool) -> float:
     """Return the length of a run that is usual outside of it, or likely by chance: the larger."""
     rest, finished = present - run.length, counts.sum() - 1
     below = np.cumsum(counts[:CAP] * np.arange(CAP))
     below[run.length :] -= run.length
     usual = int(np.searchsorted(below, USUAL * rest))
-    repeats = 1 - finished / rest if rest > finished > 0 else 0.0
+    if not rest > finished > 0:
+        return max(usual, 1)
+    repeats = 1 - finished / rest
     if driven and repeats > LIVELY:
         return math.inf
-    likely = math.log(1e6 * present) / -math.log(repeats) if repeats > 0 else 0.0
+    likely = math.log(1e6 * present) / -math.log(repeats)
     return max(usual, 1, likely / FROZEN)
 
 
-def _extreme(runs: Runs, value: float) -> str:
+def _which_extreme(runs: Runs, value: float) -> str:
     if value == runs.high:
         return "largest"
     if value == runs.low:
@@ -212,15 +239,16 @@ def windows_inside(runs: Runs, horizon: int) -> int:
     """Return how many windows of horizon + 1 samples lie inside one run each, for a horizon up to 1000.
 
     Example:
-        >>> windows_inside(follow(Runs(), np.array([1.0, 1.0, 1.0, np.nan, 1.0, 1.0])), 1)
+        >>> windows_inside(follow_runs(Runs(), np.array([1.0, 1.0, 1.0, np.nan, 1.0, 1.0])), 1)
         3
     """
     if runs.counts is None:
         return 0
-    last, lengths = runs.last.length if runs.last else 0, np.arange(CAP)
-    long = (
-        runs.present - last - int(runs.counts[:CAP] @ lengths)
-    )  # samples in longer runs, which are not counted one by one
+    last, lengths = 0, np.arange(CAP)
+    if runs.last is not None:
+        last = runs.last.length
+    # samples in longer runs, which are not counted one by one
+    long = runs.present - last - int(runs.counts[:CAP] @ lengths)
     inside = int(runs.counts[:CAP] @ np.maximum(lengths - horizon, 0))
     return inside + max(long - int(runs.counts[CAP]) * horizon, 0) + max(last - horizon, 0)
 
@@ -229,11 +257,12 @@ def still_hints(model: Named, u: np.ndarray, y: np.ndarray, label: Callable[[int
     """Return sentences on all signals of a recording, u (T, m) and y (T, p), that stand still. Other
     arguments as for `signal_hints`.
     """
-    out = []
-    for names, x, driven in ((model.outputs, y, False), (model.inputs, u, True)):
-        for i, name in enumerate(names):
-            out += signal_hints(name, follow(Runs(), np.ascontiguousarray(x[:, i])), label, driven)
-    return out
+    hints: list[str] = []
+    for name, signal in zip(model.outputs, y.T, strict=True):
+        hints += signal_hints(name, follow_runs(Runs(), np.ascontiguousarray(signal)), label)
+    for name, signal in zip(model.inputs, u.T, strict=True):
+        hints += signal_hints(name, follow_runs(Runs(), np.ascontiguousarray(signal)), label, driven=True)
+    return hints
 
 
 def signal_hints(name: str, runs: Runs, label: Callable[[int], str], driven: bool = False) -> list[str]:
@@ -244,27 +273,33 @@ def signal_hints(name: str, runs: Runs, label: Callable[[int], str], driven: boo
         name: of the signal. runs: its Runs after all samples. label: number of a sample -> text of its time.
             driven: it is an input.
     """
-    out = [
-        f"{name} is exactly {x:.6g} somewhere: if that stands for a missing sample, leave the cell blank "
-        f"(NaN)"
-        for x in (runs.low, runs.high)
-        if x in NO_NUMBERS
-    ]
-    for kind, run, count, extreme in stretches(runs, driven):
-        from_to = f"{run.length} samples from {label(run.start)} to {label(run.start + run.length - 1)}"
-        at = f", its {extreme} value," if extreme else ""
-        out.append(
-            {
-                "constant": f"{name} is {run.value:.6g} in every sample: if its sensor is frozen, it can "
-                f"still look consistent",
-                "frozen": f"{name} stays at exactly {run.value:.6g}{at} for {from_to}"
-                + (f" ({count} such stretches in all)" if count > 1 else "")
-                + f": a {'saturated or ' if extreme else ''}frozen sensor can look consistent, so no FAULT "
-                f"there does not mean that it works",
-                "saturated": f"{name} rests at exactly {run.value:.6g}{at} "
-                f"{f'in {count} stretches, the longest of' if count > 1 else 'for'} "
-                f"{from_to}: "
-                "a saturated sensor can look consistent, so no FAULT there does not mean that it works",
-            }[kind]
-        )
-    return out
+    hints: list[str] = []
+    for extreme in (runs.low, runs.high):
+        if extreme in NO_NUMBERS:
+            stands = "if that stands for a missing sample, leave the cell blank (NaN)"
+            hints.append(f"{name} is exactly {extreme:.6g} somewhere: {stands}")
+    return hints + [_sentence(name, stretch, label) for stretch in stretches(runs, driven)]
+
+
+def _sentence(name: str, stretch: Stretch, label: Callable[[int], str]) -> str:
+    """Return the sentence on one kind of stillness of a signal."""
+    kind, run, count, extreme = stretch
+    if kind == "constant":
+        doubt = "if its sensor is frozen, it can still look consistent"
+        return f"{name} is {run.value:.6g} in every sample: {doubt}"
+    span = f"{run.length} samples from {label(run.start)} to {label(run.start + run.length - 1)}"
+    at = ""
+    if extreme:
+        at = f", its {extreme} value,"
+    doubt = "sensor can look consistent, so no FAULT there does not mean that it works"
+    if kind == "saturated":
+        where = f"for {span}"
+        if count > 1:
+            where = f"in {count} stretches, the longest of {span}"
+        return f"{name} rests at exactly {run.value:.6g}{at} {where}: a saturated {doubt}"
+    many, broken = "", "frozen"
+    if count > 1:
+        many = f" ({count} such stretches in all)"
+    if extreme:
+        broken = "saturated or frozen"
+    return f"{name} stays at exactly {run.value:.6g}{at} for {span}{many}: a {broken} {doubt}"

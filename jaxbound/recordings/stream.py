@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import Clock, Seam
+from jaxbound.recordings.signals import SignalModel
 
 __all__ = ["Complain", "Stream"]
 
@@ -25,17 +26,18 @@ class Stream:
     Args:
         model: whose signals are wanted. complain: see `Complain`.
 
-    Fields: raw: where they come from, an iterator, or the number of an open file; clock: of all samples so
-    far; lost: samples, or lines, that could not be read; replaying: whether the sender has begun again, and
-    all that it sends was taken before.
+    Fields: raw: where they come from, an iterator, or the number of an open file; dt: sampling period in s;
+    clock: of all samples so far; lost: samples, or lines, that could not be read; replaying: whether the
+    sender has begun again, and all that it sends was taken before.
     """
 
     raw: Any = ()
     replaying = False
 
-    def __init__(self, model: Any, complain: Complain) -> None:
+    def __init__(self, model: SignalModel, complain: Complain) -> None:
         self.model, self.complain = model, complain
-        self.clock = Clock(model.dt)
+        self.dt = model.dt or 1.0
+        self.clock = Clock(self.dt)
         self.lost = 0
 
     def pieces(self, arrivals: Iterator[Any]) -> Iterator[tuple[int, Recording]]:
@@ -50,7 +52,9 @@ class Stream:
         raise NotImplementedError
 
     def memory(self) -> dict[str, Any] | None:
-        """Return what another process needs to go on, as JSON holds it; None where there is nothing yet."""
+        """Return the state from which another process goes on, as JSON holds it; None where there is none
+        yet.
+        """
         raise NotImplementedError
 
     def when(self, piece: Recording, k: int) -> str | float:
@@ -78,5 +82,5 @@ class Stream:
     def _resume_clock(self, memory: dict[str, Any]) -> None:
         """Let the clock go on from a memory."""
         seams = tuple(Seam(**seam) for seam in memory["seams"])
-        self.clock = Clock(self.model.dt, memory["samples"], memory["time"], seams)
+        self.clock = Clock(self.dt, memory["samples"], memory["time"], seams)
         self.lost = memory["lost"]

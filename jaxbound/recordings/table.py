@@ -21,18 +21,17 @@ if TYPE_CHECKING:
 
 __all__ = ["as_table", "is_table", "one_row", "paired"]
 
-
 Data = Any
-"""What a user holds: a table or an array of whatever library."""
+"""A table or an array of whatever library, as a user holds it."""
 Rows = np.ndarray | tuple[()]
 """Numbers of rows."""
+SIGNS_OF_A_TABLE = ("columns", "column_names", "collect", "keys", "iloc")
 
 
 def is_table(data: object) -> bool:
     """Return whether this is a DataFrame of pandas, or behaves like one."""
-    return hasattr(data, "iloc") and hasattr(
-        data, "columns"
-    )  # in this order: some tables work out their columns when asked
+    # in this order: some tables work out their columns when asked
+    return hasattr(data, "iloc") and hasattr(data, "columns")
 
 
 def as_table(data: Data, name: str, channels: Sequence[str] | None = None) -> Data:
@@ -45,61 +44,61 @@ def as_table(data: Data, name: str, channels: Sequence[str] | None = None) -> Da
     Raises:
         ValueError: names that are not understood, more than one recording in one table.
     """
-    if (
-        isinstance(data, (list, tuple))
-        and len(data)
-        and (hasattr(data[0], "iloc") or hasattr(data[0], "to_pandas"))
-    ):
-        what = f"{name} is a list of {len(data)}, the first {_kind(data[0])}"
-        raise ValueError(f"{what}: give one recording at a time, as one table")
+    if isinstance(data, (list, tuple)):
+        if len(data) and (hasattr(data[0], "iloc") or hasattr(data[0], "to_pandas")):
+            what = f"{name} is a list of {len(data)}, the first {_library_type(data[0])}"
+            raise ValueError(f"{what}: give one recording at a time, as one table")
+        return data
     if isinstance(data, str | PathLike):
         text = repr(str(data))
         raise ValueError(
             f"{name} is the text {text}: a file is read first, with jaxbound.read({text}, model)"
         )
-    if data is None or isinstance(data, (list, tuple, jax.Array)):
+    if data is None or isinstance(data, jax.Array):
         return data
     if isinstance(data, np.ndarray):
-        return data if data.dtype.names is None else _of_mapping({c: data[c] for c in data.dtype.names}, name)
+        if data.dtype.names is None:
+            return data
+        return _of_mapping({c: data[c] for c in data.dtype.names}, name)
     if isinstance(data, Mapping) and not hasattr(data, "to_pandas"):
         return _of_mapping(data, name)
     if hasattr(data, "iloc") and hasattr(data, "to_numpy"):
-        return _named(data, channels)
+        return _with_names(data, channels)
     if hasattr(data, "to_pandas"):
-        try:
-            found = data.to_pandas()
-        except (ValueError, NotImplementedError) as e:
-            raise ValueError(
-                f"{name}, {_kind(data)}, is no table of one recording, a row a sample: {e}"
-            ) from None
-        return (
-            _with_coordinates(_named(found, channels, getattr(data, "dims", ())), data)
-            if hasattr(found, "iloc")
-            else found
-        )
+        return _of_other_library(data, name, channels)
     if hasattr(data, "__arrow_c_stream__") or hasattr(data, "__arrow_c_array__"):
-        import pyarrow as pa
-
-        try:
-            return _named(pa.table(data).to_pandas(), channels)
-        except (pa.ArrowInvalid, TypeError, ValueError):  # a column alone
-            return (
-                pa.chunked_array(data).to_numpy()
-                if hasattr(data, "__arrow_c_stream__")
-                else pa.array(data).to_numpy(False)
-            )
-    if any(
-        hasattr(type(data), x) or x in getattr(data, "__dict__", ())
-        for x in ("columns", "column_names", "collect", "keys", "iloc")
-    ):
-        raise ValueError(
-            f"{name} is {_kind(data)}, whose names are not understood: give a DataFrame of pandas, or an "
-            f"array"
-        )
+        return _of_arrow(data, channels)
+    if any(hasattr(type(data), x) or x in getattr(data, "__dict__", ()) for x in SIGNS_OF_A_TABLE):
+        what = f"{name} is {_library_type(data)}, whose names are not understood"
+        raise ValueError(f"{what}: give a DataFrame of pandas, or an array")
     return data
 
 
-def _kind(data: object) -> str:
+def _of_other_library(data: Data, name: str, channels: Sequence[str] | None) -> Data:
+    """Return a table of a library that can make one of pandas; an array stays one."""
+    try:
+        converted = data.to_pandas()
+    except (ValueError, NotImplementedError) as e:
+        what = _library_type(data)
+        raise ValueError(f"{name}, {what}, is no table of one recording, a row a sample: {e}") from None
+    if not hasattr(converted, "iloc"):
+        return converted
+    return _with_coordinates(_with_names(converted, channels, getattr(data, "dims", ())), data)
+
+
+def _of_arrow(data: Data, channels: Sequence[str] | None) -> Data:
+    """Return the table, or the column alone, that something tells by the Arrow protocol."""
+    import pyarrow as pa
+
+    try:
+        return _with_names(pa.table(data).to_pandas(), channels)
+    except (pa.ArrowInvalid, TypeError, ValueError):
+        if hasattr(data, "__arrow_c_stream__"):
+            return pa.chunked_array(data).to_numpy()
+        return pa.array(data).to_numpy(False)
+
+
+def _library_type(data: object) -> str:
     return f"a {type(data).__name__} of {type(data).__module__.split('.')[0]}"
 
 
@@ -118,31 +117,26 @@ def _of_mapping(columns: Mapping[str, Data], name: str) -> "pd.DataFrame":
     import pandas as pd
 
     columns = {c: x if np.ndim(x) else [x] for c, x in columns.items()}
-    if len(lengths := {len(x) for x in columns.values()}) > 1:
-        raise ValueError(
-            f"the columns of {name} must have the same number of samples: they have {min(lengths)} to "
-            f"{max(lengths)}"
-        )
+    lengths = {len(x) for x in columns.values()}
+    if len(lengths) > 1:
+        span = f"{min(lengths)} to {max(lengths)}"
+        raise ValueError(f"the columns of {name} must have the same number of samples: they have {span}")
     return pd.DataFrame(columns)
 
 
-def _named(data: Data, channels: Sequence[str] | None, dims: Sequence[Hashable] = ()) -> Data:
+def _with_names(data: Data, channels: Sequence[str] | None, dims: Sequence[Hashable] = ()) -> Data:
     """Return a DataFrame or a Series as a DataFrame whose columns have names, if it can be, with one label a
     row.
     """
     data = one_level(data)
     if not hasattr(data, "columns"):
-        name = (
-            data.name
-            if data.name is not None
-            else channels[0]
-            if channels is not None and len(channels) == 1
-            else None
-        )
-        return data if name is None else data.to_frame(name)
-    if (
-        len(dims) == 2 and channels is not None
-    ):  # an array with labels on its axes: those of the channels say which axis is which
+        if data.name is not None:
+            return data.to_frame(data.name)
+        if channels is not None and len(channels) == 1:
+            return data.to_frame(channels[0])
+        return data
+    # an array with labels on its axes: those of the channels say which axis is which
+    if len(dims) == 2 and channels is not None:
         if set(channels) <= set(data.index) and not set(channels) <= set(data.columns):
             return data.T
         if unlabelled(data.columns) and data.shape[1] == len(channels):
@@ -163,7 +157,9 @@ def one_row(data: Data, name: str) -> Data:
         return np.asarray(data)[None]
     if hasattr(data, "iloc") and not hasattr(data, "columns") and any(isinstance(c, str) for c in data.index):
         row = data.to_frame().T
-        return row if data.name is not None else row.reset_index(drop=True)
+        if data.name is None:
+            return row.reset_index(drop=True)
+        return row
     data = as_table(data, name)
     if not is_table(data):
         return np.asanyarray(data)[None]
@@ -189,21 +185,30 @@ def paired(u: Data, y: Data, model: Named) -> tuple[Data, Data, Rows]:
         ValueError: each index has labels that the other has not, or a label is there twice; what `with_time`
             and `one_level` raise.
     """
-    timed = lambda x: with_time(x, model) if is_table(x) else x
     if u is y:
-        y = timed(y)
-        return y, y, ()
-    by_u, by_y = timed(u), timed(y)
+        both = _timed_table(y, model)
+        return both, both, ()
+    by_u, by_y = _timed_table(u, model), _timed_table(y, model)
     if not is_table(u) or not is_table(y):
         return by_u, by_y, ()
-    found = [after.index for before, after in ((u, by_u), (y, by_y)) if after is not before]
-    if len(found) != 1 or tells_dates(u.index) or tells_dates(y.index):
+    alone = (by_u is u) != (by_y is y)  # one of the two has a column of times
+    if not alone or tells_dates(u.index) or tells_dates(y.index):
         return _matched(by_u, by_y)
-    if unlabelled(u.index) and unlabelled(y.index):  # where they are not as long, they are refused for that
-        return *(x.set_axis(found[0]) if len(x) == len(found[0]) else x for x in (u, y)), ()
-    rows_u, rows_y = _places(u.index, y.index)
+    if unlabelled(u.index) and unlabelled(y.index):
+        if len(u) != len(y):  # it is refused for that
+            return by_u, by_y, ()
+        times = by_y.index if by_u is u else by_u.index
+        return u.set_axis(times), y.set_axis(times), ()
+    rows_u, rows_y = _paired_rows(u.index, y.index)
     times = by_y.index[rows_y] if by_u is u else by_u.index[rows_u]
     return u.iloc[rows_u].set_axis(times), y.iloc[rows_y].set_axis(times), ()
+
+
+def _timed_table(data: Data, model: Named) -> Data:
+    """Return a table by its times, where it tells some; anything else as it is."""
+    if is_table(data):
+        return with_time(data, model)
+    return data
 
 
 def _matched(u: "pd.DataFrame", y: "pd.DataFrame") -> tuple[Data, Data, Rows]:
@@ -211,13 +216,13 @@ def _matched(u: "pd.DataFrame", y: "pd.DataFrame") -> tuple[Data, Data, Rows]:
     a, b = u.index, y.index
     if a is b or a.equals(b) or (unlabelled(a) and unlabelled(b)):  # of another length: refused for that
         return u, y, ()
-    rows_u, rows_y = _places(a, b)
+    rows_u, rows_y = _paired_rows(a, b)
     if len(rows_y) == len(b):  # in the order of y
         return u.iloc[rows_u].set_axis(b), y, _jumps(rows_u, b)
     return u, y.iloc[rows_y].set_axis(a), _jumps(rows_y, a)
 
 
-def _places(a: "pd.Index", b: "pd.Index") -> tuple[np.ndarray, np.ndarray]:
+def _paired_rows(a: "pd.Index", b: "pd.Index") -> tuple[np.ndarray, np.ndarray]:
     """Return (rows of the table with the labels a, rows of that with b) that belong together, in the order of
     the shorter one.
 

@@ -68,12 +68,16 @@ def one_level(frame: "pd.DataFrame") -> "pd.DataFrame":
     levels = [index.get_level_values(level) for level in range(index.nlevels)]
     several = [labels for labels in levels if labels.nunique(dropna=False) > 1]
     if len(several) > 1:
-        names = ", ".join(
-            "one without a name" if labels.name is None else str(labels.name) for labels in several
-        )
+        names = ", ".join(map(_name_of_level, several))
         one = "give one unit at a time, like frame.xs(unit), with the time of its rows as index"
         raise ValueError(f"the index has the levels {names}: a recording is one sequence of samples; {one}")
     return frame.set_axis([*several, levels[-1]][0])
+
+
+def _name_of_level(labels: "pd.Index") -> str:
+    if labels.name is None:
+        return "one without a name"
+    return str(labels.name)
 
 
 def plain_labels(labels: "pd.Index") -> "pd.Index":
@@ -93,9 +97,11 @@ def plain_labels(labels: "pd.Index") -> "pd.Index":
     if isinstance(labels.dtype, pd.CategoricalDtype):
         labels = pd.Index(np.asarray(labels), name=labels.name)
     kind = labels.dtype.kind
-    if kind in ("M", "m"):
-        return pd.DatetimeIndex(labels) if kind == "M" else pd.TimedeltaIndex(labels)
-    first = _first(labels)
+    if kind == "M":
+        return pd.DatetimeIndex(labels)
+    if kind == "m":
+        return pd.TimedeltaIndex(labels)
+    first = _first_label(labels)
     if kind != "O" or first is None or isinstance(first, datetime.time):
         return labels
     if isinstance(first, datetime.timedelta):
@@ -136,16 +142,18 @@ def with_time(frame: "pd.DataFrame", model: Named) -> "pd.DataFrame":
         named = None
     if named is None and tells_dates(frame.index):
         return frame
-    labels = lambda name: _labels(frame, name) if name in frame.columns else frame.index
     taken = _of_signals(model)
     free = [c for c in columns if c not in taken]
-    held = lambda name: _held(labels(name))
-    day, time = time_column(columns, free, named, held, getattr(model, "dt", None))
+
+    def kind_of(name: str) -> str:
+        return _kind_of_labels(_labels_of_rows(frame, name))
+
+    day, time = time_column(columns, free, named, kind_of, getattr(model, "dt", None))
     if time is None:
         return frame
     if day is None:
-        return frame.set_axis(_in_seconds(labels(time), time))
-    return frame.set_axis(_of_day_and_clock(labels(day), labels(time)))
+        return frame.set_axis(_in_seconds(_labels_of_rows(frame, time), time))
+    return frame.set_axis(_of_day_and_clock(_labels_of_rows(frame, day), _labels_of_rows(frame, time)))
 
 
 def row_time(index: "pd.Index", dt: float | None, whose: str, regular: bool) -> RowTime:
@@ -163,42 +171,53 @@ def row_time(index: "pd.Index", dt: float | None, whose: str, regular: bool) -> 
     plain = plain_labels(index)
     kind = plain.dtype.kind
     if kind in ("m", "M"):
-        time, origin = _since_first(plain)
-        stamps = plain.to_numpy("datetime64[ns]") if kind == "M" else None
-        return RowTime(time, origin, *_checked(time, index, dt, whose, regular, stamps))
+        time, origin = _since_first_label(plain)
+        period, seams = _period_and_seams(time, index, dt, whose, regular)
+        stamps = None
+        if kind == "M":
+            stamps = plain.to_numpy("datetime64[ns]")
+        return RowTime(time, origin, period, stamps, seams)
     if kind not in ("i", "u", "f"):
         return RowTime(None, np.nan, None, None, _changes(plain))
     if unlabelled(plain) or not len(plain):
         return RowTime(None, np.nan, None, None, np.zeros(0, np.int64))
-    labels = _complete(plain.to_numpy(np.float64, na_value=np.nan), np.isnan)
+    labels = _without_missing(plain.to_numpy(np.float64, na_value=np.nan), np.isnan)
     if kind != "f":
         if regular:
             _refuse_steps(labels)
         time = labels * (dt or 1.0)
-        return RowTime(time, 0.0, None, None, _checked(time, index, dt or 1.0, whose, regular)[-1])
+        _, seams = _period_and_seams(time, index, dt or 1.0, whose, regular)
+        return RowTime(time, 0.0, None, None, seams)
     time, stamps, _ = read_numbers(labels, dt)
-    origin = 0.0 if stamps is None else float((stamps[0] - EPOCH) / SECOND)
-    return RowTime(time, origin, *_checked(time, index, dt, whose, regular, stamps))
+    origin = 0.0
+    if stamps is not None:
+        origin = float((stamps[0] - EPOCH) / SECOND)
+    period, seams = _period_and_seams(time, index, dt, whose, regular)
+    return RowTime(time, origin, period, stamps, seams)
 
 
 def _of_signals(model: Named) -> set[str]:
     """Return the names of all columns that hold a signal."""
-    found = set()
+    column_for = getattr(model, "column", str)
+    names: set[str] = set()
     for signal in (*model.inputs, *model.outputs):
-        column = getattr(model, "column", lambda name: name)(signal)
-        found |= {signal, column}
+        column = column_for(signal)
+        names |= {signal, column}
         if is_expression(column):
-            found |= set(expression(column).columns)
-    return found
+            names.update(expression(column).columns)
+    return names
 
 
-def _labels(frame: "pd.DataFrame", name: str) -> "pd.Index":
+def _labels_of_rows(frame: "pd.DataFrame", name: str) -> "pd.Index":
+    """Return a column of a table, or its index, which may have a name like one."""
     import pandas as pd
 
+    if name not in frame.columns:
+        return frame.index
     return pd.Index(frame.iloc[:, list(frame.columns).index(name)])
 
 
-def _first(labels: "pd.Index") -> object:
+def _first_label(labels: "pd.Index") -> object:
     """Return the first label that there is, or None."""
     first = labels[:1]
     if not len(first) or first.hasnans:
@@ -208,33 +227,43 @@ def _first(labels: "pd.Index") -> object:
     return first[0]
 
 
-def _held(labels: "pd.Index") -> str:
+def _kind_of_labels(labels: "pd.Index") -> str:
     """Return the kind of labels, as `stamp_kind` does of text."""
-    first = _first(labels)
+    first = _first_label(labels)
     if isinstance(first, (int, np.integer)):
-        is_time = bool(DIGITS.fullmatch(str(first)))
-        return stamp_kind(str(first)) if is_time else ""
+        return stamp_kind(str(first)) if DIGITS.fullmatch(str(first)) else ""
     if isinstance(first, str):
-        is_time = bool(DIGITS.fullmatch(first)) or not is_number(first, ",")
-        return stamp_kind(first) if is_time else ""
+        if is_number(first, ",") and not DIGITS.fullmatch(first):
+            return ""
+        return stamp_kind(first)
     if isinstance(first, datetime.time):
         return "clock"
     plain = plain_labels(labels)
     if plain.dtype.kind == "M":
-        known = plain.dropna()
-        days = (known == known.normalize()).all() and (len(labels) == 1 or not known.is_unique)
-        return "day" if days else "stamp"  # days that are all different are the time of a daily recording
+        return _kind_of_dates(plain.dropna(), len(labels))
     if plain.dtype.kind == "m":
-        return "clock" if ((plain >= np.timedelta64(0, "D")) & (plain < DAY)).all() else "stamp"
+        if ((plain >= np.timedelta64(0, "D")) & (plain < DAY)).all():
+            return "clock"
+        return "stamp"
     return ""
+
+
+def _kind_of_dates(dates: "pd.Index", rows: int) -> str:
+    """Return "day" of days that several rows share, else "stamp".
+
+    Days that are all different are the time of a daily recording.
+    """
+    if (dates == dates.normalize()).all() and (rows == 1 or not dates.is_unique):
+        return "day"
+    return "stamp"
 
 
 def _in_seconds(labels: "pd.Index", name: str) -> "pd.Index":
     """Return the labels of a time column as dates, time spans, or floats, which are seconds or an epoch."""
     plain = plain_labels(labels)
     if plain.dtype.kind in ("i", "u", "f"):
-        plain = plain.astype(np.float64) if isinstance(plain.dtype, np.dtype) else _floats(plain)
-    elif isinstance(_first(plain), datetime.time):
+        plain = _float_labels(plain)
+    elif isinstance(_first_label(plain), datetime.time):
         lacking = "times without a day, and no column holds the days: add one, or index by times"
         raise ValueError(f"the time column {name!r} holds {lacking}")
     elif plain.dtype.kind not in ("m", "M"):
@@ -242,32 +271,38 @@ def _in_seconds(labels: "pd.Index", name: str) -> "pd.Index":
     return plain.rename(name)
 
 
-def _floats(labels: "pd.Index") -> "pd.Index":
+def _float_labels(labels: "pd.Index") -> "pd.Index":
     import pandas as pd
 
+    if isinstance(labels.dtype, np.dtype):
+        return labels.astype(np.float64)
     return pd.Index(labels.to_numpy(np.float64, na_value=np.nan))
 
 
 def _of_day_and_clock(days: "pd.Index", clocks: "pd.Index") -> "pd.Index":
     import pandas as pd
 
-    since = clocks if clocks.dtype.kind == "m" else pd.to_timedelta([t.isoformat() for t in clocks])
+    since = clocks
+    if clocks.dtype.kind != "m":
+        since = pd.to_timedelta([clock.isoformat() for clock in clocks])
     if days.dtype.kind in ("i", "u"):
         days = pd.to_datetime(days.astype(str), format="%Y%m%d")
     return pd.DatetimeIndex(plain_labels(days) + pd.TimedeltaIndex(since), name=clocks.name)
 
 
-def _since_first(index: "pd.Index") -> tuple[np.ndarray, float]:
+def _since_first_label(index: "pd.Index") -> tuple[np.ndarray, float]:
     """Return (time, origin): seconds since the first label of an index, and that one's since 1970 or zero."""
-    _complete(index, lambda x: np.asarray(x.isna()))
+    _without_missing(index, lambda x: np.asarray(x.isna()))
     if not len(index):
         return np.zeros(0), np.nan
-    spans = index.dtype.kind == "m"
-    first = np.asarray(index[:1].to_numpy() if spans else index[:1].to_numpy("datetime64[ns]"))[0]
-    return np.asarray(index - index[0]) / SECOND, float((first if spans else first - EPOCH) / SECOND)
+    if index.dtype.kind == "m":
+        origin = index[:1].to_numpy()[0]
+    else:
+        origin = index[:1].to_numpy("datetime64[ns]")[0] - EPOCH
+    return np.asarray(index - index[0]) / SECOND, float(origin / SECOND)
 
 
-def _complete(labels: T, gone: Callable[[T], np.ndarray]) -> T:
+def _without_missing(labels: T, gone: Callable[[T], np.ndarray]) -> T:
     """Return the labels; refuse some that are none."""
     missing = gone(labels)
     if missing.any():
@@ -278,7 +313,9 @@ def _complete(labels: T, gone: Callable[[T], np.ndarray]) -> T:
 
 def _refuse_steps(labels: np.ndarray) -> None:
     """Refuse an index that counts, but not every sample, as one of every second row of a table does."""
-    step = float(np.median(np.diff(labels))) if len(labels) > 1 else 1.0
+    if len(labels) < 2:
+        return
+    step = float(np.median(np.diff(labels)))
     if step > 0 and abs(step - 1) > TOLERATED_STEP:
         seconds = (
             "If these are seconds, call the index 'time'; if the rows follow each other, "
@@ -287,30 +324,26 @@ def _refuse_steps(labels: np.ndarray) -> None:
         raise ValueError(f"the index counts in steps of {step:g}, as if rows were left out. {seconds}")
 
 
-def _checked(
-    time: np.ndarray,
-    index: "pd.Index",
-    dt: float | None,
-    whose: str,
-    regular: bool,
-    stamps: np.ndarray | None = None,
-) -> tuple[float | None, np.ndarray | None, np.ndarray]:
-    """Return (dt, stamps, seams) of rows at these times."""
-    period = None
-    checked = regular and len(time) > 1
+def _period_and_seams(
+    time: np.ndarray, index: "pd.Index", dt: float | None, whose: str, regular: bool
+) -> tuple[float | None, np.ndarray]:
+    """Return (sampling period, seams) of rows at these times; None: it was not asked for."""
+    if not regular or len(time) < 2:
+        _, seams = tick(Clock(dt or 1.0), time)
+        return None, seams
     try:
-        if checked:
-            period = usual_period(time) if dt is None else dt
-            check_period(time, period, whose)
-        clock, seams = tick(Clock(period or dt or 1.0), time)
-        if checked and (sentence := irregular(clock, lambda k: str(index[k]), lambda k: f"row {k}")):
+        period = usual_period(time) if dt is None else dt
+        check_period(time, period, whose)
+        clock, seams = tick(Clock(period), time)
+        sentence = irregular(clock, lambda k: str(index[k]), "row {}".format)
+        if sentence:
             raise ValueError(sentence)
     except ValueError as e:
         if index.name is None:
             raise ValueError(str(e)) from None
         taken = f"the time is taken from {index.name!r}: where that is none, rename it or leave it out"
         raise ValueError(f"{e}; {taken}") from None
-    return period, stamps, seams
+    return period, seams
 
 
 def _changes(labels: "pd.Index") -> np.ndarray:
@@ -321,7 +354,7 @@ def _changes(labels: "pd.Index") -> np.ndarray:
     Raises:
         ValueError: labels that are times, but as text or without a day; numbers among other labels.
     """
-    first = _first(labels) if len(labels) else None
+    first = _first_label(labels)
     drop = "or leave it out with frame.reset_index(drop=True)"
     if time_like(first):
         raise ValueError(f"the index holds times as text: {TO_DATETIME.replace('them', 'it')}")

@@ -20,9 +20,11 @@ if TYPE_CHECKING:
 __all__ = [
     "DIGITS",
     "epoch_scale",
+    "from_epoch",
     "parse_stamps",
     "read_numbers",
     "row_label",
+    "scale_of",
     "since_epoch",
     "stamp_kind",
     "time_label",
@@ -48,16 +50,14 @@ DATES = (
     "%Y%m%d",
 )
 CLOCKS = ("%H:%M:%S", "%H:%M", "%I:%M:%S %p", "%I:%M %p", "%H%M%S")
-FORMATS = (
-    [f"{d}{gap}{c}" for d in DATES for gap in (" ", "T") for c in CLOCKS]
-    + list(DATES[:-1])
-    + list(CLOCKS[:4])
-)
+FORMATS = [f"{date}{gap}{clock}" for date in DATES for gap in (" ", "T") for clock in CLOCKS]
+FORMATS += DATES[:-1] + CLOCKS[:4]
 LONGEST = 64  # letters of a time stamp
 DIGITS = re.compile(r"\d{8}")  # of a day that is written without separators
 COMPACT = {14: "%Y%m%d%H%M%S", 12: "%Y%m%d%H%M"}  # by their digits
 CENTURIES = 1970, 2200  # years that a number of so many digits may begin with
 EPOCHS = {1.0: "s", 1e3: "ms", 1e6: "us", 1e9: "ns"}
+SECOND = np.timedelta64(1, "s")
 
 
 def parse_stamps(
@@ -81,37 +81,43 @@ def parse_stamps(
 
     for kind in (pa.timestamp("ns"), pa.timestamp("ns", "UTC")):  # ISO 8601, with or without a zone
         try:
-            return _since_first(from_arrow(cells.cast(kind)), "")
+            stamps = from_arrow(cells.cast(kind))
         except pa.ArrowInvalid:
-            pass
+            continue
+        return _since_first(stamps), stamps, ""
+    read = _in_formats(cells, where)
+    seams = [_seams(stamps, dt) for _, stamps in read]
+    smoothest = [one for one, count in zip(read, seams, strict=True) if count == min(seams)]
+    form, stamps = smoothest[0]
+    like = f"time stamps like {cells[0].as_py()!r}"
+    if "%d" not in form:
+        hint = f"{like} have no day: a gap of whole days cannot be seen"
+        return _since_midnights(stamps), None, hint
+    hint = ""
+    if len(smoothest) > 1 and stamps[0] != smoothest[1][1][0]:
+        other = _order_in_words(smoothest[1][0])
+        hint = f"{like} are read as {_order_in_words(form)}; they could also be {other}"
+    return _since_first(stamps), stamps, hint
+
+
+def _in_formats(cells: "pa.Array", where: Callable[[int], str]) -> list[tuple[str, np.ndarray]]:
+    """Return (format, stamps) of each known format that all cells have; refuse cells without any."""
     whole, fraction = _split_fraction(cells)
     first = whole[0].as_py()
-    formats = [f for f in FORMATS if _fits(first, f)]
-    if not formats:
+    read = [(form, _stamps_in(whole, fraction, form)) for form in FORMATS if _has_format(first, form)]
+    if not read:
         raise ValueError(
             f"{where(0)} of the time column is {cells[0].as_py()!r}: neither seconds nor a known time stamp "
             "(2017-09-12 08:00:00, 9/12/2017 8:00, 12.09.2017 8:00, ...)"
         )
-    read = [(f, _parse(whole, fraction, f)) for f in formats]
-    complete = [(f, x) for f, x in read if not np.isnat(x).any()]
+    complete = [(form, stamps) for form, stamps in read if not np.isnat(stamps).any()]
     if not complete:
-        bad = max(int(np.argmax(np.isnat(x))) for _, x in read)
+        bad = max(int(np.argmax(np.isnat(stamps))) for _, stamps in read)
         odd, usual = cells[bad].as_py(), cells[0].as_py()
         raise ValueError(
             f"{where(bad)} of the time column is {odd!r}: not a time stamp like the first, {usual!r}"
         )
-    seams = [_seams(x, dt) for _, x in complete]
-    smoothest = [c for c, n in zip(complete, seams, strict=True) if n == min(seams)]
-    form, stamps = smoothest[0]
-    hint = ""
-    if len(smoothest) > 1 and "%d" in form and stamps[0] != smoothest[1][1][0]:
-        hint = (
-            f"time stamps like {cells[0].as_py()!r} are read as {_words(form)}; they could also be "
-            f"{_words(smoothest[1][0])}"
-        )
-    if not (dated := "%d" in form):
-        hint = f"time stamps like {cells[0].as_py()!r} have no day: a gap of whole days cannot be seen"
-    return _since_first(stamps, hint, dated)
+    return complete
 
 
 def stamp_kind(cell: str | None) -> str:
@@ -131,14 +137,19 @@ def stamp_kind(cell: str | None) -> str:
     if not cell or not any(c.isdigit() for c in cell) or len(cell) > LONGEST:
         return ""
     if DIGITS.fullmatch(cell.strip()):
-        return "digits" if _fits(cell.strip(), DATES[-1]) else ""
+        if _has_format(cell.strip(), DATES[-1]):
+            return "digits"
+        return ""
     try:
         parse_stamps(pa.array([cell]), None, str)
     except ValueError:
         return ""
     whole = _split_fraction(pa.array([cell]))[0][0].as_py()
-    fits = lambda formats: any(_fits(whole, f) for f in formats)
-    return "day" if fits(DATES) else "clock" if fits(CLOCKS) else "stamp"
+    if any(_has_format(whole, form) for form in DATES):
+        return "day"
+    if any(_has_format(whole, form) for form in CLOCKS):
+        return "clock"
+    return "stamp"
 
 
 def with_day(days: "pa.Array", clocks: "pa.Array") -> "pa.Array":
@@ -160,27 +171,42 @@ def since_epoch(values: np.ndarray) -> np.ndarray:
     """
     import pyarrow as pa
 
-    first = str(int(values[0])) if len(values) and np.isfinite(values).all() else ""
-    form = COMPACT.get(len(first))
-    if (
-        form is None
-        or not CENTURIES[0] <= int(first[:4]) < CENTURIES[1]
-        or (values != np.floor(values)).any()
-    ):
+    if not len(values) or not np.isfinite(values).all():
         return values
-    stamps = _parse(pa.array(values.astype(np.int64)).cast(pa.string()), None, form)
-    return values if np.isnat(stamps).any() else (stamps - np.datetime64(0, "s")) / np.timedelta64(1, "s")
+    first = str(int(values[0]))
+    form = COMPACT.get(len(first))
+    if form is None or not CENTURIES[0] <= int(first[:4]) < CENTURIES[1]:
+        return values
+    if (values != np.floor(values)).any():
+        return values
+    stamps = _stamps_in(pa.array(values.astype(np.int64)).cast(pa.string()), None, form)
+    if np.isnat(stamps).any():
+        return values
+    return (stamps - np.datetime64(0, "s")) / SECOND
+
+
+def from_epoch(values: np.ndarray, scale: float) -> np.ndarray:
+    """Return numbers since 1970, `scale` of them a second, as datetime64[ns]."""
+    return np.round(values * (1e9 / scale)).astype("int64").astype("datetime64[ns]")
 
 
 def epoch_scale(values: np.ndarray, dt: float | None) -> float | None:
     """Return how many units a second of a numeric time column has if it is an epoch (in s, ms, us or ns),
     else None: it is in seconds.
     """
-    step = dt or 0.0 if len(values) < 2 else float(np.median(np.diff(values)))
+    step = dt or 0.0
+    if len(values) > 1:
+        step = float(np.median(np.diff(values)))
+    scale = scale_of(float(values[0]))
+    if scale is None or scale == 1 or dt is None or abs(step / scale - dt) <= TOLERATED_DT * dt:
+        return scale
+    return None
+
+
+def scale_of(value: float) -> float | None:
+    """Return how many units a second has of which a number may be an epoch of these years, or None."""
     for scale in EPOCHS:
-        if 1e9 * scale <= values[0] < 5e9 * scale and (
-            scale == 1 or dt is None or abs(step / scale - dt) <= TOLERATED_DT * dt
-        ):
+        if 1e9 * scale <= value < 5e9 * scale:
             return scale
     return None
 
@@ -193,12 +219,10 @@ def read_numbers(values: np.ndarray, dt: float | None) -> tuple[np.ndarray, np.n
     scale = epoch_scale(values, dt)
     if scale is None:
         return values, None, ""
-    stamps = np.round(values * (1e9 / scale)).astype("int64").astype("datetime64[ns]")
-    return (
-        (values - values[0]) / scale,
-        stamps,
-        "" if scale == 1 else f"the time column is read as an epoch in {EPOCHS[scale]}",
-    )
+    hint = ""
+    if scale != 1:
+        hint = f"the time column is read as an epoch in {EPOCHS[scale]}"
+    return (values - values[0]) / scale, from_epoch(values, scale), hint
 
 
 def time_label(seconds: float, stamp: np.datetime64 | None, step: float) -> str:
@@ -213,14 +237,19 @@ def time_label(seconds: float, stamp: np.datetime64 | None, step: float) -> str:
     if stamp is not None:
         return str(stamp.astype("datetime64[ms]")).replace("T", " ").removesuffix(".000")
     text = f"{seconds:.{max(0, 2 - math.floor(math.log10(step)))}f}"
-    return f"{text.rstrip('0').rstrip('.') if '.' in text else text} s"
+    if "." in text:
+        text = text.rstrip("0").rstrip(".")
+    return f"{text} s"
 
 
 def row_label(index: "pd.Index | np.ndarray | None", k: int) -> str:
     """Return the label of row k as text; index: labels of all rows, None where they have none."""
     if index is None:
         return f"sample {k}"
-    return time_label(0.0, index[k], 1.0) if isinstance(index[k], np.datetime64) else str(index[k])
+    label = index[k]
+    if isinstance(label, np.datetime64):
+        return time_label(0.0, label, 1.0)
+    return str(label)
 
 
 def time_like(label: object) -> bool:
@@ -239,12 +268,11 @@ def _split_fraction(cells: "pa.Array") -> tuple["pa.Array", np.ndarray | None]:
     parts = pc.extract_regex(cells, r"^(?P<whole>.*?:\d\d)[.,]?(?P<fraction>\d*)$")
     digits = pc.struct_field(parts, "fraction")
     seconds = pc.binary_join_element_wise("0.", pc.coalesce(digits, "0"), "0", "").cast(pa.float64())
-    return pc.coalesce(pc.struct_field(parts, "whole"), ""), (from_arrow(seconds) * 1e9).round().astype(
-        "timedelta64[ns]"
-    )
+    fraction = (from_arrow(seconds) * 1e9).round().astype("timedelta64[ns]")
+    return pc.coalesce(pc.struct_field(parts, "whole"), ""), fraction
 
 
-def _fits(text: str, form: str) -> bool:
+def _has_format(text: str, form: str) -> bool:
     try:
         datetime.strptime(text, form)
     except ValueError:
@@ -252,40 +280,41 @@ def _fits(text: str, form: str) -> bool:
     return True
 
 
-def _parse(whole: "pa.Array", fraction: np.ndarray | None, form: str) -> np.ndarray:
+def _stamps_in(whole: "pa.Array", fraction: np.ndarray | None, form: str) -> np.ndarray:
     import pyarrow.compute as pc
 
-    stamps = from_arrow(pc.strptime(whole, format=form, unit="s", error_is_null=True)).astype(
-        "datetime64[ns]"
-    )
-    return stamps if fraction is None else stamps + fraction
-
-
-def _seconds(stamps: np.ndarray) -> np.ndarray:
-    return (stamps - stamps[0]) / np.timedelta64(1, "s")
+    seconds = pc.strptime(whole, format=form, unit="s", error_is_null=True)
+    stamps = from_arrow(seconds).astype("datetime64[ns]")
+    if fraction is not None:
+        stamps += fraction
+    return stamps
 
 
 def _seams(stamps: np.ndarray, dt: float | None) -> int:
     """Return how many steps are not dt."""
-    steps = np.diff(_seconds(stamps))
-    dt = dt if dt is not None else np.median(steps) if len(steps) else 1.0
+    steps = np.diff(_since_first(stamps))
+    if not len(steps):
+        return 0
+    if dt is None:
+        dt = np.median(steps)
     return int((np.abs(steps - dt) > TOLERATED_STEP * abs(dt)).sum())
 
 
-def _since_first(
-    stamps: np.ndarray, hint: str, dated: bool = True
-) -> tuple[np.ndarray, np.ndarray | None, str]:
-    time = _seconds(stamps)
-    if dated:
-        return time, stamps, hint
-    return (
-        time + 86400.0 * np.concatenate([[0], np.cumsum(np.diff(time) < -43200)]),
-        None,
-        hint,
-    )  # a clock that passed midnight
+def _since_first(stamps: np.ndarray) -> np.ndarray:
+    """Return seconds since the first time stamp."""
+    seconds: np.ndarray = (stamps - stamps[0]) / SECOND
+    return seconds
 
 
-def _words(form: str) -> str:
+def _since_midnights(stamps: np.ndarray) -> np.ndarray:
+    """Return seconds of a clock without a date since its first sample; it goes back where it passes
+    midnight.
+    """
+    time = _since_first(stamps)
+    return time + 86400.0 * np.concatenate([[0], np.cumsum(np.diff(time) < -43200)])
+
+
+def _order_in_words(form: str) -> str:
     for code, word in {"%Y": "year", "%y": "year", "%m": "month", "%d": "day", "%b": "month"}.items():
         form = form.replace(code, word)
     return form.split(" %")[0].split("T%")[0]

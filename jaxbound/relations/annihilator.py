@@ -47,15 +47,14 @@ LONGEST = 600
 
 @dataclass(frozen=True)
 class Step:
-    """What one order of the search came to: unknowns and equations, dimension of the null space, of the
-    multiples in it, new relations.
+    """One order of the search: unknowns and equations, dimension of the null space, new relations in it; the
+    others are multiples of relations of lower orders.
     """
 
     order: int
     unknowns: int
     equations: int
     kernel: int
-    multiples: int
     new: int
 
 
@@ -96,7 +95,8 @@ def annihilator(E: PolynomialMatrix) -> tuple[PolynomialMatrix, tuple[Step, ...]
             chosen = _matrix(_fewest(relations, E, points, target), E)
             proof, where = rank_over_box(chosen, target)
             if proof != "drops" or where is None:
-                return chosen, tuple(steps), "proved" if proof == "proved" else "sampled"
+                complete = "proved" if proof == "proved" else "sampled"
+                return chosen, tuple(steps), complete
             points.append(where)
     return _matrix(relations, E), tuple(steps), "partial"
 
@@ -169,7 +169,7 @@ def _one_order(
     found = []
     for row in fresh:
         found.append({(betas[k // E.rows], k % E.rows): x for k, x in row.items()})
-    return found, Step(order, len(betas) * E.rows, size, len(kernel), len(spanned), len(fresh))
+    return found, Step(order, len(betas) * E.rows, size, len(kernel), len(fresh))
 
 
 def _matrix(kept: Sequence[Kept], E: PolynomialMatrix) -> PolynomialMatrix:
@@ -328,7 +328,6 @@ def _moved(powers: np.ndarray, centre: np.ndarray, radius: np.ndarray) -> np.nda
     top = powers.max(initial=0) + 1
     binomial = np.array([[comb(e, k) for e in range(top)] for k in range(top)], float)  # 0 where k > e
     rest = np.maximum(powers[None] - powers[:, None], 0)
-    return (
-        np.prod(binomial[powers[:, None], powers[None]] * centre**rest, -1)
-        * np.prod(radius**powers, -1)[:, None]
-    )
+    moved: np.ndarray = np.prod(binomial[powers[:, None], powers[None]] * centre**rest, -1)
+    moved *= np.prod(radius**powers, -1)[:, None]
+    return moved

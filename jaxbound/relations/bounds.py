@@ -2,7 +2,7 @@
 than what the user wrote.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TypeAlias, cast
 
 import jax
@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike, DTypeLike
 
+from jaxbound.consistency.interface import Array
 from jaxbound.consistency.reading import Reading
 from jaxbound.models import window
 from jaxbound.models.system import LinearSystem
@@ -19,7 +20,7 @@ from jaxbound.sets.strips.strips import Strips
 
 __all__ = ["Bounds", "changed_bounds", "checked_bound", "float_bound", "model_bounds", "reading"]
 
-Bounds: TypeAlias = dict[str, np.ndarray | jax.Array]
+Bounds: TypeAlias = dict[str, Array]
 """{"tolerance": (p,), "noise": (p,), ..}, see `model_bounds`."""
 
 KINDS = {
@@ -52,49 +53,77 @@ def model_bounds(model: LinearSystem) -> Bounds:
     return {**bounds}
 
 
-def checked_bound(model: LinearSystem, name: str, value: ArrayLike) -> np.ndarray | jax.Array:
+def checked_bound(model: LinearSystem, name: str, value: ArrayLike) -> Array:
     """Check one entry of `bounds` and give it its shape: an array of its own, which nobody writes.
 
     Raises:
         ValueError: a wrong shape, a negative bound, a tolerance >= 1, lo > hi, NaN or infinity.
     """
     kind = KINDS[name]
-    if kind == "output":
-        names = model.outputs
-    elif kind == "disturbance":
-        names = tuple(f"w{j + 1}" for j in range(model.g))
-    elif kind == "average":
-        names = tuple(bounded.text for bounded in window.bounded_sums(model))
-    else:
-        names = tuple(u.name for u in model.uncertainties)
+    names = _names(model, kind)
+    paired = kind == "disturbance"  # lo and hi, where others are half-widths
+    allowed: list[tuple[int, ...]] = [(), (len(names),)]
+    if paired:
+        allowed.append((len(names), 2))
     shape = np.shape(value)
-    allowed = ((), (len(names),), (len(names), 2))[: 3 if kind == "disturbance" else 2]
     if shape not in allowed:
         raise ValueError(f"{name} needs one number or one per {kind} ({len(names)}): its shape is {shape}")
     if isinstance(value, jax.core.Tracer):
-        traced = value if len(shape) == 2 else jnp.broadcast_to(value, (len(names),))
-        return jnp.stack([-traced, traced], 1) if kind == "disturbance" and len(shape) < 2 else traced
+        return _traced(cast("jax.Array", value), len(names), paired)  # a Tracer stands for an Array
     given = np.array(value, np.float64)
-    top = 1 if name == "tolerance" else np.inf
-    spread = given if len(shape) == 2 else np.broadcast_to(given, (len(names),))
-    for who, b in zip(names, spread, strict=True):
-        if len(shape) == 2 and not -np.inf < b[0] <= b[1] < np.inf:
-            raise ValueError(f"{name} needs lo <= hi, both finite: {kind} {who!r} has [{b[0]:g}, {b[1]:g}]")
-        if len(shape) < 2 and not 0 <= b < top:
-            raise ValueError(f"{name} must be in [0, {top}): {kind} {who!r} has {b:g}")
-    if kind == "disturbance" and len(shape) < 2:
-        spread = np.stack([-spread, spread], 1)
+    if len(shape) == 2:
+        _refuse_pairs(name, kind, names, given)
+        spread = given
+    else:
+        spread = np.broadcast_to(given, (len(names),))
+        _refuse_sizes(name, kind, names, spread)
+        if paired:
+            spread = np.stack([-spread, spread], 1)
     spread.setflags(write=False)
     return spread
 
 
-def float_bound(bound: np.ndarray | jax.Array, dtype: DTypeLike) -> np.ndarray | jax.Array:
+def _names(model: LinearSystem, kind: str) -> tuple[str, ...]:
+    """Return the names of all that a kind of bound speaks of."""
+    if kind == "output":
+        return model.outputs
+    if kind == "disturbance":
+        return tuple(f"w{j + 1}" for j in range(model.g))
+    if kind == "average":
+        return tuple(bounded.text for bounded in window.bounded_sums(model))
+    return tuple(u.name for u in model.uncertainties)
+
+
+def _traced(value: jax.Array, count: int, paired: bool) -> jax.Array:
+    """Return a tracer in the shape of a bound: of its numbers nothing is known."""
+    if value.ndim == 2:
+        return value
+    sizes = jnp.broadcast_to(value, (count,))
+    if not paired:
+        return sizes
+    return jnp.stack([-sizes, sizes], 1)
+
+
+def _refuse_pairs(name: str, kind: str, names: Sequence[str], pairs: np.ndarray) -> None:
+    """Raise ValueError unless lo <= hi, both finite."""
+    for who, (lo, hi) in zip(names, pairs, strict=True):
+        if not -np.inf < lo <= hi < np.inf:
+            raise ValueError(f"{name} needs lo <= hi, both finite: {kind} {who!r} has [{lo:g}, {hi:g}]")
+
+
+def _refuse_sizes(name: str, kind: str, names: Sequence[str], sizes: np.ndarray) -> None:
+    """Raise ValueError unless sizes are >= 0 and finite, and tolerances below 1."""
+    top = 1 if name == "tolerance" else np.inf
+    for who, size in zip(names, sizes, strict=True):
+        if not 0 <= size < top:
+            raise ValueError(f"{name} must be in [0, {top}): {kind} {who!r} has {size:g}")
+
+
+def float_bound(bound: Array, dtype: DTypeLike) -> Array:
     """Return a bound in a float dtype, rounded up."""
-    return (
-        bound.astype(dtype)
-        if isinstance(bound, jax.core.Tracer)
-        else rounding.round_up(np.asarray(bound, np.float64), dtype)
-    )
+    if isinstance(bound, jax.core.Tracer):
+        return bound.astype(dtype)
+    return rounding.round_up(np.asarray(bound, np.float64), dtype)
 
 
 def changed_bounds(model: LinearSystem, old: Bounds, new: Mapping[str, ArrayLike]) -> Bounds:
@@ -121,17 +150,20 @@ def reading(
     lo_hi = bounds.get("disturbance", np.zeros((0, 2)))
     if not isinstance(lo_hi, jax.core.Tracer):
         lo_hi = np.stack([rounding.round_down(lo_hi[:, 0], dtype), rounding.round_up(lo_hi[:, 1], dtype)], 1)
-    nearest = np.vectorize(float, otypes=[np.float64])
-    taken = lambda x: cast("jax.Array", x)  # kernels take arrays of NumPy too
     return Reading(
         cast("Strips | Frame", shape),  # None for a PolynomialReading: only windows are read by it
-        taken(float_bound(bounds["tolerance"], dtype)),
-        taken(float_bound(bounds["noise"], dtype)),
-        taken(rounding.round_up(list(model.resolution), dtype)),
-        taken(lo_hi.astype(dtype)),
-        nearest(model.offset["u"]).astype(dtype),
-        nearest(model.offset["y"]).astype(dtype),
+        _taken(float_bound(bounds["tolerance"], dtype)),
+        _taken(float_bound(bounds["noise"], dtype)),
+        _taken(rounding.round_up(list(model.resolution), dtype)),
+        _taken(lo_hi.astype(dtype)),
+        _taken(np.array(list(map(float, model.offset["u"])), dtype)),
+        _taken(np.array(list(map(float, model.offset["y"])), dtype)),
         window.window_rows(model, horizon, lags),
         window.input_lags(model, horizon),
-        taken(float_bound(bounds.get("average", np.zeros(0)), dtype)),
+        _taken(float_bound(bounds.get("average", np.zeros(0)), dtype)),
     )
+
+
+def _taken(x: Array) -> jax.Array:
+    """Return an array as kernels take it, one of NumPy too."""
+    return cast("jax.Array", x)  # on the host: compiled kernels are handed arrays of either kind

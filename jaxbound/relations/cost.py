@@ -1,5 +1,4 @@
-"""What relations cost before they are made: seconds and bytes, from sizes alone, so that nobody waits for
-what will not end.
+"""Seconds and bytes that relations cost, from sizes alone: nobody waits for work that does not end.
 
 Exact numbers grow with the window: powers of A have as many digits as samples, determinants as many as their
 rows have together. The constants were measured on one core of a desk computer; they are right within a factor
@@ -25,7 +24,8 @@ def elimination_seconds(model: LinearSystem, horizon: int, unknown: int = 0) -> 
     s = min(horizon, model.n)
     rows, columns = (s + 1) * model.p, model.n + (model.d + unknown) * s
     rank = min(rows, columns)
-    return 1e-6 * rank * rows * (rows + columns) * (1 + (_digits(model) * (s + 1) * rank / 160) ** 1.2)
+    growing: float = (_digits(model) * (s + 1) * rank / 160) ** 1.2
+    return 1e-6 * rank * rows * (rows + columns) * (1 + growing)
 
 
 def relation_cost(model: LinearSystem, horizon: int) -> tuple[float, float]:
@@ -58,20 +58,23 @@ def affordable(model: LinearSystem, horizon: int) -> None:
     low, high = 0, min(horizon, LONGEST)
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (middle, high) if fits(middle) else (low, middle)
+        if fits(middle):
+            low = middle
+        else:
+            high = middle
     seconds, size = relation_cost(model, horizon)
     needs = f"{rough_duration(seconds)} and {size / 1e9:.2g} GB"
-    named = str(horizon) if horizon < LONGEST else f"beyond {LONGEST:.0e}"
-    few = "leave some uncertainties out, let them be constant, or " if model.uncertainties else ""
-    what = f"a window of {model.n} states, {model.p} outputs" + (
-        f" and {model.g} disturbances" if model.g else ""
-    )
-    do = (
-        f"{few}choose a horizon of at most {low}"
-        if low and fits(low)
-        else "a model with fewer states is needed"
-    )
-    raise ValueError(f"horizon {named} is too long: exact relations for {what} would take {needs}; {do}")
+    named, window_of = str(horizon), f"a window of {model.n} states, {model.p} outputs"
+    if horizon >= LONGEST:
+        named = f"beyond {LONGEST:.0e}"
+    if model.g:
+        window_of += f" and {model.g} disturbances"
+    do = "a model with fewer states is needed"
+    if low and fits(low):
+        do = f"choose a horizon of at most {low}"
+        if model.uncertainties:
+            do = f"leave some uncertainties out, let them be constant, or {do}"
+    raise ValueError(f"horizon {named} is too long: exact relations for {window_of} would take {needs}; {do}")
 
 
 def refuse_many_states(model: LinearSystem) -> None:
@@ -108,6 +111,6 @@ def _terms(model: LinearSystem, s: int) -> float:
         return sum(u.varying is varying and u.on(letter) is not None for u in model.uncertainties)
 
     per_sample, constant = acting("A", True), acting("A", False) + acting("C", False)
-    grown = (1.0 + per_sample) ** min(s, 900 / (1 + per_sample)) if per_sample else 1.0
+    grown: float = (1.0 + per_sample) ** min(s, 900 / (1 + per_sample))
     of_constant = comb(min(s, 10**4) + constant, constant)
     return grown * of_constant * (1 + acting("C", True)) + (s + 1) * len(model.uncertainties)

@@ -31,15 +31,7 @@ from jaxbound.relations.shift import Row
 from jaxbound.text.names import listed
 from jaxbound.text.objects import readable
 
-__all__ = [
-    "Isolability",
-    "Signatures",
-    "Structure",
-    "isolability",
-    "signatures",
-    "structured_relations",
-    "structures",
-]
+__all__ = ["Isolability", "Signatures", "isolability", "signatures", "structured_relations"]
 
 SUBSETS = 20_000
 BANK = 24
@@ -82,15 +74,16 @@ def structured_relations(
     rows: list[Row] = []
     ignored: list[tuple[str, ...]] = []
     for names in insensitive_to:
-        names = (names,) if isinstance(names, str) else tuple(names)
-        found = _ignoring(model, names)
-        if not found:
+        if isinstance(names, str):
+            names = (names,)
+        part = _ignoring(model, names)
+        if not part:
             raise ValueError(
                 f"no relation ignores {listed(names, str)}: that many unknown signals can explain whatever "
                 f"is left"
             )
-        rows += found
-        ignored += [names] * len(found)
+        rows += part
+        ignored += [tuple(names)] * len(part)
     return Redundancy(model, tuple(rows), tuple(ignored))
 
 
@@ -100,8 +93,8 @@ def _ignoring(model: LinearSystem, names: Sequence[str]) -> tuple[Row, ...]:
     for name in names:
         through, direct = _fault_columns(model, name)
         F, D_v = (*F, through), (*D_v, direct)
-    found = basis(model, _rows_of_columns(F, model.n), _rows_of_columns(D_v, model.p))
-    return tuple(sorted(map(shift.presentable, found), key=shift.degree))
+    rows = basis(model, _rows_of_columns(F, model.n), _rows_of_columns(D_v, model.p))
+    return tuple(sorted(map(shift.presentable, rows), key=shift.degree))
 
 
 def _fault_columns(model: LinearSystem, name: str) -> tuple[Vector, Vector]:
@@ -116,22 +109,18 @@ def _fault_columns(model: LinearSystem, name: str) -> tuple[Vector, Vector]:
 
 def _rows_of_columns(columns: Matrix, count: int) -> Matrix:
     """Return the rows of a matrix given by its columns, so many, even where there is no column."""
-    return linalg.transpose(columns) if columns else ((),) * count
+    if not columns:
+        return ((),) * count
+    return linalg.transpose(columns)
 
 
-def _supports(rows: Sequence[Row], columns: Sequence[int]) -> list[tuple[int, ...]]:
-    """Return the minimal supports (tuples of positions in `columns`) of the combinations of rows that do not
-    vanish there.
-    """
-    at_once = []
-    for row in rows:
-        values = shift.at(row, SOMEWHERE)
-        at_once.append(tuple(values[c] for c in columns))
-    numbers = linalg.row_reduce(at_once)[0] if at_once else ()
+def _supports(rows: Sequence[Row]) -> list[tuple[int, ...]]:
+    """Return the minimal supports of the combinations of rows."""
+    numbers = linalg.row_reduce([shift.at(row, SOMEWHERE) for row in rows])[0] if rows else ()
     if not numbers:
         return []
     orthogonal = linalg.left_null_space(linalg.transpose(numbers))
-    a = _rows_of_columns(orthogonal, len(columns))
+    a = _rows_of_columns(orthogonal, len(numbers[0]))
     if comb(len(a), len(a) - len(numbers) + 1) > SUBSETS:
         raise ValueError(
             "too many relations to choose from: say which faults each part of the bank is to ignore"
@@ -145,21 +134,22 @@ def _supports(rows: Sequence[Row], columns: Sequence[int]) -> list[tuple[int, ..
 def _best(model: LinearSystem) -> Redundancy:
     """Return the relations of fewest signals; of many, those that tell signals apart."""
     names = model.outputs + model.inputs
-    rows, ignored = [], []
-    for support in _supports(basis(model), range(len(names))):
+    banked = []
+    for support in _supports(basis(model)):
         without = tuple(name for j, name in enumerate(names) if j not in support)
-        found = _ignoring(model, without)
-        rows.append(found[0])
-        ignored.append(without)
+        banked.append((_ignoring(model, without)[0], without))
+    banked.sort(key=_shortest_first)
+    if len(banked) > BANK:
+        weak, _ = _reactions([row for row, _ in banked], len(names))
+        banked = [banked[i] for i in _telling(weak)]
+    rows, ignored = zip(*banked, strict=True) if banked else ((), ())
+    return Redundancy(model, rows, ignored)
 
-    def shortest_first(i: int) -> tuple[int, list[bool]]:
-        return shift.degree(rows[i]), [not p for p in rows[i]]
 
-    order = sorted(range(len(rows)), key=shortest_first)
-    if len(order) > BANK:
-        weak, _ = _reactions([rows[i] for i in order], len(names))
-        order = [order[i] for i in _telling(weak)]
-    return Redundancy(model, tuple(rows[i] for i in order), tuple(ignored[i] for i in order))
+def _shortest_first(banked: tuple[Row, tuple[str, ...]]) -> tuple[int, list[bool]]:
+    """Return the key by which relations of a bank are sorted: few samples, then the first signals."""
+    row, _ = banked
+    return shift.degree(row), [not p for p in row]
 
 
 def _telling(reacts: np.ndarray) -> list[int]:
@@ -269,7 +259,7 @@ def _reactions(rows: Sequence[Row], width: int) -> tuple[np.ndarray, np.ndarray]
 @readable
 @dataclass(frozen=True, eq=False)
 class Isolability:
-    """What single faults of outputs and inputs can be seen and told apart, if each may do what it likes.
+    """Single faults of outputs and inputs that can be seen and told apart, if each may do what it likes.
 
     Fields: faults: names (N,); detectable (N,), isolable (N, N) bool: some relation reacts to fault i, and
     ignores fault j too;
@@ -325,80 +315,6 @@ def isolability(model: ModelLike) -> Isolability:
             degree[i, j] = min((shift.degree(row) for row in rows if row[i]), default=-1)
     seen, steady = _reactions(redundancy(model).rows, count)
     return Isolability(names, np.any(seen, 0), weak, np.any(steady, 0), constant, degree)
-
-
-@dataclass(frozen=True)
-class Structure:
-    """A set of faults to which a relation can react, and to no other.
-
-    Fields: faults: names; count: how many independent relations ignore all others; order: the sum of their
-    degrees in a minimal basis;
-    least_degree: the smallest degree of a relation that reacts to exactly these; constant: some such relation
-    reacts to each of them for good.
-    """
-
-    faults: tuple[str, ...]
-    count: int
-    order: int
-    least_degree: int
-    constant: bool
-
-
-def structures(model: ModelLike, faults: Sequence[str] | None = None) -> list[Structure]:
-    """Return every achievable weak structure: each set of faults to which some relation reacts, and to no
-    other of `faults`.
-
-    Args:
-        model: a LinearSystem. faults: names of the signals that may fail; None: all outputs and inputs.
-
-    Raises:
-        ValueError: an unknown name, too many sets.
-
-    Example:
-        >>> from jaxbound import LinearSystem
-        >>> [s.faults for s in structures(LinearSystem([["1/2"]], [[1]], [[1], [2]]), ("y1", "u1"))]
-        [('y1',), ('u1',), ('y1', 'u1')]
-    """
-    model = as_model(model)
-    names = model.outputs + model.inputs
-    faults = names if faults is None else tuple(faults)
-    for name in faults:
-        _fault_columns(model, name)  # refuses an unknown one
-    columns = [names.index(name) for name in faults]
-    out = []
-    for union in _unions(_supports(basis(model), columns)):
-        others = tuple(f for j, f in enumerate(faults) if j not in union)
-        rows = _ignoring(model, others)
-        degrees = [shift.degree(row) for row in rows]
-        weak, constant = _reactions(rows, len(names))
-        mine = [columns[j] for j in union]
-        least = _least_degree(degrees, weak[:, mine])
-        steady = bool(constant[:, mine].any(0).all())
-        out.append(Structure(tuple(faults[j] for j in union), len(rows), sum(degrees), least, steady))
-    return out
-
-
-def _unions(supports: list[tuple[int, ...]]) -> list[list[int]]:
-    """Return every union of supports, small ones first.
-
-    Raises:
-        ValueError: there are too many.
-    """
-    unions: set[frozenset[int]] = {frozenset()}
-    for support in supports:
-        unions |= {old | set(support) for old in unions}
-        if len(unions) > SUBSETS:
-            raise ValueError(f"more than {SUBSETS} sets of faults: name fewer faults")
-    found = [sorted(union) for union in unions if union]
-    return sorted(found, key=lambda union: (len(union), union))
-
-
-def _least_degree(degrees: list[int], reacts: np.ndarray) -> int:
-    """Return the smallest degree up to which some relations (R,) together react to all faults (R, N)."""
-    for degree in sorted(degrees):
-        if reacts[np.array(degrees) <= degree].any(0).all():
-            return degree
-    raise AssertionError("relations that ignore all other faults react to these")
 
 
 def _table(columns: Sequence[str], rows: Sequence[str], cells: np.ndarray) -> str:

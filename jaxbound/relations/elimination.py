@@ -37,7 +37,9 @@ def eliminate(model: LinearSystem) -> tuple[Row, ...]:
     F = _independent_columns(model.F)
     outputs, rows = _independent_outputs(model)
     C = tuple(model.C[i] for i in outputs)
-    E = linalg.left_null_space(F) if F[0] else linalg.identity(model.n)
+    E = linalg.identity(model.n)
+    if F[0]:
+        E = linalg.left_null_space(F)
     columns = linalg.row_reduce(C)[1]
     hidden = tuple(j for j in range(model.n) if j not in columns)
     measured = len(outputs)
@@ -75,11 +77,8 @@ def _products(E: Matrix, P: Matrix, model: LinearSystem) -> tuple[Matrix, Matrix
     """Return (E P, E A P, E B)."""
     if not E:
         return (), (), ()
-    return (
-        linalg.matmul(E, P),
-        linalg.matmul(linalg.matmul(E, model.A), P),
-        linalg.matmul(E, model.B) if model.m else linalg.zeros(len(E), 0),
-    )
+    EB = linalg.matmul(E, model.B) if model.m else linalg.zeros(len(E), 0)
+    return linalg.matmul(E, P), linalg.matmul(linalg.matmul(E, model.A), P), EB
 
 
 def _columns(rows: Matrix, low: int, high: int) -> Matrix:

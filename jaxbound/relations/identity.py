@@ -1,12 +1,8 @@
-"""What verdicts depend on besides the recording: the note beside everything that is kept, by which it is
-known again.
-"""
-
-import jax
-import numpy as np
+"""The note beside everything that is kept: all that its verdicts depend on besides the recording."""
 
 from jaxbound.consistency.interface import Relations
 from jaxbound.models.fingerprint import fingerprint
+from jaxbound.sets.floats.threads import has_x64
 
 __all__ = ["identity"]
 
@@ -29,11 +25,17 @@ def identity(relations: Relations, **also: object) -> dict[str, str]:
             f"nothing tells one {type(relations).__name__} from another: what is found with it cannot be "
             f"kept and taken up"
         )
-    plain = lambda x: str(x) if isinstance(x, str | int) else fingerprint(x)
     return {
         "version of jaxbound": __version__,
         "model": fingerprint(relations.model, relations.bounds, relations.made),
         "horizon": str(relations.horizon),
-        "precision": str(jax.dtypes.canonicalize_dtype(np.float64)),
-        **{what: plain(x) for what, x in also.items()},
+        "precision": "float64" if has_x64() else "float32",
+        **{what: _plain(x) for what, x in also.items()},
     }
+
+
+def _plain(x: object) -> str:
+    """Return a text or a whole number as text, of anything else its fingerprint."""
+    if isinstance(x, str | int):
+        return str(x)
+    return fingerprint(x)

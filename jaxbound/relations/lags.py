@@ -19,18 +19,16 @@ ZERO = Fraction(0)
 
 def checked_lags(model: LinearSystem, horizon: int | None, form: str, lags: Sequence[int]) -> tuple[int, ...]:
     """Return lags in order, or refuse them."""
-    found = whole_lags(lags)
+    whole = whole_lags(lags)
     if horizon is not None or form != "first":
-        raise ValueError(
-            f"lags say by themselves how long a window is: leave {'form' if horizon is None else 'horizon'} "
-            f"out"
-        )
+        superfluous = "form" if horizon is None else "horizon"
+        raise ValueError(f"lags say by themselves how long a window is: leave {superfluous} out")
     if model.uncertainties:
         raise ValueError(
             "lags are for models without uncertainties: over many samples uncertain parameters have too many "
             "products"
         )
-    return found
+    return whole
 
 
 def lagged(model: LinearSystem, horizon: int, lags: Sequence[int]) -> tuple[Matrix, Matrix]:
@@ -40,11 +38,13 @@ def lagged(model: LinearSystem, horizon: int, lags: Sequence[int]) -> tuple[Matr
     rows = window.window_rows(model, horizon, tuple(lags))
     seen = [i for i in rows.seen if i < rows.readings]
     free, H = window.unbounded(model, horizon), window.first_form(model, horizon)[1]
-    found = tuple(
-        map(linalg.presentable, linalg.minimal_span(linalg.left_null_space(tuple(free[i] for i in seen))))
-    )
-    whole = tuple(over_all_rows(row, seen, model, horizon)[: rows.readings] for row in found)
-    return whole, linalg.matmul(whole, H) if H[0] and whole else tuple(() for _ in whole)
+    shortest = linalg.minimal_span(linalg.left_null_space([free[i] for i in seen]))
+    whole = []
+    for row in map(linalg.presentable, shortest):
+        whole.append(over_all_rows(row, seen, model, horizon)[: rows.readings])
+    if not whole or not H[0]:
+        return tuple(whole), ((),) * len(whole)
+    return tuple(whole), linalg.matmul(whole, H)
 
 
 def over_all_rows(row: Vector, seen: Sequence[int], model: LinearSystem, horizon: int) -> Vector:

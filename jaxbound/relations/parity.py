@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property, partial
-from typing import Any, Self
+from typing import Self, TypedDict, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -37,7 +37,7 @@ from jaxbound.consistency.interface import (
     WindowTest,
     refuse_options,
 )
-from jaxbound.consistency.reading import Reading, forms
+from jaxbound.consistency.reading import Reading
 from jaxbound.consistency.strips import StripsTest
 from jaxbound.exact import linalg
 from jaxbound.exact.chebyshev import PRIME
@@ -50,6 +50,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.bounds import Bounds, changed_bounds, model_bounds, reading
 from jaxbound.relations.cost import affordable, refuse_many_states
+from jaxbound.relations.forms import Forms, forms
 from jaxbound.relations.lags import checked_lags, lagged, over_all_rows
 from jaxbound.relations.sentence import main_terms, relation_text
 from jaxbound.relations.still import moving
@@ -62,9 +63,17 @@ from jaxbound.text.objects import readable
 __all__ = ["ParityRelation", "parity_relations", "stated_relations"]
 
 ZERO = Fraction(0)
+T = TypeVar("T")
 SUBSETS, TESTED = 4_000, 400
 """Subsets of rows among which circuits are looked for, and circuits up to which they are tested one by one;
 beyond, an exchange search is faster."""
+
+
+class WindowLength(TypedDict, total=False):
+    """A horizon, or the lags in its place, as arguments of `parity_relations`."""
+
+    horizon: int
+    lags: tuple[int, ...]
 
 
 @readable
@@ -108,15 +117,15 @@ class ParityRelation(LinearRelations):
 
     @property
     def made(self) -> tuple[object, ...]:
-        """What these relations depend on beside model, horizon and bounds: by it what is kept of them is
-        known again.
-        """
+        """The form and the lags, on which relations depend beside model, horizon and bounds."""
         return self.form, self.lags
 
     @property
     def methods(self) -> tuple[str, ...]:
         """The methods of `test`: "joint" alone knows bounds of averages."""
-        return METHODS[:1] if self.model.averages else METHODS[:3]
+        if self.model.averages:
+            return METHODS[:1]
+        return METHODS[:3]
 
     @property
     def searched(self) -> bool:
@@ -124,15 +133,23 @@ class ParityRelation(LinearRelations):
         return self.frame is not None
 
     @property
-    def window(self) -> dict[str, Any]:
+    def window(self) -> WindowLength:
         """How `parity_relations` and `detectable` are asked for these windows: {"horizon": s}, or {"lags":
         lags}.
         """
-        return {"horizon": self.horizon} if self.lags is None else {"lags": self.lags}
+        if self.lags is None:
+            return {"horizon": self.horizon}
+        return {"lags": self.lags}
 
     @cached_property
     def _moving(self) -> "ParityRelation | None":
-        return moving(self, parity_relations)
+        return moving(self, self._of)
+
+    def _of(self, model: LinearSystem) -> "ParityRelation":
+        """Return the relations of another model over the same window."""
+        relations = parity_relations(model, form=self.form, **self.window)
+        assert isinstance(relations, ParityRelation)
+        return relations
 
     @cached_property
     def _joint(self) -> Strips:
@@ -147,8 +164,10 @@ class ParityRelation(LinearRelations):
         shape: Strips | Frame
         if method == "box":
             shape = self._alone.astype(dtype)
+        elif self.frame is None:
+            shape = self._joint.astype(dtype)
         else:
-            shape = self._joint.astype(dtype) if self.frame is None else frame_of(self.frame, dtype)
+            shape = frame_of(self.frame, dtype)
         return reading(shape, self.model, self.horizon, self.bounds, dtype, self.lags)
 
     def test(
@@ -166,15 +185,10 @@ class ParityRelation(LinearRelations):
             raise ValueError(f"averages are tested by method 'joint': {method!r} looks at single samples")
         if method == "paving":
             return PavingTest(self, dtype, budget)
-        if self.model.constant_tolerance:
-            return (
-                ConstantTest(self, method, dtype)
-                if method == "box" or self.frame is None
-                else GainsTest(self, dtype)
-            )
+        constant = self.model.constant_tolerance
         if method == "joint" and self.frame is not None:
-            return ExchangeTest(self, dtype)
-        return StripsTest(self, method, dtype)
+            return GainsTest(self, dtype) if constant else ExchangeTest(self, dtype)
+        return ConstantTest(self, method, dtype) if constant else StripsTest(self, method, dtype)
 
     def recording(self, u: object, y: object = None, starts: Starts = ()) -> tuple[Self, Recording]:
         """Return (relations, Recording) of what is given: see `Recording.of`."""
@@ -213,7 +227,7 @@ class ParityRelation(LinearRelations):
         _, lo, hi = self._forms(u, y, starts)
         return Interval(lo, hi)
 
-    def _forms(self, u: object, y: object, starts: Starts) -> tuple[jax.Array, ...]:
+    def _forms(self, u: object, y: object, starts: Starts) -> Forms:
         return forms(_forms, self, partial(self.reading, method="box"), u, y, starts)
 
     def text(self, circuits: bool = False) -> str:
@@ -225,32 +239,38 @@ class ParityRelation(LinearRelations):
             r1: y1[k-1] - 5 y2[k-1] + 5 y1[k] = 0
             r2: 4 y2[k-1] - 10 y1[k] + 5 y2[k] - 5 u1[k-1] = 0
         """
-        letter, rows, known = ("c", self.circuits, self.circuits_known) if circuits else ("r", self.W, self.K)
+        letter, method = ("c", "joint") if circuits else ("r", "box")
         lines = []
-        for i, (h, k) in enumerate(zip(rows, known, strict=True), 1):
+        for i, (h, k) in enumerate(zip(*self.strips(method), strict=True), 1):
             lines.append(f"{letter}{i}: {relation_text(self.model, self.horizon, h, k)}")
         return "\n".join(lines)
 
 
 @jax.jit
-def _forms(test: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ...]:
-    assert isinstance(test.shape, Strips)  # of the relations one by one
+def _forms(test: Reading, u: jax.Array, y: jax.Array) -> Forms:
+    """Return the Forms (T, count) of the relations one by one."""
     s, windows = test.horizon, test.windows(u, y)
     mid, rad, _, known, _ = test.block(*windows)
     samples = (windows[1] - test.offset_y[None, :, None]).reshape(-1, mid.shape[1])
     samples = jnp.concatenate([samples, jnp.zeros_like(mid[len(samples) :])])  # nobody measures a disturbance
 
-    def one(strip: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+    def one(strip: tuple[jax.Array, ...]) -> Forms:
         rows, h, k = strip
+
+        def total(weights: jax.Array, x: jax.Array) -> jax.Array:
+            return jnp.sum(weights[:, None] * x[rows], 0)
+
         driven = jnp.sum(jnp.where(k[:, None] == 0, 0, k[:, None] * known), 0)
-        total = lambda weights, x: jnp.sum(weights[:, None] * x[rows], 0)
         return total(h, samples) - driven, total(h, samples - mid), total(abs(h), rad)
 
-    external, centre, width = (x.T for x in jax.lax.map(one, (test.shape.rows, test.shape.h, test.shape.k)))
-    return tuple(
-        jnp.pad(x, ((s, 0), (0, 0)), constant_values=jnp.nan)
-        for x in (external, centre - width, centre + width)
-    )
+    strips = test.strips
+    external, centre, width = (x.T for x in jax.lax.map(one, (strips.rows, strips.h, strips.k)))
+    return _from(s, external), _from(s, centre - width), _from(s, centre + width)
+
+
+def _from(s: int, x: jax.Array) -> jax.Array:
+    """Return an array over windows as one over samples, NaN before the first window ends."""
+    return jnp.pad(x, ((s, 0), (0, 0)), constant_values=jnp.nan)
 
 
 def parity_relations(
@@ -326,21 +346,33 @@ def parity_relations(
         raise ValueError(_without_relation(model, horizon, lags))
     report(0.5)
     bounds = model_bounds(model)
-    E, on_inputs = window.unknowns(model, horizon)
     looked_at = window.window_rows(model, horizon, lags).seen
-    E, on_inputs = tuple(E[i] for i in looked_at), tuple(on_inputs[i] for i in looked_at)
-    circuits = _few_circuits(E, SUBSETS if model.constant_tolerance else TESTED)
+    E, on_inputs = (_picked(matrix, looked_at) for matrix in window.unknowns(model, horizon))
+    most = SUBSETS if model.constant_tolerance else TESTED
+    circuits = _few_circuits(E, most)
     report(0.6)
     if not circuits:
         narrow = frame(E, on_inputs, progress=lambda share: report(0.6 + 0.4 * share))
-        inner, outer = (tuple(looked_at[i] for i in rows) for rows in (narrow.inner, narrow.outer))
+        inner, outer = _picked(looked_at, narrow.inner), _picked(looked_at, narrow.outer)
         searched = dataclasses.replace(narrow, inner=inner, outer=outer)
         report(1.0)
         return ParityRelation(bounds, model, horizon, form, W, K, (), (), searched, lags)
     report(1.0)
-    circuits_known = linalg.matmul(circuits, on_inputs) if on_inputs[0] else ((),) * len(circuits)
+    circuits_known = _on_inputs(circuits, on_inputs)
     circuits = tuple(over_all_rows(row, looked_at, model, horizon) for row in circuits)
     return ParityRelation(bounds, model, horizon, form, W, K, circuits, circuits_known, None, lags)
+
+
+def _picked(entries: Sequence[T], numbers: Sequence[int]) -> tuple[T, ...]:
+    """Return some entries by their numbers."""
+    return tuple(entries[i] for i in numbers)
+
+
+def _on_inputs(relations: Matrix, on_inputs: Matrix) -> Matrix:
+    """Return the coefficients of relations on inputs, from those of their rows; () where there are none."""
+    if not relations or not on_inputs[0]:
+        return ((),) * len(relations)
+    return linalg.matmul(relations, on_inputs)
 
 
 def _without_relation(model: LinearSystem, horizon: int, lags: Sequence[int] | None) -> str:
@@ -357,10 +389,10 @@ def _without_relation(model: LinearSystem, horizon: int, lags: Sequence[int] | N
             f"outputs show"
         )
     free = model.n + model.d * window.unknown_lags(model, horizon)
+    unknowns = f"{free} states and unknown inputs" if model.d else f"the {free} states"
     return (
         f"horizon {horizon} gives no relation: {(horizon + 1) * model.p} samples do not outnumber "
-        f"{f'the {free} states' if not model.d else f'{free} states and unknown inputs'}; the smallest "
-        f"horizon with one is {first}"
+        f"{unknowns}; the smallest horizon with one is {first}"
     )
 
 
@@ -405,7 +437,7 @@ def _first(model: LinearSystem, horizon: int, report: Callable[[float], object])
     shortest = linalg.minimal_span(linalg.left_null_space(window.unbounded(model, short), report))
     samples = tuple(map(linalg.presentable, shortest))
     H = window.first_form(model, short)[1]
-    on_inputs = linalg.matmul(samples, H) if H[0] and samples else ((),) * len(samples)
+    on_inputs = _on_inputs(samples, H)
     outputs, later = (short + 1) * model.p, horizon - short
 
     def moved(row: Vector, width: int, shift: int) -> Vector:
@@ -430,10 +462,8 @@ def _second(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
     L, M, N, F = window.second_form(model, horizon)
     stacked = linalg.left_null_space(L + M)
     on_outputs = tuple(row[: len(L)] for row in stacked)
-    if not F[0]:
-        return on_outputs, ((),) * len(stacked)
-    direct = linalg.matmul(on_outputs, F)
-    if not M:
+    direct = _on_inputs(on_outputs, F)
+    if not F[0] or not M:
         return on_outputs, direct
     through = linalg.matmul([row[len(L) :] for row in stacked], N)
     K = [linalg.add_multiple(x, -1, y) for x, y in zip(direct, through, strict=True)]

@@ -110,15 +110,19 @@ class PolynomialMatrix:
 
 def _places(count: int, some: Iterable[int] | None) -> dict[int, int]:
     """Return {old number: new one} of some of so many rows or columns, of all for None."""
-    chosen = range(count) if some is None else some
-    return {old: new for new, old in enumerate(chosen)}
+    if some is None:
+        some = range(count)
+    return {old: new for new, old in enumerate(some)}
 
 
 def constant(matrix: Matrix, variables: int, columns: int | None = None) -> PolynomialMatrix:
     """Return an exact matrix as a PolynomialMatrix; columns: how many it has, if it may be without rows."""
-    entries = entries_of(matrix)
-    terms = {(0,) * variables: entries} if entries else {}
-    return PolynomialMatrix(len(matrix), len(matrix[0]) if matrix else columns or 0, variables, terms)
+    entries, terms = entries_of(matrix), {}
+    if entries:
+        terms[(0,) * variables] = entries
+    if matrix:
+        columns = len(matrix[0])
+    return PolynomialMatrix(len(matrix), columns or 0, variables, terms)
 
 
 def entries_of(matrix: Matrix) -> dict[tuple[int, int], Fraction]:

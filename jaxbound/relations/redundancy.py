@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from math import gcd
-from typing import Self
+from typing import Self, TypeAlias
 
 import numpy as np
 from jax.typing import DTypeLike
@@ -27,6 +27,7 @@ from jaxbound.consistency.bank import BankTest
 from jaxbound.consistency.interface import Budget, Compensation, Relations, Starts, WindowTest, refuse_options
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector
+from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
@@ -42,6 +43,8 @@ __all__ = ["Redundancy", "basis", "known_side", "redundancy"]
 
 METHODS = ("window", "elimination")
 ZERO = Fraction(0)
+_Reduced: TypeAlias = tuple[int, list[int], dict[int, int]]
+"""A row of integers: the column that it leads, its numbers, and how it is made of samples."""
 
 
 @readable
@@ -72,9 +75,7 @@ class Redundancy(Relations):
 
     @property
     def made(self) -> tuple[object, ...]:
-        """What these relations depend on beside model, horizon and bounds: by it what is kept of them is
-        known again.
-        """
+        """The numbers of the bank, on which relations depend beside model, horizon and bounds."""
         return "bank", self.relations.W, self.relations.K
 
     @property
@@ -153,7 +154,7 @@ class Redundancy(Relations):
         W (count, (s+1)p), K (count, l) as in `ParityRelation`, s the horizon.
         """
         s, p, m = self.horizon, self.model.p, self.model.m
-        lags = s + 1 if self.model.has_feedthrough else s
+        lags = window.input_lags(self.model, s)
         W, K = [], []
         for row in self.rows:
             numbers = shift.coefficients(row)
@@ -198,7 +199,10 @@ def redundancy(model: ModelLike, method: str = "window") -> Redundancy:
     if method not in METHODS:
         raise ValueError(f"method must be one of {', '.join(METHODS)}, not {method!r}")
     model = as_model(model)
-    rows = eliminate(model) if method == "elimination" and model.n else basis(model)
+    if method == "elimination" and model.n:
+        rows = eliminate(model)
+    else:
+        rows = basis(model)
     rows = tuple(sorted(map(shift.presentable, rows), key=shift.degree))
     return Redundancy(model, rows, ((),) * len(rows))
 
@@ -215,35 +219,38 @@ def basis(model: LinearSystem, F: Matrix | None = None, D_v: Matrix | None = Non
         raise NotImplementedError(
             "relations polynomial in q are for a certain model: leave its uncertainties out, or decouple them"
         )
-    F, D_v = model.F if F is None else F, model.D_v if D_v is None else D_v
-    A, C, n, p = model.A, model.C, model.n, model.p
-    free = len(D_v[0])
+    if F is None or D_v is None:
+        F, D_v = model.F, model.D_v
+    p, free = model.p, len(D_v[0])
     most = p
     if free:  # a rank at one q can only be too small, and `most` too large
-        most = p - (linalg.rank(_pencil(model, F, D_v)) - n)
-    reached, responses = C, [D_v]
+        most = p - (linalg.rank(_pencil(model, F, D_v)) - model.n)
+    reached, responses = model.C, [D_v]
     waiting = list(range(p))
-    kept: list[tuple[int, list[int], dict[int, int]]] = []
+    independent: list[_Reduced] = []
     rows: list[Row] = []
-    for j in range(n + 1):
+    for j in range(model.n + 1):
         again = []
         for i in waiting:
             through: Vector = ()
             for response in reversed(responses):
                 through += response[i]
             row, scale = linalg.integers(reached[i] + through)
-            held, used = _reduced(list(row), {j * p + i: scale}, kept)
-            pivot = next((c for c, x in enumerate(held) if x), None)
+            numbers, used = _reduced(list(row), {j * p + i: scale}, independent)
+            pivot = next((c for c, x in enumerate(numbers) if x), None)
             if pivot is None:
                 rows.append(_row(model, used, j))
                 continue
-            kept.append((pivot, held, used))
+            independent.append((pivot, numbers, used))
             again.append(i)
         waiting = again
         if len(rows) >= most:
             break
-        responses.append(linalg.matmul(reached, F) if free else ((),) * p)
-        reached = linalg.matmul(reached, A)
+        response = ((),) * p
+        if free:
+            response = linalg.matmul(reached, F)
+        responses.append(response)
+        reached = linalg.matmul(reached, model.A)
     return tuple(rows)
 
 
@@ -259,7 +266,7 @@ def _pencil(model: LinearSystem, F: Matrix, D_v: Matrix) -> Matrix:
 
 
 def _reduced(
-    row: list[int], used: dict[int, int], kept: list[tuple[int, list[int], dict[int, int]]]
+    row: list[int], used: dict[int, int], kept: Sequence[_Reduced]
 ) -> tuple[list[int], dict[int, int]]:
     """Return a row of integers less its share of those kept, and how it is made of samples."""
     for pivot, other, others in kept:
@@ -303,4 +310,7 @@ def known_side(model: LinearSystem, h: Sequence[Sequence[Fraction]]) -> Row:
 
 
 def _times(row: Sequence[Fraction], matrix: Matrix, width: int) -> Vector:
-    return linalg.matmul((row,), matrix)[0] if matrix else (Fraction(0),) * width
+    """Return row times matrix, which may be without rows."""
+    if not matrix:
+        return (ZERO,) * width
+    return linalg.matmul((row,), matrix)[0]

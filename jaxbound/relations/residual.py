@@ -14,16 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike, DTypeLike
 
-from jaxbound.consistency.bisection import BisectionTest, flat
-from jaxbound.consistency.interface import (
-    METHODS,
-    Budget,
-    Compensation,
-    Relations,
-    Starts,
-    WindowTest,
-    refuse_options,
-)
+from jaxbound.consistency.bisection import BisectionTest, ResidualRelations, flat
+from jaxbound.consistency.interface import METHODS, Budget, Compensation, Starts, WindowTest, refuse_options
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.signals import Signals
 from jaxbound.recordings.table import as_table, is_table
@@ -66,40 +58,40 @@ class Channels:
         """Return no unit: none is stated."""
         return ""
 
-    def of(self, u: Any, y: Any) -> Self:
+    def of(self, u: object, y: object) -> Self:
         """Return these channels with the names that are missing taken from the columns of u and y, or
         numbered.
         """
+        inputs, outputs = self.stated_inputs, self.stated_outputs
         if y is None and not self.named:
-            if not hasattr(u, "outputs"):
+            if not (hasattr(u, "inputs") and hasattr(u, "outputs")):
                 raise ValueError(
                     "nothing says which columns are what: name the signals, residual(f, box, s, inputs=, "
                     "outputs=)"
                 )
-            return dataclasses.replace(
-                self,
-                stated_inputs=self.inputs or u.inputs,
-                stated_outputs=self.outputs or u.outputs,
-            )
-        return dataclasses.replace(
-            self,
-            stated_inputs=_names(u, "u") if self.stated_inputs is None else self.inputs,
-            stated_outputs=_names(y, "y") if self.stated_outputs is None else self.outputs,
-        )
+            inputs, outputs = inputs or u.inputs, outputs or u.outputs
+        if inputs is None:
+            inputs = _names(u, "u")
+        if outputs is None:
+            outputs = _names(y, "y")
+        return dataclasses.replace(self, stated_inputs=inputs, stated_outputs=outputs)
 
 
 def _names(data: object, letter: str) -> tuple[str, ...]:
+    """Return the names of the columns of a table, numbers where there are none."""
     table = as_table(data, letter)
     if table is None:
         return ()
     if is_table(table):
         return tuple(table.select_dtypes(exclude=["datetime", "datetimetz", "timedelta"]).columns)
-    return tuple(f"{letter}{i + 1}" for i in range(1 if np.ndim(table) < 2 else np.shape(table)[-1]))
+    if np.ndim(table) < 2:
+        return (f"{letter}1",)
+    return tuple(f"{letter}{i + 1}" for i in range(np.shape(table)[-1]))
 
 
 @readable
 @dataclass(frozen=True, eq=False)
-class Residual(Relations):
+class Residual(ResidualRelations):
     """f(z, u_window, y_window) = 0 for some z in a box. Build it with `residual`.
 
     Fields: f; box: Interval (n,); horizon s: a window has s + 1 samples; model: Channels, the names of the
@@ -164,12 +156,14 @@ class Residual(Relations):
         Raises:
             ValueError: f returns nothing, or something that is not a float.
         """
-        s, dtype = self.horizon, self.box.dtype
-        window = lambda channels: jax.ShapeDtypeStruct((s + 1, channels), dtype)
-        out = jax.eval_shape(flat(self.f), jax.ShapeDtypeStruct(self.box.shape, dtype), window(m), window(p))
+        samples, dtype = self.horizon + 1, self.box.dtype
+        shapes = self.box.shape, (samples, m), (samples, p)
+        # a class of JAX without types
+        arguments = [jax.ShapeDtypeStruct(x, dtype) for x in shapes]  # type: ignore[no-untyped-call]
+        out = jax.eval_shape(flat(self.f), *arguments)
         if not out.size or not jnp.issubdtype(out.dtype, jnp.floating):
             raise ValueError(f"f must return at least one float, not {out.size} of type {out.dtype}")
-        return out.size
+        return int(out.size)
 
     @property
     def count(self) -> int:
@@ -192,28 +186,32 @@ class Residual(Relations):
         Args:
             u: (..., T, m) inputs (None without inputs). y: (..., T, p) outputs; starts: as for `detect`.
         """
-        given = self.recording(u, y, starts)[1]
-        on_device: tuple[jax.Array, jax.Array] = jax.device_put((given.u, given.y))
-        u, y = on_device
-        s, T = self.horizon, y.shape[-2]
-        count = self.shape(u.shape[-1], y.shape[-1])
-        if T <= s:
-            return jnp.full((*y.shape[:-1], count), jnp.nan, y.dtype)
-        rows = np.arange(T - s)[:, None] + np.arange(s + 1)[None]
-        windows = [x[..., rows, :].reshape(-1, s + 1, x.shape[-1]) for x in (u, y)]
-        found = jax.vmap(flat(self.f), (None, 0, 0))(mid(self.box), *windows).reshape(
-            *y.shape[:-2], T - s, count
-        )
-        found = jnp.concatenate([jnp.full((*y.shape[:-2], s, count), jnp.nan, found.dtype), found], -2)
-        return jnp.where(given.across(s)[:, None], jnp.nan, found) if len(given.starts) else found
+        recording = self.recording(u, y, starts)[1]
+        on_device: tuple[jax.Array, jax.Array] = jax.device_put((recording.u, recording.y))
+        inputs, outputs = on_device
+        s, lead, length = self.horizon, outputs.shape[:-2], outputs.shape[-2]
+        count = self.shape(inputs.shape[-1], outputs.shape[-1])
+        if length <= s:
+            return jnp.full((*lead, length, count), jnp.nan, outputs.dtype)
+        rows = np.arange(length - s)[:, None] + np.arange(s + 1)[None]
+        windows = [x[..., rows, :].reshape(-1, s + 1, x.shape[-1]) for x in on_device]
+        residuals = jax.vmap(flat(self.f), (None, 0, 0))(mid(self.box), *windows)
+        residuals = residuals.reshape(*lead, length - s, count)
+        first = jnp.full((*lead, s, count), jnp.nan, residuals.dtype)
+        residuals = jnp.concatenate([first, residuals], -2)
+        if not len(recording.starts):
+            return residuals
+        return jnp.where(recording.across(s)[:, None], jnp.nan, residuals)
 
     def text(self) -> str:
         """Return the relation as a reader would write it."""
-        name, s = getattr(self.f, "__name__", "f"), self.horizon
+        s, name = self.horizon, getattr(self.f, "__name__", "f")
+        if name == "<lambda>":
+            name = "f"
         span = f"[k-{s}..k]" if s else "[k]"
-        lo, hi = (np.asarray(x).tolist() for x in (self.box.lo, self.box.hi))
-        box = " x ".join(f"[{a:g}, {b:g}]" for a, b in zip(lo, hi, strict=True))
-        return f"{'f' if name == '<lambda>' else name}(z, u{span}, y{span}) = 0 for some z in {box}"
+        ends = zip(np.asarray(self.box.lo).tolist(), np.asarray(self.box.hi).tolist(), strict=True)
+        box = " x ".join(f"[{lo:g}, {hi:g}]" for lo, hi in ends)
+        return f"{name}(z, u{span}, y{span}) = 0 for some z in {box}"
 
 
 def residual(
@@ -257,19 +255,21 @@ def residual(
         raise TypeError(f"residual needs a function of (z, u_window, y_window), not {type(f).__name__}")
     if isinstance(horizon, bool) or not isinstance(horizon, int | np.integer) or horizon < 0:
         raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
-    for kind, names in (("inputs", inputs), ("outputs", outputs)):
-        if names is not None and (isinstance(names, str) or len(set(names)) != len(names)):
-            raise ValueError(f"{kind} must be different names, not {names!r}")
-    named = lambda names: None if names is None else tuple(names)
-    return Residual(
-        f,
-        _bounded(interval(box)),
-        int(horizon),
-        Channels(named(inputs), named(outputs), float(dt), str(name)),
-    )
+    channels = Channels(_stated("inputs", inputs), _stated("outputs", outputs), float(dt), str(name))
+    return Residual(f, _bounded(interval(box)), int(horizon), channels)
+
+
+def _stated(kind: str, names: Sequence[str] | None) -> tuple[str, ...] | None:
+    """Return names as a user states them, refused where one stands twice; None: of the recording."""
+    if names is None:
+        return None
+    if isinstance(names, str) or len(set(names)) != len(names):
+        raise ValueError(f"{kind} must be different names, not {names!r}")
+    return tuple(names)
 
 
 def _bounded(box: Interval) -> Interval:
+    """Return the box, or refuse one that is empty, unbounded or of another shape."""
     lo, hi = np.asarray(box.lo), np.asarray(box.hi)
     if lo.ndim != 1 or not len(lo) or not (np.isfinite(lo) & np.isfinite(hi)).all() or (lo > hi).any():
         raise ValueError(f"box must be a bounded, non-empty Interval of shape (n,): its shape is {lo.shape}")

@@ -13,6 +13,7 @@ __all__ = [
     "latched",
     "looked_at",
     "main_terms",
+    "number_text",
     "relation_text",
     "remembers",
     "row_name",
@@ -34,18 +35,19 @@ def latched(relations: Relations) -> bool:
 
 
 def looked_at(relations: Reach) -> str:
-    """Say what a verdict of relations, or of an observer, rests on."""
+    """Say on which samples a verdict of relations, or of an observer, rests."""
     if relations.remembers:
         return "everything since it began"
     return f"windows of {relations.horizon + 1} samples"
 
 
 def few_lines(relations: Relations) -> dict[str, str]:
-    """Return what relations show of themselves at a prompt: their model, and each of them where they are
-    few.
-    """
-    lines = relations.text().splitlines() if relations.count <= FEW else ()
-    return {"model": repr(relations.model), **{f"{i + 1}": main_terms(line) for i, line in enumerate(lines)}}
+    """Return the rows by which relations show themselves at a prompt: their model, and each of few."""
+    rows = {"model": repr(relations.model)}
+    if relations.count <= FEW:
+        for i, line in enumerate(relations.text().splitlines(), 1):
+            rows[str(i)] = main_terms(line)
+    return rows
 
 
 def main_terms(relation: str, most: int = 6) -> str:
@@ -62,15 +64,23 @@ def main_terms(relation: str, most: int = 6) -> str:
     """
     name, colon, rest = relation.rpartition(": ")
     left, equals, right = rest.partition(" = ")
-    return f"{name}{colon}{_largest(left, most)} = {right}" if equals else relation
+    if not equals:
+        return relation
+    return f"{name}{colon}{_largest(left, most)} = {right}"
 
 
 def _largest(total: str, most: int) -> str:
     """Return a sum by its largest terms."""
-    sized = [(sign, _inside(term, most), _size(term)) for sign, term in _terms(total)]
-    kept = sorted(sorted(range(len(sized)), key=lambda i: -sized[i][2])[:most])
-    text = " ".join(f"{sized[i][0]} {sized[i][1]}" for i in kept)
-    return text.removeprefix("+ ") + " + ..." * (len(kept) < len(sized))
+    terms = _terms(total)
+    sizes = [_size(term) for _, term in terms]
+    kept = sorted(sorted(range(len(terms)), key=lambda i: -sizes[i])[:most])
+    text = ""
+    for i in kept:
+        sign, term = terms[i]
+        text += f" {sign} {_inside(term, most)}"
+    if len(kept) < len(terms):
+        text += " + ..."
+    return text.removeprefix(" ").removeprefix("+ ")
 
 
 def _terms(total: str) -> list[tuple[str, str]]:
@@ -88,8 +98,10 @@ def _terms(total: str) -> list[tuple[str, str]]:
 
 def _inside(term: str, most: int) -> str:
     """Return a term whose bracket in front, if there is one, is shortened."""
-    inner, closed, behind = term[1:].partition(")") if term.startswith("(") else ("", "", "")
-    return f"({_largest(inner, most)}){behind}" if closed and "(" not in inner else term
+    inner, closed, behind = term.removeprefix("(").partition(")")
+    if not term.startswith("(") or not closed or "(" in inner:
+        return term
+    return f"({_largest(inner, most)}){behind}"
 
 
 def _size(term: str) -> float:
@@ -110,7 +122,9 @@ def relation_text(model: LinearSystem, horizon: int, h: Vector, k: Vector) -> st
     for x, row in zip(h, window_rows(model, horizon), strict=False):  # stated relations may leave rows out
         if x:
             name = row_name(model, row)
-            terms.append((x, (f"({name})" if row.kind is Kind.SUM else name) + at[row.last]))
+            if row.kind is Kind.SUM:
+                name = f"({name})"
+            terms.append((x, name + at[row.last]))
     for i, x in enumerate(k):
         if x:
             terms.append((-x, model.inputs[i % model.m] + at[i // model.m]))
@@ -145,4 +159,11 @@ def _factor(size: Fraction) -> str:
     """Return the factor of a term, nothing for 1."""
     if size == 1:
         return ""
-    return f"{size} " if size.denominator == 1 else f"{float(size):.6g} "
+    return f"{number_text(size)} "
+
+
+def number_text(x: Fraction) -> str:
+    """Return a whole number as it is, another one to six digits."""
+    if x.denominator == 1:
+        return str(x)
+    return f"{float(x):.6g}"

@@ -53,7 +53,9 @@ def add(a: Polynomial, b: Polynomial) -> Polynomial:
 
 def mul(a: Polynomial, b: Polynomial) -> Polynomial:
     """Return a b."""
-    out = [Fraction(0)] * (len(a) + len(b) - 1) if a and b else []
+    if not a or not b:
+        return ()
+    out = [Fraction(0)] * (len(a) + len(b) - 1)
     for i, x in enumerate(a):
         for j, y in enumerate(b):
             out[i + j] += x * y
@@ -66,7 +68,8 @@ def matmul(a: Sequence[Row], b: Sequence[Row]) -> tuple[Row, ...]:
     for row in a:
         total: list[Polynomial] = [()] * len(b[0])
         for x, other in zip(row, b, strict=True):
-            total = [add(t, mul(x, y)) for t, y in zip(total, other, strict=True)] if x else total
+            if x:
+                total = [add(t, mul(x, y)) for t, y in zip(total, other, strict=True)]
         out.append(tuple(total))
     return tuple(out)
 
@@ -113,7 +116,9 @@ def presentable(row: Row) -> Row:
     """
     scaled = linalg.presentable(linalg.primitive(list(chain(*row))))
     leading = next(len(p) for p in row if p) - 1
-    numbers = iter(scaled if scaled[leading] > 0 else linalg.scale(scaled, -1))
+    if scaled[leading] < 0:
+        scaled = linalg.scale(scaled, -1)
+    numbers = iter(scaled)
     return tuple(tuple(islice(numbers, len(p))) for p in row)
 
 
@@ -140,14 +145,18 @@ def _sign(negative: bool, first: bool) -> str:
 
 def _power(j: int) -> str:
     """Return q^j as text, nothing for j = 0."""
-    return ("", "q")[j] if j < 2 else f"q^{j}"
+    if j < 2:
+        return ("", "q")[j]
+    return f"q^{j}"
 
 
 def _term(size: Fraction, power: str) -> str:
     """Return a coefficient > 0 times a power of q as text."""
     if size == 1 and power:
         return power
-    factor = str(size) if size.denominator < 1000 else f"{float(size):.6g}"
+    factor = str(size)
+    if size.denominator >= 1000:
+        factor = f"{float(size):.6g}"
     return f"{factor} {power}".strip()
 
 
@@ -163,9 +172,10 @@ def relation_text(row: Row, names: Sequence[str]) -> str:
     for p, name in zip(row, names, strict=True):
         if not p:
             continue
-        negative = p[-1] < 0
-        positive = linalg.scale(p, -1) if negative else p
-        out += _sign(negative, first=not out) + _factor(positive) + name
+        sign = _sign(p[-1] < 0, first=not out)
+        if p[-1] < 0:
+            p = linalg.scale(p, -1)
+        out += sign + _factor(p) + name
     return out + " = 0"
 
 
@@ -174,4 +184,6 @@ def _factor(p: Polynomial) -> str:
     body = text(p)
     if body == "1":
         return ""
-    return f"({body}) " if sum(map(bool, p)) > 1 else f"{body} "
+    if sum(map(bool, p)) > 1:
+        return f"({body}) "
+    return f"{body} "

@@ -4,11 +4,12 @@ search nothing to divide by.
 
 from collections.abc import Callable
 from fractions import Fraction
-from typing import Any
+from typing import TypeVar
 
 import jax
 import numpy as np
 
+from jaxbound.consistency.interface import Array, LinearRelations
 from jaxbound.exact import linalg
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import window_rows
@@ -20,22 +21,24 @@ VANISHING = 2.0**-900
 """Bounds below which a disturbance counts as 0; what it does to the outputs is added to their noise."""
 
 
-def moving(relations: Any, made: Callable[..., Any]) -> Any:
-    """Return relations without those of their disturbances that are 0; None if there are no such. made: what
-    makes relations of a model.
+R = TypeVar("R", bound=LinearRelations)
+
+
+def moving(relations: R, made: Callable[[LinearSystem], R]) -> R | None:
+    """Return relations without those of their disturbances that are 0; None if there are no such. made: makes
+    relations of another model over the same window.
     """
     model, bounds = relations.model, relations.bounds
     ends = bounds.get("disturbance")
     summed = any(not values.measured for values in window_rows(model, 0).sums)
     if ends is None or summed or any(isinstance(x, jax.core.Tracer) for x in bounds.values()):
         return None
-    still = (np.abs(ends) < VANISHING).all(1)
+    still = np.asarray((np.abs(ends) < VANISHING).all(1))
     if not still.any():
         return None
-    less = made(_without(model, still), form=relations.form, **relations.window)
-    kept = {name: bounds[name] for name in less.bounds} | {
-        "noise": _noise(relations, np.where(still[:, None], ends, 0))
-    }
+    less = made(_without(model, still))
+    kept = {name: bounds[name] for name in less.bounds}
+    kept["noise"] = _noise(relations, np.where(still[:, None], ends, 0))
     if not still.all():
         kept["disturbance"] = np.asarray(ends)[~still]
     return less.with_bounds(kept)
@@ -44,24 +47,24 @@ def moving(relations: Any, made: Callable[..., Any]) -> Any:
 def _without(model: LinearSystem, still: np.ndarray) -> LinearSystem:
     """Return the model without some of its disturbances (g,)."""
     rest = np.flatnonzero(~still)
-    pairs = [model.disturbance[j] for j in rest]
-    return model.replace(disturbance=([[row[j] for j in rest] for row in model.G], pairs) if pairs else None)
+    if not len(rest):
+        return model.replace(disturbance=None)
+    G = [[row[j] for j in rest] for row in model.G]
+    return model.replace(disturbance=(G, [model.disturbance[j] for j in rest]))
 
 
-def _noise(relations: Any, ends: np.ndarray) -> np.ndarray:
+def _noise(relations: LinearRelations, ends: np.ndarray) -> Array:
     """Return noise (p,) that holds what disturbances within ends (g, 2) add to the outputs of a window, too:
     the same if they are 0.
     """
     model, noise = relations.model, relations.bounds["noise"]
     if not ends.any():
         return noise
-    size = [Fraction(float(x)) for x in np.abs(ends).max(1)]
-    rows, more = model.C, [Fraction(0)] * model.p
+    size = tuple(Fraction(float(x)) for x in np.abs(ends).max(1))
+    rows, wider = model.C, [Fraction(float(x)) for x in noise]
     for _ in range(relations.horizon):
         through = linalg.matmul(rows, model.G)
-        more = [
-            x + sum((abs(a) * b for a, b in zip(row, size, strict=True)), Fraction(0))
-            for x, row in zip(more, through, strict=True)
-        ]
+        for i, row in enumerate(through):
+            wider[i] += sum((abs(a) * b for a, b in zip(row, size, strict=True)), Fraction(0))
         rows = linalg.matmul(rows, model.A)
-    return rounding.round_up([Fraction(float(a)) + b for a, b in zip(noise, more, strict=True)])
+    return rounding.round_up(wider)

@@ -8,7 +8,7 @@ Source: Ploix, Adrot 2006, (4)-(6).
 
 import dataclasses
 import functools
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any, Self, TypeAlias, cast
@@ -20,16 +20,15 @@ from jax.typing import ArrayLike, DTypeLike
 
 from jaxbound.consistency.interface import (
     METHODS,
+    Array,
     Budget,
     Compensation,
-    Relations,
     Starts,
     WindowTest,
     refuse_options,
 )
 from jaxbound.consistency.parametric import ParametricTest
-from jaxbound.consistency.polynomial_reading import PolynomialReading
-from jaxbound.consistency.reading import forms
+from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations, Polynomials
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Vector
 from jaxbound.models.system import LinearSystem
@@ -37,8 +36,9 @@ from jaxbound.models.window import window_rows
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.annihilator import Step, annihilator, generic_rank, rank_over_box
 from jaxbound.relations.bounds import Bounds, changed_bounds, float_bound, model_bounds, reading
+from jaxbound.relations.forms import Forms, forms
 from jaxbound.relations.polynomial import Exponents, PolynomialMatrix, Terms, stacked
-from jaxbound.relations.sentence import few_lines, row_name, sample_names
+from jaxbound.relations.sentence import few_lines, number_text, row_name, sample_names
 from jaxbound.relations.uncertain_window import Variable, uncertain_window
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval
@@ -56,7 +56,7 @@ LOSSES = 64
 @readable
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class UncertainRelations(Relations):
+class UncertainRelations(PolynomialRelations):
     """Parity relations with uncertain parameters over a window of horizon + 1 samples. Build it with
     `parity_relations`.
 
@@ -103,9 +103,7 @@ class UncertainRelations(Relations):
 
     @property
     def made(self) -> tuple[object, ...]:
-        """What these relations depend on beside model, horizon and bounds: by it what is kept of them is
-        known again.
-        """
+        """The form and the order, on which relations depend beside model, horizon and bounds."""
         return self.form, self.order
 
     @property
@@ -151,8 +149,10 @@ class UncertainRelations(Relations):
         resolution = np.array(list(map(float, self.model.resolution)))
         loud = np.zeros(self.model.p, bool)
         for bound in (self.bounds["tolerance"], self.bounds["noise"], resolution):
-            # of a tracer nobody knows whether it is 0
-            loud |= True if isinstance(bound, jax.core.Tracer) else np.asarray(bound) > 0
+            if isinstance(bound, jax.core.Tracer):  # nobody knows whether it is 0
+                loud[:] = True
+            else:
+                loud |= np.asarray(bound) > 0
         outputs = (self.horizon + 1) * self.model.p
         used = set()
         for entries in self.N.terms.values():
@@ -168,7 +168,9 @@ class UncertainRelations(Relations):
                 they may be anything.
         """
         found = _without(self.model, self.horizon, frozenset(rows), frozenset(inputs))
-        return None if found is None else dataclasses.replace(self, **found)
+        if found is None:
+            return None
+        return dataclasses.replace(self, **found)
 
     @property
     def exponents_of_losses(self) -> tuple[Exponents, ...]:
@@ -187,15 +189,15 @@ class UncertainRelations(Relations):
                 exponents += [*found["N"].terms, *found["K"].terms]
         return closure(tuple(exponents))
 
-    def polynomials(self, u: ArrayLike, y: ArrayLike) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-        """Return (value, error, spread, rad), the relations of N windows as polynomials: see
-        `PolynomialReading.polynomials`.
+    def polynomials(self, u: ArrayLike, y: ArrayLike) -> Polynomials:
+        """Return the relations of N windows as polynomials: see `PolynomialReading.polynomials`.
 
         Args:
             u: (s + 1, m, N), y: (s + 1, p, N), as recorded, NaN where missing.
         """
         u, y = jnp.asarray(u), jnp.asarray(y)
-        return _polynomials(self.reading(y.dtype), u, y)
+        polynomials: Polynomials = _polynomials(self.reading(y.dtype), u, y)
+        return polynomials
 
     def with_bounds(self, bounds: Mapping[str, ArrayLike]) -> Self:
         """Return the same relations under other bounds.
@@ -213,7 +215,9 @@ class UncertainRelations(Relations):
         fresh = changed_bounds(self.model, self.bounds, bounds)
         # wider than the box that was examined
         wider = isinstance(fresh["parameters"], jax.core.Tracer) or (fresh["parameters"] > 1).any()
-        complete = "sampled" if wider and self.complete == "proved" else self.complete
+        complete = self.complete
+        if wider and complete == "proved":
+            complete = "sampled"
         return dataclasses.replace(self, bounds=fresh, complete=complete)
 
     def external(self, u: object, y: object = None, starts: Starts = ()) -> jax.Array:
@@ -234,7 +238,7 @@ class UncertainRelations(Relations):
         _, lo, hi = self._forms(u, y, starts)
         return Interval(lo, hi)
 
-    def _forms(self, u: object, y: object, starts: Starts) -> tuple[jax.Array, ...]:
+    def _forms(self, u: object, y: object, starts: Starts) -> Forms:
         return forms(_forms, self, self.reading, u, y, starts)
 
     def text(self) -> str:
@@ -252,15 +256,18 @@ class UncertainRelations(Relations):
 
     def _line(self, i: int) -> str:
         model, at = self.model, sample_names(self.horizon)
-        names = [name if lag is None else name + at[lag] for name, lag in self.variables]
+        names = []
+        for name, lag in self.variables:
+            names.append(name if lag is None else name + at[lag])
         rows = window_rows(model, self.horizon).all
         out = ""
         for row, polynomial in zip(rows, self._polynomials_of(self.N, i), strict=False):
             out += _term(polynomial, row_name(model, row) + at[row.last], names)
         for j, polynomial in enumerate(self._polynomials_of(self.K, i)):
-            known = [(a, -x) for a, x in polynomial]
-            out += _term(known, model.inputs[j % model.m] + at[j // model.m], names)
-        return out[3:] if out.startswith(" + ") else "-" + out[3:]
+            out += _term(_negative(polynomial), model.inputs[j % model.m] + at[j // model.m], names)
+        if out.startswith(" + "):
+            return out[3:]
+        return "-" + out[3:]
 
     def _polynomials_of(self, matrix: PolynomialMatrix, i: int) -> list[Polynomial]:
         """Return [(exponents, coefficient)] of each entry of a row of a matrix."""
@@ -291,22 +298,23 @@ def uncertain_relations(model: LinearSystem, horizon: int) -> UncertainRelations
             "choose a longer one"
         )
     proof, where = rank_over_box(reduced, rank)
-    near = "" if where is None else _place(model, variables, where)
-    if proof == "drops":
-        raise ValueError(
-            f"the model is not regularly observable: {near} a window of "
-            f"{horizon + 1} samples shows less of its "
-            "state than elsewhere; narrow the bounds of the uncertainties so that they exclude this"
-        )
-    if proof == "open":
-        notes += (f"regular observability is not proved, nor refuted, near {near[3:]}: FAULT stays a proof",)
+    if where is not None:
+        near = _place(model, variables, where)
+        if proof == "drops":
+            raise ValueError(
+                f"the model is not regularly observable: at {near} a window of "
+                f"{horizon + 1} samples shows less of its "
+                "state than elsewhere; narrow the bounds of the uncertainties so that they exclude this"
+            )
+        notes += (f"regular observability is not proved, nor refuted, near {near}: FAULT stays a proof",)
     omega, steps, complete = annihilator(reduced)
     if not omega.rows:
         raise ValueError(
             f"horizon {horizon}: the relations are too large to be found; fewer varying parameters or "
             f"another horizon may do"
         )
-    complete = "sampled" if complete == "proved" and proof != "proved" else complete
+    if complete == "proved" and proof != "proved":
+        complete = "sampled"
     if complete == "partial":
         notes += (
             f"the search for relations gave up at order {steps[-1].order}: there may be more, of higher "
@@ -326,7 +334,9 @@ def _without(
     """
     _, E, H, V = uncertain_window(model, horizon)
     left = [i for i in range(E.rows) if i not in rows]
-    free = stacked([[E, H.pick(columns=sorted(inputs))]]) if inputs else E  # missing inputs may be anything
+    free = E
+    if inputs:  # missing ones may be anything, as a state
+        free = stacked([[E, H.pick(columns=sorted(inputs))]])
     reduced = free.pick(rows=left)
     omega, steps, complete = annihilator(reduced)
     if not omega.rows:
@@ -342,7 +352,9 @@ def _without(
 
 def _on_rows(omega: PolynomialMatrix, V: PolynomialMatrix) -> PolynomialMatrix:
     """Return N = [Omega, -Omega V], what relations do with the true outputs and disturbances."""
-    return stacked([[omega, -(omega @ V)]]) if V.columns else omega
+    if not V.columns:
+        return omega
+    return stacked([[omega, -(omega @ V)]])
 
 
 def _without_unseen(E: PolynomialMatrix, model: LinearSystem) -> tuple[PolynomialMatrix, tuple[str, ...]]:
@@ -356,7 +368,9 @@ def _without_unseen(E: PolynomialMatrix, model: LinearSystem) -> tuple[Polynomia
     reduced, hidden = E.pick(columns=pivots), model.n - sum(j < model.n for j in pivots)
     if not hidden:
         return reduced, ()
-    some = f"{hidden} of {model.n} states act" if hidden > 1 else f"1 of {model.n} states acts"
+    some = f"{hidden} of {model.n} states act"
+    if hidden == 1:
+        some += "s"
     note = (
         f"{some} on no output within the horizon, whatever the parameters: relations and verdicts say "
         f"nothing about it"
@@ -365,26 +379,35 @@ def _without_unseen(E: PolynomialMatrix, model: LinearSystem) -> tuple[Polynomia
 
 
 def _place(model: LinearSystem, variables: Sequence[Variable], point: Sequence[Fraction]) -> str:
-    """Return "at a = 3, b[k] = 0.5": a point of the box in the user's units."""
+    """Return "a = 3, b = 0.5 (sample 2 of the window)": a point of the box in the user's units."""
     by_name = {u.name: u for u in model.uncertainties}
     values = []
     for (name, lag), v in zip(variables, point, strict=True):
-        value = by_name[name].centre + by_name[name].radius * v
-        at = "" if lag is None else f" (sample {lag + 1} of the window)"
-        values.append(f"{name} = {float(value):g}{at}")
-    return "at " + ", ".join(values)
+        value = f"{name} = {float(by_name[name].centre + by_name[name].radius * v):g}"
+        if lag is not None:
+            value += f" (sample {lag + 1} of the window)"
+        values.append(value)
+    return ", ".join(values)
 
 
 def _term(polynomial: Polynomial, signal: str, names: Sequence[str]) -> str:
     """Return a polynomial times a signal as a term of a sum; nothing for 0."""
     if not polynomial:
         return ""
-    negative = polynomial[0][1] < 0
-    text = _sum([(a, -x) for a, x in polynomial] if negative else polynomial, names)
-    sign = " - " if negative else " + "
+    sign = " + "
+    if polynomial[0][1] < 0:
+        sign, polynomial = " - ", _negative(polynomial)
+    text = _sum(polynomial, names)
     if text == "1":
         return sign + signal
-    return f"{sign}({text}) {signal}" if len(polynomial) > 1 else f"{sign}{text} {signal}"
+    if len(polynomial) > 1:
+        text = f"({text})"
+    return f"{sign}{text} {signal}"
+
+
+def _negative(polynomial: Polynomial) -> Polynomial:
+    """Return a polynomial times -1."""
+    return [(alpha, -x) for alpha, x in polynomial]
 
 
 def _sum(terms: Polynomial, names: Sequence[str]) -> str:
@@ -395,10 +418,10 @@ def _sum(terms: Polynomial, names: Sequence[str]) -> str:
         for name, e in zip(names, alpha, strict=True):
             if e:
                 factors.append(name if e == 1 else f"{name}^{e}")
-        size = abs(x)
-        if size != 1 or not factors:
-            factors.insert(0, str(size) if size.denominator == 1 else f"{float(size):.6g}")
-        out += (" - " if x < 0 else " + ") + " ".join(factors)
+        if abs(x) != 1 or not factors:
+            factors.insert(0, number_text(abs(x)))
+        sign = " - " if x < 0 else " + "
+        out += sign + " ".join(factors)
     return out[3:]
 
 
@@ -412,41 +435,41 @@ def _floats(matrix: PolynomialMatrix, alphas: Sequence[Exponents], dtype: DTypeL
 
 
 @jax.jit
-def _polynomials(
-    test: PolynomialReading, u: jax.Array, y: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+def _polynomials(test: PolynomialReading, u: jax.Array, y: jax.Array) -> Polynomials:
     return test.polynomials(u, y)
 
 
 @jax.jit
-def _forms(test: PolynomialReading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ...]:
+def _forms(test: PolynomialReading, u: jax.Array, y: jax.Array) -> Forms:
+    """Return the Forms (T, count): every monomial and noise at its worst by itself."""
     s, count = test.horizon, y.shape[0] - test.horizon
     u, y = (jnp.stack([x[j : j + count].T for j in range(s + 1)]) for x in (u, y))
     value, _, spread, rad = test.polynomials(u, y)
     samples = (y - test.window.offset_y[None, :, None]).reshape(-1, count)
     none = jnp.zeros((), y.dtype)
-    known = (u[: test.window.lags] - test.window.offset_u[None, :, None]).reshape(-1, count)
-    external = sum(
-        (
-            jnp.where(test.N[:, 0, j, None] == 0, 0, test.N[:, 0, j, None] * x[None])
-            for j, x in enumerate(samples)
-        ),
-        none,
-    )
-    external -= sum(
-        (
-            jnp.where(test.K[:, 0, j, None] == 0, 0, test.K[:, 0, j, None] * x[None])
-            for j, x in enumerate(known)
-        ),
-        none,
-    )
-    centre, width = (
-        value[:, 0],
-        sum((abs(spread[:, :, j]).sum(1)[:, None] * rad[j][None] for j in range(len(rad))), 0.0),
-    )
+    known = (u[: test.lags] - test.window.offset_u[None, :, None]).reshape(-1, count)
+    external = sum(_products(test.N, samples), none) - sum(_products(test.K, known), none)
+    centre: jax.Array = value[:, 0]
+    width: jax.Array | float = 0.0
+    for j in range(len(rad)):
+        width = width + abs(spread[:, :, j]).sum(1)[:, None] * rad[j][None]
     for a, alpha in enumerate(test.exponents[1:], 1):
-        even = all(e % 2 == 0 for e in alpha)
-        centre += 0.5 * value[:, a] if even else 0
-        width += (0.5 if even else 1) * abs(value[:, a])
-    found = external, external - centre - width, external - centre + width
-    return tuple(jnp.pad(x.T, ((s, 0), (0, 0)), constant_values=jnp.nan) for x in found)
+        half = 1.0
+        if all(e % 2 == 0 for e in alpha):  # v^alpha is in [0, 1], else in [-1, 1]
+            half = 0.5
+            centre += 0.5 * value[:, a]
+        width += half * abs(value[:, a])
+    lo, hi = external - centre - width, external - centre + width
+    return _over_samples(external, s), _over_samples(lo, s), _over_samples(hi, s)
+
+
+def _products(coefficients: Array, rows: jax.Array) -> Iterator[jax.Array]:
+    """Yield the nominal coefficients (count,) of each row times the row (N,), 0 where they are 0."""
+    for j, x in enumerate(rows):
+        own = coefficients[:, 0, j, None]
+        yield jnp.where(own == 0, 0, own * x[None])
+
+
+def _over_samples(x: jax.Array, s: int) -> jax.Array:
+    """Return (count, N) over windows as (N + s, count) over samples, NaN before the first window ends."""
+    return jnp.pad(x.T, ((s, 0), (0, 0)), constant_values=jnp.nan)

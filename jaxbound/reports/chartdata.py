@@ -113,7 +113,7 @@ def _digested(
     if dates:
         x, stamp = (line.x - line.x[0]) / np.timedelta64(1, "s") + res.time[0], line.x[0]
     ends = np.array([res.time[0], res.time[res.samples - 1]])
-    clock = clock_of(res.label, ends, stamp, res.samples, res.relations.model.dt)
+    clock = clock_of(res.label, ends, stamp, res.samples, res.data.dt)
 
     low, high = {"margin": line.low}, {"margin": line.high}
     least, most = res.signals or ((), ())

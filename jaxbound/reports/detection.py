@@ -15,6 +15,7 @@ from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.observed import ObserverResult
 from jaxbound.diagnosis.result import Result
 from jaxbound.estimation.set_observer import SetObserver
+from jaxbound.models.system import LinearSystem
 from jaxbound.plots.residuals import distinct_relations
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.sentence import looked_at
@@ -63,7 +64,8 @@ def write_report(
     Returns:
         The names of the files written.
     """
-    relations, model, part = res.relations, res.relations.model, isinstance(res, Digest)
+    relations, part = res.relations, isinstance(res, Digest)
+    model = cast(LinearSystem, relations.model)  # a page is of a plant
     dtype = res.data.dtype if isinstance(res, Digest) else res.y.dtype
     worst = summary.worst.sample if summary.worst else None
     chosen = sorted(range(len(alarms)), key=lambda i: _depth(alarms[i]))[:ROWS]
@@ -134,7 +136,7 @@ def _alarm_rows(
     rows = []
     for i in sorted(chosen):
         a = alarms[i]
-        lasts = float(recording.time[a.end] - recording.time[a.start]) + res.relations.model.dt
+        lasts = float(recording.time[a.end] - recording.time[a.start]) + (res.relations.model.dt or 0.0)
         needed, wrong, violated, since = "", "", "", ""
         if not math.isnan(a.depth):
             needed = f"× {factor(1 - a.depth)}"

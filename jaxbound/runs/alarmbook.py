@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarms import ENDINGS, Alarm, endings, follows, forgets_after, stretches
 from jaxbound.recordings.columns import to_arrow, write_columns
 from jaxbound.recordings.recording import Recording
@@ -16,6 +17,11 @@ from jaxbound.sets.floats.status import Status
 __all__ = ["AlarmBook"]
 
 Columns = dict[str, Any]
+"""{name: array}, an entry an alarm; times as their owner wrote them are arrays of pyarrow."""
+OLDER = frozenset({"start", "from", "first_sample", "begun"})
+"""What an alarm over two parts has from the first of them."""
+WORST = frozenset({"worst", "at", "worst_sample", "depth"})
+"""What it has from the deeper of them."""
 DEEPEST = 200  # alarms kept in memory
 FIELDS = (
     "first_sample",
@@ -36,8 +42,9 @@ class AlarmBook:
     An alarm that reaches the end of its part is held until the next shows how it goes on.
 
     Args:
-        rule: (k, n) of `Result.alarms`. relations: that were tested. path: where to write all of them, or
-            None. mark: called with the samples at which alarms that are over are deepest.
+        rule: (k, n) of `Result.alarms`. dt: sampling period in s. relations: that were tested. path: where to
+            write all of them, or None. mark: called with the samples at which alarms that are over are
+            deepest.
 
     Fields: ended: {ending of an Alarm: number of alarms}; count: of all of them; first: the first; kept: the
     deepest.
@@ -46,11 +53,12 @@ class AlarmBook:
     def __init__(
         self,
         rule: tuple[int, int],
-        relations: Any,
+        dt: float,
+        relations: Relations,
         path: Path | None,
         mark: Callable[[np.ndarray], object],
     ) -> None:
-        self.rule, self.dt, self.horizon, self.path = rule, relations.model.dt, forgets_after(relations), path
+        self.rule, self.dt, self.horizon, self.path = rule, dt, forgets_after(relations), path
         self.mark = mark
         self.ended: dict[str, int] = {}
         self.samples = self.count = 0
@@ -62,18 +70,18 @@ class AlarmBook:
     def add(self, piece: Recording, verdicts: Verdicts) -> None:
         """Take the next part."""
         missing = verdicts.status == Status.MISSING
-        found = self._found(piece, verdicts, missing)
+        alarms = self._alarms_in(piece, verdicts, missing)
         if self.open is not None:
-            if len(found["start"]) and found["first_sample"][0] == self.samples:
-                found = _joined(self.open, found)
+            if len(alarms["start"]) and alarms["first_sample"][0] == self.samples:
+                alarms = _joined_first(self.open, alarms)
             else:
                 self._close(self.open | {"after": follows(missing[:1], [-1])})
             self.open = None
         self.samples += len(missing)
-        if len(found["last_sample"]) and found["last_sample"][-1] == self.samples - 1:
-            self.open = {name: x[-1:] for name, x in found.items()}
-            found = {name: x[:-1] for name, x in found.items()}
-        self._close(found)
+        if len(alarms["last_sample"]) and alarms["last_sample"][-1] == self.samples - 1:
+            self.open = {name: x[-1:] for name, x in alarms.items()}
+            alarms = {name: x[:-1] for name, x in alarms.items()}
+        self._close(alarms)
 
     def memory(self) -> None:
         """Return None: a report reads all parts anew."""
@@ -86,18 +94,19 @@ class AlarmBook:
         if self.open is not None:
             self._close(self.open)
 
-    def _found(self, piece, verdicts, missing):
+    def _alarms_in(self, piece: Recording, verdicts: Verdicts, missing: np.ndarray) -> Columns:
         """Return the alarms of a part by themselves."""
         k, n = self.rule
         fault, time, first = verdicts.status == Status.FAULT, piece.time, self.samples
+        written = piece.column
         start, end, windows, depth, worst, begun, last = stretches(
             fault, verdicts.margin, k, n, 0, 1, self.before
         )
         self.before = np.concatenate([self.before, fault])[max(len(self.before) + len(fault) - n + 1, 0) :]
         return {
-            "start": piece.written.take(to_arrow(start)),
-            "end": piece.written.take(to_arrow(end)),
-            "worst": piece.written.take(to_arrow(worst)),
+            "start": written.take(to_arrow(start)),
+            "end": written.take(to_arrow(end)),
+            "worst": written.take(to_arrow(worst)),
             "from": time[start],
             "to": time[end],
             "at": time[worst],
@@ -111,7 +120,7 @@ class AlarmBook:
             "after": follows(missing, end),
         }
 
-    def _close(self, alarms):
+    def _close(self, alarms: Columns) -> None:
         """Count and write alarms that are over, and keep the deepest."""
         count = len(alarms["windows"])
         alarms["ended"] = endings(alarms["begun"], alarms["last"], alarms["after"], self.horizon)
@@ -139,20 +148,24 @@ class AlarmBook:
         return [pairs[start][0] for start in sorted(pairs)], named
 
 
-def _joined(open_alarm, found):
+def _joined_first(open_alarm: Columns, alarms: Columns) -> Columns:
     """Return alarms, the first of them joined with the one that was open."""
-    import pyarrow as pa
-
-    deeper = not open_alarm["windows"][0] or (
-        found["windows"][0] and found["depth"][0] < open_alarm["depth"][0]
-    )
-    older = {"start", "from", "first_sample", "begun"}
-    if not deeper:
-        older |= {"worst", "at", "worst_sample", "depth"}
-    joined = dict(found)
+    windows = alarms["windows"]
+    deeper = not open_alarm["windows"][0]
+    if windows[0] and alarms["depth"][0] < open_alarm["depth"][0]:
+        deeper = True
+    older = OLDER if deeper else OLDER | WORST
+    joined = dict(alarms)
     for name in older:
-        pair = [open_alarm[name], found[name][1:]]
-        joined[name] = np.concatenate(pair) if isinstance(found[name], np.ndarray) else pa.concat_arrays(pair)
-    windows = found["windows"]
+        joined[name] = _in_front(open_alarm[name], alarms[name][1:])
     joined["windows"] = np.concatenate([open_alarm["windows"] + windows[:1], windows[1:]])
     return joined
+
+
+def _in_front(one: Any, others: Any) -> Any:
+    """Return two columns as one."""
+    if isinstance(others, np.ndarray):
+        return np.concatenate([one, others])
+    import pyarrow as pa
+
+    return pa.concat_arrays([one, others])

@@ -33,25 +33,32 @@ def use_cache(folder: str | Path | None = None) -> Path:
         >>> jb.use_cache()  # doctest: +SKIP
         PosixPath('/home/me/.cache/jaxbound')
     """
-    told = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]  # jax makes an attribute of each option at run time
-    if folder is None and told is not None:
-        return Path(told)
+    before = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]  # jax makes an attribute of each option at run time
+    if folder is None and before is not None:
+        return Path(before)
+    where = f"in {folder}"
     try:
-        chosen = cache_folder() if folder is None else Path(folder)
+        if folder is None:
+            where = "in the home folder"
+            folder = cache_folder()
+        chosen = Path(folder)
         chosen.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=chosen):
             pass
     except (OSError, RuntimeError) as e:
-        said = getattr(e, "strerror", None) or str(e)
-        where = "in the home folder" if folder is None else f"in {folder}"
+        why = getattr(e, "strerror", None) or str(e)
         raise ValueError(
-            f"compiled kernels cannot be kept {where}: {said}; give use_cache a folder that can be written"
+            f"compiled kernels cannot be kept {where}: {why}; give use_cache a folder that can be written"
         ) from None
-    if told is not None:
+    if before is not None:
         from jax.experimental.compilation_cache import compilation_cache
 
         compilation_cache.reset_cache()  # else the folder before stays in use
-    jax.config.update("jax_compilation_cache_dir", str(chosen))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    options = {
+        "jax_compilation_cache_dir": str(chosen),
+        "jax_persistent_cache_min_compile_time_secs": 0,
+        "jax_persistent_cache_min_entry_size_bytes": -1,
+    }
+    for option, value in options.items():
+        jax.config.update(option, value)  # type: ignore[no-untyped-call]  # jax gives it no types
     return chosen

@@ -1,5 +1,4 @@
-"""How the next recording of a unit goes on where the one before ended: what windows look back on, and what an
-observer carries.
+"""Continuations: the next recording of a unit goes on where the one before ended.
 
 Kept are the last samples, as many as a verdict waits for at the start, and of an observer what it carried
 before these. They come before the next recording, which is then judged as if it were one with all those
@@ -9,29 +8,46 @@ judged as it was.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from hashlib import blake2b
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import jax
 import numpy as np
 
-from jaxbound.consistency.interface import Judged
+from jaxbound.consistency.interface import Judged, Observer, Relations
 from jaxbound.diagnosis.result import Result, result_of
+from jaxbound.estimation.set_observer import CarriedState, SetObserver
 from jaxbound.files.checkpoint import Checkpoint
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import TOLERATED_STEP
 from jaxbound.relations.identity import identity
-from jaxbound.relations.sentence import remembers
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["Continuation", "alone", "beside", "followed"]
+if TYPE_CHECKING:
+    import pyarrow as pa
 
+__all__ = ["Continuation", "Joined", "carry_of", "followed", "joined_carries"]
+
+State = TypeVar("State", bound=CarriedState)
+Arrays = Mapping[str, np.ndarray]
 CONTENT, CARRY, WRITTEN = "content", "carry", "written"
 ARRAYS = ("u", "y", "starts", "excluded", "time", "stamps")
+
+
+class Joined(NamedTuple):
+    """A recording behind the last samples of the one before.
+
+    Fields: recording; carry: of an observer before these samples, None: it begins; known: how many of them
+    there are, which were judged before.
+    """
+
+    recording: Recording
+    carry: Any = None
+    known: int = 0
 
 
 class Continuation:
@@ -46,115 +62,150 @@ class Continuation:
     """
 
     def __init__(
-        self, folder: str | PathLike, unit: str, relations: Any, method: str, content: str | None
+        self, folder: str | PathLike[str], unit: str, relations: Relations, method: str, content: str | None
     ) -> None:
         readable = re.sub(r"[^A-Za-z0-9._-]+", "_", unit)[:60]
         name = f"{readable}-{blake2b(unit.encode(), digest_size=4).hexdigest()}.npz"
         self.relations, self.content = relations, content
         self.file = Checkpoint(Path(folder) / name, identity(relations, method=method))
         kept = self.file.load() or {}
-        same = content is not None and str(kept.get(CONTENT, "")) == content
-        self.past = _under("before" if same else "after", kept)
+        is_again = content is not None and str(kept.get(CONTENT, "")) == content
+        self.past = _under("before" if is_again else "after", kept)
 
-    def joined(self, recording: Recording) -> tuple[Recording, Any, int]:
-        """Return (the Recording behind the last samples of the one before, what an observer carried before
-        these, how many they are).
+    def joined(self, recording: Recording) -> Joined:
+        """Return a recording behind the last samples of the one before.
 
         Where it does not follow these, one sampling period behind the last, it comes back as it is, with a
         hint.
         """
         if not self.past:
-            return recording, None, 0
-        tail = _read(self.past, recording)
-        apart = _apart(tail, recording, self.relations.model.dt)
+            return Joined(recording)
+        tail = _tail_before(self.past, recording)
+        apart = _why_apart(tail, recording, self.relations.model.dt or 1.0)
         if apart:
             self.past = {}
-            return replace(recording, hints=(apart, *recording.hints)), None, 0
-        carry = None
-        if remembers(self.relations):
-            leaves = [self.past[f"{CARRY}{i}"] for i in range(len(jax.tree.leaves(self.relations.init())))]
-            carry = jax.tree.unflatten(jax.tree.structure(self.relations.init()), leaves)
+            return Joined(replace(recording, hints=(apart, *recording.hints)))
         starts = np.concatenate([tail.starts, np.asarray(recording.starts) + tail.samples])
-        return replace(tail.followed(recording), starts=starts, hints=recording.hints), carry, tail.samples
+        whole = replace(tail.followed(recording), starts=starts, hints=recording.hints)
+        return Joined(whole, self._carried(), tail.samples)
+
+    def _carried(self) -> Any:
+        """Return what an observer carried before the samples that are kept; None of windows."""
+        if not isinstance(self.relations, Observer):
+            return None
+        empty = self.relations.init()
+        leaves = [self.past[f"{CARRY}{i}"] for i in range(len(jax.tree.leaves(empty)))]
+        return jax.tree.unflatten(jax.tree.structure(empty), leaves)
 
     def save(self, recording: Recording, carry: Any) -> None:
         """Keep what the next recording needs. recording: as `joined` returned it; carry: as `followed`
         returns it, None of windows.
         """
         tail = recording.cut(max(recording.samples - max(self.relations.horizon, 1), 0), recording.samples)
-        now = {name: np.asarray(x) for name in ARRAYS if (x := getattr(tail, name)) is not None} | {
-            "origin": np.asarray(tail.origin)
-        }
-        now |= {f"{CARRY}{i}": np.asarray(x) for i, x in enumerate(jax.tree.leaves(carry))}
+        now = {"origin": np.asarray(tail.origin)}
+        for name in ARRAYS:
+            array = getattr(tail, name)
+            if array is not None:
+                now[name] = np.asarray(array)
+        for i, leaf in enumerate(jax.tree.leaves(carry)):
+            now[f"{CARRY}{i}"] = np.asarray(leaf)
         if tail.written is not None:
-            now[WRITTEN] = _as_bytes(tail.written)
+            now[WRITTEN] = _arrow_bytes(tail.written)
+        stored = {CONTENT: np.array(self.content or "")}
+        stored |= {f"before {name}": x for name, x in self.past.items()}
+        stored |= {f"after {name}": x for name, x in now.items()}
         self.file.path.parent.mkdir(parents=True, exist_ok=True)
-        before = {f"before {name}": x for name, x in self.past.items()}
-        self.file.save(
-            **before,
-            **{f"after {name}": x for name, x in now.items()},
-            **{CONTENT: np.array(self.content or "")},
-        )
+        self.file.save(**stored)
 
 
-def followed(observer: Any, given: Recording, carry: Any, known: int) -> tuple[Result, Any]:
-    """Return (Result of what an observer says behind a carry, what it carries before the last samples that
-    `Continuation` keeps).
+def followed(observer: Observer[Any], given: Joined) -> tuple[Result, Any]:
+    """Follow recordings behind a carry, by an observer.
 
     Args:
-        given: (..., T, .) recordings of one length. carry: of all of them, None: they begin. known: samples
-            that were judged before.
+        given: (..., T, .) recordings of one length, side by side, and the carry of all of them.
+
+    Returns:
+        (Result of all of them, the carry before the last samples that `Continuation` keeps).
     """
     watch = observer.test()
-    carry = watch.init() if carry is None else carry
-    _, given = observer.recording(given)
-    edge = max(given.samples - max(observer.horizon, 1), 0)
-    between, first = watch.fold(carry, given.cut(0, edge)) if edge else (carry, None)
-    _, last = watch.fold(between, given.cut(edge, given.samples))
-    status, margin = (
-        (np.concatenate([a, b], -1) for a, b in zip(first[:2], last[:2], strict=True)) if first else last[:2]
-    )
-    status, margin = np.array(status), np.array(margin)
-    status[..., :known], margin[..., :known] = Status.MISSING, np.nan
-    about = watch.method, watch.continued(carry), given.u, given.y, given.index, tuple(given.starts.tolist())
-    return result_of(observer, Judged(status, margin), *about, aside=given.aside(observer.horizon)), between
+    carry = given.carry
+    if carry is None:
+        carry = watch.init()
+    _, recording = observer.recording(given.recording)
+    edge = max(recording.samples - max(observer.horizon, 1), 0)
+    between, pieces = carry, []
+    if edge:
+        between, first = watch.fold(carry, recording.cut(0, edge))
+        pieces.append(first)
+    _, last = watch.fold(between, recording.cut(edge, recording.samples))
+    pieces.append(last)
+    status = np.concatenate([piece.status for piece in pieces], -1)
+    margin = np.concatenate([piece.margin for piece in pieces], -1)
+    status[..., : given.known], margin[..., : given.known] = Status.MISSING, np.nan
+    starts = tuple(recording.starts.tolist())
+    about = watch.method, watch.continued(carry), recording.u, recording.y, recording.index, starts
+    aside = recording.aside(observer.horizon)
+    return result_of(observer, Judged(status, margin), *about, aside=aside), between
 
 
-def beside(observer: Any, carries: Sequence) -> Any:
-    """Return what an observer carries of recordings side by side, from what it does of each alone, after as
-    many samples.
-    """
+def joined_carries(observer: SetObserver[State], carries: Sequence[State]) -> State:
+    """Return the carry of recordings side by side, from that of each alone after as many samples."""
     lanes = len(observer.weights)
-    apart = lambda x: np.asarray(x).reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes)
-    join = lambda *x: np.concatenate(list(map(apart, x)), -1).reshape(*x[0].shape[:-1], -1)
-    others = jax.tree.map(lambda *x: np.concatenate(x, -1), *(tuple(x[2:]) for x in carries))
-    return type(carries[0])(jax.tree.map(join, *(x[0] for x in carries)), carries[0][1], *others)
+    zonotopes = len(jax.tree.leaves(carries[0].carry))
+    joined: list[np.ndarray] = []
+    for at, leaves in enumerate(zip(*map(jax.tree.leaves, carries), strict=True)):
+        arrays = [np.asarray(leaf) for leaf in leaves]
+        if at < zonotopes:
+            together = np.concatenate([_apart_by_lane(x, lanes) for x in arrays], -1)
+            joined.append(together.reshape(*together.shape[:-2], -1))
+        elif at == zonotopes:  # the number of samples
+            joined.append(leaves[0])
+        else:
+            joined.append(np.concatenate(arrays, -1))
+    carry: State = jax.tree.unflatten(jax.tree.structure(carries[0]), joined)
+    return carry
 
 
-def alone(observer: Any, carry: Any, i: int) -> Any:
-    """Return what an observer carries of recording i of those side by side: `beside` put the other way."""
+def carry_of(observer: SetObserver[State], carry: State, i: int) -> State:
+    """Return the carry of recording i of those side by side, the inverse of `joined_carries`."""
     lanes = len(observer.weights)
-    one = lambda x: np.asarray(x).reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes)[..., i]
-    return type(carry)(
-        jax.tree.map(one, carry[0]), carry[1], *jax.tree.map(lambda x: x[..., i : i + 1], tuple(carry[2:]))
-    )
+    zonotopes = len(jax.tree.leaves(carry.carry))
+    picked: list[np.ndarray] = []
+    for at, leaf in enumerate(jax.tree.leaves(carry)):
+        if at < zonotopes:
+            picked.append(_apart_by_lane(np.asarray(leaf), lanes)[..., i])
+        elif at == zonotopes:
+            picked.append(leaf)
+        else:
+            picked.append(leaf[..., i : i + 1])
+    one: State = jax.tree.unflatten(jax.tree.structure(carry), picked)
+    return one
 
 
-def _under(kind, kept):
-    """Return what is kept under a name."""
-    return {name.removeprefix(f"{kind} "): x for name, x in kept.items() if name.startswith(f"{kind} ")}
+def _apart_by_lane(x: np.ndarray, lanes: int) -> np.ndarray:
+    """Return (..., lanes, recordings) of (..., lanes * recordings): a lane is one weight of the observer."""
+    return x.reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes)
 
 
-def _read(past, like):
+def _under(kind: str, kept: Arrays) -> dict[str, np.ndarray]:
+    """Return {name: array} of the arrays that are kept with a word before their name."""
+    prefix = f"{kind} "
+    return {name.removeprefix(prefix): x for name, x in kept.items() if name.startswith(prefix)}
+
+
+def _tail_before(past: Arrays, like: Recording) -> Recording:
     """Return the last samples of the recording before, in seconds of the one that comes behind it."""
     arrays: dict[str, Any] = {name: past.get(name) for name in ARRAYS}
-    written = _from_bytes(past[WRITTEN]) if WRITTEN in past else None
     arrays["time"] = arrays["time"] + (float(past["origin"]) - like.origin)  # NaN where nothing tells it
-    index = None if like.index is None else arrays["time"] if arrays["stamps"] is None else arrays["stamps"]
+    written = index = None
+    if WRITTEN in past:
+        written = _from_bytes(past[WRITTEN])
+    if like.index is not None:
+        index = arrays["time"] if arrays["stamps"] is None else arrays["stamps"]
     return replace(like, **arrays, written=written, index=index, hints=())
 
 
-def _apart(tail, recording, dt):
+def _why_apart(tail: Recording, recording: Recording, dt: float) -> str:
     """Return why a recording does not follow the samples before it, as a sentence; "" where it does."""
     begin = "the recording begins anew, as if there were none before, which"
     if tail.y.dtype != recording.y.dtype:
@@ -167,13 +218,11 @@ def _apart(tail, recording, dt):
         return f"{begin} has {lacks}: nobody knows whether it follows"
     if abs(step - dt) <= TOLERATED_STEP * dt:
         return ""
-    return (
-        f"{begin} ended {abs(step):.6g} s {'after' if step < 0 else 'before'} its first sample, not dt = "
-        f"{dt:g} s before"
-    )
+    side = "after" if step < 0 else "before"
+    return f"{begin} ended {abs(step):.6g} s {side} its first sample, not dt = {dt:g} s before"
 
 
-def _as_bytes(column):
+def _arrow_bytes(column: "pa.Array") -> np.ndarray:
     """Return a pyarrow array as bytes."""
     import pyarrow as pa
 
@@ -183,7 +232,7 @@ def _as_bytes(column):
     return np.frombuffer(sink.getvalue(), np.uint8)
 
 
-def _from_bytes(data):
+def _from_bytes(data: np.ndarray) -> "pa.Array":
     import pyarrow as pa
 
     with pa.ipc.open_stream(data.tobytes()) as stream:

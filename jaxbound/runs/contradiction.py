@@ -1,9 +1,11 @@
-"""Why an observer refuted a sample, found without all samples before it."""
+"""Certificates of samples that an observer refuted, without all samples before them."""
 
 from typing import Any
 
+from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.detection import detect
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.source import Source
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["REACHES", "refuted_again"]
@@ -14,7 +16,7 @@ them are.
 """
 
 
-def refuted_again(observer: Any, source: Any, k: int) -> tuple[Any, Recording]:
+def refuted_again(observer: Relations, source: Source, k: int) -> tuple[Any, Recording]:
     """Return (Certificate of sample k, which an observer refuted, the Recording up to it).
 
     Read are as many samples before it as are needed: an observer that begins later knows less, but nothing

@@ -1,18 +1,18 @@
-"""Detection in recordings larger than memory, and what it comes to: counts, worst window, alarms, timeline,
-from one pass over verdicts.
+"""Detection in recordings larger than memory: counts, worst window, alarms, timeline, from one pass over
+verdicts.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
 from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.again import again_said
-from jaxbound.diagnosis.alarms import check_rule
+from jaxbound.diagnosis.alarms import Alarm, check_rule
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import bound_hints, unfit
 from jaxbound.diagnosis.result import Result
@@ -25,12 +25,10 @@ from jaxbound.recordings.read import open_source
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import Clock, irregular, seam_hints, tick
 from jaxbound.recordings.selection import where_hints
+from jaxbound.recordings.signals import Named
 from jaxbound.recordings.stillness import signal_hints, windows_inside
 from jaxbound.recordings.timestamps import time_label
-from jaxbound.relations.parity import ParityRelation
-from jaxbound.relations.redundancy import Redundancy
 from jaxbound.relations.sentence import latched, looked_at, remembers
-from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.runs.alarmbook import AlarmBook
 from jaxbound.runs.contradiction import REACHES, refuted_again
 from jaxbound.runs.judges import as_judged
@@ -40,7 +38,7 @@ from jaxbound.runs.partnotes import read_again, read_extremes, read_runs
 from jaxbound.runs.parts import forget_parts, part_files, verdicts_of
 from jaxbound.runs.shares import check_share, numbers_of
 from jaxbound.runs.sink import Sink, Verdicts
-from jaxbound.runs.streaming import CHUNK, all_parts, part_count, publish, write_parts
+from jaxbound.runs.streaming import CHUNK, Report, all_parts, part_count, publish, write_parts
 from jaxbound.runs.summary import Evidence, evidence
 from jaxbound.runs.tally import Tally
 from jaxbound.sets.floats.probe import refuse_unverified
@@ -57,7 +55,7 @@ __all__ = ["Digest", "detect_dataset", "digest"]
 @readable
 @dataclass(frozen=True, eq=False)
 class Digest:
-    """What was found in a recording larger than memory; the verdicts themselves are in files.
+    """The outcome of a test of a recording larger than memory; the verdicts themselves are in files.
 
     Fields:
         relations, method: as tested. data: the ParquetSource. samples: their number. counts: {status name:
@@ -74,28 +72,26 @@ class Digest:
             outputs before inputs; or None.
     """
 
-    relations: ParityRelation | UncertainRelations | Redundancy
+    relations: Relations
     method: str
     data: ParquetSource
     samples: int
-    counts: dict
-    worst: tuple | None
-    alarms: list
+    counts: dict[str, int]
+    worst: tuple[int, float] | None
+    alarms: list[Alarm]
     alarm_count: int
-    hints: tuple
+    hints: tuple[str, ...]
     line: Timeline
-    time: dict
+    time: dict[int, float]
     aside: int = 0
-    ended: dict = field(default_factory=dict)
-    signals: tuple | None = None
+    ended: dict[str, int] = field(default_factory=dict)
+    signals: tuple[np.ndarray, np.ndarray] | None = None
 
-    def _head(self):
-        return (
-            f"Digest ({self.samples},) of {self.source}: "
-            f"{', '.join(f'{n} {name}' for name, n in self.counts.items() if n)}"
-        )
+    def _head(self) -> str:
+        counts = ", ".join(f"{n} {name}" for name, n in self.counts.items() if n)
+        return f"Digest ({self.samples},) of {self.source}: {counts}"
 
-    def _rows(self):
+    def _rows(self) -> dict[str, str]:
         rows = {"method": f"{self.method}, {looked_at(self.relations)}", "model": repr(self.relations.model)}
         if self.worst is not None:
             rows["worst"] = f"margin {self.worst[1]:.4g} at {self.label(self.worst[0])}"
@@ -103,12 +99,14 @@ class Digest:
 
     def label(self, k: int) -> str:
         """Return the time of sample k as text."""
-        return time_label(self.time[k], self.data.stamp(self.time[k]), self.relations.model.dt)
+        return time_label(self.time[k], self.data.stamp(self.time[k]), self.data.dt)
 
     @property
     def _before(self) -> int:
         """How many samples before those of interest are read and tested with them."""
-        return REACHES[1] if remembers(self.relations) else self.relations.horizon
+        if remembers(self.relations):
+            return REACHES[1]
+        return self.relations.horizon
 
     @property
     def source(self) -> str:
@@ -147,8 +145,10 @@ def plot_digest(found: Digest, ax: "Axes | None" = None) -> "Figure | Axes":
 
 
 @evidence.register(Digest)
-def _(res, alarms):
-    at, margin = res.worst or (None, np.nan)
+def _(res: Digest, alarms: Sequence[Alarm]) -> Evidence:
+    at, margin = None, np.nan
+    if res.worst is not None:
+        at, margin = res.worst
     return Evidence(
         res.method,
         res.relations.horizon,
@@ -165,13 +165,13 @@ def _(res, alarms):
 
 
 def detect_dataset(
-    relations: Any,
-    path: Any,
-    out: str | PathLike,
+    relations: Relations,
+    path: str | PathLike[str],
+    out: str | PathLike[str],
     method: str = "joint",
     chunk: int = CHUNK,
     alarm: tuple[int, int] = (1, 1),
-    progress: Callable | None = None,
+    progress: Report | None = None,
     part: tuple[int, int] | None = None,
     merge: bool = False,
     client: "Client | None" = None,
@@ -231,15 +231,18 @@ def detect_dataset(
     report = progress or (lambda share: None)
     if part is not None:
         with shared_folder(out, (PARTIAL,), (path,)):
-            source = _source(path, relations.model)
+            source = _source_in_parts(path, relations.model)
             folder, _ = write_parts(relations, source, out, method, chunk, report, part, client, overlap)
             return part_files(folder, numbers_of(part, part_count(source)))
     with output_folder(out, (VERDICTS,), (path,)) as place:
-        source = _source(path, relations.model)
+        source = _source_in_parts(path, relations.model)
         if merge:
             folder = all_parts(relations, source, out, method, overlap)
         else:
-            most = lambda share: report(0.95 * share)
+
+            def most(share: float) -> None:
+                report(0.95 * share)
+
             folder, _ = write_parts(
                 relations, source, out, method, chunk, most, client=client, overlap=overlap
             )
@@ -249,22 +252,22 @@ def detect_dataset(
     return found
 
 
-def _source(path, model):
-    """Return the Source of a recording; refuse one that is read as a whole."""
+def _source_in_parts(path: str | PathLike[str], model: Named) -> ParquetSource:
+    """Return the source of a recording; refuse one that is read as a whole."""
     source = open_source(path, model)
     if not source.parts:
         raise ValueError(f"{path} is read as a whole: give it to detect, or write it as Parquet")
-    return source
+    return cast(ParquetSource, source)  # or a user's kind that is read in parts, too
 
 
 def digest(
-    relations: Any,
+    relations: Relations,
     source: ParquetSource,
     folder: Path,
     method: str = "joint",
     alarm: tuple[int, int] = (1, 1),
     alarms_csv: Path | None = None,
-    progress: Callable | None = None,
+    progress: Report | None = None,
     also: Sequence[Sink] = (),
 ) -> Digest:
     """Read the verdicts of a ParquetSource once.
@@ -279,62 +282,69 @@ def digest(
         A Digest.
     """
     report = progress or (lambda share: None)
-    tally = Tally(lambda piece, k: float(piece.time[k]), relations.horizon)
-    times = _Times(source)
-    line = Timeline(source.samples)
-    drawing = _Drawing(line)
-    clock = _Ticking(relations.model.dt, times)
-    book = AlarmBook(alarm, relations, alarms_csv, line.mark)
-    sinks: list[Taker[Recording, Verdicts]] = [tally, clock, drawing, book, *also]
+    tally = Tally(_seconds_at, relations.horizon)
+    times = _SampleTimes(source)
+    drawing = _Drawing(Timeline(source.samples))
+    ticking = _Ticking(source.dt, times)
+    book = AlarmBook(alarm, source.dt, relations, alarms_csv, drawing.line.mark)
+    sinks: list[Taker[Recording, Verdicts]] = [tally, ticking, drawing, book, *also]
     for _ in follow(verdicts_of(folder, source), as_judged, sinks):
         report(tally.samples / source.samples)
     book.close()
     alarms, named = book.alarms()
     times |= named
-    worst = tally.worst or tally.tightest
-    if worst is not None:
-        times[worst.sample] = worst.when
+    worst = None
+    event = tally.worst or tally.tightest
+    if event is not None:
+        worst = event.sample, event.margin
+        times[event.sample] = float(event.when)
     digested = Digest(
         relations,
         method,
         source,
         tally.samples,
         tally.named(),
-        worst and (worst.sample, worst.margin),
+        worst,
         alarms,
         book.count,
         (),
-        line,
+        drawing.line,
         times,
         ended=book.ended,
         signals=read_extremes(part_files(folder), source.samples),
     )
-    sentence = irregular(clock.clock, digested.label, source.row)
+    sentence = irregular(ticking.clock, digested.label, source.row)
     if sentence:
         forget_parts(folder)  # verdicts on such data are of no use
         raise ValueError(f"{source.path}: {sentence}")
-    hints, aside = _signal_hints(digested, folder)
+    about = _about_signals(digested, folder)
+    hints = [*source.hints, *seam_hints(ticking.clock, digested.label, source.row), *about.hints]
     for devices, count in read_again(part_files(folder)).items():
         hints += again_said(devices, count)
-    seams = seam_hints(clock.clock, digested.label, source.row)
-    hints = [*source.hints, *seams, *hints, *bound_hints(relations.model, relations)]
-    hints += [*_unfit(digested), *_wrong_units(digested)]
-    digested = replace(digested, hints=tuple(hints), aside=aside)
-    digested.alarms[:] = [replace(a, result=digested) for a in digested.alarms]
-    return digested
+    hints += bound_hints(relations.model, relations)
+    hints += [*_unfit_bounds(digested), *_wrong_units(digested)]
+    digested = replace(digested, hints=tuple(hints), aside=about.aside)
+    return replace(digested, alarms=[replace(alarm, result=digested) for alarm in alarms])
 
 
-def _unfit(found):
+def _seconds_at(piece: Recording, k: int) -> float:
+    return float(piece.time[k])
+
+
+def _unfit_bounds(found: Digest) -> list[str]:
     """Return the sentences on bounds that do not fit the recording at all."""
     relations = found.relations
     if latched(relations):
         return []
     if remembers(relations):
         return unfit(found.counts, np.nan, "samples")
-    return unfit(found.counts, found.worst[1] if found.worst else np.nan, "windows")
+    margin = np.nan
+    if found.worst is not None:
+        margin = found.worst[1]
+    return unfit(found.counts, margin, "windows")
 
 
-def _wrong_units(found):
+def _wrong_units(found: Digest) -> list[str]:
     """Return the sentences on signals that may be in another unit than the model's."""
     if found.worst is None or not found.counts["FAULT"] or remembers(found.relations):
         return []
@@ -344,67 +354,73 @@ def _wrong_units(found):
 class _Ticking:
     """A sink that finds the seams, and keeps the times that sentences name: of both ends and of seams."""
 
-    def __init__(self, dt, times):
+    def __init__(self, dt: float, times: "_SampleTimes") -> None:
         self.clock, self.times = Clock(dt), times
 
-    def add(self, piece, verdicts):
+    def add(self, piece: Recording, verdicts: Verdicts) -> None:
         first = self.clock.samples
         self.clock, _ = tick(self.clock, piece.time)
         for k in (0, self.times.source.samples - 1, *(seam.sample for seam in self.clock.seams)):
             if first <= k < first + piece.samples:
                 self.times[k] = float(piece.time[k - first])
 
-    def memory(self):
+    def memory(self) -> None:
         return None
 
-    def flush(self):
+    def flush(self) -> None:
         pass
 
 
 class _Drawing:
     """A sink that puts verdicts into a Timeline."""
 
-    def __init__(self, line):
+    def __init__(self, line: Timeline) -> None:
         self.line, self.samples = line, 0
 
-    def add(self, piece, verdicts):
-        time = piece.time if piece.stamps is None else piece.stamps
-        self.line.add(self.samples, time, verdicts.status, verdicts.margin)
+    def add(self, piece: Recording, verdicts: Verdicts) -> None:
+        axis = piece.axis
+        assert axis is not None, "parts have times"
+        self.line.add(self.samples, axis, verdicts.status, verdicts.margin)
         self.samples += piece.samples
 
-    def memory(self):
+    def memory(self) -> None:
         return None
 
-    def flush(self):
+    def flush(self) -> None:
         pass
 
 
-class _Times(dict):
+class _SampleTimes(dict[int, float]):
     """{sample: seconds}; those of other samples are read when they are asked for."""
 
-    def __init__(self, source):
+    def __init__(self, source: ParquetSource) -> None:
         self.source = source
 
-    def __missing__(self, k):
-        self[k] = self.source.time(k) if self.source.time_name else k * self.source.model.dt
+    def __missing__(self, k: int) -> float:
+        self[k] = self.source.time(k)
         return self[k]
 
 
-def _signal_hints(found, folder):
-    """Return (sentences on missing samples, on what the recorder seems to round and on signals that stand
-    still; windows set aside).
-    """
-    model, out, where, aside, samples = found.relations.model, [], found.data.plan.where, 0, found.samples
-    names = model.inputs + model.outputs + (("where",) if where else ())
-    runs = dict(zip(names, read_runs(part_files(folder)), strict=True))
-    if where:
-        kept = runs.pop("where")
-        samples, aside = (
-            kept.present,
-            found.samples - found.relations.horizon - windows_inside(kept, found.relations.horizon),
-        )
-    out += missing_sentences({name: samples - r.present for name, r in runs.items()}, samples)
-    out += rounding_hints(model, found.data.probe().y)
-    for name in model.outputs + model.inputs:
-        out += signal_hints(name, runs[name], found.label, driven=name in model.inputs)
-    return out + (where_hints(where.text, found.samples - samples, found.samples) if where else []), aside
+class _AboutSignals(NamedTuple):
+    """Sentences on the signals of a recording, and how many windows are set aside by `where`."""
+
+    hints: list[str]
+    aside: int
+
+
+def _about_signals(found: Digest, folder: Path) -> _AboutSignals:
+    """Return sentences on missing samples, on a recorder that rounds and on signals that stand still."""
+    model, where, horizon = found.relations.model, found.data.plan.where, found.relations.horizon
+    samples, aside, hints = found.samples, 0, []
+    runs = read_runs(part_files(folder))
+    if where is not None:
+        *runs, kept = runs
+        samples = kept.present
+        aside = found.samples - horizon - windows_inside(kept, horizon)
+        hints = where_hints(where.text, found.samples - samples, found.samples)
+    named = dict(zip((*model.inputs, *model.outputs), runs, strict=True))
+    still: list[str] = []
+    for name in (*model.outputs, *model.inputs):
+        still += signal_hints(name, named[name], found.label, driven=name in model.inputs)
+    missing = missing_sentences({name: samples - signal.present for name, signal in named.items()}, samples)
+    return _AboutSignals([*missing, *rounding_hints(model, found.data.probe().y), *still, *hints], aside)

@@ -15,30 +15,33 @@ from dataclasses import dataclass, replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from jaxbound.consistency.engine import in_order, stretches_for
+from jaxbound.consistency.interface import Observer, Relations
 from jaxbound.diagnosis.again import again_hints
+from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import outgrown
+from jaxbound.diagnosis.result import Result
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.modelfile import load_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.csvlines import is_open, split_lines
-from jaxbound.recordings.csvtext import UNCLOSED, cells_of
+from jaxbound.recordings.csvtext import UNCLOSED, cells_of, delimiter_of
 from jaxbound.recordings.expressions import missing_column
 from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.read import open_source
 from jaxbound.recordings.recording import Recording
-from jaxbound.relations.sentence import remembers
-from jaxbound.runs.continuation import Continuation, alone, beside, followed
+from jaxbound.recordings.source import Progress
+from jaxbound.runs.continuation import Continuation, Joined, carry_of, followed, joined_carries
 from jaxbound.runs.endings import ending_hints
 from jaxbound.runs.loop import follow
 from jaxbound.runs.relations import relations_by
 from jaxbound.runs.summary import CODES, OUTSIDE, Summary, summarised
 from jaxbound.text.objects import readable
+from jaxbound.workers.engine import in_order, stretches_for
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -49,6 +52,18 @@ COLUMNS = ("unit", "model", "recording")
 AHEAD = 4  # units that are read while another is tested
 SIDE = 32  # units that an observer follows side by side, which are in memory at once
 ORDER = ("fault", "not tested", OUTSIDE, "too little evidence", "no fault")
+IN_WORDS = {
+    "fault": "with a proved fault",
+    OUTSIDE: OUTSIDE,
+    "no fault": "with no fault found",
+    "too little evidence": "with too little evidence",
+    "not tested": "could not be tested",
+}
+Row = tuple[str, dict[str, str]]
+"""A row of a manifest: where it stands, {column: cell}."""
+Page = Callable[..., str]
+"""Called with (unit, Result, Recording, alarms, Summary) of a tested unit; returns its `report`."""
+Done = TypeVar("Done")
 
 
 class Unit(NamedTuple):
@@ -61,7 +76,7 @@ class Unit(NamedTuple):
 
 @readable
 class UnitResult(NamedTuple):
-    """What was found about a unit.
+    """The outcome of the test of a unit.
 
     Fields: unit; summary: its Summary, of one that could not be tested with the verdict "not tested" and why
     in its sentence; report: the file of its own page, beside the page of the fleet, "" where it has none.
@@ -83,11 +98,11 @@ class UnitResult(NamedTuple):
 
     @classmethod
     def untested(cls, unit: Unit, why: str) -> "UnitResult":
-        """Return what is said of a unit that was not tested."""
+        """Return the result of a unit that was not tested, with the reason."""
         return cls(unit, Summary("not tested", why))
 
 
-def read_manifest(path: str | PathLike) -> list[Unit]:
+def read_manifest(path: str | PathLike[str]) -> list[Unit]:
     r"""Read the units of a fleet from a CSV or TOML file.
 
     CSV: a header with the columns unit, model and recording, then a row a unit. TOML: a block [[units]] with
@@ -120,7 +135,9 @@ def read_manifest(path: str | PathLike) -> list[Unit]:
         raise FileNotFoundError(f"there is no manifest {path}")
     try:
         text = path.read_bytes().decode("utf-8-sig")
-        rows = _toml_rows(text) if path.suffix.lower() == ".toml" else _csv_rows(text)
+        rows = _csv_rows(text)
+        if path.suffix.lower() == ".toml":
+            rows = _toml_rows(text)
         return _units(rows, path.parent)
     except UnicodeDecodeError:
         raise ValueError(f"{path}: this is not a text file in UTF-8, so it is no manifest") from None
@@ -130,12 +147,13 @@ def read_manifest(path: str | PathLike) -> list[Unit]:
         raise ValueError(f"{path}: {e}") from None
 
 
-def _csv_rows(text):
-    """Yield (where, {column: cell}) of each row."""
+def _csv_rows(text: str) -> Iterator[Row]:
+    """Yield the rows of a manifest in CSV."""
     lines = [(number, line) for number, line in enumerate(split_lines(text.encode()), 1) if line.strip()]
-    header = lines[0][1].decode() if lines else ""
-    delimiter = next((d for d in (";", "\t", ",") if d in header), ",")
     rows: list[tuple[int, list[str]]] = []
+    delimiter = ","
+    if lines:
+        delimiter = delimiter_of(lines[0][1].decode())
     for number, line in lines:
         if is_open(line, delimiter.encode()):
             raise ValueError(f"row {number} {UNCLOSED}")
@@ -145,15 +163,15 @@ def _csv_rows(text):
     if not rows:
         raise ValueError(f"the manifest is empty: it needs the columns {', '.join(COLUMNS)} and a row a unit")
     names = [name.strip() for name in rows[0][1]]
-    _known("the manifest", names)
+    _check_columns("the manifest", names)
     for number, row in rows[1:]:
         if len(row) != len(names):
             raise ValueError(f"row {number} has {len(row)} cells, the header has {len(names)} columns")
         yield f"row {number}", dict(zip(names, map(str.strip, row), strict=True))
 
 
-def _toml_rows(text):
-    """Yield (where, {field: value}) of each [[units]] block."""
+def _toml_rows(text: str) -> Iterator[Row]:
+    """Yield the [[units]] blocks of a manifest in TOML."""
     import tomllib
 
     try:
@@ -167,14 +185,14 @@ def _toml_rows(text):
         raise ValueError("units must be a list of blocks: write [[units]] above each of them")
     for i, block in enumerate(blocks):
         where = f"number {i + 1} of units"
-        _known(where, list(block))
+        _check_columns(where, list(block))
         for field, value in block.items():
             if not isinstance(value, str):
                 raise ValueError(f"{field} of {where} must be text in quotes, not {value!r}")
         yield where, block
 
 
-def _known(where, names):
+def _check_columns(where: str, names: Sequence[str]) -> None:
     """Refuse a column that is unknown, missing or there twice."""
     for name in names:
         if name not in COLUMNS:
@@ -188,20 +206,21 @@ def _known(where, names):
             raise ValueError(missing_column(name, names, where))
 
 
-def _units(rows, folder):
+def _units(rows: Iterable[Row], folder: Path) -> list[Unit]:
+    """Return the units in the rows of a manifest, whose files are looked for in a folder."""
     units: list[Unit] = []
-    found: dict[str, str] = {}
+    named: dict[str, str] = {}
     for where, row in rows:
         for column in COLUMNS:
             if not row[column]:
                 raise ValueError(f"{where} has no {column}")
-        if row["unit"] in found:
+        name = row["unit"]
+        if name in named:
             raise ValueError(
-                f"{where} names unit {row['unit']!r}, as {found[row['unit']]} does: every unit needs a name "
-                f"of its own"
+                f"{where} names unit {name!r}, as {named[name]} does: every unit needs a name of its own"
             )
-        found[row["unit"]] = where
-        units.append(Unit(row["unit"], folder / row["model"], folder / row["recording"]))
+        named[name] = where
+        units.append(Unit(name, folder / row["model"], folder / row["recording"]))
     if not units:
         raise ValueError("the manifest names no unit: it has a header but no row")
     return units
@@ -213,12 +232,12 @@ def detect_fleet(
     horizon: int | None = None,
     alarm: tuple[int, int] = (1, 1),
     min_coverage: float = 0.5,
-    progress: Callable | None = None,
+    progress: Progress | None = None,
     lags: Sequence[int] | None = None,
-    page: Callable[..., str] | None = None,
+    page: Page | None = None,
     options: Mapping[str, Any] | None = None,
     client: "Client | None" = None,
-    state: str | PathLike | None = None,
+    state: str | PathLike[str] | None = None,
 ) -> Iterator[UnitResult]:
     """Test every unit; yield its UnitResult in the order of the units, each as soon as it is there.
 
@@ -231,13 +250,13 @@ def detect_fleet(
         page: called with (unit, Result, Recording, alarms, Summary) of a tested unit; returns its `report`.
         client: of dask.distributed; its workers test the units, see their files by the same paths and call
             `page`, which can be pickled.
-        state: folder in which it is kept how each unit goes on; None: nowhere. The next recording of a unit,
+        state: folder in which continuations of units are kept; None: nowhere. The next recording of a unit,
             in a run with the same folder, is then judged as if it followed in one file: windows look back
             into the one before, an observer carries on. Where it begins more than a step later, or earlier,
             it begins anew, and its hints say so. The same recording again is judged as it was.
 
     Yields:
-        UnitResult. What is wrong with a unit makes it "not tested" and leaves the others alone.
+        UnitResult. Trouble with a unit makes it "not tested" and leaves the others alone.
     """
     if client is not None:
         same = {
@@ -250,15 +269,15 @@ def detect_fleet(
             "state": state,
             "page": page,
         }
-        yield from _spread_out(client, _Fleet(same), units, progress)
+        yield from _test_by_workers(client, _FleetJob(same), units, progress)
         return
     report = progress or (lambda share: None)
     how = _How(method, horizon, lags, options, state, alarm, min_coverage)
     results, done = _Collected(page), 0
     try:
-        for _ in follow(_groups(units, how), partial(_tested, how=how), [results]):
-            for found in results.take():
-                yield found
+        for _ in follow(_read_groups(units, how), partial(_tested, how=how), [results]):
+            for result in results.take():
+                yield result
                 done += 1
                 report(done / len(units))
     except KeyboardInterrupt:  # some of those that are followed side by side may be done
@@ -280,17 +299,24 @@ class _How(NamedTuple):
     @property
     def ahead(self) -> int:
         """How many units are read while another is tested."""
-        return SIDE if self.method == SetObserver.method else AHEAD
+        if self.method == SetObserver.method:
+            return SIDE
+        return AHEAD
+
+
+Detected = tuple[Result, Recording, list[Alarm]]
+"""The outcome of a unit that was tested, as its page shows it."""
+Judgement = tuple[UnitResult, Detected | None]
 
 
 class _Collected:
-    """A sink that makes the pages of units, and keeps what was found until somebody takes it."""
+    """A sink that makes the pages of units, and keeps their results until somebody takes them."""
 
-    def __init__(self, page: Callable[..., str] | None) -> None:
+    def __init__(self, page: Page | None) -> None:
         self.page = page
         self.results: list[UnitResult] = []
 
-    def add(self, result: UnitResult, about: tuple[Any, ...] | None) -> None:
+    def add(self, result: UnitResult, about: Detected | None) -> None:
         """Make the page of a unit that was tested."""
         if self.page is not None and about is not None:
             result = result._replace(report=self.page(result.unit, *about, result.summary))
@@ -302,29 +328,48 @@ class _Collected:
         return results
 
     def memory(self) -> None:
-        """Return None: what goes on of a unit is in its Continuation."""
+        """Return None: the memory of a unit is its Continuation."""
 
     def flush(self) -> None:
         """Do nothing: results wait for whoever takes them."""
 
 
-Group = list[tuple[Unit, "Future[_Given]"]]
+class _UnitData(NamedTuple):
+    """One unit, read.
+
+    Fields: model, relations; joined: its recording, behind the one before where it goes on; kept: its
+    Continuation, or None.
+    """
+
+    model: LinearSystem
+    relations: Relations
+    joined: Joined
+    kept: Continuation | None = None
+
+    @property
+    def recording(self) -> Recording:
+        """The samples of the unit."""
+        return self.joined.recording
 
 
-def _groups(units: Sequence[Unit], how: _How) -> Iterator[Group]:
-    """Yield the units that are tested together, each with what is read of it beside.
+Group = list[tuple[Unit, Future[_UnitData]]]
+"""Units that are tested together, and the reading of each."""
+
+
+def _read_groups(units: Sequence[Unit], how: _How) -> Iterator[Group]:
+    """Yield the units that are tested together, while the next ones are read.
 
     An observer follows units of one model side by side; others are tested one by one.
     """
     reader = _Reader(units, how)
-    with ThreadPoolExecutor(1) as beside:
-        waiting: deque[tuple[Unit, Future[_Given]]] = deque()
+    with ThreadPoolExecutor(1) as thread:
+        waiting: deque[tuple[Unit, Future[_UnitData]]] = deque()
         left = deque(units)
         try:
             while left or waiting:
                 while left and len(waiting) < how.ahead:
                     unit = left.popleft()
-                    waiting.append((unit, beside.submit(reader.read, unit)))
+                    waiting.append((unit, thread.submit(reader.read, unit)))
                 group = [waiting.popleft()]
                 while how.ahead == SIDE and waiting and waiting[0][0].model == group[0][0].model:
                     group.append(waiting.popleft())
@@ -335,32 +380,42 @@ def _groups(units: Sequence[Unit], how: _How) -> Iterator[Group]:
 
 
 class _Reader:
-    """Reads units; what units of one model have in common is made once."""
+    """A reader of units, which makes once what units of one model have in common."""
 
     def __init__(self, units: Sequence[Unit], how: _How) -> None:
         self.how = how
         self.shared = Counter(unit.model for unit in units)
-        self.models: dict[Path, tuple[Any, Any]] = {}
+        self.models: dict[Path, tuple[LinearSystem, Relations]] = {}
 
-    def read(self, unit: Unit) -> "_Given":
+    def read(self, unit: Unit) -> _UnitData:
         """Return one unit, read."""
-        how = self.how
-        model, relations = self.models.get(unit.model) or (load_model(unit.model), None)
+        how, relations = self.how, None
+        if unit.model in self.models:
+            model, relations = self.models[unit.model]
+        else:
+            model = load_model(unit.model)
         source = open_source(unit.recording, model)
-        content = None if how.state is None else source.content
+        content = None
+        if how.state is not None:
+            content = source.content  # before it is read, so that a later change is seen
         recording = source.read()
         if how.state is None:
-            longest = self._longest(model)
-            refuse_short(unit.recording, recording.samples, longest if how.ahead == AHEAD else None)
+            self._refuse_short(unit, recording, model)
         if relations is None:
             relations = relations_by(how.method, model, how.horizon, lags=how.lags, options=how.options)
         if self.shared[unit.model] > 1:
             self.models[unit.model] = model, relations
         if how.state is None:
-            return _Given(model, relations, recording)
+            return _UnitData(model, relations, Joined(recording))
         kept = Continuation(how.state, unit.name, relations, how.method, content)
-        recording, carry, known = kept.joined(recording)
-        return _Given(model, relations, recording, kept, carry, known)
+        return _UnitData(model, relations, kept.joined(recording), kept)
+
+    def _refuse_short(self, unit: Unit, recording: Recording, model: LinearSystem) -> None:
+        """Refuse a recording without a whole window, sooner than relations are worked out."""
+        horizon = None
+        if self.how.ahead == AHEAD:  # windows
+            horizon = self._longest(model)
+        refuse_short(unit.recording, recording.samples, horizon)
 
     def _longest(self, model: LinearSystem) -> int | None:
         """Return the horizon of the windows of a model, before its relations are made."""
@@ -369,54 +424,50 @@ class _Reader:
         return model.horizon if self.how.horizon is None else self.how.horizon
 
 
-class _Given(NamedTuple):
-    """One unit, read. Fields: model, relations, recording; kept: its Continuation, or None; carry, known: as
-    of `Continuation.joined`.
-    """
-
-    model: Any
-    relations: Any
-    recording: Recording
-    kept: Continuation | None = None
-    carry: Any = None
-    known: int = 0
-
-
 @dataclass(frozen=True, eq=False)
-class _Fleet:
+class _FleetJob:
     """The test of units as a `Job`: a task is a list of units. Fields: options: as `detect_fleet` takes
     them.
     """
 
-    options: dict
+    options: dict[str, Any]
 
-    def run(self, units):
+    def run(self, units: Sequence[Unit]) -> list[UnitResult]:
         """Return the UnitResult of each."""
         return list(detect_fleet(units, **self.options))
 
 
-def _spread_out(client, fleet, units, progress):
-    done, tasks = 0, [[units[i] for i in numbers] for numbers in stretches_for(client, [range(len(units))])]
-    for results in in_order(client, fleet, tasks):
+def _test_by_workers(
+    client: "Client", job: _FleetJob, units: Sequence[Unit], progress: Progress | None
+) -> Iterator[UnitResult]:
+    """Let workers test the units; yield the results in order."""
+    tasks = [[units[i] for i in numbers] for numbers in stretches_for(client, [range(len(units))])]
+    done = 0
+    for results in in_order(client, job, tasks):
         yield from results
         done += len(results)
         if progress is not None:
             progress(done / len(units))
 
 
-def _tested(group, how):
-    """Yield (UnitResult, (Result, Recording, alarms) or None) of units of one model."""
+def _tested(group: Group, how: _How) -> Iterator[Judgement]:
+    """Yield the results of units of one model."""
     read = [(unit, _tried(unit, job.result)) for unit, job in group]
-    given = [x for _, x in read if not isinstance(x, UnitResult)]
-    alike = _side_by_side(given) if len(given) > 1 else {}
-    for unit, x in read:
-        if not isinstance(x, UnitResult):
-            together = alike.get(id(x.recording))
-            x = _tried(unit, partial(_judged, unit, x, how.method, how.alarm, how.min_coverage, together))
-        yield (x, None) if isinstance(x, UnitResult) else x
+    together: _Together = {}
+    if len(group) > 1:
+        together = _side_by_side([data for _, data in read if isinstance(data, _UnitData)])
+    for unit, data in read:
+        if isinstance(data, UnitResult):
+            yield data, None
+            continue
+        judgement = _tried(unit, partial(_judge_unit, unit, data, how, together.get(id(data.recording))))
+        if isinstance(judgement, UnitResult):
+            yield judgement, None
+        else:
+            yield judgement
 
 
-def _tried(unit, work):
+def _tried(unit: Unit, work: Callable[[], Done]) -> Done | UnitResult:
     """Return what work() returns, or the UnitResult that says why it could not be done."""
     try:
         return work()
@@ -428,75 +479,110 @@ def _tried(unit, work):
         return UnitResult.untested(unit, f"internal error, please report it: {type(e).__name__}: {e}")
 
 
-def _judged(unit, given, method, alarm, min_coverage, res):
-    """Return (UnitResult, (Result, Recording, alarms)); given: a _Given; res: (Result, carry) where it is
-    there.
-    """
-    model, relations, recording, kept, carry, known = given
+def _judge_unit(
+    unit: Unit, data: _UnitData, how: _How, known: "_Followed | None"
+) -> tuple[UnitResult, Detected]:
+    """Return the result of a unit. known: of one that was followed beside others."""
+    model, relations, recording = data.model, data.relations, data.recording
     refuse_short(unit.recording, recording.samples, relations.horizon)
-    if res is None and kept is not None and remembers(relations):
-        res = followed(relations, recording, carry, known)
-    res, between = (detect(relations, recording, method=method), None) if res is None else res
-    if kept is not None:
-        kept.save(recording, between)
-    alarms = res.alarms(*alarm)
+    if known is not None:
+        res, carry = known
+    elif data.kept is not None and isinstance(relations, Observer):
+        res, carry = followed(relations, data.joined)
+    else:
+        res, carry = detect(relations, recording, method=how.method), None
+    if data.kept is not None:
+        data.kept.save(recording, carry)
+    alarms = res.alarms(*how.alarm)
     res, reaches = replace(res, recorded=recording.hints), outgrown(model, relations)
     hints = dict.fromkeys((*res.hints, *again_hints(res), *reaches, *ending_hints(res, alarms)))
-    found = summarised(res, alarms, recording.label, min_coverage, hints, outgrown=bool(reaches))
-    return UnitResult(unit, found), (res, recording, alarms)
+    summary = summarised(res, alarms, recording.label, how.min_coverage, hints, outgrown=bool(reaches))
+    return UnitResult(unit, summary), (res, recording, alarms)
 
 
-def _side_by_side(given):
-    """Return {id of a recording: (Result, carry)} of those that an observer can follow side by side; given:
-    of _Given.
-    """
-    groups: dict[Any, list] = {}
-    for one in given:
-        recording, before = one.recording, 0 if one.carry is None else int(one.carry.samples)
-        kind = (
-            recording.samples,
-            tuple(recording.starts.tolist()),
-            str(recording.y.dtype),
-            str(recording.u.dtype),
-            one.known,
-            before,
-        )
-        groups.setdefault(kind, []).append(one)
-    found = {}
-    for group in groups.values():
-        _, relations, one, kept, carry, known = group[0]
-        if len(group) == 1 or one.samples <= relations.horizon:
-            continue
-        stack = lambda name, group=group: np.stack([np.asarray(getattr(x.recording, name)) for x in group])
-        with suppress(ValueError):  # of one of them: each is told alone what is wrong
-            many, between = Recording(stack("u"), stack("y"), one.starts, one.inputs, one.outputs), None
-            if kept is None:
-                together = detect(relations, many, method=relations.method)
-            else:
-                together, between = followed(
-                    relations, many, carry and beside(relations, [x.carry for x in group]), known
-                )
-            for i, x in enumerate(group):
-                parts = {name: getattr(together, name)[i] for name in ("status", "margin", "u", "y")}
-                of_it = relations if x.carry is None else relations.continued(x.carry)
-                one_of_them = replace(
-                    together,
-                    **parts,
-                    relations=of_it,
-                    index=x.recording.index,
-                    aside=x.recording.aside(relations.horizon),
-                )
-                found[id(x.recording)] = one_of_them, between and alone(relations, between, i)
-    return found
+_Followed = tuple[Result, Any]
+"""(Result of a unit, what its observer carried before the last samples that are kept; None: nothing is)."""
+_Together = dict[int, _Followed]
+"""{id of a recording: its outcome}."""
+
+
+def _side_by_side(read: Sequence[_UnitData]) -> _Together:
+    """Return the outcomes of units that an observer can follow side by side."""
+    alike: dict[tuple[object, ...], list[_UnitData]] = {}
+    for data in read:
+        alike.setdefault(_shape_of(data), []).append(data)
+    outcomes: _Together = {}
+    for group in alike.values():
+        if len(group) > 1 and group[0].recording.samples > group[0].relations.horizon:
+            with suppress(ValueError):  # of one of them: each is told alone what is wrong
+                outcomes |= _followed_together(group)
+    return outcomes
+
+
+def _shape_of(data: _UnitData) -> tuple[object, ...]:
+    """Return what units must have in common for one observer to follow them in one step of time."""
+    recording, carry = data.recording, data.joined.carry
+    before = 0
+    if carry is not None:
+        before = int(carry.samples)
+    types = str(recording.y.dtype), str(recording.u.dtype)
+    return recording.samples, tuple(recording.starts.tolist()), *types, data.joined.known, before
+
+
+def _followed_together(group: Sequence[_UnitData]) -> _Together:
+    """Follow units of one model, and of one shape, by one observer."""
+    first, observer = group[0], group[0].relations
+    assert isinstance(observer, SetObserver), "others are tested one by one"
+    u = np.stack([np.asarray(data.recording.u) for data in group])
+    y = np.stack([np.asarray(data.recording.y) for data in group])
+    one = first.recording
+    many = Recording(u, y, one.starts, one.inputs, one.outputs)
+    between = None
+    if first.kept is None:
+        together = detect(observer, many, method=observer.method)
+    else:
+        carry = None
+        if first.joined.carry is not None:
+            carry = joined_carries(observer, [data.joined.carry for data in group])
+        together, between = followed(observer, Joined(many, carry, first.joined.known))
+    outcomes: _Together = {}
+    for i, data in enumerate(group):
+        carry = None
+        if between is not None:
+            carry = carry_of(observer, between, i)
+        outcomes[id(data.recording)] = _one_of(together, i, data), carry
+    return outcomes
+
+
+def _one_of(together: Result, i: int, data: _UnitData) -> Result:
+    """Return the Result of recording i of those side by side."""
+    observer = together.relations
+    if data.joined.carry is not None:
+        observer = observer.continued(data.joined.carry)
+    return replace(
+        together,
+        status=together.status[i],
+        margin=together.margin[i],
+        u=together.u[i],
+        y=together.y[i],
+        relations=observer,
+        index=data.recording.index,
+        aside=data.recording.aside(observer.horizon),
+    )
 
 
 def worst_first(results: Iterable[UnitResult]) -> list[UnitResult]:
     """Return the results sorted: faults (the deepest first), units not tested, too little evidence, no fault
     (the tightest first).
     """
-    return sorted(
-        results, key=lambda r: (ORDER.index(r.verdict), math.inf if math.isnan(r.margin) else r.margin)
-    )
+    return sorted(results, key=_rank)
+
+
+def _rank(result: UnitResult) -> tuple[int, float]:
+    margin = result.margin
+    if math.isnan(margin):
+        margin = math.inf
+    return ORDER.index(result.verdict), margin
 
 
 def fleet_verdict(results: Sequence[UnitResult]) -> tuple[str, int, str]:
@@ -506,17 +592,10 @@ def fleet_verdict(results: Sequence[UnitResult]) -> tuple[str, int, str]:
     """
     count = Counter(r.verdict for r in results)
     verdict = next(v for v in ORDER if count[v])
-    code = CODES[verdict]
-    several = lambda n: f"{n} unit{'s' * (n != 1)}"
-    parts = [f"{several(len(results))} listed"]
-    told = {
-        "fault": "with a proved fault",
-        OUTSIDE: OUTSIDE,
-        "no fault": "with no fault found",
-        "too little evidence": "with too little evidence",
-        "not tested": "could not be tested",
-    }
-    parts += [f"{count[v]} {words}" for v, words in told.items() if count[v]]
-    deepest = min((r for r in results if r.verdict == "fault"), key=lambda r: r.margin, default=None)
-    worst_unit = f"; the worst is {deepest.unit.name}" if deepest else ""
-    return verdict, code, f"{parts[0]}: {', '.join(parts[1:])}{worst_unit}."
+    several = len(results) != 1
+    numbers = [f"{count[v]} {words}" for v, words in IN_WORDS.items() if count[v]]
+    faulty = [r for r in results if r.verdict == "fault"]
+    worst = ""
+    if faulty:
+        worst = f"; the worst is {min(faulty, key=lambda r: r.margin).unit.name}"
+    return verdict, CODES[verdict], f"{len(results)} unit{'s' * several} listed: {', '.join(numbers)}{worst}."

@@ -18,7 +18,7 @@ from jaxbound.runs.loop import Memory, Remembering
 from jaxbound.runs.refusals import Refused
 from jaxbound.runs.sink import Sink
 
-__all__ = ["FORMER", "STATE", "Journal", "LiveCheckpoint"]
+__all__ = ["STATE", "Journal", "LiveCheckpoint", "refuse_former_state"]
 
 STATE, FORMER = "monitor.sqlite", "monitor.jsonl"  # in the folder of a run; the latter of an earlier jaxbound
 OURS = 0x6A786264  # "jxbd", the mark of our files among those of SQLite
@@ -26,6 +26,10 @@ SYNCHRONOUS = "FULL"
 TABLE = "CREATE TABLE IF NOT EXISTS checkpoint (id INTEGER PRIMARY KEY, identity TEXT, memory TEXT)"
 HEADER, MARK = 100, slice(68, 72)  # bytes that begin each file of SQLite, and where a program puts its mark
 NO_STATE = "{} is no state of jaxbound detect: choose another, or delete it to begin anew"
+FORMER_STATE = (
+    "{} is the state of an earlier jaxbound, from which this one cannot go on: choose {}, or delete it to "
+    "begin anew"
+)
 
 
 class Journal:
@@ -70,12 +74,13 @@ class Journal:
         row = json.dumps(dict(self.identity)), json.dumps(memory)
         self.database.execute("REPLACE INTO checkpoint VALUES (1, ?, ?)", row)
 
-    def _open(self):
+    def _open(self) -> None:
         try:
             self.database = _connected(self.path)
             self.database.execute(TABLE)
             row = self.database.execute("SELECT identity, memory FROM checkpoint").fetchone()
-            identity, self.before = map(json.loads, row or ("{}", "null"))
+            if row is not None:
+                identity, self.before = map(json.loads, row)
         except sqlite3.OperationalError as e:
             self.close()
             if _code(e) in ("SQLITE_BUSY", "SQLITE_LOCKED"):
@@ -92,7 +97,7 @@ class Journal:
                 raise
 
 
-def _connected(path):
+def _connected(path: Path) -> sqlite3.Connection:
     """Return a connection that keeps other processes away, where the file system can."""
     try:
         return _prepared(sqlite3.connect(path, timeout=0, isolation_level=None))
@@ -103,7 +108,7 @@ def _connected(path):
     return _prepared(sqlite3.connect(unlocked, timeout=0, isolation_level=None, uri=True))
 
 
-def _prepared(database):
+def _prepared(database: sqlite3.Connection) -> sqlite3.Connection:
     """Set how a database is locked and written; this is when the lock is taken."""
     try:
         # before WAL, which then needs no memory shared with other processes, which networks lack
@@ -119,20 +124,24 @@ def _prepared(database):
     return database
 
 
-def _code(e):
+def _code(e: sqlite3.Error) -> str:
     """Return the name of an error of SQLite."""
     return str(getattr(e, "sqlite_errorname", ""))
 
 
-def _refuse_foreign(path):
+def refuse_former_state(folder: Path) -> None:
+    """Raise Refused if a folder holds the state of an earlier jaxbound, and none of this one."""
+    former = folder / FORMER
+    if former.exists() and not (folder / STATE).exists():
+        raise Refused(FORMER_STATE.format(former, "another folder"))
+
+
+def _refuse_foreign(path: Path) -> None:
     """Raise Refused if a file is not empty and none of ours, before anything is written into it."""
     with open(path, "rb") as file:
         beginning = file.read(HEADER)
     if beginning.startswith(b'{"identity"'):
-        raise Refused(
-            f"{path} is the state of an earlier jaxbound, from which this one cannot go on: choose another, "
-            "or delete it to begin anew"
-        )
+        raise Refused(FORMER_STATE.format(path, "another"))
     mark = int.from_bytes(beginning[MARK], "big")
     if beginning and (not beginning.startswith(b"SQLite format 3\0") or mark != OURS):
         raise Refused(NO_STATE.format(path))

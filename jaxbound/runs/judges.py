@@ -3,12 +3,12 @@
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import jax
 import numpy as np
 
-from jaxbound.consistency.interface import Judged
+from jaxbound.consistency.interface import Judged, Observer, Relations
 from jaxbound.consistency.monitor import Monitor
 from jaxbound.diagnosis.again import COUNT, decided_again, judged_elsewhere
 from jaxbound.diagnosis.detection import detect
@@ -23,6 +23,8 @@ Numbered = tuple[int, Recording]
 """A piece of a recording: the number of its first sample, and its samples."""
 Piece = TypeVar("Piece")
 Found = TypeVar("Found")
+State = TypeVar("State")
+"""The carry of an observer."""
 
 
 class Windows:
@@ -37,7 +39,7 @@ class Windows:
             them are judged already. laps: gets the seconds of the stage "transfer".
     """
 
-    def __init__(self, relations: Any, method: str, samples: int, done: int, laps: Laps) -> None:
+    def __init__(self, relations: Relations, method: str, samples: int, done: int, laps: Laps) -> None:
         self.relations, self.method, self.samples, self.done = relations, method, samples, done
         self.overlap = self.begins = relations.horizon
         self.again: dict[str, int] = {}
@@ -59,7 +61,7 @@ class Windows:
         """Return None: windows carry nothing."""
 
 
-class Carried:
+class Carried(Generic[State]):
     """The judge of the samples of a piece by an observer, part by part.
 
     Fields: overlap: the sample before says whether the first one follows it.
@@ -73,7 +75,13 @@ class Carried:
     overlap = 1
 
     def __init__(
-        self, observer: Any, carry: Any, size: int, done: int, laps: Laps, warm: int | None = None
+        self,
+        observer: Observer[State],
+        carry: State,
+        size: int,
+        done: int,
+        laps: Laps,
+        warm: int | None = None,
     ) -> None:
         self.observer, self.carry, self.size, self.done, self.warm = observer, carry, size, done, warm
         self.begins = max(warm or 0, self.overlap)
@@ -93,7 +101,8 @@ class Carried:
         for begin, end in itertools.pairwise(edges):
             self.carry, found = self.observer.fold(self.carry, given.cut(begin - first, end - first))
             self.done = end
-            yield recording.cut(begin - first, end - first), Judged(found.status, found.margin)
+            verdicts = Judged(np.asarray(found.status), np.asarray(found.margin))
+            yield recording.cut(begin - first, end - first), verdicts
 
     def memory(self) -> Memory:
         """Return the carry behind the last sample."""
@@ -161,6 +170,7 @@ def on_device(recording: Recording, laps: Laps) -> Recording:
     On a CPU that is the copying of columns into arrays.
     """
     laps("read")
-    u, y = jax.block_until_ready(jax.device_put((recording.u, recording.y)))
+    placed = jax.device_put((recording.u, recording.y))
+    u, y = jax.block_until_ready(placed)  # type: ignore[no-untyped-call]  # jax gives it no types
     laps("transfer")
     return replace(recording, u=u, y=y)

@@ -1,6 +1,4 @@
-"""The metadata of a part of the verdicts: how signals stand still, their extremes, how many windows were
-judged again.
-"""
+"""The metadata of a part of the verdicts: runs and extremes of signals, numbers of windows judged again."""
 
 import base64
 import json
@@ -14,12 +12,15 @@ from typing import Any
 import numpy as np
 
 from jaxbound.plots.canvas import PANELS, bins, inside
-from jaxbound.recordings.stillness import Run, Runs, follow, joined
+from jaxbound.recordings.signals import SignalModel
+from jaxbound.recordings.stillness import Run, Runs, follow_runs, joined_runs
 
 __all__ = ["AGAIN", "EXTREMES", "RUNS", "Noted", "read_again", "read_extremes", "read_runs"]
 
 NONE = '{"bin": 0, "low": [], "high": []}'  # an earlier jaxbound noted no extremes
 RUNS, EXTREMES, AGAIN = b"runs", b"extremes", b"again"
+Written = tuple[int, int, float]
+"""A Run as JSON holds it."""
 
 
 class Noted:
@@ -29,7 +30,7 @@ class Noted:
         samples: how many it has. model: with m inputs and p outputs.
     """
 
-    def __init__(self, samples: int, model: Any) -> None:
+    def __init__(self, samples: int, model: SignalModel) -> None:
         self.edges = bins(samples)
         outputs, inputs = range(model.m, model.m + model.p), range(model.m)
         self.shown = [*outputs, *inputs][:PANELS]  # in the order of a page
@@ -41,17 +42,18 @@ class Noted:
             first: its number. signals: (n, k) inputs, outputs and, if the model has `where`, 1 where that
                 holds.
         """
-        runs = [follow(Runs(first), np.ascontiguousarray(x)) for x in signals.T]
+        runs = [follow_runs(Runs(first), np.ascontiguousarray(x)) for x in signals.T]
         begun, _, edges = inside(self.edges, first, len(signals))
         extremes: dict[str, Any] = {"bin": begun, "low": [], "high": []}
         for i in self.shown:
             extremes["low"].append(_coded(np.fmin.reduceat(signals[:, i], edges)))
             extremes["high"].append(_coded(np.fmax.reduceat(signals[:, i], edges)))
-        still = json.dumps([asdict(of) for of in runs], default=np.ndarray.tolist)
+        still = json.dumps([asdict(signal) for signal in runs], default=np.ndarray.tolist)
         return {RUNS: still, EXTREMES: json.dumps(extremes)}
 
 
-def _coded(x):
+def _coded(x: np.ndarray) -> str:
+    """Return numbers as text; a float64 beyond float32 becomes infinite, which a picture clips."""
     with np.errstate(over="ignore"):
         return base64.b64encode(x.astype("<f4").tobytes()).decode()
 
@@ -60,22 +62,32 @@ def read_runs(parts: Iterable[Path]) -> list[Runs]:
     """Return the Runs (`stillness`) of all parts: of inputs, outputs and, if the model has `where`, of 1
     where it holds.
     """
+    notes = [json.loads(_metadata(part)[RUNS]) for part in parts]
+    every = [[_runs_from(**signal) for signal in note] for note in notes]
+    return [reduce(joined_runs, signal) for signal in zip(*every, strict=True)]
 
-    def runs(counts, longest, last, first, **rest):
-        one = lambda run: Run(*run) if run else None
-        return Runs(
-            counts=np.array(counts),
-            longest=tuple(map(one, longest)),
-            last=one(last),
-            first=one(first),
-            **rest,
-        )
 
-    notes = (json.loads(found[RUNS]) for found in map(_metadata, parts))
-    return [
-        reduce(joined, signal)
-        for signal in zip(*([runs(**found) for found in note] for note in notes), strict=True)
-    ]
+def _runs_from(
+    counts: list[int],
+    longest: list[Written],
+    last: Written | None,
+    first: Written | None,
+    **numbers: Any,
+) -> Runs:
+    """Return the Runs of one signal from the fields that `asdict` wrote."""
+    return Runs(
+        counts=np.array(counts),
+        longest=tuple(Run(*run) for run in longest),
+        last=_run_from(last),
+        first=_run_from(first),
+        **numbers,
+    )
+
+
+def _run_from(written: Written | None) -> Run | None:
+    if written is None:
+        return None
+    return Run(*written)
 
 
 def read_extremes(parts: Iterable[Path], samples: int) -> tuple[np.ndarray, np.ndarray]:
@@ -87,28 +99,34 @@ def read_extremes(parts: Iterable[Path], samples: int) -> tuple[np.ndarray, np.n
     """
     low, high = np.full((2, PANELS, len(bins(samples))), np.nan)
     count = 0
-    for note in map(_metadata, parts):
-        found = json.loads(note.get(EXTREMES, NONE))
-        for whole, name, least in ((low, "low", np.fmin), (high, "high", np.fmax)):
-            for i, text in enumerate(found[name]):
-                x = np.frombuffer(base64.b64decode(text), "<f4")
-                here = slice(found["bin"], found["bin"] + len(x))
-                whole[i, here] = least(whole[i, here], x)
-        count = len(found["low"])
+    for metadata in map(_metadata, parts):
+        note = json.loads(metadata.get(EXTREMES, NONE))
+        _take_extremes(low, note["bin"], note["low"], np.fmin)
+        _take_extremes(high, note["bin"], note["high"], np.fmax)
+        count = len(note["low"])
     return low[:count], high[:count]
+
+
+def _take_extremes(whole: np.ndarray, first: int, texts: list[str], extreme: np.ufunc) -> None:
+    """Take the extremes of one part, in the bins from `first` on, into those of the recording (k, bins)."""
+    for i, text in enumerate(texts):
+        x = np.frombuffer(base64.b64decode(text), "<f4")
+        here = slice(first, first + len(x))
+        whole[i, here] = extreme(whole[i, here], x)
 
 
 def read_again(parts: Iterable[Path]) -> dict[str, int]:
     """Return {devices that judged: how many of their windows were decided again on the CPU}; see
     `diagnosis.again`.
     """
-    found: Counter = Counter()
-    for note in map(_metadata, parts):
-        found.update(json.loads(note.get(AGAIN, "{}")))
-    return dict(found)
+    counts: Counter[str] = Counter()
+    for metadata in map(_metadata, parts):
+        counts.update(json.loads(metadata.get(AGAIN, "{}")))
+    return dict(counts)
 
 
-def _metadata(part):
+def _metadata(part: Path) -> dict[bytes, bytes]:
     import pyarrow.parquet as pq
 
-    return pq.read_schema(part).metadata
+    metadata: dict[bytes, bytes] = pq.read_schema(part).metadata
+    return metadata

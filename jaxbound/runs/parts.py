@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from os import PathLike
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
@@ -28,6 +28,9 @@ from jaxbound.runs.loop import Memory
 from jaxbound.runs.partnotes import AGAIN, RUNS, Noted
 from jaxbound.runs.sink import Verdicts
 from jaxbound.sets.floats.status import Status
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 __all__ = [
     "Parts",
@@ -58,6 +61,20 @@ class Carrier(Protocol):
         """Return its carry, None if it has none."""
 
 
+class _Waiting(NamedTuple):
+    """Samples that wait for their part: times as written, verdicts, and signals (n, k)."""
+
+    written: "pa.Array"
+    status: np.ndarray
+    margin: np.ndarray
+    signals: np.ndarray
+
+    def cut(self, first: int, stop: int) -> "_Waiting":
+        """Return the rows first .. stop - 1."""
+        here = slice(first, stop)
+        return _Waiting(self.written[here], self.status[here], self.margin[here], self.signals[here])
+
+
 class Parts:
     """The parts of a stretch of a recording, a sink.
 
@@ -79,20 +96,23 @@ class Parts:
     ) -> None:
         self.folder, self.notes, self.size, self.end = folder, notes, size, end
         self.done, self.about, self.judge = first, about, judge
-        self.waiting: list[tuple[Any, np.ndarray, np.ndarray, np.ndarray]] = []
+        self.waiting: list[_Waiting] = []
 
     def add(self, piece: Recording, verdicts: Verdicts) -> None:
         """Take the next samples; write the parts that they complete, and at the end the part that is left."""
         import pyarrow as pa
 
-        self.waiting.append((piece.column, verdicts.status, verdicts.margin, _signals(piece)))
-        while rows := self._rows():
+        self.waiting.append(
+            _Waiting(piece.column, verdicts.status, verdicts.margin, _signals_and_where(piece))
+        )
+        while rows := sum(len(waiting.status) for waiting in self.waiting):
             if rows < self.size and self.done + rows < self.end:
                 return
             times, status, margin, signals = zip(*self.waiting, strict=True)
-            columns = pa.concat_arrays(times), *map(np.concatenate, (status, margin, signals))
-            self._write(*(x[: self.size] for x in columns))
-            self.waiting = [tuple(x[self.size :] for x in columns)]  # type: ignore[list-item]
+            numbers = np.concatenate(status), np.concatenate(margin), np.concatenate(signals)
+            together = _Waiting(pa.concat_arrays(times), *numbers)
+            self._write(together.cut(0, self.size))
+            self.waiting = [together.cut(self.size, rows)]
 
     def memory(self) -> None:
         """Return None: the memory of parts is on the disk."""
@@ -100,32 +120,29 @@ class Parts:
     def flush(self) -> None:
         """Do nothing: parts are written as soon as they are complete."""
 
-    def _rows(self):
-        """Return the number of samples that wait for their part."""
-        return sum(len(status) for _, status, *_ in self.waiting)
-
-    def _write(self, written, status, margin, signals):
+    def _write(self, rows: "_Waiting") -> None:
+        """Write the next part."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
         columns = {
-            "time": written,
-            "status": categories([x.name for x in Status], status),
-            "margin": to_arrow(margin),
-            "suspect": to_arrow(suspected(status, margin)),
+            "time": rows.written,
+            "status": categories([x.name for x in Status], rows.status),
+            "margin": to_arrow(rows.margin),
+            "suspect": to_arrow(suspected(rows.status, rows.margin)),
         }
         number = self.done // self.size
         path = self.folder / part_name(number)
-        about = self._metadata(number, signals)
+        about = self._metadata(number, rows.signals)
         self.folder.mkdir(parents=True, exist_ok=True)
         if path.exists():  # another share has made it meanwhile
             refuse_other_part(path, self.notes[number])
         with whole(path, links=False) as f:
             table = pa.table(columns).replace_schema_metadata(about)
             pq.write_table(table, f, use_dictionary=["status"], write_page_checksum=True)
-        self.done += len(status)
+        self.done += len(rows.status)
 
-    def _metadata(self, number, signals):
+    def _metadata(self, number: int, signals: np.ndarray) -> dict[bytes, str]:
         """Return the metadata of the next part, and take what the judge decided again."""
         about = self.about.of(self.done, signals) | {IDENTITY: json.dumps(self.notes[number])}
         carry = self.judge.memory()
@@ -137,7 +154,7 @@ class Parts:
         return about
 
 
-def _signals(piece):
+def _signals_and_where(piece: Recording) -> np.ndarray:
     """Return (n, k) inputs, outputs and, if the model has `where`, 1 where that holds."""
     signals = [piece.u, piece.y]
     if piece.excluded is not None:
@@ -227,14 +244,14 @@ def verdicts_of(folder: Path, source: ParquetSource) -> Iterator[tuple[Recording
     """Yield (Recording, verdicts) of each part of a recording in order: times, and no signals."""
     first = 0
     for part in part_files(folder):
-        written, judged = _read(part)
+        written, judged = _read_part(part)
         time, stamps = source.times(first, written)
         nothing = np.empty((len(time), 0))
         yield Recording(nothing, nothing, time=time, stamps=stamps, written=written), judged
         first += len(time)
 
 
-def _read(part):
+def _read_part(part: Path) -> tuple["pa.Array", Judged]:
     """Return (time column, verdicts) of a part."""
     import pyarrow.parquet as pq
 

@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from jaxbound.diagnosis.result import suspected
 from jaxbound.files.disk import sync, sync_folder
@@ -14,6 +14,9 @@ from jaxbound.runs.loop import Memory
 from jaxbound.runs.refusals import Refused
 from jaxbound.runs.sink import Verdicts
 from jaxbound.sets.floats.status import Status
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 __all__ = ["VERDICTS", "RowFile", "RowText", "number_text"]
 
@@ -34,7 +37,7 @@ class RowText:
     def of(self, piece: Recording, verdicts: Verdicts) -> bytes:
         """Return rows of verdicts.csv as `write_verdicts` writes them."""
         if verdicts is not self.verdicts:
-            self.verdicts, self.text = verdicts, _rows(piece.column, verdicts)
+            self.verdicts, self.text = verdicts, _row_text(piece.column, verdicts)
         return self.text
 
 
@@ -92,7 +95,8 @@ class RowFile:
             return
         if self.file is None:
             self._begin()
-        _write(self.file, self.fresh)
+        assert self.file is not None, "it was begun"
+        _write_all(self.file, self.fresh)
         self.written, self.fresh = self.written + self.fresh, b""
         if len(self.written) > UNFORCED:
             self.force()
@@ -112,16 +116,16 @@ class RowFile:
         if self.file is not None:
             self.file.close()
 
-    def _begin(self):
+    def _begin(self) -> None:
         """Begin the file anew."""
         self.file = self._opened()
         self.file.truncate(0)
-        _write(self.file, HEADER)
+        _write_all(self.file, HEADER)
         self.written = HEADER
         self.force()
         sync_folder(self.path.parent)
 
-    def _opened(self):
+    def _opened(self) -> IO[bytes]:
         file = open(self.path, "a+b", buffering=0)
         try:
             lock(file)
@@ -131,7 +135,7 @@ class RowFile:
         return file
 
 
-def _rows(written, verdicts):
+def _row_text(written: "pa.Array", verdicts: Verdicts) -> bytes:
     """Return rows of verdicts.csv; written: the times as the recording has them, a pyarrow array."""
     import pyarrow as pa
 
@@ -145,15 +149,16 @@ def _rows(written, verdicts):
     }
     sink = pa.BufferOutputStream()
     write_rows(sink, columns)
-    return sink.getvalue().to_pybytes()
+    return bytes(sink.getvalue().to_pybytes())
 
 
-def _few_rows(times, verdicts):
+def _few_rows(times: list[float | str], verdicts: Verdicts) -> bytes:
     rows: list[str] = []
     for when, status, margin in zip(times, verdicts.status.tolist(), verdicts.margin.tolist(), strict=True):
-        time = when if isinstance(when, str) else number_text(when)
-        suspect = "true" if status == FAULT or margin < 0 else "false"
-        rows.append(f"{time},{NAMES[status]},{number_text(margin)},{suspect}\n")
+        if not isinstance(when, str):
+            when = number_text(when)
+        suspect = str(status == FAULT or margin < 0).lower()
+        rows.append(f"{when},{NAMES[status]},{number_text(margin)},{suspect}\n")
     return "".join(rows).encode()
 
 
@@ -168,15 +173,17 @@ def number_text(x: float) -> str:
     return str(pa.array([x]).cast(pa.string())[0].as_py())
 
 
-def _as_text(data):
+def _as_text(data: bytes) -> str:
+    """Return bytes as JSON holds them: Latin-1 has a character for each."""
     return data.decode("latin-1")
 
 
-def _as_bytes(text):
+def _as_bytes(text: str) -> bytes:
     return text.encode("latin-1")
 
 
-def _write(file, data):
+def _write_all(file: IO[bytes], data: bytes) -> None:
+    """Write bytes into an unbuffered file, which may take a part of them at a time."""
     view = memoryview(data)
     while view:
         view = view[file.write(view) :]

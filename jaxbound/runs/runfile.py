@@ -1,11 +1,10 @@
-"""What a report was made of: run.json says which recording and which test, tested_model.toml is the model as
-it was.
-"""
+"""Origins of reports: run.json names recording and test, tested_model.toml is the model as it was."""
 
 import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from jaxbound.models.modelfile import load_model, model_text
 from jaxbound.models.system import LinearSystem
@@ -45,7 +44,7 @@ def save_run(
     digest: str | None,
     method: str,
     horizon: int,
-    options: Mapping | None = None,
+    options: Mapping[str, object] | None = None,
     outgrown: bool = False,
 ) -> None:
     """Write run.json and tested_model.toml, with which `load_run` finds again what was tested.
@@ -57,12 +56,15 @@ def save_run(
             of an observer. outgrown: its windows were longer than those that the bounds were found for.
     """
     data, directory, text = Path(data).resolve(), Path(directory).resolve(), model_text(model).encode()
-    named = (
-        data.name if data.parent == directory else str(data)
-    )  # a report that holds its recording may be moved
-    found = {
+    named = str(data)
+    if data.parent == directory:  # a report that holds its recording may be moved
+        named = data.name
+    size = None
+    if data.is_file():
+        size = data.stat().st_size
+    record = {
         "data": named,
-        "bytes": data.stat().st_size if data.is_file() else None,
+        "bytes": size,
         "method": method,
         "horizon": horizon,
         "content": digest,
@@ -71,7 +73,7 @@ def save_run(
         "outgrown": outgrown,
     }
     (directory / MODEL).write_bytes(text)
-    (directory / RUN).write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    (directory / RUN).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
 
 def is_outgrown(directory: Path) -> bool:
@@ -79,7 +81,7 @@ def is_outgrown(directory: Path) -> bool:
     return bool(json.loads((Path(directory) / RUN).read_text(encoding="utf-8")).get("outgrown"))
 
 
-def load_run(directory: Path) -> tuple[LinearSystem, Path, str, int, dict]:
+def load_run(directory: Path) -> tuple[LinearSystem, Path, str, int, dict[str, Any]]:
     """Return (model, path of the recording, method, horizon, options) of a report; the recording may have
     moved into its folder.
 
@@ -92,13 +94,9 @@ def load_run(directory: Path) -> tuple[LinearSystem, Path, str, int, dict]:
         raise FileNotFoundError(f"{directory} holds no report of jaxbound detect: there is no {RUN} in it")
     try:
         tested = json.loads((directory / RUN).read_text(encoding="utf-8"))
-        data, size, method, horizon = (
-            directory / tested["data"],
-            tested["bytes"],
-            tested["method"],
-            tested["horizon"],
-        )
-        digest, model, options = tested.get("content"), tested.get("model"), dict(tested.get("options", {}))
+        data, size = directory / tested["data"], tested["bytes"]
+        method, horizon, options = tested["method"], tested["horizon"], dict(tested.get("options", {}))
+        digest, model = tested.get("content"), tested.get("model")
     except (ValueError, KeyError, TypeError) as e:
         raise ValueError(
             f"{directory / RUN} is damaged ({type(e).__name__}: {e}): run jaxbound detect again"
@@ -113,7 +111,9 @@ def load_run(directory: Path) -> tuple[LinearSystem, Path, str, int, dict]:
         raise ValueError(
             f"the model of this report, {directory / MODEL}, has changed since: run jaxbound detect again"
         )
-    data = data if data.exists() or not (directory / data.name).exists() else directory / data.name
+    beside = directory / data.name
+    if not data.exists() and beside.exists():  # the recording was moved into the report
+        data = beside
     if not data.exists():
         raise FileNotFoundError(
             f"the recording of this report, {data}, is no longer there: put it back, or run jaxbound detect "

@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxbound.consistency.engine import spread, stretches_for
+from jaxbound.consistency.interface import Observer, Relations
 from jaxbound.files.checkpoint import from_texts
 from jaxbound.models.fingerprint import fingerprint
+from jaxbound.recordings.contents import Digests
 from jaxbound.recordings.parquet import PARTIAL, VERDICTS, ParquetSource
 from jaxbound.relations.identity import identity
 from jaxbound.relations.sentence import remembers
@@ -39,7 +40,8 @@ from jaxbound.runs.parts import (
     refuse_other_part,
     unfinished_parts,
 )
-from jaxbound.runs.shares import listed, numbers_of
+from jaxbound.runs.shares import numbers_of, stretches_listed
+from jaxbound.workers.engine import spread, stretches_for
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -54,7 +56,7 @@ Report = Callable[[float], object]
 
 
 def write_parts(
-    relations: Any,
+    relations: Relations,
     source: ParquetSource,
     out: str | PathLike[str],
     method: str = "joint",
@@ -74,21 +76,22 @@ def write_parts(
         copying of columns into the arrays that the kernel reads. Where workers do it, their seconds are
         added.
     """
-    folder, job = _begun(relations, source, Path(out), method, part, chunk, overlap)
+    folder, job = _job_of(relations, source, Path(out), method, part, chunk, overlap)
     report = progress or (lambda share: None)
     seconds = dict.fromkeys(STAGES, 0.0)
     mine = numbers_of(part or (1, 1), part_count(source))
     missing = missing_parts(folder, mine)
+    if client is None:
+        tasks = _write_here(job, missing, mine, report)
+    else:
+        tasks = _write_by_workers(client, job, missing, mine, report)
     try:
-        done = (
-            _spread_out(client, job, missing, mine, report) if client else _here(job, missing, mine, report)
-        )
-        for task in done:
+        for task in tasks:
             for stage, more in task.items():
                 seconds[stage] += more
         source.unchanged()
         report(1.0)
-    except ValueError:  # data that must be changed first: what was found in them is of no use then
+    except ValueError:  # data that must be changed first: their verdicts are of no use then
         if part is None:
             forget_parts(folder)
         raise
@@ -99,20 +102,23 @@ def write_parts(
     return folder, seconds
 
 
-def _here(job: "_Judging", missing: list[int], mine: range, report: Report) -> Iterator[dict[str, float]]:
+def _write_here(
+    job: "_Judging", missing: list[int], mine: range, report: Report
+) -> Iterator[dict[str, float]]:
     """Write the missing parts in this process; yield the seconds of each stretch of them."""
     first, end = mine.start * PART, min(mine.stop * PART, job.source.samples)
-    for parts in _stretches(missing):
+    for parts in _ranges_of(missing):
         seconds, _ = job.run(parts, lambda done: report((done - first) / (end - first)))
         yield seconds
 
 
-def _spread_out(
+def _write_by_workers(
     client: "Client", job: "_Judging", missing: list[int], mine: range, report: Report
 ) -> Iterator[dict[str, float]]:
     """Let workers write the missing parts; yield the seconds of each task."""
-    stretches, left = _stretches(missing), len(missing)
-    tasks = stretches if job.follows else stretches_for(client, stretches)
+    tasks, left = _ranges_of(missing), len(missing)
+    if not job.follows:
+        tasks = stretches_for(client, tasks)
     report(1 - left / max(len(mine), 1))
     if not tasks:
         return
@@ -124,7 +130,7 @@ def _spread_out(
 
 
 def all_parts(
-    relations: Any,
+    relations: Relations,
     source: ParquetSource,
     out: str | PathLike[str],
     method: str = "joint",
@@ -135,11 +141,11 @@ def all_parts(
     Raises:
         ValueError: some are not there, or of another model, recording, version or method.
     """
-    folder, _ = _begun(relations, source, Path(out), method, overlap=overlap)
+    folder, _ = _job_of(relations, source, Path(out), method, overlap=overlap)
     count = part_count(source)
     missing = missing_parts(folder, range(count))
     if missing:
-        lacking = f"{folder} lacks {listed(missing, part_name)}, {len(missing)} of {count} parts"
+        lacking = f"{folder} lacks {stretches_listed(missing, part_name)}, {len(missing)} of {count} parts"
         raise ValueError(f"{lacking}: the same without merge makes only these")
     return folder
 
@@ -168,7 +174,7 @@ def publish(folder: OutputFolder) -> None:
     folder.put({VERDICTS: folder.path / PARTIAL})
 
 
-def _stretches(numbers: Sequence[int]) -> list[range]:
+def _ranges_of(numbers: Sequence[int]) -> list[range]:
     """Return the ranges that numbers in order consist of."""
     stretches: list[range] = []
     for number in numbers:
@@ -189,7 +195,7 @@ class _Judging:
     the recording up to the end of each.
     """
 
-    relations: Any
+    relations: Relations
     source: ParquetSource
     folder: Path
     method: str
@@ -206,8 +212,12 @@ class _Judging:
 
     def note(self, number: int) -> dict[str, str]:
         """Return what the verdicts in a part depend on, before any of it is read."""
-        before = self.relations.horizon if self.overlap is None else self.overlap
-        content = self._content_up_to(number) if self.follows else self._content(number, before)
+        if self.follows:
+            content = self._content_up_to(number)
+        elif self.overlap is not None:
+            content = self._content(number, self.overlap)
+        else:
+            content = self._content(number, self.relations.horizon)
         place = f"part {number} of {self.size} samples each"
         return self.common | {"place in the recording": place, "content of the recording": content}
 
@@ -225,7 +235,7 @@ class _Judging:
 
     def run(
         self, parts: range, report: Callable[[int], object] = lambda done: None
-    ) -> tuple[dict[str, float], dict[Any, bytes]]:
+    ) -> tuple[dict[str, float], Digests]:
         """Write the parts of a range that are not there.
 
         Args:
@@ -236,7 +246,7 @@ class _Judging:
         """
         seconds = dict.fromkeys(STAGES, 0.0)
         # some are there if a worker died with this task
-        for stretch in _stretches(missing_parts(self.folder, parts)):
+        for stretch in _ranges_of(missing_parts(self.folder, parts)):
             for together in self._together(stretch):
                 self._write(together, report, seconds)
         return seconds, self.source.digests
@@ -248,6 +258,7 @@ class _Judging:
         return [range(i, i + 1) for i in parts]
 
     def _write(self, parts: range, report: Callable[[int], object], seconds: dict[str, float]) -> None:
+        """Write parts that follow each other; whatever one judge takes is read and judged once."""
         first, end = parts.start * self.size, min(parts.stop * self.size, self.source.samples)
         notes = {i: self.note(i) for i in parts}
         laps = Laps(seconds)
@@ -259,20 +270,21 @@ class _Judging:
         for at, piece in follow(pieces, judge, [sink], laps=laps):
             report(at + piece.samples)
 
-    def _judge(self, part: int, laps: Laps) -> Windows | Carried:
+    def _judge(self, part: int, laps: Laps) -> Windows | Carried[Any]:
         """Return the judge of the samples from a part on."""
         done = part * self.size
         if not remembers(self.relations):
             return Windows(self.relations, self.method, self.source.samples, done, laps)
-        observer = self.relations.test(self.method)
+        observer = self.relations.test(self.method, self.source.dtype)
+        assert isinstance(observer, Observer), "what remembers is an observer"
         carry = observer.init()
         if part and self.follows:
             carry = from_texts(carry, carry_behind(self.folder / part_name(part - 1)))
         return Carried(observer, carry, self.size, done, laps, self.overlap)
 
 
-def _begun(
-    relations: Any,
+def _job_of(
+    relations: Relations,
     source: ParquetSource,
     out: Path,
     method: str,
@@ -292,9 +304,9 @@ def _begun(
             f"{source.path}: the recording has {source.samples} samples, one window needs "
             f"{relations.horizon + 1}"
         )
-    also = {}
+    also: dict[str, str | int] = {}
     if remembers(relations):
-        also["overlap"] = "none" if begins is None else begins
+        also["overlap"] = begins if begins is not None else "none"
     folder = out / PARTIAL
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"{folder} is a file: move it, or choose another folder")
@@ -304,12 +316,15 @@ def _begun(
     mine = numbers_of(part or (1, 1), part_count(source))
     for file in part_files(folder):
         number = part_number(file)
-        refuse_other_part(file, job.note(number) if number in mine else common)
+        if number in mine:
+            refuse_other_part(file, job.note(number))
+        else:
+            refuse_other_part(file, common)
     refuse_foreign(folder)
     return folder, job
 
 
-def _begins(relations: Any, part: tuple[int, int] | None, overlap: int | None) -> int | None:
+def _begins(relations: Relations, part: tuple[int, int] | None, overlap: int | None) -> int | None:
     """Return how many samples before each part an observer of its own begins; refuse what is none."""
     if overlap is None:
         if part is not None and remembers(relations):

@@ -1,16 +1,17 @@
-"""What the test of a recording comes to, whatever tested it: numbers, a verdict in a sentence, and one JSON
-layout for all commands.
-"""
+"""Summaries of tests: numbers, a verdict in a sentence, one JSON layout for all commands."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import singledispatch
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from jaxbound.consistency.interface import Relations
+from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.hints import unfit
+from jaxbound.diagnosis.result import Result
 from jaxbound.relations.sentence import remembers
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
@@ -38,6 +39,11 @@ CODES = {
     "too little evidence": 3,
     OUTSIDE: 3,
 }  # at which a command ends
+NOTHING_COUNTED = {status.name: 0 for status in Status}
+Label = Callable[[Any], str]
+"""The function that writes the time of a sample: of its number, or of what an Evidence has in its place."""
+Plain = dict[str, Any]
+"""An object of JSON."""
 
 
 class Window(NamedTuple):
@@ -72,14 +78,14 @@ class Evidence:
     method: str
     horizon: int
     samples: int
-    counts: dict
+    counts: Mapping[str, int]
     aside: int = 0
     at: int | None = None
     margin: float = np.nan
     first: int | None = None
     alarms: int = 0
-    ended: dict | None = None
-    faulty: dict | None = None
+    ended: Mapping[str, int] | None = None
+    faulty: Mapping[str, int] | None = None
     remembers: bool = False
     outgrown: bool = False
 
@@ -91,20 +97,22 @@ class Evidence:
     @property
     def decided(self) -> float:
         """The share of windows that are proved one way or the other."""
-        return (self.counts["CONSISTENT"] + self.counts["FAULT"]) / self.windows if self.windows else 0.0
+        if not self.windows:
+            return 0.0
+        return (self.counts["CONSISTENT"] + self.counts["FAULT"]) / self.windows
 
     @property
     def tested(self) -> float:
         """The share of windows that have data."""
-        return (
-            1 - (self.counts["MISSING"] - self.horizon - self.aside) / self.windows if self.windows else 0.0
-        )
+        if not self.windows:
+            return 0.0
+        return 1 - (self.counts["MISSING"] - self.horizon - self.aside) / self.windows
 
 
 @readable
 @dataclass(frozen=True)
 class Summary:
-    """What the test of one recording comes to. Made by `summarised`.
+    """The summary of the test of one recording. Made by `summarised`.
 
     Fields:
         verdict: "fault", "outside the bounds as fitted" (FAULT, by bounds from data for shorter windows), "no
@@ -122,8 +130,8 @@ class Summary:
     worst: Window | None = None
     first_alarm: str = ""
     last_ended: str = ""
-    hints: tuple = ()
-    sizes: dict | None = None
+    hints: tuple[str, ...] = ()
+    sizes: Mapping[str, float] | None = None
     model: str = ""
 
     @property
@@ -132,78 +140,116 @@ class Summary:
         return CODES[self.verdict]
 
     @property
-    def counts(self) -> dict:
+    def counts(self) -> dict[str, int]:
         """{status name: number of windows}."""
-        return self.found.counts if self.found else dict.fromkeys((s.name for s in Status), 0)
+        return dict(self._evidence.counts)
 
     @property
     def decided(self) -> float:
         """The share of windows that are proved one way or the other."""
-        return self.found.decided if self.found else 0.0
+        return self._evidence.decided
 
     @property
     def alarms(self) -> int:
         """How many alarms there are."""
-        return self.found.alarms if self.found else 0
+        return self._evidence.alarms
 
     @property
     def margin(self) -> float:
         """The margin of the worst window, NaN if there is none."""
-        return self.worst.margin if self.worst else np.nan
+        if self.worst is None:
+            return np.nan
+        return self.worst.margin
 
-    def plain(self, **also: Any) -> dict:
+    @property
+    def _evidence(self) -> Evidence:
+        """The Evidence, without any window where nothing was tested."""
+        return self.found or Evidence("", 0, 0, NOTHING_COUNTED)
+
+    def plain(self, **also: Any) -> Plain:
         """Return the summary as JSON has it, in the layout that docs/summary.md describes. also: what a
         command adds.
         """
-        found = self.found or Evidence("", 0, 0, self.counts)  # nothing was tested
-        worst = None
-        if self.worst is not None:
-            sample, time, margin = self.worst
-            worst = {"sample": sample, "time": time, "margin": finite(margin), "factor": finite(1 - margin)}
-        validated = {} if found.faulty is None else {"tested": found.tested, "faulty": found.faulty}
+        about = self._evidence
+        horizon = None
+        if self.found is not None:
+            horizon = about.horizon
+        validated: Plain = {}
+        if about.faulty is not None:
+            validated = {"tested": about.tested, "faulty": about.faulty}
         return {
             "layout": LAYOUT,
             "verdict": self.verdict,
             "exit_code": self.exit_code,
             "summary": self.sentence,
             "model": self.model or None,
-            "method": found.method or None,
-            "horizon": found.horizon if self.found else None,
-            "samples": found.samples,
+            "method": about.method or None,
+            "horizon": horizon,
+            "samples": about.samples,
             "counts": self.counts,
             "decided": self.decided,
             "margin": finite(self.margin),
-            "worst": worst,
+            "worst": self._plain_worst(),
             "alarms": self.alarms,
             "first_alarm": self.first_alarm or None,
             "last_ended": self.last_ended or None,
             "hints": list(self.hints),
             **validated,
             **also,
-            "ended": found.ended or {},
-            "always_seen": self.sizes and {name: finite(size) for name, size in self.sizes.items()},
+            "ended": about.ended or {},
+            "always_seen": self._plain_sizes(),
         }
+
+    def _plain_worst(self) -> Plain | None:
+        if self.worst is None:
+            return None
+        sample, time, margin = self.worst
+        return {"sample": sample, "time": time, "margin": finite(margin), "factor": finite(1 - margin)}
+
+    def _plain_sizes(self) -> Plain | None:
+        if self.sizes is None:
+            return None
+        return {name: finite(size) for name, size in self.sizes.items()}
+
+
+class Tested(Protocol):
+    """A test of one recording that has Evidence: a Result, a Digest or a Validated."""
+
+    @property
+    def relations(self) -> Relations:
+        """The relations, or the observer, that it was tested by."""
 
 
 def finite(x: float) -> float | None:
     """Return a number that JSON has, None for any other."""
-    return float(x) if np.isfinite(x) else None
+    if not np.isfinite(x):
+        return None
+    return float(x)
 
 
 @singledispatch
-def evidence(res: Any, alarms: Sequence) -> Evidence:
-    """Return the Evidence in what a test returns, of one recording; a type of result registers how, this is a
-    Result's.
+def evidence(res: Tested, alarms: Sequence[Alarm]) -> Evidence:
+    """Return the Evidence in the outcome of a test of one recording; a type of outcome registers how.
 
     Args:
-        res: a Result. alarms: its alarms.
+        res: a Result, a Digest or a Validated. alarms: its alarms.
     """
+    raise NotImplementedError(f"a {type(res).__name__} registers no evidence")
+
+
+@evidence.register(Result)
+def _(res: Result, alarms: Sequence[Alarm]) -> Evidence:
     fault = res.status == Status.FAULT
-    margin = np.where(fault if fault.any() else True, res.margin, np.nan)
-    first = int(np.argmax(fault)) if fault.any() else None
-    at = first if np.isnan(margin).all() else int(np.nanargmin(margin))
-    ended = dict(Counter(a.ended for a in alarms))
-    smallest = np.nan if at is None else float(margin[at])
+    margin = res.margin
+    first = at = None
+    if fault.any():
+        margin = np.where(fault, margin, np.nan)
+        first = at = int(np.argmax(fault))
+    if not np.isnan(margin).all():
+        at = int(np.nanargmin(margin))
+    smallest = np.nan
+    if at is not None:
+        smallest = float(margin[at])
     return Evidence(
         res.method,
         res.relations.horizon,
@@ -214,18 +260,18 @@ def evidence(res: Any, alarms: Sequence) -> Evidence:
         smallest,
         first,
         len(alarms),
-        ended,
+        dict(Counter(a.ended for a in alarms)),
         remembers=remembers(res.relations),
     )
 
 
 def summarised(
-    res: Any,
-    alarms: Sequence,
-    label: Callable,
+    res: Tested,
+    alarms: Sequence[Alarm],
+    label: Label,
     min_coverage: float = 0.5,
     hints: Iterable[str] = (),
-    sizes: dict | None = None,
+    sizes: Mapping[str, float] | None = None,
     outgrown: bool = False,
 ) -> Summary:
     """Return the Summary of a test.
@@ -237,12 +283,15 @@ def summarised(
             that the sentence says is left out. outgrown: see `Evidence`.
     """
     found = replace(evidence(res, alarms), outgrown=outgrown)
-    worst = None if found.at is None else Window(found.at, label(found.at), found.margin)
-    first, last = (label(alarms[0].start), alarms[-1].ended) if alarms else ("", "")
+    worst = None
+    if found.at is not None:
+        worst = Window(found.at, label(found.at), found.margin)
+    first = last = ""
+    if alarms:
+        first, last = label(alarms[0].start), alarms[-1].ended
     verdict, sentence = said(found, label, min_coverage)
-    return Summary(
-        verdict, sentence, found, worst, first, last, unsaid(hints, sentence), sizes, res.relations.model.name
-    )
+    model = res.relations.model.name
+    return Summary(verdict, sentence, found, worst, first, last, unsaid(hints, sentence), sizes, model)
 
 
 def unsaid(hints: Iterable[str], sentence: str) -> tuple[str, ...]:
@@ -250,114 +299,107 @@ def unsaid(hints: Iterable[str], sentence: str) -> tuple[str, ...]:
     return tuple(hint for hint in hints if hint[1:] not in sentence)
 
 
-def said(found: Evidence, label: Callable, min_coverage: float = 0.5) -> tuple[str, str]:
+def said(found: Evidence, label: Label, min_coverage: float = 0.5) -> tuple[str, str]:
     """Return (verdict, sentence). Args: as for `summarised`."""
     if found.counts["FAULT"]:
-        return _proved(found, label)
-    windows = found.faulty is None and not found.remembers
-    share, known = (found.decided, "could be decided") if windows else (found.tested, "have data")
+        return _proved_fault(found, label)
+    # UNDECIDED is what healthy samples are to an observer: there data are all one can ask for
+    share, deed = found.tested, "have data"
+    if found.faulty is None and not found.remembers:
+        share, deed = found.decided, "could be decided"
     if share < min_coverage:
-        number = round(share * found.windows)
-        some = f"{number} of {found.windows} {'samples' if found.remembers else 'windows'} ({percent(share)})"
-        return (
-            "too little evidence",
-            f"Too little evidence: only {some} {known}, at least {percent(min_coverage)} are asked for.",
-        )
+        return "too little evidence", _too_little(found, share, deed, min_coverage)
     return "no fault", _healthy(found, label)
 
 
-def _proved(found, label):
+def _proved_fault(found: Evidence, label: Label) -> tuple[str, str]:
     """Return (verdict, sentence) where windows are FAULT: proved, as far as the bounds hold over such
     windows.
     """
-    if found.remembers:
-        what, every = _contradicted(found, label), ""
-    else:
-        every = _unfit(found)
-        what = every or (_fault(found, label) if found.faulty is None else _faulty(found, label))
+    every = _unfit_windows(found)
+    sentence = every or _fault_sentence(found, label)
     if found.outgrown:
-        return OUTSIDE, f"Outside the bounds as fitted: {what}."
-    return "fault", f"{what[:1].upper()}{what[1:]}." if every else f"Fault proved: {what}."
+        return OUTSIDE, f"Outside the bounds as fitted: {sentence}."
+    if every:
+        return "fault", f"{sentence[:1].upper()}{sentence[1:]}."
+    return "fault", f"Fault proved: {sentence}."
 
 
-def _unfit(found):
-    """Return a sentence where every window with data is FAULT."""
-    every = not found.counts["CONSISTENT"] and not found.counts["UNDECIDED"]
-    return next(iter(unfit(found.counts, found.margin)), "") if every else ""
+def _unfit_windows(found: Evidence) -> str:
+    """Return the sentence on windows that are all FAULT, "" where some are not, or an observer judged."""
+    if found.remembers or found.counts["CONSISTENT"] or found.counts["UNDECIDED"]:
+        return ""
+    return "".join(unfit(found.counts, found.margin))
 
 
-def _grouped(found):
-    return (
-        f", in {found.alarms} alarm{'s' * (found.alarms != 1)}"
-        if found.alarms
-        else ", too scattered for an alarm"
-    )
-
-
-def _fault(found, label):
-    """Return the sentence on windows that are proved faulty."""
+def _fault_sentence(found: Evidence, label: Label) -> str:
+    """Return how much is FAULT, in how many alarms, and the sample to look at first."""
     faults, count = found.counts["FAULT"], found.windows
-    many = (
-        f"{faults} of {count} windows ({percent(faults / count)}) cannot be explained by any behaviour "
-        f"inside the bounds"
-    )
-    need = f"; the first is at {label(found.at)}"
-    if np.isfinite(found.margin):
-        need = f"; the worst, at {label(found.at)}, would need bounds {times(1 - found.margin)} as wide"
-    return f"{many}{_grouped(found)}{need}"
-
-
-def _faulty(found, label):
-    """Return the sentence on a validation that found a fault."""
-    faults, count = found.counts["FAULT"], found.windows
-    whom = ", ".join(f"{name} in {n} sample{'s' * (n > 1)}" for name, n in found.faulty.items())
-    whom = f"; faulty: {whom}" if whom else "; no single sensor explains it"
-    many = (
-        f"{faults} of {count} windows ({percent(faults / count)}) contradict the model and the samples "
-        f"accepted before"
-    )
-    return f"{many}{_grouped(found)}; the first is at {label(found.first)}{whom}"
-
-
-def _contradicted(found, label):
-    """Return the sentence on what an observer found."""
-    faults, count = found.counts["FAULT"], found.windows
-    many = (
-        f"{faults} of {count} samples ({percent(faults / count)}) contradict the model and the samples "
-        f"before them"
-    )
-    first = (
-        f"first is at {label(found.first)}" if found.first is not None else f"worst is at {label(found.at)}"
-    )
-    return f"{many}{_grouped(found)}; the {first}"
-
-
-def _healthy(found, label):
-    """Return the sentence on a recording without a fault."""
+    share = f"({percent(faults / count)})"
     if found.remembers:
-        tested = round(found.tested * found.windows)
+        many = f"{faults} of {count} samples {share} contradict the model and the samples before them"
+        where = _place_of_contradiction(found, label)
+    elif found.faulty is not None:
+        many = f"{faults} of {count} windows {share} contradict the model and the samples accepted before"
+        where = f"the first is at {label(found.first)}; {_blamed(found.faulty)}"
+    else:
+        many = f"{faults} of {count} windows {share} cannot be explained by any behaviour inside the bounds"
+        where = _place_of_fault(found, label)
+    return f"{many}, {_grouped(found.alarms)}; {where}"
+
+
+def _grouped(alarms: int) -> str:
+    if not alarms:
+        return "too scattered for an alarm"
+    return f"in {alarms} alarm{'s' * (alarms != 1)}"
+
+
+def _place_of_contradiction(found: Evidence, label: Label) -> str:
+    if found.first is None:
+        return f"the worst is at {label(found.at)}"
+    return f"the first is at {label(found.first)}"
+
+
+def _place_of_fault(found: Evidence, label: Label) -> str:
+    if np.isfinite(found.margin):
+        return f"the worst, at {label(found.at)}, would need bounds {times(1 - found.margin)} as wide"
+    return f"the first is at {label(found.at)}"
+
+
+def _blamed(faulty: Mapping[str, int]) -> str:
+    """Return which outputs a validation found faulty. faulty: {output: number of its faulty samples}."""
+    if not faulty:
+        return "no single sensor explains it"
+    return "faulty: " + ", ".join(f"{name} in {n} sample{'s' * (n > 1)}" for name, n in faulty.items())
+
+
+def _too_little(found: Evidence, share: float, deed: str, least: float) -> str:
+    """Return the sentence on a recording of which too small a share tells anything."""
+    what = "windows"
+    if found.remembers:
+        what = "samples"
+    some = f"{round(share * found.windows)} of {found.windows} {what} ({percent(share)})"
+    return f"Too little evidence: only {some} {deed}, at least {percent(least)} are asked for."
+
+
+def _healthy(found: Evidence, label: Label) -> str:
+    """Return the sentence on a recording without a fault."""
+    tested = round(found.tested * found.windows)
+    if found.remembers:
         return (
             f"No fault found: none of {tested} samples is proved to contradict the model and the samples "
             f"before it."
         )
     if found.faulty is not None:
-        every = (
-            f"every sample of {round(found.tested * found.windows)} windows fits what the samples "
-            f"before "
-            f"it allow"
-        )
-        slow = (
-            ""
-            if found.counts["CONSISTENT"]
-            else "; a fault that grows slowly may hide, which windows (no --method) may show"
-        )
+        every = f"every sample of {tested} windows fits what the samples before it allow"
+        slow = "; a fault that grows slowly may hide, which windows (no --method) may show"
+        if found.counts["CONSISTENT"]:
+            slow = ""
         return f"No fault proved: {every}{slow}."
     decided, count = found.counts["CONSISTENT"], found.windows
-    every = (
-        f"all {count} windows"
-        if decided == count
-        else f"{decided} of {count} windows ({percent(found.decided)})"
-    )
+    every = f"{decided} of {count} windows ({percent(found.decided)})"
+    if decided == count:
+        every = f"all {count} windows"
     used = ""
     if found.at is not None and np.isfinite(found.margin):
         used = f"; the tightest, at {label(found.at)}, uses {percent(1 - found.margin)} of them"

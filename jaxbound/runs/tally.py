@@ -16,7 +16,8 @@ __all__ = ["AlarmEnds", "Event", "Tally", "alarm_goes_on"]
 
 When = str | float
 FAULT = int(Status.FAULT)
-REMEMBERED = "counts", "samples", "aside", "recent", "first", "worst", "tightest", "last"
+EVENTS = "first", "worst", "tightest"
+REMEMBERED = "counts", "samples", "aside", "recent", *EVENTS, "last"
 
 
 class Event(NamedTuple):
@@ -78,23 +79,24 @@ class Tally:
     def resume(self, memory: dict[str, Any]) -> None:
         """Go on from a memory."""
         for name, value in memory.items():
-            event = name in ("first", "worst", "tightest") and value is not None
-            setattr(self, name, Event(*value) if event else value)
+            if name in EVENTS and value is not None:
+                value = Event(*value)
+            setattr(self, name, value)
 
     def flush(self) -> None:
         """Do nothing: counts go nowhere before the end."""
 
-    def _event(self, piece, margin, k):
+    def _event(self, piece: Recording, margin: np.ndarray, k: int) -> Event:
         return Event(self.samples + k, float(margin[k]), self.when(piece, k))
 
-    def _smallest(self, piece, margin, among):
+    def _smallest(self, piece: Recording, margin: np.ndarray, among: np.ndarray) -> Event | None:
         """Return the Event of the smallest margin among samples of a piece, or None where none has one."""
         some = margin[among]
         if np.isnan(some).all():
             return None
         return self._event(piece, margin, int(among[np.nanargmin(some)]))
 
-    def _set_aside(self, excluded):
+    def _set_aside(self, excluded: np.ndarray) -> None:
         """Count the windows of a piece that have a sample which does not count, here or before."""
         s = self.horizon
         reach = np.concatenate([np.array(self.recent, bool), excluded])
@@ -106,13 +108,13 @@ class Tally:
         self.recent = reach[len(reach) - min(s, len(reach)) :].tolist()
 
 
-def _smaller(old, new):
+def _smaller(old: Event | None, new: Event | None) -> Event | None:
     """Return the event with the smaller margin, the older one of two alike; one without a margin is last."""
     if old is None or new is None:
         return old or new
-    if np.isnan(old.margin) and not np.isnan(new.margin):
+    if new.margin < old.margin or (np.isnan(old.margin) and not np.isnan(new.margin)):
         return new
-    return new if new.margin < old.margin else old
+    return old
 
 
 class AlarmEnds:
@@ -163,5 +165,5 @@ def alarm_goes_on(on: int, status: int, forgets: int | None) -> tuple[int, str |
         return on + 1, None
     if not on:
         return 0, None
-    after = np.array([NO_DATA if status == Status.MISSING else OTHER])
-    return 0, ENDINGS[endings(0, on - 1, after, forgets)[0]]
+    after = NO_DATA if status == Status.MISSING else OTHER
+    return 0, ENDINGS[endings(0, on - 1, np.array([after]), forgets)[0]]

@@ -1,19 +1,26 @@
 """Verdicts and alarms as files: CSV with the times of the recording as its owner wrote them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import singledispatch
 from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jaxbound.diagnosis.alarms import ENDINGS, Alarm
+from jaxbound.diagnosis.result import suspected
 from jaxbound.recordings.columns import to_arrow, words, write_columns
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.sink import Outcome, Sink, Verdicts
 from jaxbound.sets.floats.status import Status
 
+if TYPE_CHECKING:
+    import pyarrow as pa
+
 __all__ = ["AlarmTable", "VerdictTable", "alarm_columns", "columns_of", "write_alarms", "write_verdicts"]
+
+Columns = dict[str, "pa.Array"]
+"""{name: column}, as they are written."""
 
 
 class VerdictTable(Sink):
@@ -40,51 +47,57 @@ class AlarmTable(Sink):
         write_alarms(self.folder / self.names[0], outcome.alarms, self.recording, outcome.model.dt)
 
 
-def write_verdicts(path: str | PathLike, result: Any, recording: Recording | None = None) -> None:
+def write_verdicts(path: str | PathLike[str], result: Verdicts, recording: Recording | None = None) -> None:
     """Write one row a sample: time (as the recording has it), and the columns of the result.
 
     Args:
         path: of the CSV file to write. result: of one recording. recording: from `read`; None: sample
             numbers.
     """
-    time = to_arrow(np.arange(len(result.status))) if recording is None else recording.column
+    if recording is None:
+        time = to_arrow(np.arange(len(result.status)))
+    else:
+        time = recording.column
     write_columns(path, {"time": time, **columns_of(result)})
 
 
 @singledispatch
-def columns_of(result: Any) -> dict[str, Any]:
+def columns_of(result: Verdicts) -> Columns:
     """Return the columns of a result beside the time: status, margin (blank where there is none), suspect."""
     return {
         "status": words([x.name for x in Status], result.status),
         "margin": to_arrow(result.margin),
-        "suspect": to_arrow(result.suspect),
+        "suspect": to_arrow(suspected(result.status, result.margin)),
     }
 
 
-def write_alarms(path: str | PathLike, alarms: Sequence[Alarm], recording: Recording, dt: float) -> None:
+def write_alarms(path: str | PathLike[str], alarms: Sequence[Alarm], recording: Recording, dt: float) -> None:
     """Write one row an alarm: start and end (time of the recording), duration in s, FAULT windows, depth and
     when it was reached.
 
     `factor` is how many times wider the bounds would have to be; an alarm of a single sample lasts dt;
     `ended`: see `Alarm`.
     """
-    column = lambda name, kind=np.int64: np.array([getattr(a, name) for a in alarms], kind)
     written = recording.column
-    starts, ends, depth = column("start"), column("end"), column("depth", np.float64)
-    when = {name: written.take(to_arrow(column(name))) for name in ("start", "end", "worst")}
-    seconds = {"from": recording.time[starts], "to": recording.time[ends]}
-    ended = np.array([ENDINGS.index(a.ended) for a in alarms], np.int64)
-    found = {
+    starts = np.array([alarm.start for alarm in alarms], np.int64)
+    ends = np.array([alarm.end for alarm in alarms], np.int64)
+    worst = np.array([alarm.worst for alarm in alarms], np.int64)
+    told = {
+        "start": written.take(to_arrow(starts)),
+        "end": written.take(to_arrow(ends)),
+        "worst": written.take(to_arrow(worst)),
+        "from": recording.time[starts],
+        "to": recording.time[ends],
         "first_sample": starts,
         "last_sample": ends,
-        "windows": column("windows"),
-        "depth": depth,
-        "ended": ended,
+        "windows": np.array([alarm.windows for alarm in alarms], np.int64),
+        "depth": np.array([alarm.depth for alarm in alarms], np.float64),
+        "ended": np.array([ENDINGS.index(alarm.ended) for alarm in alarms], np.int64),
     }
-    write_columns(path, alarm_columns({**when, **seconds, **found}, dt))
+    write_columns(path, alarm_columns(told, dt))
 
 
-def alarm_columns(alarms: Any, dt: float) -> dict[str, Any]:
+def alarm_columns(alarms: Mapping[str, Any], dt: float) -> Columns:
     """Return the columns of alarms.csv.
 
     Args:

@@ -47,24 +47,24 @@ def readable(cls: Class) -> Class:
     def shown(self: object) -> str:
         if has_own:
             return _clipped(plain(self), HEAD)
-        whole = _whole(self, plain)
+        whole = _whole_text(self, plain)
         if whole:
             return whole
-        lines = [f"  {label}: {text}" for label, text in _rows(self)]
-        return "\n".join([_head(self), *lines])
+        lines = [f"  {label}: {text}" for label, text in _further_lines(self)]
+        return "\n".join([_first_line(self), *lines])
 
     def table(self: object) -> str:
-        head = _clipped(plain(self), HEAD) if has_own else _head(self)
-        cells = "".join(map(_table_row, _rows(self)))
+        head = _clipped(plain(self), HEAD) if has_own else _first_line(self)
+        cells = "".join(map(_table_row, _further_lines(self)))
         return f"<table><caption>{html.escape(head)}</caption><tbody>{cells}</tbody></table>"
 
     cls.__repr__, cls._repr_html_ = shown, table  # type: ignore[assignment,attr-defined]
     return cls
 
 
-def _whole(thing: object, plain: Callable[[object], str]) -> str:
+def _whole_text(thing: object, plain: Callable[[object], str]) -> str:
     """Return the plain text of an object of a few numbers; "" for any other."""
-    if hasattr(thing, "_head") or sum(map(_count, _parts(thing).values())) > FEW:
+    if hasattr(thing, "_head") or sum(map(_count, _visible_fields(thing).values())) > FEW:
         return ""
     text = plain(thing)
     if len(text) > HEAD or "\n" in text:
@@ -72,23 +72,27 @@ def _whole(thing: object, plain: Callable[[object], str]) -> str:
     return text
 
 
-def _head(thing: Any) -> str:
+def _first_line(thing: Any) -> str:
     """Return the first line: the object's own, or its type and the shape of its first array."""
     if hasattr(thing, "_head"):
         return _clipped(thing._head(), HEAD)
     name = type(thing).__name__
-    for value in map(_lead, _parts(thing).values()):
+    for value in map(_lead, _visible_fields(thing).values()):
         if np.ndim(value):
             return _clipped(f"{name} {np.shape(value)}", HEAD)
     return _clipped(name, HEAD)
 
 
-def _rows(thing: Any) -> Rows:
+def _further_lines(thing: Any) -> Rows:
     """Return (label, text) of the rows below the first line."""
     if hasattr(thing, "_rows"):
         rows = thing._rows()
     else:
-        rows = {label: _short(value) for label, value in _parts(thing).items() if not _is_empty(value)}
+        rows = {
+            label: _in_few_words(value)
+            for label, value in _visible_fields(thing).items()
+            if not _is_empty(value)
+        }
     return [(label, _clipped(text, CELL)) for label, text in list(rows.items())[:ROWS]]
 
 
@@ -97,12 +101,13 @@ def _table_row(row: tuple[str, str]) -> str:
     return f'<tr><th scope="row">{label}</th><td>{text}</td></tr>'
 
 
-def _parts(thing: Any) -> Mapping[str, Any]:
+def _visible_fields(thing: Any) -> Mapping[str, Any]:
     """Return {name: value} of an object's visible fields."""
     if dataclasses.is_dataclass(thing):
         return {f.name: getattr(thing, f.name) for f in dataclasses.fields(thing) if f.repr}
     if hasattr(thing, "_asdict"):
-        return thing._asdict()
+        fields: Mapping[str, Any] = thing._asdict()
+        return fields
     attributes = getattr(thing, "__dict__", {})
     return {name: value for name, value in attributes.items() if not name.startswith("_")}
 
@@ -118,7 +123,7 @@ def _is_record(value: object) -> bool:
 def _lead(value: object) -> Any:
     """Return the array that leads a value: itself, or the first one of a small object; 0 without one."""
     if _is_record(value):
-        return next(iter(_parts(value).values()), value)
+        return next(iter(_visible_fields(value).values()), value)
     if _is_array(value):
         return value
     return 0
@@ -135,7 +140,7 @@ def _count(value: Any) -> int:
             return len(value)
         return sum(map(_count, value))
     if _is_record(value):
-        return sum(map(_count, _parts(value).values()))
+        return sum(map(_count, _visible_fields(value).values()))
     if isinstance(value, str | int | float | None):
         return 1
     return FEW + 1
@@ -145,7 +150,7 @@ def _is_empty(value: object) -> bool:
     return value is None or (isinstance(value, str | list | tuple | Mapping) and not len(value))
 
 
-def _short(value: Any) -> str:
+def _in_few_words(value: Any) -> str:
     """Return a value in a few words."""
     if _is_array(value):
         return _short_array(value)
@@ -153,7 +158,7 @@ def _short(value: Any) -> str:
         return _short_mapping(value)
     if isinstance(value, list | tuple) and not hasattr(value, "_fields"):
         if _count(value) <= FEW:
-            return ", ".join(map(_short, value))
+            return ", ".join(map(_in_few_words, value))
         return f"{len(value)} of {type(value[0]).__name__}"
     if _is_record(value) and not isinstance(value, str):
         lead = _lead(value)
@@ -178,7 +183,7 @@ def _short_number(x: object) -> str:
 
 
 def _short_mapping(value: Mapping[Any, Any]) -> str:
-    items = [f"{key} {_short(x)}" for key, x in list(value.items())[:FEW]]
+    items = [f"{key} {_in_few_words(x)}" for key, x in list(value.items())[:FEW]]
     if len(value) > FEW:
         items.append(f"... ({len(value)})")
     return ", ".join(items)

@@ -55,11 +55,11 @@ def rough_duration(seconds: float) -> str:
         return "more than a year"
     for size, name in ((1, "second"), (60, "minute"), (3600, "hour")):
         if seconds < 100 * size:
-            return _counted(max(round(seconds / size), 1), name)
-    return _counted(round(seconds / 86400), "day")
+            return _about(max(round(seconds / size), 1), name)
+    return _about(round(seconds / 86400), "day")
 
 
-def _counted(count: int, name: str) -> str:
+def _about(count: int, name: str) -> str:
     if count == 1:
         return f"about 1 {name}"
     return f"about {count} {name}s"

@@ -21,7 +21,6 @@ from jaxbound.cli import evaluation, main
 from jaxbound.cli import pipe as piped
 from jaxbound.cli.options import MethodOptions
 from jaxbound.recordings.linetext import LineReader
-from jaxbound.relations import identity
 from jaxbound.runs import journal, rows
 from jaxbound.runs.refusals import Refused
 
@@ -400,7 +399,7 @@ class TestRestart:
         data, read = "".join(text).encode(), 0
         pipe(text, out=place / "whole")
         expected = (place / "whole/verdicts.csv").read_bytes()
-        points, save, write = [0], journal.Journal.save, rows._write
+        points, save, write = [0], journal.Journal.save, rows._write_all
 
         def point():
             points[0] -= 1
@@ -421,7 +420,7 @@ class TestRestart:
             point()
 
         monkeypatch.setattr(journal.Journal, "save", saving)
-        monkeypatch.setattr(rows, "_write", writing)
+        monkeypatch.setattr(rows, "_write_all", writing)
         kills, remembered = 0, [0]
 
         def chunks(start):
@@ -486,7 +485,7 @@ class TestRestart:
         elif change == "version":
             monkeypatch.setattr(jb, "__version__", "0.0.1")
         else:
-            monkeypatch.setattr(identity.jax.dtypes, "canonicalize_dtype", lambda kind: np.dtype(np.float32))
+            monkeypatch.setattr("jax.dtypes.canonicalize_dtype", lambda kind: np.dtype(np.float32))
         with pytest.raises(
             Refused,
             match=f"monitor.sqlite is of another {what}: choose another place, or delete it to begin anew",

@@ -152,7 +152,9 @@ def test_every_fault_of_a_random_plant_is_one_in_exact_arithmetic(dtype, models,
             if not unproved:
                 break
             h = np.asarray(
-                exchange.candidates((test, steps, finer), one, fill(u[:, : test.lags]), fill(y))[0]
+                exchange.candidates(
+                    exchange.Settings(test, steps, finer), one, fill(u[:, : test.lags]), fill(y)
+                )[0]
             )
             exact = {
                 w: exact_value(plant, 20, u[w], y[w], r.frame.inner, r.frame.outer, h[:, 86 * w], dtype)

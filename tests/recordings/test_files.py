@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import jaxbound as jb
@@ -522,3 +523,30 @@ print("pandas" in sys.modules)
         subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
         == "False\n"
     )
+
+
+class NamesAlone:
+    """The least that a model of a user says of its signals."""
+
+    inputs, outputs, columns, m, p, dt, name = (), ("y1",), {}, 0, 1, 2.0, "own"
+
+    def column(self, signal):
+        return signal
+
+    def unit(self, signal):
+        return ""
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+@pytest.mark.parametrize(
+    "model", [NamesAlone(), jb.interval_system([[(0.4, 0.5)]], None, [[1]])], ids=["names", "no dt"]
+)
+def test_a_model_need_not_state_resolution_or_sampling_period(tmp_path, kind, model):
+    table = pd.DataFrame({"time": np.arange(20) * 2.0, "y1": np.linspace(0, 1, 20)})
+    if kind == "csv":
+        table.to_csv(tmp_path / "run.csv", index=False)
+    else:
+        table.to_parquet(tmp_path / "run.parquet")
+    run = jb.read(tmp_path / f"run.{kind}", model)
+    assert run.samples == 20 and run.dt == 2.0
+    assert run.time[-1] == 38.0

@@ -7,13 +7,13 @@ import pandas as pd
 import pytest
 from systems import paper
 
-from jaxbound.recordings.stillness import Runs, follow, signal_hints, still_hints, stretches
+from jaxbound.recordings.stillness import Runs, follow_runs, signal_hints, still_hints, stretches
 
 
 def followed(x, cuts=()):
     runs = Runs()
     for part in np.split(x, cuts):
-        runs = follow(runs, part)
+        runs = follow_runs(runs, part)
     return runs
 
 
@@ -124,6 +124,14 @@ class TestNotFound:
         table = pd.read_csv(shared(f"data/{file}"))
         chosen = [c for c in table if columns in c and "Set Point" not in c]
         assert chosen and all(found(table[c].to_numpy()) == [] for c in chosen)
+
+
+def test_of_two_ends_of_a_range_the_upper_one_is_said_first(rng):
+    x = rng.uniform(-1, 1, 600)
+    for at in (50, 150, 250):
+        x[at : at + 8], x[at + 300 : at + 308] = -2.0, 2.0
+    ends = [s.extreme for s in stretches(followed(x)) if s.kind == "saturated"]
+    assert ends == ["largest", "smallest"]
 
 
 class TestSentences:

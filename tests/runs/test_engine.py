@@ -21,13 +21,13 @@ from systems import paper
 import jaxbound as jb
 from jaxbound.cli import engine as engine_of_commands
 from jaxbound.cli import fleet_table, main
-from jaxbound.consistency import engine
-from jaxbound.consistency.engine import connected, spread
 from jaxbound.recordings import contents
 from jaxbound.recordings.parquet import ParquetSource, open_parquet
 from jaxbound.runs import streaming
 from jaxbound.runs.digest import detect_dataset
 from jaxbound.runs.parts import part_files
+from jaxbound.workers import engine
+from jaxbound.workers.engine import connected, spread
 
 pytestmark = pytest.mark.usefixtures("small")
 WRITTEN = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d \+0000")  # when a page was written
@@ -72,7 +72,7 @@ class TestSameBytes:
         r, folder, _, _ = case("section 5")
         held, source = open_parquet(folder, r.model).content, open_parquet(folder, r.model)
         streaming.write_parts(r, source, tmp_path, client=client)
-        monkeypatch.setattr(contents, "_digest", None)
+        monkeypatch.setattr(contents, "_digest_of_block", None)
         assert source.content == held
 
     def test_what_one_process_left_is_finished_by_workers(self, case, one, client, tmp_path, monkeypatch):

@@ -212,3 +212,23 @@ def test_a_process_that_was_killed_before_its_first_checkpoint_left_nothing_to_r
     with Journal(tmp_path / "state", {}) as kept:
         assert kept.before is None
         kept.save(1)
+
+
+def test_the_state_of_a_long_run_stays_small(tmp_path, monkeypatch):
+    """In WAL mode each checkpoint is appended to a second file, which has to be emptied again and again."""
+    monkeypatch.setattr(journal, "SYNCHRONOUS", "OFF")
+    count, largest = 5000, 0
+    verdicts = RowFile(tmp_path / "verdicts.csv", RowText(), tmp_path / "state")
+    with Journal(tmp_path / "state", {"what": "numbers"}) as kept, contextlib.closing(verdicts):
+        source = Counting()
+        checkpoint = LiveCheckpoint(kept, source, Total(source), {"file": verdicts})
+        for k in range(count):
+            y = np.full((1, 1), float(k))
+            verdicts.add(Recording(y[:, :0], y, NOWHERE, time=y[:, 0]), Judged(np.ones(1, np.int8), y[:, 0]))
+            checkpoint.save()
+            verdicts.flush()
+            largest = max(largest, sum(file.stat().st_size for file in tmp_path.glob("state*")))
+    appended = count * 4096  # at the least, a page for each checkpoint
+    assert largest < 6 << 20 < appended
+    assert [file.name for file in sorted(tmp_path.iterdir())] == ["state", "verdicts.csv"]
+    assert (tmp_path / "state").stat().st_size < 1 << 18

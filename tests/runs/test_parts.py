@@ -242,9 +242,8 @@ def test_a_share_reads_no_more_of_the_recording_than_it_judges(case, tmp_path, m
     """Not even to know it again: of the bytes, few are digested by more than one of many shares."""
     monkeypatch.setattr(contents, "BLOCK", 4096)
     digested = []
-    monkeypatch.setattr(
-        contents, "_digest", lambda file, at, f=contents._digest: digested.append((file, at)) or f(file, at)
-    )
+    digest = contents._digest_of_block
+    monkeypatch.setattr(contents, "_digest_of_block", lambda block: digested.append(block) or digest(block))
     each = [len(digested) for _ in shares(case, tmp_path, 6)]
     blocks = sum(-(-p.stat().st_size // 4096) for p in case("section 5")[1].iterdir())
     assert len(set(digested)) == blocks and each == sorted(each)

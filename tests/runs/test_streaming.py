@@ -16,8 +16,7 @@ from jaxbound.plots.timeline import Timeline
 from jaxbound.recordings import parquet
 from jaxbound.recordings.parquet import open_parquet
 from jaxbound.recordings.read import read
-from jaxbound.recordings.stillness import Runs, follow
-from jaxbound.relations import identity
+from jaxbound.recordings.stillness import Runs, follow_runs
 from jaxbound.runs import judges
 from jaxbound.runs.digest import detect_dataset, digest
 from jaxbound.runs.outputs import output_folder
@@ -167,7 +166,7 @@ class TestDigest:
         partial, _ = write_parts(r, open_parquet(folder, r.model), tmp_path, chunk=500)
         last = read_runs(part_files(partial))
         for runs, x in zip(last, (rec.u[:, 0], rec.y[:, 0], rec.y[:, 1]), strict=True):
-            once = follow(Runs(), x)
+            once = follow_runs(Runs(), x)
             assert (runs.samples, runs.present, runs.longest, runs.last) == (
                 once.samples,
                 once.present,
@@ -280,7 +279,7 @@ class TestResume:
         elif change == "version":
             monkeypatch.setattr(jb, "__version__", "0.0.1")
         elif change == "precision":
-            monkeypatch.setattr(identity.jax.dtypes, "canonicalize_dtype", lambda kind: np.dtype(np.float32))
+            monkeypatch.setattr("jax.dtypes.canonicalize_dtype", lambda kind: np.dtype(np.float32))
         with pytest.raises(
             ValueError, match=f"part-00000.parquet is of {what}: choose another place, or delete it"
         ):

@@ -5,7 +5,7 @@ that nothing is computed for a coefficient that is 0. Verdicts are packed, two b
 margin in one complex number: a kernel with two results does its work twice.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import jax
@@ -16,6 +16,7 @@ from jax.typing import DTypeLike
 from jaxbound.exact.linalg import Rows
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.status import Status
+from jaxbound.sets.strips.strips import RowValues
 
 __all__ = ["PACKED", "Bank", "bank_of", "bank_range", "bank_verdicts", "unpacked", "verdict_dtypes"]
 
@@ -57,11 +58,11 @@ def bank_of(exact_h: Rows, exact_k: Rows, dtype: DTypeLike) -> Bank:
 
 def bank_verdicts(
     bank: Bank,
-    mid: Sequence[jax.Array],
-    rad: Sequence[jax.Array],
-    scale: Sequence[jax.Array],
-    known: Sequence[jax.Array],
-    known_scale: Sequence[jax.Array],
+    mid: RowValues,
+    rad: RowValues,
+    scale: RowValues,
+    known: RowValues,
+    known_scale: RowValues,
     lift: jax.Array | float,
 ) -> tuple[jax.Array, ...]:
     """Return the proved Status of each strip alone and the margin of the tightest one, packed as `unpacked`
@@ -110,11 +111,11 @@ def _bits(dtype: DTypeLike) -> type[np.unsignedinteger]:
 
 def bank_range(
     bank: Bank,
-    mid: Sequence[jax.Array],
-    rad: Sequence[jax.Array],
-    scale: Sequence[jax.Array],
-    known: Sequence[jax.Array],
-    known_scale: Sequence[jax.Array],
+    mid: RowValues,
+    rad: RowValues,
+    scale: RowValues,
+    known: RowValues,
+    known_scale: RowValues,
     lift: jax.Array | float,
 ) -> tuple[jax.Array, jax.Array]:
     """Return (lo, hi), what all strips that have their data say together of one number, h x - k v for every
@@ -133,11 +134,11 @@ def bank_range(
 
 def _each(
     bank: Bank,
-    mid: Sequence[jax.Array],
-    rad: Sequence[jax.Array],
-    scale: Sequence[jax.Array],
-    known: Sequence[jax.Array],
-    known_scale: Sequence[jax.Array],
+    mid: RowValues,
+    rad: RowValues,
+    scale: RowValues,
+    known: RowValues,
+    known_scale: RowValues,
     lift: jax.Array | float,
 ) -> Iterator[tuple[jax.Array | int, jax.Array | int, jax.Array]]:
     """Yield (residual, width, error bound of their comparison) of every strip; the last is NaN where data are

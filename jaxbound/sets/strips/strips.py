@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -31,6 +31,8 @@ from jaxbound.sets.floats.status import Status
 
 __all__ = ["Strips", "status_of", "strip_margin", "strip_verdict", "strips_of"]
 
+RowValues: TypeAlias = Sequence[jax.Array] | jax.Array
+"""Numbers (N,) of each row: a list of them, or an array (rows, N)."""
 UNROLLED = 8  # up to here circuits are unrolled: above, compiling takes longer than a scan loses
 
 
@@ -81,9 +83,7 @@ def strips_of(exact_h: Rows, exact_k: Rows) -> Strips:
     )
 
 
-def strip_margin(
-    strips: Strips, mid: Sequence[jax.Array], rad: Sequence[jax.Array], known: Sequence[jax.Array]
-) -> jax.Array:
+def strip_margin(strips: Strips, mid: RowValues, rad: RowValues, known: RowValues) -> jax.Array:
     """Return 1 - gauge, unrounded and differentiable; NaN where no circuit has all its data.
 
     Args:
@@ -104,11 +104,11 @@ def strip_margin(
 
 def strip_verdict(
     strips: Strips,
-    mid: Sequence[jax.Array],
-    rad: Sequence[jax.Array],
-    scale: Sequence[jax.Array],
-    known: Sequence[jax.Array],
-    known_scale: Sequence[jax.Array],
+    mid: RowValues,
+    rad: RowValues,
+    scale: RowValues,
+    known: RowValues,
+    known_scale: RowValues,
     lift: jax.Array | float,
 ) -> jax.Array:
     """Return the margin with a proved sign: > 0 inside, < 0 outside, 0 where rounding cannot tell, NaN where

@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.consistency.devices import everywhere, on_devices
-from jaxbound.consistency.engine import in_order
 from jaxbound.consistency.exchange import ExchangeTest
 from jaxbound.consistency.interface import Relations, relations_of
 from jaxbound.consistency.strips import StripsTest
@@ -43,6 +42,7 @@ from jaxbound.studies.montecarlo import adversary, kernel, records, recursion, s
 from jaxbound.studies.montecarlo.keeper import Keeper
 from jaxbound.studies.montecarlo.study_result import StudyResult
 from jaxbound.studies.montecarlo.tally import TrialTally
+from jaxbound.workers.engine import in_order
 
 if TYPE_CHECKING:
     from distributed import Client

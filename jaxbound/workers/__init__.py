@@ -1,0 +1,1 @@
+"""Work that other processes share: it knows neither models nor windows."""
