@@ -5,12 +5,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.certificates.interface import Judgement, WindowCertificate
+from jaxbound.certificates.interface import WindowCertificate
 from jaxbound.consistency.interface import Relations
 from jaxbound.relations.sentence import latched
 from jaxbound.sets.floats.status import Status
@@ -47,6 +47,33 @@ LATCHED = -1
 NO_SAMPLE, NO_DATA, OTHER = range(3)  # what follows an alarm
 
 
+class Explained(Protocol):
+    """Verdicts whose windows are explained."""
+
+    def explain(self, at: int) -> WindowCertificate:
+        """Return the certificate of the window that ends at a sample; of a batch `at` is a tuple."""
+
+
+class Grouped(Explained, Protocol):
+    """Verdicts that are grouped into alarms, as a Result has them."""
+
+    @property
+    def status(self) -> np.ndarray:
+        """(..., T)."""
+
+    @property
+    def margin(self) -> np.ndarray:
+        """(..., T)."""
+
+
+@runtime_checkable
+class Isolated(Protocol):
+    """Verdicts that leave some single faults."""
+
+    def remaining(self, start: int, end: int, recording: tuple[int, ...] = ()) -> tuple[str, ...]:
+        """Return the single faults that can explain every FAULT window between two samples."""
+
+
 @readable
 @dataclass(frozen=True)
 class Alarm:
@@ -75,7 +102,7 @@ class Alarm:
     depth: float
     worst: int
     recording: tuple[int, ...] = ()
-    result: "Explained | None" = field(default=None, repr=False, compare=False)
+    result: Explained | None = field(default=None, repr=False, compare=False)
     ended: str = field(default="", repr=False)
 
     @cached_property
@@ -85,7 +112,7 @@ class Alarm:
             raise ValueError(
                 "this alarm came without the result it was found in: ask that to explain its worst window"
             )
-        at: int | tuple[int, ...] = self.worst
+        at: Any = self.worst  # a tuple is for those alone that have recordings side by side
         if self.recording:
             at = (*self.recording, self.worst)
         return self.result.explain(at)
@@ -104,19 +131,9 @@ class Alarm:
 
         Of any other signal it is proved that no error of it alone explains the alarm.
         """
-        if self.result is None:
-            return self.certificate.candidates
-        return self.result._candidates_of(self)
-
-
-class Explained(Judgement, Protocol):
-    """A Result, as far as its alarms ask it."""
-
-    def explain(self, at: int | tuple[int, ...]) -> WindowCertificate:
-        """Return the certificate of a window."""
-
-    def _candidates_of(self, alarm: Alarm) -> tuple[str, ...]:
-        """Return the signals that alone could explain an alarm."""
+        if isinstance(self.result, Isolated):  # a bank says it of all windows of the alarm at once
+            return self.result.remaining(self.start, self.end, self.recording)
+        return self.certificate.candidates
 
 
 def check_rule(k: int, n: int, hold: int = 0, clear: int = 1) -> None:
@@ -128,9 +145,7 @@ def check_rule(k: int, n: int, hold: int = 0, clear: int = 1) -> None:
         raise ValueError(f"k of n needs k <= n: {k} of {n}")
 
 
-def group_alarms(
-    result: Explained, k: int, n: int, hold: int, clear: int, horizon: int | None
-) -> list[Alarm]:
+def group_alarms(result: Grouped, k: int, n: int, hold: int, clear: int, horizon: int | None) -> list[Alarm]:
     """Group the FAULT windows of a Result: see `Result.alarms`. Array operations over time; the loop is over
     alarms.
 

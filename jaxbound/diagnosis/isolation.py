@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from jaxbound.certificates.interface import WindowCertificate
 from jaxbound.consistency.bank import HIGH
 from jaxbound.consistency.interface import Judged
-from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detectability import OperatingRange, visible_sizes
 from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.recordings.arrays import floats
@@ -129,10 +128,6 @@ class BankResult(Result):
         if self.relations is None:
             return ()
         return super().hints
-
-    def _candidates_of(self, alarm: Alarm) -> tuple[str, ...]:
-        """Return the single faults that can explain an alarm: all its windows at once."""
-        return self.remaining(alarm.start, alarm.end, alarm.recording)
 
     def explain(self, at: int | tuple[int, ...]) -> WindowCertificate:
         """Return the Certificate of the relation that is violated most in the window that ends at index `at`,

@@ -150,10 +150,6 @@ class Result:
             horizon = forgets_after(self.relations)
         return group_alarms(self, k, n, hold, clear, horizon)
 
-    def _candidates_of(self, alarm: Alarm) -> tuple[str, ...]:
-        """Return the signals that alone could explain an alarm: those of its worst window."""
-        return alarm.certificate.candidates
-
     def explain(self, at: int | tuple[int, ...]) -> WindowCertificate:
         """Return the Certificate of the window that ends at index `at` (an int, or a tuple for a batch), in
         exact rationals.
