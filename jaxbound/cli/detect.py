@@ -230,8 +230,8 @@ def _evaluate_whole(args: argparse.Namespace) -> "Evaluation":
     """Test a recording that is read as a whole and write its report."""
     from jaxbound.cli.evaluation import FILES_OF_A_WHOLE, FORMER, evaluate
     from jaxbound.cli.validation import evaluate_validation
+    from jaxbound.recordings.parquet import VERDICTS
     from jaxbound.runs.outputs import output_folder
-    from jaxbound.runs.streaming import VERDICTS
 
     validates = args.method == VALIDATION
     method = evaluate_validation if validates else evaluate

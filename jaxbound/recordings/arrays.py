@@ -158,7 +158,7 @@ def recorded_type(data: object, name: str) -> np.dtype:
     return np.dtype(np.float64)
 
 
-def _types_of(data: Any) -> list[Any]:
+def _types_of(data: Data) -> list[Any]:
     """Return the type of an array, or of each column of a table."""
     if not hasattr(data, "dtypes") or not hasattr(data, "iloc"):
         return [data.dtype if hasattr(data, "dtype") else np.asarray(data).dtype]

@@ -57,7 +57,7 @@ def _recording_of(path: Path, model: SignalModel, report: Progress) -> Recording
     written = _written_times(layout, plan.wanted, table)
     columns = _columns_of(layout, plan, table)
     times = _times_of(layout, plan, written, model.dt, count)
-    if plan.wanted.time is not None:
+    if plan.wanted.time is not None:  # an expression may compare it with a date
         columns.setdefault(plan.wanted.time, times.time if times.stamps is None else times.stamps)
     samples = plan.wanted.samples(columns, count)
     recording = Recording.filed(model, samples, (times.time, times.stamps, written), path.name)

@@ -186,6 +186,7 @@ def _decoded(head: bytes) -> tuple[str, str]:
     try:
         return body.decode(), "utf-8"
     except UnicodeDecodeError:
+        # Latin letters with accents are rare in any text, and control characters stand in none
         controls, foreign = sum(b < 9 for b in head), sum(b > 127 for b in head)
         if controls or foreign > len(head) // 4:
             raise ValueError("this is not a text file: give a CSV file in UTF-8") from None
@@ -339,6 +340,7 @@ def parse_columns(layout: Layout, plan: Planned) -> dict[str, "pa.Array"]:
     import pyarrow as pa
     import pyarrow.csv as pc
 
+    # a block has to hold a whole line, and a line of thousands of columns is longer than a megabyte
     read = pc.ReadOptions(
         column_names=numbered_columns(layout),
         skip_rows=layout.skip,
@@ -346,6 +348,7 @@ def parse_columns(layout: Layout, plan: Planned) -> dict[str, "pa.Array"]:
         block_size=max(1 << 20, 64 * len(layout.names), 16 * sum(map(len, layout.names))),
     )
     failure: Exception | None = None
+    # the first rows may be whole numbers, which do not show the decimal sign of those below
     for convert in converting(layout, plan):
         with open(layout.path, "rb", buffering=0) as file:
             lines = CountedLines(file, layout.delimiter)
@@ -366,6 +369,7 @@ def _refuse_lost_rows(layout: Layout, counted: CountedLines, rows: int, timed: b
     last = counted.last
     if len(layout.names) == 1:  # a blank line is a row there
         last = counted.lines
+    # pyarrow counts rows, CountedLines lines: they differ where a quotation mark took line ends into a cell
     if rows == last - layout.skip and not counted.open_end:
         return
     for number, line in enumerate(lines_of(layout.path), 1):

@@ -124,9 +124,7 @@ class ParquetSource(Source):
 
     @property
     def layout(self) -> str:
-        """What is known of the recording before it is read, as text: files, their sizes and rows, how columns
-        and time are understood.
-        """
+        """The files, their sizes and rows, and how columns and time are understood, as text."""
         names = [""]  # a file may be moved
         if self.path.is_dir():
             names = list(map(self.name, self.files))
@@ -208,6 +206,7 @@ class ParquetSource(Source):
             written = _one_array(table.column(self.time_name))
             time, stamps = self.times(start, written)
             columns[self.time_name] = time if stamps is None else stamps
+        # numbers of the time itself replace its seconds where an expression is over that column
         for name in self.plan.numbers:
             if name != self.time_name or _is_numeric(table.column(name).type):
                 columns[name] = self._numbers(start, name, table.column(name))

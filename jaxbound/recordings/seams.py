@@ -107,6 +107,7 @@ def tick(clock: Clock, time: ArrayLike) -> tuple[Clock, np.ndarray]:
     steps, first = np.diff(time), clock.samples + 1
     if clock.samples:  # the first one follows a sample before
         steps, first = np.diff(time, prepend=clock.last), clock.samples
+    # not "more than": a step that is NaN is odd too
     odd = np.flatnonzero(~(np.abs(steps - clock.dt) <= TOLERATED_STEP * clock.dt))
     starts, step = odd + first, steps[odd]
     seams = {seam.kind: seam for seam in clock.seams}

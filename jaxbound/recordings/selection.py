@@ -221,6 +221,7 @@ def _day_and_clock(
     else:
         return None, time
     at = names.index(time)
+    # the other half stands in the column before or behind it, or is called like a time itself
     near = {*names[max(at - 1, 0) : at], *names[at + 1 : at + 2], *likely(free, TIMES)}
     halves = [c for c in free if c in near and c != time and dated(c) in others]
     if len(halves) > 1:

@@ -1,5 +1,4 @@
-"""Where recordings come from: one file a kind of source, which every verb and command takes once it is
-registered.
+"""Sources of recordings: one file a kind, which every verb and command takes once it is registered.
 
 A kind whose recordings fit into memory says which data are its own (`takes`) and makes a Recording of them
 (`whole`); the rest is here.
@@ -106,7 +105,7 @@ class Source:
 
     @property
     def layout(self) -> str:
-        """What is known of the data before they are read, as text; where that is nothing, their digest."""
+        """The facts that are known of the data before they are read, as text; without any, their digest."""
         return str(self.content)
 
     def content_of(self, first: int, stop: int) -> str:

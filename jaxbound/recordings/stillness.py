@@ -215,6 +215,7 @@ def stretches(runs: Runs, driven: bool = False) -> tuple[Stretch, ...]:
 def _usual_length(counts: np.ndarray, present: int, run: Run, driven: bool) -> float:
     """Return the length of a run that is usual outside of it, or likely by chance: the larger."""
     rest, finished = present - run.length, counts.sum() - 1
+    # samples in runs up to each length, without the run in question: it is no evidence of what is usual
     below = np.cumsum(counts[:CAP] * np.arange(CAP))
     below[run.length :] -= run.length
     usual = int(np.searchsorted(below, USUAL * rest))
@@ -223,6 +224,7 @@ def _usual_length(counts: np.ndarray, present: int, run: Run, driven: bool) -> f
     repeats = 1 - finished / rest
     if driven and repeats > LIVELY:
         return math.inf
+    # of independent samples, runs this long come by chance once in a million recordings of this length
     likely = math.log(1e6 * present) / -math.log(repeats)
     return max(usual, 1, likely / FROZEN)
 

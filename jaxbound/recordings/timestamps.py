@@ -87,6 +87,7 @@ def parse_stamps(
         return _since_first(stamps), stamps, ""
     read = _in_formats(cells, where)
     seams = [_seams(stamps, dt) for _, stamps in read]
+    # 3/4/2017 is a day in March or in April: time runs evenly in one of the two orders only
     smoothest = [one for one, count in zip(read, seams, strict=True) if count == min(seams)]
     form, stamps = smoothest[0]
     like = f"time stamps like {cells[0].as_py()!r}"
@@ -307,9 +308,7 @@ def _since_first(stamps: np.ndarray) -> np.ndarray:
 
 
 def _since_midnights(stamps: np.ndarray) -> np.ndarray:
-    """Return seconds of a clock without a date since its first sample; it goes back where it passes
-    midnight.
-    """
+    """Return seconds since the first sample of a clock without a date, which goes back at midnight."""
     time = _since_first(stamps)
     return time + 86400.0 * np.concatenate([[0], np.cumsum(np.diff(time) < -43200)])
 

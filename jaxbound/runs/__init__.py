@@ -9,9 +9,7 @@ __all__ = ["Digest"]
 
 
 def __getattr__(name: str) -> object:
-    """Import what is public when it is first asked for: `jaxbound --help` wants the refusals of this room
-    alone.
-    """
+    """Import a public name when it is first asked for: `jaxbound --help` wants the refusals alone."""
     if name != "Digest":
         raise AttributeError(f"module 'jaxbound.runs' has no attribute {name!r}")
     from jaxbound.runs.digest import Digest

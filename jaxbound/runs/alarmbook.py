@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -10,12 +10,17 @@ from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarms import ENDINGS, Alarm, endings, follows, forgets_after, stretches
 from jaxbound.recordings.columns import to_arrow, write_columns
 from jaxbound.recordings.recording import Recording
+from jaxbound.runs.loop import Quiet
 from jaxbound.runs.sink import Verdicts
 from jaxbound.runs.verdictfiles import alarm_columns
 from jaxbound.sets.floats.status import Status
 
+if TYPE_CHECKING:
+    import pyarrow as pa
+
 __all__ = ["AlarmBook"]
 
+Column: TypeAlias = "np.ndarray | pa.Array"
 Columns = dict[str, Any]
 """{name: array}, an entry an alarm; times as their owner wrote them are arrays of pyarrow."""
 OLDER = frozenset({"start", "from", "first_sample", "begun"})
@@ -36,7 +41,7 @@ FIELDS = (
 )  # of an Alarm, and their seconds
 
 
-class AlarmBook:
+class AlarmBook(Quiet):
     """Alarms of a recording that comes in parts, a sink.
 
     An alarm that reaches the end of its part is held until the next shows how it goes on.
@@ -82,12 +87,6 @@ class AlarmBook:
             self.open = {name: x[-1:] for name, x in alarms.items()}
             alarms = {name: x[:-1] for name, x in alarms.items()}
         self._close(alarms)
-
-    def memory(self) -> None:
-        """Return None: a report reads all parts anew."""
-
-    def flush(self) -> None:
-        """Do nothing: alarms are written as soon as they are over."""
 
     def close(self) -> None:
         """Close the alarm that is on."""
@@ -162,7 +161,7 @@ def _joined_first(open_alarm: Columns, alarms: Columns) -> Columns:
     return joined
 
 
-def _in_front(one: Any, others: Any) -> Any:
+def _in_front(one: Column, others: Column) -> Column:
     """Return two columns as one."""
     if isinstance(others, np.ndarray):
         return np.concatenate([one, others])

@@ -33,7 +33,8 @@ def use_cache(folder: str | Path | None = None) -> Path:
         >>> jb.use_cache()  # doctest: +SKIP
         PosixPath('/home/me/.cache/jaxbound')
     """
-    before = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]  # jax makes an attribute of each option at run time
+    # jax makes an attribute of each option at run time
+    before = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
     if folder is None and before is not None:
         return Path(before)
     where = f"in {folder}"

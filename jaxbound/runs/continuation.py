@@ -51,7 +51,7 @@ class Joined(NamedTuple):
 
 
 class Continuation:
-    """What is kept of one unit, in a file.
+    """The end of the last recording of one unit, kept in a file for the next.
 
     Args:
         folder: of the files of all units. unit: its name. relations: of a model, or an observer. method: of
@@ -89,17 +89,19 @@ class Continuation:
         whole = replace(tail.followed(recording), starts=starts, hints=recording.hints)
         return Joined(whole, self._carried(), tail.samples)
 
-    def _carried(self) -> Any:
-        """Return what an observer carried before the samples that are kept; None of windows."""
+    def _carried(self) -> object:
+        """Return the carry of an observer before the samples that are kept; None of windows."""
         if not isinstance(self.relations, Observer):
             return None
         empty = self.relations.init()
         leaves = [self.past[f"{CARRY}{i}"] for i in range(len(jax.tree.leaves(empty)))]
         return jax.tree.unflatten(jax.tree.structure(empty), leaves)
 
-    def save(self, recording: Recording, carry: Any) -> None:
-        """Keep what the next recording needs. recording: as `joined` returned it; carry: as `followed`
-        returns it, None of windows.
+    def save(self, recording: Recording, carry: object) -> None:
+        """Keep the samples and the carry that the next recording needs.
+
+        Args:
+            recording: as `joined` returned it. carry: as `followed` returns it, None of windows.
         """
         tail = recording.cut(max(recording.samples - max(self.relations.horizon, 1), 0), recording.samples)
         now = {"origin": np.asarray(tail.origin)}
@@ -132,7 +134,7 @@ def followed(observer: Observer[Any], given: Joined) -> tuple[Result, Any]:
     if carry is None:
         carry = watch.init()
     _, recording = observer.recording(given.recording)
-    edge = max(recording.samples - max(observer.horizon, 1), 0)
+    edge = max(recording.samples - max(observer.horizon, 1), 0)  # the samples behind it are kept
     between, pieces = carry, []
     if edge:
         between, first = watch.fold(carry, recording.cut(0, edge))

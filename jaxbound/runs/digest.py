@@ -32,7 +32,7 @@ from jaxbound.relations.sentence import latched, looked_at, remembers
 from jaxbound.runs.alarmbook import AlarmBook
 from jaxbound.runs.contradiction import REACHES, refuted_again
 from jaxbound.runs.judges import as_judged
-from jaxbound.runs.loop import Taker, follow
+from jaxbound.runs.loop import Quiet, Taker, follow
 from jaxbound.runs.outputs import output_folder, shared_folder
 from jaxbound.runs.partnotes import read_again, read_extremes, read_runs
 from jaxbound.runs.parts import forget_parts, part_files, verdicts_of
@@ -324,6 +324,7 @@ def digest(
     hints += bound_hints(relations.model, relations)
     hints += [*_unfit_bounds(digested), *_wrong_units(digested)]
     digested = replace(digested, hints=tuple(hints), aside=about.aside)
+    # an alarm explains its worst window by the Digest that it was found in
     return replace(digested, alarms=[replace(alarm, result=digested) for alarm in alarms])
 
 
@@ -351,7 +352,7 @@ def _wrong_units(found: Digest) -> list[str]:
     return unit_hints(found.around(found.worst[0])[0])
 
 
-class _Ticking:
+class _Ticking(Quiet):
     """A sink that finds the seams, and keeps the times that sentences name: of both ends and of seams."""
 
     def __init__(self, dt: float, times: "_SampleTimes") -> None:
@@ -364,14 +365,8 @@ class _Ticking:
             if first <= k < first + piece.samples:
                 self.times[k] = float(piece.time[k - first])
 
-    def memory(self) -> None:
-        return None
 
-    def flush(self) -> None:
-        pass
-
-
-class _Drawing:
+class _Drawing(Quiet):
     """A sink that puts verdicts into a Timeline."""
 
     def __init__(self, line: Timeline) -> None:
@@ -382,12 +377,6 @@ class _Drawing:
         assert axis is not None, "parts have times"
         self.line.add(self.samples, axis, verdicts.status, verdicts.margin)
         self.samples += piece.samples
-
-    def memory(self) -> None:
-        return None
-
-    def flush(self) -> None:
-        pass
 
 
 class _SampleTimes(dict[int, float]):

@@ -37,7 +37,7 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.source import Progress
 from jaxbound.runs.continuation import Continuation, Joined, carry_of, followed, joined_carries
 from jaxbound.runs.endings import ending_hints
-from jaxbound.runs.loop import follow
+from jaxbound.runs.loop import Quiet, follow
 from jaxbound.runs.relations import relations_by
 from jaxbound.runs.summary import CODES, OUTSIDE, Summary, summarised
 from jaxbound.text.objects import readable
@@ -309,7 +309,7 @@ Detected = tuple[Result, Recording, list[Alarm]]
 Judgement = tuple[UnitResult, Detected | None]
 
 
-class _Collected:
+class _Collected(Quiet):
     """A sink that makes the pages of units, and keeps their results until somebody takes them."""
 
     def __init__(self, page: Page | None) -> None:
@@ -326,12 +326,6 @@ class _Collected:
         """Return the results since the last call."""
         results, self.results = self.results, []
         return results
-
-    def memory(self) -> None:
-        """Return None: the memory of a unit is its Continuation."""
-
-    def flush(self) -> None:
-        """Do nothing: results wait for whoever takes them."""
 
 
 class _UnitData(NamedTuple):
@@ -468,7 +462,7 @@ def _tested(group: Group, how: _How) -> Iterator[Judgement]:
 
 
 def _tried(unit: Unit, work: Callable[[], Done]) -> Done | UnitResult:
-    """Return what work() returns, or the UnitResult that says why it could not be done."""
+    """Return the value of work(), or the UnitResult that says why it could not be done."""
     try:
         return work()
     except (OSError, ValueError, NotImplementedError, TypeError) as e:
@@ -520,12 +514,13 @@ def _side_by_side(read: Sequence[_UnitData]) -> _Together:
 
 
 def _shape_of(data: _UnitData) -> tuple[object, ...]:
-    """Return what units must have in common for one observer to follow them in one step of time."""
+    """Return the shape that units have in common where one observer follows them in one step of time."""
     recording, carry = data.recording, data.joined.carry
     before = 0
     if carry is not None:
         before = int(carry.samples)
     types = str(recording.y.dtype), str(recording.u.dtype)
+    # gaps too: at a gap the state of all begins anew
     return recording.samples, tuple(recording.starts.tolist()), *types, data.joined.known, before
 
 

@@ -15,7 +15,7 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Protocol, TypeVar
 
-__all__ = ["Journaled", "Judge", "Laps", "Memory", "Remembering", "Taker", "follow"]
+__all__ = ["Journaled", "Judge", "Laps", "Memory", "Quiet", "Remembering", "Taker", "follow"]
 
 Piece = TypeVar("Piece")
 PieceIn = TypeVar("PieceIn", contravariant=True)
@@ -51,6 +51,17 @@ class Taker(Remembering, Protocol[SamplesIn, VerdictsIn]):
 
     def flush(self) -> None:
         """Hand on what was taken: from now on it is in the checkpoint."""
+
+
+class Quiet:
+    """The half of a sink that needs no memory, and hands nothing on before the end."""
+
+    def memory(self) -> Memory:
+        """Return None: the next process begins with this sink anew, or finds its work on the disk."""
+        return None
+
+    def flush(self) -> None:
+        """Do nothing: nobody waits for what was taken."""
 
 
 class Journaled(Protocol):

@@ -190,6 +190,7 @@ class OutputFolder:
         for name, p in sources.items():
             new |= _entries_of(name, p)
             moves += [(self.path / name, before / name), (p, self.path / name)]
+        # listed first: whoever is killed between leaves files that the next command may replace
         self._list(new)
         before.mkdir(parents=True, exist_ok=True)
         _move_all(moves)

@@ -72,16 +72,15 @@ def _runs_from(
     longest: list[Written],
     last: Written | None,
     first: Written | None,
-    **numbers: Any,
+    samples: int,
+    present: int,
+    low: float,
+    high: float,
 ) -> Runs:
     """Return the Runs of one signal from the fields that `asdict` wrote."""
-    return Runs(
-        counts=np.array(counts),
-        longest=tuple(Run(*run) for run in longest),
-        last=_run_from(last),
-        first=_run_from(first),
-        **numbers,
-    )
+    runs = tuple(Run(*run) for run in longest)
+    ends = _run_from(last), _run_from(first)
+    return Runs(samples, np.array(counts), present, runs, low, high, *ends)
 
 
 def _run_from(written: Written | None) -> Run | None:

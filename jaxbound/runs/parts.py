@@ -24,7 +24,7 @@ from jaxbound.recordings.columns import categories, from_arrow, to_arrow
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.parquetfiles import Damage
 from jaxbound.recordings.recording import Recording
-from jaxbound.runs.loop import Memory
+from jaxbound.runs.loop import Memory, Quiet
 from jaxbound.runs.partnotes import AGAIN, RUNS, Noted
 from jaxbound.runs.sink import Verdicts
 from jaxbound.sets.floats.status import Status
@@ -75,7 +75,7 @@ class _Waiting(NamedTuple):
         return _Waiting(self.written[here], self.status[here], self.margin[here], self.signals[here])
 
 
-class Parts:
+class Parts(Quiet):
     """The parts of a stretch of a recording, a sink.
 
     Args:
@@ -113,12 +113,6 @@ class Parts:
             together = _Waiting(pa.concat_arrays(times), *numbers)
             self._write(together.cut(0, self.size))
             self.waiting = [together.cut(self.size, rows)]
-
-    def memory(self) -> None:
-        """Return None: the memory of parts is on the disk."""
-
-    def flush(self) -> None:
-        """Do nothing: parts are written as soon as they are complete."""
 
     def _write(self, rows: "_Waiting") -> None:
         """Write the next part."""

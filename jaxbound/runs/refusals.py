@@ -1,10 +1,10 @@
-"""What ends a run before it is done: what was given cannot be used, or somebody stops it."""
+"""Exceptions that end a run before it is done: the user gave something unusable, or stopped it."""
 
 __all__ = ["Interrupted", "Refused", "Stopped"]
 
 
 class Refused(ValueError):
-    """What the user gave cannot be used; the message says why."""
+    """The refusal of what a user gave; the message says why."""
 
 
 class Stopped(KeyboardInterrupt):

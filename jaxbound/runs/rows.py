@@ -4,15 +4,15 @@ import math
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-from jaxbound.diagnosis.result import suspected
 from jaxbound.files.disk import sync, sync_folder
 from jaxbound.files.locks import lock
-from jaxbound.recordings.columns import is_plain, to_arrow, words, write_rows
+from jaxbound.recordings.columns import is_plain, write_rows
 from jaxbound.recordings.linetext import FEW
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.loop import Memory
 from jaxbound.runs.refusals import Refused
 from jaxbound.runs.sink import Verdicts
+from jaxbound.runs.verdictfiles import columns_of
 from jaxbound.sets.floats.status import Status
 
 if TYPE_CHECKING:
@@ -141,14 +141,8 @@ def _row_text(written: "pa.Array", verdicts: Verdicts) -> bytes:
 
     if len(written) <= FEW and is_plain(written):  # by hand, which is sooner done
         return _few_rows(written.to_pylist(), verdicts)
-    columns = {
-        "time": written,
-        "status": words(NAMES, verdicts.status),
-        "margin": to_arrow(verdicts.margin),
-        "suspect": to_arrow(suspected(verdicts.status, verdicts.margin)),
-    }
     sink = pa.BufferOutputStream()
-    write_rows(sink, columns)
+    write_rows(sink, {"time": written, **columns_of(verdicts)})
     return bytes(sink.getvalue().to_pybytes())
 
 

@@ -1,4 +1,4 @@
-"""Where verdicts go: one file a kind of output, which every command that tests a recording writes.
+"""Outputs for verdicts: one file a kind of output, which every command that tests a recording writes.
 
 The outputs of jaxbound stand in a list, `sinks.BUILT_IN`; `register` adds one of a user.
 """
@@ -13,7 +13,7 @@ import numpy as np
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
-from jaxbound.runs.loop import Memory
+from jaxbound.runs.loop import Memory, Quiet
 from jaxbound.runs.summary import Summary
 
 __all__ = ["REGISTERED", "Outcome", "Sink", "Verdicts", "register"]
@@ -52,7 +52,7 @@ class Outcome:
     options: Mapping[str, object] = field(default_factory=dict)
 
 
-class Sink:
+class Sink(Quiet):
     """One kind of output of one run.
 
     Args:
@@ -76,17 +76,17 @@ class Sink:
         """Take the next samples and their verdicts."""
 
     def memory(self) -> Memory:
-        """Return what the next process needs to go on where this one may be killed, as JSON holds it."""
+        """Return the state from which the next process goes on if this one is killed, as JSON holds it."""
         return None
 
     def resume(self, memory: Memory) -> None:
-        """Go on from what `memory` returned in another process."""
+        """Go on from the `memory` of another process."""
 
     def flush(self) -> None:
-        """Hand on what was taken, as to stdout: `memory` is safe by now."""
+        """Hand on the samples that were taken, as to stdout: `memory` is safe by now."""
 
     def close(self, outcome: Outcome) -> None:
-        """Write what is written at the end."""
+        """Write the files that are written at the end."""
 
 
 REGISTERED: list[type[Sink]] = []

@@ -5,6 +5,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 from jaxbound.recordings.recording import Recording
+from jaxbound.runs.loop import Quiet
 from jaxbound.runs.runfile import RunRecord
 from jaxbound.runs.sink import REGISTERED, Outcome, Sink, Verdicts
 from jaxbound.runs.verdictfiles import AlarmTable, VerdictTable
@@ -33,12 +34,12 @@ def open_sinks(folder: Path, whole: bool = True) -> list[Sink]:
 
 
 def close_all(sinks: Iterable[Sink], outcome: Outcome) -> None:
-    """Let all sinks write what is written at the end."""
+    """Let all sinks write their files of the end."""
     for sink in sinks:
         sink.close(outcome)
 
 
-class Beside:
+class Beside(Quiet):
     """Sinks that write in a thread of their own: together a sink, and a context that waits for it.
 
     A million verdicts are written while pictures are drawn. Only for recordings in memory: these have no
@@ -63,12 +64,6 @@ class Beside:
         """Let each sink take the samples."""
         self.jobs += [self.thread.submit(sink.add, piece, verdicts) for sink in self.sinks]
 
-    def memory(self) -> None:
-        """Return None: there is no checkpoint."""
-
-    def flush(self) -> None:
-        """Do nothing: what is in memory need not be handed on before the end."""
-
     def close(self, outcome: Outcome) -> None:
-        """Let each sink write what is written at the end."""
+        """Let each sink write its files of the end."""
         self.jobs += [self.thread.submit(sink.close, outcome) for sink in self.sinks]

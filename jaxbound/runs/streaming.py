@@ -207,11 +207,11 @@ class _Judging:
 
     @property
     def follows(self) -> bool:
-        """Whether a part needs what was carried through all those before it."""
+        """Whether a part needs the carry of all those before it."""
         return remembers(self.relations) and self.overlap is None
 
     def note(self, number: int) -> dict[str, str]:
-        """Return what the verdicts in a part depend on, before any of it is read."""
+        """Return {name: text} of all that the verdicts in a part depend on, before any of it is read."""
         if self.follows:
             content = self._content_up_to(number)
         elif self.overlap is not None:

@@ -166,7 +166,7 @@ class Summary:
         """The Evidence, without any window where nothing was tested."""
         return self.found or Evidence("", 0, 0, NOTHING_COUNTED)
 
-    def plain(self, **also: Any) -> Plain:
+    def plain(self, **also: object) -> Plain:
         """Return the summary as JSON has it, in the layout that docs/summary.md describes. also: what a
         command adds.
         """

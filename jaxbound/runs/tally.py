@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxbound.diagnosis.alarms import ENDINGS, NO_DATA, OTHER, endings
 from jaxbound.recordings.recording import Recording
-from jaxbound.runs.loop import Memory
+from jaxbound.runs.loop import Memory, Quiet
 from jaxbound.runs.sink import Verdicts
 from jaxbound.sets.floats.status import Status
 
@@ -29,7 +29,7 @@ class Event(NamedTuple):
 
 
 @dataclass
-class Tally:
+class Tally(Quiet):
     """Counts of verdicts, a sink.
 
     Fields:
@@ -83,9 +83,6 @@ class Tally:
                 value = Event(*value)
             setattr(self, name, value)
 
-    def flush(self) -> None:
-        """Do nothing: counts go nowhere before the end."""
-
     def _event(self, piece: Recording, margin: np.ndarray, k: int) -> Event:
         return Event(self.samples + k, float(margin[k]), self.when(piece, k))
 
@@ -117,7 +114,7 @@ def _smaller(old: Event | None, new: Event | None) -> Event | None:
     return old
 
 
-class AlarmEnds:
+class AlarmEnds(Quiet):
     """A sink that counts alarms, and why they are over.
 
     Args:
@@ -154,9 +151,6 @@ class AlarmEnds:
     def resume(self, memory: dict[str, Any]) -> None:
         """Go on from a memory."""
         self.on, self.before, self.endings = memory["on"], memory["before"], memory["endings"]
-
-    def flush(self) -> None:
-        """Do nothing: counts go nowhere before the end."""
 
 
 def alarm_goes_on(on: int, status: int, forgets: int | None) -> tuple[int, str | None]:

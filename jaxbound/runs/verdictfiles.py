@@ -82,7 +82,7 @@ def write_alarms(path: str | PathLike[str], alarms: Sequence[Alarm], recording: 
     starts = np.array([alarm.start for alarm in alarms], np.int64)
     ends = np.array([alarm.end for alarm in alarms], np.int64)
     worst = np.array([alarm.worst for alarm in alarms], np.int64)
-    told = {
+    columns = {
         "start": written.take(to_arrow(starts)),
         "end": written.take(to_arrow(ends)),
         "worst": written.take(to_arrow(worst)),
@@ -94,7 +94,7 @@ def write_alarms(path: str | PathLike[str], alarms: Sequence[Alarm], recording: 
         "depth": np.array([alarm.depth for alarm in alarms], np.float64),
         "ended": np.array([ENDINGS.index(alarm.ended) for alarm in alarms], np.int64),
     }
-    write_columns(path, alarm_columns(told, dt))
+    write_columns(path, alarm_columns(columns, dt))
 
 
 def alarm_columns(alarms: Mapping[str, Any], dt: float) -> Columns:
