@@ -126,7 +126,7 @@ class PavingTest(LinearTest):
         """
         r, model, dtype = self.relations, self.relations.model, Y.dtype
         windows, count = len(Y), power(max(len(Y), 128))
-        U, Y = _filled(U, count), _filled(Y, count)
+        U, Y = _with_filler(U, count), _with_filler(Y, count)
         W, slip = _enclosed(r.W, dtype), 2 * input_slip(U)  # 2: for the two differences
         outputs = Interval(Y, Y), _enclosed(model.offset["y"], dtype)
         inputs = Interval(U - slip, U + slip), _enclosed(model.offset["u"], dtype)
@@ -171,7 +171,7 @@ def _span(bad: np.ndarray, starts: np.ndarray, length: int) -> np.ndarray:
     return np.asarray(counted[starts + length] > counted[starts])
 
 
-def _filled(x: np.ndarray, count: int) -> np.ndarray:
+def _with_filler(x: np.ndarray, count: int) -> np.ndarray:
     """Return an array with zeros behind it, so that there are so many entries."""
     return np.concatenate([x, np.zeros((count - len(x), *x.shape[1:]), x.dtype)])
 
@@ -189,7 +189,7 @@ def _external(
     with W and K.
     """
     measured, known = (sub(samples, offset[None, None]) for samples, offset in given)
-    measured, known = _flat(measured), _flat(known)
+    measured, known = _one_row_a_window(measured), _one_row_a_window(known)
     rows = measured.shape[1]
     external = matmul(measured, Interval(W.lo.T[:rows], W.hi.T[:rows]))
     if known.shape[1]:
@@ -197,7 +197,7 @@ def _external(
     return measured, external
 
 
-def _flat(x: Interval) -> Interval:
+def _one_row_a_window(x: Interval) -> Interval:
     """Return samples (N, s + 1, channels) as (N, rows)."""
     shape = len(x.lo), math.prod(x.shape[1:])
     return Interval(x.lo.reshape(shape), x.hi.reshape(shape))

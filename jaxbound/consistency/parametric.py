@@ -141,9 +141,9 @@ class ParametricTest(WindowTest):
         """Return (status, margin, open) of blocks of windows; open is what paving may decide."""
         # all blocks are under way before the host waits for the first
         judged = [self._judged_whole(block) for block in blocks]
-        if self.method == "paving":
-            return [(status, margin, np.asarray(status) == Status.UNDECIDED) for status, margin in judged]
-        return [(status, margin, np.zeros(len(status), bool)) for status, margin in judged]
+        if self.method != "paving":
+            return judged
+        return [(status, margin, np.asarray(status) == Status.UNDECIDED) for status, margin in judged]
 
     def _judged_whole(self, block: Block) -> tuple[jax.Array, jax.Array]:
         """Return (status, margin) of a block of windows, each by its whole box of parameters."""

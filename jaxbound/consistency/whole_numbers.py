@@ -379,7 +379,7 @@ def _in_floats(image: _WholeImage, frame: ExactFrame) -> _FloatImage:
         return np.where(there, quotients_of, otherwise)
 
     return _FloatImage(
-        np.array([[float(x) for x in row] for row in frame.R]).reshape(c, k),
+        np.array(frame.R, float).reshape(c, k),
         floats(image.z, image.unit * image.common * fold, image.present, 0.0),
         np.maximum(floats(image.outer, image.unit * fold, image.present, 1.0), least),
         np.maximum(floats(image.inner, image.unit * fold, image.real, 1.0), least),
@@ -412,7 +412,7 @@ def _signed(margin: np.ndarray, out: np.ndarray, inside: np.ndarray, dtype: np.d
 
 def _nonzero(row: Vector) -> np.ndarray:
     """Return which entries of a row are not 0."""
-    return np.array([bool(x) for x in row], bool)
+    return np.array(row, bool)
 
 
 def _common(rows: Iterable[Iterable[Fraction]]) -> int:

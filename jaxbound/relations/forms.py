@@ -42,9 +42,9 @@ def forms(
     across = np.flatnonzero(given.across(relations.horizon))
     if not len(across):
         return external, lo, hi
-    return _without(external, across), _without(lo, across), _without(hi, across)
+    return _blanked(external, across), _blanked(lo, across), _blanked(hi, across)
 
 
-def _without(form: jax.Array, samples: np.ndarray) -> jax.Array:
+def _blanked(form: jax.Array, samples: np.ndarray) -> jax.Array:
     """Return a form with NaN at some samples."""
     return form.at[..., samples, :].set(jnp.nan)

@@ -347,13 +347,13 @@ def parity_relations(
     report(0.5)
     bounds = model_bounds(model)
     looked_at = window.window_rows(model, horizon, lags).seen
-    E, on_inputs = (_picked(matrix, looked_at) for matrix in window.unknowns(model, horizon))
+    E, on_inputs = (_numbered(matrix, looked_at) for matrix in window.unknowns(model, horizon))
     most = SUBSETS if model.constant_tolerance else TESTED
     circuits = _few_circuits(E, most)
     report(0.6)
     if not circuits:
         narrow = frame(E, on_inputs, progress=lambda share: report(0.6 + 0.4 * share))
-        inner, outer = _picked(looked_at, narrow.inner), _picked(looked_at, narrow.outer)
+        inner, outer = _numbered(looked_at, narrow.inner), _numbered(looked_at, narrow.outer)
         searched = dataclasses.replace(narrow, inner=inner, outer=outer)
         report(1.0)
         return ParityRelation(bounds, model, horizon, form, W, K, (), (), searched, lags)
@@ -363,7 +363,7 @@ def parity_relations(
     return ParityRelation(bounds, model, horizon, form, W, K, circuits, circuits_known, None, lags)
 
 
-def _picked(entries: Sequence[T], numbers: Sequence[int]) -> tuple[T, ...]:
+def _numbered(entries: Sequence[T], numbers: Sequence[int]) -> tuple[T, ...]:
     """Return some entries by their numbers."""
     return tuple(entries[i] for i in numbers)
 

@@ -36,15 +36,15 @@ def moving(relations: R, made: Callable[[LinearSystem], R]) -> R | None:
     still = np.asarray((np.abs(ends) < VANISHING).all(1))
     if not still.any():
         return None
-    less = made(_without(model, still))
+    less = made(_moving_model(model, still))
     kept = {name: bounds[name] for name in less.bounds}
-    kept["noise"] = _noise(relations, np.where(still[:, None], ends, 0))
+    kept["noise"] = _wider_noise(relations, np.where(still[:, None], ends, 0))
     if not still.all():
         kept["disturbance"] = np.asarray(ends)[~still]
     return less.with_bounds(kept)
 
 
-def _without(model: LinearSystem, still: np.ndarray) -> LinearSystem:
+def _moving_model(model: LinearSystem, still: np.ndarray) -> LinearSystem:
     """Return the model without some of its disturbances (g,)."""
     rest = np.flatnonzero(~still)
     if not len(rest):
@@ -53,7 +53,7 @@ def _without(model: LinearSystem, still: np.ndarray) -> LinearSystem:
     return model.replace(disturbance=(G, [model.disturbance[j] for j in rest]))
 
 
-def _noise(relations: LinearRelations, ends: np.ndarray) -> Array:
+def _wider_noise(relations: LinearRelations, ends: np.ndarray) -> Array:
     """Return noise (p,) that holds what disturbances within ends (g, 2) add to the outputs of a window, too:
     the same if they are 0.
     """
