@@ -28,7 +28,7 @@ except ImportError as why:
 __all__ = ["Detector"]
 
 
-class Detector(OutlierMixin, BaseEstimator):
+class Detector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-learn states no types
     """Proved fault detection with the methods of scikit-learn's outlier detectors.
 
     Args:
@@ -148,18 +148,20 @@ class Detector(OutlierMixin, BaseEstimator):
         """Return (T,) int: -1 where a fault is proved, else 1."""
         return np.where(self.decision_function(X) < 0, -1, 1)
 
-    def _rows(self, X, reset):
+    def _rows(self, X: object, reset: bool) -> np.ndarray:
         """Return the rows as an array of floats, checked as scikit-learn does."""
-        return validate_data(
+        least = 2 if reset else 1
+        rows: np.ndarray = validate_data(
             self,
             X,
             reset=reset,
             dtype=np.float64,
             ensure_all_finite="allow-nan",
-            ensure_min_samples=2 if reset else 1,
+            ensure_min_samples=least,
         )
+        return rows
 
-    def _columns(self, count):
+    def _columns(self, count: int) -> tuple[list[int], list[int]]:
         """Return (numbers of the columns of the inputs, of the outputs)."""
         names = list(getattr(self, "feature_names_in_", ()))
         if self.model is not None and self.outputs is None and not len(self.inputs):
@@ -172,9 +174,9 @@ class Detector(OutlierMixin, BaseEstimator):
             )
         inputs = [self._place(column, names, count) for column in self.inputs]
         others = [i for i in range(count) if i not in inputs]
-        outputs = (
-            others if self.outputs is None else [self._place(column, names, count) for column in self.outputs]
-        )
+        outputs = others
+        if self.outputs is not None:
+            outputs = [self._place(column, names, count) for column in self.outputs]
         if self.model is not None and (len(inputs), len(outputs)) != (self.model.m, self.model.p):
             raise ValueError(
                 f"the model has {self.model.m} inputs and {self.model.p} outputs, {len(inputs)} and "
@@ -183,13 +185,12 @@ class Detector(OutlierMixin, BaseEstimator):
         return inputs, outputs
 
     @staticmethod
-    def _place(column, names, count):
+    def _place(column: int | str, names: list[str], count: int) -> int:
         if isinstance(column, str):
+            if not names:
+                raise ValueError(f"X has no column {column!r} by name: give numbers")
             if column not in names:
-                raise ValueError(
-                    f"X has no column {column!r}"
-                    + (f": it has {', '.join(map(str, names))}" if names else " by name: give numbers")
-                )
+                raise ValueError(f"X has no column {column!r}: it has {', '.join(map(str, names))}")
             return names.index(column)
         if not 0 <= column < count:
             raise ValueError(f"X has the columns 0 to {count - 1}, not {column}")

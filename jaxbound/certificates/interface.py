@@ -30,6 +30,10 @@ class Judgement(Protocol):
         """(..., T)."""
 
     @property
+    def margin(self) -> np.ndarray:
+        """(..., T)."""
+
+    @property
     def relations(self) -> Any:
         """The relations, or the observer, that were tested."""
 

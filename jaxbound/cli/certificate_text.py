@@ -1,8 +1,9 @@
 """A certificate as a reader wants it: a headline, named rows, and a table of the samples."""
 
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
+from fractions import Fraction
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -15,13 +16,15 @@ from jaxbound.text.quantities import percent, times
 
 __all__ = ["certificate_text", "six_digits"]
 
-Row = tuple[str, str]
+Row: TypeAlias = tuple[str, str]
+AnyCertificate: TypeAlias = Certificate | UncertainCertificate
+EXPLAINS = "a certificate that explains its window has all unknowns"
 OUTGROWN = "found from data for shorter windows: a FAULT may be no more than an error that lasts longer"
 SMALLEST = 1e-300  # the smallest normal number, which widens every radius, is nothing to a reader
 
 
 def certificate_text(
-    certificate: Certificate | UncertainCertificate, k: int, labels: Sequence[str], outgrown: bool = False
+    certificate: AnyCertificate, k: int, labels: Sequence[str], outgrown: bool = False
 ) -> tuple[str, list[Row], list[tuple[str, ...]]]:
     """Return (headline, rows of (name, text), table with its header first) of a certificate, for people.
 
@@ -40,7 +43,7 @@ def certificate_text(
     return _headline(certificate, k, labels, outgrown), rows, _sample_table(certificate, labels)
 
 
-def _headline(certificate, k, labels, outgrown):
+def _headline(certificate: AnyCertificate, k: int, labels: Sequence[str], outgrown: bool) -> str:
     verdict = f"{certificate.proves.name} proved"
     if outgrown and certificate.proves == Status.FAULT:
         verdict = "FAULT outside the bounds as fitted"
@@ -50,7 +53,7 @@ def _headline(certificate, k, labels, outgrown):
     return f"{verdict}: the window from {labels[0]} to {labels[-1]}, sample {k}{status}"
 
 
-def _fault_rows(certificate):
+def _fault_rows(certificate: Certificate) -> list[Row]:
     """Return the relation that is violated, and the sensors and actuators that alone would explain it."""
     at_least = "at least " if certificate.window.constant else ""
     residual, width = six_digits(certificate.residual), six_digits(certificate.width)
@@ -68,7 +71,7 @@ def _fault_rows(certificate):
     return rows
 
 
-def _error_text(certificate, name, error):
+def _error_text(certificate: Certificate, name: str, error: Fraction | float) -> str:
     """Return whether an error of one sensor explains the window, and how large it is at least."""
     if error == math.inf:
         return "no error of this sensor alone explains the window"
@@ -79,7 +82,7 @@ def _error_text(certificate, name, error):
     )
 
 
-def _consistent_rows(certificate):
+def _consistent_rows(certificate: Certificate) -> list[Row]:
     """Return the relation that comes nearest to its bounds, and the unknowns that explain the window."""
     model = certificate.window.model
     rows = [
@@ -88,13 +91,15 @@ def _consistent_rows(certificate):
         ("first state", _state_text(certificate)),
     ]
     if model.g:
+        assert certificate.disturbances is not None, EXPLAINS
         rows.append(("disturbance", _vectors_text(certificate.disturbances)))
     if model.d:
+        assert certificate.unknown_inputs is not None, EXPLAINS
         rows.append(("unknown input", _vectors_text(certificate.unknown_inputs)))
     return rows
 
 
-def _uncertain_rows(certificate):
+def _uncertain_rows(certificate: UncertainCertificate) -> list[Row]:
     """Return the rows of a certificate of a model with uncertain parameters."""
     if certificate.z is None:
         parts = (
@@ -107,12 +112,13 @@ def _uncertain_rows(certificate):
             rows.append(("", f"is in [{low}, {high}] at these samples, whatever the parameters"))
         return rows
     parameters = []
+    assert certificate.parameters is not None, EXPLAINS
     for (name, lag), value in certificate.parameters.items():
         parameters.append(f"{name}{_lag_text(lag, certificate.relations.horizon)} {six_digits(value)}")
     return [("parameters", ", ".join(parameters)), ("first state", _state_text(certificate))]
 
 
-def _lag_text(lag, horizon):
+def _lag_text(lag: int | None, horizon: int) -> str:
     """Return the sample of a parameter that varies, like [k-2]; of a constant one nothing."""
     if lag is None:
         return ""
@@ -121,21 +127,22 @@ def _lag_text(lag, horizon):
     return "[k]"
 
 
-def _state_text(certificate):
+def _state_text(certificate: AnyCertificate) -> str:
+    assert certificate.state is not None, EXPLAINS
     states = zip(certificate.window.model.states, certificate.state, strict=True)
     return ", ".join(f"{name} {six_digits(x)}{_unit(certificate, name)}" for name, x in states)
 
 
-def _vectors_text(vectors):
+def _vectors_text(vectors: Iterable[Iterable[Fraction]]) -> str:
     return "; ".join(", ".join(map(six_digits, vector)) for vector in vectors)
 
 
-def _unit(certificate, name):
+def _unit(certificate: AnyCertificate, name: str) -> str:
     unit = certificate.window.model.unit(name)
     return f" {unit}" if unit else ""
 
 
-def _sample_table(certificate, labels):
+def _sample_table(certificate: AnyCertificate, labels: Sequence[str]) -> list[tuple[str, ...]]:
     """Return the table of the samples: readings, limits of the true values, and parts in the proof."""
     if certificate.z is not None:
         return _explained_table(certificate, labels)
@@ -144,7 +151,7 @@ def _sample_table(certificate, labels):
     return _violated_table(certificate, labels)
 
 
-def _limits_table(certificate, labels):
+def _limits_table(certificate: UncertainCertificate, labels: Sequence[str]) -> list[tuple[str, ...]]:
     """Return the readings of the outputs and the limits of their true values."""
     window, model = certificate.window, certificate.window.model
     rows: list[tuple[str, ...]] = [("time", "signal", "reading", "true value from", "to")]
@@ -154,14 +161,16 @@ def _limits_table(certificate, labels):
     return rows
 
 
-def _explained_table(certificate, labels):
+def _explained_table(certificate: AnyCertificate, labels: Sequence[str]) -> list[tuple[str, ...]]:
     """Return all samples, with the true values that explain them."""
     window, model = certificate.window, certificate.window.model
+    outputs, inputs = certificate.outputs, certificate.inputs
+    assert outputs is not None and inputs is not None, EXPLAINS
     rows: list[tuple[str, ...]] = [("time", "signal", "reading", "true value from", "to", "explained by")]
     for j, label in enumerate(labels):
         for i, name in enumerate(model.outputs):
             row = j * model.p + i
-            value = six_digits(certificate.outputs[j][i])
+            value = six_digits(outputs[j][i])
             if window.y[row] is None:
                 rows.append((label, name, "missing", "", "", value))
                 continue
@@ -170,12 +179,12 @@ def _explained_table(certificate, labels):
         for i, name in enumerate(model.inputs):
             row = j * model.m + i
             if row < len(window.u):
-                value = six_digits(certificate.inputs[j][i])
+                value = six_digits(inputs[j][i])
                 rows.append((label, name, _reading(window.u[row]), "", "", value))
     return rows
 
 
-def _violated_table(certificate, labels):
+def _violated_table(certificate: Certificate, labels: Sequence[str]) -> list[tuple[str, ...]]:
     """Return the samples that have a part in the violated relation, with their coefficients in it."""
     window, model = certificate.window, certificate.window.model
     rows: list[tuple[str, ...]] = [("time", "signal", "reading", "true value from", "to", "coefficient")]
@@ -195,12 +204,12 @@ def _violated_table(certificate, labels):
     return rows + _bounds_rows(certificate, labels)
 
 
-def _bounds_rows(certificate, labels):
+def _bounds_rows(certificate: Certificate, labels: Sequence[str]) -> list[tuple[str, ...]]:
     """Return the disturbances and averages that have a part in the violated relation: they stand behind the
     outputs.
     """
     window = certificate.window
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for coefficient, row, limits in zip(certificate.h, window.rows, window.limits, strict=True):
         if coefficient and row.kind is not Kind.READING:
             when, name = labels[row.last], row_name(window.model, row)
@@ -208,11 +217,11 @@ def _bounds_rows(certificate, labels):
     return rows
 
 
-def _reading(value):
+def _reading(value: Fraction | None) -> str:
     return "missing" if value is None else six_digits(value)
 
 
-def _limits_text(limits, offset=0):
+def _limits_text(limits: tuple[Fraction, Fraction] | None, offset: Fraction | int = 0) -> tuple[str, str]:
     """Return the two ends of the limits of a true value, in the units of its signal."""
     if limits is None:
         return "", ""

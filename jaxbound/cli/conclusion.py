@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxbound.cli.evaluation import Evaluation
 from jaxbound.cli.terminal import show, write
-from jaxbound.runs.summary import OUTSIDE, Evidence, Window
+from jaxbound.runs.summary import OUTSIDE, Evidence, Summary, Window
 from jaxbound.text.quantities import percent, times
 
 __all__ = ["conclude"]
@@ -49,12 +49,12 @@ def conclude(evaluation: Evaluation, data: Path | str, out: Path, as_json: bool 
     return summary.exit_code
 
 
-def _counts_row(evidence):
+def _counts_row(evidence: Evidence) -> tuple[str, str]:
     counts = [f"{evidence.counts[s]} {s}" for s in STATUSES if evidence.counts[s]]
     return "samples" if evidence.remembers else "windows", ", ".join(counts)
 
 
-def _tested_row(evidence):
+def _tested_row(evidence: Evidence) -> tuple[str, str]:
     """Return the share that was tested or decided, of a validation the sensors that are faulty."""
     if evidence.remembers:
         share = f"{percent(evidence.tested)} of {evidence.windows} samples"
@@ -66,7 +66,7 @@ def _tested_row(evidence):
     return "faulty", sensors or "no sensor"
 
 
-def _alarms_row(summary, evidence, explain):
+def _alarms_row(summary: Summary, evidence: Evidence, explain: str) -> tuple[str, str]:
     """Return the number of alarms and the first of them, with the command that explains it."""
     if not evidence.alarms:
         return "alarms", "0"
@@ -78,7 +78,7 @@ def _alarms_row(summary, evidence, explain):
     return "alarms", text
 
 
-def _worst_row(summary, evidence):
+def _worst_row(summary: Summary, evidence: Evidence) -> tuple[str, str]:
     """Return the window that comes nearest to a fault, or is the farthest in it."""
     margin = summary.margin
     is_outside = margin < 0

@@ -110,20 +110,21 @@ def detection_rates(
     report = progress or (lambda share: None)
     relations, run = parity_relations(demo_model()), demo_run(key, runs)
     report(0.6)
-    found = {}
+    faults = {}
     for method in ("joint", "box"):
-        found[method] = detect(relations, run.u, run.y, method=method).status == Status.FAULT
+        faults[method] = detect(relations, run.u, run.y, method=method).status == Status.FAULT
         report(0.8 if method == "joint" else 1.0)
     s = relations.horizon
-    rates = {
-        name: tuple(float(found[method][:, f.start + s : f.stop].mean()) for method in ("joint", "box"))
-        for name, f in zip("ABC", FAULTS, strict=True)
-    }
+    rates = {}
+    for name, f in zip("ABC", FAULTS, strict=True):
+        inside = slice(f.start + s, f.stop)
+        shares = [float(status[:, inside].mean()) for status in faults.values()]
+        rates[name] = tuple(shares)
     clean = np.ones(SAMPLES, bool)
     clean[:s] = False
     for f in FAULTS:
         clean[f.start : cast(int, f.stop) + s] = False  # each of them ends
-    return rates, (int(found["joint"][:, clean].sum()), runs * int(clean.sum()))
+    return rates, (int(faults["joint"][:, clean].sum()), runs * int(clean.sum()))
 
 
 def rate_table(rates: dict[str, tuple[float, ...]]) -> list[tuple[str, ...]]:
@@ -158,7 +159,7 @@ def sections(
     false_alarms: int,
     clean: int,
     runs: int,
-) -> list[tuple]:
+) -> list[tuple[object, ...]]:
     """Write the two figures of the paper into a folder; return them and the detection rates as sections of
     the report.
 
@@ -225,24 +226,23 @@ def demonstrate(out: Path, runs: int) -> int:
             MethodOptions(),
             sections=lambda res: sections(work, run, res, rates, false_alarms, clean, runs),
         )
-    found = evaluation.summary
-    again = [
-        "jaxbound",
-        "detect",
-        *(str(out / f) for f in ("model.toml", "run.csv")),
-        "--out",
-        str(out),
-    ]
+    files = str(out / "model.toml"), str(out / "run.csv")
+    again = ["jaxbound", "detect", *files, "--out", str(out)]
     rows = [
         ("false alarms", f"{false_alarms} in {clean} windows without a fault ({runs} runs)"),
         ("report", str(out / "report.html")),
         ("try it", shlex.join(again)),
     ]
-    show(f"Section 5 of Adrot, Maquin, Ragot 2000. {found.sentence}", "bold", rows, rate_table(rates))
+    show(
+        f"Section 5 of Adrot, Maquin, Ragot 2000. {evaluation.summary.sentence}",
+        "bold",
+        rows,
+        rate_table(rates),
+    )
     return 0
 
 
-def _load_plotting():
+def _load_plotting() -> None:
     """Import matplotlib while the data are read: it takes as long as testing a million windows."""
     import matplotlib.backends.backend_agg
     import matplotlib.figure  # noqa: F401

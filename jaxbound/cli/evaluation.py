@@ -144,7 +144,7 @@ def evaluate(
     *,
     alarm: tuple[int, int] = (1, 1),
     min_coverage: float = 0.5,
-    sections: Callable[[Result], Sequence[tuple]] | None = None,
+    sections: Callable[[Result], Sequence[tuple[object, ...]]] | None = None,
 ) -> Evaluation:
     """Read a recording as a whole, test it and write everything into a folder.
 

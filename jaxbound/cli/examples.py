@@ -59,7 +59,7 @@ def heater_model() -> LinearSystem:
     )
 
 
-def _write_heater(folder):
+def _write_heater(folder: Path) -> list[tuple[str, str]]:
     """Write three healthy recordings of ten minutes, the third once more with a jump, and the true model."""
     model = heater_model()
     save_model(model, folder / "truth.toml")
@@ -88,7 +88,7 @@ def _write_heater(folder):
     ]
 
 
-def _write_tank(folder):
+def _write_tank(folder: Path) -> list[tuple[str, str]]:
     """Write the template of a model file and a recording to it in which the level reads too much for a
     minute.
     """
@@ -146,7 +146,7 @@ EXAMPLES = {
 """The examples by their names."""
 
 
-def _write_recording(path, model, u, y):
+def _write_recording(path: Path, model: LinearSystem, u: np.ndarray, y: np.ndarray) -> None:
     """Write a recording as CSV, time first; an output is rounded by no more than its resolution, without one
     it stands in full.
     """
@@ -161,7 +161,7 @@ def _write_recording(path, model, u, y):
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _output_text(x, resolution):
+def _output_text(x: float, resolution: float) -> str:
     if not resolution:
         return repr(x)
     places = -math.floor(math.log10(2 * resolution))

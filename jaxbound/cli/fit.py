@@ -2,10 +2,16 @@
 
 import argparse
 import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from jaxbound.cli.command import swift_imports
 from jaxbound.cli.options import add_force, add_json, add_safety, add_windows, path, share, whole_number
 from jaxbound.cli.terminal import OK, door, progress_bars, write
+
+if TYPE_CHECKING:
+    from jaxbound.recordings.recording import Recording
 
 NAME = "fit"
 HELP = "find a model and its bounds from healthy recordings"
@@ -152,7 +158,7 @@ def run(args: argparse.Namespace) -> int:
     return OK
 
 
-def _hints(data, recordings):
+def _hints(data: Sequence[Path], recordings: Sequence["Recording"]) -> list[str]:
     """Return the hints of recordings, each once; of several recordings with the file that it is about."""
     hints = []
     for file, recording in zip(data, recordings, strict=True):

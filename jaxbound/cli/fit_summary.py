@@ -1,16 +1,16 @@
 """A fitted model on the terminal and as JSON, and the signals that --inputs and --outputs name."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, SupportsFloat
 
 import numpy as np
 
 from jaxbound.cli.terminal import show
 from jaxbound.diagnosis.memory import slowest, suggest_lags
 from jaxbound.recordings.expressions import expression
-from jaxbound.studies.identification.fitting import Fitted
+from jaxbound.studies.identification.fit_result import Fitted
 from jaxbound.text.units import without_unit
 
 __all__ = ["named_units", "plain_fit", "show_fit", "signal_columns"]
@@ -129,11 +129,11 @@ def plain_fit(
     }
 
 
-def _by_output(model, bounds):
+def _by_output(model: Fitted, bounds: Iterable[SupportsFloat]) -> dict[str, float]:
     return dict(zip(model.outputs, map(float, bounds), strict=True))
 
 
-def _all_finite(numbers):
+def _all_finite(numbers: Mapping[str, float]) -> dict[str, float | None]:
     """Return numbers by name, None for what is not finite: JSON has no such number."""
     return {name: x if np.isfinite(x) else None for name, x in numbers.items()}
 
@@ -181,9 +181,10 @@ def show_fit(
     show(headline, "bold", rows, table=_bounds_table(model))
 
 
-def _bounds_table(model):
+def _bounds_table(model: Fitted) -> list[tuple[str, ...]]:
     """Return the bounds of each output, and the errors that are always seen with them."""
     check = model.check
+    table: list[tuple[str, ...]]
     table = [("output", "smallest bound", "written", "jump always seen", "steady error always seen")]
     for name, noise, resolution in zip(model.outputs, model.noise, model.resolution, strict=True):
         jump, steady = (_size(model, sizes, name) for sizes in (check.jump, check.steady))
@@ -191,26 +192,27 @@ def _bounds_table(model):
     return table
 
 
-def _size(model, sizes, name):
+def _size(model: Fitted, sizes: Mapping[str, float], name: str) -> str:
     if not np.isfinite(sizes[name]):
         return "never"
     return f"{sizes[name]:.3g} {model.unit(name)}".rstrip()
 
 
-def _window_text(model):
+def _window_text(model: Fitted) -> str:
     """Return the number of samples of a window."""
+    assert model.horizon is not None, "a fitted model has one"
     if model.lags is None:
         return f"{model.horizon + 1}"
     return f"{len(model.lags)} of {model.horizon + 1}"
 
 
-def _recording_text(numbers):
+def _recording_text(numbers: Mapping[str, float]) -> str:
     if not numbers["windows"]:
         return "no window"
     return f"{numbers['windows']} windows, {100 * numbers['used']:.3g} % of the bounds used"
 
 
-def _held_out_text(unseen, share):
+def _held_out_text(unseen: Mapping[str, float] | None, share: float) -> str:
     """Return the result of a first fit on the samples that it had not seen."""
     if unseen is None:
         return "nothing"
@@ -221,10 +223,11 @@ def _held_out_text(unseen, share):
     )
 
 
-def _memory(model):
+def _memory(model: Fitted) -> list[tuple[str, str]]:
     """Return a line on lags where the plant remembers longer than its windows: they may see smaller lasting
     errors.
     """
+    assert model.horizon is not None, "a fitted model has one"
     if model.lags is not None or slowest(model) < MEMORY * (model.horizon + 1):
         return []
     try:

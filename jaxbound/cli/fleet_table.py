@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from jaxbound.cli.terminal import show, write
 from jaxbound.diagnosis.alarms import Alarm
@@ -92,9 +93,11 @@ def _cells(result: UnitResult) -> dict[str, object]:
     }
 
 
-def _number_cell(x):
+def _number_cell(x: float) -> str:
     """Return a number in full, NaN as nothing."""
-    return "" if math.isnan(x) else repr(float(x))
+    if math.isnan(x):
+        return ""
+    return repr(float(x))
 
 
 class UnitPages:
@@ -143,6 +146,7 @@ def conclude_fleet(results: Sequence[UnitResult], out: Path, as_json: bool) -> i
         }
         write(json.dumps(plain, indent=2, allow_nan=False) + "\n")
         return code
+    table: list[tuple[str, ...]]
     table = [("unit", "verdict", "margin", "FAULT", "decided", "first alarm", "the last alarm")]
     table += [_shown_row(result) for result in ordered[:SHOWN]]
     untested = [result for result in ordered if result.verdict == "not tested"]
@@ -154,7 +158,7 @@ def conclude_fleet(results: Sequence[UnitResult], out: Path, as_json: bool) -> i
     return code
 
 
-def _shown_row(result):
+def _shown_row(result: UnitResult) -> tuple[str, ...]:
     """Return the row of a unit on the terminal."""
     summary = result.summary
     return (
@@ -168,7 +172,7 @@ def _shown_row(result):
     )
 
 
-def _plain(result):
+def _plain(result: UnitResult) -> dict[str, Any]:
     """Return a UnitResult as JSON has it."""
     files = {"model": str(result.unit.model), "recording": str(result.unit.recording)}
     return {"unit": result.unit.name} | result.summary.plain() | files

@@ -97,7 +97,8 @@ def _run(args: argparse.Namespace) -> int:
         _configure()
     loudness = LOUDNESS.set(args.loudness)
     try:
-        return args.run(args)
+        code: int = args.run(args)
+        return code
     except Unverified as e:
         raise Refused(str(e)) from e
     finally:
@@ -163,9 +164,10 @@ def _configure() -> None:
 
     from jaxbound.runs.cache import use_cache
 
-    jax.config.update("jax_enable_x64", True)
+    # jax states no types of these functions
+    jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]
     if not os.environ.get("JAX_PLATFORMS"):
-        jax.config.update("jax_platforms", "cpu")
+        jax.config.update("jax_platforms", "cpu")  # type: ignore[no-untyped-call]
     with suppress(ValueError):  # a folder that cannot be written: what is slow is not wrong
         use_cache()
 

@@ -1,6 +1,8 @@
 """A model file's contents, and what can be detected and isolated with it, on the terminal and as JSON."""
 
 import math
+from collections.abc import Sequence
+from fractions import Fraction
 from typing import Any
 
 from jaxbound.cli.terminal import show
@@ -47,11 +49,11 @@ def show_model(model: LinearSystem, relations: ParityRelation | UncertainRelatio
     lines = relations.text().splitlines()
     text = "\n".join(main_terms(lines[j]) for j in distinct)
     if not model.uncertainties:
-        text += f"\n\n{isolation_text(model, relations.horizon, _lags(relations))}"
+        text += f"\n\n{isolation_text(model, relations.horizon, relations.lags)}"
     show(model.name, "bold", rows, text=text)
 
 
-def _signals_text(model, names):
+def _signals_text(model: LinearSystem, names: Sequence[str]) -> str:
     signals = []
     for name in names:
         unit = model.unit(name)
@@ -59,12 +61,12 @@ def _signals_text(model, names):
     return ", ".join(signals) or "none"
 
 
-def _matrices_text(model):
+def _matrices_text(model: LinearSystem) -> str:
     direct = "present" if model.has_feedthrough else "zero"
     return f"A {model.n}x{model.n}, B {model.n}x{model.m}, C {model.p}x{model.n}, D {direct}"
 
 
-def _bounds_rows(model):
+def _bounds_rows(model: LinearSystem) -> list[tuple[str, str]]:
     """Return a row for each kind of bound."""
     rows = []
     for kind in SENSOR_BOUNDS:
@@ -80,19 +82,19 @@ def _bounds_rows(model):
     if model.d:
         rows.append(("unknown inputs", f"{model.d}, of which nothing is known"))
     for parameter in model.uncertainties:
-        lo, hi = map(float, parameter.between)
+        low, high = map(float, parameter.between)
         how = "varies" if parameter.varying else "constant"
-        rows.append(("parameter", f"{parameter.name} in [{lo:.6g}, {hi:.6g}], {how}"))
+        rows.append(("parameter", f"{parameter.name} in [{low:.6g}, {high:.6g}], {how}"))
     return rows
 
 
-def _nonzero_text(names, values):
+def _nonzero_text(names: Sequence[str], values: Sequence[Fraction]) -> str:
     """Return the numbers that are not 0 behind their names."""
     texts = [f"{name} {float(value):.6g}" for name, value in zip(names, values, strict=True) if value]
     return ", ".join(texts) or "none"
 
 
-def _origin(model, field):
+def _origin(model: LinearSystem, field: str) -> str:
     """Return the provenance of a field in brackets; of bounds that are 0 throughout there is none."""
     origin = model.provenance.get(field)
     if origin:
@@ -102,20 +104,20 @@ def _origin(model, field):
     return "(origin not stated)"
 
 
-def _relations_rows(relations):
+def _relations_rows(relations: ParityRelation | UncertainRelations) -> list[tuple[str, str]]:
     """Return rows on the windows and on how many relations are tested."""
     s = relations.horizon
     rows = [("horizon", f"{s}: a window has {s + 1} samples")]
-    lags = _lags(relations)
+    lags = relations.lags
     if lags:
         about = "so long before its last sample outputs are looked at"
         rows.append(("lags", f"{', '.join(map(str, lags))}: {about}"))
     rows.append(("relations", f"{relations.count} independent, {_tested_text(relations)}"))
-    rows += [("note", note) for note in getattr(relations, "notes", ())]
+    rows += [("note", note) for note in relations.notes]
     return rows
 
 
-def _tested_text(relations):
+def _tested_text(relations: ParityRelation | UncertainRelations) -> str:
     """Return how many combinations of relations a window is tested by."""
     if isinstance(relations, UncertainRelations):
         return f"polynomials of order {relations.order} in {len(relations.variables)} uncertain numbers"
@@ -124,16 +126,12 @@ def _tested_text(relations):
     return "combinations too many to list, the worst is searched for"
 
 
-def _lags(relations):
-    return getattr(relations, "lags", None)
-
-
 def plain_model(model: LinearSystem, relations: ParityRelation | UncertainRelations) -> dict[str, Any]:
     """Return a model, its relations and the sizes that are guaranteed, as JSON has them."""
     parameters = []
     for parameter in model.uncertainties:
-        ends = [float(x) for x in parameter.between]
-        parameters.append({"name": parameter.name, "between": ends, "varying": parameter.varying})
+        low, high = map(float, parameter.between)
+        parameters.append({"name": parameter.name, "between": [low, high], "varying": parameter.varying})
     plain: dict[str, Any] = {
         "name": model.name,
         "dt": model.dt,
@@ -146,19 +144,19 @@ def plain_model(model: LinearSystem, relations: ParityRelation | UncertainRelati
         "parameters": parameters,
         "provenance": dict(model.provenance),
         "relations": relations.text().splitlines(),
-        "notes": list(getattr(relations, "notes", ())),
+        "notes": list(relations.notes),
         "hints": bound_hints(model),
     }
     is_known = not model.uncertainties and not any(model.tolerance)
     if is_known and _seconds(model, relations.horizon) <= PATIENCE:
-        sizes = _guaranteed(model, relations.horizon, _lags(relations))
+        sizes = _guaranteed(model, relations.horizon, relations.lags)
         plain["guaranteed"] = {n: None if math.isinf(size) else float(size) for n, size in sizes.items()}
     return plain
 
 
-def _plain_signal(model, side, i, name):
+def _plain_signal(model: LinearSystem, side: str, i: int, name: str) -> dict[str, Any]:
     """Return an input (side "u") or an output ("y") as JSON has it."""
-    signal = {
+    signal: dict[str, Any] = {
         "name": name,
         "unit": model.unit(name),
         "column": model.column(name),
@@ -171,18 +169,20 @@ def _plain_signal(model, side, i, name):
     return signal
 
 
-def _seconds(model, horizon):
+def _seconds(model: LinearSystem, horizon: int) -> float:
     """Return about how long the tables of `isolation_text` take."""
     signals = model.outputs + model.inputs
     return len(signals) * (elimination_seconds(model, model.n, unknown=1) + relation_cost(model, horizon)[0])
 
 
-def _guaranteed(model, horizon, lags):
+def _guaranteed(model: LinearSystem, horizon: int, lags: tuple[int, ...] | None) -> dict[str, float]:
     """Return {signal: size} of the constant faults that fill a window and are detected whatever else
     happens.
     """
-    window = {"horizon": max(horizon, redundancy(model).horizon)} if lags is None else {"lags": lags}
-    return {name: detectable(model, name, **window) for name in model.outputs + model.inputs}
+    window: dict[str, Any] = {"lags": lags}
+    if lags is None:
+        window = {"horizon": max(horizon, redundancy(model).horizon)}
+    return {name: float(detectable(model, name, **window)) for name in model.outputs + model.inputs}
 
 
 def isolation_text(model: LinearSystem, horizon: int, lags: tuple[int, ...] | None = None) -> str:
@@ -227,13 +227,15 @@ def isolation_text(model: LinearSystem, horizon: int, lags: tuple[int, ...] | No
     return "\n".join([*out, *_sizes(model, horizon, lags)])
 
 
-def _sizes(model, horizon, lags):
+def _sizes(model: LinearSystem, horizon: int, lags: tuple[int, ...] | None) -> list[str]:
+    """Return lines on the guaranteed sizes."""
     if any(model.tolerance):
         return [
             "guaranteed sizes depend on the operating range: jb.detectable(model, signal, "
             "operating_range=...)"
         ]
-    samples = (max(horizon, redundancy(model).horizon) if lags is None else lags[-1]) + 1
+    last = max(horizon, redundancy(model).horizon) if lags is None else lags[-1]
+    samples = last + 1
     lines = [
         f"a constant fault that fills a window of {samples} samples is detected, whatever else happens, from "
         f"this size on:"

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import jax
 import numpy as np
@@ -29,10 +29,12 @@ from jaxbound.diagnosis.alarms import forgets_after
 from jaxbound.diagnosis.hints import bound_hints, outgrown, unfit
 from jaxbound.files.locks import refuse_link
 from jaxbound.models.modelfile import load_model
+from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.live import LiveSource
 from jaxbound.recordings.pipetext import PipeText
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import irregular, seam_hints
+from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stream import Stream
 from jaxbound.relations.identity import identity
 from jaxbound.relations.sentence import latched, remembers
@@ -65,7 +67,7 @@ def judge_input(
     min_coverage: float = 0.5,
     as_json: bool = False,
 ) -> int:
-    """Judge what comes from standard input, or from a live source, until a signal or its end.
+    """Judge samples from standard input, or from a live source, until a signal or its end.
 
     Args:
         As of `judge_stream`; data: "-", or the name of a live source, see `live`.
@@ -119,7 +121,8 @@ def judge_stream(
         stated = load_model(model)
         tested, relations = window_relations(stated, options, model, None, lambda stage, share: None)
         if not relations.searched:  # strips: sooner done than handed to another thread
-            jax.config.update("jax_cpu_enable_async_dispatch", False)
+            # jax states no types of this function
+            jax.config.update("jax_cpu_enable_async_dispatch", False)  # type: ignore[no-untyped-call]
         usable_device()
         judge = Live(Monitor(relations, options.method))
         path = _state_path(out, state)
@@ -138,7 +141,7 @@ def judge_stream(
             work = folder.work()
         with work as place:
             stream = _stream(data, relations.model, _Complaints(), before and before["source"], whole)
-            lines = _Lines(as_json, out is None)
+            lines = _PrintedLines(as_json, out is None)
             run = opened.enter_context(_LiveRun(stated, stream, judge, journal, lines, out, place))
             run.resume()
             if folder is not None:
@@ -153,20 +156,22 @@ def judge_stream(
     return summary.exit_code
 
 
-def _is_file():
+def _is_file() -> bool:
     """Return whether standard input is a file."""
     with door(OSError):
         return stat.S_ISREG(os.fstat(0).st_mode)
 
 
-def _stream(data, model, complaints, memory, whole):
+def _stream(
+    data: str, model: SignalModel, complaints: "_Complaints", memory: dict[str, Any] | None, whole: bool
+) -> Stream:
     """Return the Stream of the data."""
     if LiveSource.takes(data):
         return LiveSource(data, model).stream(complaints, memory)
     return PipeText(model, complaints, memory, whole)
 
 
-def _state_path(out, state):
+def _state_path(out: Path | None, state: Path | None) -> Path | None:
     """Return the path of the checkpoint, or None where none is kept."""
     if state is not None:
         return Path(state)
@@ -188,7 +193,7 @@ def _folder(model: Path, out: Path | None, state: Path | None) -> Iterator[Outpu
         if state is not None:
             refuse_targets({"--state": Path(state)}, inputs, force=True)
         if out is not None:
-            path = _state_path(out, state)
+            path = out / STATE if state is None else Path(state)
             if os.path.realpath(path) == os.path.realpath(out / VERDICTS):
                 raise Refused(f"--state {path} is where the verdicts are written: give another name")
             folder.check((VERDICTS, STATE), foreign=False)
@@ -198,7 +203,17 @@ def _folder(model: Path, out: Path | None, state: Path | None) -> Iterator[Outpu
 class _LiveRun:
     """One run: its stream, judge, sinks and checkpoint."""
 
-    def __init__(self, stated, stream, judge, journal, lines, out, place):
+    def __init__(
+        self,
+        stated: LinearSystem,
+        stream: Stream,
+        judge: Live,
+        journal: Journal | None,
+        lines: "_PrintedLines",
+        out: Path | None,
+        place: Path | None,
+    ) -> None:
+        """Begin with nothing judged."""
         self.stream, self.judge, self.lines = stream, judge, lines
         relations = judge.monitor.relations
         self.hints = bound_hints(stated, relations)
@@ -206,12 +221,16 @@ class _LiveRun:
         self.tally = Tally(stream.when, relations.horizon)
         self.alarms = AlarmEnds(forgets_after(relations))
         lines.alarms = self.alarms
-        self.file = None if out is None else RowFile(out / VERDICTS, lines.text, journal.path)
+        self.file = None
+        if out is not None and journal is not None:  # a folder has a state
+            self.file = RowFile(out / VERDICTS, lines.text, journal.path)
         self.outputs: list[Sink] = [] if place is None else open_sinks(place, whole=False)
         self.sinks = self._named_sinks()
         self.checkpoint = None
         if journal is not None:
-            self.checkpoint = LiveCheckpoint(journal, stream, judge, self.sinks)
+            # what this judge remembers is a list of texts
+            kept = cast(Any, judge)
+            self.checkpoint = LiveCheckpoint(journal, stream, kept, self.sinks)
         self.resumed = journal is not None and journal.before is not None
 
     def _named_sinks(self) -> Mapping[str, Any]:
@@ -240,15 +259,17 @@ class _LiveRun:
         """Judge everything that comes; return the Summary."""
         self.judge.compile()
         if self.resumed:
-            last = self.stream.label(self.tally.last)
+            last = self.stream.label(cast("str | float", self.tally.last))  # a state has one
             say(f"going on after {self.stream.clock.samples} samples, the last at {last}")
             self.lines.flush()
-        for _ in follow(self.stream.pieces(chunks), self.judge, [*self.sinks.values()], self.checkpoint):
+        for _ in follow(
+            self.stream.pieces(iter(chunks)), self.judge, [*self.sinks.values()], self.checkpoint
+        ):
             pass
         return self.conclude(min_coverage)
 
     def conclude(self, min_coverage: float) -> Summary:
-        """Say what was found and return its Summary."""
+        """Say the conclusion in words and return its Summary."""
         if self.file is not None:
             self.file.force()
         if self.checkpoint is not None:
@@ -285,7 +306,7 @@ class _LiveRun:
         say(f"{sentence} {clock.samples} samples: {some}")
         return Summary(verdict, sentence, numbers, worst, hints=hints, model=relations.model.name)
 
-    def _hints(self, counts, margin):
+    def _hints(self, counts: dict[str, int], margin: float) -> list[str]:
         """Return sentences to check; some may be empty."""
         clock, relations = self.stream.clock, self.judge.monitor.relations
         where, counted = (lambda k: f"sample {k}"), (lambda k: "counted from 0")
@@ -302,7 +323,7 @@ class _LiveRun:
         return [*hints, *endings_said(self.alarms.endings, self.alarms.alarms)]
 
 
-class _Lines:
+class _PrintedLines:
     """Lines of verdicts on stdout, a sink.
 
     Args:
@@ -356,7 +377,7 @@ class _Lines:
             if self.alone:
                 raise KeyboardInterrupt("nobody reads the verdicts any more: stopped") from None
 
-    def _printed(self, rows):
+    def _printed(self, rows: bytes) -> bytes:
         """Return rows of verdicts.csv as they go to stdout."""
         if not self.json:
             return rows.replace(b",true\n", b"\n").replace(b",false\n", b"\n")
@@ -369,12 +390,14 @@ class _Lines:
         return "".join(lines).encode()
 
 
-def _number(text):
+def _number(text: str) -> float | None:
     """Return the number in a cell, None of an empty one."""
-    return float(text) if text else None
+    if not text:
+        return None
+    return float(text)
 
 
-def _is_text(piece):
+def _is_text(piece: Recording) -> bool:
     """Return whether the time of a piece is written as text."""
     return str(piece.column.type) in ("string", "large_string")
 

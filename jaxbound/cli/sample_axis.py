@@ -1,7 +1,11 @@
-"""The samples of a recording by their number and by their time."""
+"""The samples of a recording by their number and by their time.
+
+A time is datetime64 where the recording has stamps, else seconds as a float.
+"""
 
 import numpy as np
 
+from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.source import Source
 
 __all__ = ["SampleAxis"]
@@ -34,13 +38,13 @@ class SampleAxis:
             return k
         time = self._parsed(text)
         nearest = self._nearest(time)
-        step = abs(self._time(self.samples - 1) - self._time(0)) / max(self.samples - 1, 1)
-        if abs(self._time(nearest) - time) > step / 2:
+        step = abs(self._axis(self.samples - 1)[0] - self._axis(0)[0]) / max(self.samples - 1, 1)
+        if abs(self._axis(nearest)[0] - time) > step / 2:
             ends = f"the recording runs from {self.label(0)} to {self.label(self.samples - 1)}"
             raise ValueError(f"no sample lies at {text}: the nearest is at {self.label(nearest)}; {ends}")
         return nearest
 
-    def _numbered(self, text):
+    def _numbered(self, text: str) -> int:
         if 0 <= int(text) < self.samples:
             return int(text)
         other = f"; for the time write --at {text}s" if self.also_a_time(text) else ""
@@ -48,17 +52,17 @@ class SampleAxis:
             f"there is no sample {text}: the recording has {self.samples}, numbered from 0{other}"
         )
 
-    def _nearest(self, time):
+    def _nearest(self, time: np.datetime64 | float) -> int:
         """Return the number of the sample that lies nearest to a time."""
         low, high = 0, self.samples - 1  # the last sample that is not later is between them
         while low < high:
             middle = (low + high + 1) // 2
-            if self._time(middle) <= time:
+            if self._axis(middle)[0] <= time:
                 low = middle
             else:
                 high = middle - 1
         neighbours = [k for k in (low, low + 1) if k < self.samples]
-        return min(neighbours, key=lambda k: abs(self._time(k) - time))
+        return min(neighbours, key=lambda k: abs(self._axis(k)[0] - time))
 
     def also_a_time(self, text: str) -> str:
         """Return a sentence where the number of a sample is a time of the recording, too, and of another
@@ -67,13 +71,13 @@ class SampleAxis:
         text = text.strip()
         if not text.isdecimal() or self.is_stamped or not self.label(0).endswith(" s"):
             return ""
-        if not self._time(0) <= int(text) <= self._time(self.samples - 1):
+        if not self._axis(0)[0] <= int(text) <= self._axis(self.samples - 1)[0]:
             return ""
         if self.label(min(int(text), self.samples - 1)) == f"{text} s":
             return ""
         return f"sample {text}; for the time write --at {text}s"
 
-    def _parsed(self, text):
+    def _parsed(self, text: str) -> np.datetime64 | float:
         try:
             if self.is_stamped:
                 return np.datetime64(text.replace(" ", "T").removesuffix("Z"), "ns")
@@ -82,8 +86,11 @@ class SampleAxis:
             like = f"its time as alarms.csv has it, like {self.label(0)}"
             raise ValueError(f"--at {text} names no sample: give its number, or {like}") from None
 
-    def _time(self, k):
-        return self._one(k).axis[0]
+    def _axis(self, k: int) -> np.ndarray:
+        """Return the time of sample k, (1,)."""
+        axis = self._one(k).axis
+        assert axis is not None, "a sample that is read has a time, or a number in its place"
+        return axis
 
-    def _one(self, k):
+    def _one(self, k: int) -> Recording:
         return self.source.read(k, k + 1)

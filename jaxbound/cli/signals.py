@@ -56,7 +56,7 @@ def ends() -> Iterator[Ends]:
 
 
 @contextmanager
-def _waking():
+def _waking() -> Iterator[int | None]:
     """Give the number of a file that can be read once a signal came, None where the system has none."""
     if not CAN_WAIT:
         yield None
@@ -73,7 +73,7 @@ def _waking():
 
 
 def arrivals(raw: Any, end: Ends) -> Iterator[Any]:
-    """Yield what comes, as soon as something does; None, at the end, if a signal ended it.
+    """Yield bytes or items as soon as some come; None, at the end, if a signal ended it.
 
     Args:
         raw: the number of an open file, of which bytes come; or an iterator.
@@ -86,7 +86,7 @@ def arrivals(raw: Any, end: Ends) -> Iterator[Any]:
     return _by_select(raw, end, end.woken)
 
 
-def _enlarge(fd):
+def _enlarge(fd: int) -> None:
     """Let a pipe hold more, so that the sender waits less."""
     try:
         import fcntl
@@ -96,7 +96,7 @@ def _enlarge(fd):
         pass
 
 
-def _by_select(fd, end, woken):
+def _by_select(fd: int, end: Ends, woken: int) -> Iterator[bytes | None]:
     """Yield bytes of a file."""
     while True:
         ready, _, _ = select.select([fd, woken], [], [])
@@ -110,7 +110,7 @@ def _by_select(fd, end, woken):
             yield data
 
 
-def _read(fd):
+def _read(fd: int) -> Iterator[bytes]:
     """Yield bytes of a file until its end."""
     while data := os.read(fd, AT_ONCE):
         yield data

@@ -203,7 +203,8 @@ def _sizes(text: str | None) -> list[float] | None:
         lo, hi, count = text.split(":")
         if int(count) > MOST_SIZES:
             raise Refused(f"--sizes asks for {int(count)} sizes of a fault: at most {MOST_SIZES} are studied")
-        return np.linspace(float(lo), float(hi), int(count)).tolist()
+        sizes: list[float] = np.linspace(float(lo), float(hi), int(count)).tolist()
+        return sizes
     except ValueError:
         raise Refused(
             f"--sizes needs lo:hi:count, like 0.1:1:10, or numbers with commas, not {text!r}"

@@ -1,8 +1,9 @@
 """The files of a Monte-Carlo study, and its conclusion on the terminal or as JSON."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -12,6 +13,9 @@ from jaxbound.recordings.columns import texts, to_arrow, write_columns
 from jaxbound.reports.study import COLUMNS, HEAD, sentence, study_page, study_rows
 from jaxbound.studies.montecarlo.study_result import StudyResult, delay_table, study_table
 from jaxbound.text.characters import cell
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 __all__ = ["FILES", "conclude_study", "write_study"]
 
@@ -33,7 +37,7 @@ def write_study(work: Path, result: StudyResult, seed: int, seconds: float) -> N
     (work / "report.html").write_text(study_page(result, seed, seconds), encoding="utf-8")
 
 
-def _column(values, written=str):
+def _column(values: np.ndarray, written: Callable[[Any], str] = str) -> "pa.Array":
     """Return numbers, or texts as they are written, as a pyarrow array."""
     if values.dtype != object:
         return to_arrow(values)
@@ -75,7 +79,7 @@ def _plain_study(result: StudyResult, page: str) -> dict[str, Any]:
     }
 
 
-def _number_or_none(x):
+def _number_or_none(x: object) -> object:
     """Return None for a float that is not finite: JSON has no such number."""
     if isinstance(x, float) and not np.isfinite(x):
         return None

@@ -22,6 +22,7 @@ __all__ = [
     "NORMAL",
     "OK",
     "QUIET",
+    "Refused",
     "VERBOSE",
     "door",
     "nobody_reads",
@@ -34,12 +35,7 @@ __all__ = [
     "write",
 ]
 
-OK, BAD_INPUT, INTERNAL, INTERRUPTED = (
-    0,
-    2,
-    70,
-    130,
-)  # exit codes of every command; those of verdicts: `detecting.CODES`
+OK, BAD_INPUT, INTERNAL, INTERRUPTED = 0, 2, 70, 130  # of every command; of verdicts: `runs.summary`
 QUIET, NORMAL, VERBOSE = 0, 1, 2
 LOUDNESS: ContextVar[int] = ContextVar("loudness", default=NORMAL)
 """How much a command says: -q the first line of its conclusion, -v more than it would."""
@@ -61,7 +57,9 @@ def system_trouble(e: BaseException) -> str:
     """Return the sentence of an exception; one of the file system names its file."""
     if not isinstance(e, OSError) or not e.strerror:
         return str(e)
-    return f"{e.filename}: {e.strerror.lower()}" if e.filename else e.strerror.lower()
+    if not e.filename:
+        return e.strerror.lower()
+    return f"{e.filename}: {e.strerror.lower()}"
 
 
 @contextmanager
@@ -72,13 +70,11 @@ def stoppable() -> Iterator[list[int]]:
     Ctrl-C does.
     """
     caught = []
-    names = (
-        {n for n in ENDS if signal.getsignal(n) == signal.SIG_DFL}
-        if threading.current_thread() is threading.main_thread()
-        else ()
-    )
+    names: set[signal.Signals] = set()
+    if threading.current_thread() is threading.main_thread():
+        names = {n for n in ENDS if signal.getsignal(n) == signal.SIG_DFL}
 
-    def stop(number, frame):
+    def stop(number: int, frame: object) -> None:
         caught.append(number)
         for n in names:
             signal.signal(n, signal.SIG_IGN)
@@ -129,7 +125,7 @@ def progress_bars(stages: Sequence[str]) -> Iterator[Callable[[str, float], obje
 class _Lines:
     """Progress in a log: a line every minute while work goes on; with -v also one where a stage begins."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.start = self.last = time.monotonic()
         self.stage = ""
 
@@ -155,9 +151,8 @@ def write(text: str) -> None:
         return
     try:
         encoding = sys.stdout.encoding or "utf-8"
-        sys.stdout.write(
-            text.encode(encoding, "backslashreplace").decode(encoding)
-        )  # letters that it cannot show
+        # letters that it cannot show are written as numbers
+        sys.stdout.write(text.encode(encoding, "backslashreplace").decode(encoding))
         sys.stdout.flush()
     except BrokenPipeError:  # the reader, `head` perhaps, has seen enough
         nobody_reads()
@@ -191,10 +186,8 @@ def show(
     from rich.table import Table
     from rich.text import Text
 
-    page, shown = (
-        io.StringIO(),
-        Console(),
-    )  # what rich itself writes to stdout, a full or closed one would break
+    # what rich itself writes to stdout, a full or closed one would break
+    page, shown = io.StringIO(), Console()
     terminal = shown.is_terminal
     console = Console(file=page, force_terminal=terminal, width=shown.width if terminal else 160)
     grid = Table.grid(padding=(0, 2))
@@ -214,7 +207,10 @@ def show(
         console.print(grid)
     if text:
         console.print(Text(printable(text, "\n")), soft_wrap=True)
-    write(page.getvalue() if terminal else "\n".join(line.rstrip() for line in page.getvalue().split("\n")))
+    if terminal:
+        write(page.getvalue())
+    else:
+        write("\n".join(line.rstrip() for line in page.getvalue().split("\n")))
 
 
 def say(sentence: str) -> None:

@@ -1,11 +1,12 @@
 """Tuned bounds: the model file that gets them, and their description on the terminal and as JSON."""
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import jax
 import numpy as np
 
 from jaxbound.cli.terminal import show
@@ -42,7 +43,7 @@ def is_unfinished(path: Path) -> bool:
     return content == _mark(text) + text
 
 
-def _mark(text):
+def _mark(text: bytes) -> bytes:
     return MARK % hashlib.sha256(text).hexdigest().encode()
 
 
@@ -92,7 +93,7 @@ def plain_tuning(tuning: TuneResult, out: Path, hints: Sequence[str]) -> dict[st
     }
 
 
-def _plain_bounds(bounds):
+def _plain_bounds(bounds: Mapping[str, np.ndarray | jax.Array]) -> dict[str, list[Any]]:
     return {kind: np.asarray(values).tolist() for kind, values in bounds.items()}
 
 
@@ -121,7 +122,7 @@ def show_tuning(tuning: TuneResult, written: Sequence[str], hints: Sequence[str]
     show(f"{tuning.model.name}: bounds tuned", "bold", rows, table=table)
 
 
-def _counts_text(counts):
+def _counts_text(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{n} {name}" for name, n in counts.items() if n)
 
 
@@ -133,6 +134,7 @@ def _moved_bounds(tuning: TuneResult) -> Iterator[tuple[str, str, str, str]]:
         "noise": model.outputs,
         "disturbance": tuple(f"w{j + 1}" for j in range(model.g)),
     }
+    exact: dict[str, Sequence[Fraction | tuple[Fraction, Fraction]]]
     exact = {"tolerance": model.tolerance, "noise": model.noise, "disturbance": model.disturbance}
     parameters = tuple(u.name for u in model.uncertainties)
     for kind, bounds in relations.bounds.items():
@@ -145,12 +147,12 @@ def _moved_bounds(tuning: TuneResult) -> Iterator[tuple[str, str, str, str]]:
             yield name, _rounded_text(start), _rounded_text(smallest), _exact_text(written)
 
 
-def _rounded_text(bound):
+def _rounded_text(bound: np.ndarray | jax.Array) -> str:
     """Return a bound, or its two ends, with six digits."""
     return " to ".join(f"{end:.6g}" for end in np.ravel(bound))
 
 
-def _exact_text(bound):
+def _exact_text(bound: Fraction | tuple[Fraction, Fraction]) -> str:
     """Return a bound, or its two ends, as the model file has it."""
     if isinstance(bound, Fraction):
         return number_text(bound)

@@ -2,10 +2,10 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn, cast
 
 import jax
 import numpy as np
@@ -13,6 +13,7 @@ import numpy as np
 from jaxbound.cli.evaluation import Evaluation
 from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.terminal import door, usable_device
+from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarms import Alarm, group_alarms
 from jaxbound.diagnosis.hints import bound_hints, outgrown
 from jaxbound.estimation.validation import Validation, least_horizon, validate
@@ -20,6 +21,7 @@ from jaxbound.models.modelfile import load_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.columns import to_arrow, words
 from jaxbound.recordings.read import open_source
+from jaxbound.recordings.recording import Recording
 from jaxbound.reports.validation import write_page
 from jaxbound.runs.judges import Whole
 from jaxbound.runs.loop import follow
@@ -29,6 +31,10 @@ from jaxbound.runs.sinks import close_all, open_sinks
 from jaxbound.runs.summary import Evidence, evidence, summarised
 from jaxbound.runs.verdictfiles import columns_of
 from jaxbound.sets.floats.status import Status
+from jaxbound.sets.intervals.interval import Interval
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 __all__ = ["Validated", "evaluate_validation"]
 
@@ -50,9 +56,20 @@ class Validated:
     method = "validation"
     remembers = False  # a page says of it that it looks at windows
 
-    relations = property(lambda self: self, doc="Where reports look for the model and the horizon.")
-    status = property(lambda self: np.asarray(self.found.status), doc="(T,) int8.")
-    margin = property(lambda self: np.full(len(self.y), np.nan), doc="(T,): validation measures none.")
+    @property
+    def relations(self) -> Relations:
+        """The value itself, in which reports look for the model and the horizon."""
+        return cast(Relations, self)  # it has those two, and `remembers`: no more is asked of it there
+
+    @property
+    def status(self) -> np.ndarray:
+        """(T,) int8."""
+        return np.asarray(self.found.status)
+
+    @property
+    def margin(self) -> np.ndarray:
+        """(T,): validation measures none."""
+        return np.full(len(self.y), np.nan)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -95,15 +112,24 @@ class Validated:
 
 
 @evidence.register(Validated)
-def _(res, alarms):
+def _(res: Validated, alarms: Sequence[Alarm]) -> Evidence:
     first = res.first_fault
-    ended = dict(Counter(a.ended for a in alarms))
-    about = dict(aside=res.aside, at=first, first=first, alarms=len(alarms), ended=ended, faulty=res.blamed)
-    return Evidence(res.method, res.horizon, len(res.y), res.counts, **about)
+    return Evidence(
+        res.method,
+        res.horizon,
+        len(res.y),
+        res.counts,
+        aside=res.aside,
+        at=first,
+        first=first,
+        alarms=len(alarms),
+        ended=dict(Counter(a.ended for a in alarms)),
+        faulty=res.blamed,
+    )
 
 
-@columns_of.register
-def _(res: Validated):
+@columns_of.register(Validated)
+def _(res: Validated) -> dict[str, "pa.Array"]:
     """Return the status, for each output its faults, its band and its corrected value, and bands of states.
 
     A bound that is not known, as in the first samples, is blank.
@@ -123,17 +149,17 @@ def _(res: Validated):
     return columns
 
 
-def _band(name, bounds, i):
+def _band(name: str, bounds: Interval, i: int) -> dict[str, "pa.Array"]:
     """Return the two columns of the bounds of signal i."""
     lo, hi = _ends(bounds, i)
     return {f"{name}.lo": _blank(lo), f"{name}.hi": _blank(hi)}
 
 
-def _ends(bounds, i):
+def _ends(bounds: Interval, i: int) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(bounds.lo)[:, i], np.asarray(bounds.hi)[:, i]
 
 
-def _blank(x):
+def _blank(x: np.ndarray) -> "pa.Array":
     """Return numbers as a column, nothing where they are not finite."""
     return to_arrow(np.where(np.isfinite(x), x, np.nan))
 
@@ -153,7 +179,7 @@ def evaluate_validation(
     with door():
         plant = load_model(model)
         source = open_source(data, plant)
-        held, recording = source.content, source.read(progress=lambda share: step("read", share))
+        content, recording = source.content, source.read(progress=lambda share: step("read", share))
         if options.lags is not None:
             raise ValueError(
                 f"--lags is for other methods: {VALIDATION} takes every sample of a recording in turn"
@@ -171,13 +197,13 @@ def evaluate_validation(
     reaches = outgrown(plant, res, "validation")
     hints = (*recording.hints, *bound_hints(plant), *reaches, *_assumptions(res, recording))
     summary = summarised(res, alarms, recording.label, min_coverage, hints, outgrown=bool(reaches))
-    close_all(sinks, Outcome(alarms, summary, plant, Path(data), held, options.method, horizon))
+    close_all(sinks, Outcome(alarms, summary, plant, Path(data), content, options.method, horizon))
     write_page(work, res, recording, summary, seconds=seconds, progress=lambda share: step("report", share))
     seconds["report"] = time.perf_counter() - start
     return Evaluation(summary, plant, seconds)
 
 
-def _assumptions(res, recording):
+def _assumptions(res: Validated, recording: Recording) -> list[str]:
     """Return sentences on what the verdicts of a validation rest on beside the bounds."""
     samples = "complete samples, here and behind each gap," if len(recording.starts) else "samples"
     sentences = [
@@ -196,13 +222,13 @@ def _assumptions(res, recording):
     return sentences
 
 
-def _validated(model, recording, horizon):
+def _validated(model: LinearSystem, recording: Recording, horizon: int) -> Validated:
     """Return the Validated of a recording."""
     found = validate(model, recording, horizon=horizon)
     return Validated(model, horizon, recording.y, jax.tree.map(np.asarray, found), recording.aside(horizon))
 
 
-def _complete(data, recording, horizon):
+def _complete(data: Path | str, recording: Recording, horizon: int) -> None:
     """Raise ValueError if a sample that validation cannot do without is missing; where nothing is known there
     is a gap, which it can.
     """

@@ -1,11 +1,10 @@
 """A second opinion: windows drawn at random from what an accelerator judged are judged again on the CPU."""
 
-from typing import Any
-
 import jax
 import numpy as np
 
 from jaxbound.diagnosis.detection import detect
+from jaxbound.diagnosis.result import Result
 from jaxbound.sets.floats.probe import usable_devices
 from jaxbound.sets.floats.status import Status
 
@@ -14,7 +13,7 @@ __all__ = ["COUNT", "again_hints", "again_said", "decided_again", "judged_elsewh
 COUNT = 1000
 
 
-def decided_again(res: Any, count: int = COUNT, seed: int = 0) -> int:
+def decided_again(res: Result, count: int = COUNT, seed: int = 0) -> int:
     """Decide windows of a Result again on the CPU.
 
     Args:
@@ -34,56 +33,61 @@ def decided_again(res: Any, count: int = COUNT, seed: int = 0) -> int:
         >>> decided_again(jb.detect(jb.parity_relations(m), None, [[1.0], [0.5], [0.9]]))
         2
     """
-    if res.relations.remembers:
+    relations = res.relations
+    if relations.remembers:
         return 0
-    s, status = res.relations.horizon, np.asarray(res.status)
-    known = np.argwhere(status != Status.MISSING)
-    some = known[np.random.default_rng(seed).permutation(len(known))[:count]]
+    status = np.asarray(res.status)
+    tested = np.argwhere(status != Status.MISSING)
+    some = tested[np.random.default_rng(seed).permutation(len(tested))[:count]]
     if not len(some):
         return 0
-    *where, end = some.T
-    cut = lambda x: np.asarray(x)[(*(i[:, None] for i in where), end[:, None] + np.arange(-s, 1))]
+    *recordings, ends = some.T
+    samples = (*(i[:, None] for i in recordings), ends[:, None] + np.arange(-relations.horizon, 1))
+    u, y = np.asarray(res.u)[samples], np.asarray(res.y)[samples]
     with jax.default_device(jax.local_devices(backend="cpu")[0]):
-        second = np.asarray(detect(res.relations, cut(res.u), cut(res.y), method=res.method).status)[:, -1]
+        second = np.asarray(detect(relations, u, y, method=res.method).status)[:, -1]
     first = status[tuple(some.T)]
-    proved = lambda x: (x == Status.FAULT) | (x == Status.CONSISTENT)
-    wrong = proved(first) & proved(second) & (first != second)
+    wrong = _proved(first) & _proved(second) & (first != second)
     if wrong.any():
-        k, names = (
-            tuple(map(int, some[np.argmax(wrong)])),
-            [Status(int(x[np.argmax(wrong)])).name for x in (first, second)],
-        )
+        k = int(np.argmax(wrong))
         raise RuntimeError(
             f"{int(wrong.sum())} of {len(some)} windows were decided otherwise on the CPU, first the one "
-            f"that ends at {k[-1]}: {names[0]}, "
-            f"there {names[1]}: this device proves nothing, run with JAX_PLATFORMS=cpu and please report it"
+            f"that ends at {int(ends[k])}: {Status(int(first[k])).name}, there "
+            f"{Status(int(second[k])).name}: this device proves nothing, run with JAX_PLATFORMS=cpu and "
+            f"please report it"
         )
     return len(some)
 
 
-def again_hints(res: Any) -> tuple[str, ...]:
+def _proved(status: np.ndarray) -> np.ndarray:
+    return np.isin(status, (Status.FAULT, Status.CONSISTENT))
+
+
+def again_hints(res: Result) -> tuple[str, ...]:
     """Return the sentence of a report on windows that were decided again; none where the CPU judged all of
     them. See `decided_again`.
     """
     devices = judged_elsewhere()
-    return again_said(devices, decided_again(res)) if devices else ()
+    if not devices:
+        return ()
+    return again_said(devices, decided_again(res))
 
 
 def judged_elsewhere() -> str:
     """Return the kinds of devices that judge, as text; "" where these are CPUs alone."""
     devices = {device.platform for device in usable_devices()}
-    return "" if devices == {"cpu"} else ", ".join(sorted(devices))
+    if devices == {"cpu"}:
+        return ""
+    return ", ".join(sorted(devices))
 
 
 def again_said(devices: str, count: int) -> tuple[str, ...]:
     """Return the sentence on so many windows that were judged on devices and decided again; none if there are
     no such.
     """
+    if not count:
+        return ()
     return (
-        (
-            f"judged on {devices}; {count} windows drawn at random were decided again on the CPU, and none "
-            f"differs",
-        )
-        if count
-        else ()
+        f"judged on {devices}; {count} windows drawn at random were decided again on the CPU, and none "
+        f"differs",
     )

@@ -1,14 +1,17 @@
 """Alarms: FAULT windows grouped for people. Separate from the proof, which they never change."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from fractions import Fraction
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxbound.certificates.interface import WindowCertificate
+from jaxbound.consistency.interface import Relations
 from jaxbound.relations.sentence import latched
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
@@ -44,6 +47,33 @@ LATCHED = -1
 NO_SAMPLE, NO_DATA, OTHER = range(3)  # what follows an alarm
 
 
+class Explained(Protocol):
+    """Verdicts whose windows are explained."""
+
+    def explain(self, at: int) -> WindowCertificate:
+        """Return the certificate of the window that ends at a sample; of a batch `at` is a tuple."""
+
+
+class Grouped(Explained, Protocol):
+    """Verdicts that are grouped into alarms, as a Result has them."""
+
+    @property
+    def status(self) -> np.ndarray:
+        """(..., T)."""
+
+    @property
+    def margin(self) -> np.ndarray:
+        """(..., T)."""
+
+
+@runtime_checkable
+class Isolated(Protocol):
+    """Verdicts that leave some single faults."""
+
+    def remaining(self, start: int, end: int, recording: tuple[int, ...] = ()) -> tuple[str, ...]:
+        """Return the single faults that can explain every FAULT window between two samples."""
+
+
 @readable
 @dataclass(frozen=True)
 class Alarm:
@@ -71,21 +101,24 @@ class Alarm:
     windows: int
     depth: float
     worst: int
-    recording: tuple = ()
-    result: Any = field(default=None, repr=False, compare=False)
+    recording: tuple[int, ...] = ()
+    result: Explained | None = field(default=None, repr=False, compare=False)
     ended: str = field(default="", repr=False)
 
     @cached_property
-    def certificate(self) -> Any:
+    def certificate(self) -> WindowCertificate:
         """The Certificate of the worst window, worked out at the first call."""
         if self.result is None:
             raise ValueError(
                 "this alarm came without the result it was found in: ask that to explain its worst window"
             )
-        return self.result.explain((*self.recording, self.worst) if self.recording else self.worst)
+        at: Any = self.worst  # a tuple is for those alone that have recordings side by side
+        if self.recording:
+            at = (*self.recording, self.worst)
+        return self.result.explain(at)
 
     @property
-    def errors(self) -> dict[str, Any]:
+    def errors(self) -> Mapping[str, Fraction | float]:
         """{output: the smallest error of that sensor alone that would explain the worst window}, exact; see
         `Certificate.errors`.
         """
@@ -98,9 +131,7 @@ class Alarm:
 
         Of any other signal it is proved that no error of it alone explains the alarm.
         """
-        if hasattr(
-            self.result, "remaining"
-        ):  # a bank of relations says it of all windows of the alarm at once
+        if isinstance(self.result, Isolated):  # a bank says it of all windows of the alarm at once
             return self.result.remaining(self.start, self.end, self.recording)
         return self.certificate.candidates
 
@@ -114,47 +145,49 @@ def check_rule(k: int, n: int, hold: int = 0, clear: int = 1) -> None:
         raise ValueError(f"k of n needs k <= n: {k} of {n}")
 
 
-def group_alarms(result: Any, k: int, n: int, hold: int, clear: int, horizon: int | None) -> list[Alarm]:
-    """See `Result.alarms`. Array operations over time; the loop is over alarms.
+def group_alarms(result: Grouped, k: int, n: int, hold: int, clear: int, horizon: int | None) -> list[Alarm]:
+    """Group the FAULT windows of a Result: see `Result.alarms`. Array operations over time; the loop is over
+    alarms.
 
     Args:
         horizon: of the windows; 0 where verdicts rest on all samples before, so that an onset leaves no
             window; of an observer None, or LATCHED.
     """
     check_rule(k, n, hold, clear)
-    shape = result.status.shape
-    recordings = math.prod(shape[:-1])
-    fault = (result.status == Status.FAULT).reshape(recordings, shape[-1])
-    missing = (result.status == Status.MISSING).reshape(recordings, shape[-1])
-    margin = result.margin.reshape(recordings, shape[-1])
+    *batch, T = result.status.shape
+    recordings = math.prod(batch)
+    status, margin = result.status.reshape(recordings, T), result.margin.reshape(recordings, T)
+    fault, missing = status == Status.FAULT, status == Status.MISSING
     alarms = []
     for row in np.flatnonzero(fault.any(1)):
-        recording = tuple(int(i) for i in np.unravel_index(row, shape[:-1])) if len(shape) > 1 else ()
+        recording = tuple(map(int, np.unravel_index(row, tuple(batch))))
         *columns, first, last = stretches(fault[row], margin[row], k, n, hold, clear)
         codes = endings(first, last, follows(missing[row], columns[1]), horizon)
-        rows = zip(*(x.tolist() for x in columns), codes.tolist(), strict=True)
-        alarms += [
-            Alarm(start, end, windows, depth, worst, recording, result, ENDINGS[code])
-            for start, end, windows, depth, worst, code in rows
-        ]
+        rows = zip(*map(np.ndarray.tolist, columns), codes.tolist(), strict=True)
+        for start, end, windows, depth, worst, code in rows:
+            alarms.append(Alarm(start, end, windows, depth, worst, recording, result, ENDINGS[code]))
     return alarms
 
 
-def forgets_after(relations: Any) -> int | None:
+def forgets_after(relations: Relations) -> int | None:
     """Return how many samples after an onset no window of relations holds it any more: their horizon.
 
     Of an observer None, LATCHED where its FAULT stays until a gap.
     """
     if latched(relations):
         return LATCHED
-    return None if relations.remembers else relations.horizon
+    if relations.remembers:
+        return None
+    return relations.horizon
 
 
 def follows(missing: np.ndarray, end: ArrayLike) -> np.ndarray:
-    """Return what comes after the alarms that end at samples `end`; missing: (T,) bool, windows without
-    data.
+    """Return NO_SAMPLE, NO_DATA or OTHER: what comes after each alarm that ends at samples `end`.
+
+    Args: missing: (T,) bool, windows without data.
     """
-    return np.append(np.where(missing, NO_DATA, OTHER), NO_SAMPLE)[np.asarray(end, int) + 1]
+    after = np.append(np.where(missing, NO_DATA, OTHER), NO_SAMPLE)
+    return np.asarray(after[np.asarray(end, int) + 1])
 
 
 def endings(
@@ -168,8 +201,10 @@ def endings(
             has no sample before that. None: of an observer, which leaves what it contradicts only to begin
             anew; LATCHED: only at a gap.
     """
-    if horizon is None or horizon == LATCHED:
-        return np.where(after == NO_SAMPLE, 0, ENDINGS.index(BEGAN_ANEW if horizon is None else GAP))
+    if horizon is None:
+        return np.where(after == NO_SAMPLE, 0, ENDINGS.index(BEGAN_ANEW))
+    if horizon == LATCHED:
+        return np.where(after == NO_SAMPLE, 0, ENDINGS.index(GAP))
     return np.where(after == OTHER, np.where(last - first < horizon, 2, 3), after)
 
 
@@ -193,9 +228,7 @@ def stretches(
     on = np.flatnonzero(count[n:] - count[:-n] >= k)
     if not len(on):
         return on, on, on, margin[on], on, on, on
-    breaks = np.flatnonzero(
-        np.diff(on) > hold + clear
-    )  # the quiet samples between two on-samples: their distance - 1
+    breaks = np.flatnonzero(np.diff(on) > hold + clear)  # quiet samples between two: their distance - 1
     starts = on[np.concatenate([[0], breaks + 1])]
     ends = np.minimum(on[np.concatenate([breaks, [len(on) - 1]])] + hold, len(fault) - 1)
     lengths = ends - starts + 1

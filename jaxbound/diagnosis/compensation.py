@@ -1,11 +1,10 @@
-"""What the linearized test lacks on healthy data, for models with uncertain parameters."""
-
-from typing import Any
+"""The compensation that the linearized test lacks on healthy data, for models with uncertain parameters."""
 
 from numpy.typing import ArrayLike
 
 from jaxbound.consistency.parametric_margins import needed_compensation
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.table import Data
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.probe import refuse_unverified
 
@@ -13,7 +12,7 @@ __all__ = ["compensation"]
 
 
 def compensation(
-    relations: UncertainRelations, u: Any, y: Any = None, share: float = 0.0, starts: ArrayLike = ()
+    relations: UncertainRelations, u: Data, y: Data = None, share: float = 0.0, starts: ArrayLike = ()
 ) -> float:
     """Return the smallest compensation under which the linearized test lets a healthy recording pass.
 
@@ -56,5 +55,5 @@ def compensation(
             f"share is the part of the windows that may stay suspect: 0 <= share < 1, not {share}"
         )
     refuse_unverified()
-    given = Recording.of(relations.model, u, y, starts).finite()
-    return needed_compensation(relations, given, share)
+    recording = Recording.of(relations.model, u, y, starts).finite()
+    return float(needed_compensation(relations, recording, share))

@@ -1,4 +1,4 @@
-"""Which faults are guaranteed to be seen? The smallest constant fault that no noise, disturbance or unknown
+"""Faults that are guaranteed to be seen: the smallest constant fault that no noise, disturbance or unknown
 input can hide.
 
 A fault f shifts the rows of a window by f phi. Two behaviours can share a recording iff their rows differ by
@@ -18,29 +18,31 @@ widened by e sigma f / 2 on the rows of the faulty sensor. The size is then enou
 import math
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.observer_sizes import least_seen
 from jaxbound.estimation.observer import observer
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.exact import linalg
 from jaxbound.exact.chebyshev import chebyshev, subspace
-from jaxbound.exact.linalg import dot
+from jaxbound.exact.linalg import Number, Row, Vector, dot
 from jaxbound.exact.price import SECONDS
 from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.faults import Fault
-from jaxbound.models.rows import Kind
+from jaxbound.models.rows import Kind, WindowRows
 from jaxbound.models.sensor import RECORDER_ULPS
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.expressions import find_column
 from jaxbound.relations.cost import affordable, relation_cost
 from jaxbound.relations.lags import over_all_rows
-from jaxbound.relations.parity import parity_relations
-from jaxbound.relations.sentence import relation_text, remembers
+from jaxbound.relations.parity import ParityRelation, parity_relations
+from jaxbound.relations.redundancy import Redundancy
+from jaxbound.relations.sentence import relation_text
 from jaxbound.text.names import listed
 
 __all__ = ["GuaranteedSize", "always_seen", "detectable", "operating_reach", "visible_sizes", "window_shift"]
@@ -54,6 +56,10 @@ UNIT = Fraction(1, 2**53)
 NEGLIGIBLE = 10**6
 SETTLED = 4
 """Longer windows that bring less than 0.1 % after which the search for the best horizon ends."""
+OperatingRange: TypeAlias = ArrayLike | Mapping[str, Number] | None
+"""One number, one for each output, or {output: number}."""
+Seen: TypeAlias = tuple[Fraction, Vector]
+"""(size from which on a fault is always seen, the relation that sees it)."""
 EFFORT = 10**6
 """Cubed rows of a window, times signals, up to which `always_seen` works: about a second of exact
 arithmetic.
@@ -69,14 +75,20 @@ class GuaranteedSize(float):
 
     horizon: int
     relation: str
-    sizes: dict
+    sizes: dict[int, float]
+
+
+def _guaranteed(size: float, horizon: int, relation: str, sizes: dict[int, float]) -> GuaranteedSize:
+    guaranteed = GuaranteedSize(size)
+    guaranteed.horizon, guaranteed.relation, guaranteed.sizes = horizon, relation, sizes
+    return guaranteed
 
 
 def detectable(
-    model: ModelLike | SetObserver,
+    model: ModelLike | SetObserver[Any],
     fault: str | Fault,
     horizon: int | None = None,
-    operating_range: Any = None,
+    operating_range: OperatingRange = None,
     lags: Sequence[int] | None = None,
     method: str = "joint",
 ) -> GuaranteedSize:
@@ -124,7 +136,45 @@ def detectable(
             f"jb.study"
         )
     model = as_model(model)
-    signal, kind = (fault.signal, fault.kind) if isinstance(fault, Fault) else (fault, "bias")
+    signal = _constant_fault(model, fault)
+    reach = operating_reach(model, operating_range)
+    if horizon is None and lags is None:
+        horizon, lags = model.horizon, None
+        if model.lags is not None:
+            horizon, lags = None, model.lags
+    relations = parity_relations(model, horizon, lags=lags)  # says so if there is none
+    first = relations.horizon
+    horizons = range(first, first + 1)
+    if horizon is None and relations.lags is None:
+        horizons = range(first + 4 * model.n + 12)
+    tried: dict[int, float] = {}
+    best: tuple[int, Seen] | None = None
+    for s in horizons:
+        if s < first and not linalg.left_null_space(window.unbounded(model, s)):
+            continue
+        if best is None:
+            affordable(model, s)
+        elif relation_cost(model, s)[0] > SECONDS:
+            break
+        seen = _size(model, signal, s, reach, relations.lags)
+        tried[s] = math.inf
+        if seen is not None:
+            tried[s] = float(seen[0])
+            if best is None or seen[0] < best[1][0] * Fraction(999, 1000):
+                best = s, seen
+        if best is not None and s >= best[0] + SETTLED:
+            break
+    if best is None:
+        return _guaranteed(math.inf, first, "", tried)
+    s, (size, h) = best
+    return _guaranteed(math.nextafter(float(size), math.inf), s, _text(model, s, h), tried)
+
+
+def _constant_fault(model: LinearSystem, fault: str | Fault) -> str:
+    """Return the signal of a constant fault; raise an exception where its size cannot be worked out."""
+    signal, kind = fault, "bias"
+    if isinstance(fault, Fault):
+        signal, kind = fault.signal, fault.kind
     if signal not in model.outputs + model.inputs:
         raise ValueError(
             f"the model has no signal {signal!r}: it has {listed(model.outputs + model.inputs, str)}"
@@ -136,56 +186,36 @@ def detectable(
             "guaranteed sizes of an uncertain model are not implemented: leave its uncertainties out, or "
             "decouple them"
         )
-    reach = operating_reach(model, operating_range)
-    if horizon is None and lags is None:
-        horizon, lags = (model.horizon, None) if model.lags is None else (None, model.lags)
-    relations = parity_relations(model, horizon, lags=lags)  # says so if there is none
-    first, lags = relations.horizon, relations.lags
-    tried, best = {}, None
-    for s in (first,) if horizon is not None or lags is not None else range(first + 4 * model.n + 12):
-        if s < first and not linalg.left_null_space(window.unbounded(model, s)):
-            continue
-        if best is None:
-            affordable(model, s)
-        elif relation_cost(model, s)[0] > SECONDS:
-            break
-        size, h = _size(model, signal, s, reach, lags)
-        tried[s] = size
-        if size is not None and (best is None or size < best[0] * Fraction(999, 1000)):
-            best = size, s, h
-        if best is not None and s >= best[1] + SETTLED:
-            break
-    number = math.inf if best is None else math.nextafter(float(best[0]), math.inf)
-    out = GuaranteedSize(number)
-    out.horizon = first if best is None else best[1]
-    out.sizes = {s: math.inf if x is None else float(x) for s, x in tried.items()}
-    out.relation = "" if best is None else _text(model, *best[1:])
-    return out
+    return str(signal)
 
 
-def _observed(model, fault, windows):
-    """Return the GuaranteedSize of a set observer."""
-    if any(x is not None for x in windows):
+def _observed(
+    model: ModelLike | SetObserver[Any], fault: str | Fault, of_windows: Sequence[object]
+) -> GuaranteedSize:
+    """Return the GuaranteedSize of a set observer. of_windows: options that it does not take."""
+    if any(x is not None for x in of_windows):
         raise ValueError(
             "horizon, operating_range and lags are for windows: an observer looks at every sample"
         )
-    watch = model if isinstance(model, SetObserver) else observer(as_model(model))
-    fault = fault if isinstance(fault, Fault) else Fault(fault)
+    watch = model
+    if not isinstance(watch, SetObserver):
+        watch = observer(as_model(watch))
+    if not isinstance(fault, Fault):
+        fault = Fault(fault)
     names = watch.model.outputs + watch.model.inputs
     if fault.signal not in names:
         raise ValueError(f"the model has no signal {fault.signal!r}: it has {listed(names, str)}")
     size, delay, phi = least_seen(watch, fault)
-    out = GuaranteedSize(size)
     best = np.maximum.accumulate(phi)
-    out.horizon, out.relation = delay, ""
-    out.sizes = {
-        k: 2 / float(best[k]) for k in range(delay + 1) if best[k] > 0 and (k == 0 or best[k] > best[k - 1])
-    }
-    return out
+    sizes = {}
+    for k in range(delay + 1):
+        if best[k] > 0 and (k == 0 or best[k] > best[k - 1]):  # later samples that see less say nothing
+            sizes[k] = 2 / float(best[k])
+    return _guaranteed(size, delay, "", sizes)
 
 
 def always_seen(
-    relations: Any, method: str = "joint", readings: ArrayLike | None = None
+    relations: Relations, method: str = "joint", readings: ArrayLike | None = None
 ) -> dict[str, float] | None:
     """Return {signal: size of a lasting error from which on every complete window that it fills is FAULT};
     inf: no size is sure to be seen.
@@ -205,63 +235,73 @@ def always_seen(
         >>> {signal: round(size, 6) for signal, size in sizes.items()}
         {'y1': 0.4, 'y2': 0.4}
     """
-    if remembers(relations):
+    if not isinstance(relations, ParityRelation) or method != "joint":
         return None
     model, s = relations.model, relations.horizon
     signals, rows = model.outputs + model.inputs, (s + 1) * model.p + s * model.g
-    if method != "joint" or model.uncertainties or rows**3 * (1 + model.d) * len(signals) > EFFORT:
+    if model.uncertainties or rows**3 * (1 + model.d) * len(signals) > EFFORT:
         return None
     reach = None
     if any(model.tolerance):
         if readings is None or not np.size(readings):
             return None
         offset = np.array(model.offset["y"], float)
-        reach = np.fmax.reduce(
-            abs(np.asarray(readings, float) - offset), axis=0, initial=np.finfo(np.float32).tiny
-        ).tolist()
-    return {
-        signal: float(detectable(model, signal, operating_range=reach, **relations.window))
-        for signal in signals
-    }
+        deviations = abs(np.asarray(readings, float) - offset)
+        reach = np.fmax.reduce(deviations, axis=0, initial=np.finfo(np.float32).tiny).tolist()
+    sizes = {}
+    for signal in signals:
+        sizes[signal] = float(detectable(model, signal, operating_range=reach, **relations.window))
+    return sizes
 
 
-def _text(model, s, h):
+def _text(model: LinearSystem, s: int, h: Vector) -> str:
+    """Return a relation of windows of s + 1 samples as a reader would write it."""
     h = linalg.presentable(linalg.primitive(h))
     K = window.unknowns(model, s)[1]
-    k = linalg.matmul((h,), K)[0] if K[0] else ()
+    k: Vector = ()
+    if K[0]:
+        (k,) = linalg.matmul((h,), K)
     return relation_text(model, s, h, k)
 
 
-def operating_reach(model: LinearSystem, given: Any) -> tuple[Fraction, ...]:
+def operating_reach(model: LinearSystem, stated: OperatingRange) -> Vector:
     """Return the largest reading (deviation from the offset) of each output as a Fraction, from
     `operating_range` of `detectable`.
     """
-    if given is None:
+    if stated is None:
         if any(model.tolerance):
             raise ValueError(
                 "a tolerance makes a sensor less certain the larger its readings are: give operating_range, "
                 "the largest of them"
             )
-        most = max(
-            (*model.noise, *model.resolution, *(max(abs(lo), abs(hi)) for lo, hi in model.disturbance)),
-            default=ZERO,
-        )
-        return (NEGLIGIBLE * most,) * model.p
-    if isinstance(given, Mapping) or hasattr(given, "index") and hasattr(given, "keys"):
-        given = [given[find_column(name, list(given.keys()), "operating_range")] for name in model.outputs]
-    given = np.broadcast_to(np.asarray(given, object), (model.p,)) if np.ndim(given) == 0 else given
-    if len(given) != model.p:
+        ends = [abs(end) for pair in model.disturbance for end in pair]
+        return (NEGLIGIBLE * max((*model.noise, *model.resolution, *ends), default=ZERO),) * model.p
+    sizes = _by_output(model, stated)
+    if len(sizes) != model.p:
         raise ValueError(
             f"operating_range needs one number, or one for each of {listed(model.outputs, str)}: "
-            f"{len(given)} given"
+            f"{len(sizes)} given"
         )
-    reach = tuple(linalg.rational(x) for x in given)
+    reach = tuple(map(linalg.rational, sizes))
     if min(reach) <= 0:
         raise ValueError(f"operating_range must be positive, not {float(min(reach)):g}")
     return reach
 
 
-def visible_sizes(relations: Any, operating_range: Any = None) -> np.ndarray:
+def _by_output(model: LinearSystem, stated: Any) -> Sequence[Number]:  # a table by name has no common type
+    """Return the numbers of an operating range, one for each output."""
+    if isinstance(stated, Mapping) or hasattr(stated, "index") and hasattr(stated, "keys"):
+        names = list(stated.keys())
+        return [stated[find_column(name, names, "operating_range")] for name in model.outputs]
+    if np.ndim(stated) == 0:
+        return list(np.broadcast_to(np.asarray(stated, object), (model.p,)))  # a float32 stays one
+    sizes: Sequence[Number] = stated
+    return sizes
+
+
+def visible_sizes(
+    relations: Redundancy | ParityRelation, operating_range: OperatingRange = None
+) -> np.ndarray:
     """Return the smallest constant fault of each signal that each relation alone is guaranteed to see, (R,
     N): outputs, then inputs.
 
@@ -271,27 +311,33 @@ def visible_sizes(relations: Any, operating_range: Any = None) -> np.ndarray:
     Returns:
         An array of sizes, rounded up; inf where no size is guaranteed.
     """
-    relations = getattr(relations, "relations", relations)
+    if isinstance(relations, Redundancy):
+        relations = relations.relations
     model = relations.model
     reach, signals = operating_reach(model, operating_range), model.outputs + model.inputs
-    out = np.full((relations.count, len(signals)), math.inf)
+    sizes = np.full((relations.count, len(signals)), math.inf)
     for j, signal in enumerate(signals):
         shift, widths, spread = window_shift(model, signal, relations.horizon, reach)
         for c, h in enumerate(relations.W):
-            if (size := _least(h, shift, widths, spread)) is not None:
-                out[c, j] = math.nextafter(float(size), math.inf)
-    return out
+            size = _least(h, shift, widths, spread)
+            if size is not None:
+                sizes[c, j] = math.nextafter(float(size), math.inf)
+    return sizes
 
 
-def _least(h, shift, widths, spread):
-    """Return the size from which on a relation h cannot hold, None if it always may."""
+def _least(h: Vector, shift: Row, widths: Row, spread: Row) -> Fraction | None:
+    """Return the size f from which on a relation h cannot hold, None if it always may: there
+    f |h phi| = |h| (widths + f spread).
+    """
     slope = abs(dot(h, shift)) - dot(map(abs, h), spread)
-    return dot(map(abs, h), widths) / slope if slope > 0 else None
+    if slope <= 0:
+        return None
+    return dot(map(abs, h), widths) / slope
 
 
 def window_shift(
     model: LinearSystem, signal: str, s: int, reach: Sequence[Fraction]
-) -> tuple[list, list, list]:
+) -> tuple[list[Fraction], list[Fraction], list[Fraction]]:
     """Return for each row of a window: its shift by a fault of size 1, twice its half-width, and what the
     fault adds to that.
     """
@@ -310,7 +356,7 @@ def window_shift(
     return shift, widths, [model.tolerance[i] * x for x in shift]
 
 
-def _widths(model, rows, reach):
+def _widths(model: LinearSystem, rows: WindowRows, reach: Sequence[Fraction]) -> list[Fraction]:
     """Return twice the half-width of each row at the end of the operating range."""
     floor = Fraction(float(np.finfo(np.float64).tiny))
     rounded, of_output = [], []
@@ -336,28 +382,32 @@ def _widths(model, rows, reach):
     return widths
 
 
-def _size(model, signal, s, reach, lags):
-    """Return the smallest size that a window of horizon s always sees, None where none is, and the relation
-    that sees it.
+def _size(
+    model: LinearSystem, signal: str, s: int, reach: Vector, lags: tuple[int, ...] | None
+) -> Seen | None:
+    """Return the smallest size that a window of horizon s always sees, and the relation that sees it; None
+    where none is.
+
+    Each relation that is violated at f gives a smaller f at which it just holds: there are finitely many.
     """
     E = window.unknowns(model, s)[0]
-    seen = window.window_rows(model, s, lags).seen
-    shift, widths, spread = ([x[i] for i in seen] for x in window_shift(model, signal, s, reach))
-    space, size = subspace([E[i] for i in seen]), None
+    looked_at = window.window_rows(model, s, lags).seen
+    shift, widths, spread = ([x[i] for i in looked_at] for x in window_shift(model, signal, s, reach))
+    space = subspace([E[i] for i in looked_at])
     best = chebyshev(space, shift, widths)
     if best.t == 0:
-        return None, None
-    f = 1 / best.t if not any(spread) else NEGLIGIBLE / best.t
-    while True:  # each relation that is violated at f gives a smaller f at which it just holds: finitely many
-        best = chebyshev(
-            space,
-            [f * x for x in shift],
-            [w + f * x for w, x in zip(widths, spread, strict=True)],
-            best.reference,
-        )
-        if best.t < 1 or (best.t == 1 and size is None and any(spread)):
-            return size, None
-        f = _least(best.h, shift, widths, spread)
+        return None
+    f = 1 / best.t
+    if any(spread):
+        f = NEGLIGIBLE / best.t  # larger than any that matters: what no size shows is not seen
+    first = True
+    while True:
+        radii = linalg.add_multiple(widths, f, spread)
+        best = chebyshev(space, linalg.scale(shift, f), radii, best.reference)
+        if best.t < 1 or (best.t == 1 and first and any(spread)):
+            return None
+        size = _least(best.h, shift, widths, spread)
+        assert size is not None, "a relation that is violated at a size sees that size"
         if best.t == 1:
-            return f, over_all_rows(best.h, seen, model, s)
-        size = f
+            return size, over_all_rows(best.h, looked_at, model, s)
+        f, first = size, False

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +11,7 @@ from jaxbound.consistency.drive import drive
 from jaxbound.consistency.interface import Budget, Compensation, Relations, Starts, relations_of
 from jaxbound.diagnosis import isolation, observed  # noqa: F401 (the Results of a bank and of an observer)
 from jaxbound.diagnosis.result import Result, result_of
+from jaxbound.recordings.table import Data
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.status import Status
 
@@ -20,8 +20,8 @@ __all__ = ["detect", "margins"]
 
 def detect(
     relations: Relations,
-    u: Any,
-    y: Any = None,
+    u: Data,
+    y: Data = None,
     method: str = "joint",
     budget: Budget = None,
     progress: Callable[[float], object] | None = None,
@@ -84,19 +84,21 @@ def detect(
             "arrays, a batch of "
             "recordings at once; inside, use margins, which is differentiable and proves nothing"
         )
-    kind, (relations, given) = relations, relations.recording(u, y, starts)
+    named, recording = relations.recording(u, y, starts)
     refuse_unverified()
-    given = replace(given, u=np.asarray(given.u), y=np.asarray(given.y))
-    test = relations.test(method, given.y.dtype, budget, compensation)
-    judged = drive(test, given, progress)
+    recording = replace(recording, u=np.asarray(recording.u), y=np.asarray(recording.y))
+    test = named.test(method, recording.y.dtype, budget, compensation)
+    judged = drive(test, recording, progress)
     if (judged.status == Status.UNDECIDED).any():  # an infinite sample cannot come out as anything else
-        given.finite()
-    about = test.method, test.relations, given.u, given.y, given.index, tuple(given.starts.tolist())
-    recorded = given.hints if given.source else None
-    return result_of(kind, judged, *about, aside=given.aside(test.horizon), recorded=recorded)
+        recording.finite()
+    starts, recorded = tuple(recording.starts.tolist()), None
+    if recording.source:
+        recorded = recording.hints
+    about = test.method, test.relations, recording.u, recording.y, recording.index, starts
+    return result_of(relations, judged, *about, aside=recording.aside(test.horizon), recorded=recorded)
 
 
-def margins(relations: Relations, u: Any, y: Any = None, starts: Starts = ()) -> jax.Array:
+def margins(relations: Relations, u: Data, y: Data = None, starts: Starts = ()) -> jax.Array:
     """Return the signed margin of every window, 1 - t: t is the factor on all half-widths at which the window
     just becomes consistent.
 
@@ -123,7 +125,7 @@ def margins(relations: Relations, u: Any, y: Any = None, starts: Starts = ()) ->
         Array([20.], dtype=float...)
     """
     relations_of(relations, "margins", "margins(parity_relations(model), u, y)")
-    relations, given = relations.recording(u, y, starts)
-    if given.y.shape[-2] <= relations.horizon:
-        return jnp.full(given.y.shape[:-1], jnp.nan, given.y.dtype)
-    return relations.test("joint", given.y.dtype).margins(given)
+    relations, recording = relations.recording(u, y, starts)
+    if recording.y.shape[-2] <= relations.horizon:
+        return jnp.full(recording.y.shape[:-1], jnp.nan, recording.y.dtype)
+    return relations.test("joint", recording.y.dtype).margins(recording)

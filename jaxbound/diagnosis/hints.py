@@ -1,17 +1,18 @@
-"""What to check of bounds and of a model that does not fit, as sentences for whoever acts on verdicts."""
+"""Hints on bounds, and on a model that does not fit, as sentences for whoever acts on verdicts."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
+from jaxbound.certificates.interface import Judgement
+from jaxbound.consistency.interface import Relations
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.sentence import latched
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import percent, times
 from jaxbound.text.units import same_unit, without_unit
 
-__all__ = ["bound_hints", "fit_hints", "outgrown", "unfit", "unit_hints"]
+__all__ = ["bound_hints", "column_unit_hints", "fit_hints", "outgrown", "unfit"]
 
 FOR = "the bounds were found from data for windows of {} samples,"
 MAY = "a FAULT may be no more than an error that lasts longer than those"
@@ -19,7 +20,7 @@ NEARLY_ALL = 0.9
 """Share of FAULT among windows with data from which on model and bounds are in doubt."""
 
 
-def bound_hints(model: Any, relations: Any = None) -> list[str]:
+def bound_hints(model: object, relations: Relations | None = None) -> list[str]:
     """Return sentences on bounds that nobody can mean, and on those that were found for shorter windows than
     these.
 
@@ -30,24 +31,32 @@ def bound_hints(model: Any, relations: Any = None) -> list[str]:
     """
     if not isinstance(model, LinearSystem):
         return []
-    bare = [
-        s
-        for s, *b in zip(model.outputs, model.tolerance, model.noise, model.resolution, strict=True)
-        if not any(b)
-    ]
-    none = (
-        f"the model states no tolerance, noise or resolution for {', '.join(bare)}: any measuring error "
-        f"there is a FAULT"
-    )
-    rows = zip(model.outputs, model.tolerance, model.noise, model.resolution, strict=True)
-    rounded = [s for s, tolerance, noise, resolution in rows if resolution and not (tolerance or noise)]
-    have = "have" if len(rounded) > 1 else "has"
-    only = f"{', '.join(rounded)} {have} only a resolution: state noise or tolerance, what the sensor errs by"
-    other_units = unit_hints(model)
-    return outgrown(model, relations) + [none] * bool(bare) + [only] * bool(rounded) + other_units
+    bare, rounded = [], []
+    for name, tolerance, noise, resolution in zip(
+        model.outputs, model.tolerance, model.noise, model.resolution, strict=True
+    ):
+        if not (tolerance or noise or resolution):
+            bare.append(name)
+        elif not (tolerance or noise):
+            rounded.append(name)
+    sentences = outgrown(model, relations)
+    if bare:
+        sentences.append(
+            f"the model states no tolerance, noise or resolution for {', '.join(bare)}: any measuring error "
+            f"there is a FAULT"
+        )
+    if rounded:
+        have = "has"
+        if len(rounded) > 1:
+            have = "have"
+        sentences.append(
+            f"{', '.join(rounded)} {have} only a resolution: state noise or tolerance, what the sensor errs "
+            f"by"
+        )
+    return sentences + column_unit_hints(model)
 
 
-def unit_hints(model: LinearSystem) -> list[str]:
+def column_unit_hints(model: LinearSystem) -> list[str]:
     """Return a sentence on each signal whose unit is another one than that in the name of its column."""
     sentences = []
     for signal, unit in model.units.items():
@@ -61,7 +70,7 @@ def unit_hints(model: LinearSystem) -> list[str]:
     return sentences
 
 
-def outgrown(model: LinearSystem, relations: Any = None, looks_back: str = "") -> list[str]:
+def outgrown(model: LinearSystem, relations: Relations | None = None, looks_back: str = "") -> list[str]:
     """Return a sentence, or none, on bounds from data that a test reaches beyond: they were found for shorter
     windows.
 
@@ -69,41 +78,46 @@ def outgrown(model: LinearSystem, relations: Any = None, looks_back: str = "") -
         model, relations: as for `bound_hints`. looks_back: what looks back on all samples; "": an observer
             alone does.
     """
-    known, found = (
-        model.lags[-1] if model.lags else model.horizon,
-        " ".join(map(str, model.provenance.values())),
-    )
-    if relations is None or known is None or not ("fitted" in found or "tuned" in found):
+    horizon, origins = model.horizon, " ".join(map(str, model.provenance.values()))
+    if model.lags:
+        horizon = model.lags[-1]
+    if relations is None or horizon is None or not ("fitted" in origins or "tuned" in origins):
         return []
-    looks_back = looks_back or ("an observer" if relations.remembers else "")
+    if not looks_back and relations.remembers:
+        looks_back = "an observer"
     if looks_back:
-        return [f"{FOR.format(known + 1)} and {looks_back} looks back on all samples: {MAY}"]
-    if relations.horizon <= known:
+        return [f"{FOR.format(horizon + 1)} and {looks_back} looks back on all samples: {MAY}"]
+    if relations.horizon <= horizon:
         return []
-    lags = getattr(relations, "lags", None)
-    again = f"--lags {','.join(map(str, lags))}" if lags else f"--horizon {relations.horizon}"
+    again = f"--horizon {relations.horizon}"
+    if relations.lags:
+        again = f"--lags {','.join(map(str, relations.lags))}"
     reach = f"these windows reach over {relations.horizon + 1}"
-    return [f"{FOR.format(known + 1)} and {reach}: {MAY}; fit again with {again}"]
+    return [f"{FOR.format(horizon + 1)} and {reach}: {MAY}; fit again with {again}"]
 
 
-def fit_hints(result: Any) -> list[str]:
+def fit_hints(result: Judgement) -> list[str]:
     """Return a sentence, or none, on each recording of a Result that the model or its bounds seem not to
     fit.
     """
-    relations, out = result.relations, []
+    relations, sentences = result.relations, []
     if latched(relations):  # one fault, and all that follows is FAULT
         return []
+    what = "windows"
+    if relations.remembers:
+        what = "samples"
     for at in np.ndindex(result.status.shape[:-1]):
         status, margin = np.asarray(result.status[at]), np.asarray(result.margin[at])
-        fault = status == Status.FAULT
-        seen = margin[fault & ~np.isnan(margin)] if not relations.remembers else margin[:0]
-        worst = float(seen.min()) if len(seen) else np.nan
+        measured = (status == Status.FAULT) & ~np.isnan(margin)
+        worst = np.nan
+        if measured.any() and not relations.remembers:
+            worst = float(margin[measured].min())
         counts = {s.name: int(np.count_nonzero(status == s)) for s in Status}
-        which = f"recording {', '.join(map(str, at))}: " if at else ""
-        out += [
-            which + said for said in unfit(counts, worst, "samples" if relations.remembers else "windows")
-        ]
-    return out
+        for sentence in unfit(counts, worst, what):
+            if at:
+                sentence = f"recording {', '.join(map(str, at))}: {sentence}"
+            sentences.append(sentence)
+    return sentences
 
 
 def unfit(counts: Mapping[str, int], margin: float, what: str = "windows") -> list[str]:

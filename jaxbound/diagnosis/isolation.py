@@ -1,4 +1,4 @@
-"""Which part failed? Verdicts of every relation of a bank, and the single faults that can explain them.
+"""The part that failed: verdicts of every relation of a bank, and the single faults that can explain them.
 
 A violated relation is a proof that something other than the faults it ignores has failed. So a single fault
 stays a candidate while every violated relation reacts to it. A relation that holds exonerates nobody: a fault
@@ -11,13 +11,16 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from jaxbound.certificates.interface import WindowCertificate
 from jaxbound.consistency.bank import HIGH
-from jaxbound.diagnosis.detectability import visible_sizes
+from jaxbound.consistency.interface import Judged
+from jaxbound.diagnosis.detectability import OperatingRange, visible_sizes
 from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.recordings.arrays import floats
 from jaxbound.recordings.expressions import find_column
-from jaxbound.recordings.table import as_table, is_table
+from jaxbound.recordings.table import Data, as_table, is_table
 from jaxbound.recordings.tabletime import unlabelled
 from jaxbound.relations.decoupling import Signatures, signatures
 from jaxbound.relations.redundancy import Redundancy
@@ -50,13 +53,14 @@ class BankResult(Result):
         count = len(self.signatures.relations)
         if not -count <= i < count:
             raise ValueError(f"the bank has the relations 0 to {count - 1}, not {i}")
-        i %= count
-        return (self.words[i // PACKED] >> np.uint32(2 * (i % PACKED)) & np.uint32(3)).astype(np.int8)
+        word, place = divmod(i % count, PACKED)
+        return np.asarray(self.words[word] >> np.uint32(2 * place) & np.uint32(3)).astype(np.int8)
 
     @cached_property
     def violated(self) -> np.ndarray:
         """(..., T, R) bool: which relations are violated, each a proof."""
-        return np.stack([self.of(i) == Status.FAULT for i in range(len(self.signatures.relations))], -1)
+        count = len(self.signatures.relations)
+        return np.stack([self.of(i) == Status.FAULT for i in range(count)], -1)
 
     @cached_property
     def candidates(self) -> np.ndarray:
@@ -65,23 +69,25 @@ class BankResult(Result):
 
         Whichever single fault there is, it is among them: the others are excluded by proof.
         """
+        # a recording has few patterns of violated relations: each is worked out once
         high = self.words & (self.words << np.uint32(1)) & HIGH
-        patterns, which = np.unique(np.stack([w.ravel() for w in high]), axis=1, return_inverse=True)
-        count = len(self.signatures.relations)
-        violated = np.array(
-            [patterns[i // PACKED] >> np.uint32(2 * (i % PACKED) + 1) & np.uint32(1) for i in range(count)],
-            bool,
-        ).T
-        able = ~(violated.astype(int) @ (~self.signatures.weak).astype(int)).astype(bool) & violated.any(
-            1, keepdims=True
-        )
-        return able[which.ravel()].reshape(*self.status.shape, -1)
+        patterns, which = np.unique(high.reshape(len(high), -1), axis=1, return_inverse=True)
+        violated = np.zeros((patterns.shape[1], len(self.signatures.relations)), bool)
+        for i in range(violated.shape[1]):
+            word, place = divmod(i, PACKED)
+            violated[:, i] = patterns[word] >> np.uint32(2 * place + 1) & np.uint32(1)
+        # a fault is excluded by a violated relation that does not react to it
+        excluded = violated.astype(int) @ (~self.signatures.weak).astype(int) > 0
+        able = ~excluded & violated.any(1, keepdims=True)
+        return np.asarray(able[which.ravel()].reshape(*self.status.shape, -1))
 
-    def names(self, at: Any) -> tuple[str, ...]:
+    def names(self, at: int | tuple[int, ...]) -> tuple[str, ...]:
         """Return the names of the candidates of the window that ends at index `at`."""
         return tuple(name for name, on in zip(self.faults, self.candidates[at], strict=True) if on)
 
-    def candidates_from(self, sizes: Mapping[str, float], operating_range: Any = None) -> np.ndarray:
+    def candidates_from(
+        self, sizes: Mapping[str, float], operating_range: OperatingRange = None
+    ) -> np.ndarray:
         """Return the candidates (..., T, N) if a fault, where there is one, is constant and at least so large
         throughout the window.
 
@@ -96,18 +102,19 @@ class BankResult(Result):
         """
         if self.relations is None:
             raise ValueError("what size of a fault residuals from elsewhere are bound to see is not known")
-        if strange := sorted(set(sizes) - set(self.faults)):
+        strange = sorted(set(sizes) - set(self.faults))
+        if strange:
             raise ValueError(f"the model has no signal {strange[0]!r}: it has {', '.join(self.faults)}")
-        least, out = visible_sizes(self.relations, operating_range), self.candidates.copy()
-        for i, row in enumerate(least):
+        able = self.candidates.copy()
+        for i, visible in enumerate(visible_sizes(self.relations, operating_range)):
             holds = self.of(i) == Status.CONSISTENT
             for name, size in sizes.items():
                 j = self.faults.index(name)
-                if size >= row[j]:
-                    out[..., j] &= ~holds
-        return out
+                if size >= visible[j]:
+                    able[..., j] &= ~holds
+        return able
 
-    def remaining(self, start: int, end: int, recording: tuple = ()) -> tuple[str, ...]:
+    def remaining(self, start: int, end: int, recording: tuple[int, ...] = ()) -> tuple[str, ...]:
         """Return the names of the single faults that can explain every FAULT window that ends at a sample
         start <= k <= end.
         """
@@ -118,9 +125,11 @@ class BankResult(Result):
     @property
     def hints(self) -> tuple[str, ...]:
         """Sentences for whoever acts on the verdicts, as of a Result; none for residuals from elsewhere."""
-        return () if self.relations is None else super().hints
+        if self.relations is None:
+            return ()
+        return super().hints
 
-    def explain(self, at: int | tuple[int, ...]) -> Any:
+    def explain(self, at: int | tuple[int, ...]) -> WindowCertificate:
         """Return the Certificate of the relation that is violated most in the window that ends at index `at`,
         as `Result.explain`.
 
@@ -135,22 +144,10 @@ class BankResult(Result):
 
 
 @result_of.register
-def _(bank: Redundancy, judged, *about, **more):
-    method, relations, u, y, index, starts = about
-    table = signatures(bank)
-    return BankResult(
-        judged.status,
-        judged.margin,
-        method,
-        relations,
-        u,
-        y,
-        index,
-        starts,
-        signatures=table,
-        words=judged.words,
-        **more,
-    )
+def _(family: Redundancy, judged: Judged, *about: Any, **more: Any) -> BankResult:
+    assert judged.words is not None, "a bank is judged relation by relation"
+    table = signatures(family)
+    return BankResult(judged.status, judged.margin, *about, signatures=table, words=judged.words, **more)
 
 
 def words_of(statuses: np.ndarray) -> np.ndarray:
@@ -161,9 +158,9 @@ def words_of(statuses: np.ndarray) -> np.ndarray:
     return words
 
 
-def evaluate(residuals: Any, hull: Any, signatures: Any) -> BankResult:
-    """Isolate from residuals that were computed elsewhere: which are outside what healthy data showed, and
-    what faults explain that?
+def evaluate(residuals: Data, hull: Data, signatures: Data) -> BankResult:
+    """Isolate from residuals that were computed elsewhere: those outside of what healthy data showed, and the
+    faults that explain them.
 
     Args:
         residuals: (..., T, r), or a table with a column for each. NaN: that residual is missing.
@@ -186,75 +183,79 @@ def evaluate(residuals: Any, hull: Any, signatures: Any) -> BankResult:
         (array([1, 3], dtype=int8), ('f1', 'f2'))
     """
     residuals = as_table(residuals, "residuals")
-    index, names = getattr(residuals, "index", None), list(residuals.columns) if is_table(residuals) else None
-    hull, signatures = (
-        _rows_of(x, names, what) for x, what in ((hull, "the hull"), (signatures, "the table of signatures"))
-    )
-    residuals, hull = floats(residuals, "residuals"), np.asarray(hull, float)
-    residuals = residuals if residuals.dtype in (np.float32, np.float64) else residuals.astype(float)
-    r = residuals.shape[-1] if residuals.ndim > 1 else -1
-    hull = np.stack([-hull, hull], -1) if hull.ndim == 1 else hull
-    if hull.shape != (r, 2):
+    index, names = getattr(residuals, "index", None), None
+    if is_table(residuals):
+        names = list(residuals.columns)
+    table = _signatures(_rows_of(signatures, names, "the table of signatures"))
+    values = floats(residuals, "residuals")
+    if values.dtype not in (np.float32, np.float64):
+        values = values.astype(float)
+    lo, hi = _hulls(_rows_of(hull, names, "the hull"), values.shape)
+    if np.isinf(values).any():
         raise ValueError(
-            f"residuals must have shape (..., T, r) and hull (r, 2) or (r,): they have {residuals.shape} and "
-            f"{hull.shape}"
+            f"residuals has {int(np.isinf(values).sum())} infinite entries: mark what is missing as NaN"
         )
-    if not (np.isfinite(hull).all() and (hull[:, 0] <= hull[:, 1]).all()):
+    if len(table.weak) != len(lo):
         raise ValueError(
-            f"each hull needs lo <= hi, both finite: residual {int(np.argmin(hull[:, 0] <= hull[:, 1]))} has "
-            f"not"
+            f"signatures need a row for each of {len(lo)} residuals: they have {len(table.weak)}"
         )
-    if np.isinf(residuals).any():
-        raise ValueError(
-            f"residuals has {int(np.isinf(residuals).sum())} infinite entries: mark what is missing as NaN"
-        )
-    table = signatures if isinstance(signatures, Signatures) else _table(signatures)
-    if table.weak.shape[0] != r:
-        raise ValueError(f"signatures need a row for each of {r} residuals: they have {table.weak.shape[0]}")
-    lo, hi = hull.T
-    outside = (residuals < lo) | (residuals > hi)
+    outside, absent = (values < lo) | (values > hi), np.isnan(values)
     with np.errstate(divide="ignore", invalid="ignore"):
-        factor = np.abs(residuals - 0.5 * (lo + hi)) / (0.5 * (hi - lo))
+        factor = np.abs(values - 0.5 * (lo + hi)) / (0.5 * (hi - lo))
+    # whatever rounding makes of a factor, it is above 1 outside alone
     factor = np.where(outside, np.maximum(factor, np.nextafter(1, 2)), np.minimum(np.nan_to_num(factor), 1))
-    absent = np.isnan(residuals)
-    status = np.where(absent, Status.MISSING, np.where(outside, Status.FAULT, Status.CONSISTENT)).astype(
-        np.int8
-    )
     worst = np.where(absent, -np.inf, factor).max(-1)
-    whole = np.where(
-        absent.all(-1), Status.MISSING, np.where(outside.any(-1), Status.FAULT, Status.CONSISTENT)
-    ).astype(np.int8)
     margin = np.where(absent.all(-1), np.nan, 1 - worst)
-    nothing = np.zeros((*residuals.shape[:-1], 0), residuals.dtype)
-    return BankResult(
-        whole,
-        margin,
-        "box",
-        None,
-        nothing,
-        residuals,
-        index,
-        signatures=table,
-        words=words_of(np.moveaxis(status, -1, 0)),
-    )
+    whole = _statuses(np.asarray(absent.all(-1)), np.asarray(outside.any(-1)))
+    words = words_of(np.moveaxis(_statuses(absent, outside), -1, 0))
+    u = np.zeros((*values.shape[:-1], 0), values.dtype)
+    return BankResult(whole, margin, "box", None, u, values, index, signatures=table, words=words)
 
 
-def _rows_of(given, names, what):
+def _statuses(absent: np.ndarray, outside: np.ndarray) -> np.ndarray:
+    """Return MISSING where something is absent, else FAULT where it is outside, else CONSISTENT."""
+    status = np.where(outside, Status.FAULT, Status.CONSISTENT)
+    return np.where(absent, Status.MISSING, status).astype(np.int8)
+
+
+def _hulls(hull: ArrayLike, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lowest and the highest healthy value of each residual, for residuals of a shape."""
+    ends = np.asarray(hull, float)
+    if ends.ndim == 1:
+        ends = np.stack([-ends, ends], -1)
+    if len(shape) < 2 or ends.shape != (shape[-1], 2):
+        raise ValueError(
+            f"residuals must have shape (..., T, r) and hull (r, 2) or (r,): they have {shape} and "
+            f"{ends.shape}"
+        )
+    lo, hi = ends.T
+    sound = np.isfinite(ends).all(1) & (lo <= hi)
+    if not sound.all():
+        raise ValueError(f"each hull needs lo <= hi, both finite: residual {int(np.argmin(sound))} has not")
+    return lo, hi
+
+
+def _rows_of(table: Data, names: list[str] | None, what: str) -> Data:
     """Return the rows of a labelled table in the order of names; anything else, a table without labels among
     it, as it is.
     """
-    given = given if isinstance(given, Signatures) else as_table(given, what)
-    if names is None or not hasattr(given, "iloc") or unlabelled(given.index):
-        return given
-    labels = list(given.index)
-    return given.iloc[[labels.index(find_column(name, labels, what)) for name in names]]
+    if isinstance(table, Signatures):
+        return table
+    table = as_table(table, what)
+    if names is None or not hasattr(table, "iloc") or unlabelled(table.index):
+        return table
+    labels = list(table.index)
+    return table.iloc[[labels.index(find_column(name, labels, what)) for name in names]]
 
 
-def _table(given):
+def _signatures(table: Data) -> Signatures:
     """Read a table (r, N) of 0 and 1 as Signatures."""
-    names = tuple(map(str, given.columns)) if hasattr(given, "columns") else None
-    numbers = np.asarray(given)
+    if isinstance(table, Signatures):
+        return table
+    numbers = np.asarray(table)
     if numbers.ndim != 2 or not np.isin(numbers, (0, 1)).all():
         raise ValueError(f"signatures must be a table (r, N) of 0 and 1: their shape is {numbers.shape}")
-    names = names or tuple(f"f{j + 1}" for j in range(numbers.shape[1]))
-    return Signatures(tuple(f"r{i + 1}" for i in range(len(numbers))), names, numbers == 1, numbers == 1)
+    faults = tuple(f"f{j + 1}" for j in range(numbers.shape[1]))
+    if hasattr(table, "columns"):
+        faults = tuple(map(str, table.columns))
+    return Signatures(tuple(f"r{i + 1}" for i in range(len(numbers))), faults, numbers == 1, numbers == 1)

@@ -1,4 +1,4 @@
-"""How far back should a window look? Lags that see a lasting fault, and what each choice is worth.
+"""Lags of windows that see a lasting fault, and the worth of each choice.
 
 A lasting fault hides behind a first state that nobody knows for about as long as the plant remembers it: the
 slowest time constant. Fewer samples, the farther back the fewer, see nearly as much as all of them, at a
@@ -7,12 +7,13 @@ here come from linear programs in floats: they help to choose, `detectable` prov
 """
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from jaxbound.diagnosis.detectability import operating_reach, window_shift
+from jaxbound.diagnosis.detectability import OperatingRange, operating_reach, window_shift
+from jaxbound.diagnosis.observer_sizes import STEADY, poles
+from jaxbound.exact.linalg import Vector
 from jaxbound.exact.price import SECONDS
 from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model
@@ -27,7 +28,7 @@ ENOUGH = 1.25
 """A span that sees faults this many times as large as the best of all is taken if it is shorter."""
 
 
-class SuggestedLags(tuple):
+class SuggestedLags(tuple[int, ...]):
     """Lags, a tuple for `parity_relations(model, lags=...)`.
 
     Attributes: sizes: {lags: {signal: size}} of all that were tried, the longest first: about the size from
@@ -38,22 +39,29 @@ class SuggestedLags(tuple):
 
     def text(self) -> str:
         """Return a table: a line for each choice, what is suggested marked by a star."""
-        signals = tuple(next(iter(self.sizes.values())))
-        head = ["", "span", "looks", *signals]
-        shown = lambda size: "never" if math.isinf(size) else f"{size:.3g}"
-        lines = [
-            ["*" if lags == self else "", str(lags[-1] + 1), str(len(lags)), *map(shown, found.values())]
-            for lags, found in self.sizes.items()
-        ]
-        width = [max(len(line[i]) for line in (head, *lines)) for i in range(len(head))]
-        return "\n".join(
-            " ".join(cell.rjust(w) for cell, w in zip(line, width, strict=True)).rstrip()
-            for line in (head, *lines)
-        )
+        signals = next(iter(self.sizes.values()))
+        table = [["", "span", "looks", *signals]]
+        for lags, sizes in self.sizes.items():
+            star = ""
+            if lags == self:
+                star = "*"
+            table.append([star, str(lags[-1] + 1), str(len(lags)), *map(_shown, sizes.values())])
+        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+        lines = []
+        for line in table:
+            cells = map(str.rjust, line, widths)
+            lines.append(" ".join(cells).rstrip())
+        return "\n".join(lines)
+
+
+def _shown(size: float) -> str:
+    if math.isinf(size):
+        return "never"
+    return f"{size:.3g}"
 
 
 def suggest_lags(
-    model: ModelLike, count: int = 16, longest: int | None = None, operating_range: Any = None
+    model: ModelLike, count: int = 16, longest: int | None = None, operating_range: OperatingRange = None
 ) -> SuggestedLags:
     """Suggest the lags of windows that see lasting faults of a plant.
 
@@ -89,44 +97,51 @@ def suggest_lags(
     if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 2:
         raise ValueError(f"count must be a whole number of samples >= 2, not {count!r}")
     reach = operating_reach(model, operating_range)
-    top = _span_of(model) if longest is None else int(longest)
+    top = _span_of(model)
+    if longest is not None:
+        top = int(longest)
+    least = max(min(SHORTEST, top), 1)
     sizes: dict[tuple[int, ...], dict[str, float]] = {}
-    while top >= max(min(SHORTEST, _span_of(model) if longest is None else longest), 1):
+    while top >= least:
         if relation_cost(model, top)[0] < SECONDS:
             lags = _spread(top, int(count))
             sizes.setdefault(lags, _sizes(model, lags, reach))
         top //= 2
-    seen = {lags: found for lags, found in sizes.items() if any(map(math.isfinite, found.values()))}
-    if not seen:
+    chosen = SuggestedLags(_chosen(sizes))
+    chosen.sizes = sizes
+    return chosen
+
+
+def _chosen(sizes: Mapping[tuple[int, ...], Mapping[str, float]]) -> tuple[int, ...]:
+    """Return the shortest lags among those that see nearly as much as the best."""
+    able = {lags: own for lags, own in sizes.items() if any(map(math.isfinite, own.values()))}
+    if not able:
         raise ValueError(
             "no window of these spans is sure to see a lasting fault, whatever its size: its bounds or "
             "disturbances hide it"
         )
-    score = {lags: _score(found, list(seen.values())) for lags, found in seen.items()}
-    best = min(score.values())
-    chosen = min((lags for lags in seen if score[lags] <= best + math.log(ENOUGH)), key=lambda lags: lags[-1])
-    out = SuggestedLags(chosen)
-    out.sizes = sizes
-    return out
+    score = {lags: _score(own, list(able.values())) for lags, own in able.items()}
+    enough = min(score.values()) + math.log(ENOUGH)
+    return min((lags for lags in able if score[lags] <= enough), key=lambda lags: lags[-1])
 
 
 def slowest(model: LinearSystem) -> float:
     """Return the slowest time constant of a plant in samples, inf if it integrates or is unstable, 0 without
     states.
     """
-    if not model.n:
+    worst = max(poles(model), default=0.0)
+    if worst > STEADY:
+        return math.inf
+    if worst == 0:
         return 0.0
-    poles = np.abs(np.linalg.eigvals(np.array([[float(x) for x in row] for row in model.A])))
-    worst = float(poles.max())
-    return math.inf if worst > 1 - 1e-9 else 0.0 if worst == 0 else -1 / math.log(worst)
+    return -1 / math.log(worst)
 
 
 def _span_of(model: LinearSystem) -> int:
     """Return the longest span that is worth a look."""
     memory = slowest(model)
     if math.isinf(memory):
-        poles = np.abs(np.linalg.eigvals(np.array([[float(x) for x in row] for row in model.A])))
-        memory = max([64.0, *(-1 / math.log(p) for p in poles if 0 < p < 1 - 1e-9)])
+        memory = max([64.0, *(-1 / math.log(p) for p in poles(model) if 0 < p < STEADY)])
     return min(max(math.ceil(memory), 2 * model.n + 1, SHORTEST), LONGEST)
 
 
@@ -137,36 +152,43 @@ def _spread(span: int, count: int) -> tuple[int, ...]:
     return tuple(np.unique(np.round([0, *np.geomspace(1, span, count - 1)])).astype(int).tolist())
 
 
-def _sizes(model: LinearSystem, lags: tuple[int, ...], reach: Any) -> dict[str, float]:
-    """Return {signal: about the size of a constant fault that is always seen}."""
+def _sizes(model: LinearSystem, lags: tuple[int, ...], reach: Vector) -> dict[str, float]:
+    """Return {signal: about the size of a constant fault that is always seen}: 1 / t, with
+
+    t = min over z of max_i |phi_i - (E z)_i| / width_i    (`detectability`, widths twice the half-widths)
+    """
     from scipy.optimize import linprog
     from scipy.sparse import csr_array, hstack, vstack
 
     s = lags[-1]
-    seen = window.window_rows(model, s, lags).seen
-    E = np.array(
-        [[float(x) for x in row] for i, row in enumerate(window.unknowns(model, s)[0]) if i in set(seen)]
-    )
+    looked_at = list(window.window_rows(model, s, lags).seen)
+    rows = window.unknowns(model, s)[0]
+    E = np.array([rows[i] for i in looked_at], float)
     E = csr_array(E / np.maximum(np.abs(E).max(0, initial=0), 1e-300))  # of columns that grow out of reach
-    found = {}
+    cost, free = np.append(np.zeros(E.shape[1]), 1.0), [(None, None)] * E.shape[1] + [(0, None)]
+    sizes = {}
     for name in model.outputs + model.inputs:
-        shift, widths, _ = ([float(x[i]) for i in seen] for x in window_shift(model, name, s, reach))
-        phi, width = np.array(shift), np.array(widths)
+        shift, widths, _ = window_shift(model, name, s, reach)
+        phi, width = np.array(shift, float)[looked_at], np.array(widths, float)[looked_at]
         most = np.abs(phi).max(initial=0) or 1.0
         upper = vstack([hstack([sign * E, csr_array(-width[:, None])]) for sign in (1, -1)])
-        cost, free = np.append(np.zeros(E.shape[1]), 1.0), [(None, None)] * E.shape[1] + [(0, None)]
         t = linprog(cost, upper, np.concatenate([phi, -phi]) / most, bounds=free, method="highs").fun
-        found[name] = math.inf if t is None or t * width.max() < 1e-9 else float(1 / (t * most))
-    return found
+        sizes[name] = math.inf
+        if t is not None and t * width.max() >= 1e-9:
+            sizes[name] = float(1 / (t * most))
+    return sizes
 
 
-def _score(found: Mapping[str, float], others: list) -> float:
+def _score(sizes: Mapping[str, float], others: Sequence[Mapping[str, float]]) -> float:
     """Return the mean logarithm of sizes over the smallest of each signal; what is never seen counts ten
     times the worst.
     """
-    total, signals = 0.0, [name for name in found if any(math.isfinite(o[name]) for o in others)]
-    for name in signals:
-        finite = [o[name] for o in others if math.isfinite(o[name])]
-        size = found[name] if math.isfinite(found[name]) else 10 * max(finite)
-        total += math.log(size / min(finite))
-    return total / len(signals)
+    logarithms = []
+    for name, size in sizes.items():
+        finite = [other[name] for other in others if math.isfinite(other[name])]
+        if not finite:
+            continue
+        if math.isinf(size):
+            size = 10 * max(finite)
+        logarithms.append(math.log(size / min(finite)))
+    return sum(logarithms) / len(logarithms)

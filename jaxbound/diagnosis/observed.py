@@ -1,7 +1,8 @@
-"""What a detection by a set observer returns: verdicts, and the bands that they rest on."""
+"""The result of a detection by a set observer: verdicts, and the bands that they rest on."""
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import jax
 import numpy as np
@@ -32,8 +33,10 @@ class ObserverResult(Result):
         """The Observation of the same samples, worked out at the first call: bands of states and outputs, and
         since when.
         """
-        given = Recording.of(self.relations.signals, self.u, self.y, self.starts)
-        return jax.tree.map(np.asarray, drive(self.relations.telling(enclosures=True), given))
+        recording = Recording.of(self.relations.signals, self.u, self.y, self.starts)
+        observation: Observation = drive(self.relations.telling(enclosures=True), recording)
+        on_host: Observation = jax.tree.map(np.asarray, observation)
+        return on_host
 
     @cached_property
     def readings(self) -> Interval:
@@ -43,12 +46,16 @@ class ObserverResult(Result):
         predicted, model = self.observation.predicted, self.relations.model
         rho, sigma = self.relations.bounds["noise"], self.relations.bounds["tolerance"]
         zero = model.offset["y"]
-        offset = np.asarray(zero.lo) if isinstance(zero, Interval) else np.array([float(x) for x in zero])
-        lo, hi = predicted.lo - offset, predicted.hi - offset
-        ends = lambda end: ((1 - sigma) * end, (1 + sigma) * end)
-        return Interval(np.minimum(*ends(lo)) - rho + offset, np.maximum(*ends(hi)) + rho + offset)
+        if isinstance(zero, Interval):
+            offset = np.asarray(zero.lo)
+        else:
+            offset = np.array(list(map(float, zero)))
+        lo, hi = predicted.lo - offset, predicted.hi - offset  # a reading is (1 + theta) t + delta
+        least = np.minimum((1 - sigma) * lo, (1 + sigma) * lo)
+        most = np.maximum((1 - sigma) * hi, (1 + sigma) * hi)
+        return Interval(least - rho + offset, most + rho + offset)
 
 
-@result_of.register
-def _(observer: SetObserver, judged: Judged, *about, **more):
+@result_of.register(SetObserver)
+def _(family: SetObserver[Any], judged: Judged, *about: Any, **more: Any) -> ObserverResult:
     return ObserverResult(judged.status, judged.margin, *about, **more)

@@ -1,5 +1,5 @@
-"""Which faults does a settled set observer see? From one recording without any error, since what an observer
-adds up is linear.
+"""Faults that a settled set observer sees: from one recording without any error, since an observer adds up
+linearly.
 
 The sets of an observer move with the data, but their widths and the gains depend on the bounds alone (without
 tolerances). So a fault of size f shifts what each sample is off by f phi, in units of what its set and its
@@ -18,15 +18,17 @@ from jaxbound.models.faults import Fault
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 
-__all__ = ["least_seen", "shifts"]
+__all__ = ["STEADY", "least_seen", "poles", "shifts"]
 
 LEAST, MOST = 100, 3000
 """Samples before the fault, in which the observer settles, and with it."""
+STEADY = 1 - 1e-9
+"""Magnitude of a pole from which on it counts as one that remembers for ever."""
 SMALL = 1e-2
 """Shift of a reading, in units of its bounds, by the fault that is tried."""
 
 
-def shifts(watch: SetObserver, fault: Fault) -> np.ndarray:
+def shifts(watch: SetObserver[Any], fault: Fault) -> np.ndarray:
     """Return phi (T,) of the samples since the onset of a bias or a drift of size 1: how far each is off, in
     units of what is allowed.
 
@@ -52,40 +54,67 @@ def shifts(watch: SetObserver, fault: Fault) -> np.ndarray:
             "sizes that an observer sees are worked out for certain models without tolerances: others by "
             "jb.study"
         )
-    A, B, C, D, G = (
-        np.array(getattr(model, name), float).reshape(len(getattr(model, name)), -1) for name in "ABCDG"
-    )
-    poles = np.abs(np.linalg.eigvals(A)) if model.n else np.zeros(0)
-    slow = max([-1 / np.log(p) for p in poles if 0 < p < 1 - 1e-9], default=1.0)
-    count = int(np.clip(6 * slow, LEAST, MOST))
-    inside, total = fault.signal in model.outputs, 2 * count
-    level = max(float(x) for x in watch.bounds["noise"]) or 1.0
-    size = SMALL * level * (1 if fault.kind == "bias" else 1 / count)
-    grown = np.where(
-        np.arange(total) < count, 0.0, size * (1 if fault.kind == "bias" else np.arange(total) - count + 1)
-    )
-    middle = (
-        G @ np.array([float(lo + hi) / 2 for lo, hi in model.disturbance]) if model.g else np.zeros(model.n)
-    )
+    settle = _settled(model)
+    level = max(map(float, watch.bounds["noise"])) or 1.0
+    size, since = SMALL * level, np.arange(2 * settle) - settle
+    grown: np.ndarray = np.ones(len(since))  # the fault in units of its size
+    if fault.kind == "drift":
+        size, grown = size * (1 / settle), since + 1.0
+    course = np.where(since < 0, 0.0, size * grown)
+    u, y = _recorded(model, fault, course)
+    margin = np.asarray(drive(watch.telling(enclosures=False), Recording.of(watch.signals, u, y)).margin)
+    return np.where(np.isnan(margin), 0.0, 1 - margin)[settle:] / size
+
+
+def _settled(model: LinearSystem) -> int:
+    """Return the samples in which an observer of a plant settles: six of its slowest time constants."""
+    slow = max([-1 / np.log(p) for p in poles(model) if 0 < p < STEADY], default=1.0)
+    return int(np.clip(6 * slow, LEAST, MOST))
+
+
+def poles(model: LinearSystem) -> list[float]:
+    """Return the magnitudes of the poles of a plant."""
+    if not model.n:
+        return []
+    magnitudes: list[float] = np.abs(np.linalg.eigvals(np.array(model.A, float))).tolist()
+    return magnitudes
+
+
+def _recorded(model: LinearSystem, fault: Fault, course: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (u, y) of a plant in the middle of all its bounds, with a fault of this course in time."""
+    A, B, C, D, G = (_floats(model, name) for name in "ABCDG")
+    total = len(course)
+    acts = np.zeros((total, model.m))  # what the actuators do beside u
+    if fault.signal in model.inputs:
+        acts[:, model.inputs.index(fault.signal)] = course
+    middle = np.zeros(model.n)
+    if model.g:
+        middle = G @ np.array([float(lo + hi) / 2 for lo, hi in model.disturbance])
     x, y = np.zeros(model.n), np.zeros((total, model.p))
-    acts = np.zeros((total, model.m))
-    if not inside:
-        acts[:, model.inputs.index(fault.signal)] = grown
     for k in range(total):
-        y[k] = C @ x + (D @ acts[k] if model.m else 0)
-        x = A @ x + (B @ acts[k] if model.m else 0) + middle
-    if inside:
-        y[:, model.outputs.index(fault.signal)] += grown
-    offset = {name: np.array([float(v) for v in model.offset[name]]) for name in "uy"}
-    given = Recording.of(watch.signals, np.zeros((total, model.m)) + offset["u"], y + offset["y"])
-    margin = np.asarray(drive(watch.telling(enclosures=False), given).margin)[count:]
-    return np.where(np.isnan(margin), 0.0, 1 - margin) / size
+        y[k] = C @ x
+        x = A @ x
+        if model.m:
+            y[k] += D @ acts[k]
+            x = x + B @ acts[k]
+        x = x + middle
+    if fault.signal in model.outputs:
+        y[:, model.outputs.index(fault.signal)] += course
+    u = np.zeros((total, model.m)) + np.array(model.offset["u"], float)
+    return u, y + np.array(model.offset["y"], float)
 
 
-def least_seen(watch: SetObserver, fault: Fault) -> tuple[float, int, Any]:
+def _floats(model: LinearSystem, name: str) -> np.ndarray:
+    rows = getattr(model, name)
+    return np.array(rows, float).reshape(len(rows), -1)
+
+
+def least_seen(watch: SetObserver[Any], fault: Fault) -> tuple[float, int, np.ndarray]:
     """Return (size that is always seen, samples until then, phi) of a fault in a settled observer; inf, 0
     where none is.
     """
     phi = shifts(watch, fault)
     best = int(np.argmax(phi))
-    return (float("inf"), 0, phi) if phi[best] <= 0 else (2 / float(phi[best]), best, phi)
+    if phi[best] <= 0:
+        return float("inf"), 0, phi
+    return 2 / float(phi[best]), best, phi

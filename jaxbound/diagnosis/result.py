@@ -1,13 +1,14 @@
-"""What a detection returns."""
+"""The result of a detection: verdicts of all windows, and what they are of."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial, singledispatch
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxbound.certificates.interface import explain
-from jaxbound.consistency.interface import Judged
+from jaxbound.certificates.interface import WindowCertificate, explain
+from jaxbound.consistency.interface import Judged, Relations
 from jaxbound.diagnosis.alarms import Alarm, forgets_after, group_alarms
 from jaxbound.diagnosis.hints import bound_hints, fit_hints
 from jaxbound.diagnosis.units import unit_hints
@@ -19,13 +20,16 @@ from jaxbound.relations.sentence import looked_at
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 __all__ = ["Result", "result_of", "suspected"]
 
 
 def suspected(status: np.ndarray, margin: np.ndarray) -> np.ndarray:
     """Return bool: outside the set as computed, proved or not; False where MISSING."""
     with np.errstate(invalid="ignore"):
-        return (status == Status.FAULT) | (margin < 0)
+        return np.asarray((status == Status.FAULT) | (margin < 0))
 
 
 @readable
@@ -51,27 +55,30 @@ class Result:
     status: np.ndarray
     margin: np.ndarray
     method: str
-    relations: Any
+    relations: Any  # Relations; None: residuals from elsewhere. Of a kind that each subclass knows
     u: np.ndarray
     y: np.ndarray
     index: object = None
-    starts: tuple = ()
+    starts: tuple[int, ...] = ()
     aside: int = field(default=0, kw_only=True)
-    recorded: tuple | None = field(default=None, kw_only=True, repr=False)
+    recorded: tuple[str, ...] | None = field(default=None, kw_only=True, repr=False)
 
-    def _head(self):
-        return (
-            f"{type(self).__name__} {self.status.shape}: "
-            f"{', '.join(f'{n} {name}' for name, n in self.counts.items() if n)}"
-        )
+    def _head(self) -> str:
+        counts = [f"{n} {name}" for name, n in self.counts.items() if n]
+        return f"{type(self).__name__} {self.status.shape}: {', '.join(counts)}"
 
-    def _rows(self):
-        rows = {"method": _tested(self)}
+    def _rows(self) -> dict[str, str]:
+        rows = {"method": self.method}
+        if self.relations is not None:
+            rows["method"] += f", {looked_at(self.relations)}"
         if self.relations is not None and hasattr(self.relations, "model"):
             rows["model"] = repr(self.relations.model)
         if not np.isnan(self.margin).all():
-            at = tuple(int(i) for i in np.unravel_index(int(np.nanargmin(self.margin)), self.margin.shape))
-            rows["smallest margin"] = f"{self.margin[at]:.4g} at {at if len(at) > 1 else at[0]}"
+            smallest = int(np.nanargmin(self.margin))
+            at: object = smallest
+            if self.margin.ndim > 1:
+                at = tuple(map(int, np.unravel_index(smallest, self.margin.shape)))
+            rows["smallest margin"] = f"{self.margin.flat[smallest]:.4g} at {at}"
         rows["samples"] = f"u {np.shape(self.u)}, y {np.shape(self.y)} {np.asarray(self.y).dtype}"
         if len(self.starts):
             rows["gaps"] = f"{len(self.starts)}, the first at {int(self.starts[0])}"
@@ -85,8 +92,8 @@ class Result:
     @property
     def counts(self) -> dict[str, int]:
         """{status name: number of windows}."""
-        found = np.bincount(self.status.ravel(), minlength=4)
-        return {s.name: int(found[s]) for s in Status}
+        counts = np.bincount(self.status.ravel(), minlength=len(Status))
+        return {s.name: int(counts[s]) for s in Status}
 
     @property
     def hints(self) -> tuple[str, ...]:
@@ -98,28 +105,30 @@ class Result:
         A frozen or saturated sensor can look consistent. No verdict uses these. A batch has a sentence for
         each of its recordings.
         """
-        said = self._of_the_recording() if self.recorded is None else self.recorded
+        sentences: Iterable[str] = self._of_the_recording()
+        if self.recorded is not None:
+            sentences = self.recorded
         model = self.relations.model
-        return (*said, *bound_hints(model, self.relations), *fit_hints(self), *unit_hints(self))
+        return (*sentences, *bound_hints(model, self.relations), *fit_hints(self), *unit_hints(self))
 
-    def _of_the_recording(self):
-        """Return sentences on the samples themselves."""
-        label = partial(row_label, self.index)
-        out = []
+    def _of_the_recording(self) -> Iterator[str]:
+        """Yield sentences on the samples themselves."""
+        label, model = partial(row_label, self.index), self.relations.model
         if len(self.starts):
-            first = label(int(self.starts[0]))
-            out.append(
-                f"the recording is split in {len(self.starts) + 1}, first at {first}: windows across are "
-                f"MISSING"
+            yield (
+                f"the recording is split in {len(self.starts) + 1}, first at {label(int(self.starts[0]))}: "
+                f"windows across are MISSING"
             )
         for at in np.ndindex(self.status.shape[:-1]):
-            which = f"recording {', '.join(map(str, at))}: " if at else ""
-            model, u, y = self.relations.model, self.u[at], self.y[at]
-            found = [*missing_hints(model, u, y), *still_hints(model, u, y, label)]
+            which = ""
+            if at:
+                which = f"recording {', '.join(map(str, at))}: "
+            u, y = self.u[at], self.y[at]
+            hints = [*missing_hints(model, u, y), *still_hints(model, u, y, label)]
             if isinstance(model, LinearSystem):
-                found += rounding_hints(model, y)
-            out += [which + hint for hint in found]
-        return out
+                hints += rounding_hints(model, y)
+            for hint in hints:
+                yield which + hint
 
     def alarms(self, k: int = 1, n: int = 1, hold: int = 0, clear: int = 1) -> list[Alarm]:
         """Group FAULT windows into alarms; the verdicts themselves stay as they are.
@@ -136,12 +145,12 @@ class Result:
         Raises:
             ValueError: numbers outside these ranges.
         """
-        horizon = (
-            0 if self.relations is None else forgets_after(self.relations)
-        )  # of residuals that a user worked out nothing is known
+        horizon: int | None = 0  # of residuals that a user worked out nothing is known
+        if self.relations is not None:
+            horizon = forgets_after(self.relations)
         return group_alarms(self, k, n, hold, clear, horizon)
 
-    def explain(self, at: int | tuple[int, ...]) -> Any:
+    def explain(self, at: int | tuple[int, ...]) -> WindowCertificate:
         """Return the Certificate of the window that ends at index `at` (an int, or a tuple for a batch), in
         exact rationals.
 
@@ -164,7 +173,7 @@ class Result:
         """
         return explain(self, at)
 
-    def to_pandas(self) -> Any:
+    def to_pandas(self) -> "pd.DataFrame":
         """Return a DataFrame with the columns status (names), margin and suspect, one row a sample.
 
         Raises:
@@ -183,16 +192,24 @@ class Result:
         )
 
 
-def _tested(res):
-    """Return what was tested, as text."""
-    if res.relations is None:
-        return res.method
-    return f"{res.method}, {looked_at(res.relations)}"
-
-
 @singledispatch
-def result_of(relations: Any, judged: Judged, *about: Any, **more: Any) -> Result:
-    """Return the Result of what `detect` was given: method, relations, u, y, index, starts and aside beside
-    the verdicts `judged`.
+def result_of(
+    family: object,
+    judged: Judged,
+    method: str,
+    relations: Relations,
+    u: np.ndarray,
+    y: np.ndarray,
+    index: object = None,
+    starts: tuple[int, ...] = (),
+    *,
+    aside: int = 0,
+    recorded: tuple[str, ...] | None = None,
+) -> Result:
+    """Return the Result of verdicts, its kind chosen by the relations that a user gave.
+
+    Args:
+        family: as given to `detect`. judged: the verdicts. The others: see the fields of Result.
     """
-    return Result(judged.status, judged.margin, *about, **more)
+    about = method, relations, u, y, index, starts
+    return Result(judged.status, judged.margin, *about, aside=aside, recorded=recorded)

@@ -6,64 +6,71 @@ makes nearly all of them consistent is worth a sentence. A dead signal explained
 it must do better than zero.
 """
 
-from typing import Any
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from jaxbound.certificates.interface import Judgement
 from jaxbound.consistency.drive import drive
+from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["unit_hints"]
 
-MOST, NEARLY_ALL = (
-    0.5,
-    0.95,
-)  # share of FAULT windows that makes us look, share of CONSISTENT ones that makes us speak
-STRETCHES, LONG = 4, 64  # parts of the recording that are tested again, and their windows
-GROUPS = 40  # signals and groups of them that are tried at most
+MOST, NEARLY_ALL = 0.5, 0.95
+"""Share of FAULT windows that makes us look, share of CONSISTENT ones that makes us speak."""
+STRETCHES, LONG = 4, 64
+"""Parts of the recording that are tested again, and their windows."""
+GROUPS = 40
+"""Signals and groups of them that are tried at most."""
 
-CELSIUS, FAHRENHEIT, KELVIN = (
-    ("degC", "°C", "C", "Celsius"),
-    ("degF", "°F", "F", "Fahrenheit"),
-    ("K", "kelvin", "Kelvin"),
-)
-TEMPERATURES = {unit: kind for kind in (CELSIUS, FAHRENHEIT, KELVIN) for unit in kind}
-# as text, factor, shift, what the signal looks like, units that the model may have (None: any but a
-# temperature)
+Group: TypeAlias = tuple[int, ...]
+"""Numbers of signals, inputs first, that share a mistake."""
+
+
+class Conversion(NamedTuple):
+    """A way in which a signal may be meant: factor * signal + shift.
+
+    Fields: text of the conversion, with {} for the signal; factor, shift; looks: like what the signal looks;
+    units: that the model may have, None: any but a temperature.
+    """
+
+    text: str
+    factor: float
+    shift: float
+    looks: str
+    units: tuple[str, ...] | None = None
+
+
+CELSIUS = ("degC", "°C", "C", "Celsius")
+FAHRENHEIT = ("degF", "°F", "F", "Fahrenheit")
+KELVIN = ("K", "kelvin", "Kelvin")
+PERCENT = "percent where the model has a fraction, or another factor of 100, as kPa for bar"
+FRACTION = "a fraction where the model has percent, or another factor of 100, as bar for kPa"
 CONVERSIONS = (
-    ("{} - 273.15", 1.0, -273.15, "kelvin where the model has degC", CELSIUS),
-    ("{} + 273.15", 1.0, 273.15, "degC where the model has kelvin", KELVIN),
-    ("({} - 32) * 5 / 9", 5 / 9, -160 / 9, "degF where the model has degC", CELSIUS),
-    ("{} * 9 / 5 + 32", 9 / 5, 32.0, "degC where the model has degF", FAHRENHEIT),
-    ("{} * 9 / 5 - 459.67", 9 / 5, -459.67, "kelvin where the model has degF", FAHRENHEIT),
-    (
-        "{} / 100",
-        1e-2,
-        0.0,
-        "percent where the model has a fraction, or another factor of 100, as kPa for bar",
-        None,
-    ),
-    (
-        "{} * 100",
-        1e2,
-        0.0,
-        "a fraction where the model has percent, or another factor of 100, as bar for kPa",
-        None,
-    ),
-    ("{} / 1000", 1e-3, 0.0, "Pa where the model has kPa, or another factor of 1000", None),
-    ("{} * 1000", 1e3, 0.0, "kPa where the model has Pa, or another factor of 1000", None),
-    ("{} / 100000", 1e-5, 0.0, "Pa where the model has bar", None),
-    ("{} * 100000", 1e5, 0.0, "bar where the model has Pa", None),
+    Conversion("{} - 273.15", 1.0, -273.15, "kelvin where the model has degC", CELSIUS),
+    Conversion("{} + 273.15", 1.0, 273.15, "degC where the model has kelvin", KELVIN),
+    Conversion("({} - 32) * 5 / 9", 5 / 9, -160 / 9, "degF where the model has degC", CELSIUS),
+    Conversion("{} * 9 / 5 + 32", 9 / 5, 32.0, "degC where the model has degF", FAHRENHEIT),
+    Conversion("{} * 9 / 5 - 459.67", 9 / 5, -459.67, "kelvin where the model has degF", FAHRENHEIT),
+    Conversion("{} / 100", 1e-2, 0.0, PERCENT),
+    Conversion("{} * 100", 1e2, 0.0, FRACTION),
+    Conversion("{} / 1000", 1e-3, 0.0, "Pa where the model has kPa, or another factor of 1000"),
+    Conversion("{} * 1000", 1e3, 0.0, "kPa where the model has Pa, or another factor of 1000"),
+    Conversion("{} / 100000", 1e-5, 0.0, "Pa where the model has bar"),
+    Conversion("{} * 100000", 1e5, 0.0, "bar where the model has Pa"),
 )
-DIFFERENCES = (  # only where the unit says that it is a temperature: 5/9 is like many another error of scale
-    ("{} * 5 / 9", 5 / 9, 0.0, "a difference in degF where the model has kelvin", CELSIUS + KELVIN),
-    ("{} * 9 / 5", 9 / 5, 0.0, "a difference in kelvin where the model has degF", FAHRENHEIT),
+# only where the unit says that it is a temperature: 5/9 is like many another error of scale
+DIFFERENCES = (
+    Conversion("{} * 5 / 9", 5 / 9, 0.0, "a difference in degF where the model has kelvin", CELSIUS + KELVIN),
+    Conversion("{} * 9 / 5", 9 / 5, 0.0, "a difference in kelvin where the model has degF", FAHRENHEIT),
 )
+DEAD = Conversion("0", 0.0, 0.0, "a dead signal")
 
 
-def unit_hints(result: Any) -> list[str]:
+def unit_hints(result: Judgement) -> list[str]:
     """Return a sentence, or none, on signals that seem to be recorded in another unit than the model has.
 
     Args:
@@ -75,91 +82,134 @@ def unit_hints(result: Any) -> list[str]:
             consistent.
     """
     relations, status = result.relations, np.asarray(result.status)
-    if (
-        result.method != "joint"
-        or not isinstance(relations, ParityRelation)
-        or relations.model.constant_tolerance
-        or status.ndim != 1
-    ):
+    if result.method != "joint" or not isinstance(relations, ParityRelation) or status.ndim != 1:
+        return []
+    if relations.model.constant_tolerance:
         return []
     tested = np.flatnonzero(status != Status.MISSING)
-    now = float(np.mean(status[tested] == Status.FAULT)) if len(tested) else 0.0
-    if now <= MOST:
+    if not len(tested):
         return []
-    model, length = relations.model, min(len(status), relations.horizon + LONG)
-    starts = np.unique(
-        np.clip(
-            tested[(np.linspace(0, 1, STRETCHES) * (len(tested) - 1)).astype(int)] - length // 2,
-            0,
-            len(status) - length,
-        )
-    )
-    at = starts[:, None] + np.arange(length)
-    mask = status[at] != Status.MISSING
-    mask[:, : relations.horizon] = False
-    if not mask.any():
+    faulty = float(np.mean(status[tested] == Status.FAULT))
+    if faulty <= MOST:
         return []
-    signals, rest = (
-        np.concatenate([result.u, result.y], 1)[at],
-        np.array([*model.offset["u"], *model.offset["y"]], float),
-    )
+    at = _stretches(tested, relations.horizon, len(status))
+    judged = status[at] != Status.MISSING
+    judged[:, : relations.horizon] = False
+    if not judged.any():
+        return []
+    tries, converted = _tried(relations.model, np.concatenate([result.u, result.y], 1)[at], result.y.dtype)
+    share = _consistent(relations, converted)[:, judged].mean(1)
+    best = _best(relations.model, tries, converted, share)
+    if best is None:
+        return []
+    group, conversion = tries[best]
+    names = [(relations.model.inputs + relations.model.outputs)[j] for j in group]
+    return [_sentence(names, conversion, float(share[best]), faulty)]
+
+
+def _stretches(tested: np.ndarray, horizon: int, samples: int) -> np.ndarray:
+    """Return the numbers of the samples (stretches, length) that are tested again, around windows with
+    data.
+    """
+    length = min(samples, horizon + LONG)
+    middles = tested[(np.linspace(0, 1, STRETCHES) * (len(tested) - 1)).astype(int)]
+    starts = np.unique(np.clip(middles - length // 2, 0, samples - length))
+    return np.asarray(starts[:, None] + np.arange(length))
+
+
+def _tried(
+    model: LinearSystem, signals: np.ndarray, dtype: np.dtype
+) -> tuple[list[tuple[Group, Conversion]], np.ndarray]:
+    """Return (what is tried, the signals converted by each): each group dead first, then by each conversion
+    that its units allow.
+    """
     tries = []
     for group in _groups(model):
-        tries.append((group, None, _changed(signals, group, 0.0, 0.0)))
-        tries += [(group, c, _changed(signals, group, c[1], c[2])) for c in _conversions(model, group)]
-    found = np.stack([x for _, _, x in tries]).astype(result.y.dtype)
-    given = Recording(
-        found[..., : model.m], found[..., model.m :], np.zeros(0, np.int64), model.inputs, model.outputs
-    )
-    again = drive(relations.test("joint", found.dtype), given).status == Status.CONSISTENT
-    share = again[:, mask].mean(1)
-    zero = {group: x for (group, c, _), x in zip(tries, share, strict=True) if c is None}
-    level = np.abs(np.nan_to_num(found - rest))[..., model.m :].mean(
-        (1, 2, 3)
-    )  # of alternatives that explain as much, the nearest to rest
+        tries += [(group, DEAD), *((group, conversion) for conversion in _conversions(model, group))]
+    converted = np.stack([_changed(signals, *one) for one in tries]).astype(dtype)
+    return tries, converted
+
+
+def _consistent(relations: ParityRelation, signals: np.ndarray) -> np.ndarray:
+    """Return which windows of signals (.., inputs and outputs) are CONSISTENT."""
+    model = relations.model
+    u, y = signals[..., : model.m], signals[..., model.m :]
+    again = Recording(u, y, np.zeros(0, np.int64), model.inputs, model.outputs)
+    return np.asarray(drive(relations.test("joint", signals.dtype), again).status == Status.CONSISTENT)
+
+
+def _best(
+    model: LinearSystem,
+    tries: list[tuple[Group, Conversion]],
+    converted: np.ndarray,
+    share: np.ndarray,
+) -> int | None:
+    """Return the number of the conversion to speak of: of those that explain most, the one whose outputs are
+    nearest to rest; None where none explains enough.
+    """
+    rest = np.array([*model.offset["u"], *model.offset["y"]], float)
+    level = np.abs(np.nan_to_num(converted - rest))[..., model.m :].mean((1, 2, 3))
+    dead = {group: x for (group, conversion), x in zip(tries, share, strict=True) if conversion is DEAD}
     for i in np.lexsort((level, -np.round(share, 2))):
-        group, conversion, _ = tries[i]
+        group, conversion = tries[i]
         if share[i] < NEARLY_ALL:
-            return []
-        if conversion is not None and (conversion[1] > 1 or conversion[2] or zero[group] < NEARLY_ALL):
-            names = [(model.inputs + model.outputs)[j] for j in group]
-            converted = " and ".join(conversion[0].format(name) for name in names[:3]) + (
-                " and so on" if len(names) > 3 else ""
-            )
-            looks = f"{' and '.join(names)} look{'s' * (len(names) == 1)} like {conversion[3]}"
-            return [
-                f"{looks}: with {converted}, {100 * share[i]:.0f} % of the windows are consistent, instead "
-                f"of "
-                f"{100 * (1 - now):.0f} %; the verdicts are those of the recording as it is"
-            ]
-    return []
+            return None
+        if conversion is DEAD:
+            continue
+        # a factor below 1 explains no more than a dead signal where that explains as much
+        if conversion.factor > 1 or conversion.shift or dead[group] < NEARLY_ALL:
+            return int(i)
+    return None
 
 
-def _conversions(model, group):
+def _sentence(names: list[str], conversion: Conversion, share: float, faulty: float) -> str:
+    """Return the hint on signals that seem to be in another unit."""
+    converted = " and ".join(map(conversion.text.format, names[:3]))
+    if len(names) > 3:
+        converted += " and so on"
+    look = "look"
+    if len(names) == 1:
+        look = "looks"
+    return (
+        f"{' and '.join(names)} {look} like {conversion.looks}: with {converted}, {100 * share:.0f} % of the "
+        f"windows are consistent, instead of {100 * (1 - faulty):.0f} %; the verdicts are those of the "
+        f"recording as it is"
+    )
+
+
+def _conversions(model: LinearSystem, group: Group) -> tuple[Conversion, ...]:
     """Return the conversions that the units of the signals, where they are stated, do not rule out."""
-    units = {model.unit((model.inputs + model.outputs)[j]) for j in group} - {""}
+    names = model.inputs + model.outputs
+    units = {model.unit(names[j]) for j in group} - {""}
     if not units:
         return CONVERSIONS
-    allowed = lambda c: all(unit not in TEMPERATURES if c[4] is None else unit in c[4] for unit in units)
-    return [c for c in CONVERSIONS + DIFFERENCES if allowed(c)]
+    return tuple(c for c in CONVERSIONS + DIFFERENCES if _allowed(c, units))
 
 
-def _groups(model):
+def _allowed(conversion: Conversion, units: set[str]) -> bool:
+    if conversion.units is None:
+        return not units & {*CELSIUS, *FAHRENHEIT, *KELVIN}
+    return units <= set(conversion.units)
+
+
+def _groups(model: LinearSystem) -> list[Group]:
     """Return tuples of signal numbers that may share a mistake: each alone, those of one unit, all outputs,
     all inputs.
     """
     names = model.inputs + model.outputs
+    count = len(names)
+    groups: list[Group] = [(j,) for j in range(count)]
     together = [
         tuple(j for j, name in enumerate(names) if model.unit(name) == unit)
         for unit in dict.fromkeys(model.units.values())
     ]
-    together += [tuple(range(model.m, len(names))), tuple(range(model.m)), tuple(range(len(names)))]
-    groups = [(j,) for j in range(len(names))] + [group for group in together if len(group) > 1]
+    together += [tuple(range(model.m, count)), tuple(range(model.m)), tuple(range(count))]
+    groups += [group for group in together if len(group) > 1]
     return list(dict.fromkeys(groups))[:GROUPS]
 
 
-def _changed(signals, group, factor, shift):
+def _changed(signals: np.ndarray, group: Group, conversion: Conversion) -> np.ndarray:
     """Return the signals with those of a group converted."""
-    out = signals.copy()
-    out[..., list(group)] = factor * out[..., list(group)] + shift
-    return out
+    changed = signals.copy()
+    changed[..., list(group)] = conversion.factor * signals[..., list(group)] + conversion.shift
+    return changed

@@ -12,10 +12,11 @@ usually for a single step, and accept an optimum only if z keeps every row. What
 never truth.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from math import lcm
+from operator import mul
 from typing import TypeAlias
 
 import numpy as np
@@ -28,6 +29,9 @@ __all__ = ["Optimum", "Subspace", "chebyshev", "subspace"]
 Reference: TypeAlias = tuple[tuple[int, int], ...]
 """Rows, each with the sign of its error."""
 Rows: TypeAlias = Sequence[Sequence[Fraction]]
+Integers: TypeAlias = Sequence[int]
+System: TypeAlias = Sequence[Integers]
+"""Rows of integers."""
 
 CROWDED = 32
 """Rows of more than two numbers from which on a system is solved by lifting."""
@@ -91,58 +95,68 @@ def chebyshev(
     """
     if not len(b) or min(r) <= 0:
         raise ValueError("a Chebyshev problem needs at least one row, and radii > 0")
-    space = E if isinstance(E, Subspace) else subspace(E)
+    space = E
+    if not isinstance(space, Subspace):
+        space = subspace(space)
     common = lcm(*(x.denominator for x in (*b, *r)))
-    right, radii = (
-        [x.numerator * (common // x.denominator) * f for x, f in zip(v, space.scales, strict=True)]
-        for v in (b, r)
-    )
+    right, radii = _whole(b, common, space.scales), _whole(r, common, space.scales)
     while True:
         kept = [[row[j] for j in space.columns] for row in space.rows]
         reference = _search(kept, right, radii, common, space.independent, start)
         t, h, z, reference = _settle(kept, right, radii, reference, space.independent)
-        unused = set(range(len(space.rows[0]))) - set(space.columns)
-        if all(sum(x * row[j] for x, row in zip(h, space.rows, strict=True) if x) == 0 for j in unused):
+        if _annihilates(h, space):
             break
-        columns, independent = (
-            list(linalg.row_reduce(a)[1]) for a in (space.rows, linalg.transpose(space.rows))
-        )  # the prime divided a minor
+        # the prime divided a minor: an exact rank, which takes longer, is never wrong
+        columns = list(linalg.row_reduce(space.rows)[1])
+        independent = list(linalg.row_reduce(linalg.transpose(space.rows))[1])
         space, start = Subspace(space.rows, space.scales, columns, independent), None
     out = [Fraction(0)] * len(space.rows[0])
     for j, x in zip(space.columns, z, strict=True):
         out[j] = x / common
-    circuit = linalg.primitive([Fraction(x * f) for x, f in zip(h, space.scales, strict=True)])
+    circuit = linalg.primitive(list(map(mul, h, space.scales)))
     return Optimum(t, circuit, tuple(out), reference)
 
 
-def _independent(rows: Sequence[Sequence[int]]) -> tuple[list[int], list[int]]:
+def _whole(values: Sequence[Fraction], common: int, scales: Integers) -> list[int]:
+    """Return numbers times a common denominator, each times the scale of its row."""
+    return [x.numerator * (common // x.denominator) * f for x, f in zip(values, scales, strict=True)]
+
+
+def _annihilates(h: Integers, space: Subspace) -> bool:
+    """Return whether h E = 0 in the columns too that were taken for dependent ones."""
+    unused = set(range(len(space.rows[0]))) - set(space.columns)
+    return not any(_product(h, [row[j] for row in space.rows]) for j in unused)
+
+
+def _product(a: Integers, b: Integers) -> int:
+    """Return the sum of products of integers."""
+    return sum(map(mul, a, b))
+
+
+def _independent(rows: System) -> tuple[list[int], list[int]]:
     """Return (columns, rows) of a largest minor that is not zero modulo a prime."""
     work = [[x % PRIME for x in row] for row in rows]
-    left, columns, found = list(range(len(work))), [], []
+    left, columns, pivots = list(range(len(work))), [], []
     for j in range(len(work[0])):
         i = next((i for i in left if work[i][j]), None)
         if i is None:
             continue
         left.remove(i)
         columns.append(j)
-        found.append(i)
+        pivots.append(i)
         inverse = pow(work[i][j], -1, PRIME)
         head = [(k, x * inverse % PRIME) for k, x in enumerate(work[i]) if x]
-        for a in left:
-            if f := work[a][j]:
-                row = work[a]
-                for k, x in head:
-                    row[k] = (row[k] - f * x) % PRIME
-    return columns, found
+        for row in (work[a] for a in left):
+            factor = row[j]
+            if not factor:
+                continue
+            for k, x in head:
+                row[k] = (row[k] - factor * x) % PRIME
+    return columns, pivots
 
 
 def _search(
-    E: list[list[int]],
-    b: list[int],
-    r: list[int],
-    common: int,
-    independent: list[int],
-    start: Reference | None,
+    E: System, b: Integers, r: Integers, common: int, independent: list[int], start: Reference | None
 ) -> Reference:
     """Return a reference that is nearly optimal: rows S..., q, each with the sign of its error. The exchange
     in floats.
@@ -153,25 +167,15 @@ def _search(
     m, N = len(E), len(E[0])
     if N == m:
         return ()
-    largest = [max(map(abs, row), default=0) or 1 for row in E]
-    F = np.array([[x / top for x in row] for row, top in zip(E, largest, strict=True)]).reshape(m, N)
-    # numbers of one row over another's: whatever their unit is, it need not fit a float
-    unit = common * max(
-        1, *(abs(x) // (top * common) for v in (b, r) for x, top in zip(v, largest, strict=True))
-    )
-    c, radius = (np.array([x / (top * unit) for x, top in zip(v, largest, strict=True)]) for v in (b, r))
-    weight = 1 / np.maximum(radius, radius.max() * 1e-12)  # enough to search; the exact steps know better
-    c *= weight
-    F, _ = np.linalg.qr(F * weight[:, None])
+    F, c = _in_floats(E, b, r, common)
     # Many multipliers are zero where rows are sparse. A nudge, the same for all references, decides which of
     # them leaves: no cycles.
     nudge = np.append(1e-9 * np.random.default_rng(0).uniform(0.5, 1, N), 1)
     try:
-        own, signs = (
-            _spread_reference(F, c)
-            if start is None or len(start) != N + 1
-            else map(np.array, zip(*start, strict=True))
-        )
+        if start is None or len(start) != N + 1:
+            own, signs = _spread_reference(F, c)
+        else:
+            own, signs = map(np.array, zip(*start, strict=True))
         for _ in range(50 + 20 * N):
             inverse = np.linalg.inv(np.column_stack([signs[:, None] * F[own], np.ones(N + 1)]))
             *z, t = inverse @ (signs * c[own])
@@ -185,16 +189,37 @@ def _search(
             own[leaves], signs[leaves] = j, np.sign(gap[j])
     except np.linalg.LinAlgError:
         return _plain(m, independent)
-    last = int(
-        np.argmax(np.abs(inverse[-1]))
-    )  # the row of the largest multiplier: the others are independent
+    # the row of the largest multiplier comes last: the others are independent
+    last = int(np.argmax(np.abs(inverse[-1])))
     order = [*range(last), *range(last + 1, N + 1), last]
     return tuple((int(own[i]), int(signs[i])) for i in order)
 
 
+def _in_floats(E: System, b: Integers, r: Integers, common: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return (F, c): rows over their radii, with F orthonormal, and what they are to be near.
+
+    Whatever the unit of integers is, it need not fit a float: a row is divided by its largest entry, and all
+    numbers of the right by what brings the largest of them near 1.
+    """
+    m, N = len(E), len(E[0])
+    tops = [max(map(abs, row), default=0) or 1 for row in E]
+    sizes = [abs(x) // (top * common) for v in (b, r) for x, top in zip(v, tops, strict=True)]
+    unit = common * max(1, *sizes)
+    F = np.array([[x / top for x in row] for row, top in zip(E, tops, strict=True)]).reshape(m, N)
+    c, radius = _over(b, tops, unit), _over(r, tops, unit)
+    weight = 1 / np.maximum(radius, radius.max() * 1e-12)  # enough to search; the exact steps know better
+    F, _ = np.linalg.qr(F * weight[:, None])
+    return F, c * weight
+
+
+def _over(values: Integers, tops: Integers, unit: int) -> np.ndarray:
+    return np.array([x / (top * unit) for x, top in zip(values, tops, strict=True)])
+
+
 def _plain(m: int, independent: list[int]) -> Reference:
     """Return a reference without any search."""
-    return tuple((i, 1) for i in (*independent, next(i for i in range(m) if i not in independent)))
+    other = next(i for i in range(m) if i not in independent)
+    return tuple((i, 1) for i in (*independent, other))
 
 
 def _spread_reference(F: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -214,73 +239,102 @@ def _spread_reference(F: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndar
     away[S] = -1
     own = np.array([*S, np.argmax(away)])
     h = np.append(-F[own[-1]] @ inverse, 1)
-    return own, np.where(h < 0, -1, 1) * (-1 if h @ c[own] < 0 else 1)
+    signs = np.where(h < 0, -1, 1)
+    if h @ c[own] < 0:
+        signs = -signs
+    return own, signs
 
 
 def _settle(
-    E: list[list[int]], b: list[int], r: list[int], reference: Reference, independent: list[int]
+    E: System, b: Integers, r: Integers, reference: Reference, independent: list[int]
 ) -> tuple[Fraction, list[int], list[Fraction], Reference]:
-    """Return (t, h, z, reference) of the optimum: exact exchanges on integers, from a reference on."""
+    """Return (t, h, z, reference) of the optimum: exact exchanges on integers, from a reference on.
+
+    A reference S, q has one circuit h (h E = 0), t = |h b| / sum |h_i| r_i, and a z at which every error
+    b_i - E_i z of the reference is t r_i with the sign of h_i. If no other error is larger, primal and dual
+    are equal: that is the optimum. Else the worst row enters and one leaves, so that t grows.
+    """
     m = len(E)
     if not reference:  # as many rows as unknowns: everything fits
         Z, det = _regular(E, b)
         return Fraction(0), [0] * m, [Fraction(x, det) for x in Z], reference
-    (*S, q), signs, steps = [i for i, _ in reference], [1] * m, 0
+    signs, steps = [1] * m, 0
     for i, sign in reference:
         signs[i] = sign
+    *S, q = [i for i, _ in reference]
     while True:
-        solved = _solve(linalg.transpose([E[i] for i in S]), E[q])
-        if solved is None:
+        h = _circuit(E, b, S, q)
+        if h is None:  # floats took dependent rows for independent ones
             *S, q = [i for i, _ in _plain(m, independent)]
             continue
-        T, det = solved
-        h = {**{i: -x for i, x in zip(S, T, strict=True)}, q: det}
-        total = sum(x * b[i] for i, x in h.items())
-        if total < 0:
-            total, h = -total, {i: -x for i, x in h.items()}
         for i, x in h.items():
-            signs[i] = signs[i] if x == 0 else 1 if x > 0 else -1
-        size = sum(abs(x) * r[i] for i, x in h.items())
+            if x:
+                signs[i] = _sign(x)
+        total = sum(x * b[i] for i, x in h.items())
+        size = sum(abs(x) * r[i] for i, x in h.items())  # t = total / size
         Z, det = _regular([E[i] for i in S], [b[i] * size - signs[i] * total * r[i] for i in S])
-        gaps = [b[i] * size * det - sum(x * y for x, y in zip(E[i], Z, strict=True) if x) for i in range(m)]
+        gaps = [b[i] * size * det - _product(E[i], Z) for i in range(m)]  # of z = Z / (det size)
         limit = total * abs(det)
         out = [i for i in range(m) if abs(gaps[i]) > limit * r[i]]
         if not out:
-            full = [h.get(i, 0) for i in range(m)]
-            return (
-                Fraction(total, size),
-                full,
-                [Fraction(x, det * size) for x in Z],
-                tuple((i, signs[i]) for i in (*S, q)),
-            )
+            circuit = [h.get(i, 0) for i in range(m)]
+            z = [Fraction(x, det * size) for x in Z]
+            return Fraction(total, size), circuit, z, tuple((i, signs[i]) for i in (*S, q))
         steps += 1
-        worst = (
-            max(out, key=lambda i: Fraction(abs(gaps[i]), r[i])) if steps < 200 else out[0]
-        )  # by number: cannot cycle
-        signs[worst] = 1 if (gaps[worst] > 0) == (det > 0) else -1
-        share, det = _regular(linalg.transpose([E[i] for i in S]), E[worst])
-        shares = [
-            (i, signs[worst] * signs[i] * x * (1 if det > 0 else -1)) for i, x in zip(S, share, strict=True)
-        ]
-        growing = [(i, x) for i, x in shares if x > 0]
-        if not growing:
+        worst = out[0]  # by number: cannot cycle
+        if steps < 200:
+            worst = max(out, key=lambda i: Fraction(abs(gaps[i]), r[i]))
+        signs[worst] = _sign(gaps[worst] * det)
+        leaves = _leaving(E, S, worst, signs, h)
+        if leaves is None:
             q = worst
-            continue
-        at_once = [i for i, _ in growing if h[i] == 0]
-        leaves = (
-            min(at_once) if at_once else max(growing, key=lambda c: (Fraction(c[1], abs(h[c[0]])), -c[0]))[0]
-        )
-        S[S.index(leaves)] = worst
+        else:
+            S[S.index(leaves)] = worst
 
 
-def _regular(M: Sequence[Sequence[int]], right: Sequence[int]) -> tuple[list[int], int]:
+def _circuit(E: System, b: Integers, S: list[int], q: int) -> dict[int, int] | None:
+    """Return the integers h with h E = 0 on rows S, q and h b >= 0; None where rows S are dependent."""
+    solved = _solve(linalg.transpose([E[i] for i in S]), E[q])
+    if solved is None:
+        return None
+    T, det = solved  # E_q det = T E_S
+    h = {i: -x for i, x in zip(S, T, strict=True)} | {q: det}
+    if sum(x * b[i] for i, x in h.items()) < 0:
+        h = {i: -x for i, x in h.items()}
+    return h
+
+
+def _leaving(E: System, S: list[int], worst: int, signs: Integers, h: Mapping[int, int]) -> int | None:
+    """Return the row of S whose multiplier first falls to zero as that of the worst row grows; None: none
+    does, and it takes the place of q.
+    """
+    share, det = _regular(linalg.transpose([E[i] for i in S]), E[worst])
+    falling = {}
+    for i, x in zip(S, share, strict=True):
+        speed = signs[worst] * signs[i] * x * _sign(det)
+        if speed > 0:
+            falling[i] = speed
+    at_once = [i for i in falling if h[i] == 0]
+    if at_once:
+        return min(at_once)
+    return max(falling, key=lambda i: (Fraction(falling[i], abs(h[i])), -i), default=None)
+
+
+def _sign(x: int) -> int:
+    """Return 1 or -1; of 0, -1."""
+    if x > 0:
+        return 1
+    return -1
+
+
+def _regular(M: System, right: Integers) -> tuple[list[int], int]:
     """Solve a system that is known to be regular."""
     solved = _solve(M, right)
     assert solved is not None
     return solved
 
 
-def _solve(M: Sequence[Sequence[int]], right: Sequence[int]) -> tuple[list[int], int] | None:
+def _solve(M: System, right: Integers) -> tuple[list[int], int] | None:
     """Return (x, det) of integers with M x = right * det, or None if M is singular (Bareiss: every division
     is exact).
 
@@ -288,10 +342,12 @@ def _solve(M: Sequence[Sequence[int]], right: Sequence[int]) -> tuple[list[int],
     Where many rows are no such, as those of averages make them, determinants grow too long: digits are lifted
     instead.
     """
-    n = len(M)
     crowded = sum(1 for row in M if sum(map(bool, row)) > 2)
-    if crowded >= CROWDED and (solved := lifted(M, right)):
-        return solved
+    if crowded >= CROWDED:
+        solved = lifted(M, right)
+        if solved:
+            return solved
+    n = len(M)
     rows = [[*row, y] for row, y in zip(M, right, strict=True)]
     order, previous = [], 1
     free = list(range(n))
@@ -303,25 +359,28 @@ def _solve(M: Sequence[Sequence[int]], right: Sequence[int]) -> tuple[list[int],
         rows[k], rows[i] = rows[i], rows[k]
         head = rows[k]
         j = min((j for j in free if head[j]), key=lambda j: abs(head[j]))
-        pivot = head[j]
         free.remove(j)
         order.append(j)
-        support = [c for c in (*free, n) if head[c]]
-        for a in range(k + 1, n):
-            row = rows[a]
-            f = row[j]
-            for c in (*free, n):
-                row[c] = row[c] * pivot
-            if f:
-                for c in support:
-                    row[c] -= f * head[c]
-            if previous != 1:
-                for c in (*free, n):
-                    row[c] //= previous
-        previous = pivot
+        _eliminate(rows[k + 1 :], head, j, [*free, n], previous)
+        previous = head[j]
     x = [0] * n
     for k in reversed(range(n)):
         head = rows[k]
         rest = head[n] * previous - sum(head[c] * x[c] for c in order[k + 1 :] if head[c])
         x[order[k]] = rest // head[order[k]]
     return x, previous
+
+
+def _eliminate(rows: list[list[int]], head: list[int], j: int, columns: list[int], previous: int) -> None:
+    """Remove unknown j from rows by that of the pivot: (pivot row - f head) / previous, exact by Bareiss."""
+    pivot, support = head[j], [c for c in columns if head[c]]
+    for row in rows:
+        f = row[j]
+        for c in columns:
+            row[c] *= pivot
+        if f:
+            for c in support:
+                row[c] -= f * head[c]
+        if previous != 1:
+            for c in columns:
+                row[c] //= previous

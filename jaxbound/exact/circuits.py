@@ -34,9 +34,10 @@ def circuits(a: Matrix) -> Matrix:
         Primitive rows, by support in lexicographic order.
     """
     basis = transpose(row_reduce(transpose(a))[0])  # the same left null space with full column rank
-    height, rank = len(a), len(basis[0]) if basis else 0
-    if rank == 0:
+    height = len(a)
+    if not basis:
         return identity(height)
+    rank = len(basis[0])
     if rank < height - rank:
         candidates = _among_rows(basis, rank)
     else:

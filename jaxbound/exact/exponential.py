@@ -9,10 +9,10 @@ Source: scaling and squaring with a truncated series, Moler, Van Loan 2003, meth
 terms kept.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from fractions import Fraction
-from math import ceil
-from typing import TypeAlias
+from math import ceil, floor
+from typing import TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,20 +88,19 @@ def absolute_integral(A: Rational, T: Fraction | int) -> Exact:
     step, e_step = _series(A * T, halvings, bits)
     growth, e_growth = _series(abs(A) * T, halvings, bits)
     growth = growth + e_growth
-    size = lambda X, e: abs(X) + e
     curved = abs(_scaled(A @ A, bits)) + 1
     X, e = _one(len(A), bits), 0
     ends, curvature = np.zeros_like(X), np.zeros_like(X)
     for _ in range(pieces):
-        curvature = curvature + size(X, e)  # |A^2 X| <= |A^2| |X|, the same for every piece
-        before = size(X, e)
+        before = abs(X) + e
+        curvature = curvature + before  # |A^2 X| <= |A^2| |X|, the same for every piece
         X, e = _product(X, e, step, e_step, bits)
-        ends = ends + before + size(X, e)
+        ends = ends + before + (abs(X) + e)
     ends, curvature = _fractions(ends, bits), _fractions(curvature, bits)
     bent = _fractions(curved, bits) @ curvature @ _fractions(growth, bits)
-    total = h / 2 * ends + h**3 / 12 * bent
+    total = h / 2 * ends + h**3 / 12 * bent  # the trapezoidal rule, and h^3 / 12 times the second derivative
     for _ in range(doublings):
-        total = total + _fractions(size(X, e), bits) @ total
+        total = total + _fractions(abs(X) + e, bits) @ total
         X, e = _product(X, e, X, e, bits)
         total = _rounded_up(total, bits)
     return _rounded_up(total, bits)
@@ -113,23 +112,30 @@ def _halvings(M: Exact, small: Fraction) -> int:
 
 
 def _norm(M: Exact) -> int:
-    return abs(M).sum(axis=1).max()
+    """Return the largest sum of magnitudes in a row."""
+    return cast(int, abs(M).sum(axis=1).max())  # an entry of an array of objects
 
 
 def _one(n: int, bits: int) -> Exact:
-    return np.array([[(i == j) << bits for j in range(n)] for i in range(n)], object)
+    return np.eye(n, dtype=object) * (1 << bits)
 
 
 def _scaled(M: Exact, bits: int) -> Exact:
-    return np.vectorize(lambda x: (Fraction(x) * (1 << bits)).__floor__(), otypes=[object])(M)
+    """Return M 2^bits, rounded down to integers."""
+    return _each(lambda x: floor(Fraction(x) * (1 << bits)), M)
 
 
 def _fractions(X: Exact, bits: int) -> Exact:
-    return np.vectorize(lambda x: Fraction(x, 1 << bits), otypes=[object])(X)
+    """Return integers X as the fractions X 2^-bits."""
+    return _each(lambda x: Fraction(x, 1 << bits), X)
 
 
 def _rounded_up(X: Exact, bits: int) -> Exact:
-    return np.vectorize(lambda x: Fraction(ceil(x * (1 << bits)), 1 << bits), otypes=[object])(X)
+    return _each(lambda x: Fraction(ceil(x * (1 << bits)), 1 << bits), X)
+
+
+def _each(change: Callable[[Fraction], Fraction | int], X: Exact) -> Exact:
+    return np.asarray(np.vectorize(change, otypes=[object])(X))
 
 
 def _series(M: Exact, halvings: int, bits: int) -> tuple[Exact, int]:

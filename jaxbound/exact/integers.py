@@ -28,7 +28,7 @@ def whole_floats(x: ArrayLike, power: int) -> np.ndarray:
     mantissa, exponent = np.frexp(np.asarray(x, np.float64))
     whole = (mantissa * 2.0**MANTISSA).astype(np.int64).astype(object)
     shift = np.where(mantissa == 0, 0, exponent + (power - MANTISSA))
-    return whole << shift.astype(object)
+    return np.asarray(whole << shift.astype(object))
 
 
 def total(parts: Iterable[np.ndarray]) -> np.ndarray:

@@ -9,7 +9,7 @@ from decimal import Decimal
 from fractions import Fraction
 from itertools import chain, combinations
 from math import gcd, lcm
-from operator import mul
+from operator import mul, truth
 from typing import TypeAlias, TypeVar, cast
 
 import jax
@@ -75,8 +75,8 @@ def matrix(a: MatrixLike) -> Matrix:
     read: Iterable[Number | Sequence[Number] | np.ndarray] = a
     if hasattr(a, "dtype"):
         read = np.asarray(a)
-    rows = [_read_row(r) for r in read]
-    lengths = [len(r) for r in rows]
+    rows = list(map(_read_row, read))
+    lengths = list(map(len, rows))
     if len(set(lengths)) > 1:
         raise ValueError(f"rows have different lengths: {lengths}")
     return tuple(rows)
@@ -85,12 +85,13 @@ def matrix(a: MatrixLike) -> Matrix:
 def _read_row(row: Number | Sequence[Number] | np.ndarray) -> Vector:
     if np.ndim(cast(ArrayLike, row)) == 0:
         return (rational(cast(Number, row)),)
-    return tuple(rational(x) for x in cast(Sequence[Number], row))
+    return tuple(map(rational, cast(Sequence[Number], row)))
 
 
 def identity(n: int) -> Matrix:
     """Return the identity matrix of n rows."""
-    return tuple(tuple(Fraction(i == j) for j in range(n)) for i in range(n))
+    zero, one = Fraction(0), Fraction(1)
+    return tuple((zero,) * i + (one,) + (zero,) * (n - 1 - i) for i in range(n))
 
 
 def zeros(rows: int, columns: int) -> Matrix:
@@ -181,11 +182,12 @@ def row_reduce(a: Rows, progress: Callable[[float], object] | None = None) -> tu
     # whole numbers, each row divided by its common factor: ten times as fast as fractions
     rows: list[Sequence[int]] = [integers(r)[0] for r in a]
     pivots: list[int] = []
-    for j in range(len(rows[0]) if rows else 0):
+    for j in range(_width(a)):
         top = len(pivots)
-        k = next((i for i in range(top, len(rows)) if rows[i][j]), None)
-        if k is None:
+        column = [row[j] for row in rows[top:]]
+        if not any(column):
             continue
+        k = top + _first(column)
         rows[top], rows[k] = rows[k], rows[top]
         pivots.append(j)
         for i, row in enumerate(rows):
@@ -193,8 +195,21 @@ def row_reduce(a: Rows, progress: Callable[[float], object] | None = None) -> tu
                 rows[i] = _cancel(row, rows[top], j)
         if progress is not None:
             progress(((j + 1) / len(rows[0])) ** 2)  # numbers grow
-    reduced = zip(rows, pivots)  # noqa: B905, what has no pivot is a row of zeros
-    return tuple(tuple(Fraction(x, r[j]) for x in r) for r, j in reduced), tuple(pivots)
+    reduced = []
+    for row, j in zip(rows, pivots):  # noqa: B905, what has no pivot is a row of zeros
+        reduced.append(tuple(Fraction(x, row[j]) for x in row))
+    return tuple(reduced), tuple(pivots)
+
+
+def _width(a: Rows) -> int:
+    if not a:
+        return 0
+    return len(a[0])
+
+
+def _first(row: Row) -> int:
+    """Return the place of the first number that is not 0."""
+    return list(map(truth, row)).index(True)
 
 
 def _cancel(row: Sequence[int], pivot: Sequence[int], j: int) -> Sequence[int]:
@@ -218,7 +233,7 @@ def left_null_space(a: Rows, progress: Callable[[float], object] | None = None) 
     Args:
         progress: called with the share done.
     """
-    width = len(a[0]) if a else 0
+    width = _width(a)
     reduced, pivots = row_reduce(_beside_identity(a), progress)
     return tuple(r[width:] for r, p in zip(reduced, pivots, strict=True) if p >= width)
 
@@ -253,8 +268,10 @@ def integers(row: Row) -> tuple[tuple[int, ...], int]:
 def primitive(row: Row) -> Vector:
     """Scale a row to coprime integers, the first non-zero entry positive."""
     whole, _ = integers(row)
-    divisor = gcd(*whole) or 1
-    if next((x for x in whole if x), 1) < 0:
+    if not any(whole):
+        return tuple(map(Fraction, whole))
+    divisor = gcd(*whole)
+    if whole[_first(whole)] < 0:
         divisor = -divisor
     return tuple(Fraction(x // divisor) for x in whole)
 
@@ -276,7 +293,7 @@ def minimal_span(a: Rows) -> Matrix:
     """
     rows = list(row_reduce(a)[0])  # different starts, in order
     while True:
-        ends = [max(j for j, x in enumerate(r) if x) for r in rows]
+        ends = [len(row) - 1 - _first(row[::-1]) for row in rows]
         clash = next(((i, k) for i, k in combinations(range(len(rows)), 2) if ends[i] == ends[k]), None)
         if clash is None:
             return tuple(map(primitive, rows))

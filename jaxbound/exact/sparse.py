@@ -104,7 +104,9 @@ def _solutions(solved: list[tuple[int, dict[int, int]]], count: int) -> list[dic
     for pivot, equation in reversed(solved):
         total: dict[int, Fraction] = {}
         for k, x in equation.items():
-            for f, y in value[k].items() if k != pivot else ():
+            if k == pivot:
+                continue
+            for f, y in value[k].items():
                 total[f] = total.get(f, 0) - x * y
         value[pivot] = {f: y / equation[pivot] for f, y in total.items() if y}
     found: dict[int, dict[int, Fraction]] = {f: {} for f in sorted(free)}

@@ -65,7 +65,7 @@ def load_model(path: str | PathLike[str]) -> LinearSystem:
     except RecursionError:
         raise ValueError(f"{path}: this is no model file: its lists are nested too deeply") from None
     except ValueError as e:
-        raise ValueError(f"{path}: {e}") from None
+        raise ValueError(f"{path}: {e}{_swapped(path)}") from None
 
 
 def _swapped(path: Path) -> str:

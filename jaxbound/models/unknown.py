@@ -122,23 +122,23 @@ def explicit(
     back = linalg.inverse(x + free)  # z = back (new state, what nothing drives)
 
     # columns in the order: new state, u, w, and then all that is unknown
-    known = k + k_u + k_w
-    moved, seen = linalg.matmul(linalg.matmul(T, A), back), linalg.matmul(C, back)
+    stated = k + k_u + k_w
+    on_state, on_outputs = linalg.matmul(linalg.matmul(T, A), back), linalg.matmul(C, back)
     state, driven = range(k), range(k, n)
     B, G, F = (linalg.matmul(T, M) for M in (B, G, F))
-    rows = linalg.beside(columns_of(moved, state), B, G, columns_of(moved, driven), F)
+    rows = linalg.beside(columns_of(on_state, state), B, G, columns_of(on_state, driven), F)
     no_w = linalg.zeros(len(C), k_w)
-    outputs = linalg.beside(columns_of(seen, state), D, no_w, columns_of(seen, driven), D_v)
+    outputs = linalg.beside(columns_of(on_outputs, state), D, no_w, columns_of(on_outputs, driven), D_v)
 
-    solved = _solved(rows[k:], known)
+    solved = _solved(rows[k:], stated)
     rows, outputs = _eliminated(rows[:k], solved), _eliminated(outputs, solved)
-    inputs, disturbances = range(k, k + k_u), range(k + k_u, known)
+    inputs, disturbances = range(k, k + k_u), range(k + k_u, stated)
     if any(map(any, columns_of(outputs, disturbances))):
         raise ValueError(
             "an equation without x+ puts a disturbance into an output: give it as noise of that output "
             "instead"
         )
-    left = [j for j in range(known, known + n - k + len(D_v[0])) if j not in solved]
+    left = [j for j in range(stated, stated + n - k + len(D_v[0])) if j not in solved]
     is_picked = all(sum(map(bool, row)) == 1 for row in x)
     return (
         columns_of(rows, state),

@@ -70,9 +70,8 @@ def to_png(fig: "Figure", dpi: int = 130) -> bytes:
     """Return a Figure as the bytes of a PNG picture."""
     out = io.BytesIO()
     with warnings.catch_warnings():
-        warnings.filterwarnings(
-            "ignore", "Glyph .* missing from"
-        )  # a name in letters that the font does not have
+        # a name in letters that the font does not have
+        warnings.filterwarnings("ignore", "Glyph .* missing from")
         _plain_where_no_formula(fig)
         fig.savefig(out, format="png", dpi=dpi, facecolor="white")
     return out.getvalue()
@@ -126,10 +125,12 @@ def time_of(res: Result, time: np.ndarray | None) -> np.ndarray:
             f"a plot shows one recording, this result has the shape {res.status.shape}: detect and plot one "
             f"of them"
         )
-    if time is None and np.issubdtype(getattr(res.index, "dtype", int), np.datetime64):
+    if time is not None:
+        x = np.asarray(time)
+    elif np.issubdtype(getattr(res.index, "dtype", int), np.datetime64):
         x = np.asarray(res.index)
     else:
-        x = np.arange(len(res.status)) * res.relations.model.dt if time is None else np.asarray(time)
+        x = np.arange(len(res.status)) * res.relations.model.dt
     if x.shape != res.status.shape:
         raise ValueError(
             f"time needs one entry for each of the {len(res.status)} samples: its shape is {x.shape}"
@@ -141,20 +142,24 @@ def time_axis(x: np.ndarray) -> tuple[np.ndarray, str, bool]:
     """Return (x, label, dates): a time axis in units that read well."""
     if np.issubdtype(x.dtype, np.datetime64):
         return x, "", True
-    span = float(x[-1] - x[0]) if len(x) > 1 else 0.0
+    span = 0.0
+    if len(x) > 1:
+        span = float(x[-1] - x[0])
     units = (("days", 86400, 172800), ("h", 3600, 10800), ("min", 60, 300), ("s", 1, 0))
     unit, size = next((unit, size) for unit, size, limit in units if span >= limit)
     return x / size, f"time ({unit})", False
 
 
 def bins(count: int) -> np.ndarray:
-    """Return where each bin starts: one sample each, or 1200 bins."""
-    return np.arange(count) if count <= SAMPLES else np.linspace(0, count, BINS, endpoint=False).astype(int)
+    """Return the first sample of each bin: of one sample, or of 1200 bins."""
+    if count <= SAMPLES:
+        return np.arange(count)
+    return np.linspace(0, count, BINS, endpoint=False).astype(int)
 
 
 def inside(edges: np.ndarray, start: int, count: int) -> tuple[int, int, np.ndarray]:
-    """Return (the first bin, the one behind the last, where each begins) of the samples start .. start +
-    count - 1, counted from `start`.
+    """Return (the first bin, the one behind the last, the first sample of each) of the samples start .. start
+    + count - 1, counted from `start`.
 
     Args:
         edges: where each bin starts, of `bins`. start, count: a piece of the recording, in whose first bin
@@ -167,7 +172,9 @@ def inside(edges: np.ndarray, start: int, count: int) -> tuple[int, int, np.ndar
 
 def thinning(count: int, drawn: int, what: str) -> str:
     """Return the part of a title on points that stand for many samples, empty where they do not."""
-    return f"   (each of {drawn} points: {what} of about {count // drawn} samples)" if drawn < count else ""
+    if drawn >= count:
+        return ""
+    return f"   (each of {drawn} points: {what} of about {count // drawn} samples)"
 
 
 def shade(ax: "Axes", x: np.ndarray, on: np.ndarray) -> None:
@@ -211,6 +218,6 @@ def label_time(ax: "Axes", x: np.ndarray, label: str, dates: bool) -> None:
     if dates:
         from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 
-        locator = AutoDateLocator()
+        locator = AutoDateLocator()  # type: ignore[no-untyped-call]  # matplotlib
         ax.xaxis.set_major_locator(locator)
-        ax.xaxis.set_major_formatter(ConciseDateFormatter(locator))
+        ax.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]

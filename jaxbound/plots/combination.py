@@ -2,13 +2,16 @@
 leave to each sensor. In floats and not rounded outward: for pictures.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import lru_cache
 
 import numpy as np
 
 from jaxbound.certificates.certificate import Certificate
 from jaxbound.certificates.exact_window import ExactWindow, exact_window
+from jaxbound.models.rows import Row
 from jaxbound.models.sensor import RECORDER_ULPS
 from jaxbound.models.window import bounded_sums
 from jaxbound.relations.parity import ParityRelation
@@ -165,8 +168,8 @@ def _samples(window: ExactWindow, y: np.ndarray) -> _Samples:
     recorded = RECORDER_ULPS * float(window.unit) * (largest + noise) + float(window.floor)
     error = noise + _floats(window.resolution) + recorded
 
-    def stretched(v):
-        return np.where(v > 0, v / (1 - tolerance), v / (1 + tolerance))
+    def stretched(v: np.ndarray) -> np.ndarray:
+        return np.asarray(np.where(v > 0, v / (1 - tolerance), v / (1 + tolerance)))
 
     deviation = every - _floats(window.model.offset["y"])
     low, high = -stretched(error - deviation), stretched(error + deviation)
@@ -174,7 +177,9 @@ def _samples(window: ExactWindow, y: np.ndarray) -> _Samples:
     return _Samples(((low + high) / 2).reshape(flat), ((high - low) / 2).reshape(flat), error[:, 0])
 
 
-def _readings(window, error, lo, hi):
+def _readings(
+    window: ExactWindow, error: np.ndarray, lo: np.ndarray, hi: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return (lo, hi), each (N, p), of the readings of sensors whose true values lie in [lo, hi]."""
     tolerance, offset = _floats(window.tolerance), _floats(window.model.offset["y"])
     least = np.minimum((1 - tolerance) * lo, (1 + tolerance) * lo)
@@ -182,12 +187,13 @@ def _readings(window, error, lo, hi):
     return least - error + offset, most + error + offset
 
 
-def _sum(window, samples, row):
+def _sum(window: ExactWindow, samples: _Samples, row: Row) -> tuple[np.ndarray | float, np.ndarray | float]:
     """Return (middle, half-width) of a weighted sum of true outputs in every window."""
     p, values, bound = window.model.p, row.values, float(bounded_sums(window.model)[row.number].bound)
     if not values.measured:
         return 0.0, bound
-    middle, half = 0.0, bound
+    middle: np.ndarray | float = 0.0
+    half: np.ndarray | float = bound
     for i, weights in values.parts:
         columns = p * (row.first + np.arange(len(weights))) + i
         middle = middle + samples.middle[:, columns] @ _floats(weights)
@@ -196,14 +202,14 @@ def _sum(window, samples, row):
     return middle, half
 
 
-def _disturbances(window):
+def _disturbances(window: ExactWindow) -> tuple[np.ndarray, np.ndarray]:
     """Return (middle, half-width), each (gs,), of the disturbances of a window."""
     g, s = window.model.g, window.horizon
     ends = np.array([_floats(pair) for pair in window.disturbance]).reshape(g, 2)
     return np.tile(ends.mean(1), s), np.tile((ends[:, 1] - ends[:, 0]) / 2, s)
 
 
-def _inputs(window, u, count, known):
+def _inputs(window: ExactWindow, u: np.ndarray, count: int, known: int) -> np.ndarray:
     """Return the inputs (count, known) of all windows, less their offsets, as many as relations look at."""
     m = window.model.m
     if not known:
@@ -213,9 +219,10 @@ def _inputs(window, u, count, known):
     return np.concatenate(lags, 1)
 
 
-def _floats(values) -> np.ndarray:
-    return np.array([float(x) for x in values])
+def _floats(values: Sequence[Fraction]) -> np.ndarray:
+    return np.array(values, float)
 
 
-def _from_sample(s, samples, values):
+def _from_sample(s: int, samples: int, values: np.ndarray) -> np.ndarray:
+    """Return values of windows by the sample at which each ends, NaN before the first one."""
     return np.concatenate([np.full(samples - len(values), np.nan), values])

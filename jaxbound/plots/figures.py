@@ -69,8 +69,9 @@ def figure_1() -> "Figure":
             )
         p2 = np.linspace(-4, 1, 2001)
         a, b = np.maximum(-1, 1 + p2), np.minimum(2, 3 + p2)
-        p1 = lambda z: 2 * z**2 + z - p2
-        lo, hi = p1(np.clip(-0.25, a, b)), np.maximum(p1(a), p1(b))  # z1 = -1/4 is the vertex of the parabola
+        vertex = np.clip(-0.25, a, b)  # of the parabola p1 = 2 z1^2 + z1 - p2, as near as z2 lets z1 come
+        at_vertex, at_a, at_b = (2 * z**2 + z - p2 for z in (vertex, a, b))
+        lo, hi = at_vertex, np.maximum(at_a, at_b)
         left.fill_betweenx(p2, lo, hi, facecolor=INK, lw=0, label="A(p) exactly: area 21.375")
         left.plot(*target, marker="o", color=FAULTY, ms=6, mec="white", ls="", label="tested point (2, -2)")
         left.set(xlabel="$p_1$", ylabel="$p_2$", xlim=(0.5, 11.5), ylim=(-4.3, 3.4), title="Residual space")
@@ -151,9 +152,17 @@ def figure_2(trajectory: Trajectory, res: Result, faults: Sequence[Fault] = ()) 
 
 def _combination(names: Sequence[str], coefficients: Sequence[Fraction]) -> str:
     """Return "x1 + 0.5 x2" for the row of a matrix."""
-    size = lambda c: "" if abs(c) == 1 else f"{float(abs(c)):g} "
-    parts = [f"{'-' if c < 0 else '+'} {size(c)}{s}" for s, c in zip(names, coefficients, strict=True) if c]
-    return " ".join(parts).removeprefix("+ ") or "0"
+    text = ""
+    for name, c in zip(names, coefficients, strict=True):
+        if not c:
+            continue
+        sign, size = "+", f"{float(abs(c)):g} "
+        if c < 0:
+            sign = "-"
+        if abs(c) == 1:
+            size = ""
+        text += f" {sign} {size}{name}"
+    return text.removeprefix(" ").removeprefix("+ ") or "0"
 
 
 def _boxes(ax: "Axes", boxes: Interval, label: str | None = None, **style: Any) -> None:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxbound.estimation.set_observer import Observation
-from jaxbound.plots.bands import Band, draw_bands, one_of, one_recording
+from jaxbound.plots.bands import Band, draw_bands, one_of, one_recording, one_signal
 from jaxbound.plots.plot import plot
 from jaxbound.sets.floats.status import Status
 
@@ -35,17 +35,10 @@ def plot_observation(
     """
     status, p = np.asarray(found.status), found.predicted.shape[-1]
     time, y = one_recording("observation", "observe", status.shape, p, time, y)
-    wrong = status == Status.FAULT
-    panels = [
-        Band(
-            f"y{i + 1}, as the samples before allow",
-            one_of(found.predicted, i),
-            None if y is None else y[:, i],
-            wrong,
-        )
-        for i in range(p)
-    ]
-    panels += [
-        Band(f"state x{i + 1}", one_of(found.state, i), None, wrong) for i in range(found.state.shape[-1])
-    ]
+    wrong, panels = status == Status.FAULT, []
+    for i in range(p):
+        title = f"y{i + 1}, as the samples before allow"
+        panels.append(Band(title, one_of(found.predicted, i), one_signal(y, i), wrong))
+    for i in range(found.state.shape[-1]):
+        panels.append(Band(f"state x{i + 1}", one_of(found.state, i), None, wrong))
     return draw_bands(panels, time, "bands", "enclosure")

@@ -66,7 +66,9 @@ def plot_residuals(res: Result, time: np.ndarray | None = None) -> "Figure":
         )
     x, label, dates = time_axis(time_of(res, time))
     thinned = len(x) > SAMPLES
-    picked = _worst(res) if thinned else np.arange(len(x))
+    picked = np.arange(len(x))
+    if thinned:
+        picked = _worst(res)
     # a window across a gap has a residual, but it says nothing
     missing = (res.status[picked] == Status.MISSING)[:, None]
     external, lo, hi = (np.where(missing, np.nan, form) for form in _forms(relations, res.u, res.y, picked))
@@ -152,16 +154,19 @@ def _forms(relations: Relations, u: np.ndarray, y: np.ndarray, picked: np.ndarra
     """Return residuals and envelopes (M, count) of the windows that end at the picked samples, in one padded
     stretch of fixed length.
     """
-    s, dtype = relations.horizon, y.dtype
-    whole = len(picked) == len(y)
-    rows = picked if whole else (np.maximum(picked, s)[:, None] + np.arange(-s, 1)).ravel()
-    pad = lambda x: np.concatenate(
-        [x[rows], np.full((max(SAMPLES - len(rows), 0), x.shape[1]), np.nan, dtype)]
-    )
-    u, y = pad(u), pad(y)
-    keep = slice(0, len(rows)) if whole else slice(s, len(rows), s + 1)
+    s = relations.horizon
+    rows, keep = picked, slice(0, len(picked))
+    if len(picked) < len(y):  # each window by itself, one behind the other
+        rows = (np.maximum(picked, s)[:, None] + np.arange(-s, 1)).ravel()
+        keep = slice(s, len(rows), s + 1)
+    u, y = _padded(u[rows]), _padded(y[rows])
     envelope = relations.internal(u, y)
     return [np.asarray(x)[keep] for x in (relations.external(u, y), envelope.lo, envelope.hi)]
+
+
+def _padded(x: np.ndarray) -> np.ndarray:
+    """Return samples filled up with NaN to a length that is compiled once."""
+    return np.concatenate([x, np.full((max(SAMPLES - len(x), 0), x.shape[1]), np.nan, x.dtype)])
 
 
 def _robust_limits(ax: "Axes", external: np.ndarray, lo: np.ndarray, hi: np.ndarray) -> int:

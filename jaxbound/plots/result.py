@@ -27,7 +27,8 @@ def plot_result(
 ) -> "Figure | Axes":
     """Draw a Result of one recording: `plot` says what, and takes the same arguments."""
     x = time_of(res, time)
-    alarms = res.alarms() if alarms is None else alarms
+    if alarms is None:
+        alarms = res.alarms()
     line = Timeline(len(x))
     line.add(0, x, res.status, res.margin)
     line.mark([a.worst for a in alarms])

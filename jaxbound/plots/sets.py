@@ -73,4 +73,5 @@ def _outline(S: Zonotope | ConstrainedZonotope) -> np.ndarray:
     far = np.asarray(jax.vmap(support, (None, 0))(S, normal.astype(S.center.dtype)))
     after = np.roll(far, -1)  # two neighbouring sides meet where both are touched
     along = (after - far * np.cos(angle[1])) / np.sin(angle[1])
-    return far[:, None] * normal + along[:, None] * np.column_stack([-normal[:, 1], normal[:, 0]])
+    side = np.column_stack([-normal[:, 1], normal[:, 0]])
+    return np.asarray(far[:, None] * normal + along[:, None] * side)

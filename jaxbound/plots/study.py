@@ -9,9 +9,12 @@ import numpy as np
 from jaxbound.plots.canvas import COLOURS, FAULTY, GRID, INK, canvas, style
 from jaxbound.plots.plot import plot
 from jaxbound.sets.floats.status import Status
+from jaxbound.studies.montecarlo.scenarios import Trial
 from jaxbound.studies.montecarlo.study_result import StudyResult
+from jaxbound.studies.montecarlo.tally import TrialTally
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["plot_study"]
@@ -36,14 +39,15 @@ def plot_study(res: StudyResult) -> "Figure":
         fig = canvas((11, 0.9 + 2.9 * len(shown)))
         axes = fig.subplots(len(shown), 2, squeeze=False)
         for (trial, tally), (left, right) in zip(shown, axes, strict=True):
-            _sizes(left, res, trial, tally)
-            _delays(right, trial, tally)
+            _draw_sizes(left, res, trial, tally)
+            _draw_delays(right, trial, tally)
         false, clean = res.false_alarms
-        left_out = f"; {len(res.trials) - FAULTS} more faults" if len(res.trials) > FAULTS else ""
         title = (
             f"{res.scenarios:,} scenarios of {res.model.name}, unknowns {res.at}: {false} false alarms "
-            f"in {clean:,} windows{left_out}"
+            f"in {clean:,} windows"
         )
+        if len(res.trials) > FAULTS:
+            title += f"; {len(res.trials) - FAULTS} more faults"
         height = fig.get_figheight()
         fig.suptitle(
             title,
@@ -61,7 +65,8 @@ def plot_study(res: StudyResult) -> "Figure":
     return fig
 
 
-def _sizes(ax, res, trial, tally):
+def _draw_sizes(ax: "Axes", res: StudyResult, trial: Trial, tally: TrialTally) -> None:
+    """Draw the share of scenarios detected, and of FAULT windows, against the size of the fault."""
     order = np.argsort(trial.sizes)
     share, rate = map(np.nan_to_num, tally.share(res.confidence)), tally.rate(res.confidence)
     for (value, low, high), colour, name in (
@@ -78,12 +83,12 @@ def _sizes(ax, res, trial, tally):
     ax.set_ylim(-0.03, 1.05)
     ax.grid(color=GRID, lw=0.6)
     ax.set_title(trial.label, parse_math=False)
-    unit = (
-        ""
-        if trial.fault is None or trial.fault.kind in ("gain", "tolerance")
-        else res.model.unit(trial.fault.signal)
-    )
-    ax.set_xlabel(f"size of the fault{f' [{unit}]' if unit else ''}", parse_math=False)
+    label = "size of the fault"
+    if trial.fault is not None and trial.fault.kind not in ("gain", "tolerance"):
+        unit = res.model.unit(trial.fault.signal)
+        if unit:
+            label += f" [{unit}]"
+    ax.set_xlabel(label, parse_math=False)
     ax.set_ylabel("share")
     if trial.fault is None or trial.fault.kind in ("stuck", "dropout"):
         ax.set_xticks([])
@@ -91,7 +96,8 @@ def _sizes(ax, res, trial, tally):
     ax.legend(fontsize=8, loc="lower right", frameon=True, edgecolor="none")
 
 
-def _delays(ax, trial, tally):
+def _draw_delays(ax: "Axes", trial: Trial, tally: TrialTally) -> None:
+    """Draw the share of scenarios detected within so many samples, for a few sizes."""
     sizes = len(trial.sizes)
     picked = np.unique(np.linspace(0, sizes - 1, min(CURVES, sizes)).round().astype(int))
     last = int(np.max(np.flatnonzero(tally.delays.any(0)), initial=1))

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 __all__ = ["Timeline", "plot_timeline"]
 
 FACTORS = (0, 0.5, 1, 1.5, 2, 2.5, 3, 4, 5)
+STEEP = -4
+"""Margin below which the axis is logarithmic."""
 
 
 class Timeline:
@@ -54,12 +56,11 @@ class Timeline:
     def add(self, start: int, x: np.ndarray, status: np.ndarray, margin: np.ndarray) -> None:
         """Take the samples from number `start` on: their time (seconds or datetime64), status and margin."""
         begun, stop, edges = inside(self.bins, start, len(x))
-        first, put = (
-            begun + (self.bins[begun] < start),
-            slice(begun, stop),
-        )  # the first may have begun in an earlier piece
+        first = begun + (self.bins[begun] < start)  # the first may have begun in an earlier piece
+        put = slice(begun, stop)
         margin = np.where(np.isneginf(margin), -1e15, margin)
-        self.x = np.empty(len(self.bins), x.dtype) if self.x is None else self.x
+        if self.x is None:
+            self.x = np.empty(len(self.bins), x.dtype)
         self.x[first:stop] = x[self.bins[first:stop] - start]
         self.status[put] = np.maximum(self.status[put], np.maximum.reduceat(status, edges))
         self.low[put] = np.fmin(self.low[put], np.fmin.reduceat(margin, edges))
@@ -107,7 +108,7 @@ def _chart(ax: "Axes", line: Timeline, at: np.ndarray, name: str, method: str, a
 
 
 def _margin(ax: "Axes", x: np.ndarray, low: np.ndarray, high: np.ndarray, thinned: bool) -> None:
-    lowest = float(np.nanmin(low))
+    """Draw the margin, and on the right the factor on the bounds that it stands for: 1 - margin."""
     if thinned:
         ax.fill_between(x, low, high, color=ENVELOPE, alpha=0.5, lw=0)
     ax.plot(x, low, color=INK, lw=0.9)
@@ -115,33 +116,48 @@ def _margin(ax: "Axes", x: np.ndarray, low: np.ndarray, high: np.ndarray, thinne
         out = low < 0
     ax.plot(x[out], low[out], ls="", marker="o", ms=2.6, color=FAULTY, zorder=3)
     ax.axhline(0, color="#30363d", lw=1.1, zorder=2)
-    steep = lowest < -4
-    scale = {"linthresh": 1, "linscale": max(0.6, 0.35 * np.log10(-lowest))} if steep else {}
     right = ax.twinx()
-    ax.set_yscale("symlog" if steep else "linear", **scale)
-    right.set_yscale("symlog" if steep else "linear", **scale)
-    pad = 0.06 * (1 - min(lowest, 0))
-    ax.set_ylim(*((lowest * 1.6, 1.25) if steep else (min(lowest, 0) - pad, 1 + pad)))
-    right.set_ylim(ax.get_ylim())
-    if steep:
-        powers = range(0, int(np.ceil(np.log10(-lowest))) + 1)
-        powers = powers[:: max(1, len(powers) // 4)]
-        ax.set_yticks(
-            [1, 0.5, 0, *(-(10.0**n) for n in powers)],
-            ["1", "0.5", "0", *(f"$-10^{{{n}}}$" if n else "-1" for n in powers)],
-        )
-        factors = [
-            (1, "×1"),
-            (2, "×2"),
-            *((10**n, f"×10$^{{{n}}}$" if n > 1 else "×10") for n in powers if n),
-        ]
+    lowest = float(np.nanmin(low))
+    if lowest < STEEP:
+        _steep_scale(ax, right, lowest)
     else:
-        factors = [(f, f"×{f:g}") for f in FACTORS if 1 - f >= ax.get_ylim()[0]]
-    right.set_yticks([1 - f for f, _ in factors], [text for _, text in factors])
+        _even_scale(ax, right, lowest)
     for side, text in ((ax, "margin   (< 0: outside the bounds)"), (right, "bounds needed to explain it")):
         side.minorticks_off()
         side.set_ylabel(text)
     ax.grid(color=GRID, lw=0.7, axis="y")
+
+
+def _steep_scale(ax: "Axes", right: "Axes", lowest: float) -> None:
+    """Scale margins far below 0 by their logarithm, with a tick at some powers of ten."""
+    size = float(np.log10(-lowest))
+    for side in (ax, right):
+        side.set_yscale("symlog", linthresh=1, linscale=max(0.6, 0.35 * size))
+        side.set_ylim(lowest * 1.6, 1.25)
+    margins = [(1.0, "1"), (0.5, "0.5"), (0.0, "0"), (-1.0, "-1")]
+    factors = [(1.0, "×1"), (2.0, "×2")]
+    powers = range(int(np.ceil(size)) + 1)
+    for n in powers[:: max(1, len(powers) // 4)][1:]:
+        margins.append((-(10.0**n), f"$-10^{{{n}}}$"))
+        text = "×10"
+        if n > 1:
+            text += f"$^{{{n}}}$"
+        factors.append((10.0**n, text))
+    _ticks(ax, margins)
+    _ticks(right, [(1 - factor, text) for factor, text in factors])
+
+
+def _even_scale(ax: "Axes", right: "Axes", lowest: float) -> None:
+    """Scale margins around 0 evenly, with the factors that fit as ticks of the right side."""
+    bottom = min(lowest, 0)
+    pad = 0.06 * (1 - bottom)
+    for side in (ax, right):
+        side.set_ylim(bottom - pad, 1 + pad)
+    _ticks(right, [(1 - f, f"×{f:g}") for f in FACTORS if 1 - f >= bottom - pad])
+
+
+def _ticks(ax: "Axes", ticks: Sequence[tuple[float, str]]) -> None:
+    ax.set_yticks([at for at, _ in ticks], [text for _, text in ticks])
 
 
 def _mark_alarms(ax: "Axes", x: np.ndarray, count: int) -> None:
@@ -178,4 +194,6 @@ def _ribbon(ax: "Axes", x: np.ndarray, status: np.ndarray) -> None:
 
 
 def _no_margin(method: str) -> str:
-    return "paving proves FAULT but measures no margin" if method == "paving" else "no window has usable data"
+    if method == "paving":
+        return "paving proves FAULT but measures no margin"
+    return "no window has usable data"

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxbound.estimation.validation import Validation
 from jaxbound.models.system import LinearSystem
-from jaxbound.plots.bands import Band, draw_band, draw_bands, name_band, one_of, one_recording
+from jaxbound.plots.bands import Band, draw_band, draw_bands, name_band, one_of, one_recording, one_signal
 from jaxbound.plots.canvas import SAMPLES, bins, finish, stacked, style, thinning, time_axis
 from jaxbound.plots.plot import plot
 
@@ -25,9 +25,12 @@ NEAR = 600
 class ValidatedRecording(Protocol):
     """A Validation of one recording, with the model and the samples that it came from: y (T, p)."""
 
-    model: LinearSystem
-    found: Validation
-    y: np.ndarray
+    @property
+    def model(self) -> LinearSystem: ...  # noqa: D102
+    @property
+    def found(self) -> Validation: ...  # noqa: D102
+    @property
+    def y(self) -> np.ndarray: ...  # noqa: D102
 
 
 @plot.register(Validation)
@@ -50,16 +53,11 @@ def plot_validation(
     faulty = np.asarray(found.faulty)
     p = faulty.shape[-1]
     time, y = one_recording("validation", "validate", faulty.shape[:-1], p, time, y)
-    panels = [
-        Band(
-            f"y{i + 1}: {_faults(faulty[:, i])}",
-            one_of(found.output, i),
-            None if y is None else y[:, i],
-            faulty[:, i],
-            one_of(found.corrected, i),
-        )
-        for i in range(p)
-    ]
+    panels = []
+    for i in range(p):
+        title, wrong = f"y{i + 1}: {_faults(faulty[:, i])}", faulty[:, i]
+        output, corrected = one_of(found.output, i), one_of(found.corrected, i)
+        panels.append(Band(title, output, one_signal(y, i), wrong, corrected))
     return draw_bands(panels, time, "outputs")
 
 
@@ -76,27 +74,34 @@ def plot_output(res: ValidatedRecording, i: int, time: np.ndarray) -> "Figure":
     x, label, dates = time_axis(time)
     count, name, unit = len(x), res.model.outputs[i], res.model.unit(res.model.outputs[i])
     faulty, y = np.asarray(res.found.faulty)[:, i], res.y[:, i]
-    whole, near = bins(count), np.zeros(0, int)
+    whole = bins(count)
+    spans, times = [whole], [x]
+    if count > SAMPLES:
+        first = max(min(int(np.argmax(faulty)) - NEAR // 4, count - NEAR), 0)
+        spans.append(np.arange(first, first + NEAR))
+        times.append(x[spans[1]])
     with style():
-        if count <= SAMPLES:
-            fig, axes = stacked(1, (11, 3.6), [1])
-        else:
-            fig, axes = stacked(2, (11, 6.2), [1, 1], shared=False)
-            first = max(min(int(np.argmax(faulty)) - NEAR // 4, count - NEAR), 0)
-            near = np.arange(first, first + NEAR)
-            _draw(axes[1], res.found, i, y, x, near, near[-1] + 1)
-            axes[1].set_title(
-                "The samples around the first faulty one" if faulty.any() else "The first samples", pad=6
-            )
-        _draw(axes[0], res.found, i, y, x, whole, count)
-        axes[0].set_title(
-            f"{name}: {_faults(faulty)}{thinning(count, len(whole), 'extremes')}", pad=24, parse_math=False
+        fig, axes = stacked(
+            len(spans), (11, 1.0 + 2.6 * len(spans)), [1] * len(spans), shared=len(spans) == 1
         )
+        _draw(axes[0], res.found, i, y, x, whole, count)
+        title = f"{name}: {_faults(faulty)}{thinning(count, len(whole), 'extremes')}"
+        axes[0].set_title(title, pad=24, parse_math=False)
+        if len(spans) > 1:
+            _draw(axes[1], res.found, i, y, x, spans[1], spans[1][-1] + 1)
+            near = "The first samples"
+            if faulty.any():
+                near = "The samples around the first faulty one"
+            axes[1].set_title(near, pad=6)
         name_band(axes[0])
-        for ax in axes:
-            ax.set_ylabel(f"{name} [{unit}]" if unit else name, parse_math=False)
-        for ax, part in zip(axes, (x, x[near] if len(axes) > 1 else x), strict=False):
-            finish(fig, [ax], part, label if ax is axes[-1] else "", dates, top=0.7, gap=0.36)
+        if unit:
+            name += f" [{unit}]"
+        for ax, part in zip(axes, times, strict=True):
+            ax.set_ylabel(name, parse_math=False)
+            below = ""
+            if ax is axes[-1]:
+                below = label
+            finish(fig, [ax], part, below, dates, top=0.7, gap=0.36)
     return fig
 
 

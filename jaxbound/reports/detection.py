@@ -46,7 +46,7 @@ def write_report(
     summary: Summary,
     *,
     seconds: dict[str, float] | None = None,
-    extra: Sequence[tuple] = (),
+    extra: Sequence[tuple[object, ...]] = (),
     progress: Callable[[float], object] | None = None,
     file: str = "report.html",
 ) -> list[str]:
@@ -131,9 +131,9 @@ def _alarm_rows(
     alarms: Sequence[Alarm],
     chosen: Sequence[int],
     why: Mapping[int, Any],
-) -> list[tuple]:
+) -> list[tuple[object, ...]]:
     """Return the rows of the deepest alarms in order of time."""
-    rows = []
+    rows: list[tuple[object, ...]] = []
     for i in sorted(chosen):
         a = alarms[i]
         lasts = float(recording.time[a.end] - recording.time[a.start]) + (res.relations.model.dt or 0.0)
@@ -190,8 +190,8 @@ def template(relations: Any) -> str:
     return "detection.html"
 
 
-@template.register
-def _(observer: SetObserver):
+@template.register(SetObserver)
+def _(observer: SetObserver[Any]) -> str:
     return "observation.html"
 
 
@@ -212,8 +212,8 @@ def about(relations: Any) -> dict[str, object]:
     }
 
 
-@about.register
-def _(observer: SetObserver):
+@about.register(SetObserver)
+def _(observer: SetObserver[Any]) -> dict[str, object]:
     """Return those of an observer: its order, its weights, whether it begins anew."""
     return {
         "order": f"{observer.order:g}",

@@ -5,11 +5,12 @@ import time
 from collections.abc import Sequence
 
 from jaxbound.reports.page import TITLE, render
+from jaxbound.runs.fleet import UnitResult
 
 __all__ = ["fleet_page"]
 
 
-def fleet_page(ordered: Sequence, verdict: tuple[str, int, str], title: str) -> str:
+def fleet_page(ordered: Sequence[UnitResult], verdict: tuple[str, int, str], title: str) -> str:
     """Return the HTML text.
 
     Args:
@@ -29,7 +30,7 @@ def fleet_page(ordered: Sequence, verdict: tuple[str, int, str], title: str) -> 
     )
 
 
-def _command(ordered):
+def _command(ordered: Sequence[UnitResult]) -> str | None:
     """Return the command that makes the full report of the worst unit that was tested, if there is one."""
     for r in ordered:
         if r.verdict != "not tested":

@@ -3,9 +3,13 @@
 import base64
 import functools
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from jaxbound.text.characters import printable
 from jaxbound.text.quantities import factor, percent
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 __all__ = ["TITLE", "render"]
 
@@ -28,14 +32,15 @@ def render(template: str, **values: object) -> str:
     Raises:
         jinja2.UndefinedError: it shows something that is not there.
     """
-    return _environment().get_template(f"templates/{template}").render(**values)
+    text: str = _environment().get_template(f"templates/{template}").render(**values)
+    return text
 
 
 @functools.cache
-def _environment():
+def _environment() -> "Environment":
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    found = Environment(
+    environment = Environment(
         loader=PackageLoader("jaxbound", "reports"),
         autoescape=True,
         undefined=StrictUndefined,
@@ -43,12 +48,12 @@ def _environment():
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    found.filters |= {"after": _after, "base64": _base64, "factor": factor, "percent": percent}
-    found.globals |= {"TITLE": TITLE, "source": _source}
-    return found
+    environment.filters |= {"after": _after, "base64": _base64, "factor": factor, "percent": percent}
+    environment.globals |= {"TITLE": TITLE, "source": _source}
+    return environment
 
 
-def _source(name):
+def _source(name: str) -> str:
     """Return a file of this folder as it stands: a script or a style sheet, which holds nothing of a user."""
     return (HOME / name).read_text(encoding="utf-8")
 
@@ -60,12 +65,12 @@ def _readable(value: object) -> object:
     return printable(str(value), keep="\n")
 
 
-def _after(sentence, title):
+def _after(sentence: str, title: str) -> str:
     """Return a sentence without the title that stands above it, with a capital letter."""
     plain = sentence.removeprefix(f"{title}: ")
     return plain[:1].upper() + plain[1:]
 
 
-def _base64(data):
+def _base64(data: bytes) -> str:
     """Return bytes as a data URL writes them."""
     return base64.b64encode(data).decode()

@@ -2,13 +2,15 @@
 
 import platform
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from fractions import Fraction
 
 import numpy as np
 
 from jaxbound.exact.linalg import Vector
 from jaxbound.models.modelfile import number_text
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.uncertainty import Uncertainty
 from jaxbound.text.quantities import percent
 
 __all__ = ["computed", "model_values"]
@@ -33,43 +35,44 @@ def model_values(model: LinearSystem, bounds: Mapping[str, np.ndarray | Vector])
     }
 
 
-def _origin(model, field):
+def _origin(model: LinearSystem, field: str) -> str:
     return model.provenance.get(field, "origin not stated")
 
 
-def _headed(model):
-    stated = lambda field: field in model.provenance or any(getattr(model, field))
-    return [
-        f"{field} ({_origin(model, field)})" if stated(field) else field
-        for field in ("tolerance", "noise", "resolution")
-    ]
+def _headed(model: LinearSystem) -> list[str]:
+    """Return the heads of the columns of bounds, with their origins where there are bounds."""
+    heads = []
+    for field in ("tolerance", "noise", "resolution"):
+        is_stated = field in model.provenance or any(getattr(model, field))
+        heads.append(f"{field} ({_origin(model, field)})" if is_stated else field)
+    return heads
 
 
-def _signal(model, kind, i):
+def _signal(model: LinearSystem, kind: str, i: int) -> tuple[str, str, str, str]:
     """Return the first cells of an input's ("u") or output's ("y") row."""
     name = {"u": model.inputs, "y": model.outputs}[kind][i]
     return name, model.column(name), model.unit(name), _short(model.offset[kind][i])
 
 
-def _bounds(model, bounds, i):
+def _bounds(model: LinearSystem, bounds: Mapping[str, np.ndarray | Vector], i: int) -> tuple[str, str, str]:
     """Return the cells of what the sensor of output i may do."""
     tolerance = float(bounds.get("tolerance", model.tolerance)[i])
     noise = float(bounds.get("noise", model.noise)[i])
     return f"{percent(tolerance)} of the value", f"± {noise:.6g}", f"± {_short(model.resolution[i])}"
 
 
-def _disturbance(model, j):
+def _disturbance(model: LinearSystem, j: int) -> tuple[str, str, str, str]:
     lo, hi = map(float, model.disturbance[j])
     return f"w{j + 1}", f"{lo:g}", f"{hi:g}", _origin(model, "disturbance")
 
 
-def _parameter(u):
+def _parameter(u: Uncertainty) -> tuple[str, str, str, str, str]:
     lo, hi = (f"{float(bound):.6g}" for bound in u.between)
     acts_on = ", ".join(letter for letter in "ABCD" if getattr(u, letter))
     return u.name, lo, hi, "varies" if u.varying else "is constant", acts_on
 
 
-def _matrices(model):
+def _matrices(model: LinearSystem) -> Iterator[tuple[str, str, list[list[str]]]]:
     """Yield (letter, subscript, rows of texts) of the matrices that are there; D where it is not zero."""
     for name in ("A", "B", "C", "D", "G", "F", "D_v"):
         rows = getattr(model, name)
@@ -79,10 +82,12 @@ def _matrices(model):
         yield letter, subscript, [list(map(_short, row)) for row in rows]
 
 
-def _short(x):
+def _short(x: Fraction) -> str:
     """Return an exact number as text, rounded where it is long."""
     text = number_text(x)
-    return text if len(text) <= DIGITS else f"{float(x):.6g}"
+    if len(text) > DIGITS:
+        return f"{float(x):.6g}"
+    return text
 
 
 def computed(

@@ -1,7 +1,8 @@
 """The page of a study: what a monitor sees, how soon, and how often it is wrong."""
 
+from collections.abc import Iterator, Sequence
 from types import SimpleNamespace
-from typing import cast
+from typing import TypeAlias, cast
 
 import numpy as np
 
@@ -9,10 +10,15 @@ from jaxbound.relations.sentence import looked_at
 from jaxbound.reports.chart import picture_of
 from jaxbound.reports.page import render
 from jaxbound.reports.parts import computed, model_values
+from jaxbound.studies.montecarlo.scenarios import SIZELESS, Trial
 from jaxbound.studies.montecarlo.study_result import StudyResult, study_table
+from jaxbound.studies.montecarlo.tally import TrialTally
 from jaxbound.text.quantities import percent
 
 __all__ = ["COLUMNS", "HEAD", "sentence", "study_page", "study_rows"]
+
+Chart: TypeAlias = dict[str, object]
+"""A chart, or a curve in one, as the page's script takes it."""
 
 HEAD = (
     "fault",
@@ -61,7 +67,7 @@ def study_page(res: StudyResult, seed: int, seconds: float) -> str:
     )
 
 
-def _settings(res, seed):
+def _settings(res: StudyResult, seed: int) -> Iterator[tuple[str, object]]:
     """Yield (name, value) of what a study was asked for."""
     for name, value in res.settings.items():
         if value is not None and name not in NOT_SHOWN:
@@ -72,14 +78,14 @@ def _settings(res, seed):
             yield f"onset of {trial.label}", f"samples {trial.onset[0]} to {trial.onset[1] - 1}"
 
 
-def _charts(res):
+def _charts(res: StudyResult) -> Iterator[Chart]:
     """Yield two charts of each fault: the shares against its size, and the shares detected so soon."""
     for trial, tally in zip(res.trials[:FAULTS], res.tallies, strict=False):
         yield _sizes(res, trial, tally)
         yield _delays(trial, tally)
 
 
-def _sizes(res, trial, tally):
+def _sizes(res: StudyResult, trial: Trial, tally: TrialTally) -> Chart:
     """Return the chart of the shares against the size."""
     order = np.argsort(trial.sizes)
     x = np.asarray(trial.sizes, float)[order]
@@ -88,13 +94,9 @@ def _sizes(res, trial, tally):
     if guaranteed is not None:
         least, most = min(least, guaranteed), max(most, guaranteed)
     room = 0.03 * (most - least) or abs(most) or 1.0
-    label = ""
-    if trial.fault is not None and trial.fault.kind not in ("stuck", "dropout"):
-        unit = "" if trial.fault.kind in ("gain", "tolerance") else res.model.unit(trial.fault.signal)
-        label = f"size [{unit}]" if unit else "size"
     return {
         "title": trial.label,
-        "label": label,
+        "label": _size_label(res, trial),
         "delays": False,
         "ends": [least - room, most + room],
         "guaranteed": guaranteed,
@@ -105,9 +107,19 @@ def _sizes(res, trial, tally):
     }
 
 
-def _interval(name, colour, x, ends):
+def _size_label(res: StudyResult, trial: Trial) -> str:
+    """Return the name of the axis of sizes: of a fault that has none, nothing."""
+    if trial.fault is None or trial.fault.kind in SIZELESS:
+        return ""
+    if trial.fault.kind in ("gain", "tolerance"):
+        return "size"
+    unit = res.model.unit(trial.fault.signal)
+    return f"size [{unit}]" if unit else "size"
+
+
+def _interval(name: str, colour: str, x: np.ndarray, ends: Sequence[np.ndarray]) -> Chart:
     """Return a curve of shares, low and high ends around them."""
-    share, low, high = ([None if np.isnan(v) else float(v) for v in end] for end in ends)
+    share, low, high = (_plain_numbers(end) for end in ends)
     return {
         "name": name,
         "colour": colour,
@@ -119,17 +131,22 @@ def _interval(name, colour, x, ends):
     }
 
 
-def _delays(trial, tally):
+def _plain_numbers(values: np.ndarray) -> list[float | None]:
+    """Return numbers as JSON has them, None for NaN."""
+    return [None if np.isnan(v) else float(v) for v in values]
+
+
+def _delays(trial: Trial, tally: TrialTally) -> Chart:
     """Return the chart of the shares detected within so many samples, for a few of the sizes."""
     sizes = len(trial.sizes)
     last = int(np.max(np.flatnonzero(tally.delays.any(0)), initial=1))
     picked = np.unique(np.linspace(0, sizes - 1, min(CURVES, sizes)).round().astype(int))
     curves = []
     for rank, i in enumerate(picked):
-        found = np.cumsum(tally.delays[i, : last + 2]) / max(tally.scenarios[i], 1)
+        shares = np.cumsum(tally.delays[i, : last + 2]) / max(tally.scenarios[i], 1)
         faint = 1 - 0.2 * (len(picked) - 1 - rank)
-        name, x = f"size {trial.sizes[i]:.4g}", list(range(len(found)))
-        curves.append({"name": name, "colour": "FAULT", "faint": faint, "x": x, "share": found.tolist()})
+        name, x = f"size {trial.sizes[i]:.4g}", list(range(len(shares)))
+        curves.append({"name": name, "colour": "FAULT", "faint": faint, "x": x, "share": shares.tolist()})
     return {
         "title": "detected by then",
         "label": "samples from the onset",
@@ -144,13 +161,13 @@ def _delays(trial, tally):
 def study_rows(res: StudyResult) -> list[tuple[str, ...]]:
     """Return the table of a study as texts, a tuple a row, as HEAD names them."""
     table = study_table(res)
-    return [
-        _row(SimpleNamespace(**dict(zip(table, cells, strict=True))))
-        for cells in zip(*table.values(), strict=True)
-    ]
+    rows = []
+    for cells in zip(*table.values(), strict=True):
+        rows.append(_row(SimpleNamespace(**dict(zip(table, cells, strict=True)))))
+    return rows
 
 
-def _row(cell):
+def _row(cell: SimpleNamespace) -> tuple[str, ...]:
     rate, spread = "", ""
     if not np.isnan(cell.rate):
         rate, spread = percent(cell.rate), f"{percent(cell.rate_lo)} to {percent(cell.rate_hi)}"
@@ -161,10 +178,12 @@ def _row(cell):
     return cell.fault, size, scenarios, percent(cell.share), share, rate, spread, *soon, sure
 
 
-def _delay(samples):
+def _delay(samples: float) -> str:
     if np.isnan(samples):
         return ""
-    return "never" if np.isinf(samples) else f"{samples:.0f}"
+    if np.isinf(samples):
+        return "never"
+    return f"{samples:.0f}"
 
 
 def sentence(res: StudyResult) -> str:

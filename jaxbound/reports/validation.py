@@ -29,9 +29,10 @@ NEAR = 600  # samples around the first faulty one of a long recording, drawn one
 class ValidatedReport(ValidatedRecording, Protocol):
     """A validated recording of which a page tells: its verdicts (T,) and faulty stretches."""
 
-    horizon: int
-    remembers: bool
-
+    @property
+    def horizon(self) -> int: ...  # noqa: D102
+    @property
+    def remembers(self) -> bool: ...  # noqa: D102
     @property
     def status(self) -> np.ndarray: ...  # noqa: D102
     @property
@@ -137,7 +138,7 @@ def _finite(end: ArrayLike, i: int) -> np.ndarray:
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def _row(res: ValidatedReport, recording: Recording, i: int, first: int, last: int) -> tuple:
+def _row(res: ValidatedReport, recording: Recording, i: int, first: int, last: int) -> tuple[object, ...]:
     """Return the row of a faulty stretch, with what the sensor showed and should have shown in its middle."""
     name, k = res.model.outputs[i], (first + last) // 2
     unit, corrected = res.model.unit(name), res.found.corrected

@@ -340,3 +340,8 @@ def test_an_actuator_is_a_candidate_where_a_program_says_so(rng):
             assert (name in c.candidates) == (slack <= 0) or abs(slack) < 1e-9
             seen.add((name, slack <= 0))
     assert {("u1", True), ("u1", False), ("u2", False)} <= seen
+
+
+def test_the_hull_that_is_refused_is_named():
+    with pytest.raises(ValueError, match="residual 1 has not"):
+        jb.evaluate([[0.0, 0.0]], [[-1.0, 1.0], [0.0, np.inf]], [[1], [1]])

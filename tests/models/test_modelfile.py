@@ -351,3 +351,10 @@ def test_a_recording_in_place_of_a_model_is_told(tmp_path):
         (tmp_path / name).write_bytes(content)
         with pytest.raises(ValueError, match="it looks like a recording: the model comes first"):
             load_model(tmp_path / name)
+
+
+def test_an_empty_recording_in_the_place_of_a_model_is_named_as_one(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("")
+    with pytest.raises(ValueError, match="it looks like a recording: the model comes first"):
+        jb.load_model(path)

@@ -57,21 +57,24 @@ def filtered(
     width = (len(poles) + direct) * m + 1
     regressors = np.concatenate([np.zeros((0, width)), *(r[0] for r in rows)])
     target = np.concatenate([np.zeros((0, p)), *(r[1] for r in rows)])
-    size = np.maximum(np.sqrt((regressors**2).mean(0)), 1e-9) if len(regressors) else np.ones(width)
+    size, spread, samples = np.ones(width), np.ones(p), max(len(target), 1)
+    if len(target):
+        size = np.maximum(np.sqrt((regressors**2).mean(0)), 1e-9)
     weight = np.append(np.full(width - 1, RIDGE), 0.0)  # the constant is free
-    normal = (regressors / size).T @ (regressors / size) / max(len(target), 1) + np.diag(weight**2)
-    theta = (
-        np.linalg.lstsq(normal, (regressors / size).T @ target / max(len(target), 1), rcond=None)[0]
-        / size[:, None]
-    )
+    scaled = regressors / size
+    normal = scaled.T @ scaled / samples + np.diag(weight**2)
+    theta = np.linalg.lstsq(normal, scaled.T @ target / samples, rcond=None)[0] / size[:, None]
     left = target - regressors @ theta
-    spread = np.sqrt((left**2).mean(0)) if len(left) else np.ones(p)
+    if len(target):
+        spread = np.sqrt((left**2).mean(0))
     parts = theta[:-1].T.reshape(p, len(poles) + direct, m)
-    D = parts[:, 0] if direct else np.zeros((p, m))
-    return np.moveaxis(parts[:, int(direct) :], 1, 0), D, theta[-1], np.maximum(spread, 1e-9)
+    D = np.zeros((p, m))
+    if direct:
+        D, parts = parts[:, 0], parts[:, 1:]
+    return np.moveaxis(parts, 1, 0), D, theta[-1], np.maximum(spread, 1e-9)
 
 
-def _stretches(u, starts):
+def _stretches(u: np.ndarray, starts: np.ndarray) -> list[tuple[int, int]]:
     """Return [(first, stop)] of the stretches whose samples follow each other and have all inputs."""
     gone = np.isnan(u).any(1)
     cuts = np.zeros(len(u) + 1, bool)
@@ -81,22 +84,26 @@ def _stretches(u, starts):
     return [(a, b) for a, b in zip(at[:-1], at[1:], strict=True) if not gone[a]]
 
 
-def _without_first_states(u, y, poles, direct):
+def _without_first_states(
+    u: np.ndarray, y: np.ndarray, poles: Sequence[float], direct: bool
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return [(regressors, targets)] of the samples with all outputs, first states taken out; [] if there are
     too few.
     """
-    known = ~np.isnan(y).any(1)
-    if known.sum() <= 2 * len(poles):
+    complete = ~np.isnan(y).any(1)
+    if complete.sum() <= 2 * len(poles):
         return []
-    columns = [*([u] if direct else []), *(_through(u, a) for a in poles)]
-    regressors = np.hstack([*columns, np.ones((len(u), 1))])[known]
+    columns = [_through(u, a) for a in poles]
+    if direct:
+        columns.insert(0, u)
+    regressors = np.hstack([*columns, np.ones((len(u), 1))])[complete]
     faded = np.array(poles)[None] ** np.arange(len(u))[:, None]
-    Q, _ = np.linalg.qr(faded[known])
-    take_out = lambda x: x - Q @ (Q.T @ x)
-    return [(take_out(regressors), take_out(y[known]))]
+    Q, _ = np.linalg.qr(faded[complete])
+    target = y[complete]
+    return [(regressors - Q @ (Q.T @ regressors), target - Q @ (Q.T @ target))]
 
 
-def _through(u, a):
+def _through(u: np.ndarray, a: float) -> np.ndarray:
     """Return x with x+ = a x + u, x_0 = 0: u (T, m) with an impulse response that ends where a^k is below
     rounding.
     """

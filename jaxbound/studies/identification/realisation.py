@@ -30,14 +30,15 @@ def realised(theta: ArrayLike, scales: Scales, order: int, direct: bool, m: int,
     A, D = [_short(a * to_y, to_y) for a in A], _short(D * to_u, to_u)
     B = [_short(b * to_u + a @ D, to_u) for a, b in zip(A, B, strict=True)]
     eye, none = np.eye(p), np.zeros((p, p))
-    rows = [[a, *(eye if j == i + 1 else none for j in range(1, order))] for i, a in enumerate(A)]
+    shift = np.eye(order * p, k=p)
+    shift[:, :p] = np.vstack(A)  # what waits moves up by one sample
     # the constant as an operating point, the nearest to the middle of the data:
     # (I - sum A) y0 = (sum B + (I - sum A) D) u0 + c
     stay = eye - sum(A)
     moved = np.linalg.lstsq(np.hstack([stay / to_y, -(sum(B) + stay @ D) / to_u]), c, rcond=None)[0]
     y0, u0 = scales.y + moved[:p] * scales.y_spread, scales.u + moved[p:] * scales.u_spread
     return {
-        "A": np.block(rows),
+        "A": shift,
         "B": np.vstack(B) if m else None,
         "C": np.hstack([eye, *[none] * (order - 1)]),
         "D": D if direct and m else None,

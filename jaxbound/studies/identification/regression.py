@@ -13,7 +13,7 @@ matter.
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -34,7 +34,7 @@ __all__ = [
     "windows_of",
 ]
 
-Array = jax.Array | np.ndarray
+Array: TypeAlias = jax.Array | np.ndarray
 STEPS, SETTLED = 60, 1e-6
 """Steps of the refinement at most, and the relative gain of one after which it ends."""
 LEAST, MOST = 128, 1_024
@@ -62,12 +62,23 @@ class CompleteWindows:
 
 def scales_of(recordings: Records) -> Scales:
     """Return the Scales of recordings [(u (T, m), y (T, p), starts)], missing samples left out."""
-    u, y = (np.concatenate([r[j] for r in recordings]) for j in (0, 1))
-    middle = lambda x: np.nan_to_num(np.array([np.nanmean(c) if (~np.isnan(c)).any() else 0.0 for c in x.T]))
-    spread = lambda x: np.array([np.nanstd(c) if (~np.isnan(c)).sum() > 1 else 0.0 for c in x.T])
-    positive = lambda s, m: np.where(s > 1e-12 * (1 + abs(m)), s, 1.0)
-    (mu, su), (my, sy) = ((middle(x), spread(x)) for x in (u, y))
-    return Scales(mu, positive(su, mu), my, positive(sy, my))
+    u, u_spread = _middle_and_spread(np.concatenate([u for u, _, _ in recordings]))
+    y, y_spread = _middle_and_spread(np.concatenate([y for _, y, _ in recordings]))
+    return Scales(u, u_spread, y, y_spread)
+
+
+def _middle_and_spread(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean and the standard deviation of each column, missing samples left out; 1 where that is
+    next to nothing.
+    """
+    middle, spread = np.zeros(x.shape[1]), np.zeros(x.shape[1])
+    for i, column in enumerate(x.T):
+        present = int((~np.isnan(column)).sum())
+        if present:
+            middle[i] = np.nan_to_num(np.nanmean(column))
+        if present > 1:
+            spread[i] = np.nanstd(column)
+    return middle, np.where(spread > 1e-12 * (1 + abs(middle)), spread, 1.0)
 
 
 def windows_of(recordings: Records, scales: Scales, horizon: int, most: int | None = None) -> CompleteWindows:
@@ -78,32 +89,31 @@ def windows_of(recordings: Records, scales: Scales, horizon: int, most: int | No
         recordings: [(u (T, m), y (T, p), starts)], starts the numbers of samples that do not follow the one
             before.
     """
-    found = []
+    numbers, firsts = [np.zeros(0, int)], [np.zeros(0, int)]
     for number, (u, y, starts) in enumerate(recordings):
-        if len(y) > horizon:
-            gone = np.isnan(u).any(1) | np.isnan(y).any(1)
-            before = np.append(0, np.cumsum(gone))
-            first = np.flatnonzero(
-                (before[horizon + 1 :] == before[: -horizon - 1])
-                & ~crossing(starts, horizon, horizon, len(y))
-            )
-            found.append(np.stack([np.full(len(first), number), first], 1))
-    chosen = np.concatenate(found) if found else np.zeros((0, 2), int)
-    if most is not None and len(chosen) > most:
-        chosen = chosen[np.linspace(0, len(chosen) - 1, most).astype(int)]
-    gather = lambda j, middle, spread: np.concatenate(
-        [
-            (
-                recordings[number][j][chosen[chosen[:, 0] == number, 1][:, None] + np.arange(horizon + 1)]
-                - middle
-            )
-            / spread
-            for number in range(len(recordings))
-        ]
-    )
-    return CompleteWindows(
-        gather(0, scales.u, scales.u_spread), gather(1, scales.y, scales.y_spread), chosen[:, 0]
-    )
+        first = _complete(u, y, starts, horizon)
+        numbers.append(np.full(len(first), number))
+        firsts.append(first)
+    recording, begin = np.concatenate(numbers), np.concatenate(firsts)
+    if most is not None and len(begin) > most:
+        chosen = np.linspace(0, len(begin) - 1, most).astype(int)
+        recording, begin = recording[chosen], begin[chosen]
+    us, ys = [], []
+    for number, (u, y, _) in enumerate(recordings):
+        at = begin[recording == number][:, None] + np.arange(horizon + 1)
+        us.append((u[at] - scales.u) / scales.u_spread)
+        ys.append((y[at] - scales.y) / scales.y_spread)
+    return CompleteWindows(np.concatenate(us), np.concatenate(ys), recording)
+
+
+def _complete(u: np.ndarray, y: np.ndarray, starts: np.ndarray, horizon: int) -> np.ndarray:
+    """Return the first samples of the windows of a recording that are complete and cross no seam."""
+    if len(y) <= horizon:
+        return np.zeros(0, int)
+    gone = np.isnan(u).any(1) | np.isnan(y).any(1)
+    before = np.append(0, np.cumsum(gone))
+    whole = before[horizon + 1 :] == before[: -horizon - 1]
+    return np.flatnonzero(whole & ~crossing(starts, horizon, horizon, len(y)))
 
 
 def least_squares(windows: CompleteWindows, order: int, direct: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -114,9 +124,8 @@ def least_squares(windows: CompleteWindows, order: int, direct: bool) -> tuple[n
         windows: of order + 1 samples. direct: whether u_k acts on y_k.
     """
     u, y = windows.u, windows.y
-    past = [y[:, order - i] for i in range(1, order + 1)] + [
-        u[:, order - i] for i in range(0 if direct else 1, order + 1)
-    ]
+    past = [y[:, order - i] for i in range(1, order + 1)]
+    past += [u[:, order - i] for i in range(not direct, order + 1)]
     regressors = np.concatenate([*past, np.ones((len(y), 1))], 1)
     theta, _, _, singular = np.linalg.lstsq(regressors, y[:, order], rcond=1e-9)
     return theta, singular
@@ -129,11 +138,16 @@ def coefficients(
     A = [theta[i * p : (i + 1) * p].T for i in range(order)]
     rest = theta[order * p :]
     B = [rest[i * m : (i + 1) * m].T for i in range(order + direct)]
-    return A, B[direct:], B[0] if direct else np.zeros((p, m)), theta[-1]
+    D: Array = np.zeros((p, m))
+    if direct:
+        D, *B = B
+    return A, B, D, theta[-1]
 
 
 @partial(jax.jit, static_argnames=("order", "direct"))
-def _residuals(theta, u, y, there, weight, order, direct):
+def _residuals(
+    theta: Array, u: Array, y: Array, there: Array, weight: Array, order: int, direct: bool
+) -> jax.Array:
     """Return the residual (N, (s + 1) p) of the best first state, times weight (p,).
 
     Windows are u (N, s + 1, m), y (N, s + 1, p).
@@ -143,40 +157,45 @@ def _residuals(theta, u, y, there, weight, order, direct):
     N, count, p = y.shape
     A, B, D, c = coefficients(theta, order, direct, u.shape[2], p)
     states = order * p
-    times = lambda M, v: jnp.sum(
-        M[:, :, None] * v[None], 1
-    )  # small matrices and long vectors: a dot is ten times slower here
-    units = lambda x: jnp.pad(
-        x, ((0, 0),) * (x.ndim - 1) + ((0, states),)
-    )  # columns of their own: each unit of the first state, alone
+
+    def units(x: Array) -> jax.Array:
+        """Return x with columns of their own: each unit of the first state, alone."""
+        return jnp.pad(x, ((0, 0),) * (x.ndim - 1) + ((0, states),))
+
     constant = c[:, None] * units(there)[None]
 
-    def step(x, now):  # x (order, p, N + states): x[i] waits i samples to be added
-        yk, uk = now
-        out = x[0] + times(D, uk)
+    def step(x: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        yk, uk = now  # x (order, p, N + states): x[i] waits i samples to be added
+        out = x[0] + _times_unrolled(D, uk)
         later = jnp.concatenate([x[1:], jnp.zeros_like(x[:1])])
-        return later + jnp.stack(
-            [times(A[i], out) + times(B[i], uk) + (constant if i == 0 else 0.0) for i in range(order)]
-        ), yk - out
+        added = []
+        for i in range(order):
+            moved = _times_unrolled(A[i], out) + _times_unrolled(B[i], uk)
+            added.append(moved + (constant if i == 0 else 0.0))
+        return later + jnp.stack(added), yk - out
 
     start = jnp.concatenate([jnp.zeros((order, p, N)), jnp.eye(states).reshape(order, p, states)], 2)
-    _, left = jax.lax.scan(
-        step, start, (units(jnp.transpose(y, (1, 2, 0))), units(jnp.transpose(u, (1, 2, 0))))
-    )
+    samples = units(jnp.transpose(y, (1, 2, 0))), units(jnp.transpose(u, (1, 2, 0)))
+    _, left = jax.lax.scan(step, start, samples)
     left = (left * weight[None, :, None]).reshape(count * p, N + states)
     e = (left[:, :N] * there[None]).T
     Q = _orthonormal(left[:, N:])
     return e - (e @ Q) @ Q.T
 
 
-def _orthonormal(M):
+def _times_unrolled(M: Array, v: jax.Array) -> jax.Array:
+    """Return M v of a small matrix and long vectors, of which a dot is ten times slower here."""
+    return jnp.sum(M[:, :, None] * v[None], 1)
+
+
+def _orthonormal(M: jax.Array) -> jax.Array:
     """Return orthonormal columns that span those of M, which are independent: a first state is what the first
     samples show of it.
 
     Without LAPACK, for whose sake jax imports SciPy: that takes longer than a fit.
     """
 
-    def step(Q, now):
+    def step(Q: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
         i, v = now
         for _ in range(2):  # twice is enough (Kahan, Parlett)
             v = v - Q @ (v @ Q)
@@ -186,12 +205,18 @@ def _orthonormal(M):
 
 
 @partial(jax.jit, static_argnames=("order", "direct"))
-def _around(theta, u, y, there, weight, order, direct):
+def _slopes(
+    theta: Array, u: Array, y: Array, there: Array, weight: Array, order: int, direct: bool
+) -> tuple[jax.Array, jax.Array]:
     """Return (J'J, J'e) of the residuals e and their slopes J: what a step needs, small whatever the number
     of windows.
     """
-    f = lambda theta: (_residuals(theta, u, y, there, weight, order, direct),) * 2
-    J, e = jax.jacfwd(f, has_aux=True)(theta)
+
+    def twice(theta: Array) -> tuple[jax.Array, jax.Array]:
+        e: jax.Array = _residuals(theta, u, y, there, weight, order, direct)
+        return e, e
+
+    J, e = jax.jacfwd(twice, has_aux=True)(theta)
     J = J.reshape(e.size, theta.size)
     return J.T @ J, J.T @ e.ravel()
 
@@ -206,32 +231,37 @@ def refined(
         theta: where to begin, from `least_squares`. windows: of s + 1 samples. room: at least so many
             windows share a compilation.
     """
-    given = _filled(windows, room)
+    filled = _filled(windows, room)
     spread = window_spread(theta, windows, order, direct, room)
     for _ in range(2):  # the spreads are those of the result before
-        theta = _marquardt(theta, given, 1 / spread, order, direct)
+        theta = _marquardt(theta, filled, 1 / spread, order, direct)
         spread = window_spread(theta, windows, order, direct, room)
     return theta, spread
 
 
-def window_spread(theta: Any, windows: Any, order: int, direct: Any, room: int = 0) -> Any:
+def window_spread(
+    theta: np.ndarray, windows: CompleteWindows, order: int, direct: bool, room: int = 0
+) -> np.ndarray:
     """Return the root mean square (p,) of the window residuals of each output, standardised, each output
     weighed alike.
     """
-    e = np.asarray(_residuals(theta, *_filled(windows, room), np.ones(windows.y.shape[2]), order, direct))[
-        : len(windows.y)
-    ]
-    spread = np.sqrt((e.reshape(windows.y.shape) ** 2).mean((0, 1)))
+    u, y, there = _filled(windows, room)
+    e = np.asarray(_residuals(theta, u, y, there, np.ones(y.shape[2]), order, direct))
+    own = e[: len(windows.y)].reshape(windows.y.shape)
+    spread = np.sqrt((own**2).mean((0, 1)))
     return np.maximum(np.where(np.isfinite(spread), spread, 1.0), 1e-9)
 
 
-def _filled(windows, room):
+def _filled(windows: CompleteWindows, room: int) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (u, y, there), filled up to a power of two of windows, at least `room`: few sizes, few
     compilations.
     """
     more = power(max(len(windows.y), LEAST, room)) - len(windows.y)
-    fill = lambda x: jax.device_put(np.concatenate([x, np.zeros((more, *x.shape[1:]))]))
-    return fill(windows.u), fill(windows.y), fill(np.ones(len(windows.y)))
+    filled = []
+    for x in (windows.u, windows.y, np.ones(len(windows.y))):
+        filled.append(jax.device_put(np.concatenate([x, np.zeros((more, *x.shape[1:]))])))
+    u, y, there = filled
+    return u, y, there
 
 
 def growth(theta: np.ndarray, order: int) -> float:
@@ -239,19 +269,29 @@ def growth(theta: np.ndarray, order: int) -> float:
     p = theta.shape[1]
     companion = np.eye(order * p, k=p)
     companion[:, :p] = theta[: order * p].reshape(order, p, p).transpose(0, 2, 1).reshape(order * p, p)
-    return float(np.abs(np.linalg.eigvals(companion)).max()) if np.isfinite(companion).all() else np.inf
+    if not np.isfinite(companion).all():
+        return np.inf
+    return float(np.abs(np.linalg.eigvals(companion)).max())
 
 
-def _marquardt(theta, windows, weight, order, direct):
-    given = *windows, weight, order, direct
-    cost_of = lambda theta: np.square(_residuals(theta, *given)).sum()
-    cost, damping, limit = (
-        cost_of(theta),
-        1e-3,
-        max(1.0, growth(theta, order)),
-    )  # no faster growth than the data asked for one step ahead
+def _marquardt(
+    theta: np.ndarray,
+    windows: tuple[jax.Array, jax.Array, jax.Array],
+    weight: np.ndarray,
+    order: int,
+    direct: bool,
+) -> np.ndarray:
+    """Return coefficients that minimise the squares of weighted residuals, from some others on."""
+
+    def cost_of(theta: np.ndarray) -> np.floating:
+        left = np.asarray(_residuals(theta, *windows, weight, order, direct))
+        cost: np.floating = np.square(left).sum()
+        return cost
+
+    cost, damping = cost_of(theta), 1e-3
+    limit = max(1.0, growth(theta, order))  # no faster growth than the data asked for one step ahead
     for _ in range(STEPS):
-        H, g = map(np.asarray, _around(theta, *given))
+        H, g = (np.asarray(x) for x in _slopes(theta, *windows, weight, order, direct))
         size = np.diag(H) + 1e-9 * np.trace(H) / len(H)
         for _ in range(12):
             trial = theta - np.linalg.solve(H + damping * np.diag(size), g).reshape(theta.shape)
@@ -261,7 +301,8 @@ def _marquardt(theta, windows, weight, order, direct):
             damping *= 4
         else:
             return theta
-        gain, theta, cost, damping = 1 - after / cost, trial, after, max(damping / 8, 1e-12)
+        gain = 1 - after / cost
+        theta, cost, damping = trial, after, max(damping / 8, 1e-12)
         if gain < SETTLED:
             break
     return theta

@@ -10,6 +10,7 @@ unknowns within their bounds, and the proved test judges it like any other.
 """
 
 from functools import partial
+from typing import TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
@@ -25,60 +26,85 @@ from jaxbound.studies.montecarlo.scenarios import Act
 
 __all__ = ["attack_block", "worst_factor"]
 
+Descent: TypeAlias = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
+"""The unknowns, how fast they move, the best ones of each scenario, and their largest factors."""
+
 STEPS = 240
 SHARPEST, BLUNTEST = 0.003, 0.3
 """Temperatures tau at the end and at the beginning, in units of the factor."""
 
 
-def _drawn(course, act, plant, key, numbers):
+def _drawn(
+    course: kernel.Course, act: Act, plant: FloatPlant, key: tuple[Array, Array], numbers: Array
+) -> tuple[jax.Array, Array]:
     """Return the unknowns (T, 2p + g, N) of scenarios as the uniform study draws them, and the extra draws of
     a noise fault (T, N).
     """
 
-    def now(_, k):
+    def now(_: None, k: jax.Array) -> tuple[None, tuple[jax.Array, Array]]:
         theta, delta, share, extra = kernel.unknown_draws(course, act, plant, key, numbers, k)
-        return None, (
-            jnp.stack([*theta, *delta, *share]),
-            jnp.zeros_like(delta[0]) if extra is None else extra,
-        )
+        if extra is None:
+            extra = jnp.zeros_like(delta[0])
+        return None, (jnp.stack([*theta, *delta, *share]), extra)
 
-    return jax.lax.scan(now, None, jnp.arange(course.samples, dtype=jnp.int32))[1]
+    drawn: tuple[jax.Array, Array]
+    drawn = jax.lax.scan(now, None, jnp.arange(course.samples, dtype=jnp.int32))[1]
+    return drawn
 
 
-def _recorded(course, act, plant, inputs, size, onset, u, xi, extra):
+def _recorded(
+    course: kernel.Course,
+    act: Act,
+    plant: FloatPlant,
+    inputs: Array,
+    size: Array,
+    onset: Array,
+    u: Array | None,
+    xi: jax.Array,
+    extra: Array,
+) -> tuple[jax.Array, jax.Array]:
     """Return (u (T, m, N), y (T, p, N)) recorded with the unknowns xi (T, 2p + g, N)."""
     p, zero = plant.shape[2], jnp.zeros_like(size)
 
-    def now(carry, given):
+    def now(
+        carry: tuple[list[Array], Array], now: tuple[jax.Array, jax.Array, Array]
+    ) -> tuple[tuple[list[Array], Array], tuple[jax.Array, jax.Array]]:
         x, held = carry
-        k, each, extra = given
+        k, each, extra = now
         unknowns = list(each[:p]), list(each[p : 2 * p]), list(each[2 * p :]), extra
         u_now = kernel.recorded_input(u, inputs, k, course)
         x, y, held = kernel.move(act, plant, unknowns, size, onset, u_now, k, x, held)
         return (x, held), (jnp.stack([*u_now, zero])[:-1], jnp.stack(y))
 
-    start = [zero] * plant.shape[0], zero
-    return jax.lax.scan(now, start, (jnp.arange(course.samples, dtype=jnp.int32), xi, extra))[1]
+    start: tuple[list[Array], Array] = [zero] * plant.shape[0], zero
+    samples = jnp.arange(course.samples, dtype=jnp.int32), xi, extra
+    recorded: tuple[jax.Array, jax.Array] = jax.lax.scan(now, start, samples)[1]
+    return recorded
 
 
-def _factors(test, u, y):
+def _factors(test: Reading, u: Array, y: Array) -> jax.Array:
     """Return t (T - s, N) of all windows, differentiable; NaN where no combination has its data."""
     count, N = y.shape[0] - test.horizon, y.shape[2]
-    # stored: else the derivative is worked out anew for each sample of each window that it goes to
-    flat = lambda x, lags: [
-        [stored(x[j : j + count, i].reshape(-1)) for i in range(x.shape[1])] for j in range(lags)
-    ]
-    us, ys = flat(u, test.lags), flat(y, test.horizon + 1)
+    # in a kernel these are traced
+    inputs, outputs = cast("tuple[jax.Array, jax.Array]", (u, y))
+    us, ys = _windows(inputs, test.lags, count), _windows(outputs, test.horizon + 1, count)
     if isinstance(test.shape, Frame):
-        stack = lambda rows: (
-            jnp.stack([jnp.stack(row) for row in rows]) if rows else jnp.zeros((0, 0, count * N), y.dtype)
-        )
-        mid, rad, _, known, _ = test.block(
-            stack(us) if us and us[0] else jnp.zeros((test.lags, 0, count * N), y.dtype), stack(ys)
-        )
+        flat = jnp.zeros((test.lags, 0, count * N), y.dtype)
+        if us and us[0]:
+            flat = jnp.stack([jnp.stack(row) for row in us])
+        mid, rad, _, known, _ = test.block(flat, jnp.stack([jnp.stack(row) for row in ys]))
         return 1 - separation_margin(test.shape, mid, rad, known).reshape(count, N)
-    mid, rad, _, known, _ = test.rows(us, ys)
-    return stored(1 - strip_margin(test.shape, stored(mid), stored(rad), known).reshape(count, N))
+    mids, rads, _, knowns, _ = test.rows(us, ys)
+    t: jax.Array = 1 - strip_margin(test.strips, stored(mids), stored(rads), knowns).reshape(count, N)
+    return stored(t)
+
+
+def _windows(x: jax.Array, lags: int, count: int) -> list[list[jax.Array]]:
+    """Return each signal of x (T, c, N) at each of the `lags` samples of `count` windows, flat.
+
+    stored: else the derivative is worked out anew for each sample of each window that it goes to
+    """
+    return [[stored(x[j : j + count, i].reshape(-1)) for i in range(x.shape[1])] for j in range(lags)]
 
 
 def worst_factor(test: Reading, act: Act, onset: Array, u: Array, y: Array) -> tuple[Array, Array]:
@@ -114,17 +140,18 @@ def attack_block(
     pair = key[0], key[1]
     inputs, size, onset = kernel.prepared(course, act, limits, pair, numbers)
     xi, extra = _drawn(course, act, plant, pair, numbers)
-    recorded = lambda xi: _recorded(course, act, plant, inputs, size, onset, u, xi, extra)
 
-    def loss(xi, tau):
+    def recorded(xi: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return _recorded(course, act, plant, inputs, size, onset, u, xi, extra)
+
+    def loss(xi: jax.Array, tau: jax.Array) -> tuple[jax.Array, Array]:
         t, worst = worst_factor(test, act, onset, *recorded(xi))
         top = jax.lax.stop_gradient(jnp.where(jnp.isfinite(worst), worst, 0))
-        smooth = tau * jnp.log(
-            jnp.sum(jnp.where(t > -jnp.inf, jnp.exp((t - top[None]) / tau), 0), 0) + 1e-300
-        )
+        shares = jnp.where(t > -jnp.inf, jnp.exp((t - top[None]) / tau), 0)
+        smooth = tau * jnp.log(jnp.sum(shares, 0) + 1e-300)
         return jnp.sum(smooth), worst
 
-    def descend(carry, i):
+    def descend(carry: Descent, i: jax.Array) -> tuple[Descent, None]:
         xi, speed, best, least = carry
         left = 1 - i / steps
         tau = SHARPEST * (BLUNTEST / SHARPEST) ** left

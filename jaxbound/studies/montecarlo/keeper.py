@@ -24,7 +24,7 @@ class Keeper:
 
     def __init__(
         self,
-        folder: str | os.PathLike,
+        folder: str | os.PathLike[str],
         identity: Mapping[str, str],
         tallies: Sequence[TrialTally],
         rows: bool,
@@ -37,7 +37,8 @@ class Keeper:
         self.folder, self.tallies, self.rows = Path(folder), tallies, rows
         self.checkpoint = Checkpoint(self.folder / STATE, identity)
         self.done, self.parts = 0, 0
-        self.pending: list[tuple] = []
+        self.labels: list[str] = []  # of each row that is not yet written
+        self.pending: list[tuple[np.ndarray, ...]] = []
         self.folder.mkdir(parents=True, exist_ok=True)
         self.begun = self._take_up()
         if rows:
@@ -50,14 +51,15 @@ class Keeper:
             self._next_rows().unlink(missing_ok=True)  # written after the last state
             self.first = self._arrays()
 
-    def _take_up(self):
+    def _take_up(self) -> bool:
         """Take up what was kept; return whether there was anything."""
         arrays = self.checkpoint.load()
         if arrays is None:
             return False
         self.done, self.parts = int(arrays["done"]), int(arrays["parts"])
         for i, tally in enumerate(self.tallies):
-            tally.load({name.split(".")[1]: x for name, x in arrays.items() if name.startswith(f"{i}.")})
+            own = [name for name in arrays if name.startswith(f"{i}.")]
+            tally.load({name.split(".")[1]: arrays[name] for name in own})
         return True
 
     def save(self, done: int) -> None:
@@ -71,12 +73,13 @@ class Keeper:
         self.checkpoint.save(done=done, parts=self.parts, **self._arrays())
         self.done, self.begun = done, True
 
-    def _arrays(self):
-        return {
-            f"{i}.{name}": np.array(x)
-            for i, tally in enumerate(self.tallies)
-            for name, x in tally.arrays().items()
-        }
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """Return copies of all counts, by the number of the trial and their name."""
+        arrays = {}
+        for i, tally in enumerate(self.tallies):
+            for name, counts in tally.arrays().items():
+                arrays[f"{i}.{name}"] = np.array(counts)
+        return arrays
 
     def add_rows(
         self,
@@ -90,30 +93,28 @@ class Keeper:
     ) -> None:
         """Keep the rows of single scenarios until the next `save`."""
         if self.rows:
-            self.pending.append((label, sizes, number, onset, hits, false, delay))
+            self.labels += [label] * len(sizes)
+            self.pending.append((sizes, number, onset, hits, false, delay))
 
-    def _next_rows(self):
+    def _next_rows(self) -> Path:
         return self.folder / ROWS / f"part-{self.parts:05d}.parquet"
 
-    def _write_rows(self):
+    def _write_rows(self) -> None:
+        """Write the rows since the last time as the next part."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
-        columns = list(zip(*self.pending, strict=True))
-        labels = [
-            label for label, number in zip(columns[0], columns[2], strict=True) for _ in range(len(number))
-        ]
-        join = lambda parts: np.concatenate(parts)
-        delay = join(columns[6])
+        joined = [np.concatenate(parts) for parts in zip(*self.pending, strict=True)]
+        size, scenario, onset, hits, false, delay = joined
         table = {
-            "fault": pa.array(labels).dictionary_encode(),
-            "size": pa.array(join(columns[1])),
-            "scenario": pa.array(join(columns[2])),
-            "onset": pa.array(join(columns[3])),
-            "fault_windows": pa.array(join(columns[4])),
-            "false_alarms": pa.array(join(columns[5])),
+            "fault": pa.array(self.labels).dictionary_encode(),
+            "size": pa.array(size),
+            "scenario": pa.array(scenario),
+            "onset": pa.array(onset),
+            "fault_windows": pa.array(hits),
+            "false_alarms": pa.array(false),
             "delay": pa.array(delay, mask=delay < 0),
         }
         with whole(self._next_rows(), links=False) as f:
             pq.write_table(pa.table(table), f)
-        self.parts, self.pending = self.parts + 1, []
+        self.parts, self.pending, self.labels = self.parts + 1, [], []

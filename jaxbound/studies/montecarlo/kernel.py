@@ -13,6 +13,7 @@ million windows a second and core at 2.5 GHz.
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -68,13 +69,11 @@ def unknown_draws(
         key, numbers, draws.STEPS + jnp.asarray(k, jnp.uint32) * np.uint32(-(-count // 2)), count
     )
     each = [draws.share(b, plant.noise.dtype, course.vertices) for b in bits[: 2 * p + g]]
-    extra = draws.share(bits[-1], plant.noise.dtype) if act.kind == "noise" else None
-    return (
-        each[: 2 * p : 2],
-        each[1 : 2 * p : 2],
-        each[2 * p :],
-        extra,
-    )  # the two of an output share their rounds
+    extra = None
+    if act.kind == "noise":
+        extra = draws.share(bits[-1], plant.noise.dtype)
+    # the two of an output share their rounds
+    return each[: 2 * p : 2], each[1 : 2 * p : 2], each[2 * p :], extra
 
 
 def levels(course: Course, limits: Array, key: tuple[Array, Array], numbers: Array) -> jax.Array:
@@ -87,9 +86,13 @@ def levels(course: Course, limits: Array, key: tuple[Array, Array], numbers: Arr
     bits = draws.words(
         key, jnp.broadcast_to(numbers[None], hold.shape), draws.INPUTS + hold * np.uint32(calls), len(limits)
     )
-    each = [draws.share(b, limits.dtype) for b in bits]
-    out = [jnp.clip(lo + 0.5 * (1 + r) * (hi - lo), lo, hi) for r, (lo, hi) in zip(each, limits, strict=True)]
-    return jnp.stack(out, 1) if out else jnp.zeros((len(hold), 0, len(numbers)), limits.dtype)
+    if not bits:
+        return jnp.zeros((len(hold), 0, len(numbers)), limits.dtype)
+    out = []
+    for word, (lo, hi) in zip(bits, limits, strict=True):
+        level = draws.share(word, limits.dtype)
+        out.append(jnp.clip(lo + 0.5 * (1 + level) * (hi - lo), lo, hi))
+    return jnp.stack(out, 1)
 
 
 def prepared(
@@ -116,34 +119,33 @@ def move(
     unknowns: from `unknown_draws`.
     """
     theta, delta, share, extra = unknowns
-    since = k - onset
+    since, stuck = k - onset, held
     on = (since >= 0) & (since < act.length)
     p = plant.shape[2]
 
-    def faulty(values, channel, dropped):
-        nonlocal held
-        out = []
+    def faulty(values: list[Array], channel: Array, dropped: float) -> list[Array]:
+        """Return signals with the fault, where it is one of theirs; keep the value that one sticks to."""
+        nonlocal stuck
+        if act.kind in ("none", "tolerance"):
+            return values
+        out: list[Array] = []
         for i, value in enumerate(values):
             mine = on & (channel == i)
             if act.kind == "stuck":
-                held = jnp.where(mine & (since == 0), value, held)
-            out.append(
-                jnp.where(mine, scenarios.changed(act, value, size, since, extra, held, dropped), value)
-            )
+                stuck = jnp.where(mine & (since == 0), value, stuck)
+            changed = scenarios.changed(act, value, size, since, extra, stuck, dropped)
+            out.append(jnp.where(mine, changed, value))
         return out
 
-    widened = act.kind == "tolerance"
-    bounds = [
-        jnp.where(on & (act.output == i), size, plant.tolerance[i]) if widened else plant.tolerance[i]
-        for i in range(p)
-    ]
-    touched = act.kind not in ("none", "tolerance")
-    applied = faulty(u, act.input, 0.0) if touched else u
-    theta = [b * r for b, r in zip(bounds, theta, strict=True)]
-    x, y = recursion.step(
-        plant, x, applied, theta, [b * r for b, r in zip(plant.noise, delta, strict=True)], share
-    )
-    return x, faulty(y, act.output, jnp.nan) if touched else y, held
+    tolerances = [plant.tolerance[i] for i in range(p)]
+    if act.kind == "tolerance":
+        tolerances = [jnp.where(on & (act.output == i), size, t) for i, t in enumerate(tolerances)]
+    applied = faulty(u, act.input, 0.0)
+    theta = [b * r for b, r in zip(tolerances, theta, strict=True)]
+    noise = [b * r for b, r in zip(plant.noise, delta, strict=True)]
+    x, y = recursion.step(plant, x, applied, theta, noise, share)
+    shown = faulty(y, act.output, jnp.nan)
+    return x, shown, stuck
 
 
 def recorded_input(u: Array | None, inputs: Array, k: Array, course: Course) -> list[Array]:
@@ -184,7 +186,7 @@ def count_block(
     zero = jnp.zeros_like(size)
     none = jnp.zeros_like(onset)
 
-    def now(carry, k):
+    def now(carry: Any, k: jax.Array) -> tuple[Any, None]:
         x, ys, us, held, margin, hits, false, delay = carry
         end = k - 2  # of the window that this margin belongs to
         fault, stop = (margin < 0) & (end >= s), onset + act.length
@@ -213,14 +215,15 @@ def replay_block(
     inputs, size, onset = prepared(course, act, limits, pair, numbers)
     zero = jnp.zeros_like(size)
 
-    def now(carry, k):
+    def now(
+        carry: tuple[list[Array], Array], k: jax.Array
+    ) -> tuple[tuple[list[Array], Array], tuple[jax.Array, jax.Array]]:
         x, held = carry
         u_now = recorded_input(u, inputs, k, course)
         unknowns = unknown_draws(course, act, plant, pair, numbers, k)
         x, y, held = move(act, plant, unknowns, size, onset, u_now, k, x, held)
         return (x, held), (jnp.stack([*u_now, zero])[:-1], jnp.stack(y))
 
-    _, (us, ys) = jax.lax.scan(
-        now, ([zero] * plant.shape[0], zero), jnp.arange(course.samples, dtype=jnp.int32)
-    )
+    start: tuple[list[Array], Array] = [zero] * plant.shape[0], zero
+    _, (us, ys) = jax.lax.scan(now, start, jnp.arange(course.samples, dtype=jnp.int32))
     return jnp.moveaxis(us, 2, 0), jnp.moveaxis(ys, 2, 0), onset

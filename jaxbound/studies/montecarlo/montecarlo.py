@@ -10,11 +10,11 @@ import dataclasses
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cached_property, lru_cache
 from itertools import islice
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import jax
 import numpy as np
@@ -22,24 +22,27 @@ from numpy.typing import ArrayLike
 
 from jaxbound.consistency.devices import everywhere, on_devices
 from jaxbound.consistency.exchange import ExchangeTest
-from jaxbound.consistency.interface import Relations, relations_of
+from jaxbound.consistency.interface import LinearRelations, Relations, relations_of
 from jaxbound.consistency.strips import StripsTest
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.faults import Fault
 from jaxbound.models.fingerprint import fingerprint
+from jaxbound.models.numbers import is_whole
 from jaxbound.models.system import LinearSystem
 from jaxbound.random.keys import key_of
+from jaxbound.random.threefry import Array
 from jaxbound.recordings.arrays import inputs_of, refuse_infinite
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import parity_relations
 from jaxbound.relations.residual import Residual
-from jaxbound.relations.sentence import remembers
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.threads import inherited
 from jaxbound.sets.strips.strips import UNROLLED
 from jaxbound.studies.montecarlo import adversary, kernel, records, recursion, scenarios
 from jaxbound.studies.montecarlo.keeper import Keeper
+from jaxbound.studies.montecarlo.recursion import FloatPlant
+from jaxbound.studies.montecarlo.scenarios import Act, Trial
 from jaxbound.studies.montecarlo.study_result import StudyResult
 from jaxbound.studies.montecarlo.tally import TrialTally
 from jaxbound.workers.engine import in_order
@@ -49,11 +52,16 @@ if TYPE_CHECKING:
 
 __all__ = ["study"]
 
+Task: TypeAlias = tuple[int, int]
+"""(number of a fault, its first scenario)."""
+Counts: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""hits, false, delay and onset of each scenario, as `kernel.count_block` has them."""
+Engine: TypeAlias = Callable[[Act, np.ndarray, np.ndarray], Counts]
+"""(act, key, numbers of the scenarios) -> their counts."""
+
 AT = ("uniform", "vertices", "adversarial")
 LONGEST = 10**6  # samples of a scenario
-ATTACKED = (
-    256  # scenarios that an adversary works on at once: the descent's memory is theirs times their length
-)
+ATTACKED = 256  # scenarios that an adversary works on at once: they share the memory of the descent
 EVERY, PART = 5.0, 64  # seconds between two states that are kept; with rows, tasks in a part
 TOGETHER = 16  # tasks that go to a worker at once
 
@@ -75,7 +83,7 @@ def study(
     method: str = "joint",
     confidence: float = 0.95,
     progress: Callable[[float], object] | None = None,
-    out: str | os.PathLike | None = None,
+    out: str | os.PathLike[str] | None = None,
     rows: bool = False,
     client: "Client | None" = None,
 ) -> StudyResult:
@@ -133,35 +141,27 @@ def study(
         (0, np.int64(1000))
     """
     model = as_model(model)
-    relations = parity_relations(model) if relations is None else _named(relations, model)
-    method = SetObserver.method if isinstance(relations, SetObserver) and method == "joint" else method
-    _check(model, relations, n, samples, hold, at, method, confidence)
+    relations = parity_relations(model) if relations is None else _named_like(relations, model)
+    if isinstance(relations, SetObserver) and method == "joint":
+        method = SetObserver.method
+    _check_study(model, relations, n, samples, hold, at, method, confidence)
     refuse_unverified()
     dtype = jax.dtypes.canonicalize_dtype(np.float64)
-    u, limits, highest = _inputs(model, inputs, input_range, samples, dtype)
+    u, limits, highest = _study_inputs(model, inputs, input_range, dtype)
     samples = samples if u is None else len(u)
     trials = scenarios.trials(model, faults, sizes, onset, samples, relations, highest)
     if method != "joint":  # what is guaranteed is guaranteed of the joint test
         trials = [dataclasses.replace(t, guaranteed=np.nan) for t in trials]
-    counts = [n // len(trials) + (i < n % len(trials)) for i in range(len(trials))]
     if n < len(trials):
         raise ValueError(f"n must be at least the number of faults, {len(trials)}, not {n}")
+    counts = [n // len(trials) + (i < n % len(trials)) for i in range(len(trials))]
     key = key_of(key)
     words = [np.asarray(_words(key, i)) for i in range(len(trials))]
-    reach = samples if remembers(relations) else relations.horizon
-    room = np.max(
-        [
-            recursion.rounding_room(
-                model, reach, scenarios.largest_input(model, t, highest, samples), samples, dtype
-            )
-            for t in trials
-        ],
-        0,
-    )
+    room = _largest_room(model, relations, trials, highest, samples, dtype)
     course = kernel.Course(samples, hold, at == "vertices")
-    made = model, relations, course, at, method, room, u, limits, dtype
-    run, block = _engine(*made)
-    settings = {
+    setup = _Setup(model, relations, course, at, method, room, u, limits, dtype)
+    run, block = _engine(setup)
+    settings: dict[str, object] = {
         "method": method,
         "at": at,
         "samples": samples,
@@ -176,36 +176,44 @@ def study(
         "faults": [[t.label, t.sizes.tolist(), t.onset, t.length] for t in trials],
     }
     tallies = [TrialTally(len(t.sizes), samples) for t in trials]
-    keeper = (
-        None
-        if out is None
-        else Keeper(out, identity(relations, plant=model, rows=rows, block=block, **settings), tallies, rows)
-    )
+    keeper = None
+    if out is not None:
+        mark = identity(relations, plant=model, rows=rows, block=block, **settings)
+        keeper = Keeper(out, mark, tallies, rows)
     tasks = [(i, first) for i, count in enumerate(counts) for first in range(0, count, block)]
-    job = _Scenarios(made, [scenarios.act_of(t, model, dtype) for t in trials], words, block)
+    acts = [scenarios.act_of(t, model, dtype) for t in trials]
 
-    def collect(number, found):
+    def collect(number: int, found: Counts) -> None:
+        """Add the counts of a task, without the scenarios that only fill its block up."""
         i, first = tasks[number]
-        take = min(block, counts[i] - first)
-        hits, false, delay, begun = (np.asarray(x)[:take] for x in found)
-        which = np.arange(first, first + take) % len(trials[i].sizes)
-        windows, clean = trials[i].spans(begun, samples, relations)
+        trial, stop = trials[i], min(first + block, counts[i])
+        hits, false, delay, begun = (np.asarray(x)[: stop - first] for x in found)
+        scenario = np.arange(first, stop)
+        which = scenario % len(trial.sizes)
+        windows, clean = trial.spans(begun, samples, relations)
         tallies[i].add(which, hits, false, delay, windows, clean)
         if keeper is not None:
-            keeper.add_rows(
-                trials[i].label,
-                trials[i].sizes[which],
-                np.arange(first, first + take),
-                begun,
-                hits,
-                false,
-                delay,
-            )
+            keeper.add_rows(trial.label, trial.sizes[which], scenario, begun, hits, false, delay)
 
-    _work_off(client, job, tasks, collect, keeper, progress)
+    _work_off(client, _Scenarios(setup, acts, words, block), tasks, collect, keeper, progress)
     return StudyResult(
         model, relations.horizon, tuple(trials), tuple(tallies), at, samples, confidence, settings
     )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Setup:
+    """The numbers of a study that are the same for all its scenarios; it can be pickled."""
+
+    model: LinearSystem
+    relations: Relations
+    course: kernel.Course
+    at: str
+    method: str
+    room: np.ndarray
+    u: np.ndarray | None
+    limits: np.ndarray
+    dtype: np.dtype
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -213,38 +221,55 @@ class _Scenarios:
     """The scenarios of a study as a `Job`: a task is (number of a fault, first scenario), a block from there
     on.
 
-    Fields: made: what `_engine` takes. acts, words: of each fault. block: scenarios in a task.
+    Fields: acts, words: of each fault. block: scenarios in a task.
     """
 
-    made: tuple
-    acts: list
-    words: list
+    setup: _Setup
+    acts: list[Act]
+    words: list[np.ndarray]
     block: int
 
     @cached_property
-    def counted(self):
+    def counted(self) -> Engine:
         """The function that counts a block; made where the work is done."""
-        return _engine(*self.made)[0]
+        return _engine(self.setup)[0]
 
-    def run(self, task):
+    def run(self, task: Task) -> Counts:
         """Return the counts of each scenario of a block: hits, false, delay, onset; judged on the CPU,
         whatever there is beside.
         """
         i, first = task
+        numbers = np.arange(first, first + self.block, dtype=np.uint32)
         with jax.default_device(jax.local_devices(backend="cpu")[0]):
-            found = self.counted(
-                self.acts[i], self.words[i], np.arange(first, first + self.block, dtype=np.uint32)
-            )
-        return tuple(map(np.asarray, found))
+            hits, false, delay, onset = self.counted(self.acts[i], self.words[i], numbers)
+        return np.asarray(hits), np.asarray(false), np.asarray(delay), np.asarray(onset)
+
+
+def _largest_room(
+    model: LinearSystem,
+    relations: Relations,
+    trials: Sequence[Trial],
+    highest: np.ndarray,
+    samples: int,
+    dtype: np.dtype,
+) -> np.ndarray:
+    """Return the room (p,) for rounding that suffices for every trial."""
+    reach = samples if relations.remembers else relations.horizon
+    rooms = []
+    for trial in trials:
+        largest = scenarios.largest_input(model, trial, highest, samples)
+        rooms.append(recursion.rounding_room(model, reach, largest, samples, dtype))
+    room: np.ndarray = np.max(rooms, 0)
+    return room
 
 
 @jax.jit
-def _words(key, i):
+def _words(key: jax.Array, i: int) -> jax.Array:
     """Return (2,) random words for the fault with number i."""
     return jax.random.bits(jax.random.fold_in(key, i), (2,), np.uint32)
 
 
-def _named(relations: Relations, model: LinearSystem) -> Relations:
+def _named_like(relations: Relations, model: LinearSystem) -> Relations:
     """Give a residual whose signals have no names those of the plant, in its order; see `Channels`."""
     if not isinstance(relations, Residual):
         return relations
@@ -255,7 +280,17 @@ def _named(relations: Relations, model: LinearSystem) -> Relations:
     return dataclasses.replace(relations, model=named)
 
 
-def _check(model, relations, n, samples, hold, at, method, confidence):
+def _check_study(
+    model: LinearSystem,
+    relations: Relations,
+    n: int,
+    samples: int,
+    hold: int,
+    at: str,
+    method: str,
+    confidence: float,
+) -> None:
+    """Raise TypeError or ValueError for what `study` does not take."""
     relations_of(relations, "a study", "study(model, .., relations=parity_relations(model))")
     if method == "linearized":
         raise ValueError(
@@ -265,7 +300,7 @@ def _check(model, relations, n, samples, hold, at, method, confidence):
     if (relations.model.inputs, relations.model.outputs) != (model.inputs, model.outputs):
         raise ValueError("the relations speak of other signals than the model of the study")
     for name, value in (("n", n), ("samples", samples), ("hold", hold)):
-        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+        if not is_whole(value) or value < 1:
             raise ValueError(f"{name} must be a whole number >= 1, not {value!r}")
     if samples > LONGEST:
         raise ValueError(
@@ -279,22 +314,30 @@ def _check(model, relations, n, samples, hold, at, method, confidence):
         raise ValueError(f"confidence must be between 0 and 1, not {confidence!r}")
 
 
-def _inputs(model, inputs, input_range, samples, dtype):
+def _study_inputs(
+    model: LinearSystem, inputs: object, input_range: ArrayLike | None, dtype: np.dtype
+) -> tuple[np.ndarray | None, np.ndarray, np.ndarray]:
     """Return (u (T, m) or None, limits (m, 2), largest |u - offset| (m,))."""
     offset = np.array([float(x) for x in model.offset["u"]])
-    if inputs is not None:
-        u = np.asarray(inputs_of(model, inputs, "inputs"), dtype)
-        if u.ndim != 2 or u.shape[1] != model.m:
-            raise ValueError(
-                f"inputs must have shape (samples, {model.m}), time first: their shape is {u.shape}"
-            )
-        if not np.isfinite(u).all():
-            refuse_infinite("inputs", u, model.inputs)
-            raise ValueError("inputs of a study must not be missing (NaN)")
-        return u, np.zeros((model.m, 2), dtype), np.abs(u - offset).max(0, initial=0)
+    if inputs is None:
+        limits = _limits(model, input_range, dtype)
+        return None, limits, np.abs(limits - offset[:, None]).max(1)
+    u = np.asarray(inputs_of(model, inputs, "inputs"), dtype)
+    if u.ndim != 2 or u.shape[1] != model.m:
+        raise ValueError(f"inputs must have shape (samples, {model.m}), time first: their shape is {u.shape}")
+    if not np.isfinite(u).all():
+        refuse_infinite("inputs", u, model.inputs)
+        raise ValueError("inputs of a study must not be missing (NaN)")
+    return u, np.zeros((model.m, 2), dtype), np.abs(u - offset).max(0, initial=0)
+
+
+def _limits(model: LinearSystem, input_range: ArrayLike | None, dtype: np.dtype) -> np.ndarray:
+    """Return (m, 2), between which inputs are drawn: as asked for, as the model says, or near its offset."""
     if input_range is None:
-        known = [model.ranges.get(name, (x - 1, x + 1)) for name, x in zip(model.inputs, offset, strict=True)]
-        limits = np.array([[float(lo), float(hi)] for lo, hi in known]).reshape(-1, 2)
+        known = []
+        for name, level in zip(model.inputs, model.offset["u"], strict=True):
+            known.append(model.ranges.get(name, (float(level) - 1, float(level) + 1)))
+        limits = np.array(known, float).reshape(-1, 2)
     else:
         limits = np.asarray(input_range, float)
     if limits.shape not in ((2,), (model.m, 2)):
@@ -305,93 +348,131 @@ def _inputs(model, inputs, input_range, samples, dtype):
     limits = np.broadcast_to(limits, (model.m, 2)).astype(dtype)
     if not (np.isfinite(limits).all() and (limits[:, 0] <= limits[:, 1]).all()):
         raise ValueError(f"input_range needs finite lo <= hi, not {limits.tolist()}")
-    return None, limits, np.abs(limits - offset[:, None]).max(1)
+    return limits
 
 
-def _engine(model, relations, course, at, method, room, u, limits, dtype):
-    """Return (function of (act, key, numbers) that counts a block of scenarios, their number)."""
-    by = relations.test(method, dtype)  # refuses here what it would refuse in every block
+def _engine(setup: _Setup) -> tuple[Engine, int]:
+    """Return the function that counts a block of scenarios, and their number."""
+    model, relations = setup.model, setup.relations
+    by = relations.test(setup.method, setup.dtype)  # refuses here what it would refuse in every block
     certain = isinstance(by, StripsTest | ExchangeTest)
-    plain = recursion.fits(model, room) and np.isfinite(room).all()
-    if plain:
-        plant = recursion.plant_of(model, room, dtype)
-    if at == "adversarial":
-        if not (plain and certain):
+    plain = recursion.fits(model, setup.room) and bool(np.isfinite(setup.room).all())
+    plant = recursion.plant_of(model, setup.room, setup.dtype) if plain else None
+    if setup.at == "adversarial":
+        if plant is None or not certain:
             raise NotImplementedError(
                 "an adversary needs a test by strips, down whose margin it goes: a certain model without "
-                "averages, noise on every output, "
-                "parity relations, method 'joint' or 'box'; use at='vertices' instead"
+                "averages, noise on every output, parity relations, method 'joint' or 'box'; use "
+                "at='vertices' instead"
             )
-        test = relations.reading(dtype)
+        return _attacking(setup, plant), min(ATTACKED, records.recording_block(setup.course))
+    circuits = len(relations.circuits) if isinstance(relations, LinearRelations) else 0
+    if plant is not None and certain and setup.method == "joint" and 0 < circuits <= UNROLLED:
+        # where circuits are many, what the fused kernel saves is nothing beside their test
+        devices = tuple(jax.local_devices(backend="cpu"))
+        return _counting(setup, plant, devices), kernel.BLOCK * len(devices)
+    return _writing(setup, plant), records.recording_block(setup.course)
 
-        def attacked(act, key, numbers):
-            us, ys, onset = map(
-                np.asarray, adversary.attack_block(course, test, plant, act, limits, u, key, numbers)
+
+# The names of the functions below that count are kept in the state of a study, in its folder.
+
+
+def _attacking(setup: _Setup, plant: FloatPlant) -> Engine:
+    """Return the function that lets an adversary hide the fault, then gives its recordings to `detect`."""
+    test = setup.relations.reading(setup.dtype)
+
+    def attacked(act: Act, key: np.ndarray, numbers: np.ndarray) -> Counts:
+        found = adversary.attack_block(setup.course, test, plant, act, setup.limits, setup.u, key, numbers)
+        u, y, onset = (np.asarray(x) for x in found)
+        return *records.count_recordings(setup.relations, act, u, y, onset, setup.method), onset
+
+    return attacked
+
+
+def _counting(setup: _Setup, plant: FloatPlant, devices: tuple[jax.Device, ...]) -> Engine:
+    """Return the function that simulates and tests in one kernel, on all devices."""
+    test = setup.relations.reading(setup.dtype)
+
+    def counted(act: Act, key: np.ndarray, numbers: np.ndarray) -> Counts:
+        blocks = [(part,) for part in np.split(numbers, len(devices))]
+        constants = everywhere((test, plant, act, setup.limits, setup.u, key), devices)
+        found = on_devices(_counter(setup.course), constants, blocks, devices)
+        hits, false, delay, onset = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        return hits, false, delay, onset
+
+    return counted
+
+
+def _writing(setup: _Setup, plant: FloatPlant | None) -> Engine:
+    """Return the function that writes scenarios out and gives them to `detect`."""
+
+    def written(act: Act, key: np.ndarray, numbers: np.ndarray) -> Counts:
+        if plant is None:
+            u, y, onset = records.simulate_block(
+                setup.course, setup.model, act, setup.limits, setup.u, key, numbers
             )
-            return *records.count_recordings(relations, act, us, ys, onset, method), onset
-
-        return attacked, min(ATTACKED, records.recording_block(course))
-    few = method == "joint" and certain and 0 < len(relations.circuits) <= UNROLLED
-    if plain and few:  # where circuits are many, what the fused kernel saves is nothing beside their test
-        devices, test = tuple(jax.local_devices(backend="cpu")), relations.reading(dtype)
-
-        def counted(act, key, numbers):
-            blocks = [(part,) for part in np.split(numbers, len(devices))]
-            found = on_devices(
-                _counter(course), everywhere((test, plant, act, limits, u, key), devices), blocks, devices
-            )
-            return tuple(map(np.concatenate, zip(*found, strict=True)))
-
-        return counted, kernel.BLOCK * len(devices)
-
-    def written(act, key, numbers):
-        if plain:
-            us, ys, onset = map(np.asarray, kernel.replay_block(course, plant, act, limits, u, key, numbers))
         else:
-            us, ys, onset = records.simulate_block(course, model, act, limits, u, key, numbers)
-        return *records.count_recordings(relations, act, us, ys, onset, method), onset
+            found = kernel.replay_block(setup.course, plant, act, setup.limits, setup.u, key, numbers)
+            u, y, onset = (np.asarray(x) for x in found)
+        return *records.count_recordings(setup.relations, act, u, y, onset, setup.method), onset
 
-    return written, records.recording_block(course)
+    return written
 
 
 @lru_cache(maxsize=32)
-def _counter(course):
+def _counter(course: kernel.Course) -> Callable[..., tuple[Array, ...]]:
     """Return `count_block` as a kernel of (everything that is the same for all scenarios, their numbers)."""
     return lambda constants, numbers: kernel.count_block(course, *constants, numbers)
 
 
-def _work_off(client, job, tasks, collect, keeper, progress):
+def _work_off(
+    client: "Client | None",
+    job: _Scenarios,
+    tasks: Sequence[Task],
+    collect: Callable[[int, Counts], None],
+    keeper: Keeper | None,
+    progress: Callable[[float], object] | None,
+) -> None:
     """Do the tasks that are left; collect them in order, and keep the state now and then."""
     done, saved = 0 if keeper is None else keeper.done, time.monotonic()
+    left = tasks[done:]
+    results = _on_cores(job, left) if client is None else in_order(client, job, left, TOGETHER)
     try:
-        for found in (
-            _here(job, tasks[done:]) if client is None else in_order(client, job, tasks[done:], TOGETHER)
-        ):
+        for found in results:
             collect(done, found)
             done += 1
-            due = done % PART == 0 if keeper is not None and keeper.rows else time.monotonic() - saved > EVERY
-            if keeper is not None and (due or done == len(tasks)):
+            if keeper is not None and _is_due(keeper, done, saved, len(tasks)):
                 keeper.save(done)
                 saved = time.monotonic()
             if progress is not None:
                 progress(done / len(tasks))
-    except (
-        KeyboardInterrupt
-    ):  # what was collected since the last state may be half counted: it is drawn again
+    except KeyboardInterrupt:
+        # what was collected since the last state may be half counted: it is drawn again
         if keeper is None:
             raise
         kept = f"{keeper.done} of {len(tasks)} blocks of scenarios are kept in {keeper.folder}"
         raise KeyboardInterrupt(f"interrupted: {kept}, the same command goes on from there") from None
 
 
-def _here(job, tasks):
+def _is_due(keeper: Keeper, done: int, saved: float, tasks: int) -> bool:
+    """Return whether the state is to be kept now: saved at a time, with so many tasks done."""
+    if done == tasks:
+        return True
+    if keeper.rows:  # parts hold as many tasks each, however fast they are
+        return done % PART == 0
+    return time.monotonic() - saved > EVERY
+
+
+def _on_cores(job: _Scenarios, tasks: Sequence[Task]) -> Iterator[Counts]:
     """Yield the results of tasks, in order; one runs on each core at a time."""
     _, *others = jax.local_devices(backend="cpu")
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = os.cpu_count() or 1
+    if hasattr(os, "sched_getaffinity"):
+        cores = len(os.sched_getaffinity(0))
     threads = max(1, cores // (1 + len(others)))
     run = inherited(job.run)
-    left, waiting = iter(tasks), deque()  # type: ignore[var-annotated]
-
+    left = iter(tasks)
+    waiting: deque[Future[Counts]] = deque()
     with ThreadPoolExecutor(threads) as pool:
         try:
             waiting.extend(pool.submit(run, task) for task in islice(left, threads + 2))

@@ -12,7 +12,7 @@ from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.detection import detect
 from jaxbound.models.simulate import simulate
 from jaxbound.models.system import LinearSystem
-from jaxbound.relations.sentence import remembers
+from jaxbound.random.threefry import Array
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.montecarlo import kernel, scenarios
 
@@ -38,10 +38,9 @@ def count_recordings(
     s, end = relations.horizon, np.arange(y.shape[1])[None]
     fault = detect(relations, u, y, method).status == Status.FAULT
     start, length = np.asarray(onset)[:, None], int(act.length)
-    if remembers(relations):  # each sample behind the onset rests on faulty ones
+    touched = (end >= start) & (end - s < start + length)
+    if relations.remembers:  # each sample behind the onset rests on faulty ones
         s, touched = 0, end >= start
-    else:
-        touched = (end >= start) & (end - s < start + length)
     hits = (fault & (end - s >= start) & (end < start + length)).sum(1)
     seen = fault & touched
     delay = np.where(seen.any(1), seen.argmax(1) - start[:, 0], -1)
@@ -66,36 +65,37 @@ def simulate_block(
     pair = key[0], key[1]
     inputs, size, onset = kernel.prepared(course, act, limits, pair, numbers)
     T, size, onset = course.samples, size[:, None], onset[:, None]
-    if u is None:
-        u = np.repeat(np.moveaxis(np.asarray(inputs), 2, 0), course.hold, 1)[:, :T]
-        u = u if model.m else np.zeros((len(numbers), T, 0), u.dtype)
+    if u is not None:
+        recorded = np.broadcast_to(np.asarray(u), (len(numbers), *u.shape))
+    elif model.m:
+        recorded = np.repeat(np.moveaxis(np.asarray(inputs), 2, 0), course.hold, 1)[:, :T]
     else:
-        u = np.broadcast_to(np.asarray(u), (len(numbers), *u.shape))
+        recorded = np.zeros((len(numbers), T, 0), inputs.dtype)
     since = jnp.arange(T, dtype=jnp.int32)[None] - onset
     on = (since >= 0) & (since < act.length)
-    k_run, k_extra = jax.random.split(
-        jax.random.fold_in(jax.random.wrap_key_data(jnp.asarray(key)), numbers[0])
-    )
+    own = jax.random.fold_in(jax.random.wrap_key_data(jnp.asarray(key)), numbers[0])
+    k_run, k_extra = jax.random.split(own)
     extra = jax.random.uniform(k_extra, since.shape, size.dtype, -1, 1)
 
-    def faulty(values, channel, dropped):
+    def faulty(values: jax.Array, channel: Array, dropped: float) -> jax.Array:
+        """Return signals (N, T, c) with the fault, where it is one of theirs."""
         i = int(channel)
-        if i < 0:
+        if i < 0 or act.kind in ("none", "tolerance"):
             return values
         value = values[..., i]
         held = jnp.take_along_axis(value, jnp.minimum(onset, T - 1), 1)
-        return values.at[..., i].set(
-            jnp.where(on, scenarios.changed(act, value, size, since, extra, held, dropped), value)
-        )
+        changed = scenarios.changed(act, value, size, since, extra, held, dropped)
+        return values.at[..., i].set(jnp.where(on, changed, value))
 
-    touched = act.kind not in ("none", "tolerance")
-    applied = faulty(jnp.asarray(u), act.input, 0.0) if touched else jnp.asarray(u)
+    applied = faulty(jnp.asarray(recorded), act.input, 0.0)
     run = simulate(model, applied, k_run, at="vertices" if course.vertices else "uniform")
-    y = faulty(run.y, act.output, jnp.nan) if touched else run.y
+    y = faulty(run.y, act.output, jnp.nan)
     if act.kind == "tolerance":
         i = int(act.output)
         offset = float(model.offset["y"][i])
         true = (y[..., i] - offset - run.noise[..., i]) / (1 + run.theta[..., i])
-        theta = size * (jnp.where(extra < 0, -1, 1) if course.vertices else extra)
+        if course.vertices:
+            extra = jnp.where(extra < 0, -1, 1)
+        theta = size * extra
         y = y.at[..., i].set(jnp.where(on, offset + true + theta * true + run.noise[..., i], y[..., i]))
-    return np.asarray(u), np.asarray(y), np.asarray(onset)[:, 0]
+    return recorded, np.asarray(y), np.asarray(onset)[:, 0]

@@ -31,6 +31,7 @@ it. Where it is more than `SHARE` of the noise (no noise at all, or a state that
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -41,6 +42,9 @@ from jaxbound.random.threefry import Array
 from jaxbound.sets.floats import rounding
 
 __all__ = ["FloatPlant", "fits", "plant_of", "reach", "rounding_room", "step"]
+
+Zeros: TypeAlias = tuple[tuple[bool, ...], ...]
+"""Which entries of a matrix are zero."""
 
 SHARE = 1e-2
 """Of the noise, that a study may take for rounding."""
@@ -67,7 +71,7 @@ class FloatPlant:
     offset_u: Array
     lo: Array
     hi: Array
-    zeros: tuple = field(metadata={"static": True})
+    zeros: tuple[Zeros, ...] = field(metadata={"static": True})
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
@@ -75,16 +79,11 @@ class FloatPlant:
         return self.A.shape[0], self.B.shape[1], self.C.shape[0], self.lo.shape[0]
 
 
-def floats(rows: Sequence[Sequence[Fraction]], shape: tuple[int, int]) -> np.ndarray:
-    """Return exact numbers as the nearest floats."""
-    return np.array([[float(x) for x in row] for row in rows], np.float64).reshape(shape)
-
-
 def matrices(model: LinearSystem) -> tuple[np.ndarray, ...]:
     """Return A, B, C, D, G as arrays."""
     n, m, p, g = model.n, model.m, model.p, model.g
     shapes = (("A", (n, n)), ("B", (n, m)), ("C", (p, n)), ("D", (p, m)), ("G", (n, g)))
-    return tuple(floats(getattr(model, letter), shape) for letter, shape in shapes)
+    return tuple(np.array(getattr(model, letter), float).reshape(shape) for letter, shape in shapes)
 
 
 def reach(model: LinearSystem, inputs: np.ndarray, samples: int) -> tuple[np.ndarray, np.ndarray]:
@@ -94,20 +93,14 @@ def reach(model: LinearSystem, inputs: np.ndarray, samples: int) -> tuple[np.nda
         model: a LinearSystem. inputs: (m,) the largest |v - offset| that acts. samples: how many.
     """
     A, B, C, D, G = matrices(model)
-    bound = np.array([max(abs(float(lo)), abs(float(hi))) for lo, hi in model.disturbance])
-    drive, power, states, outputs = (
-        np.hstack([B * inputs, G * bound]),
-        np.eye(model.n),
-        np.zeros(model.n),
-        np.abs(D) @ inputs,
-    )
+    drive = np.hstack([B * inputs, G * _largest_disturbances(model)])
+    power, states, outputs = np.eye(model.n), np.zeros(model.n), np.abs(D) @ inputs
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(samples):
             states = states + np.abs(power @ drive).sum(1)
             outputs = outputs + np.abs(C @ power @ drive).sum(1)
             power = power @ A
-        noise = np.array([float(x) for x in model.noise])
-        tolerance = np.array([float(x) for x in model.tolerance])
+        noise, tolerance = _as_floats(model.noise), _as_floats(model.tolerance)
         return 1.001 * states, 1.001 * ((1 + tolerance) * outputs + noise)
 
 
@@ -120,8 +113,8 @@ def rounding_room(
     A, B, C, D, G = matrices(model)
     u, (n, m, g) = float(rounding.unit(dtype)), (model.n, model.m, model.g)
     states, outputs = reach(model, inputs, samples)
-    level = inputs + 2 * np.array([abs(float(x)) for x in model.offset["u"]])
-    bound = np.array([max(abs(float(lo)), abs(float(hi))) for lo, hi in model.disturbance])
+    level = inputs + 2 * abs(_as_floats(model.offset["u"]))
+    bound = _largest_disturbances(model)
     with np.errstate(over="ignore", invalid="ignore"):
         each = (n + m + g + 8) * u * (np.abs(A) @ states + np.abs(B) @ level + np.abs(G) @ bound)
         through, power, grown = np.zeros((model.p, n)), np.eye(n), np.zeros(n)
@@ -130,11 +123,20 @@ def rounding_room(
             grown = grown + np.abs(power) @ each
             power = power @ A
         out = through @ each + (n + m + 8) * u * (np.abs(C) @ states + np.abs(D) @ level)
-        tolerance = np.array([float(x) for x in model.tolerance])
-        out = (1 + tolerance) * out + 8 * u * (outputs + np.array([abs(float(x)) for x in model.offset["y"]]))
+        shown = outputs + abs(_as_floats(model.offset["y"]))
+        out = (1 + _as_floats(model.tolerance)) * out + 8 * u * shown
         out = 2 * out + 400 * (n + m + g + 1) * float(rounding.tiny(dtype)) * (1 + through.sum(1))
         within = np.all(grown <= 1e-4 * states + float(rounding.tiny(dtype))) and np.isfinite(states).all()
     return np.where(np.isfinite(out) & within, out, np.inf)
+
+
+def _as_floats(values: Sequence[Fraction]) -> np.ndarray:
+    return np.array([float(x) for x in values])
+
+
+def _largest_disturbances(model: LinearSystem) -> np.ndarray:
+    """Return the largest magnitude (g,) of each disturbance."""
+    return np.array([max(abs(float(lo)), abs(float(hi))) for lo, hi in model.disturbance])
 
 
 def fits(model: LinearSystem, room: np.ndarray) -> bool:
@@ -143,41 +145,40 @@ def fits(model: LinearSystem, room: np.ndarray) -> bool:
     """
     if model.uncertainties or model.d or model.constant_tolerance or model.averages:
         return False
-    return all(
-        taken <= SHARE * float(noise) for taken, noise in zip(_taken(model, room), model.noise, strict=True)
-    )
+    return bool((_noise_taken(model, room) <= SHARE * _as_floats(model.noise)).all())
 
 
-def _taken(model: LinearSystem, room: np.ndarray) -> list[float]:
-    """Return the share of the room that the noise gives: a logger's resolution gives the rest."""
-    return [max(float(x - r), 0.0) for x, r in zip(room, map(float, model.resolution), strict=True)]
+def _noise_taken(model: LinearSystem, room: np.ndarray) -> np.ndarray:
+    """Return the share (p,) of the room that the noise gives: a logger's resolution gives the rest."""
+    taken: np.ndarray = np.maximum(room - _as_floats(model.resolution), 0.0)
+    return taken
 
 
 def plant_of(model: LinearSystem, room: np.ndarray, dtype: np.dtype) -> FloatPlant:
     """Return the FloatPlant of a model that `fits`, with `room` for rounding."""
-    noise = [
-        float(rho) * (1 - 1e-15) - taken for rho, taken in zip(model.noise, _taken(model, room), strict=True)
-    ]
+    noise = _as_floats(model.noise) * (1 - 1e-15) - _noise_taken(model, room)
     A, B, C, D, G = exact = matrices(model)
-    lo, hi = (
-        rounding.round_up([b[0] for b in model.disturbance], dtype),
-        rounding.round_down([b[1] for b in model.disturbance], dtype),
-    )
-    vector = lambda values: np.array([float(x) for x in values], dtype)
+    lo = rounding.round_up([low for low, _ in model.disturbance], dtype)
+    hi = rounding.round_down([high for _, high in model.disturbance], dtype)
     return FloatPlant(
-        A.astype(dtype),
-        B.astype(dtype),
-        C.astype(dtype),
-        D.astype(dtype),
-        G.astype(dtype),
-        rounding.round_down(list(model.tolerance), dtype),
-        rounding.round_down(np.maximum(noise, 0), dtype),
-        vector(model.offset["y"]),
-        vector(model.offset["u"]),
-        lo,
-        np.maximum(lo, hi),
-        tuple(tuple(map(tuple, (x == 0).tolist())) for x in exact),
+        A=A.astype(dtype),
+        B=B.astype(dtype),
+        C=C.astype(dtype),
+        D=D.astype(dtype),
+        G=G.astype(dtype),
+        tolerance=rounding.round_down(list(model.tolerance), dtype),
+        noise=rounding.round_down(np.maximum(noise, 0), dtype),
+        offset_y=_as_floats(model.offset["y"]).astype(dtype),
+        offset_u=_as_floats(model.offset["u"]).astype(dtype),
+        lo=lo,
+        hi=np.maximum(lo, hi),
+        zeros=tuple(_is_zero(x) for x in exact),
     )
+
+
+def _is_zero(x: np.ndarray) -> Zeros:
+    """Return which entries of a matrix are zero, as a value that can be hashed."""
+    return tuple(tuple(row) for row in (x == 0).tolist())
 
 
 def step(
@@ -195,25 +196,32 @@ def step(
             noises. share: g numbers in [-1, 1], where each disturbance lies within its bounds.
     """
     zero_A, zero_B, zero_C, zero_D, zero_G = plant.zeros
-    given = [v - plant.offset_u[i] for i, v in enumerate(applied)]
+    inputs = [v - plant.offset_u[i] for i, v in enumerate(applied)]
     half = [0.5 * (plant.hi[j] - plant.lo[j]) for j in range(len(share))]
     w = [jnp.clip(plant.lo[j] + (1 + r) * half[j], plant.lo[j], plant.hi[j]) for j, r in enumerate(share)]
-    parts = lambda M, zeros, values, i: [M[i, j] * v for j, v in enumerate(values) if not zeros[i][j]]
     y = []
     for i in range(plant.shape[2]):
-        t = _sum([*parts(plant.C, zero_C, x, i), *parts(plant.D, zero_D, given, i)], delta[i])
-        y.append((t if theta[i] is None else t + theta[i] * t) + delta[i] + plant.offset_y[i])
+        t = _sum([*_terms(plant.C, zero_C, x, i), *_terms(plant.D, zero_D, inputs, i)], delta[i])
+        error = theta[i]
+        y.append((t if error is None else t + error * t) + delta[i] + plant.offset_y[i])
     after = []
     for i in range(plant.shape[0]):
         terms = [
-            *parts(plant.A, zero_A, x, i),
-            *parts(plant.B, zero_B, given, i),
-            *parts(plant.G, zero_G, w, i),
+            *_terms(plant.A, zero_A, x, i),
+            *_terms(plant.B, zero_B, inputs, i),
+            *_terms(plant.G, zero_G, w, i),
         ]
         after.append(_sum(terms, delta[0]))
     return after, y
 
 
-def _sum(terms, like):
+def _terms(M: Array, zeros: Zeros, values: Sequence[Array], i: int) -> list[Array]:
+    """Return the products of row i of a matrix with values, but for those with an entry that is zero."""
+    return [M[i, j] * v for j, v in enumerate(values) if not zeros[i][j]]
+
+
+def _sum(terms: Sequence[Array], like: Array) -> Array:
     """Return the sum of the terms, zeros like an array if there is none."""
-    return sum(terms[1:], terms[0]) if terms else jnp.zeros_like(like)
+    if not terms:
+        return jnp.zeros_like(like)
+    return sum(terms[1:], terms[0])

@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,6 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.random.threefry import Array
 from jaxbound.relations.bounds import model_bounds
 from jaxbound.relations.parity import ParityRelation
-from jaxbound.relations.sentence import remembers
 from jaxbound.studies.montecarlo import recursion
 
 __all__ = ["Act", "Trial", "act_of", "changed", "largest_input", "trials"]
@@ -46,7 +45,7 @@ class Trial:
     @property
     def label(self) -> str:
         """Its name, like y1:bias."""
-        return "no fault" if self.fault is None else f"{self.fault.signal}:{self.fault.kind}"
+        return "no fault" if self.fault is None else _label(self.fault)
 
     def spans(self, onset: np.ndarray, samples: int, relations: Relations) -> tuple[np.ndarray, np.ndarray]:
         """Return (windows wholly inside the fault, windows without a faulty sample) of scenarios with such
@@ -55,7 +54,7 @@ class Trial:
         Of an observer: samples of the fault, and those before it.
         """
         stop, horizon = np.minimum(onset + self.length, samples), relations.horizon
-        if remembers(relations):
+        if relations.remembers:
             return stop - onset, np.maximum(onset - horizon, 0)
         inside = np.maximum(stop - onset - horizon, 0)
         return inside, np.maximum(onset - horizon, 0) + np.maximum(samples - stop - horizon, 0)
@@ -85,25 +84,29 @@ class Act:
 
 def act_of(trial: Trial, model: LinearSystem, dtype: np.dtype) -> Act:
     """Return the Act of a Trial."""
-    fault, number = (
-        trial.fault,
-        lambda names, signal: np.asarray(names.index(signal) if signal in names else -1, np.int32),
-    )
-    signal, kind = (fault.signal, fault.kind) if fault else (None, "none")
-    bias, drift, gain = flags = [np.asarray(kind == k, dtype) for k in ("bias", "drift", "gain")]
+    signal, kind = None, "none"
+    if trial.fault is not None:
+        signal, kind = trial.fault.signal, trial.fault.kind
     first, stop = trial.onset
     return Act(
-        number(model.outputs, signal),
-        number(model.inputs, signal),
-        bias,
-        drift,
-        gain,
-        np.asarray(trial.sizes, dtype),
-        np.asarray(first, np.uint32),
-        np.asarray(stop - first, np.uint32),
-        np.asarray(trial.length, np.int32),
-        "shift" if any(flags) else kind,
+        output=np.asarray(_number_of(signal, model.outputs), np.int32),
+        input=np.asarray(_number_of(signal, model.inputs), np.int32),
+        bias=np.asarray(kind == "bias", dtype),
+        drift=np.asarray(kind == "drift", dtype),
+        gain=np.asarray(kind == "gain", dtype),
+        sizes=np.asarray(trial.sizes, dtype),
+        first=np.asarray(first, np.uint32),
+        span=np.asarray(stop - first, np.uint32),
+        length=np.asarray(trial.length, np.int32),
+        kind="shift" if kind in ("bias", "drift", "gain") else kind,
     )
+
+
+def _number_of(signal: str | None, names: tuple[str, ...]) -> int:
+    """Return the number of a signal, -1 where it is none of these."""
+    if signal is None or signal not in names:
+        return -1
+    return names.index(signal)
 
 
 def changed(
@@ -120,7 +123,10 @@ def changed(
         return value + size * extra
     if act.kind == "shift":
         return value + size * (act.bias + act.drift * since.astype(value.dtype) + act.gain * value)
-    return {"stuck": lambda: held, "dropout": lambda: jnp.full_like(value, dropped)}[act.kind]()
+    if act.kind == "stuck":
+        return held
+    assert act.kind == "dropout", act.kind
+    return jnp.full_like(value, dropped)
 
 
 def trials(
@@ -148,139 +154,183 @@ def trials(
         raise ValueError(
             f"a scenario of {samples} samples has no window of {relations.horizon + 1}: take more samples"
         )
-    faults = [faults] if isinstance(faults, str | Fault) else list(faults)
-    given = [_fault(model, f) for f in faults]
-    labels = [f"{f.signal}:{f.kind}" for f in given]
-    if not faults:
+    several = [faults] if isinstance(faults, str | Fault) else list(faults)
+    named = [_fault(model, fault) for fault in several]
+    labels = [_label(fault) for fault in named]
+    if not named:
         return [Trial(None, np.zeros(1), (samples, samples + 1), 1)]
     if isinstance(sizes, dict) and (extra := sorted(set(sizes) - set(labels))):
         raise ValueError(f"sizes speak of {', '.join(extra)}, but the faults are {', '.join(labels)}")
     out = []
-    for fault, label, original in zip(given, labels, faults, strict=True):
-        own = sizes.get(label) if isinstance(sizes, dict) else sizes
-        placed = isinstance(original, Fault) and (onset is None)
-        first, stop = (fault.start, fault.start + 1) if placed else _onset(onset, samples)
-        length = samples if fault.stop is None else fault.stop - fault.start
+    for fault, stated in zip(named, several, strict=True):
+        own = sizes.get(_label(fault)) if isinstance(sizes, dict) else sizes
+        if own is None and isinstance(stated, Fault) and fault.size:
+            own = (fault.size,)
+        first, stop = _onset(onset, samples)
+        if onset is None and isinstance(stated, Fault):
+            first, stop = fault.start, fault.start + 1
         if not 0 <= first < stop <= samples:
             raise ValueError(
-                f"the fault {label} must start at a sample 0 <= k < {samples}, not in {first}..{stop - 1}"
+                f"the fault {_label(fault)} must start at a sample 0 <= k < {samples}, not in "
+                f"{first}..{stop - 1}"
             )
-        if fault.kind in SIZELESS:
-            own = (0.0,)
-        elif own is None:
-            own = (
-                (fault.size,)
-                if isinstance(original, Fault) and fault.size
-                else _usual_sizes(model, fault, relations, highest, samples)
-            )
-        each = np.atleast_1d(np.asarray(own, float))
-        if each.ndim != 1 or not each.size or not np.isfinite(each).all():
-            raise ValueError(f"sizes of {label} must be finite numbers, not {each.tolist()}")
+        length = samples if fault.stop is None else fault.stop - fault.start
+        each = _sizes_of(model, fault, own, relations, highest, samples)
         sure = guaranteed_size(model, fault, relations, highest, samples, float(np.abs(each).max()))
-        out.append(
-            Trial(
-                dataclasses.replace(fault, size=0.0, start=0, stop=None),
-                each,
-                (int(first), int(stop)),
-                int(length),
-                sure,
-            )
-        )
+        nothing = dataclasses.replace(fault, size=0.0, start=0, stop=None)
+        out.append(Trial(nothing, each, (int(first), int(stop)), int(length), sure))
     return out
 
 
-def _fault(model, given):
-    if isinstance(given, str):
-        signal, _, kind = given.rpartition(":") if given.rpartition(":")[2] in KINDS else (given, "", "bias")
-        if signal not in model.outputs + model.inputs and ":" in given:
-            signal, _, kind = given.rpartition(":")
-        given = Fault(signal, kind)
-    refuse_unknown_signal(model, given.signal, given.kind)
-    return given
+def _label(fault: Fault) -> str:
+    return f"{fault.signal}:{fault.kind}"
 
 
-def _onset(onset, samples):
+def _sizes_of(
+    model: LinearSystem,
+    fault: Fault,
+    own: Sequence[float] | None,
+    relations: Relations,
+    highest: np.ndarray,
+    samples: int,
+) -> np.ndarray:
+    """Return the sizes (S,) of a fault: 0 of one without sizes, those stated, or usual ones."""
+    if fault.kind in SIZELESS:
+        return np.zeros(1)
+    if own is None:
+        return _usual_sizes(model, fault, relations, highest, samples)
+    each = np.atleast_1d(np.asarray(own, float))
+    if each.ndim != 1 or not each.size or not np.isfinite(each).all():
+        raise ValueError(f"sizes of {_label(fault)} must be finite numbers, not {each.tolist()}")
+    return each
+
+
+def _fault(model: LinearSystem, stated: str | Fault) -> Fault:
+    """Return a fault, checked; of a text "signal:kind", or a signal alone, which may hold colons."""
+    if isinstance(stated, Fault):
+        fault = stated
+    else:
+        fault = Fault(*_signal_and_kind(model, stated))
+    refuse_unknown_signal(model, fault.signal, fault.kind)
+    return fault
+
+
+def _signal_and_kind(model: LinearSystem, text: str) -> tuple[str, str]:
+    """Return the signal and the kind that a text names; "bias" where it names none."""
+    before, colon, kind = text.rpartition(":")
+    if kind in KINDS:
+        signal = before
+    elif colon and text not in model.outputs + model.inputs:
+        signal = before  # the kind is unknown, and refused as such
+    else:
+        return text, "bias"
+    return signal, kind
+
+
+def _onset(onset: int | tuple[int, int] | None, samples: int) -> tuple[int, int]:
     """Return (lo, hi) of the onset; by default in the second quarter."""
     if onset is None:
         return samples // 4, max(samples // 2, samples // 4 + 1)
-    return (int(onset), int(onset) + 1) if np.ndim(onset) == 0 else tuple(map(int, onset))
+    if np.ndim(onset) == 0:
+        first = int(cast("int", onset))
+        return first, first + 1
+    first, stop = map(int, cast("tuple[int, int]", onset))
+    return first, stop
 
 
 def largest_input(model: LinearSystem, trial: Trial | None, highest: np.ndarray, samples: int) -> np.ndarray:
     """Return the largest |v - offset| (m,) that acts on the plant, the fault included."""
-    out = np.array(highest, float)
+    largest = np.array(highest, float)
     if trial is None or trial.fault is None or trial.fault.signal not in model.inputs:
-        return out
+        return largest
     i, size, kind = model.inputs.index(trial.fault.signal), np.abs(trial.sizes).max(), trial.fault.kind
     level = abs(float(model.offset["u"][i]))
-    out[i] += {
+    added = {
         "bias": size,
         "noise": size,
         "drift": size * samples,
-        "gain": size * (out[i] + level),
+        "gain": size * (largest[i] + level),
         "dropout": level,
-    }.get(kind, 0.0)
-    return out
+    }
+    largest[i] += added.get(kind, 0.0)
+    return largest
 
 
 def guaranteed_size(
-    model: Any, fault: Any, relations: Any, highest: Any, samples: int, largest: float
+    model: LinearSystem,
+    fault: Fault,
+    relations: Relations,
+    highest: np.ndarray,
+    samples: int,
+    largest: float,
 ) -> float:
     """Return the size of a bias from which on the monitor must see it in every scenario of the study, nan
     where nothing is known.
 
     The operating range is what the readings of this study can come to, with a fault of that size.
     """
-    if (
-        fault.kind != "bias"
-        or not isinstance(relations, ParityRelation)
-        or relations.model.constant_tolerance
-        or model.d
-    ):
+    if fault.kind != "bias" or not isinstance(relations, ParityRelation):
         return np.nan
     monitor, own = relations.model, model_bounds(relations.model)
+    if monitor.constant_tolerance or model.d:
+        return np.nan
     if any(not np.array_equal(relations.bounds[name], own[name]) for name in own):
         return np.nan
-    size, before = largest, None
-    for _ in range(
-        8
-    ):  # a larger range may need a larger fault, which makes a larger range: a straight line, or nearly
+    size = largest
+    before: tuple[float, float] | None = None
+    for _ in range(8):
+        # a larger range may need a larger fault, which makes a larger range: a straight line, or nearly
         trial = Trial(fault, np.array([size]), (0, 1), samples)
         _, readings = recursion.reach(model, largest_input(model, trial, highest, samples), samples)
         readings = np.maximum(readings, 1e-9 * max(float(readings.max(initial=0)), 1e-9))
-        readings[[i for i, name in enumerate(model.outputs) if name == fault.signal]] += size
+        if fault.signal in model.outputs:
+            readings[model.outputs.index(fault.signal)] += size
         if not np.isfinite(readings).all():
             return np.nan
-        found = float(detectable(monitor, fault, operating_range=readings.tolist(), **relations.window))
-        if found <= size or not np.isfinite(found):
-            return found
-        slope = (found - before[1]) / (size - before[0]) if before else 0.0
+        needed = float(detectable(monitor, fault, operating_range=readings.tolist(), **relations.window))
+        if needed <= size or not np.isfinite(needed):
+            return needed
+        slope = 0.0
+        if before is not None:
+            slope = (needed - before[1]) / (size - before[0])
         if slope >= 1:
             return np.inf
-        size, before = 1.0001 * (found - slope * size) / (1 - slope), (size, found)
+        size, before = 1.0001 * (needed - slope * size) / (1 - slope), (size, needed)
     return np.inf
 
 
-def _usual_sizes(model, fault, relations, highest, samples):
+def _usual_sizes(
+    model: LinearSystem, fault: Fault, relations: Relations, highest: np.ndarray, samples: int
+) -> np.ndarray:
     """Return sizes around the one that is guaranteed to be seen as a bias, or around what the bounds
     allow.
     """
-    base = guaranteed_size(model, Fault(fault.signal), relations, highest, samples, 0.0)
+    bias = Fault(fault.signal)
+    base = guaranteed_size(model, bias, relations, highest, samples, 0.0)
     if isinstance(relations, SetObserver):
         with suppress(NotImplementedError):
-            base = float(detectable(relations, Fault(fault.signal)))
-    _, readings = recursion.reach(model, np.asarray(highest, float), samples)
-    inside = fault.signal in model.outputs
-    i = (model.outputs if inside else model.inputs).index(fault.signal)
-    level = float(readings[i] if inside else highest[i])
+            base = float(detectable(relations, bias))
+    if fault.signal in model.outputs:
+        i = model.outputs.index(fault.signal)
+        _, readings = recursion.reach(model, np.asarray(highest, float), samples)
+        level = float(readings[i])
+    else:
+        i = model.inputs.index(fault.signal)
+        level = float(highest[i])
     if not np.isfinite(base) or not base > 0:
         base = level
     if fault.kind == "tolerance":
         least = float(model.tolerance[i])
-        return np.array([float(f"{least + (1 - least) * share:.3g}") for share in GRID[:10]])
-    base = {"drift": base / max(samples // 4, 1), "gain": base / level if level > 0 else 1.0}.get(
-        fault.kind, base
-    )
+        return _rounded(least + (1 - least) * GRID[:10])
+    if fault.kind == "drift":
+        base = base / max(samples // 4, 1)
+    elif fault.kind == "gain":
+        base = base / level if level > 0 else 1.0
     if not np.isfinite(base) or base <= 0:
         raise ValueError(f"no usual size is known for {fault.signal}:{fault.kind}: give sizes")
-    return np.array([float(f"{base * share:.3g}") for share in GRID])
+    return _rounded(base * GRID)
+
+
+def _rounded(sizes: np.ndarray) -> np.ndarray:
+    """Return sizes of three digits."""
+    return np.array([float(f"{size:.3g}") for size in sizes])

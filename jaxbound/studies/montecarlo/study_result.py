@@ -83,9 +83,9 @@ class StudyResult:
         """
         import pandas as pd
 
-        found = delay_table(self)
-        delay = pd.array(found["delay"], dtype="Int64")
-        return pd.DataFrame(found | {"delay": delay})
+        columns = delay_table(self)
+        delay = pd.array(columns["delay"], dtype="Int64")
+        return pd.DataFrame(columns | {"delay": delay})
 
     def __repr__(self) -> str:
         false, clean = self.false_alarms
@@ -113,21 +113,19 @@ def delay_table(res: StudyResult) -> dict[str, np.ndarray]:
     rows: list[tuple[str, float, float, int]] = []
     for trial, tally in zip(res.trials, res.tallies, strict=True):
         for i, size in enumerate(trial.sizes):
-            found = np.flatnonzero(tally.delays[i])
-            rows += [(trial.label, float(size), float(d), int(tally.delays[i, d])) for d in found]
-            rows += (
-                [(trial.label, float(size), np.nan, int(never))]
-                if (never := tally.scenarios[i] - tally.detected[i])
-                else []
-            )
+            for delay in np.flatnonzero(tally.delays[i]):
+                rows.append((trial.label, float(size), float(delay), int(tally.delays[i, delay])))
+            never = int(tally.scenarios[i] - tally.detected[i])
+            if never:
+                rows.append((trial.label, float(size), np.nan, never))
     kinds = {"fault": object, "size": float, "delay": float, "scenarios": np.int64}
     return {name: np.array([row[j] for row in rows], kind) for j, (name, kind) in enumerate(kinds.items())}
 
 
-def _columns(trial, tally, confidence):
+def _columns(trial: Trial, tally: TrialTally, confidence: float) -> dict[str, np.ndarray]:
     """Return {name: (S,)} of one Trial."""
     (share, lo, hi), (rate, rate_lo, rate_hi) = tally.share(confidence), tally.rate(confidence)
-    found = {
+    columns = {
         "fault": trial.label,
         "size": trial.sizes,
         "scenarios": tally.scenarios,
@@ -147,9 +145,8 @@ def _columns(trial, tally, confidence):
         "guaranteed": trial.guaranteed,
     }
     like = {"fault": object, "size": float, "guaranteed": float}
-    return {
-        name: np.array(np.broadcast_to(x, len(tally.scenarios)), like.get(name)) for name, x in found.items()
-    }
+    count = len(tally.scenarios)
+    return {name: np.array(np.broadcast_to(x, count), like.get(name)) for name, x in columns.items()}
 
 
 def delay_quantile(tally: TrialTally, share: float) -> np.ndarray:

@@ -62,10 +62,10 @@ class TrialTally:
         """Take scenarios: the number of the size of each, and what was found. All (N,)."""
         sizes = len(self.scenarios)
         h, w = hits.astype(np.int64), windows.astype(np.int64)
-        seen = delay >= 0
+        detected = delay >= 0
         parts = {
             "scenarios": None,
-            "detected": seen,
+            "detected": detected,
             "hits": h,
             "windows": w,
             "squares": h * h,
@@ -75,12 +75,10 @@ class TrialTally:
             "clean": clean,
             "alarmed": false > 0,
         }
-        for name, part in parts.items():  # floats of bincount are exact below 2^53
-            total = (
-                np.bincount(which, part, sizes) if part is not None else np.bincount(which, minlength=sizes)
-            )
+        for name, part in parts.items():
+            total = np.bincount(which, part, sizes)  # its floats are exact below 2^53
             setattr(self, name, getattr(self, name) + total.astype(np.int64))
-        np.add.at(self.delays, (which[seen], delay[seen]), 1)
+        np.add.at(self.delays, (which[detected], delay[detected]), 1)
 
     def share(self, confidence: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return (share, lo, hi) of scenarios detected, (S,) each."""

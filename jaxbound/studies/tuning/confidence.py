@@ -81,7 +81,8 @@ def rate_bound(n: int, confidence: float) -> float:
         >>> round(rate_bound(59, 0.95), 3)
         0.05
     """
-    return 1 - (1 - confidence) ** (1 / n)
+    share: float = 1 - (1 - confidence) ** (1 / n)
+    return share
 
 
 def distribution_band(n: int, confidence: float) -> float:
@@ -114,10 +115,13 @@ def scenario_bound(n: int, bounds: int, confidence: float) -> float:
     low, high = 0.0, 1.0
     for _ in range(60):
         eps = 0.5 * (low + high)
-        tail = sum(
-            math.exp(c + i * math.log(eps) + (n - i) * math.log1p(-eps)) for i, c in enumerate(log_choose)
-        )
-        low, high = (eps, high) if tail > 1 - confidence else (low, eps)
+        tail = 0.0
+        for i, c in enumerate(log_choose):
+            tail += math.exp(c + i * math.log(eps) + (n - i) * math.log1p(-eps))
+        if tail > 1 - confidence:
+            low = eps
+        else:
+            high = eps
     return high
 
 
@@ -152,7 +156,8 @@ def held_out(blocks: int, share: float) -> np.ndarray:
         [False, False, True, False, False, True]
     """
     count = np.floor(np.arange(blocks + 1) * share + 1e-9)
-    return np.diff(count) > 0
+    chosen: np.ndarray = np.diff(count) > 0
+    return chosen
 
 
 def touched(chosen: np.ndarray, horizon: int) -> np.ndarray:
@@ -193,51 +198,60 @@ def risk_of(
     worst = np.full(int(label.max(initial=-1)) + 1, -np.inf)
     inside = (label >= 0) & ~np.isnan(factors)
     np.maximum.at(worst, label[inside], factors[inside])
-    seen = worst > -np.inf  # a block without any data says nothing
-    kept = seen if fixed else kept & seen
-    n, all_blocks = int(kept.sum()), int(seen.sum())
-    extra = f" The safety factor {safety:g} comes on top and is not counted." if safety != 1 else ""
-    assumed = (
-        "If blocks of healthy operation are exchangeable (a new one is drawn as these were, in any order)"
-    )
-    sure = f"with {100 * confidence:g} % confidence"
+    has_data = worst > -np.inf  # a block without any data says nothing
+    kept = has_data if fixed else kept & has_data
+    n, blocks = int(kept.sum()), int(has_data.sum())
+    extra = ""
+    if safety != 1:
+        extra = f" The safety factor {safety:g} comes on top and is not counted."
     if n:
         average, rate, band = rank_risk(n), rate_bound(n, confidence), distribution_band(n, confidence)
-        role = (
-            "rescaled the given bounds, which must not come from the same data"
-            if fixed
-            else "had no part in the search and only rescaled what it found"
-        )
-        text = (
-            f"{n} block{'s' * (n > 1)} of {length} windows, which share no sample, {role}. {assumed}, a new "
-            f"block "
-            f"holds a window outside the smallest bounds with a probability of at most 1/{n + 1} = "
-            f"{_percent(average)}, on average over "
-            f"such data; if they are independent, then {sure} in at most {_percent(rate)} of all blocks, and "
-            f"the "
-            f"least margins of blocks are distributed as seen here within {_percent(band)}.{extra}"
-        )
+        text = _calibrated_text(n, length, average, rate, band, confidence, fixed) + extra
         return Risk(n, length, average, rate, confidence, band, np.sort(worst[kept]), False, text)
-    if all_blocks > tuned and convex:
-        average, rate = tuned / (all_blocks + 1), scenario_bound(all_blocks, tuned, confidence)
-        text = (
-            f"No block was kept out of the search. {assumed} and independent, the exact optimum of {tuned} "
-            f"bounds over {all_blocks} "
-            f"blocks of {length} windows leaves a new block outside with a probability of at most "
-            f"{_percent(average)} on average, and "
-            f"{sure} at most {_percent(rate)} of all blocks. Bounds found by gradient come near to that "
-            f"optimum, so this is a guide and no "
-            f"guarantee; a share of blocks kept out (calibrate=) gives one.{extra}"
-        )
-        return Risk(all_blocks, length, average, rate, confidence, None, np.sort(worst[seen]), True, text)
+    factors_of_blocks = np.sort(worst[has_data])
+    if blocks > tuned and convex:
+        average, rate = tuned / (blocks + 1), scenario_bound(blocks, tuned, confidence)
+        text = _guiding_text(blocks, length, average, rate, confidence, tuned) + extra
+        return Risk(blocks, length, average, rate, confidence, None, factors_of_blocks, True, text)
     text = (
-        f"Nothing can be said about other healthy data: {all_blocks} block{'s' * (all_blocks != 1)} of "
-        f"{length} windows of "
-        f"{horizon + 1} samples, none of them kept out of the search. More data, or calibrate= > 0, give a "
-        f"statement.{extra}"
+        f"Nothing can be said about other healthy data: {blocks} block{'s' * (blocks != 1)} of {length} "
+        f"windows of {horizon + 1} samples, none of them kept out of the search. More data, or calibrate= > "
+        f"0, give a statement.{extra}"
     )
-    return Risk(0, length, None, None, confidence, None, np.sort(worst[seen]), False, text)
+    return Risk(0, length, None, None, confidence, None, factors_of_blocks, False, text)
 
 
-def _percent(share):
+ASSUMED = "If blocks of healthy operation are exchangeable (a new one is drawn as these were, in any order)"
+
+
+def _calibrated_text(
+    n: int, length: int, average: float, rate: float, band: float, confidence: float, fixed: bool
+) -> str:
+    """Return the statement that rests on blocks which only scaled the bounds."""
+    role = "had no part in the search and only rescaled what it found"
+    if fixed:
+        role = "rescaled the given bounds, which must not come from the same data"
+    return (
+        f"{n} block{'s' * (n > 1)} of {length} windows, which share no sample, {role}. {ASSUMED}, a new "
+        f"block holds a window outside the smallest bounds with a probability of at most 1/{n + 1} = "
+        f"{_percent(average)}, on average over such data; if they are independent, then with "
+        f"{100 * confidence:g} % confidence in at most {_percent(rate)} of all blocks, and the least margins "
+        f"of blocks are distributed as seen here within {_percent(band)}."
+    )
+
+
+def _guiding_text(
+    blocks: int, length: int, average: float, rate: float, confidence: float, tuned: int
+) -> str:
+    """Return the guide that there is where all blocks took part in the search."""
+    return (
+        f"No block was kept out of the search. {ASSUMED} and independent, the exact optimum of {tuned} "
+        f"bounds over {blocks} blocks of {length} windows leaves a new block outside with a probability of "
+        f"at most {_percent(average)} on average, and with {100 * confidence:g} % confidence at most "
+        f"{_percent(rate)} of all blocks. Bounds found by gradient come near to that optimum, so this is a "
+        f"guide and no guarantee; a share of blocks kept out (calibrate=) gives one."
+    )
+
+
+def _percent(share: float) -> str:
     return f"{100 * min(share, 1.0):.3g} %"

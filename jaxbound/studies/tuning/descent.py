@@ -18,7 +18,7 @@ step, that is made large:
 
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -31,15 +31,31 @@ from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.unrolled import stored
 from jaxbound.sets.strips.separation import Frame, separation_margin
 from jaxbound.sets.strips.strips import strip_margin
-from jaxbound.studies.tuning.parametrization import Moving, unflatten
+from jaxbound.studies.tuning.parametrization import Moving, Sizes, unflatten
 
 if TYPE_CHECKING:
     import optax
 
-__all__ = ["RATE", "Objective", "default_optimizer", "descend", "gradient", "log_factors", "objective_of"]
+__all__ = [
+    "RATE",
+    "Faulty",
+    "Objective",
+    "default_optimizer",
+    "descend",
+    "gradient",
+    "log_factors",
+    "objective_of",
+]
 
-LogFactors = tuple[jax.Array, tuple[jax.Array, ...]]
+LogFactors: TypeAlias = tuple[jax.Array, tuple[jax.Array, ...]]
 """log t (N,) of windows, and its slopes, arrays (., N) of a row a bound."""
+Faulty: TypeAlias = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
+"""u (T, m), y (T, p), ends (blocks, N) of faulty windows, and which of them count."""
+Outside: TypeAlias = tuple[jax.Array, tuple[jax.Array, ...], jax.Array]
+"""`LogFactors` of faulty windows, and which of them count."""
+State: TypeAlias = "tuple[jax.Array, optax.OptState]"
+Best: TypeAlias = tuple[jax.Array, jax.Array]
+"""Logarithms of the best values, and what they are chosen by."""
 
 BLOCK = 2**13  # faulty windows a step looks at
 T = 0.03, 1e-4  # temperature of the maximum, at the first and the last step
@@ -64,7 +80,7 @@ class Objective:
     weights: jax.Array
     most: jax.Array
     log_safety: jax.Array
-    sizes: tuple = field(metadata={"static": True})
+    sizes: Sizes = field(metadata={"static": True})
     relations: UncertainRelations | None = field(metadata={"static": True})
 
 
@@ -101,7 +117,7 @@ def descend(
     rate: tuple[float, float],
     healthy: tuple[jax.Array, jax.Array],
     present: np.ndarray,
-    faulty: tuple[jax.Array, jax.Array, jax.Array, jax.Array] | None,
+    faulty: Faulty | None,
 ) -> "tuple[tuple[jax.Array, optax.OptState], jax.Array]":
     """Make `every` steps, as far as there are that many.
 
@@ -121,16 +137,20 @@ def descend(
     """
     best = state[0], jnp.full((), jnp.inf, state[0].dtype)
     for number in range(first, min(first + every, steps)):
-        z, outside = state[0], None
+        inside, outside = log_factors(state[0], problem, *healthy), None
         if faulty is not None:
-            u, y, ends, real = faulty
-            block = number % len(ends)
-            outside = *log_factors(z, problem, *_taken(u, y, ends[block], len(healthy[1]))), real[block]
-        inside = log_factors(z, problem, *healthy)
-        state, best = _advance(
-            optimizer, problem, state, best, number, number / steps, rate, inside, present, outside
-        )
+            outside = _of_faulty(state[0], problem, faulty, number, len(healthy[1]))
+        share = number / steps
+        state, best = _advance(optimizer, problem, state, best, number, share, rate, inside, present, outside)
     return state, best[0]
+
+
+def _of_faulty(z: jax.Array, problem: Objective, faulty: Faulty, number: int, samples: int) -> Outside:
+    """Return `log_factors` of the block of faulty windows whose turn it is in a step, and which count."""
+    u, y, ends, real = faulty
+    block = number % len(ends)
+    log_t, slopes = log_factors(z, problem, *_taken(u, y, ends[block], samples))
+    return log_t, slopes, real[block]
 
 
 def log_factors(
@@ -152,21 +172,41 @@ def log_factors(
 
 
 @jax.jit
-def _pushed(z, problem, u, y, along):
+def _pushed(
+    z: jax.Array, problem: Objective, u: jax.Array, y: jax.Array, along: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     """Return log t (N,) and its derivatives (k, N) along k directions."""
-    size = lambda z: jnp.log(jnp.maximum(jnp.nan_to_num(_factors(jnp.exp(z), problem, u, y)), 1e-9))
-    return jax.vmap(lambda v: jax.jvp(size, (z,), (v,)), out_axes=(None, 0))(along)
+
+    def log_t(z: jax.Array) -> jax.Array:
+        return jnp.log(jnp.maximum(jnp.nan_to_num(_factors(jnp.exp(z), problem, u, y)), 1e-9))
+
+    def pushed(v: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return jax.jvp(log_t, (z,), (v,))
+
+    pair: tuple[jax.Array, jax.Array] = jax.vmap(pushed, out_axes=(None, 0))(along)
+    return pair
 
 
 @partial(jax.jit, static_argnums=3)
-def _taken(u, y, ends, samples):
+def _taken(u: jax.Array, y: jax.Array, ends: jax.Array, samples: int) -> tuple[jax.Array, jax.Array]:
     """Return the windows u (s + 1, m, N), y (s + 1, p, N) that end at some samples of u (T, m), y (T, p)."""
     at = ends[None] + jnp.arange(-samples + 1, 1)[:, None]
     return jnp.moveaxis(u[at], 1, 2), jnp.moveaxis(y[at], 1, 2)
 
 
 @partial(jax.jit, static_argnums=0)
-def _advance(optimizer, problem, state, best, number, share, rate, inside, present, outside):
+def _advance(
+    optimizer: "optax.GradientTransformation",
+    problem: Objective,
+    state: State,
+    best: Best,
+    number: int,
+    share: float,
+    rate: tuple[float, float],
+    inside: LogFactors,
+    present: jax.Array | np.ndarray,
+    outside: Outside | None,
+) -> tuple[State, Best]:
     """Make one step."""
     z, inner = state
     slope, hard, found = gradient(z, problem, share, number, inside, present, outside)
@@ -184,7 +224,7 @@ def gradient(
     number: int,
     inside: LogFactors,
     present: jax.Array | np.ndarray,
-    outside: tuple[jax.Array, tuple[jax.Array, ...], jax.Array] | None,
+    outside: Outside | None,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (gradient (b,), logarithm of the factor that these healthy windows need, what the best values
     are chosen by).
@@ -210,28 +250,31 @@ def gradient(
     return TIE * narrow - through @ rate + jnp.sum(rate) * up, hard, later
 
 
-def _scaled(log_t, slopes):
+def _scaled(log_t: jax.Array, slopes: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
     """Return the logarithm of the factor on all values that each window needs, and its gradient."""
-    slopes = jnp.concatenate(slopes)
-    elasticity = jnp.clip(-jnp.sum(slopes, 0), 0.05, None)
-    return log_t / elasticity, slopes / elasticity[None]
+    joined = jnp.concatenate(slopes)
+    elasticity = jnp.clip(-jnp.sum(joined, 0), 0.05, None)
+    return log_t / elasticity, joined / elasticity[None]
 
 
-def _factors(values, problem, u, y):
+def _factors(values: jax.Array, problem: Objective, u: jax.Array, y: jax.Array) -> jax.Array:
     """Return the factors t (N,) on all half-widths."""
     bounds = unflatten(problem.fixed + problem.select @ values, problem.sizes)
     if problem.relations is not None:
         windows = (jnp.moveaxis(x, 2, 0) for x in (u, y))
         return 1 - margins(problem.relations.with_bounds(bounds), *windows)[:, -1]
-    moved = {name: bounds[name] for name in ("tolerance", "noise", "disturbance") if name in bounds}
-    test = replace(problem.test, **moved)
+    assert problem.test is not None, "parity relations, in place of uncertain ones"
+    test = replace(problem.test, tolerance=bounds["tolerance"], noise=bounds["noise"])
+    if "disturbance" in bounds:
+        test = replace(test, disturbance=bounds["disturbance"])
     mid, rad, _, known, _ = test.block(u[: test.lags], y)
     if isinstance(test.shape, Frame):
         return 1 - separation_margin(test.shape, mid, rad, known)
     mid, rad = stored((mid, rad))
-    return 1 - strip_margin(test.shape, list(mid), list(rad), list(known))
+    return 1 - strip_margin(test.strips, list(mid), list(rad), list(known))
 
 
-def _falling(ends, share):
+def _falling(ends: tuple[float, float], share: float) -> float:
     """Return the number that falls from ends[0] to ends[1] in equal ratios."""
-    return ends[0] * (ends[1] / ends[0]) ** share
+    number: float = ends[0] * (ends[1] / ends[0]) ** share
+    return number

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import ROUND_CEILING, Context, Decimal
 from fractions import Fraction
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
 import numpy as np
@@ -64,11 +64,12 @@ class Moving:
 
 def unflatten(flat: Flat, sizes: Sizes) -> dict[str, Flat]:
     """Return {name: array} from flat bounds; sizes: ((name, entries), ...)."""
-    out, at = {}, 0
+    bounds, at = {}, 0
     for name, count in sizes:
         part = flat[at : at + count]
-        out[name], at = part.reshape(-1, 2) if name == "disturbance" else part, at + count
-    return out
+        bounds[name] = part.reshape(-1, 2) if name == "disturbance" else part
+        at += count
+    return bounds
 
 
 def moving(
@@ -88,94 +89,138 @@ def moving(
             not > 0.
     """
     bounds, model = relations.bounds, relations.model
-    which = tuple(bounds) if which is None else (which,) if isinstance(which, str) else tuple(which)
-    for name in (*which, *(weights or {})):
+    chosen = _chosen(which, bounds)
+    for name in (*chosen, *(weights or {})):
         if name not in bounds:
             raise ValueError(f"there is no bound {name!r} to move: this model has {', '.join(bounds)}")
-    who = {"output": model.outputs, "disturbance": tuple(f"w{j + 1}" for j in range(model.g))}
-    who["parameter"] = tuple(u.name for u in model.uncertainties)
-    who["average"] = tuple(bounded.text for bounded in bounded_sums(model))
-    names, start, scale, most, still, columns = [], [], [], [], [], []
+    owners = _owners(model)
     fixed: list[float] = []
-    sizes = tuple((name, np.size(b)) for name, b in bounds.items())
-    for name, _ in sizes:
-        own = np.asarray(bounds[name], np.float64)
-        given = None if weights is None or name not in weights else _weights(name, weights[name], own.shape)
-        for i, signal in enumerate(who[KINDS[name]]):
-            entry = own[i : i + 1] if name != "disturbance" else own[i]
-            at, free = len(fixed), name in which
-            if free and len(entry) == 2 and not entry[0] <= 0 <= entry[1]:
-                raise ValueError(
-                    f"{name} of {signal!r} lies in [{entry[0]:g}, {entry[1]:g}], away from 0, and cannot be "
-                    f"scaled: take its "
-                    "middle out of the model (as an input or offset), or leave it out of bounds="
-                )
-            fixed += [0.0] * len(entry) if free else list(entry)
-            if not free:
+    moved: list[_Moved] = []
+    still: list[str] = []
+    for name, own in bounds.items():
+        entries = np.asarray(own, np.float64)
+        stated = None
+        if weights is not None and name in weights:
+            stated = _weights(name, weights[name], entries.shape)
+        for i, signal in enumerate(owners[KINDS[name]]):
+            entry, first = np.atleast_1d(entries[i]), len(fixed)
+            if name not in chosen:
+                fixed += entry.tolist()
                 continue
+            fixed += [0.0] * len(entry)
+            label = f"{name} of {signal}"
             if not entry.any():
-                still.append(f"{name} of {signal}")
-            ends: list[tuple[int | None, float, str]] = (
-                [(0, entry[0], "")]
-                if len(entry) == 1
-                else [(0, -entry[0], "lower end of "), (1, entry[1], "upper end of ")]
-            )
-            if len(entry) == 2 and -entry[0] == entry[1]:  # the ends of a symmetric bound move together
-                ends = [(None, entry[1], "")]
-            for end, value, side in ends:
-                if value > 0:
-                    names.append(f"{side}{name} of {signal}")
-                    start.append(value)
-                    per_end = given is not None and given.ndim == 2
-                    weight = (
-                        1 / value
-                        if given is None
-                        else given[i]
-                        if end is None or not per_end
-                        else given[i, end]
-                    )
-                    scale.append(
-                        float(np.sum(weight)) * (0.5 if side and not per_end else 1)
-                    )  # of half the width
-                    most.append(CEILING if name == "tolerance" else np.inf)
-                    columns.append(
-                        [
-                            (at + e, -1.0 if len(entry) == 2 and e == 0 else 1.0)
-                            for e in ((0, 1) if end is None else (end,))
-                        ]
-                    )
-    if not names:
-        listed = " and ".join(which) or "nothing"
+                still.append(label)
+            for end in _ends(entry, name, signal):
+                if end.value > 0:
+                    weight = _weight(end, None if stated is None else stated[i])
+                    most = CEILING if name == "tolerance" else np.inf
+                    moved.append(_Moved(f"{end.side}{label}", end, weight, most, first))
+    if not moved:
+        listed = " and ".join(chosen) or "nothing"
         raise ValueError(
             f"no bound can move: every entry of {listed} is 0, and 0 times a factor stays 0. Start from a "
             f"rough guess > 0"
         )
-    select = np.zeros((len(fixed), len(names)))
-    for b, entries in enumerate(columns):
-        for row, sign in entries:
-            select[row, b] = sign
-    notes = (
-        (f"{', '.join(still)} {'is' if len(still) == 1 else 'are'} 0 and stay{'s' * (len(still) == 1)} 0",)
-        if still
-        else ()
+    select = np.zeros((len(fixed), len(moved)))
+    for column, one in enumerate(moved):
+        for number, sign in one.end.entries:
+            select[one.first + number, column] = sign
+    return Moving(
+        names=tuple(one.name for one in moved),
+        start=np.array([one.end.value for one in moved]),
+        weights=np.array([one.weight for one in moved]),
+        most=np.array([one.most for one in moved]),
+        fixed=np.array(fixed),
+        select=select,
+        sizes=tuple((name, np.size(own)) for name, own in bounds.items()),
+        notes=_notes(still),
     )
-    first, weight_of, top, rest = (np.array(x, np.float64) for x in (start, scale, most, fixed))
-    return Moving(tuple(names), first, weight_of, top, rest, select, sizes, notes)
+
+
+class _End(NamedTuple):
+    """A number of a bound: its value; entries: (number, sign) of the entries that it stands for; side: the
+    end of a disturbance, in words.
+    """
+
+    value: float
+    entries: tuple[tuple[int, float], ...]
+    side: str = ""
+
+
+class _Moved(NamedTuple):
+    """A number that moves: its name, its value, its weight, what it stays below, and its first entry."""
+
+    name: str
+    end: _End
+    weight: float
+    most: float
+    first: int
+
+
+def _chosen(which: str | Iterable[str] | None, bounds: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of the bounds that move."""
+    if which is None:
+        return tuple(bounds)
+    if isinstance(which, str):
+        return (which,)
+    return tuple(which)
+
+
+def _owners(model: LinearSystem) -> dict[str, tuple[str, ...]]:
+    """Return the names of what has bounds, by their kind."""
+    return {
+        "output": model.outputs,
+        "disturbance": tuple(f"w{j + 1}" for j in range(model.g)),
+        "parameter": tuple(u.name for u in model.uncertainties),
+        "average": tuple(bounded.text for bounded in bounded_sums(model)),
+    }
+
+
+def _ends(entry: np.ndarray, name: str, signal: str) -> list[_End]:
+    """Return the numbers of a bound: one, or the two ends of a disturbance that is not symmetric."""
+    if len(entry) == 1:
+        return [_End(float(entry[0]), ((0, 1.0),))]
+    low, high = entry.tolist()
+    if not low <= 0 <= high:
+        raise ValueError(
+            f"{name} of {signal!r} lies in [{low:g}, {high:g}], away from 0, and cannot be scaled: take its "
+            "middle out of the model (as an input or offset), or leave it out of bounds="
+        )
+    if -low == high:  # both move together
+        return [_End(high, ((0, -1.0), (1, 1.0)))]
+    return [_End(-low, ((0, -1.0),), "lower end of "), _End(high, ((1, 1.0),), "upper end of ")]
+
+
+def _weight(end: _End, stated: np.ndarray | None) -> float:
+    """Return the weight of a number in the total width. stated: of its entry, or of both of its ends."""
+    if stated is not None and stated.ndim:
+        return float(sum(stated[number] for number, _ in end.entries))
+    weight = 1 / end.value if stated is None else float(stated)
+    return 0.5 * weight if end.side else weight  # one end is half of the width
+
+
+def _notes(still: list[str]) -> tuple[str, ...]:
+    """Return the sentence on bounds that are 0, if there are some."""
+    if not still:
+        return ()
+    if len(still) == 1:
+        return (f"{still[0]} is 0 and stays 0",)
+    return (f"{', '.join(still)} are 0 and stay 0",)
 
 
 def _weights(name: str, given: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
+    """Return the weights of a bound, one an entry, or one an end of each, checked."""
+    stated = np.asarray(given, np.float64)
     try:
-        given = np.broadcast_to(
-            np.asarray(given, np.float64), shape if np.ndim(given) == len(shape) else shape[:1]
-        )
+        weights = np.broadcast_to(stated, shape if stated.ndim == len(shape) else shape[:1])
     except ValueError:
         raise ValueError(
-            f"the weights of {name} need one number, or one per entry {shape}: their shape is "
-            f"{np.shape(given)}"
+            f"the weights of {name} need one number, or one per entry {shape}: their shape is {stated.shape}"
         ) from None
-    if not ((given > 0) & (given < np.inf)).all():
-        raise ValueError(f"weights must be > 0 and finite: those of {name} are {given.tolist()}")
-    return given
+    if not ((weights > 0) & (weights < np.inf)).all():
+        raise ValueError(f"weights must be > 0 and finite: those of {name} are {weights.tolist()}")
+    return weights
 
 
 def model_with(
@@ -191,38 +236,48 @@ def model_with(
         ValueError: a tolerance that would reach 1.
     """
     model, old = relations.model, model_bounds(relations.model)
-    provenance, fractions, at = dict(model.provenance), [Fraction(v) for v in values], 0
-    changes: dict[str, object] = {"provenance": provenance} | getattr(
-        relations, "window", {"horizon": relations.horizon}
-    )
-    decimals = {
-        "tolerance": model.tolerance,
-        "noise": model.noise,
-        "disturbance": [x for pair in model.disturbance for x in pair],
-        "average": [bounded.bound for bounded in bounded_sums(model)],
-    }
+    provenance, at = dict(model.provenance), 0
+    window = relations.window if isinstance(relations, ParityRelation) else {"horizon": relations.horizon}
+    changes: dict[str, object] = {"provenance": provenance, **window}
     for kind, count in moved.sizes:
-        now, before = np.ravel(relations.bounds[kind]), np.ravel(old[kind])
-        exact = list(
-            decimals.get(kind, [Fraction(1)] * count)
-        )  # a bound that nobody changed keeps the decimal that the user wrote
-        exact = [
-            x if a == b else Fraction(repr(float(a))) for x, a, b in zip(exact, now, before, strict=True)
-        ]
         rows, at = moved.select[at : at + count], at + count
+        exact = _decimals(model, kind, np.ravel(relations.bounds[kind]), np.ravel(old[kind]))
         for i, b in np.argwhere(rows):
-            exact[i] = int(rows[i, b]) * fractions[b]
-        if kind == "disturbance":
-            changes[kind] = model.G, tuple(zip(exact[::2], exact[1::2], strict=True))
-        elif kind == "average":
-            changes |= changed_sums(model, exact)
-        elif kind == "parameters":
-            pairs = zip(model.uncertainties, exact, strict=True)
-            changes["uncertainties"] = tuple(
-                replace(u, between=(u.centre - k * u.radius, u.centre + k * u.radius)) for u, k in pairs
-            )
-        else:
-            changes[kind] = exact
+            exact[i] = int(rows[i, b]) * Fraction(values[b])
+        changes |= _changes(model, kind, exact)
         if rows.any() and kind not in ("parameters", "average"):
             provenance[kind] = source
     return model.replace(**changes)
+
+
+def _decimals(model: LinearSystem, kind: str, now: np.ndarray, before: np.ndarray) -> list[Fraction]:
+    """Return bounds exactly: one that nobody changed keeps the decimal that the user wrote.
+
+    Args:
+        now, before: the bounds of relations, and of the model, as floats.
+    """
+    stated = {
+        "tolerance": list(model.tolerance),
+        "noise": list(model.noise),
+        "disturbance": [end for pair in model.disturbance for end in pair],
+        "average": [bounded.bound for bounded in bounded_sums(model)],
+    }
+    exact = stated.get(kind, [Fraction(1)] * len(now))
+    for i in np.flatnonzero(now != before):
+        exact[i] = Fraction(repr(float(now[i])))
+    return exact
+
+
+def _changes(model: LinearSystem, kind: str, exact: list[Fraction]) -> dict[str, object]:
+    """Return the changes of `LinearSystem.replace` that give a model other bounds of a kind."""
+    if kind == "disturbance":
+        return {kind: (model.G, tuple(zip(exact[::2], exact[1::2], strict=True)))}
+    if kind == "average":
+        return dict(changed_sums(model, exact))
+    if kind != "parameters":
+        return {kind: exact}
+    parameters = []
+    for u, factor in zip(model.uncertainties, exact, strict=True):
+        between = u.centre - factor * u.radius, u.centre + factor * u.radius
+        parameters.append(replace(u, between=between))
+    return {"uncertainties": tuple(parameters)}

@@ -7,8 +7,12 @@ somewhere are searched, then all are tested again.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple, NoReturn
 
+import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -48,12 +52,14 @@ class JoinedRecordings:
 
     def without(self, horizon: int) -> np.ndarray:
         """Return (T,) bool: no window ends here, or one in which nothing at all was measured."""
-        seen = np.cumsum(np.append(0, ~np.isnan(self.y).all(1)))
-        empty = np.ones(len(self.y), bool)
-        empty[horizon:] = (
-            seen[horizon + 1 :] == seen[: len(self.y) - horizon] if len(self.y) > horizon else True
-        )
-        return empty | self.across(horizon)
+        samples = len(self.y)
+        if samples <= horizon:
+            return np.ones(samples, bool)
+        measured = np.cumsum(np.append(0, ~np.isnan(self.y).all(1)))
+        empty = np.ones(samples, bool)
+        empty[horizon:] = measured[horizon + 1 :] == measured[: samples - horizon]
+        empty |= self.across(horizon)
+        return empty
 
     def gather(self, ends: ArrayLike, horizon: int) -> tuple[np.ndarray, np.ndarray]:
         """Return u (N, s + 1, m), y (N, s + 1, p) of the windows that end at these samples."""
@@ -63,9 +69,10 @@ class JoinedRecordings:
     def place(self, end: int) -> str:
         """Return words for the sample at which a window ends."""
         number = int(np.searchsorted(self.first, end, "right")) - 1
-        return f"sample {end - self.first[number]}" + (
-            f" of recording {number + 1}" if len(self.first) > 1 else ""
-        )
+        place = f"sample {end - self.first[number]}"
+        if len(self.first) > 1:
+            place += f" of recording {number + 1}"
+        return place
 
 
 def joined_recordings(
@@ -80,35 +87,47 @@ def joined_recordings(
     Raises:
         ValueError: anything else, samples that do not fit the model or are infinite, not one complete window.
     """
-    several = [
-        one if isinstance(one, tuple) else (one,) for one in (given if isinstance(given, list) else [given])
-    ]
-    if not several or not all(
-        len(one) in (2, 3) or (len(one) == 1 and holds_both(one[0])) for one in several
-    ):
-        raise ValueError(
-            f"{what} needs a tuple (u, y) or a list of such tuples, one a recording; (u, y, starts) where "
-            f"samples are lost"
-        )
     us, ys, starts, first, at = [], [], [], [], 0
-    for one in several:
-        given_one = Recording.of(model, *one).finite()
-        u, y, length, seams = given_one.u, given_one.y, given_one.y.shape[-2], given_one.starts
-        u, y = (np.asarray(x).reshape(int(np.prod(x.shape[:-1])), x.shape[-1]) for x in (u, y))
+    for parts in _parts_of_each(given, what):
+        recording = Recording.of(model, *parts).finite()
+        length = recording.y.shape[-2]
+        u, y = _end_to_end(recording.u), _end_to_end(recording.y)
         for begin in range(at, at + len(y), max(length, 1)):
             first.append(begin)
-            starts += [begin, *(begin + seams)]
+            starts += [begin, *(begin + recording.starts)]
         at += len(y)
         us.append(u)
         ys.append(y)
-    inner = np.unique(np.array([s for s in starts if 0 < s < at], np.int64))
-    found = JoinedRecordings(np.concatenate(us), np.concatenate(ys), inner, np.array(first))
-    if found.without(horizon).all():
+    inner = np.unique(np.array([start for start in starts if 0 < start < at], np.int64))
+    joined = JoinedRecordings(np.concatenate(us), np.concatenate(ys), inner, np.array(first))
+    if joined.without(horizon).all():
         raise ValueError(
             f"the {what} data hold no window of {horizon + 1} samples in a row: give longer recordings, or a "
             f"shorter horizon"
         )
-    return found
+    return joined
+
+
+def _parts_of_each(given: object, what: str) -> list[tuple[Any, ...]]:
+    """Return the arguments of `Recording.of` of each recording."""
+    several: list[tuple[Any, ...]] = []
+    for one in given if isinstance(given, list) else [given]:
+        parts = one if isinstance(one, tuple) else (one,)
+        if len(parts) not in (2, 3) and not (len(parts) == 1 and holds_both(parts[0])):
+            several.clear()
+            break
+        several.append(parts)
+    if not several:
+        raise ValueError(
+            f"{what} needs a tuple (u, y) or a list of such tuples, one a recording; (u, y, starts) where "
+            f"samples are lost"
+        )
+    return several
+
+
+def _end_to_end(x: np.ndarray | jax.Array) -> np.ndarray:
+    """Return recordings (..., T, c) as one (T, c)."""
+    return np.asarray(x).reshape(math.prod(x.shape[:-1]), x.shape[-1])
 
 
 def factors(relations: ParityRelation | UncertainRelations, windows: JoinedRecordings) -> np.ndarray:
@@ -122,7 +141,9 @@ def factors(relations: ParityRelation | UncertainRelations, windows: JoinedRecor
 def worst(t: np.ndarray, count: int) -> np.ndarray:
     """Return the numbers of the `count` largest entries that are not NaN, the largest first."""
     t = np.where(np.isnan(t), -np.inf, t)
-    top = np.argpartition(t, -count)[-count:] if count < len(t) else np.arange(len(t))
+    top = np.arange(len(t))
+    if count < len(t):
+        top = np.argpartition(t, -count)[-count:]
     top = top[t[top] > -np.inf]
     return top[np.argsort(-t[top], kind="stable")]
 
@@ -148,47 +169,55 @@ def smallest_scale(
     """
     values = np.asarray(values, np.float64)
     tolerances = moved.most < np.inf
-    limit = min(MOST, NEAR_ONE / values[tolerances].max()) if tolerances.any() else MOST
+    limit = MOST
+    if tolerances.any():
+        limit = min(MOST, NEAR_ONE / values[tolerances].max())
     uncertain = isinstance(relations, UncertainRelations)
 
-    def judge(scale, u, y, starts=()):
-        """Return (accepted, refuted, the worst factor t, margins)."""
+    def judge(scale: float, u: np.ndarray, y: np.ndarray, starts: ArrayLike = ()) -> _Judgement:
         res = detect(relations.with_bounds(moved.bounds(scale * values)), u, y, starts=starts)
         refuted = bool((res.status == Status.FAULT).any())
         least = float(np.nanmin(res.margin, initial=1.0))
-        return (not refuted if uncertain else least > 0), refuted, 1 - least, res.margin
+        accepted = not refuted if uncertain else least > 0
+        return _Judgement(accepted, refuted, 1 - least, res.margin)
 
-    few, low, scale, close = (
-        np.zeros(0, np.int64),
-        0.0,
-        min(1.0, limit),
-        64 * float(np.finfo(windows.y.dtype).eps),
-    )
-    grow = close
+    close = 64 * float(np.finfo(windows.y.dtype).eps)
+    few = np.zeros(0, np.int64)  # worst windows, which are searched
+    low, scale, grow = 0.0, min(1.0, limit), close
     while True:
-        accepted, _, _, margin = judge(scale, windows.u, windows.y, windows.starts)
-        if len(few) and accepted:
+        every = judge(scale, windows.u, windows.y, windows.starts)
+        if len(few) and every.accepted:
             return low * (1 - LEAST), scale  # the test was of bounds within a rounding of low
-        before = few
-        few = np.union1d(few, worst(-margin, FEW))
+        searched = len(few) > 0
+        few = np.union1d(few, worst(-every.margin, FEW))
         if not len(few):
             raise ValueError("no healthy window has any data: all are MISSING")
-        batch = windows.gather(few, relations.horizon)
-        found = _root(lambda x, batch=batch: judge(x, *batch)[:3], scale, limit, close)
-        if isinstance(found, str):
-            _refuse(found, moved, values, windows, int(few[np.argmin(_last(judge(limit, *batch)[3]))]))
-        low, high = found
-        scale, grow = (
-            (max(high, scale * (1 + grow)), 4 * grow) if len(before) else (high, close)
-        )  # a search may end otherwise in company
+        u, y = windows.gather(few, relations.horizon)
+        bracket = _Bracket(partial(judge, u=u, y=y), limit, close)
+        outcome = bracket.search(scale)
+        if outcome != "found":
+            last = np.nan_to_num(judge(limit, u, y).margin[..., -1], nan=np.inf)
+            _refuse_factors(outcome, moved, values, windows, int(few[np.argmin(last)]))
+        low, high = bracket.proved, bracket.high[0]
+        if searched:  # a search may end otherwise in company
+            scale, grow = max(high, scale * (1 + grow)), 4 * grow
+        else:
+            scale, grow = high, close
 
 
-def _last(margin):
-    """Return the margins of windows that were a recording each."""
-    return np.nan_to_num(margin[..., -1], nan=np.inf)
+class _Judgement(NamedTuple):
+    """The verdict of the proved test on windows under one factor: t is that of the worst one."""
+
+    accepted: bool
+    refuted: bool
+    t: float
+    margin: np.ndarray
 
 
-def _refuse(why, moved, values, windows, end):
+def _refuse_factors(
+    why: str, moved: Moving, values: np.ndarray, windows: JoinedRecordings, end: int
+) -> NoReturn:
+    """Raise ValueError where no factor is the smallest. end: of the window that is worst at the largest."""
     if why == "nothing":
         raise ValueError(
             "the bounds that stay explain every healthy window without those that move: there is nothing to "
@@ -208,55 +237,71 @@ def _refuse(why, moved, values, windows, end):
     )
 
 
-def _root(judge, x, limit, close):
-    """Return (low, high): refuted at low, accepted at high, relatively `close`; "nothing" or "never" where
-    there is no such pair.
+class _Bracket:
+    """Two factors with the smallest one that is accepted between them, relatively `close`.
 
-    judge: factor -> (accepted, refuted, t). In the usual case t is inversely proportional to the factor: the
-    secant of log t over log x lands on the crossing, and both sides of it are tried.
+    In the usual case t is inversely proportional to the factor: the secant of log t over log x lands on the
+    crossing, and both sides of it are tried.
+
+    low, high: (factor, log t) of the largest that is not accepted, of the smallest that is; proved: the
+    largest factor that is refuted.
     """
-    low, high, proved = (
-        (0.0, math.inf),
-        (math.inf, -math.inf),
-        0.0,
-    )  # (factor, log t), and the largest factor that is refuted
 
-    def look(at):
-        nonlocal low, high, proved
-        accepted, refuted, t = judge(at)
-        proved = max(proved, at if refuted else 0.0)
+    def __init__(self, judge: Callable[[float], _Judgement], limit: float, close: float) -> None:
+        """Begin without any factor."""
+        self.judge, self.limit, self.close = judge, limit, close
+        self.low, self.high, self.proved = (0.0, math.inf), (math.inf, -math.inf), 0.0
+
+    def search(self, x: float) -> str:
+        """Search from a factor on: return "found", or "never" or "nothing" where there is no such pair."""
+        while self.high[0] == math.inf:
+            t = self._look(x)
+            if self.high[0] == math.inf:
+                if x >= self.limit:
+                    return "never"
+                step = min(t * (1 + self.close), 1e3) if t > 1 + self.close else 2
+                x = min(self.limit, x * step)
+        while self.low[0] == 0:
+            if x < LEAST:
+                return "nothing"
+            x *= max(t * (1 - self.close), 1e-3) if t < 1 - 2 * self.close else 0.5
+            t = self._look(x)
+        while self.high[0] > self.low[0] * (1 + self.close):
+            self._narrow()
+        self._prove()
+        return "found"
+
+    def _look(self, at: float) -> float:
+        """Judge a factor and move the end that it belongs to; return t."""
+        accepted, refuted, t, _ = self.judge(at)
+        if refuted:
+            self.proved = max(self.proved, at)
         if accepted:
-            high = min(high, (at, min(math.log(max(t, 1e-300)), -1e-300)))
+            self.high = min(self.high, (at, min(math.log(max(t, 1e-300)), -1e-300)))
         else:
-            low = max(low, (at, math.log(max(t, 1.0))))
+            self.low = max(self.low, (at, math.log(max(t, 1.0))))
         return t
 
-    while high[0] == math.inf:
-        t = look(x)
-        if high[0] == math.inf:
-            if x >= limit:
-                return "never"
-            x = min(limit, x * (min(t * (1 + close), 1e3) if t > 1 + close else 2))
-    while low[0] == 0:
-        if x < LEAST:
-            return "nothing"
-        x *= max(t * (1 - close), 1e-3) if t < 1 - 2 * close else 0.5
-        t = look(x)
-    while high[0] > low[0] * (1 + close):
-        span, reach = math.log(high[0] / low[0]), close / 4
-        guess = low[0] * math.exp(span * low[1] / (low[1] - high[1]))
+    def _narrow(self) -> None:
+        """Try both sides of the crossing that the secant says, and the middle where that is not enough."""
+        (low, above), (high, below) = self.low, self.high
+        span, reach = math.log(high / low), self.close / 4
+        guess = low * math.exp(span * above / (above - below))
         while reach < span:
             for at in (guess * (1 - reach), guess * (1 + reach)):
-                if low[0] < at < high[0]:
-                    look(at)
-            if low[0] < guess < high[0]:  # it lies between two factors that were tried
+                if self.low[0] < at < self.high[0]:
+                    self._look(at)
+            if self.low[0] < guess < self.high[0]:  # it lies between two factors that were tried
                 break
             reach *= 64
-        if math.log(high[0] / low[0]) > 0.5 * span:
-            look(math.sqrt(low[0] * high[0]))
-    step = close
-    while proved < low[0] * (1 - step):  # what is neither accepted nor refuted lies between them
-        if judge(low[0] * (1 - step))[1]:
-            return low[0] * (1 - step), high[0]
-        step = 4 * step if step < 0.25 else 0.5 * (1 + step)
-    return proved, high[0]
+        if math.log(self.high[0] / self.low[0]) > 0.5 * span:
+            self._look(math.sqrt(self.low[0] * self.high[0]))
+
+    def _prove(self) -> None:
+        """Look for a factor that is refuted: one that is neither lies between it and those accepted."""
+        step = self.close
+        while self.proved < self.low[0] * (1 - step):
+            if self.judge(self.low[0] * (1 - step)).refuted:
+                self.proved = self.low[0] * (1 - step)
+                return
+            step = 4 * step if step < 0.25 else 0.5 * (1 + step)

@@ -3,9 +3,10 @@ says about other data.
 """
 
 import os
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from decimal import Decimal
+from typing import TYPE_CHECKING, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -13,8 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.diagnosis.detection import detect
+from jaxbound.diagnosis.result import Result
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.files.checkpoint import Checkpoint
+from jaxbound.models.numbers import is_whole
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.bounds import Bounds, model_bounds
 from jaxbound.relations.identity import identity
@@ -25,9 +28,15 @@ from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.sizes import power
 from jaxbound.studies.tuning.confidence import Risk, blocks_of, held_out, risk_of, touched
-from jaxbound.studies.tuning.descent import BLOCK, RATE, default_optimizer, descend, objective_of
-from jaxbound.studies.tuning.parametrization import model_with, moving
-from jaxbound.studies.tuning.scaling import factors, joined_recordings, smallest_scale, worst
+from jaxbound.studies.tuning.descent import BLOCK, RATE, Faulty, default_optimizer, descend, objective_of
+from jaxbound.studies.tuning.parametrization import Moving, model_with, moving
+from jaxbound.studies.tuning.scaling import (
+    JoinedRecordings,
+    factors,
+    joined_recordings,
+    smallest_scale,
+    worst,
+)
 from jaxbound.text.objects import readable
 
 if TYPE_CHECKING:
@@ -35,11 +44,12 @@ if TYPE_CHECKING:
 
 __all__ = ["TuneResult", "tune"]
 
-CAPACITY, SEARCHED, NEW = (
-    1024,
-    256,
-    32,
-)  # worst windows that steps look at (by strips, by a search), and what a look at all of them adds
+Tunable: TypeAlias = ParityRelation | UncertainRelations
+Carry: TypeAlias = "tuple[jax.Array, optax.OptState]"
+"""Logarithms of the values that move, and the state of the optimiser."""
+
+# worst windows that steps look at (by strips, by a search), and what a look at all of them adds
+CAPACITY, SEARCHED, NEW = 1024, 256, 32
 UNTUNED = {
     Redundancy: ", whose relations explain alone whatever the joint test explains: tune that, and build the "
     "bank of the tuned .model",
@@ -103,8 +113,10 @@ class TuneResult:
     @property
     def caught(self) -> float | None:
         """The share of faulty windows that are FAULT at .bounds, or None."""
-        found = self.faulty_counts
-        return None if found is None else found["FAULT"] / max(sum(found.values()) - found["MISSING"], 1)
+        counts = self.faulty_counts
+        if counts is None:
+            return None
+        return counts["FAULT"] / max(sum(counts.values()) - counts["MISSING"], 1)
 
 
 def tune(
@@ -122,7 +134,7 @@ def tune(
     confidence: float = 0.95,
     every: int = 10,
     progress: Callable[[float], object] | None = None,
-    state: str | os.PathLike | None = None,
+    state: str | os.PathLike[str] | None = None,
 ) -> TuneResult:
     """Find the smallest bounds under which healthy data are consistent; with faulty data, those that leave
     most of these outside.
@@ -181,115 +193,147 @@ def tune(
         every=every,
     )
     refuse_unverified()
-    model, s, report = relations.model, relations.horizon, progress or (lambda share: None)
+    report = progress or _silent
+    model, s = relations.model, relations.horizon
     moved = moving(relations, bounds, weights)
-    good = joined_recordings(model, s, healthy)
-    bad = None if faulty is None else joined_recordings(model, s, faulty, "faulty")
-    if bad is not None:
-        _refuse_same(good, bad)
-    across, gone = good.across(s), good.without(s)
-    label, length = blocks_of(gone, s, block)
     alone = len(moved.names) == 1
+    good = joined_recordings(model, s, healthy)
+    bad = None
+    if faulty is not None:
+        bad = joined_recordings(model, s, faulty, "faulty")
+        _refuse_same(good, bad)
+    gone = good.without(s)
+    label, length = blocks_of(gone, s, block)
     if model.constant_tolerance and steps and not alone:
         raise NotImplementedError(
             "the margin of constant_tolerance comes from a search for the best gains, which has no "
-            "derivative: tune with steps=0 scales "
-            "all bounds by one factor, or those that bounds= names"
+            "derivative: tune with steps=0 scales all bounds by one factor, or those that bounds= names"
         )
-    kept = held_out(int(label.max(initial=-1)) + 1, 0 if alone else calibrate)
-    unseen = gone | touched(np.isin(label, np.flatnonzero(kept)), s)
+    for_scale = held_out(int(label.max(initial=-1)) + 1, 0 if alone else calibrate)
+    unseen = gone | touched(np.isin(label, np.flatnonzero(for_scale)), s)
     search = _Search(relations, moved, good, unseen, bad, safety, optimizer, steps, every, state)
     if steps and not alone:
         search.run(lambda share: report(0.9 * share))
+
     low, high = smallest_scale(relations, moved, search.best, good)
     report(0.95)
     smallest = np.nextafter(high * search.best, np.inf)
     source = f"fitted to {int((~gone).sum())} healthy windows, safety factor {safety:g}"
-    extra = 1.0
-    while True:
-        values = moved.rounded_up(smallest * safety * extra)
-        new = model_with(relations, moved, values, source)
-        final = relations.with_bounds({**model_bounds(new), **_parameters(moved, values)})
-        res = detect(final, good.u, good.y, starts=good.starts)
-        if not res.counts["FAULT"] and (
-            isinstance(relations, UncertainRelations) or not (res.margin <= 0).any()
-        ):
-            break
-        extra *= 1.001  # only where a search ends early, or the test is not monotone (uncertain parameters)
-        if extra > 2:
-            raise ValueError(
-                "the proved test refutes a healthy window even at twice the bounds that it accepted: look at "
-                "that model"
-            )
-    found = None if bad is None else detect(final, bad.u, bad.y, starts=bad.starts).counts
-    t = factors(relations.with_bounds(moved.bounds(smallest)), good)
-    fixed = search.step == 0
-    kinds = {name for name, at in _rows(moved) if moved.select[at].any()}
+    new, final, res = _accepted(relations, moved, smallest * safety, good, source)
+    moved_kinds = {kind for kind, rows in _rows(moved) if moved.select[rows].any()}
     risk = risk_of(
-        t,
+        factors(relations.with_bounds(moved.bounds(smallest)), good),
         label,
         length,
-        kept,
+        for_scale,
         tuned=len(moved.names),
-        convex=kinds <= {"noise", "disturbance"},
-        fixed=fixed,
+        convex=moved_kinds <= {"noise", "disturbance"},
+        fixed=search.step == 0,
         confidence=confidence,
         safety=safety,
         horizon=s,
     )
+    faulty_counts = None
+    if bad is not None:
+        faulty_counts = _counts(detect(final, bad.u, bad.y, starts=bad.starts), bad, s)
     report(1.0)
-    counts = {name: n - int(across.sum()) * (name == "MISSING") for name, n in res.counts.items()}
-    if found is not None and bad is not None:
-        found["MISSING"] -= int(bad.across(s).sum())
-    scale = low * moved.total(search.best) / moved.total(moved.start)
     return TuneResult(
-        final.bounds,
-        moved.bounds(smallest),
-        scale,
-        safety,
-        relations.bounds,
-        res.margin,
-        counts,
-        found,
-        risk,
-        search.told(),
-        moved.names,
-        search.step,
-        search.stopped,
-        new,
-        final,
-        (*moved.notes, *_vanished(moved, smallest)),
+        bounds=final.bounds,
+        smallest=moved.bounds(smallest),
+        scale=low * moved.total(search.best) / moved.total(moved.start),
+        safety=safety,
+        start=relations.bounds,
+        margin=res.margin,
+        counts=_counts(res, good, s),
+        faulty_counts=faulty_counts,
+        risk=risk,
+        history=search.columns(),
+        names=moved.names,
+        steps=search.step,
+        stopped=search.stopped,
+        model=new,
+        relations=final,
+        notes=(*moved.notes, *_vanished(moved, smallest)),
     )
 
 
+def _silent(share: float) -> None:
+    """Report to nobody."""
+
+
+def _accepted(
+    relations: Tunable, moved: Moving, values: np.ndarray, good: JoinedRecordings, source: str
+) -> tuple[LinearSystem, Tunable, Result]:
+    """Return a model with the moved bounds at values, rounded up, its relations, and their verdicts on
+    healthy windows, none of which is FAULT.
+    """
+    extra = 1.0
+    while extra <= 2:
+        short = moved.rounded_up(values * extra)
+        model = model_with(relations, moved, short, source)
+        final = relations.with_bounds({**model_bounds(model), **_parameters(moved, short)})
+        res = detect(final, good.u, good.y, starts=good.starts)
+        proved = isinstance(relations, UncertainRelations) or not (res.margin <= 0).any()
+        if proved and not res.counts["FAULT"]:
+            return model, final, res
+        extra *= 1.001  # only where a search ends early, or the test is not monotone (uncertain parameters)
+    raise ValueError(
+        "the proved test refutes a healthy window even at twice the bounds that it accepted: look at that "
+        "model"
+    )
+
+
+def _counts(res: Result, recordings: JoinedRecordings, horizon: int) -> dict[str, int]:
+    """Return the counts of a result without the samples where no window ends."""
+    counts = dict(res.counts)
+    counts["MISSING"] -= int(recordings.across(horizon).sum())
+    return counts
+
+
+@dataclass(eq=False)
 class _Search:
     """The host's side of the descent: worst windows that the steps look at, the best bounds so far, and the
     file they are kept in.
     """
 
-    def __init__(self, relations, moved, good, unseen, bad, safety, optimizer, steps, every, file):
-        self.relations, self.moved, self.good, self.unseen, self.bad = relations, moved, good, unseen, bad
-        self.safety, self.optimizer, self.steps, self.every = safety, optimizer, steps, every
-        self.file, self.kept = file, None
-        self.step, self.stopped, self.best, self.score = 0, False, moved.start, (np.inf, np.inf)
-        self.history, self.ends = [], np.zeros(0, np.int64)
-        strips = isinstance(relations, ParityRelation) and relations.frame is None
-        self.capacity = CAPACITY if strips else SEARCHED
+    relations: Tunable
+    moved: Moving
+    good: JoinedRecordings
+    unseen: np.ndarray
+    bad: JoinedRecordings | None
+    safety: float
+    optimizer: "optax.GradientTransformation | None"
+    steps: int
+    every: int
+    file: str | os.PathLike[str] | None
+    step: int = 0
+    stopped: bool = False
+    score: tuple[float, float] = (np.inf, np.inf)
+    history: list[tuple[int, float, float, np.ndarray]] = field(default_factory=list)
+    checkpoint: Checkpoint | None = None
 
-    def run(self, report):
+    def __post_init__(self) -> None:
+        self.best: np.ndarray = self.moved.start
+        self.ends: np.ndarray = np.zeros(0, np.int64)
+        by_strips = isinstance(self.relations, ParityRelation) and self.relations.frame is None
+        self.capacity = CAPACITY if by_strips else SEARCHED
+
+    def run(self, report: Callable[[float], object]) -> None:
         """Make all steps, or those until an interruption."""
-        optimizer, rate = (self.optimizer, (1.0, 1.0)) if self.optimizer else (default_optimizer(), RATE)
+        optimizer, rate = default_optimizer(), RATE
+        if self.optimizer is not None:
+            optimizer, rate = self.optimizer, (1.0, 1.0)
         dtype, s = self.good.y.dtype, self.relations.horizon
         problem = objective_of(self.relations, self.moved, self.safety, dtype)
-        z = jax.device_put(np.log(self.moved.start).astype(dtype))
+        z = _start(self.moved.start, dtype)
         carry = z, optimizer.init(z)
         if self.file is not None:
-            self.kept = Checkpoint(self.file, self._identity(carry))
+            self.checkpoint = Checkpoint(self.file, self._identity(carry))
             carry = self._taken_up(carry)
-        faulty = None if self.bad is None else self._blocks()
+        faulty = None if self.bad is None else self._blocks(self.bad)
         try:
             if not self.step:
-                carry = jax.device_put(np.log(self._look(self.moved.start)).astype(dtype)), carry[1]
+                carry = _start(self._look(self.moved.start), dtype), carry[1]
             while self.step < self.steps:
                 u, y = self.good.gather(np.resize(self.ends, self.capacity), s)
                 healthy = jax.device_put((np.moveaxis(u, 0, 2), np.moveaxis(y, 0, 2)))
@@ -313,74 +357,69 @@ class _Search:
         except KeyboardInterrupt:
             self.stopped = True
 
-    def _look(self, values):
+    def _look(self, values: np.ndarray) -> np.ndarray:
         """Look at all windows: add the worst to those the steps look at; keep the values, at their smallest
         scale, if they are the best.
         """
         for _ in range(8):
-            t = factors(self.relations.with_bounds(self.moved.bounds(values)), self.good)
+            t = self._factors(values, self.good)
             fresh = worst(np.where(self.unseen, np.nan, t), NEW)
             top = float(t[fresh[0]]) if len(fresh) else 1.0
             self.ends = np.concatenate([self.ends[~np.isin(self.ends, fresh)], fresh])[-self.capacity :]
             if not abs(top - 1) > NEAR:
                 break
             values = np.minimum(values * np.clip(top, 1e-3, 1e3), self.moved.most)
-        width, outside = self.moved.total(values) * top, np.nan
+        width, outside, score = self.moved.total(values) * top, np.nan, 0.0
         if self.bad is not None:
-            t = factors(
-                self.relations.with_bounds(
-                    self.moved.bounds(np.minimum(values * top * self.safety, self.moved.most))
-                ),
-                self.bad,
-            )
+            widened = np.minimum(values * top * self.safety, self.moved.most)
+            t = self._factors(widened, self.bad)
             outside = float(np.sum(t > 1) / max(np.sum(~np.isnan(t)), 1))
-        score = (-outside if self.bad is not None else 0.0, width)
-        if score < self.score:
-            self.best, self.score = values, score
+            score = -outside
+        if (score, width) < self.score:
+            self.best, self.score = values, (score, width)
         self.history.append((self.step, width / self.moved.total(self.moved.start), outside, values * top))
         return values
 
-    def _blocks(self):
+    def _factors(self, values: np.ndarray, recordings: JoinedRecordings) -> np.ndarray:
+        return factors(self.relations.with_bounds(self.moved.bounds(values)), recordings)
+
+    def _blocks(self, bad: JoinedRecordings) -> Faulty:
         """Return the faulty windows in blocks, shuffled so that each block shows all of them."""
-        t = factors(self.relations, self.bad)
+        t = factors(self.relations, bad)
         ends = np.random.default_rng(0).permutation(np.flatnonzero(~np.isnan(t)))
         if not len(ends):
             raise ValueError("no faulty window has any data: all are MISSING")
         size = min(BLOCK, power(len(ends)))
-        blocks = -(-len(ends) // size)
-        real = np.arange(blocks * size).reshape(blocks, size) < len(ends)
-        return jax.device_put(
-            (self.bad.u, self.bad.y, np.resize(ends, blocks * size).reshape(blocks, size), real)
-        )
+        shape = -(-len(ends) // size), size
+        filled = np.resize(ends, shape)
+        real = np.arange(filled.size).reshape(shape) < len(ends)
+        blocks: Faulty = jax.device_put((bad.u, bad.y, filled, real))
+        return blocks
 
-    def told(self):
+    def columns(self) -> dict[str, np.ndarray]:
         """Return the history as arrays."""
-        nothing = (), (), (), np.zeros((0, len(self.moved.names)))
-        step, width, outside, values = zip(*self.history, strict=True) if self.history else nothing
+        looks = len(self.history)
+        values = [each for *_, each in self.history]
         return {
-            "step": np.array(step, int),
-            "width": np.array(width),
-            "outside": np.array(outside),
-            "values": np.array(values),
+            "step": np.array([step for step, *_ in self.history], int),
+            "width": np.array([width for _, width, *_ in self.history]),
+            "outside": np.array([outside for _, _, outside, _ in self.history]),
+            "values": np.array(values).reshape(looks, len(self.moved.names)),
         }
 
-    def _identity(self, carry):
+    def _identity(self, carry: Carry) -> dict[str, str]:
         """Return the mark that tells this call from others. Of an optimiser nobody can say more than what it
         carries.
         """
-        data = lambda w: None if w is None else (w.u, w.y, w.starts)
-        carried = [str(jax.tree.structure(carry)), *((x.shape, str(x.dtype)) for x in jax.tree.leaves(carry))]
+        carried: list[object] = [str(jax.tree.structure(carry))]
+        for x in jax.tree.leaves(carry):
+            carried.append((x.shape, str(x.dtype)))
+        moved = self.moved
         also = {
-            "healthy recordings": data(self.good),
-            "faulty recordings": data(self.bad),
+            "healthy recordings": _data(self.good),
+            "faulty recordings": None if self.bad is None else _data(self.bad),
             "share held out": self.unseen,
-            "bounds": (
-                self.moved.names,
-                self.moved.select,
-                self.moved.weights,
-                self.moved.fixed,
-                self.moved.start,
-            ),
+            "bounds": (moved.names, moved.select, moved.weights, moved.fixed, moved.start),
             "safety": self.safety,
             "steps": self.steps,
             "every": self.every,
@@ -388,51 +427,58 @@ class _Search:
         }
         return identity(self.relations, **also)
 
-    def _save(self, carry):
-        if self.kept is None:
+    def _save(self, carry: Carry) -> None:
+        """Write the state of the search, if there is a file for it."""
+        if self.checkpoint is None:
             return
-        fields = {"step": self.step, "best": self.best, "score": np.array(self.score), "ends": self.ends}
-        leaves = {f"leaf{i}": np.asarray(x) for i, x in enumerate(jax.tree.leaves(carry))}
-        self.kept.save(**fields, **leaves, **{f"history_{name}": x for name, x in self.told().items()})
+        arrays = {f"leaf{i}": np.asarray(x) for i, x in enumerate(jax.tree.leaves(carry))}
+        arrays |= {f"history_{name}": x for name, x in self.columns().items()}
+        score = np.array(self.score)
+        self.checkpoint.save(step=self.step, best=self.best, score=score, ends=self.ends, **arrays)
 
-    def _taken_up(self, carry):
+    def _taken_up(self, carry: Carry) -> Carry:
         """Return the carry of the checkpoint, if there is one, and take over the rest of what it holds."""
-        held = None if self.kept is None else self.kept.load()
-        if held is None:
+        arrays = None if self.checkpoint is None else self.checkpoint.load()
+        if arrays is None:
             return carry
-        self.step, self.best, self.score, self.ends = (
-            int(held["step"]),
-            held["best"],
-            tuple(held["score"].tolist()),
-            held["ends"],
-        )
-        columns = (held[f"history_{name}"] for name in ("step", "width", "outside", "values"))
-        self.history = [(int(a), float(b), float(c), d) for a, b, c, d in zip(*columns, strict=True)]
+        self.step, self.best, self.ends = int(arrays["step"]), arrays["best"], arrays["ends"]
+        side, width = arrays["score"].tolist()
+        self.score = side, width
+        columns = [arrays[f"history_{name}"] for name in ("step", "width", "outside", "values")]
+        for step, relative, outside, values in zip(*columns, strict=True):
+            self.history.append((int(step), float(relative), float(outside), values))
         leaves, tree = jax.tree.flatten(carry)
-        return jax.tree.unflatten(tree, [jnp.asarray(held[f"leaf{i}"]) for i in range(len(leaves))])
+        kept: Carry = jax.tree.unflatten(tree, [jnp.asarray(arrays[f"leaf{i}"]) for i in range(len(leaves))])
+        return kept
 
 
-def _vanished(moved, values):
+def _start(values: np.ndarray, dtype: np.dtype) -> jax.Array:
+    """Return values as the optimiser moves them: their logarithms."""
+    start: jax.Array = jax.device_put(np.log(values).astype(dtype))
+    return start
+
+
+def _data(recordings: JoinedRecordings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return recordings.u, recordings.y, recordings.starts
+
+
+def _vanished(moved: Moving, values: np.ndarray) -> tuple[str, ...]:
     """Return a sentence on bounds that fell to next to nothing: the optimum of a linear program lies at a
     corner.
     """
-    small = [
-        name
-        for name, now, before in zip(moved.names, values, moved.start, strict=True)
-        if now < 1e-3 * before
-    ]
+    small = []
+    for name, now, before in zip(moved.names, values, moved.start, strict=True):
+        if now < 1e-3 * before:
+            small.append(name)
+    if not small:
+        return ()
     return (
-        (
-            f"next to nothing is left of {', '.join(small)}: the others explain these data, new ones perhaps "
-            f"not. "
-            "To keep it, leave its kind out of what moves, or give it less weight",
-        )
-        if small
-        else ()
+        f"next to nothing is left of {', '.join(small)}: the others explain these data, new ones perhaps "
+        f"not. To keep it, leave its kind out of what moves, or give it less weight",
     )
 
 
-def _rows(moved):
+def _rows(moved: Moving) -> Iterator[tuple[str, slice]]:
     """Yield (name, slice of the flat bounds)."""
     at = 0
     for name, count in moved.sizes:
@@ -440,43 +486,50 @@ def _rows(moved):
         at += count
 
 
-def _parameters(moved, values):
+def _parameters(moved: Moving, values: Sequence[Decimal]) -> dict[str, np.ndarray]:
     """Return the bounds of parameters, in the half-widths of the model that the relations were made for."""
     rows = dict(_rows(moved))
     if "parameters" not in rows:
         return {}
-    return {
-        "parameters": (moved.fixed + moved.select @ np.array([float(v) for v in values]))[rows["parameters"]]
-    }
+    flat = moved.fixed + moved.select @ np.array([float(v) for v in values])
+    return {"parameters": flat[rows["parameters"]]}
 
 
-def _refuse_same(good, bad):
+def _refuse_same(good: JoinedRecordings, bad: JoinedRecordings) -> None:
     """Refuse faulty recordings that are healthy ones: no bounds can tell them apart."""
-    pieces = lambda w: [
-        (u.tobytes(), y.tobytes())
-        for u, y in zip(np.split(w.u, w.first[1:]), np.split(w.y, w.first[1:]), strict=True)
-    ]
-    known = {piece: i for i, piece in enumerate(pieces(good))}
-    for j, piece in enumerate(pieces(bad)):
-        if piece in known:
+    healthy = {piece: i for i, piece in enumerate(_contents(good))}
+    for j, piece in enumerate(_contents(bad)):
+        if piece in healthy:
             raise ValueError(
-                f"faulty recording {j + 1} is the same as healthy recording {known[piece] + 1}: no bounds "
+                f"faulty recording {j + 1} is the same as healthy recording {healthy[piece] + 1}: no bounds "
                 f"can tell them apart"
             )
 
 
-def _check(relations, steps, safety, calibrate, block, confidence, every):
+def _contents(recordings: JoinedRecordings) -> list[tuple[bytes, bytes]]:
+    """Return the numbers of each recording."""
+    inner = recordings.first[1:]
+    pieces = zip(np.split(recordings.u, inner), np.split(recordings.y, inner), strict=True)
+    return [(u.tobytes(), y.tobytes()) for u, y in pieces]
+
+
+def _check(
+    relations: object,
+    steps: int,
+    safety: float,
+    calibrate: float,
+    block: int | None,
+    confidence: float,
+    every: int,
+) -> None:
+    """Raise TypeError or ValueError for what `tune` does not take."""
     if not isinstance(relations, ParityRelation | UncertainRelations):
         why = next((text for kind, text in UNTUNED.items() if isinstance(relations, kind)), "")
         raise TypeError(f"tune needs relations from parity_relations, not {type(relations).__name__}{why}")
-    whole = lambda x, least: not isinstance(x, bool) and isinstance(x, int | np.integer) and x >= least
-    for name, x, least in (
-        ("steps", steps, 0),
-        ("every", every, 1),
-        ("block", 1 if block is None else block, 1),
-    ):
-        if not whole(x, least):
-            raise ValueError(f"{name} must be a whole number >= {least}, not {x!r}")
+    _refuse_below("steps", steps, 0)
+    _refuse_below("every", every, 1)
+    if block is not None:
+        _refuse_below("block", block, 1)
     if not 1 <= safety < np.inf:
         raise ValueError(f"safety is a factor >= 1 on the smallest bounds, not {safety!r}")
     if not 0 <= calibrate < 1:
@@ -485,3 +538,9 @@ def _check(relations, steps, safety, calibrate, block, confidence, every):
         )
     if not 0 < confidence < 1:
         raise ValueError(f"confidence must lie between 0 and 1, not {confidence!r}")
+
+
+def _refuse_below(name: str, value: object, least: int) -> None:
+    """Raise ValueError for a number that is not whole, or too small."""
+    if not is_whole(value) or value < least:
+        raise ValueError(f"{name} must be a whole number >= {least}, not {value!r}")

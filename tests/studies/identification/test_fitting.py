@@ -123,7 +123,7 @@ class TestRegression:
             scales = regression.scales_of([(u, y, ())])
             windows = regression.windows_of([(u, y, ())], scales, 4)
             regression.refined(rng.normal(size=(3, 1)) / 4, windows, 1, False)
-            return regression._residuals._cache_size(), regression._around._cache_size()
+            return regression._residuals._cache_size(), regression._slopes._cache_size()
 
         assert once(101) == once(83)
 
