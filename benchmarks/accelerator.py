@@ -34,7 +34,7 @@ import jaxbound as jb
 from benchmarks import timing
 from benchmarks.long_windows import FOUR
 from jaxbound.consistency import strips
-from jaxbound.diagnosis.again import decided_again
+from jaxbound.diagnosis.spot_checks import decided_again
 from jaxbound.sets.floats import probe
 from jaxbound.sets.floats.examination import examination
 

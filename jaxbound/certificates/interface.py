@@ -10,7 +10,7 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from jaxbound.certificates.checker.exchange import smt2, vipr
+from jaxbound.certificates.checker.formats import smt2, vipr
 from jaxbound.consistency.interface import Relations
 from jaxbound.sets.floats.status import Status
 

@@ -146,7 +146,7 @@ def run(args: argparse.Namespace) -> int:
 
     if LiveSource.takes(args.data):
         return _run_live(args)
-    _refuse_what_is_for_pipes(args)
+    _refuse_incomplete_file_run(args)
     with door(OSError):
         kind = kind_of(args.data)
     _refuse_shares(args, kind.parts)
@@ -252,7 +252,7 @@ def _evaluate_whole(args: argparse.Namespace) -> "Evaluation":
     return evaluation
 
 
-def _refuse_what_is_for_pipes(args: argparse.Namespace) -> None:
+def _refuse_incomplete_file_run(args: argparse.Namespace) -> None:
     """Raise Refused for a file without --out, with --state, or with a method that there is not."""
     if args.out is None:
         raise Refused("the following arguments are required: --out; see jaxbound detect --help")

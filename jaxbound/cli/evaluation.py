@@ -13,10 +13,10 @@ from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.share import opened
 from jaxbound.cli.terminal import door, usable_device
 from jaxbound.cli.window import window_relations
-from jaxbound.diagnosis.again import again_hints
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import outgrown
 from jaxbound.diagnosis.result import Result
+from jaxbound.diagnosis.spot_checks import again_hints
 from jaxbound.models.modelfile import load_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import refuse_short
@@ -166,13 +166,14 @@ def evaluate(
     test = lambda r: detect(relations, r, method=options.method, progress=lambda share: step("test", share))
     with Beside(open_sinks(work)) as sinks:  # a million verdicts are written while the pictures are drawn
         judge = Whole(test)
-        with door():
+        with door():  # one piece: sinks get their rows by the one way that all sources have
             for _ in follow([recording], judge, [sinks]):
                 step("test", 1.0)
         res = judge.verdicts
         alarms = res.alarms(*alarm)
         seconds["test"], start = time.perf_counter() - start, time.perf_counter()
         sizes = sizes_seen(res, alarms)
+        # of the model as it is stated: --lags took away the horizon that the bounds were found for
         reaches = outgrown(stated, relations)
         hints = dict.fromkeys((*res.hints, *reaches, *again_hints(res), *ending_hints(res, alarms, sizes)))
         summary = summarised(res, alarms, recording.label, min_coverage, hints, sizes, bool(reaches))

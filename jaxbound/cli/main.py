@@ -83,7 +83,7 @@ def _ended(words: list[str]) -> int:
     except Exception as e:
         with tempfile.NamedTemporaryFile("w", prefix="jaxbound-traceback-", suffix=".txt", delete=False) as f:
             traceback.print_exc(file=f)
-        if {"-v", "--verbose"} & set(words):
+        if any(word == "-v" or (word > "--" and "--verbose".startswith(word)) for word in words):
             traceback.print_exc()
         say(f"internal error, {type(e).__name__}: please report it with the traceback in {f.name}")
         return INTERNAL

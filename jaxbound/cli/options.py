@@ -1,6 +1,6 @@
 """The options that several commands share, and the values that they are read as.
 
-A command calls the functions here for its parser. They import no more than the standard library, because
+A command calls the functions here for its parser. They import nothing heavy, neither jax nor NumPy, because
 help and completion are to be there at once.
 """
 
@@ -75,7 +75,10 @@ class MethodOptions:
 
     @classmethod
     def of(cls, args: argparse.Namespace) -> "MethodOptions":
-        """Return the options of a command line; a command without one of them has its default."""
+        """Return the options of a command line; a command without one of them has its default.
+
+        An option of argparse and the field that it sets have one name.
+        """
         given = {f.name: getattr(args, f.name) for f in fields(cls) if hasattr(args, f.name)}
         settings = {}
         for option in shell_options():

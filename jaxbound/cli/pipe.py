@@ -37,7 +37,6 @@ from jaxbound.recordings.seams import irregular, seam_hints
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stream import Stream
 from jaxbound.relations.identity import identity
-from jaxbound.relations.sentence import latched, remembers
 from jaxbound.runs.endings import endings_said
 from jaxbound.runs.journal import STATE, Journal, LiveCheckpoint, refuse_former_state
 from jaxbound.runs.judges import Live
@@ -276,7 +275,7 @@ class _LiveRun:
             self.checkpoint.finish()
         tally, clock = self.tally, self.stream.clock
         relations = self.judge.monitor.relations
-        observes = remembers(relations)
+        observes = relations.remembers
         worst = None
         at: Any = None  # the label of a sample stands where its number does
         margin = np.nan
@@ -315,8 +314,8 @@ class _LiveRun:
         if lost:
             lines = f"{lost} line{'s' * (lost != 1)}"
             hints.append(f"{lines} could not be read: left out, and no window spans them")
-        if not latched(relations):
-            if remembers(relations):
+        if not relations.latched:
+            if relations.remembers:
                 hints += unfit(counts, np.nan, "samples")
             else:
                 hints += unfit(counts, margin, "windows")

@@ -43,6 +43,8 @@ def window_relations(
         ValueError: a recording without a whole window, windows without a relation; no observer.
     """
     options.check()
+    # Parity relations go their own way: lags and a horizon change the model that a report keeps, and a
+    # recording that is too short is refused before minutes of elimination.
     if options.method in FAMILIES or options.observes:
         return model, relations_by(options.method, model, options.horizon, options=options.observer_options)
     return parity_windows(model, options, source, samples, step)

@@ -130,10 +130,10 @@ class BankTest(LinearTest):
 
 
 @kernel
-def bank_windows(test: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ...]:
+def bank_windows(reading: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ...]:
     """Return the verdicts of every relation over a stretch and the margin of the tightest one, packed."""
-    mid, rad, scale, known, known_scale = test.stretch(u, y)
-    return bank_verdicts(test.bank, mid, rad, scale, known, known_scale, test.lift)
+    mid, rad, scale, known, known_scale = reading.stretch(u, y)
+    return bank_verdicts(reading.bank, mid, rad, scale, known, known_scale, reading.lift)
 
 
 def status_of_words(words: np.ndarray, count: int) -> np.ndarray:

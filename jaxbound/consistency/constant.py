@@ -144,26 +144,26 @@ class GainBounds(NamedTuple):
     inner_hi: jax.Array
 
 
-def gain_bounds(test: Reading, xp: ModuleType) -> GainBounds:
+def gain_bounds(reading: Reading, xp: ModuleType) -> GainBounds:
     """Return the boxes of gains of a test; xp: NumPy, or jax.numpy inside a kernel."""
-    u4 = 4 * rounding.unit(test.noise.dtype)
-    low, high = 1 / (1 + test.tolerance), 1 / (1 - test.tolerance)
-    fixed = test.tolerance == 0
+    u4 = 4 * rounding.unit(reading.noise.dtype)
+    low, high = 1 / (1 + reading.tolerance), 1 / (1 - reading.tolerance)
+    fixed = reading.tolerance == 0
     ends = (xp.where(fixed, 1, low * (1 - u4)), xp.where(fixed, 1, high * (1 + u4)))
     inner = (xp.minimum(low * (1 + u4), 1), xp.maximum(high * (1 - u4), 1))
-    one = xp.ones(min(1, len(test.disturbance)), test.noise.dtype)  # the gain of disturbances
+    one = xp.ones(min(1, len(reading.disturbance)), reading.noise.dtype)  # the gain of disturbances
     return GainBounds(*(xp.concatenate([x.astype(one.dtype), one]) for x in (*ends, *inner)))
 
 
 @kernel
-def _first(test: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _first(reading: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return (status or OPEN, margin) of windows u (lags, m, N), y (s + 1, p, N)."""
-    strips, silent = _strips(test, u, y)
-    lo, hi = (jnp.repeat(end[:, None], y.shape[2], 1) for end in gain_bounds(test, jnp)[:2])
-    box = _judge(test, strips, lo, hi)
+    strips, silent = _strips(reading, u, y)
+    lo, hi = (jnp.repeat(end[:, None], y.shape[2], 1) for end in gain_bounds(reading, jnp)[:2])
+    box = _judge(reading, strips, lo, hi)
     held = jnp.where(silent, Status.UNDECIDED, Status.CONSISTENT)
     status = jnp.where(box.out, Status.FAULT, jnp.where(box.fits, held, OPEN))
-    margin = 1 - _factor(test, strips, box.point)
+    margin = 1 - _factor(reading, strips, box.point)
     margin = jnp.where(status == OPEN, margin, signed(margin, box.fits))
     status = jnp.where(box.present, status, Status.MISSING).astype(jnp.int8)
     return status, jnp.where(box.present, margin, jnp.nan)
@@ -177,10 +177,10 @@ def signed(margin: Samples, inside: Samples) -> Samples:
 
 
 @kernel
-def _boxes(test: Reading, u: jax.Array, y: jax.Array, lo: jax.Array, hi: jax.Array) -> Verdicts[jax.Array]:
+def _boxes(reading: Reading, u: jax.Array, y: jax.Array, lo: jax.Array, hi: jax.Array) -> Verdicts[jax.Array]:
     """Return the Verdicts on boxes of gains (p, N), each of its window u (lags, m, N), y (s + 1, p, N)."""
-    strips, _ = _strips(test, u, y)
-    box = _judge(test, strips, lo, hi)
+    strips, _ = _strips(reading, u, y)
+    box = _judge(reading, strips, lo, hi)
     out, fits = box.out, box.fits
     return Verdicts(~out & ~fits, fits & ~out, (box.point, box.point), (box.lo, box.hi), box.axis)
 
@@ -200,28 +200,28 @@ class _Strip(NamedTuple):
     absent: jax.Array
 
 
-def _strips(test: Reading, u: jax.Array, y: jax.Array) -> tuple[_Strip, jax.Array]:
+def _strips(reading: Reading, u: jax.Array, y: jax.Array) -> tuple[_Strip, jax.Array]:
     """Return (strips of all circuits, whether a missing input silences one) of windows u (lags, m, N), y (s +
     1, p, N).
     """
-    rows = dataclasses.replace(test, tolerance=jnp.zeros_like(test.tolerance)).block(u, y)
+    rows = dataclasses.replace(reading, tolerance=jnp.zeros_like(reading.tolerance)).block(u, y)
 
     def strip_of(circuit: Triple) -> _Strip:
-        return _strip(test, rows, *circuit)
+        return _strip(reading, rows, *circuit)
 
-    strips: _Strip = jax.lax.map(strip_of, (test.strips.rows, test.strips.h, test.strips.k))
-    return strips, test.silenced(rows.known)
+    strips: _Strip = jax.lax.map(strip_of, (reading.strips.rows, reading.strips.h, reading.strips.k))
+    return strips, reading.silenced(rows.known)
 
 
 def _strip(
-    test: Reading, rows: RowValues[jax.Array], support: jax.Array, h: jax.Array, k: jax.Array
+    reading: Reading, rows: RowValues[jax.Array], support: jax.Array, h: jax.Array, k: jax.Array
 ) -> _Strip:
     """Return the strip of one circuit; sums are loops, so that what compiles is small whatever the
     horizon.
     """
     mid, rad, scale, inputs, input_scale = rows
-    p, outputs, windows = len(test.noise), len(test.noise) * (test.horizon + 1), mid.shape[1]
-    gains = p + min(1, len(test.disturbance))
+    p, outputs, windows = len(reading.noise), len(reading.noise) * (reading.horizon + 1), mid.shape[1]
+    gains = p + min(1, len(reading.disturbance))
     gain = jnp.where(support < outputs, support % p, p)
 
     def term(j: jax.Array, total: Sums) -> Sums:
@@ -245,11 +245,11 @@ def _strip(
     b = none[0]
     if len(k):
         b, magnitude = jax.lax.fori_loop(0, len(k), reach, (b, magnitude))
-    slack, usable = _slack(test, magnitude)
+    slack, usable = _slack(reading, magnitude)
     return _Strip(a, e, b, slack, usable, jnp.isnan(magnitude))
 
 
-def _slack(test: Reading, magnitude: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _slack(reading: Reading, magnitude: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Bound the rounding of one side of a strip, for any gains that count; return (it, where it is small
     enough to compare).
 
@@ -258,10 +258,10 @@ def _slack(test: Reading, magnitude: jax.Array) -> tuple[jax.Array, jax.Array]:
     the sum over gains, a difference and a quotient; the factor 2 covers them for up to as many gains as
     terms.
     """
-    strips = test.strips
-    terms = strips.h.shape[1] + strips.k.shape[1] + len(test.noise)
+    strips = reading.strips
+    terms = strips.h.shape[1] + strips.k.shape[1] + len(reading.noise)
     gamma, floor = rounding.residual_error(terms, magnitude.dtype)
-    most = jnp.max(gain_bounds(test, jnp).hi)
+    most = jnp.max(gain_bounds(reading, jnp).hi)
     usable = magnitude < np.asarray(2.0 ** (np.finfo(magnitude.dtype).maxexp // 2), magnitude.dtype)
     slack = 2 * (gamma * most * magnitude + floor * (1 + jnp.max(jnp.abs(strips.h))) * (1 + most))
     return jnp.where(usable, slack, 0), usable
@@ -290,7 +290,7 @@ class _Judgement(NamedTuple):
     axis: jax.Array
 
 
-def _judge(test: Reading, strips: _Strip, lo: jax.Array, hi: jax.Array) -> _Judgement:
+def _judge(reading: Reading, strips: _Strip, lo: jax.Array, hi: jax.Array) -> _Judgement:
     """Judge one box of gains (g, N) for each window."""
 
     def narrow(carry: Triple, strip: _Strip) -> Triple:
@@ -313,7 +313,7 @@ def _judge(test: Reading, strips: _Strip, lo: jax.Array, hi: jax.Array) -> _Judg
     none = jnp.zeros(lo.shape[1:], bool)
     lo, hi, out = jax.lax.fori_loop(0, ROUNDS, lambda _, carry: _fold(narrow, carry, strips), (lo, hi, none))
     out |= jnp.any(lo > hi, 0)
-    point = jnp.clip(0.5 * lo + 0.5 * hi, *(x[:, None] for x in gain_bounds(test, jnp)[2:]))
+    point = jnp.clip(0.5 * lo + 0.5 * hi, *(x[:, None] for x in gain_bounds(reading, jnp)[2:]))
     fits, present, lean = _fold(keeps, (~out, none, jnp.zeros_like(lo)), strips)
     return _Judgement(out, fits, present, lo, hi, point, jnp.argmax(lean * (hi - lo), 0))
 
@@ -335,13 +335,13 @@ def narrowed(
     return below, above, total < least
 
 
-def _factor(test: Reading, strips: _Strip, guess: jax.Array) -> jax.Array:
+def _factor(reading: Reading, strips: _Strip, guess: jax.Array) -> jax.Array:
     """Return t, the factor on all bounds at which the best gains found explain a window; not rounded.
 
     Bisection between a factor that some gains reach and one that is taken to be too small: where narrowing
     the gains by it leaves nothing, or the middle of what it leaves does not reach it.
     """
-    sigma = gain_tolerance(test)
+    sigma = gain_tolerance(reading)
 
     def factor(g: jax.Array) -> jax.Array:
         own = own_factor(g, sigma)
@@ -378,10 +378,10 @@ def _factor(test: Reading, strips: _Strip, guess: jax.Array) -> jax.Array:
     return best
 
 
-def gain_tolerance(test: Reading) -> jax.Array:
+def gain_tolerance(reading: Reading) -> jax.Array:
     """Return sigma (g, 1) of each gain, 0 for that of disturbances."""
-    none = jnp.zeros_like(test.noise, shape=min(1, len(test.disturbance)))
-    return jnp.concatenate([test.tolerance, none])[:, None]
+    none = jnp.zeros_like(reading.noise, shape=min(1, len(reading.disturbance)))
+    return jnp.concatenate([reading.tolerance, none])[:, None]
 
 
 def own_factor(g: jax.Array, sigma: jax.Array) -> jax.Array:

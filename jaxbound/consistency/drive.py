@@ -38,7 +38,7 @@ from jaxbound.sets.floats.probe import default_device, usable_devices
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.threads import inherited
 
-__all__ = ["drive", "measured", "windows"]
+__all__ = ["drive", "raw_outputs", "windows"]
 
 CORES = os.cpu_count() or 1
 AHEAD = 3  # groups of blocks that are under way at once
@@ -116,7 +116,7 @@ def windows(
         test, progress, size: as for `drive`. u: (..., T, m). y: (..., T, p). starts: of that Recording.
     """
     flat_u, flat_y, block = _end_to_end(u), _end_to_end(y), size or test.block
-    judged = test.judged(measured(test, u, y, starts, progress, block))
+    judged = test.judged(raw_outputs(test, u, y, starts, progress, block))
     if test.twice or is_outside_xla():
         return judged
 
@@ -126,7 +126,7 @@ def windows(
     return decided_twice(test, judged, flat_u, flat_y, contradicted)
 
 
-def measured(
+def raw_outputs(
     test: WindowTest,
     u: Array,
     y: Array,
@@ -134,7 +134,7 @@ def measured(
     progress: Progress | None = None,
     size: int | None = None,
 ) -> list[np.ndarray]:
-    """Return the `outputs` (..., T) of a test, before anything is decided; arguments as of `windows`."""
+    """Return the `outputs` (..., T) of a test, before a FAULT is confirmed; arguments as of `windows`."""
     shape = y.shape[:-1]
     length, report = shape[-1], _rising(progress)
     fill = _gathered if test.gathered else _stretches

@@ -251,44 +251,44 @@ class _Frames:
 
 
 @jax.jit
-def exchange_margins(test: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
+def exchange_margins(reading: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
     """Return the unproved margins (T - s,) of one recording u (T, m), y (T, p): NaN where data are
     missing.
     """
-    return _given_margins(test, u, y)
+    return _given_margins(reading, u, y)
 
 
-def _given_margins(test: Reading, u: jax.Array, y: jax.Array, *best: jax.Array) -> jax.Array:
+def _given_margins(reading: Reading, u: jax.Array, y: jax.Array, *best: jax.Array) -> jax.Array:
     """Return the same, differentiable; best: from `_best`, else it is searched for."""
 
     def searched(rows: RowValues[jax.Array]) -> jax.Array:
-        return separation.separation_margin(test.frame, rows.mid, rows.rad, rows.known)
+        return separation.separation_margin(reading.frame, rows.mid, rows.rad, rows.known)
 
     def of_best(rows: RowValues[jax.Array], best: jax.Array) -> jax.Array:
         return separation.margin_of(best, rows.mid, rows.rad, rows.known)
 
-    margins = _over_blocks(of_best if best else searched, test, u, y, *best)
-    return margins.reshape(-1)[: y.shape[0] - test.horizon]
+    margins = _over_blocks(of_best if best else searched, reading, u, y, *best)
+    return margins.reshape(-1)[: y.shape[0] - reading.horizon]
 
 
-def _best(test: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
+def _best(reading: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
     """Return the combinations (blocks, rows + l, N) that speak most against each window: margins and their
     derivatives follow from them.
     """
 
     def best(rows: RowValues[jax.Array]) -> jax.Array:
-        return separation.separation_best(test.frame, rows.mid, rows.rad, rows.known)
+        return separation.separation_best(reading.frame, rows.mid, rows.rad, rows.known)
 
-    return _over_blocks(best, test, u, y)
+    return _over_blocks(best, reading, u, y)
 
 
 def _over_blocks(
-    kernel: Callable[..., jax.Array], test: Reading, u: jax.Array, y: jax.Array, *more: jax.Array
+    kernel: Callable[..., jax.Array], reading: Reading, u: jax.Array, y: jax.Array, *more: jax.Array
 ) -> jax.Array:
     """Return the results of kernel(rows, *one of each of more) for all windows of a recording, block after
     block.
     """
-    count, size = y.shape[0] - test.horizon, _block_of(test.frame)
+    count, size = y.shape[0] - reading.horizon, _block_of(reading.frame)
     blocks = -(-count // size)
 
     def filled(x: jax.Array) -> jax.Array:
@@ -302,7 +302,7 @@ def _over_blocks(
 
     def one_block(given: tuple[jax.Array, ...]) -> jax.Array:
         first, *rest = given
-        rows = test.block(taken(u, first, test.lags), taken(y, first, test.horizon + 1))
+        rows = reading.block(taken(u, first, reading.lags), taken(y, first, reading.horizon + 1))
         return kernel(rows, *rest)
 
     results: jax.Array = jax.lax.map(one_block, (size * jnp.arange(blocks), *more))

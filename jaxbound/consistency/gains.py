@@ -233,14 +233,14 @@ def concluded(
     return size, ~open_, Verdicts(open_, inside, (gains, gains), (low, high), axis)
 
 
-def _gain(test: Reading, rows: jax.Array) -> jax.Array:
+def _gain(reading: Reading, rows: jax.Array) -> jax.Array:
     """Return the number of the gain of each row: that of its output, one more for disturbances."""
-    p = len(test.noise)
-    return jnp.where(rows < p * (test.horizon + 1), rows % p, p)
+    p = len(reading.noise)
+    return jnp.where(rows < p * (reading.horizon + 1), rows % p, p)
 
 
 def _strip(
-    test: Reading, image: separation.Image, h: jax.Array, mid: jax.Array, rad: jax.Array, known: jax.Array
+    reading: Reading, image: separation.Image, h: jax.Array, mid: jax.Array, rad: jax.Array, known: jax.Array
 ) -> tuple[jax.Array, ...]:
     """Return (a, e (g, N), b, slack (N,), usable) of the combination h (c, N): |sum_i g_i a_i - b| <= sum_i
     g_i e_i where gains explain.
@@ -249,7 +249,7 @@ def _strip(
     no more than twice the roundings that `rounding.search_error` counts, at magnitudes that the largest gain
     multiplies once more.
     """
-    frame, gains = test.frame, len(test.noise) + min(1, len(test.disturbance))
+    frame, gains = reading.frame, len(reading.noise) + min(1, len(reading.disturbance))
     c, k = frame.R.shape
     order = jnp.concatenate([frame.outer, frame.inner])
     present = image.present
@@ -266,7 +266,7 @@ def _strip(
         return jnp.where(present, jnp.take(x, order, 0, mode="clip"), 0)
 
     share = jnp.concatenate([h, -through(frame.R)])
-    mine = jax.nn.one_hot(_gain(test, order), gains, dtype=bool, axis=0)[:, :, None]
+    mine = jax.nn.one_hot(_gain(reading, order), gains, dtype=bool, axis=0)[:, :, None]
     a = jnp.sum(jnp.where(mine, (share * taken(mid))[None], 0), 1)
     e = jnp.sum(jnp.where(mine, (jnp.abs(share) * taken(rad))[None], 0), 1)
     there = jnp.where(jnp.isnan(known), 0, known)
@@ -274,7 +274,7 @@ def _strip(
         b = jnp.sum(through(frame.K) * there, 0)
     else:
         b = jnp.zeros_like(h[0])
-    most = jnp.max(gain_bounds(test, jnp).hi)
+    most = jnp.max(gain_bounds(reading, jnp).hi)
     gamma, _ = rounding.search_error(c, k, len(known), h.dtype)
     rounded = gamma * jnp.sum(jnp.abs(h) * image.magnitude[:c], 0)
     slack = 4 * most * (rounded + image.floor * (1 + jnp.sum(jnp.abs(h), 0)))

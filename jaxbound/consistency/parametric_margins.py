@@ -129,30 +129,30 @@ def _over_blocks(
     return numbers.reshape(-1)[: len(starts)]
 
 
-def _margins(test: PolynomialReading, u: Array, y: Array, kind: str) -> jax.Array:
+def _margins(reading: PolynomialReading, u: Array, y: Array, kind: str) -> jax.Array:
     """Return 1 - gauge (N,) of windows u (lags, m, N), y (s + 1, p, N): outside of a trace by the kernels
     that `detect` has compiled already.
     """
-    if is_traced(u, y, test):
-        return _smooth_margins(test, u, y, kind)
+    if is_traced(u, y, reading):
+        return _smooth_margins(reading, u, y, kind)
     margin: jax.Array
-    terms = terms_of(test, u, y)
+    terms = terms_of(reading, u, y)
     if kind == "vertices":
-        _, margin = at_vertices(test, terms, False)
+        _, margin = at_vertices(reading, terms, False)
     else:
-        _, margin, *_ = on_whole(test, terms, False)
+        _, margin, *_ = on_whole(reading, terms, False)
     return margin
 
 
-def _smooth_margins(test: PolynomialReading, u: Array, y: Array, kind: str) -> jax.Array:
+def _smooth_margins(reading: PolynomialReading, u: Array, y: Array, kind: str) -> jax.Array:
     """Return the same, with derivatives; a missing sample that matters gives NaN."""
-    value, spread, rad, _ = terms_of(test, u, y)
+    value, spread, rad, _ = terms_of(reading, u, y)
     gone = jnp.isnan(value[:, 0])
     value = jnp.where(gone[:, None], 0, value)
     if kind == "vertices":
-        t = polynomials.vertex_gauge(value, spread, rad, test.exponents)[0]
+        t = polynomials.vertex_gauge(value, spread, rad, reading.exponents)[0]
     else:
-        c, G = polynomials.image(value, spread, rad, test.exponents)
+        c, G = polynomials.image(value, spread, rad, reading.exponents)
         h, z = jax.lax.stop_gradient(farthest(*jax.lax.stop_gradient((c, G))))
         residual, width = jax.lax.stop_gradient(_across(h, c, G))
         change = jnp.sum(h * (c + jnp.sum(G * z[None], 1)), 0) * jnp.where(jnp.sum(h * c, 0) < 0, -1, 1)
@@ -161,9 +161,9 @@ def _smooth_margins(test: PolynomialReading, u: Array, y: Array, kind: str) -> j
 
 
 @partial(jax.jit, static_argnums=3)
-def _needs(test: PolynomialReading, u: jax.Array, y: jax.Array, kind: str) -> jax.Array:
+def _needs(reading: PolynomialReading, u: jax.Array, y: jax.Array, kind: str) -> jax.Array:
     """Return the compensation (N,) that each window needs."""
-    c, G, _ = linear_image(test, terms_of(test, u, y), 0.0)
+    c, G, _ = linear_image(reading, terms_of(reading, u, y), 0.0)
     G = G[:, : G.shape[1] - len(c)]  # without the compensation's own columns
     needed = jnp.max(jnp.maximum(jnp.abs(c) - jnp.sum(jnp.abs(G), 1), 0), 0)
 

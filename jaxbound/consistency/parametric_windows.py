@@ -124,11 +124,11 @@ def cases(
             yield case, broken[which.ravel() == number]
 
 
-def samples_of(test: PolynomialReading, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Block:
+def samples_of(reading: PolynomialReading, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Block:
     """Return the samples (lags, m, N) and (s + 1, p, N) of windows; unneeded ones that are missing become
     0.
     """
-    return finite(gather(u, y, starts, test.lags, test.horizon))
+    return finite(gather(u, y, starts, reading.lags, reading.horizon))
 
 
 def finite(windows: Block) -> Block:
@@ -156,29 +156,29 @@ def block_of(kind: str) -> int:
 
 
 def judged_whole(
-    test: PolynomialReading, samples: Block, kind: str, proved: bool, allowance: Compensation
+    reading: PolynomialReading, samples: Block, kind: str, proved: bool, allowance: Compensation
 ) -> StatusAndMargin:
     """Return (status, margin) of a block of windows."""
     judged: StatusAndMargin
-    terms = terms_of(test, *samples)
+    terms = terms_of(reading, *samples)
     if kind == "vertices":
-        judged = at_vertices(test, terms, proved)
+        judged = at_vertices(reading, terms, proved)
     elif kind == "box":
-        judged = _box(test, terms, proved)
+        judged = _box(reading, terms, proved)
     elif kind == "linearized":
-        judged = _suspected(*_linear(test, terms, allowance))
+        judged = _suspected(*_linear(reading, terms, allowance))
     else:
-        status, margin, *_ = on_whole(test, terms, proved)
+        status, margin, *_ = on_whole(reading, terms, proved)
         judged = status, margin
     return judged
 
 
-def _noise_part(test: PolynomialReading, z: jax.Array) -> jax.Array:
+def _noise_part(reading: PolynomialReading, z: jax.Array) -> jax.Array:
     """Return the noises among the columns of an image."""
-    own = len(test.noisy)
-    if test.spare is not None:
-        own += len(test.spare)
-    lumps = len(test.N) if own and len(test.exponents) > 1 else 0
+    own = len(reading.noisy)
+    if reading.spare is not None:
+        own += len(reading.spare)
+    lumps = len(reading.N) if own and len(reading.exponents) > 1 else 0
     return z[len(z) - lumps - own : len(z) - lumps]
 
 
@@ -188,20 +188,20 @@ def _status(margin: jax.Array, inside: jax.Array) -> jax.Array:
 
 
 @kernel
-def terms_of(test: PolynomialReading, u: jax.Array, y: jax.Array) -> Terms:
+def terms_of(reading: PolynomialReading, u: jax.Array, y: jax.Array) -> Terms:
     """Return the polynomials of windows, and one bound on the error of each row."""
-    value, error, spread, rad = test.polynomials(u, y)
-    return Terms(value, spread, rad, polynomials.row_error(value, error, spread, rad, test.exponents))
+    value, error, spread, rad = reading.polynomials(u, y)
+    return Terms(value, spread, rad, polynomials.row_error(value, error, spread, rad, reading.exponents))
 
 
 def linear_image(
-    test: PolynomialReading, terms: Terms, allowance: Compensation
+    reading: PolynomialReading, terms: Terms, allowance: Compensation
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (c, G, error) of the whole box of parameters without all that is of order 2; `allowance` is a
     generator in each row.
     """
     value, spread, rad, error = terms
-    c, G = polynomials.image(value, spread, rad, test.exponents, linear=True)
+    c, G = polynomials.image(value, spread, rad, reading.exponents, linear=True)
     own = jnp.broadcast_to(jnp.asarray(allowance, c.dtype), (len(c),))[:, None] * jnp.ones_like(c)
     columns = jnp.where(np.eye(len(c), dtype=bool)[:, :, None], own[:, None], 0)
     return c, jnp.concatenate([G, columns], 1), error
@@ -209,10 +209,10 @@ def linear_image(
 
 @kernel
 def _linear(
-    test: PolynomialReading, terms: Terms, allowance: Compensation
+    reading: PolynomialReading, terms: Terms, allowance: Compensation
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array | None]:
     """Return (c, G, error, h) of the linearized test: see `linear_image`; h: None where strips are few."""
-    c, G, error = linear_image(test, terms, allowance)
+    c, G, error = linear_image(reading, terms, allowance)
     r, q, _ = G.shape
     if varying.strip_count(r, q, alone=True):
         return c, G, error, None
@@ -226,32 +226,32 @@ def _suspected(c: jax.Array, G: jax.Array, error: jax.Array, h: jax.Array | None
 
 
 @kernel
-def at_vertices(test: PolynomialReading, terms: Terms, proved: bool) -> StatusAndMargin:
+def at_vertices(reading: PolynomialReading, terms: Terms, proved: bool) -> StatusAndMargin:
     """Return (status, margin) of a single multi-affine relation: see `polynomials.vertex_margin`."""
     value, spread, rad, error = terms
-    margin, inside = polynomials.vertex_margin(value, spread, rad, test.exponents, error)
+    margin, inside = polynomials.vertex_margin(value, spread, rad, reading.exponents, error)
     return _status(margin, inside & proved), margin
 
 
 @kernel
-def _box(test: PolynomialReading, terms: Terms, proved: bool) -> StatusAndMargin:
+def _box(reading: PolynomialReading, terms: Terms, proved: bool) -> StatusAndMargin:
     """Return (status, margin) where each relation is tested alone: by its vertices if it has few, else by the
     sum of all its parts.
     """
     value, spread, rad, error = terms
-    few = polynomials.multiaffine(test.exponents) and len(test.size) <= VERTICES
+    few = polynomials.multiaffine(reading.exponents) and len(reading.size) <= VERTICES
     worst = jnp.full_like(value[0, 0], jnp.inf)
     inside = jnp.asarray(proved) & (value.shape[0] == 1)
     for k in range(value.shape[0]):
         row = slice(k, k + 1)
         if few:
             margin, holds = polynomials.vertex_margin(
-                value[row], spread[row], rad, test.exponents, error[row]
+                value[row], spread[row], rad, reading.exponents, error[row]
             )
             inside = inside & holds
         else:
             margin = varying.strip_margins(
-                *polynomials.image(value[row], spread[row], rad, test.exponents), error[row]
+                *polynomials.image(value[row], spread[row], rad, reading.exponents), error[row]
             )
             inside = inside & False
         worst = jnp.minimum(worst, margin)
@@ -293,7 +293,7 @@ class Candidates(NamedTuple):
 
 @kernel
 def candidates(
-    test: PolynomialReading, terms: Terms, mid: jax.Array, radius: jax.Array, owner: jax.Array
+    reading: PolynomialReading, terms: Terms, mid: jax.Array, radius: jax.Array, owner: jax.Array
 ) -> Candidates:
     """Return the hints by which `concluded` proves something, of boxes mid +- radius (n, N) of windows
     `owner`.
@@ -303,16 +303,16 @@ def candidates(
     """
     value, spread, rad, error = terms
     value, rad, error = value[..., owner], rad[..., owner], error[..., owner]
-    c, G = polynomials.image(value, spread, rad, test.exponents, mid, radius)
+    c, G = polynomials.image(value, spread, rad, reading.exponents, mid, radius)
     h, z = farthest(c, G)
-    start = jnp.concatenate([jnp.clip(mid + radius * z[: len(mid)], -1, 1), _noise_part(test, z)])
-    axis = jnp.argmax(polynomials.bends(value, test.exponents, radius), 0)
+    start = jnp.concatenate([jnp.clip(mid + radius * z[: len(mid)], -1, 1), _noise_part(reading, z)])
+    axis = jnp.argmax(polynomials.bends(value, reading.exponents, radius), 0)
     return Candidates(Terms(value, spread, rad, error), c, G, h, start, axis)
 
 
 @kernel
 def concluded(
-    test: PolynomialReading,
+    reading: PolynomialReading,
     terms: Terms,
     c: jax.Array,
     G: jax.Array,
@@ -327,24 +327,24 @@ def concluded(
     proved: whether the relations say all, so that a zero is an explanation.
     """
     margin = _outside(c, G, terms[3], h)
-    found = _explained(test, terms, start, proved & (margin >= 0))
+    found = _explained(reading, terms, start, proved & (margin >= 0))
     status = _status(margin, found)
     size = jnp.where(found, jnp.maximum(margin, LEAST), margin)
     return status, size, found, ~(margin < 0) & ~found
 
 
-def _explained(test: PolynomialReading, terms: Terms, start: jax.Array, wanted: jax.Array) -> jax.Array:
+def _explained(reading: PolynomialReading, terms: Terms, start: jax.Array, wanted: jax.Array) -> jax.Array:
     """Say near which starts a zero is proved to exist, among the windows where that is wanted.
 
     Newton's method moves a point towards a zero and never onto the sides of the box, where it would have no
     room left. It is carried by a loop, so that values, slopes and proof are of one point.
     """
     value, spread, rad, error = terms
-    order = max(1, *map(sum, test.exponents))
+    order = max(1, *map(sum, reading.exponents))
 
     def newton(_: int | jax.Array, carry: Newton) -> Newton:
         z = carry[0]
-        p, J, bend = polynomials.slopes(value, spread, rad, test.exponents, z)
+        p, J, bend = polynomials.slopes(value, spread, rad, reading.exponents, z)
         R = varying.right_inverse(J, z)
         moved = jnp.clip(z - jnp.sum(R * p[None], 1), z - SHARE * (1 + z), z + SHARE * (1 - z))
         return moved, (z, p, J, bend, R)
@@ -359,27 +359,27 @@ def _explained(test: PolynomialReading, terms: Terms, start: jax.Array, wanted: 
 
 
 def on_boxes(
-    test: PolynomialReading, terms: Terms, mid: Array, radius: Array, owner: np.ndarray, proved: bool
+    reading: PolynomialReading, terms: Terms, mid: Array, radius: Array, owner: np.ndarray, proved: bool
 ) -> tuple[jax.Array, ...]:
     """Return (status, margin, found, open, start, h, axis) of boxes: see `candidates` and `concluded`."""
-    own, c, G, h, start, axis = candidates(test, terms, mid, radius, owner)
-    return *concluded(test, own, c, G, h, start, proved), start, h, axis
+    own, c, G, h, start, axis = candidates(reading, terms, mid, radius, owner)
+    return *concluded(reading, own, c, G, h, start, proved), start, h, axis
 
 
-def on_whole(test: PolynomialReading, terms: Terms, proved: bool) -> tuple[jax.Array, ...]:
+def on_whole(reading: PolynomialReading, terms: Terms, proved: bool) -> tuple[jax.Array, ...]:
     """Return the same of the whole box of parameters, for each window of a block."""
     count, dtype = terms.value.shape[-1], terms.value.dtype
-    one = np.ones((len(test.size), count), dtype)
-    return on_boxes(test, terms, 0 * one, one, np.arange(count, dtype=np.int32), proved)
+    one = np.ones((len(reading.size), count), dtype)
+    return on_boxes(reading, terms, 0 * one, one, np.arange(count, dtype=np.int32), proved)
 
 
-def bisected(test: PolynomialReading, samples: Block, proved: bool, budget: int) -> np.ndarray:
+def bisected(reading: PolynomialReading, samples: Block, proved: bool, budget: int) -> np.ndarray:
     """Return the status of windows, at most a block, by bisection of their parameters, in blocks of boxes as
     large as those of windows.
     """
-    count, n, dtype = samples[1].shape[-1], len(test.size), samples[1].dtype
+    count, n, dtype = samples[1].shape[-1], len(reading.size), samples[1].dtype
     filled = (np.concatenate([x, np.repeat(x[..., :1], SEARCHED - count, -1)], -1) for x in samples)
-    on_device = jax.device_put(test)
+    on_device = jax.device_put(reading)
     terms = terms_of(on_device, *filled)
     grow = 1 + 4 * np.finfo(dtype).eps
 

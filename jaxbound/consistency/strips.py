@@ -76,21 +76,21 @@ class StripsTest(LinearTest):
 
 
 @kernel
-def verdicts(test: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+def verdicts(reading: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return (status, margin) of the windows of one stretch of samples, tested circuit by circuit."""
-    mid, rad, scale, known, known_scale = test.stretch(u, y)
-    margin = strip_verdict(test.strips, mid, rad, scale, known, known_scale, test.lift)
+    mid, rad, scale, known, known_scale = reading.stretch(u, y)
+    margin = strip_verdict(reading.strips, mid, rad, scale, known, known_scale, reading.lift)
     # else the compiler works out everything once for each of the two results
     margin = jax.lax.optimization_barrier(margin)  # type: ignore[no-untyped-call]  # of JAX
     status = status_of(margin)
-    unsure = test.silenced(known) & (status == Status.CONSISTENT)
+    unsure = reading.silenced(known) & (status == Status.CONSISTENT)
     return jnp.where(unsure, Status.UNDECIDED, status).astype(jnp.int8), margin
 
 
 @jax.jit
-def _margins(test: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
-    rows = test.stretch(u, y)
-    return strip_margin(test.strips, rows.mid, rows.rad, rows.known)
+def _margins(reading: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
+    rows = reading.stretch(u, y)
+    return strip_margin(reading.strips, rows.mid, rows.rad, rows.known)
 
 
 # to keep what a derivative needs of every window takes longer, and much longer to compile

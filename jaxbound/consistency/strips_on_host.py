@@ -275,17 +275,20 @@ def _largest(x: np.ndarray) -> float:
     return float(np.fmax.reduce(np.abs(x), initial=0.0))
 
 
-def contradicted_by(test: Reading, frame: Frame, u: np.ndarray, y: np.ndarray, h: np.ndarray) -> np.ndarray:
+def contradicted_by(
+    reading: Reading, frame: Frame, u: np.ndarray, y: np.ndarray, h: np.ndarray
+) -> np.ndarray:
     """Return (N,) bool: which windows are contradicted by combinations of their relations.
 
     Args:
-        test: the Reading, without averages. frame: its Frame. u (lags, m, N), y (s + 1, p, N): the samples of
-            the windows. h (c, N): the combinations, of outer rows; whatever they are, what is said here is
-            proved, with the error of `rounding.search_error`.
+        reading: the Reading, without averages. frame: its Frame.
+        u (lags, m, N), y (s + 1, p, N): the samples of the windows.
+        h (c, N): the combinations, of outer rows; whatever they are, what is said here is proved, with the
+            error of `rounding.search_error`.
     """
     R, K, h = _doubles(frame.R), _doubles(frame.K), _doubles(h)
     outer, inner, N = np.asarray(frame.outer), np.asarray(frame.inner), h.shape[1]
-    windows = _Windows(test, u, y)
+    windows = _Windows(reading, u, y)
     of, here = np.nonzero(h.T)  # few: a search ends with about as many as there are states
     h = h[here, of]
     across = np.stack([np.bincount(of, h * column[here], N) for column in R.T])
@@ -320,19 +323,19 @@ class _Windows:
     Fields: size (rows,), known_size (l,): what rounding errors are relative to, of the largest samples.
     """
 
-    def __init__(self, test: Reading, u: np.ndarray, y: np.ndarray) -> None:
+    def __init__(self, reading: Reading, u: np.ndarray, y: np.ndarray) -> None:
         unit, self._tiny = float(rounding.unit(y.dtype)), float(rounding.tiny(y.dtype))
-        self._y = test.seen(y)
+        self._y = reading.seen(y)
         largest = np.fmax.reduce(np.abs(self._y), 0, initial=0.0).astype(np.float64)
-        self._sigma, self._offset, noise = map(_doubles, (test.tolerance, test.offset_y, test.noise))
-        bound = noise + _doubles(test.resolution) + RECORDER_ULPS * unit * noise + 4 * self._tiny
+        self._sigma, self._offset, noise = map(_doubles, (reading.tolerance, reading.offset_y, reading.noise))
+        bound = noise + _doubles(reading.resolution) + RECORDER_ULPS * unit * noise + 4 * self._tiny
         self._rho = (bound[:, None] + RECORDER_ULPS * unit * largest) * SLIGHTLY
         outputs = (_highest(largest) + np.abs(self._offset) + _highest(self._rho)) / (1 - self._sigma)
-        disturbance = _doubles(test.disturbance)
+        disturbance = _doubles(reading.disturbance)
         disturbances = np.abs(disturbance).sum(1) + self._tiny
-        self._ends = np.tile(disturbance, (test.horizon, 1))
-        self.size = np.concatenate([np.tile(outputs, len(y)), np.tile(disturbances, test.horizon)])
-        offset_u = _doubles(test.offset_u)
+        self._ends = np.tile(disturbance, (reading.horizon, 1))
+        self.size = np.concatenate([np.tile(outputs, len(y)), np.tile(disturbances, reading.horizon)])
+        offset_u = _doubles(reading.offset_u)
         self._known = np.ascontiguousarray((u - offset_u[:, None]).reshape(-1, y.shape[2]).T)
         inputs = _highest(_highest(np.abs(u)).T.astype(np.float64)) + np.abs(offset_u)
         self.known_size = np.tile(inputs, len(u))

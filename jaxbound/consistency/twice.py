@@ -4,6 +4,16 @@ XLA copies wrongly at times: a part of an array from the wrong place, a number t
 written yet. No bound on rounding covers that. So a FAULT is only what both say; where NumPy says no, the
 window is UNDECIDED and a warning tells what to report. Of the CONSISTENT windows a few are looked at too: one
 that NumPy refutes says that something is broken.
+
+Each FAULT goes down this list until something confirms it:
+
+1. A short way of the test, in NumPy with a stated error: `WindowTest.contradicted`.
+2. The exact way of the test where it has one, in whole numbers: `WindowTest.exactly` (`replayed` is False).
+3. The test's own kernels once more, evaluated primitive by primitive in NumPy: `sets.floats.kernel`.
+
+The driver does so once all windows are judged (`drive.windows`, `decided_twice`). A test that keeps hints of
+its search does so itself, block by block (`WindowTest.twice` is True, `Twice`): with them no search is needed
+again.
 """
 
 import warnings
@@ -22,9 +32,9 @@ from jaxbound.sets.floats.status import Status
 __all__ = ["Doubtful", "Twice", "decided_twice", "warn_doubtful"]
 
 SHARE = 2**15
-"""One of so many CONSISTENT windows is looked at, """
+"""One of so many CONSISTENT windows is looked at; none where there are fewer."""
 LEAST = 8
-"""but at least so many, in a row, where there are `SHARE` of them."""
+"""The fewest that are looked at, in a row, where there are `SHARE` of them."""
 Look: TypeAlias = Callable[[np.ndarray], np.ndarray]
 """Says without XLA which of some numbered windows contradict their bounds."""
 

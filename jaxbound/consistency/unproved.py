@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.drive import measured
+from jaxbound.consistency.drive import raw_outputs
 from jaxbound.consistency.interface import Array, Arrays, LinearTest, Outputs, Run, WindowTest
 from jaxbound.consistency.reading import Block, Reading
 from jaxbound.recordings.recording import Recording
@@ -70,7 +70,7 @@ def unproved_margins(
     margins: jax.Array
     reading, devices = test.reading, usable_devices()
     if not is_traced(given.u, given.y, reading) and (devices[0].platform == "cpu" or len(devices) > 1):
-        (on_host,) = measured(_Unproved(test, kernel), given.u, given.y, given.starts)
+        (on_host,) = raw_outputs(_Unproved(test, kernel), given.u, given.y, given.starts)
         margins = jax.device_put(on_host)
         return margins
     found = []

@@ -50,7 +50,7 @@ SEARCHES = (1.0, 3e-4, 0.03)
 """Searches for h and d, see `separation.exchange_search`."""
 
 
-def thin(test: Reading, u: np.ndarray, y: np.ndarray) -> np.ndarray:
+def thin(reading: Reading, u: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Say which windows u (lags, m, N), y (s + 1, p, N) have a bound so small that rounding leaves some far
     from the boundary open.
 
@@ -60,9 +60,9 @@ def thin(test: Reading, u: np.ndarray, y: np.ndarray) -> np.ndarray:
     def column(x: Array) -> np.ndarray:
         return np.asarray(x, y.dtype)[:, None]
 
-    offset = column(test.offset_y)
+    offset = column(reading.offset_y)
     size, least = np.fmax.reduce(np.abs(y), 0), np.fmin.reduce(np.abs(y - offset), 0)
-    bound = column(test.noise) + column(test.resolution) + column(test.tolerance) * least
+    bound = column(reading.noise) + column(reading.resolution) + column(reading.tolerance) * least
     small = ~(bound > THIN[y.dtype] * rounding.unit(y.dtype) * (size + np.abs(offset))).all(0)
     small |= (size > np.sqrt(np.finfo(y.dtype).max)).any(0)
     small |= (bound < 2.0**40 * rounding.tiny(y.dtype)).any(0)
@@ -70,15 +70,15 @@ def thin(test: Reading, u: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.asarray(small & ~infinite)
 
 
-def _wide(test: Reading, y: np.ndarray) -> bool:
+def _wide(reading: Reading, y: np.ndarray) -> bool:
     """Say whether no window of a recording is thin, by its largest sample and the smallest bound: cheaper
     than a look at each.
     """
     top = max(float(y.max()), -float(y.min()))  # compiled for whole registers, which fmax is not
     if np.isnan(top):
         top = max(float(np.fmax.reduce(y, None)), -float(np.fmin.reduce(y, None)))
-    bound = (np.asarray(test.noise, np.float64) + np.asarray(test.resolution, np.float64)).min()
-    scale = top + np.abs(np.asarray(test.offset_y, np.float64)).max()
+    bound = (np.asarray(reading.noise, np.float64) + np.asarray(reading.resolution, np.float64)).min()
+    scale = top + np.abs(np.asarray(reading.offset_y, np.float64)).max()
     enough = max(
         THIN[y.dtype] * float(rounding.unit(y.dtype)) * scale, 2.0**40 * float(rounding.tiny(y.dtype))
     )
@@ -87,7 +87,7 @@ def _wide(test: Reading, y: np.ndarray) -> bool:
 
 def settle(
     relations: LinearRelations,
-    test: Reading,
+    reading: Reading,
     method: str,
     u: np.ndarray,
     y: np.ndarray,
@@ -101,49 +101,49 @@ def settle(
         method: "joint" or "box". status, margin: (T,), changed in place. progress: called with the share
             done, if this takes a while.
     """
-    s = test.horizon
+    s = reading.horizon
     open_ = status == UNDECIDED
-    if not np.count_nonzero(open_) or _wide(test, y):
+    if not np.count_nonzero(open_) or _wide(reading, y):
         return
     left = np.flatnonzero(open_ & (margin == 0))
     if len(left):
-        left = left[thin(test, *gather(u, y, left - s, test.lags, s))]
+        left = left[thin(reading, *gather(u, y, left - s, reading.lags, s))]
     if len(left):
         strips = relations.strips(method)
         for first in range(0, len(left), BLOCK):
             part = left[first : first + BLOCK]
-            margin[part] = exact_strips(relations, test, strips, *gather(u, y, part - s, test.lags, s))
+            margin[part] = exact_strips(relations, reading, strips, *gather(u, y, part - s, reading.lags, s))
             if progress is not None and len(left) > BLOCK:
                 progress((first + len(part)) / len(left))
         status[left] = status_of(margin[left])
 
 
 def exact_strips(
-    relations: LinearRelations, test: Reading, strips: tuple[Matrix, Matrix], u: np.ndarray, y: np.ndarray
+    relations: LinearRelations, reading: Reading, strips: tuple[Matrix, Matrix], u: np.ndarray, y: np.ndarray
 ) -> np.ndarray:
     """Return (N,) margins: > 0 inside, < 0 outside, both proved; 0: a missing input silences a strip; NaN: no
     strip has its data.
 
     Args:
-        relations: of a window; test: their Reading, whose bounds count. strips: (h, k), exact rows over
+        relations: of a window; reading: their Reading, whose bounds count. strips: (h, k), exact rows over
             (Y, w) and over U.
         u (lags, m, N), y (s + 1, p, N): samples of N windows, NaN where missing.
     """
-    return _strips(whole_rows(relations.model, test, u, y), strips, y.dtype)
+    return _strips(whole_rows(relations.model, reading, u, y), strips, y.dtype)
 
 
 def exact_search(
-    relations: LinearRelations, test: Reading, frame: ExactFrame, u: np.ndarray, y: np.ndarray
+    relations: LinearRelations, reading: Reading, frame: ExactFrame, u: np.ndarray, y: np.ndarray
 ) -> np.ndarray:
     """Return (N,) margins as `exact_strips`, 0 too where no search came near enough.
 
     Args:
-        frame: the `exact.Frame` of windows that miss these samples. The others as for `exact_strips`.
+        frame: the `ExactFrame` of windows that miss these samples. The others as for `exact_strips`.
     """
     margins = []
     for first in range(0, y.shape[2], BLOCK):
         part = slice(first, first + BLOCK)
-        rows = whole_rows(relations.model, test, u[..., part], y[..., part])
+        rows = whole_rows(relations.model, reading, u[..., part], y[..., part])
         margins.append(_searched(rows, frame, y.dtype))
     return np.concatenate(margins)
 

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from jaxbound.certificates.interface import WindowCertificate
 from jaxbound.consistency.interface import Relations
-from jaxbound.relations.sentence import latched
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 
@@ -85,14 +84,12 @@ class Alarm:
 
     - "still on at the last sample", "no data after it";
     - "its onset may have left the window: repaired or lasting": every FAULT window reaches back to the first
-    one, so a fault that lasts
-      would look the same. From which size on a lasting one is sure to be seen: `detectable`;
+      one, so a fault that lasts would look the same. From which size on a lasting one is sure to be seen:
+      `detectable`;
     - "seen beyond its onset and no longer: repaired or hidden": a window without the onset is FAULT too, so
-    the fault was seen while it
-      lasted; now it is gone, or noise within the bounds hides it;
+      the fault was seen while it lasted; now it is gone, or noise within the bounds hides it;
     - "the observer began anew behind it: repaired or lasting": an observer forgets what was contradicted, and
-    may take what lasts for the
-      state;
+      may take what lasts for the state;
     - "a gap ended it, FAULT stays until one: repaired or lasting": of an observer with restart=False.
     """
 
@@ -174,7 +171,7 @@ def forgets_after(relations: Relations) -> int | None:
 
     Of an observer None, LATCHED where its FAULT stays until a gap.
     """
-    if latched(relations):
+    if relations.latched:
         return LATCHED
     if relations.remembers:
         return None

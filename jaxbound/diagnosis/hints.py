@@ -7,7 +7,6 @@ import numpy as np
 from jaxbound.certificates.interface import Judgement
 from jaxbound.consistency.interface import Relations
 from jaxbound.models.system import LinearSystem
-from jaxbound.relations.sentence import latched
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import percent, times
 from jaxbound.text.units import same_unit, without_unit
@@ -101,7 +100,7 @@ def fit_hints(result: Judgement) -> list[str]:
     fit.
     """
     relations, sentences = result.relations, []
-    if latched(relations):  # one fault, and all that follows is FAULT
+    if relations.latched:  # one fault, and all that follows is FAULT
         return []
     what = "windows"
     if relations.remembers:

@@ -162,8 +162,7 @@ class Result:
 
         Raises:
             ValueError: the window is MISSING. NotImplementedError: with uncertain parameters a window for
-                which neither proof is
-            found.
+                which neither proof is found.
 
         Example:
             >>> import jaxbound as jb

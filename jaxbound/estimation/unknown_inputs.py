@@ -19,7 +19,7 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.consistency.drive import measured
+from jaxbound.consistency.drive import raw_outputs
 from jaxbound.consistency.interface import Arrays, Block, LinearRelations, LinearTest, Progress, Run
 from jaxbound.consistency.reading import Reading
 from jaxbound.consistency.unproved import stretch_block
@@ -122,7 +122,7 @@ def unknown_inputs(
         lag = lags[j] = horizon - position
         test = _test(model, horizon, position, j, dtype)
         report = _share_of(progress, j, model.d)
-        least, most = measured(test, recording.u, recording.y, recording.starts, report)
+        least, most = raw_outputs(test, recording.u, recording.y, recording.starts, report)
         empty = least > most
         least[empty], most[empty] = np.inf, -np.inf
         at = ..., slice(position, samples[-1] - lag), j
@@ -239,8 +239,8 @@ class _RangeTest(LinearTest):
 
 
 @kernel
-def _ranges(test: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _ranges(reading: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return (lo, hi) (N,) of what the strips say together."""
-    mid, rad, scale, known, known_scale = test.stretch(u, y)
-    ways = cast(Bank, test.shape)  # put there by the test, in place of what relations have
-    return bank_range(ways, mid, rad, scale, known, known_scale, test.lift)
+    mid, rad, scale, known, known_scale = reading.stretch(u, y)
+    ways = cast(Bank, reading.shape)  # put there by the test, in place of what relations have
+    return bank_range(ways, mid, rad, scale, known, known_scale, reading.lift)

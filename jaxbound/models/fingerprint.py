@@ -30,7 +30,7 @@ def fingerprint(*things: object) -> str:
 
     Example:
         >>> plain = LinearSystem([["1/3"]], None, [[1]], noise="0.1")
-    >>> louder = LinearSystem([["1/3"]], None, [[1]], noise="0.10000000000000000001")
+        >>> louder = LinearSystem([["1/3"]], None, [[1]], noise="0.10000000000000000001")
         >>> fingerprint(plain) == fingerprint(plain), fingerprint(plain) == fingerprint(louder)
         (True, False)
     """

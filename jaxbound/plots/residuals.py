@@ -24,7 +24,6 @@ from jaxbound.plots.canvas import (
     time_of,
 )
 from jaxbound.relations.residual import Residual
-from jaxbound.relations.sentence import remembers
 from jaxbound.sets.floats.status import Status
 
 if TYPE_CHECKING:
@@ -54,7 +53,7 @@ def plot_residuals(res: Result, time: np.ndarray | None = None) -> "Figure":
         ValueError: as `plot`. TypeError: the Result of a user's own residual.
     """
     relations = res.relations
-    if remembers(relations):
+    if relations.remembers:
         raise TypeError(
             "only parity relations have an interval for each residual: plot(res.observation, y=res.y) draws "
             "an observer's bands"

@@ -115,7 +115,7 @@ class Recording:
                 disorder or of a wrong sampling period, starts that are no numbers of samples.
         """
         if y is None and is_made(u):
-            return cls._again(model, u, starts, narrow)
+            return cls._of_recording(model, u, starts, narrow)
         is_one = u is y or y is None
         u = as_table(u, "u", model.inputs)
         if is_one and is_table(u):
@@ -193,7 +193,7 @@ class Recording:
         )
 
     @classmethod
-    def _again(cls, model: Named, given: Data, starts: ArrayLike, narrow: bool) -> "Recording":
+    def _of_recording(cls, model: Named, given: Data, starts: ArrayLike, narrow: bool) -> "Recording":
         """Return the Recording of something that is one already: its signals, by their names if it has names,
         and its time, gaps and labels.
         """

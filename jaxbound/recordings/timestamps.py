@@ -130,7 +130,7 @@ def stamp_kind(cell: str | None) -> str:
 
     Example:
         >>> cells = "2017-09-12 08:00", "20170912T080000", "12.09.2017", "20170912", "8:00 PM", "shift 2"
-    >>> [stamp_kind(cell) for cell in cells]
+        >>> [stamp_kind(cell) for cell in cells]
         ['stamp', 'stamp', 'day', 'digits', 'clock', '']
     """
     import pyarrow as pa
@@ -232,7 +232,7 @@ def time_label(seconds: float, stamp: np.datetime64 | None, step: float) -> str:
 
     Example:
         >>> start = np.datetime64("2017-09-12T08:00:00.500")
-    >>> time_label(0.30000000000000004, None, 0.01), time_label(0.0, start, 1.0)
+        >>> time_label(0.30000000000000004, None, 0.01), time_label(0.0, start, 1.0)
         ('0.3 s', '2017-09-12 08:00:00.500')
     """
     if stamp is not None:

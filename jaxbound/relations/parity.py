@@ -247,11 +247,11 @@ class ParityRelation(LinearRelations):
 
 
 @jax.jit
-def _forms(test: Reading, u: jax.Array, y: jax.Array) -> Forms:
+def _forms(reading: Reading, u: jax.Array, y: jax.Array) -> Forms:
     """Return the Forms (T, count) of the relations one by one."""
-    s, windows = test.horizon, test.windows(u, y)
-    mid, rad, _, known, _ = test.block(*windows)
-    samples = (windows[1] - test.offset_y[None, :, None]).reshape(-1, mid.shape[1])
+    s, windows = reading.horizon, reading.windows(u, y)
+    mid, rad, _, known, _ = reading.block(*windows)
+    samples = (windows[1] - reading.offset_y[None, :, None]).reshape(-1, mid.shape[1])
     samples = jnp.concatenate([samples, jnp.zeros_like(mid[len(samples) :])])  # nobody measures a disturbance
 
     def one(strip: tuple[jax.Array, ...]) -> Forms:
@@ -263,7 +263,7 @@ def _forms(test: Reading, u: jax.Array, y: jax.Array) -> Forms:
         driven = jnp.sum(jnp.where(k[:, None] == 0, 0, k[:, None] * known), 0)
         return total(h, samples) - driven, total(h, samples - mid), total(abs(h), rad)
 
-    strips = test.strips
+    strips = reading.strips
     external, centre, width = (x.T for x in jax.lax.map(one, (strips.rows, strips.h, strips.k)))
     return _from(s, external), _from(s, centre - width), _from(s, centre + width)
 
@@ -293,8 +293,7 @@ def parity_relations(
         progress: called with the share of the work done: many states or a long window take minutes.
         lags: samples before its last, 0 among them, at which a window looks at the outputs, in place of
             horizon: (0, 1, 2, 4, 8, 16, 32) remembers as long as 33 samples with the rows of 7. It uses every
-                input and disturbance between: an input that is missing
-            anywhere is missing.
+            input and disturbance between: an input that is missing anywhere is missing.
 
     Returns:
         A ParityRelation. "first" gives relations that span as few samples as possible, with coprime integers.

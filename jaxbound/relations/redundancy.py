@@ -189,7 +189,7 @@ def redundancy(model: ModelLike, method: str = "window") -> Redundancy:
 
     Example:
         >>> A, B, C = [[0, 0], [0, "1/2"]], [[1], [0]], [[1, 0], [0, 1], [1, 1]]
-    >>> m = LinearSystem(A, B, C, unknown_inputs=[[0], [1]])
+        >>> m = LinearSystem(A, B, C, unknown_inputs=[[0], [1]])
         >>> print(redundancy(m).text())
         r1: y1 + y2 - y3 = 0
         r2: q y1 - u1 = 0

@@ -246,7 +246,7 @@ def residual(
     Example:
         >>> import jaxbound as jb
         >>> # the gain is uncertain by 1 %, the sensor by 0.1
-    >>> drift = lambda z, u, y: y[1, 0] - (1 + z[0]) * y[0, 0] ** 2 - z[1]
+        >>> drift = lambda z, u, y: y[1, 0] - (1 + z[0]) * y[0, 0] ** 2 - z[1]
         >>> r = jb.residual(drift, jb.interval([-0.01, -0.1], [0.01, 0.1]), horizon=1)
         >>> [jb.Status(int(k)).name for k in jb.detect(r, None, [[1.0], [1.05], [1.3], [2.0]]).status]
         ['MISSING', 'CONSISTENT', 'FAULT', 'FAULT']

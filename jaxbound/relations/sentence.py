@@ -10,28 +10,16 @@ from jaxbound.models.window import bounded_sums, window_rows
 
 __all__ = [
     "few_lines",
-    "latched",
     "looked_at",
     "main_terms",
     "number_text",
     "relation_text",
-    "remembers",
     "row_name",
     "sample_names",
 ]
 
 FEW = 8
 """Relations that are shown at a prompt."""
-
-
-def remembers(relations: Relations) -> bool:
-    """Return whether verdicts rest on all samples before, as those of an observer, and not on windows."""
-    return relations.remembers
-
-
-def latched(relations: Relations) -> bool:
-    """Return whether a FAULT stays until a gap, as that of an observer that does not begin anew."""
-    return relations.latched
 
 
 def looked_at(relations: Reach) -> str:
@@ -72,8 +60,8 @@ def main_terms(relation: str, most: int = 6) -> str:
 def _largest(total: str, most: int) -> str:
     """Return a sum by its largest terms."""
     terms = _terms(total)
-    sizes = [_size(term) for _, term in terms]
-    kept = sorted(sorted(range(len(terms)), key=lambda i: -sizes[i])[:most])
+    by_size = sorted(range(len(terms)), key=lambda i: -_size(terms[i][1]))
+    kept = sorted(by_size[:most])
     text = ""
     for i in kept:
         sign, term = terms[i]

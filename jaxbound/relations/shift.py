@@ -165,7 +165,7 @@ def relation_text(row: Row, names: Sequence[str]) -> str:
 
     Example:
         >>> row = (Fraction(-2), Fraction(1)), (), (Fraction(0), Fraction(-3))
-    >>> relation_text(row, ("y1", "y2", "u1"))
+        >>> relation_text(row, ("y1", "y2", "u1"))
         '(q - 2) y1 - 3 q u1 = 0'
     """
     out = ""

@@ -435,25 +435,25 @@ def _floats(matrix: PolynomialMatrix, alphas: Sequence[Exponents], dtype: DTypeL
 
 
 @jax.jit
-def _polynomials(test: PolynomialReading, u: jax.Array, y: jax.Array) -> Polynomials:
-    return test.polynomials(u, y)
+def _polynomials(reading: PolynomialReading, u: jax.Array, y: jax.Array) -> Polynomials:
+    return reading.polynomials(u, y)
 
 
 @jax.jit
-def _forms(test: PolynomialReading, u: jax.Array, y: jax.Array) -> Forms:
+def _forms(reading: PolynomialReading, u: jax.Array, y: jax.Array) -> Forms:
     """Return the Forms (T, count): every monomial and noise at its worst by itself."""
-    s, count = test.horizon, y.shape[0] - test.horizon
+    s, count = reading.horizon, y.shape[0] - reading.horizon
     u, y = (jnp.stack([x[j : j + count].T for j in range(s + 1)]) for x in (u, y))
-    value, _, spread, rad = test.polynomials(u, y)
-    samples = (y - test.window.offset_y[None, :, None]).reshape(-1, count)
+    value, _, spread, rad = reading.polynomials(u, y)
+    samples = (y - reading.window.offset_y[None, :, None]).reshape(-1, count)
     none = jnp.zeros((), y.dtype)
-    known = (u[: test.lags] - test.window.offset_u[None, :, None]).reshape(-1, count)
-    external = sum(_products(test.N, samples), none) - sum(_products(test.K, known), none)
+    known = (u[: reading.lags] - reading.window.offset_u[None, :, None]).reshape(-1, count)
+    external = sum(_products(reading.N, samples), none) - sum(_products(reading.K, known), none)
     centre: jax.Array = value[:, 0]
     width: jax.Array | float = 0.0
     for j in range(len(rad)):
         width = width + abs(spread[:, :, j]).sum(1)[:, None] * rad[j][None]
-    for a, alpha in enumerate(test.exponents[1:], 1):
+    for a, alpha in enumerate(reading.exponents[1:], 1):
         half = 1.0
         if all(e % 2 == 0 for e in alpha):  # v^alpha is in [0, 1], else in [-1, 1]
             half = 0.5

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 
 from jaxbound.consistency.interface import Relations
-from jaxbound.diagnosis.again import again_said
 from jaxbound.diagnosis.alarms import Alarm, check_rule
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import bound_hints, unfit
 from jaxbound.diagnosis.result import Result
+from jaxbound.diagnosis.spot_checks import again_said
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.plots.plot import plot
 from jaxbound.plots.timeline import Timeline, plot_timeline
@@ -28,7 +28,7 @@ from jaxbound.recordings.selection import where_hints
 from jaxbound.recordings.signals import Named
 from jaxbound.recordings.stillness import signal_hints, windows_inside
 from jaxbound.recordings.timestamps import time_label
-from jaxbound.relations.sentence import latched, looked_at, remembers
+from jaxbound.relations.sentence import looked_at
 from jaxbound.runs.alarmbook import AlarmBook
 from jaxbound.runs.contradiction import REACHES, refuted_again
 from jaxbound.runs.judges import as_judged
@@ -104,7 +104,7 @@ class Digest:
     @property
     def _before(self) -> int:
         """How many samples before those of interest are read and tested with them."""
-        if remembers(self.relations):
+        if self.relations.remembers:
             return REACHES[1]
         return self.relations.horizon
 
@@ -131,7 +131,7 @@ class Digest:
         """Return the Certificate of the window that ends at sample k. See `Result.explain`, of an observer
         `refuted_again`.
         """
-        if remembers(self.relations):
+        if self.relations.remembers:
             return refuted_again(self.relations, self.data, k)[0]
         first = max(k - self._before, 0)
         r = self.data.read(first, k + 1)
@@ -160,7 +160,7 @@ def _(res: Digest, alarms: Sequence[Alarm]) -> Evidence:
         None,
         res.alarm_count,
         res.ended,
-        remembers=remembers(res.relations),
+        remembers=res.relations.remembers,
     )
 
 
@@ -335,9 +335,9 @@ def _seconds_at(piece: Recording, k: int) -> float:
 def _unfit_bounds(found: Digest) -> list[str]:
     """Return the sentences on bounds that do not fit the recording at all."""
     relations = found.relations
-    if latched(relations):
+    if relations.latched:
         return []
-    if remembers(relations):
+    if relations.remembers:
         return unfit(found.counts, np.nan, "samples")
     margin = np.nan
     if found.worst is not None:
@@ -347,7 +347,7 @@ def _unfit_bounds(found: Digest) -> list[str]:
 
 def _wrong_units(found: Digest) -> list[str]:
     """Return the sentences on signals that may be in another unit than the model's."""
-    if found.worst is None or not found.counts["FAULT"] or remembers(found.relations):
+    if found.worst is None or not found.counts["FAULT"] or found.relations.remembers:
         return []
     return unit_hints(found.around(found.worst[0])[0])
 

@@ -11,7 +11,7 @@ from jaxbound.diagnosis.detectability import always_seen
 from jaxbound.diagnosis.memory import slowest
 from jaxbound.diagnosis.result import Result
 from jaxbound.models.system import LinearSystem
-from jaxbound.relations.sentence import latched, looked_at, remembers
+from jaxbound.relations.sentence import looked_at
 from jaxbound.runs.digest import Digest
 from jaxbound.runs.summary import evidence
 
@@ -84,9 +84,9 @@ def _of_alarms(count: int, total: int) -> str:
 
 def sizes_text(res: Result | Digest, sizes: Mapping[str, float] | None) -> str:
     """Say from which size on windows are sure to show an error that lasts."""
-    if latched(res.relations):
+    if res.relations.latched:
         return "an observer is sure of no size that lasts"
-    if remembers(res.relations):
+    if res.relations.remembers:
         advice = "--latched keeps FAULT on behind what was contradicted"
         return f"an observer is sure of no size that lasts; {advice}"
     these = looked_at(res.relations)

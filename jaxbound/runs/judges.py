@@ -10,8 +10,8 @@ import numpy as np
 
 from jaxbound.consistency.interface import Judged, Observer, Relations
 from jaxbound.consistency.monitor import Monitor
-from jaxbound.diagnosis.again import COUNT, decided_again, judged_elsewhere
 from jaxbound.diagnosis.detection import detect
+from jaxbound.diagnosis.spot_checks import COUNT, decided_again, judged_elsewhere
 from jaxbound.files.checkpoint import as_texts, from_texts
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.loop import Laps, Memory

@@ -116,7 +116,7 @@ def _take_extremes(whole: np.ndarray, first: int, texts: list[str], extreme: np.
 
 def read_again(parts: Iterable[Path]) -> dict[str, int]:
     """Return {devices that judged: how many of their windows were decided again on the CPU}; see
-    `diagnosis.again`.
+    `diagnosis.spot_checks`.
     """
     counts: Counter[str] = Counter()
     for metadata in map(_metadata, parts):

@@ -50,10 +50,11 @@ def save_run(
     """Write run.json and tested_model.toml, with which `load_run` finds again what was tested.
 
     Args:
-        directory: of the report. model: that was tested. data: path of the recording. digest: its `content`,
-            taken before it was read for
-        the test: what was written in between can then not pass for it. method, horizon: of the test; options:
-            of an observer. outgrown: its windows were longer than those that the bounds were found for.
+        directory: of the report. model: that was tested. data: path of the recording.
+        digest: its `content`, taken before it was read for the test: what is written in between cannot pass
+            for it then.
+        method, horizon: of the test; options: of an observer.
+        outgrown: its windows were longer than those that the bounds were found for.
     """
     data, directory, text = Path(data).resolve(), Path(directory).resolve(), model_text(model).encode()
     named = str(data)

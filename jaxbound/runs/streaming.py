@@ -23,7 +23,6 @@ from jaxbound.models.fingerprint import fingerprint
 from jaxbound.recordings.contents import Digests
 from jaxbound.recordings.parquet import PARTIAL, VERDICTS, ParquetSource
 from jaxbound.relations.identity import identity
-from jaxbound.relations.sentence import remembers
 from jaxbound.runs.judges import Carried, Windows
 from jaxbound.runs.loop import Laps, follow
 from jaxbound.runs.outputs import OutputFolder
@@ -208,7 +207,7 @@ class _Judging:
     @property
     def follows(self) -> bool:
         """Whether a part needs the carry of all those before it."""
-        return remembers(self.relations) and self.overlap is None
+        return self.relations.remembers and self.overlap is None
 
     def note(self, number: int) -> dict[str, str]:
         """Return {name: text} of all that the verdicts in a part depend on, before any of it is read."""
@@ -273,7 +272,7 @@ class _Judging:
     def _judge(self, part: int, laps: Laps) -> Windows | Carried[Any]:
         """Return the judge of the samples from a part on."""
         done = part * self.size
-        if not remembers(self.relations):
+        if not self.relations.remembers:
             return Windows(self.relations, self.method, self.source.samples, done, laps)
         observer = self.relations.test(self.method, self.source.dtype)
         assert isinstance(observer, Observer), "what remembers is an observer"
@@ -305,7 +304,7 @@ def _job_of(
             f"{relations.horizon + 1}"
         )
     also: dict[str, str | int] = {}
-    if remembers(relations):
+    if relations.remembers:
         also["overlap"] = begins if begins is not None else "none"
     folder = out / PARTIAL
     if folder.exists() and not folder.is_dir():
@@ -327,14 +326,14 @@ def _job_of(
 def _begins(relations: Relations, part: tuple[int, int] | None, overlap: int | None) -> int | None:
     """Return how many samples before each part an observer of its own begins; refuse what is none."""
     if overlap is None:
-        if part is not None and remembers(relations):
+        if part is not None and relations.remembers:
             raise ValueError(
                 "an observer carries what it knows from each part to the next: they cannot be shared, unless "
                 "each part has an observer of its "
                 "own that begins so many samples earlier: give an overlap"
             )
         return None
-    if not remembers(relations):
+    if not relations.remembers:
         raise ValueError("overlap is for observers: windows know how far they reach back")
     if isinstance(overlap, bool) or not isinstance(overlap, int | np.integer) or overlap < 0:
         raise ValueError(f"overlap is a whole number of samples >= 0, not {overlap!r}")

@@ -12,7 +12,6 @@ from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.hints import unfit
 from jaxbound.diagnosis.result import Result
-from jaxbound.relations.sentence import remembers
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 from jaxbound.text.quantities import percent, times
@@ -261,7 +260,7 @@ def _(res: Result, alarms: Sequence[Alarm]) -> Evidence:
         first,
         len(alarms),
         dict(Counter(a.ended for a in alarms)),
-        remembers=remembers(res.relations),
+        remembers=res.relations.remembers,
     )
 
 

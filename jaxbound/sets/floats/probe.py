@@ -92,7 +92,7 @@ def refuse_unverified(*given: object) -> None:
 
 def refuse_other_modes() -> None:
     """Raise Unverified if this process does not round to the nearest float, or flushes small ones: all bounds
-    in `rounding` rest on that. all bounds in `rounding` rest on that.
+    in `rounding` rest on that.
 
     Importing some libraries for intervals (codac, for one) sets the processor to round upward from then on,
     in threads to come too.

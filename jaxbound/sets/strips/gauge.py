@@ -47,7 +47,7 @@ def gauge_search(
 
     Example:
         >>> G = jnp.array([[[2.0], [0.0]], [[0.0], [1.0]]])
-    >>> h, z, done = gauge_search(jnp.array([[1.0], [0.5]]), G, jnp.ones(1))
+        >>> h, z, done = gauge_search(jnp.array([[1.0], [0.5]]), G, jnp.ones(1))
         >>> float(jnp.abs(z).max()), bool(done[0])
         (0.5, True)
     """

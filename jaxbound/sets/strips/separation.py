@@ -1,6 +1,6 @@
 """The exchange search: is a window consistent, when its strips are too many to enumerate?
 
-Rows y = E x + K u with x eliminated (`exact.frame`) say y_outer = R y_inner + K u. Each true y lies in [m -
+Rows y = E x + K u with x eliminated (`exact.frames`) say y_outer = R y_inner + K u. Each true y lies in [m -
 r, m + r], so with z = m_outer - R m_inner - K u the rows are consistent iff some d has
 
     |d_i| <= r_i (inner rows),  |z_j - R_j d| <= r_j (outer rows)                      (primal)
@@ -36,7 +36,7 @@ from jax.typing import DTypeLike
 from jaxbound.exact.frames import ExactFrame
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.unrolled import FEW, foremost, stored, summed
-from jaxbound.sets.strips.exchange import WRITTEN_OUT, closeness, long_step, picked, reference, scaled
+from jaxbound.sets.strips.exchange_step import WRITTEN_OUT, closeness, long_step, picked, reference, scaled
 from jaxbound.sets.strips.tableau import tableau_search
 
 __all__ = [
@@ -59,7 +59,7 @@ Numbers: TypeAlias = jax.Array | np.ndarray
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """An `exact.Frame` in floats.
+    """An `ExactFrame` in floats.
 
     Fields: R (c, k), K (c, l) nearest to the exact ones; inner (k,), outer (c,) row numbers; used (c,) as
     there; real (k,): False where a column only fills up to a fixed width.
@@ -74,7 +74,7 @@ class Frame:
 
 
 def frame_of(exact_frame: ExactFrame, dtype: DTypeLike, width: int | None = None) -> Frame:
-    """Round an `exact.Frame`; fill its inner rows up to `width`."""
+    """Round an `ExactFrame`; fill its inner rows up to `width`."""
     c, k = len(exact_frame.outer), len(exact_frame.inner)
     width = k if width is None else width
     rounded = lambda rows: rounding.nearest_normals([x for row in rows for x in row], dtype).reshape(c, -1)

@@ -6,7 +6,7 @@ every circuit h,
 
     |sum_i h_i m_i - sum_j k_j v_j| <= sum_i |h_i| r_i                                        (strip)
 
-(Source: a zonotope is the intersection of the strips of its circuits; `golden` exactness theorem for Adrot
+(Source: a zonotope is the intersection of the strips of its circuits; the exactness theorem for Adrot
 2000.) The gauge is the largest ratio of the two sides; the margin is 1 - gauge.
 
 m, r and the magnitudes are sequences with one entry a row; an entry is a scalar (one window) or an array over

@@ -82,20 +82,20 @@ def _recorded(
     return recorded
 
 
-def _factors(test: Reading, u: Array, y: Array) -> jax.Array:
+def _factors(reading: Reading, u: Array, y: Array) -> jax.Array:
     """Return t (T - s, N) of all windows, differentiable; NaN where no combination has its data."""
-    count, N = y.shape[0] - test.horizon, y.shape[2]
+    count, N = y.shape[0] - reading.horizon, y.shape[2]
     # in a kernel these are traced
     inputs, outputs = cast("tuple[jax.Array, jax.Array]", (u, y))
-    us, ys = _windows(inputs, test.lags, count), _windows(outputs, test.horizon + 1, count)
-    if isinstance(test.shape, Frame):
-        flat = jnp.zeros((test.lags, 0, count * N), y.dtype)
+    us, ys = _windows(inputs, reading.lags, count), _windows(outputs, reading.horizon + 1, count)
+    if isinstance(reading.shape, Frame):
+        flat = jnp.zeros((reading.lags, 0, count * N), y.dtype)
         if us and us[0]:
             flat = jnp.stack([jnp.stack(row) for row in us])
-        mid, rad, _, known, _ = test.block(flat, jnp.stack([jnp.stack(row) for row in ys]))
-        return 1 - separation_margin(test.shape, mid, rad, known).reshape(count, N)
-    mids, rads, _, knowns, _ = test.rows(us, ys)
-    t: jax.Array = 1 - strip_margin(test.strips, stored(mids), stored(rads), knowns).reshape(count, N)
+        mid, rad, _, known, _ = reading.block(flat, jnp.stack([jnp.stack(row) for row in ys]))
+        return 1 - separation_margin(reading.shape, mid, rad, known).reshape(count, N)
+    mids, rads, _, knowns, _ = reading.rows(us, ys)
+    t: jax.Array = 1 - strip_margin(reading.strips, stored(mids), stored(rads), knowns).reshape(count, N)
     return stored(t)
 
 
@@ -107,13 +107,13 @@ def _windows(x: jax.Array, lags: int, count: int) -> list[list[jax.Array]]:
     return [[stored(x[j : j + count, i].reshape(-1)) for i in range(x.shape[1])] for j in range(lags)]
 
 
-def worst_factor(test: Reading, act: Act, onset: Array, u: Array, y: Array) -> tuple[Array, Array]:
+def worst_factor(reading: Reading, act: Act, onset: Array, u: Array, y: Array) -> tuple[Array, Array]:
     """Return (t of every window (T - s, N), -inf where the fault does not touch it; the largest of each
     scenario (N,)).
     """
-    t = _factors(test, u, y)
-    end = jnp.arange(t.shape[0])[:, None] + test.horizon
-    touched = (end >= onset[None]) & (end - test.horizon < (onset + act.length)[None])
+    t = _factors(reading, u, y)
+    end = jnp.arange(t.shape[0])[:, None] + reading.horizon
+    touched = (end >= onset[None]) & (end - reading.horizon < (onset + act.length)[None])
     t = jnp.where(touched & ~jnp.isnan(t), t, -jnp.inf)
     return t, jnp.max(t, 0)
 
@@ -121,7 +121,7 @@ def worst_factor(test: Reading, act: Act, onset: Array, u: Array, y: Array) -> t
 @partial(jax.jit, static_argnums=(0, 8))
 def attack_block(
     course: kernel.Course,
-    test: Reading,
+    reading: Reading,
     plant: FloatPlant,
     act: Act,
     limits: Array,
@@ -145,7 +145,7 @@ def attack_block(
         return _recorded(course, act, plant, inputs, size, onset, u, xi, extra)
 
     def loss(xi: jax.Array, tau: jax.Array) -> tuple[jax.Array, Array]:
-        t, worst = worst_factor(test, act, onset, *recorded(xi))
+        t, worst = worst_factor(reading, act, onset, *recorded(xi))
         top = jax.lax.stop_gradient(jnp.where(jnp.isfinite(worst), worst, 0))
         shares = jnp.where(t > -jnp.inf, jnp.exp((t - top[None]) / tau), 0)
         smooth = tau * jnp.log(jnp.sum(shares, 0) + 1e-300)
@@ -165,7 +165,7 @@ def attack_block(
 
     start = xi, jnp.zeros_like(xi), xi, jnp.full_like(size, jnp.inf)
     (xi, _, best, least), _ = jax.lax.scan(descend, start, jnp.arange(steps, dtype=size.dtype))
-    _, worst = worst_factor(test, act, onset, *recorded(xi))
+    _, worst = worst_factor(reading, act, onset, *recorded(xi))
     best = jnp.where((worst < least)[None, None], xi, best)
     us, ys = recorded(best)
     return jnp.moveaxis(us, 2, 0), jnp.moveaxis(ys, 2, 0), onset

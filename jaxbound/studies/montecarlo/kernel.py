@@ -159,7 +159,7 @@ def recorded_input(u: Array | None, inputs: Array, k: Array, course: Course) -> 
 @partial(jax.jit, static_argnums=0)
 def count_block(
     course: Course,
-    test: Reading,
+    reading: Reading,
     plant: FloatPlant,
     act: Act,
     limits: Array,
@@ -170,8 +170,8 @@ def count_block(
     """Simulate and test N scenarios.
 
     Args:
-        course: a Course. test: a Reading with Strips. plant, act: see `recursion`, `scenarios`. limits: (m,
-            2) of the inputs.
+        course: a Course. reading: a Reading with Strips. plant, act: see `recursion`, `scenarios`.
+        limits: (m, 2) of the inputs.
         u: None, or (T, m) inputs for all. key: (2,) uint32. numbers: (N,) uint32, of the scenarios.
 
     Returns:
@@ -179,7 +179,7 @@ def count_block(
             samples from the onset to the
         end of the first FAULT window that the fault touches, -1 if there is none; onset. All (N,) int32.
     """
-    strips, s, (n, m, p, _) = test.shape, test.horizon, plant.shape
+    strips, s, (n, m, p, _) = reading.shape, reading.horizon, plant.shape
     assert isinstance(strips, Strips), "many circuits are no work for this kernel"
     pair = key[0], key[1]
     inputs, size, onset = prepared(course, act, limits, pair, numbers)
@@ -194,8 +194,8 @@ def count_block(
         hits = hits + (fault & (end - s >= onset) & (end < stop))
         false = false + (fault & ~touched)
         delay = jnp.where(fault & touched & (delay < 0), end - onset, delay)
-        mid, rad, scale, known, known_scale = test.rows(us[: test.lags], ys)
-        margin = strip_verdict(strips, mid, rad, scale, known, known_scale, test.lift)
+        mid, rad, scale, known, known_scale = reading.rows(us[: reading.lags], ys)
+        margin = strip_verdict(strips, mid, rad, scale, known, known_scale, reading.lift)
         u_now = recorded_input(u, inputs, k, course)
         unknowns = unknown_draws(course, act, plant, pair, numbers, k)
         x, y, held = move(act, plant, unknowns, size, onset, u_now, k, x, held)

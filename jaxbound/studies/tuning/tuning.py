@@ -179,7 +179,7 @@ def tune(
         >>> import jaxbound as jb
         >>> r = jb.parity_relations(jb.LinearSystem([[0.5]], None, [[1]], noise=0.1))
         >>> # |y[k-1] - 2 y[k]| <= 3 noise
-    >>> res = tune(r, (None, [[1.0], [0.8], [0.3]]), steps=0, safety=1.5)
+        >>> res = tune(r, (None, [[1.0], [0.8], [0.3]]), steps=0, safety=1.5)
         >>> round(res.scale, 6), res.bounds["noise"], res.counts["FAULT"]
         (2.0, array([0.3001]), 0)
     """

@@ -9,8 +9,8 @@ import pytest
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.diagnosis import again
-from jaxbound.diagnosis.again import again_hints, decided_again
+from jaxbound.diagnosis import spot_checks
+from jaxbound.diagnosis.spot_checks import again_hints, decided_again
 from jaxbound.sets.floats.status import Status
 
 
@@ -51,9 +51,9 @@ def test_a_report_says_so_where_another_device_judged(judged, monkeypatch):
         platform = "gpu"
 
     assert again_hints(judged) == ()
-    monkeypatch.setattr(again, "usable_devices", lambda: (Card(),))
+    monkeypatch.setattr(spot_checks, "usable_devices", lambda: (Card(),))
     (said,) = again_hints(judged)
-    count = min(again.COUNT, int((judged.status != Status.MISSING).sum()))
+    count = min(spot_checks.COUNT, int((judged.status != Status.MISSING).sum()))
     assert (
         said
         == f"judged on gpu; {count} windows drawn at random were decided again on the CPU, and none differs"
