@@ -194,7 +194,7 @@ def evaluate_validation(
     res = judge.verdicts
     alarms = res.alarms(*alarm)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
-    reaches = outgrown(plant, res, "validation")
+    reaches = outgrown(plant, looks_back="validation")
     hints = (*recording.hints, *bound_hints(plant), *reaches, *_assumptions(res, recording))
     summary = summarised(res, alarms, recording.label, min_coverage, hints, outgrown=bool(reaches))
     close_all(sinks, Outcome(alarms, summary, plant, Path(data), content, options.method, horizon))

@@ -81,13 +81,13 @@ def outgrown(model: LinearSystem, relations: Relations | None = None, looks_back
     horizon, origins = model.horizon, " ".join(map(str, model.provenance.values()))
     if model.lags:
         horizon = model.lags[-1]
-    if relations is None or horizon is None or not ("fitted" in origins or "tuned" in origins):
+    if horizon is None or not ("fitted" in origins or "tuned" in origins):
         return []
-    if not looks_back and relations.remembers:
+    if not looks_back and relations is not None and relations.remembers:
         looks_back = "an observer"
     if looks_back:
         return [f"{FOR.format(horizon + 1)} and {looks_back} looks back on all samples: {MAY}"]
-    if relations.horizon <= horizon:
+    if relations is None or relations.horizon <= horizon:
         return []
     again = f"--horizon {relations.horizon}"
     if relations.lags:

@@ -20,7 +20,8 @@ import numpy as np
 
 from jaxbound.consistency.interface import Judged, Observer, Relations
 from jaxbound.diagnosis.result import Result, result_of
-from jaxbound.estimation.set_observer import CarriedState, SetObserver
+from jaxbound.estimation.observation import CarriedState
+from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.files.checkpoint import Checkpoint
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import TOLERATED_STEP
