@@ -31,11 +31,14 @@ def recordings():
     return np.array(found.u), y
 
 
-TWO_OUTPUTS = PLANT.replace(
-    C=[[1, 0], ["0.3", "0.5"]], D=[[0], [0]], noise=["0.1", "0.05"], tolerance=["0.01", 0]
+TWO_OUTPUTS = jb.LinearSystem(
+    PLANT.A,
+    PLANT.B,
+    [[1, 0], ["0.3", "0.5"]],
+    noise=["0.1", "0.05"],
+    tolerance=["0.01", 0],
+    disturbance=([[1], ["0.5"]], "0.02"),
 )
-SLOW = pytest.mark.slow
-"""Of methods whose kernels take long to compile for one more plant."""
 
 
 def same(a, b):
@@ -80,9 +83,8 @@ def test_enclosures_are_the_same_beside_others(method, recordings):
         same((a[:3], b[2]), (b, c))
 
 
-@pytest.mark.parametrize(
-    "method", ["strips", *(pytest.param(name, marks=SLOW) for name in ("zonotope", "constrained", "joint"))]
-)
+@pytest.mark.slow  # kernels of one more plant
+@pytest.mark.parametrize("method", METHODS)
 def test_outputs_that_are_met_one_after_the_other_are_the_same_beside_others(method, rng):
     u = rng.normal(size=(COUNT, 20, 1))
     y = np.array(jb.simulate(TWO_OUTPUTS, u, jax.random.key(27), at="vertices").y)
