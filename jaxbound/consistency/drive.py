@@ -116,7 +116,7 @@ def windows(
         test, progress, size: as for `drive`. u: (..., T, m). y: (..., T, p). starts: of that Recording.
     """
     flat_u, flat_y, block = _end_to_end(u), _end_to_end(y), size or test.block
-    judged = test.judged(raw_outputs(test, u, y, starts, progress, block))
+    judged = test.judged(_filled(test, flat_u, flat_y, y.shape[:-1], starts, progress, block))
     if test.twice or is_outside_xla():
         return judged
 
@@ -135,11 +135,23 @@ def raw_outputs(
     size: int | None = None,
 ) -> list[np.ndarray]:
     """Return the `outputs` (..., T) of a test, before a FAULT is confirmed; arguments as of `windows`."""
-    shape = y.shape[:-1]
+    flat_u, flat_y = _end_to_end(u), _end_to_end(y)
+    return _filled(test, flat_u, flat_y, y.shape[:-1], starts, progress, size or test.block)
+
+
+def _filled(
+    test: WindowTest,
+    u: np.ndarray,
+    y: np.ndarray,
+    shape: tuple[int, ...],
+    starts: np.ndarray,
+    progress: Progress | None,
+    size: int,
+) -> list[np.ndarray]:
+    """Return the `outputs` (*shape) of a test of samples that are laid end to end."""
     length, report = shape[-1], _rising(progress)
     fill = _gathered if test.gathered else _stretches
-    endless = _endless(starts, test.horizon, length)
-    outs = fill(test, _end_to_end(u), _end_to_end(y), length, endless, size or test.block, report)
+    outs = fill(test, u, y, length, _endless(starts, test.horizon, length), size, report)
     report(1.0)
     return [out.reshape(shape) for out in outs]
 
