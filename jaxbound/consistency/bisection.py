@@ -6,7 +6,7 @@ last digits put outside is UNDECIDED.
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -15,9 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
-from jaxbound.consistency.gridding import whole_windows
-from jaxbound.consistency.interface import Arrays, Budget, Cases, Relations, Run, WindowTest
-from jaxbound.consistency.reading import Block
+from jaxbound.consistency.gridding import BoxTest
+from jaxbound.consistency.interface import Budget, Relations
 from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
@@ -69,7 +68,7 @@ class _Thick:
         return enclosure
 
 
-class BisectionTest(WindowTest):
+class BisectionTest(BoxTest):
     """Bisects the unknowns of a residual: FAULT and CONSISTENT are proofs. No gauge is measured, the margin
     is NaN.
 
@@ -81,9 +80,7 @@ class BisectionTest(WindowTest):
     """
 
     relations: ResidualRelations
-    padded = sharded = False
     block, short = 2**13, 2**8
-    constants = None
 
     def __init__(
         self, relations: ResidualRelations, method: str, dtype: DTypeLike, budget: Budget = None
@@ -96,18 +93,6 @@ class BisectionTest(WindowTest):
     def lags(self) -> int:
         """How many samples of u a window has: all."""
         return self.horizon + 1
-
-    def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Cases:
-        """Leave out windows with missing samples."""
-        return whole_windows(self, u, y, starts)
-
-    def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
-        """Return (status, margin) of windows."""
-        judged = []
-        for u, y in blocks:
-            status = self._judged(np.moveaxis(u, -1, 0), np.moveaxis(y, -1, 0))
-            judged.append((status, np.full(len(status), np.nan, self.dtype)))
-        return judged
 
     def margins(self, given: Recording) -> jax.Array:
         """Raise NotImplementedError: the unknowns of a residual are a box, not a set of half-widths."""

@@ -35,7 +35,7 @@ from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.intervals.interval import Interval, interval, matmul, sub
 from jaxbound.sets.paving.paving import reaches
 
-__all__ = ["PavingTest", "internal_form", "whole_windows"]
+__all__ = ["BoxTest", "PavingTest", "internal_form"]
 
 BUDGET = 3, 100_000
 """(q, boxes a window) of a paving where nothing else is asked."""
@@ -72,7 +72,30 @@ def internal_form(
     return matmul(Interval(W_lo, W_hi), mu)
 
 
-class PavingTest(LinearTest):
+class BoxTest(WindowTest):
+    """One way to decide whole windows, with every sample, by boxes of their unknowns; without a margin."""
+
+    padded = sharded = False
+    constants = None
+
+    def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Cases:
+        """Leave out windows with missing samples."""
+        return _whole_windows(self, u, y, starts)
+
+    def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
+        """Return (status, margin) of windows."""
+        judged = []
+        for u, y in blocks:
+            status = self._judged(np.moveaxis(u, -1, 0), np.moveaxis(y, -1, 0))
+            judged.append((status, np.full(len(status), np.nan, self.dtype)))
+        return judged
+
+    def _judged(self, U: np.ndarray, Y: np.ndarray) -> np.ndarray:
+        """Return the status of windows U (N, lags, m), Y (N, s + 1, p)."""
+        raise NotImplementedError
+
+
+class PavingTest(BoxTest, LinearTest):
     """Paves the unknowns of each window: FAULT is a proof, anything else UNDECIDED. No gauge is measured, the
     margin is NaN.
 
@@ -80,9 +103,7 @@ class PavingTest(LinearTest):
         budget: (q, boxes): stop at r > q - 1, and after so many boxes a window; None: `BUDGET`.
     """
 
-    padded = sharded = False
     block = short = 2**14
-    constants = None
 
     def __init__(self, relations: LinearRelations, dtype: DTypeLike, budget: Budget = None) -> None:
         super().__init__(relations, "paving", dtype)
@@ -97,18 +118,6 @@ class PavingTest(LinearTest):
     def lags(self) -> int:
         """How many samples of u a window has."""
         return input_lags(self.relations.model, self.horizon)
-
-    def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Cases:
-        """Leave out windows with missing samples."""
-        return whole_windows(self, u, y, starts)
-
-    def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
-        """Return (status, margin) of windows."""
-        judged = []
-        for u, y in blocks:
-            status = self._judged(np.moveaxis(u, -1, 0), np.moveaxis(y, -1, 0))
-            judged.append((status, np.full(len(status), np.nan, self.dtype)))
-        return judged
 
     def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """Return (N,) bool: which windows one strip contradicts, in NumPy: what is excluded by boxes is by
@@ -152,7 +161,7 @@ class PavingTest(LinearTest):
         return status[:windows]
 
 
-def whole_windows(test: WindowTest, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Cases:
+def _whole_windows(test: WindowTest, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Cases:
     """Return the cases of a test that takes whole windows alone: what is missing makes a window MISSING, what
     is infinite UNDECIDED.
     """
