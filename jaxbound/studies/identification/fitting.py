@@ -17,6 +17,7 @@ from functools import partial
 
 import numpy as np
 
+from jaxbound.models.numbers import is_whole
 from jaxbound.models.system import LinearSystem, whole_lags
 from jaxbound.relations.parity import parity_relations
 from jaxbound.sets.floats.probe import refuse_unverified
@@ -190,9 +191,9 @@ def _check_options(
     order: int, horizon: int, safety: float, held_out: float, method: str, average: int | None
 ) -> None:
     """Raise ValueError if an option is out of range."""
-    if not _is_whole(order) or order < 1:
+    if not is_whole(order) or order < 1:
         raise ValueError(f"order must be a whole number >= 1, not {order!r}")
-    if not _is_whole(horizon) or horizon <= order:
+    if not is_whole(horizon) or horizon <= order:
         raise ValueError(f"horizon must be a whole number above the order ({order}), not {horizon!r}")
     if not (np.isfinite(safety) and safety >= 1):
         raise ValueError(f"safety must be a factor >= 1, not {safety!r}")
@@ -200,14 +201,10 @@ def _check_options(
         raise ValueError(f"held_out must be a share from 0 to below 1, not {held_out!r}")
     if method not in ("auto", *KINDS):
         raise ValueError(f"method must be auto, {', '.join(KINDS)}, not {method!r}")
-    if average is not None and not (_is_whole(average) and 2 <= average <= horizon + 1):
+    if average is not None and not (is_whole(average) and 2 <= average <= horizon + 1):
         raise ValueError(
             f"average must be a whole number from 2 to the {horizon + 1} samples of a window, not {average!r}"
         )
-
-
-def _is_whole(x: object) -> bool:
-    return isinstance(x, int | np.integer) and not isinstance(x, bool)
 
 
 def _unseen_with_means(
