@@ -169,7 +169,7 @@ def test_a_state_is_a_tree_of_numpy_arrays_that_a_file_holds(rng):
 
 
 def test_windows_without_a_sample_keep_their_frames_and_the_shapes_of_whole_ones(rng, monkeypatch):
-    """Each frame takes milliseconds of fractions, each shape seconds of compiling: a stream waits for both."""
+    """A frame takes milliseconds of fractions, a shape seconds of compiling: a stream waits for both."""
     r = jb.parity_relations(paper(), 20)
     u, y = recording(rng, r.model, 70, spread=0.5)
     made, mon = [], Monitor(r)
