@@ -39,9 +39,20 @@ def outside_xla(active: bool = True) -> Iterator[None]:
     before = is_outside_xla()
     _state.outside = active
     try:
-        yield
+        with _on_the_host(active):
+            yield
     finally:
         _state.outside = before
+
+
+def _on_the_host(active: bool) -> contextlib.AbstractContextManager[object]:
+    """Return a context in which nothing that is proved outside XLA has passed through a card, if active."""
+    if not active or jax.default_backend() == "cpu":
+        return contextlib.nullcontext()
+    try:
+        return jax.default_device(jax.local_devices(backend="cpu")[0])
+    except RuntimeError:  # a process without a CPU device
+        return contextlib.nullcontext()
 
 
 class Kernel:
