@@ -421,7 +421,11 @@ class _Gathering:
 
 
 def _placed(test: WindowTest, devices: Devices) -> object:
-    """Return the constants of a test on devices; a test remembers them."""
+    """Return the constants of a test on devices; a test remembers them. Outside XLA they are those of the
+    host, which no device has copied.
+    """
+    if is_outside_xla():
+        return test.constants
     if devices not in test.placed:
         test.placed[devices] = everywhere(test.constants, devices)
     return test.placed[devices]

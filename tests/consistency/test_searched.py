@@ -6,11 +6,12 @@ import warnings
 
 import numpy as np
 import pytest
-from lying_device import lying, unexamined
+from lying_device import Lies, lying, unexamined
 from systems import paper
 from test_twice import METHODS, RELATIONS, healthy
 
 import jaxbound as jb
+from jaxbound.consistency.parametric import ParametricTest
 from jaxbound.consistency.searched import NOT_REFUTED
 from jaxbound.consistency.twice import Doubtful
 from jaxbound.sets.floats import probe
@@ -132,6 +133,18 @@ def test_no_other_settings_are_asked_of_a_device_that_searches(rng):
     with unexamined(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(probe, "refuse_unverified", None)
         assert (jb.detect(relations, u, y).status == Status.FAULT).any()
+
+
+def test_what_a_device_copied_wrongly_proves_nothing(rng):
+    """Numbers of uncertain relations are placed once and lie on the device."""
+    relations = RELATIONS["uncertain"]()
+    u, y = healthy("uncertain", relations.model, rng, 4, 60)
+    lies = Lies(0.5)
+    copied = property(lambda test: lies.about((), test.reading))
+    with unexamined(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ParametricTest, "_on_device", copied)
+        status = judged("uncertain", relations, u, y).status
+    assert lies.told and not np.isin(status, (Status.FAULT, Status.CONSISTENT)).any()
 
 
 @pytest.mark.long
