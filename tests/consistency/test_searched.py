@@ -3,19 +3,23 @@ what the samples say. Also where the device lies.
 """
 
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 
+import jax
 import numpy as np
 import pytest
-from lying_device import Lies, lying, unexamined
+from lying_device import lying, unexamined
 from systems import paper
 from test_twice import METHODS, RELATIONS, healthy
 
 import jaxbound as jb
+from jaxbound.consistency import drive
 from jaxbound.consistency.parametric import ParametricTest
 from jaxbound.consistency.searched import NOT_REFUTED
 from jaxbound.consistency.twice import Doubtful
 from jaxbound.sets.floats import probe
 from jaxbound.sets.floats.status import Status
+from jaxbound.sets.floats.threads import inherited
 
 OBSERVERS = "observer", "constrained", "joint"
 WINDOWS = [name for name in RELATIONS if name not in OBSERVERS]
@@ -135,16 +139,34 @@ def test_no_other_settings_are_asked_of_a_device_that_searches(rng):
         assert (jb.detect(relations, u, y).status == Status.FAULT).any()
 
 
-def test_what_a_device_copied_wrongly_proves_nothing(rng):
-    """Numbers of uncertain relations are placed once and lie on the device."""
-    relations = RELATIONS["uncertain"]()
-    u, y = healthy("uncertain", relations.model, rng, 4, 60)
-    lies = Lies(0.5)
-    copied = property(lambda test: lies.about((), test.reading))
-    with unexamined(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ParametricTest, "_on_device", copied)
-        status = judged("uncertain", relations, u, y).status
-    assert lies.told and not np.isin(status, (Status.FAULT, Status.CONSISTENT)).any()
+def miscopied(numbers):
+    """Return other numbers of the same shapes, such as a device may hold that copied them wrongly."""
+    rng = np.random.default_rng(0)
+
+    def other(x):
+        x = np.asarray(x)
+        return x * rng.lognormal(0, 0.5, x.shape).astype(x.dtype) if x.dtype.kind == "f" and x.ndim else x
+
+    return jax.tree.map(other, numbers)
+
+
+@pytest.mark.parametrize("name", ["constant", "uncertain"])
+def test_what_a_device_copied_wrongly_proves_nothing(name, rng):
+    """Numbers of relations are placed once and lie on the device."""
+    relations = RELATIONS[name]()
+    u, y = healthy(name, relations.model, rng, 4, 60)
+    with unexamined(), pytest.MonkeyPatch.context() as patch, pytest.warns(Doubtful):
+        patch.setattr(ParametricTest, "_on_device", property(lambda test: miscopied(test.reading)))
+        patch.setattr(drive, "everywhere", lambda constants, devices: miscopied(constants))
+        status = jb.detect(relations, u, y).status
+    assert not np.isin(status, (Status.FAULT, Status.CONSISTENT)).any()
+
+
+def test_a_thread_searches_where_the_thread_that_asks_does():
+    with probe.searching(), ThreadPoolExecutor(1) as threads:
+        assert threads.submit(inherited(probe.is_searching)).result()
+        assert not threads.submit(probe.is_searching).result()
+    assert not probe.is_searching()
 
 
 @pytest.mark.long
