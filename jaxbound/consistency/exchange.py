@@ -20,6 +20,7 @@ from jaxbound.consistency import whole_numbers
 from jaxbound.consistency.interface import (
     Again,
     Arrays,
+    Cases,
     Judged,
     LinearRelations,
     LinearTest,
@@ -27,6 +28,7 @@ from jaxbound.consistency.interface import (
     Outs,
     Progress,
     Run,
+    WindowTest,
 )
 from jaxbound.consistency.reading import Block, Reading, RowValues, gather
 from jaxbound.consistency.strips_on_host import contradicted_by
@@ -55,6 +57,10 @@ PATIENCE = 10
 """Exchanges per inner row after which a search is given up; it takes 2 to 4."""
 LARGE = 2048
 """Numbers of a window that an exchange changes, above which fewer stand side by side."""
+KEPT = 128
+"""Frames for windows that lack samples that a test keeps: those used last."""
+TOUCHED = 2**14
+"""Windows at once in which missing samples are looked for."""
 FINER = (1.0, 3e-4, 1e-5, 0.03, 0.0, 0.3, 1e-4, 3e-6, 3e-3)
 """Searches after which a window stays undecided, see `separation_search`: one in some thousands needs more
 than the first.
@@ -78,7 +84,8 @@ class ExchangeTest(LinearTest):
 
     Args:
         reading: how kernels read a window, with the frame of this search; None: that of the relations. steps,
-            finer: of `separation.separation_search`.
+            finer: of `separation.separation_search`. frames: made for windows that lack samples, kept from
+            call to call; None: none yet.
     """
 
     threads = twice = True
@@ -91,9 +98,11 @@ class ExchangeTest(LinearTest):
         reading: Reading | None = None,
         steps: int | None = None,
         finer: float = 1.0,
+        frames: "_Frames | None" = None,
     ) -> None:
         super().__init__(relations, "joint", dtype)
         self.finer = finer
+        self.frames = _Frames(self.exact_frame) if frames is None else frames
         if reading is not None:
             self.reading = reading
         self.steps = 2 * len(self.exact_frame.inner) + 6 if steps is None else steps
@@ -119,6 +128,30 @@ class ExchangeTest(LinearTest):
     def outputs(self) -> Outputs:
         """The margins, whose sign is the verdict."""
         return ((self.dtype, np.nan),)
+
+    def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Cases:
+        """Return [(test, starts)]: the windows that lack a sample on which the search is built, by frames
+        without it, then all others.
+        """
+        lacking = _lacking(self.reading, self.exact_frame, u, y, starts)
+        cases: list[tuple[WindowTest, np.ndarray]] = []
+        for made, chosen in self._frames(u, y, starts[lacking]):
+            case = self._searching(_Framed, made, self.steps, self.finer)
+            cases.append((case, starts[lacking][chosen]))
+        if len(starts):
+            cases.append((self, starts[~lacking]))
+        return cases
+
+    def _searching(
+        self, kind: "type[ExchangeTest]", made: "_Made", steps: int, finer: float
+    ) -> "ExchangeTest":
+        """Return a test by another frame, or another search; it is kept with the frame."""
+        key = kind, self.dtype, steps, finer
+        if key not in made.tests:
+            shape = rounded_frame(self.relations, made.frame, self.dtype)
+            reading = dataclasses.replace(self.reading, shape=shape)
+            made.tests[key] = kind(self.relations, self.dtype, reading, steps, finer, self.frames)
+        return made.tests[key]
 
     def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return (margin, open): proofs, in a second kernel, of the hints of a first one; between them are
@@ -169,17 +202,20 @@ class ExchangeTest(LinearTest):
         """Decide in whole numbers what rounding leaves open far from the boundary; search on for the rest,
         with frames that fit the samples that are there.
         """
-        (margin,), s = outs, self.horizon
+        (margin,) = outs
         self._whole_numbers(u, y, margin)
+        self._search_on(u, y, margin, left, again)
+
+    def _search_on(
+        self, u: np.ndarray, y: np.ndarray, margin: np.ndarray, left: np.ndarray, again: Again
+    ) -> None:
+        """Search for longer, and more finely."""
         steps = PATIENCE * (len(self.exact_frame.inner) + 10)
-        for frame, chosen in self._frames(u, y, left):
-            starts, reading = left[chosen], self.reading
-            if frame is not self.exact_frame:
-                shape = rounded_frame(self.relations, frame, self.dtype)
-                reading = dataclasses.replace(reading, shape=shape)
+        for made, chosen in self._frames(u, y, left):
+            starts = left[chosen]
             for finer in FINER:
-                starts = again(ExchangeTest(self.relations, self.dtype, reading, steps, finer), starts)
-                starts = starts[margin[starts + s] == 0]  # what is proved needs no other search
+                starts = again(self._searching(ExchangeTest, made, steps, finer), starts)
+                starts = starts[margin[starts + self.horizon] == 0]  # what is proved needs no other search
                 if not len(starts):
                     break
 
@@ -199,19 +235,17 @@ class ExchangeTest(LinearTest):
         if not len(starts):
             return
         starts = starts[whole_numbers.thin(self.reading, *self._gather(u, y, starts))]
-        for frame, chosen in self._frames(u, y, starts):
+        for made, chosen in self._frames(u, y, starts):
             windows = gather(u, y, starts[chosen], self.lags, self.horizon)
-            proved = whole_numbers.exact_search(self.relations, self.reading, frame, *windows)
+            proved = whole_numbers.exact_search(self.relations, self.reading, made.frame, *windows)
             margin[starts[chosen] + self.horizon] = proved
 
     def _gather(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Block:
         u, y = gather(u, y, starts, self.lags, self.horizon)
         return u, self.reading.seen(y)
 
-    def _frames(
-        self, u: np.ndarray, y: np.ndarray, starts: np.ndarray
-    ) -> list[tuple[ExactFrame, np.ndarray]]:
-        """Return [(exact frame, numbers of windows)]: for every window a frame whose inner rows and inputs it
+    def _frames(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> "list[tuple[_Made, np.ndarray]]":
+        """Return [(frame, numbers of windows)]: for every window a frame whose inner rows and inputs it
         has.
         """
         if not len(starts):
@@ -220,34 +254,92 @@ class ExchangeTest(LinearTest):
         missing = np.isnan(inputs).reshape(-1, len(starts)).T
         absent = self.reading.window.absent(outputs).T
         patterns, which = np.unique(np.concatenate([absent, missing], 1), axis=0, return_inverse=True)
-        frames, numbers = _Frames(self.exact_frame), []
-        for pattern in patterns:
+        by_frame: dict[_Made, list[int]] = {}
+        for number, pattern in enumerate(patterns):
             rows, lost = np.split(pattern, [absent.shape[1]])
-            numbers.append(frames.number(np.flatnonzero(rows).tolist(), np.flatnonzero(lost).tolist()))
-        chosen = np.array(numbers)[which.ravel()]
-        return [(frames.all[i], np.flatnonzero(chosen == i)) for i in np.unique(chosen).tolist()]
+            made = self.frames.fitting(np.flatnonzero(rows).tolist(), np.flatnonzero(lost).tolist())
+            by_frame.setdefault(made, []).append(number)
+        return [(made, np.flatnonzero(np.isin(which.ravel(), own))) for made, own in by_frame.items()]
+
+
+class _Framed(ExchangeTest):
+    """The first search for windows that lack samples; what is thin they leave to the test whose case they
+    are.
+    """
+
+    def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Cases:
+        """Return the windows given: their frame fits."""
+        return [(self, starts)]
+
+    def settle(
+        self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress
+    ) -> None:
+        """Search on; whole numbers are asked once for all windows of a recording."""
+        (margin,) = outs
+        self._search_on(u, y, margin, left, again)
+
+
+@dataclasses.dataclass(eq=False)
+class _Made:
+    """A frame for windows that lack samples. Fields: frame; inputs: those that it was made without; tests:
+    by kind, dtype, steps and fineness.
+    """
+
+    frame: ExactFrame
+    inputs: tuple[int, ...]
+    tests: dict[tuple[type[ExchangeTest], np.dtype, int, float], ExchangeTest] = dataclasses.field(
+        default_factory=dict
+    )
 
 
 class _Frames:
-    """Frames for windows that lack samples, made when they are first asked for.
+    """Frames for windows that lack samples, made when they are first asked for, and kept: in fractions they
+    take some milliseconds.
 
-    Fields: all: the frames; by_inputs: {inputs that are missing: numbers of the frames made without these}.
+    Fields: made: the frames, those used last first; the whole one among them.
     """
 
     def __init__(self, whole: ExactFrame) -> None:
-        self.all = [whole]
-        self.by_inputs: dict[tuple[int, ...], list[int]] = {(): [0]}
+        self.whole = _Made(whole, ())
+        self.made = [self.whole]
 
-    def number(self, rows: list[int], inputs: list[int]) -> int:
-        """Return the number of a frame without these rows and inputs."""
+    def fitting(self, rows: list[int], inputs: list[int]) -> _Made:
+        """Return a frame without these rows and inputs."""
         gone, missing = set(rows), tuple(inputs)
-        made = self.by_inputs.setdefault(missing, [])
-        for number in made:
-            if _fits(self.all[number], gone, missing):
-                return number
-        self.all.append(reframe(self.all[0], gone, missing))
-        made.append(len(self.all) - 1)
-        return made[-1]
+        if not gone and not missing:
+            return self.whole
+        made = self._kept(gone, missing)
+        if made is None:
+            made = _Made(reframe(self.whole.frame, gone, missing), missing)
+        others = [other for other in self.made if other is not made]
+        self.made = [made, *others][:KEPT]
+        return made
+
+    def _kept(self, gone: set[int], missing: tuple[int, ...]) -> _Made | None:
+        for made in self.made:
+            if made.inputs == missing and _fits(made.frame, gone, missing):
+                return made
+        return None
+
+
+def _lacking(
+    reading: Reading, frame: ExactFrame, u: np.ndarray, y: np.ndarray, starts: np.ndarray
+) -> np.ndarray:
+    """Return which windows that start at `starts` lack an inner row of a frame, or an input that it needs."""
+    lacking = np.zeros(len(starts), bool)
+    gone = np.isnan(u).any(1) | np.isnan(y).any(1)
+    if not gone.any():
+        return lacking
+    so_far = np.concatenate([[0], np.cumsum(gone)])
+    touched = np.flatnonzero(so_far[starts + reading.horizon + 1] > so_far[starts])
+    inner = list(frame.inner)
+    needed = [b for b in range(len(frame.K[0])) if any(row[b] for row in frame.K)]
+    for first in range(0, len(touched), TOUCHED):
+        chosen = touched[first : first + TOUCHED]
+        inputs, outputs = gather(u, y, starts[chosen], reading.lags, reading.horizon)
+        missing = np.isnan(inputs).reshape(-1, len(chosen))
+        lacking[chosen] = reading.window.absent(outputs)[inner].any(0) | missing[needed].any(0)
+    return lacking
 
 
 @jax.jit

@@ -18,7 +18,7 @@ import numpy as np
 
 from jaxbound.consistency.constant import gain_bounds, gain_tolerance, narrowed, own_factor, signed
 from jaxbound.consistency.exchange import PATIENCE, ExchangeTest, Settings, rounded_frame
-from jaxbound.consistency.interface import Again, Array, Arrays, Outs, Progress, Run
+from jaxbound.consistency.interface import Again, Array, Arrays, Cases, Outs, Progress, Run, WindowTest
 from jaxbound.consistency.reading import Block, Reading
 from jaxbound.consistency.twice import warn_doubtful
 from jaxbound.recordings.recording import Recording
@@ -41,6 +41,10 @@ class GainsTest(ExchangeTest):
     The sign of the margin is that of the verdict, its size that of gains that were tried: 1 - t, t not below
     the true factor.
     """
+
+    def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Cases:
+        """Return all windows: `settle` makes the frames that they need."""
+        return WindowTest.cases(self, u, y, starts)
 
     def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return (margin, open): of each window by one box of gains."""
@@ -85,8 +89,8 @@ class GainsTest(ExchangeTest):
         samples that are there.
         """
         (margin,), s = outs, self.horizon
-        for frame, chosen in self._frames(u, y, left):
-            shape = rounded_frame(self.relations, frame, self.dtype)
+        for made, chosen in self._frames(u, y, left):
+            shape = rounded_frame(self.relations, made.frame, self.dtype)
             reading = dataclasses.replace(self.reading, shape=shape)
             at = left[chosen] + s
             us, ys = self._gather(u, y, left[chosen])

@@ -159,7 +159,15 @@ def add_multiple(row: Row, factor: Fraction | int, other: Row) -> Vector:
         >>> add_multiple([1, 2], Fraction(1, 2), [4, 0])
         (Fraction(3, 1), Fraction(2, 1))
     """
-    return tuple(Fraction(x + factor * y) for x, y in zip(row, other, strict=True))
+    n, m = factor.numerator, factor.denominator
+    out = []
+    for x, y in zip(row, other, strict=True):
+        total = Fraction(x)
+        if y:  # over one denominator, reduced once: + and * of Fractions reduce three times
+            a, b, c, d = x.numerator, x.denominator, y.numerator, y.denominator
+            total = Fraction(a * d * m + n * c * b, b * d * m)
+        out.append(total)
+    return tuple(out)
 
 
 def matmul(a: Rows, b: Rows) -> Matrix:

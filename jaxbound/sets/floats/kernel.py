@@ -39,7 +39,8 @@ def outside_xla(active: bool = True) -> Iterator[None]:
     before = is_outside_xla()
     _state.outside = active
     try:
-        yield
+        with _on_the_host(active):
+            yield
     finally:
         _state.outside = before
 
@@ -48,6 +49,16 @@ WIDE = {"xla_cpu_prefer_vector_width": 512}
 """The widest vectors that the processor has. XLA keeps to half of them, but takes samples apart with the
 widest: an elementwise kernel then runs at half its speed or less. Bits are the same.
 """
+
+
+def _on_the_host(active: bool) -> contextlib.AbstractContextManager[object]:
+    """Return a context in which nothing that is proved outside XLA has passed through a card, if active."""
+    if not active or jax.default_backend() == "cpu":
+        return contextlib.nullcontext()
+    try:
+        return jax.default_device(jax.local_devices(backend="cpu")[0])
+    except RuntimeError:  # a process without a CPU device
+        return contextlib.nullcontext()
 
 
 class Kernel:
@@ -61,7 +72,7 @@ class Kernel:
 
     def __init__(self, function: Callable, wide: bool = False, **how: Any) -> None:
         self._compiled = jax.jit(function, **how)
-        self.wide = wide
+        self._wide = wide
         self._alone = jax.jit(function, compiler_options=WIDE, **how) if wide else self._compiled
         arguments = inspect.signature(function).parameters
         self._names = tuple(
@@ -72,6 +83,11 @@ class Kernel:
         names = (names,) if isinstance(names, str) else tuple(names)
         self._static = {*names, *(self._names[i] for i in numbers)}
         update_wrapper(self, function)
+
+    @property
+    def wide(self) -> bool:
+        """Whether it is compiled for the widest vectors: those of a CPU."""
+        return self._wide and jax.default_backend() == "cpu"
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """Return the result of the function, arrays of JAX; outside XLA arrays of NumPy."""
