@@ -7,9 +7,11 @@ python devices_case.py BLOCK SAMPLES COUNTS case [case ...]
 import hashlib
 import json
 import sys
+import warnings
 
 import jax
 import numpy as np
+from lying_device import lying, unexamined
 from systems import paper
 
 import jaxbound as jb
@@ -37,6 +39,13 @@ def both(result):
     return result.status, result.margin
 
 
+def lied(method, relations, u, y):
+    """Return the verdicts by devices that nobody examined and that lie."""
+    with unexamined(), lying(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return both(jb.detect(relations, u, y, method=method))
+
+
 CASES = {
     "one sensor": lambda u, y: both(
         jb.detect(jb.parity_relations(jb.LinearSystem([[0.5]], None, [[1]], noise=0.1)), None, y[:, :1])
@@ -53,6 +62,11 @@ CASES = {
     "bank": lambda u, y: (lambda found: (found.words, *both(found)))(
         jb.detect(jb.structured_relations(paper()), u, y)
     ),
+    "lying, one sensor": lambda u, y: lied(
+        "joint", jb.parity_relations(jb.LinearSystem([[0.5]], None, [[1]], noise=0.1)), None, y[:, :1]
+    ),
+    "lying, bank": lambda u, y: lied("box", jb.structured_relations(paper()), u, y),
+    "lying, long windows": lambda u, y: lied("joint", jb.parity_relations(paper(), 20), u, y),
     "long windows": lambda u, y: both(jb.detect(jb.parity_relations(paper(), 20), u, y)),
     "unknown inputs": lambda u, y: tuple(
         jax.tree.leaves(jb.unknown_inputs(paper(unknown_inputs=[[1], [0]]), u, y).values)
@@ -75,7 +89,7 @@ def digests(cases, block, samples, counts):
                 hashlib.sha256(b"".join(x.tobytes() for x in arrays)).hexdigest()
             )
         found[case].append(len(np.unique(arrays[0])))
-    found["compiled"] = devices._on_mesh._cache_size()
+    found["compiled"] = devices._on_mesh._cache_size() + devices._wide_on_mesh._cache_size()
     return found
 
 

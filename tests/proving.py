@@ -67,6 +67,18 @@ def dataset(relations):
             assert left == ["run.parquet"] or "verdicts.parquet" in left, left
 
 
+OF_SETS = {
+    "inclusion",
+    "inclusion.continuous",
+    "inclusion.jacobian",
+    "pave",
+    "pave, excluding",
+    "solve_interval",
+    "membership",
+    "sets.support",
+}
+"""Doors that take arrays where these are, and prove there or refuse."""
+
 EXACT_OR_UNPROVED = {
     # values; their methods speak of what was proved already, or in exact rationals
     "Fault",

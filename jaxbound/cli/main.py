@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from jaxbound import __version__
-from jaxbound.cli import demo, detect, example, explain, fit, fleet, info, study, tune, verify
+from jaxbound.cli import demo, detect, examine, example, explain, fit, fleet, info, study, tune, verify
 from jaxbound.cli.command import EXIT_CODES, Command, Parser, add_command, swift_imports
 from jaxbound.cli.terminal import (
     BAD_INPUT,
@@ -32,7 +32,19 @@ from jaxbound.text.characters import clipped
 
 __all__ = ["COMMANDS", "commands", "main"]
 
-COMMANDS: tuple[Command, ...] = (demo, example, detect, explain, verify, fleet, fit, tune, study, info)
+COMMANDS: tuple[Command, ...] = (
+    demo,
+    example,
+    detect,
+    explain,
+    verify,
+    fleet,
+    fit,
+    tune,
+    study,
+    info,
+    examine,
+)
 """In the order of the help. Each file says its name, its options and its work, see `Command`."""
 
 COMPLETION = "_ARGCOMPLETE"  # in the environment of a process that is to complete a command line

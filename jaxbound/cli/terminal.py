@@ -229,7 +229,7 @@ def usable_device() -> None:
     """Raise ValueError if JAX finds no device, Unverified if it runs where nothing is proved."""
     import jax
 
-    from jaxbound.sets.floats.probe import refuse_unverified
+    from jaxbound.sets.floats.probe import refuse_unusable
 
     try:
         jax.default_backend()
@@ -238,4 +238,4 @@ def usable_device() -> None:
             f"JAX_PLATFORMS={os.environ.get('JAX_PLATFORMS')} names no device of this machine: unset it, or "
             f"use cpu"
         ) from None
-    refuse_unverified()
+    refuse_unusable()

@@ -113,6 +113,15 @@ class BankTest(LinearTest):
         margin = np.where(nothing, 0, judged.margin).astype(judged.margin.dtype)
         return Judged(status, margin, words), doubtful
 
+    def unproved(self, judged: Judged) -> Judged:
+        """Return the verdicts with UNDECIDED in place of CONSISTENT for every relation; see
+        `WindowTest.unproved`.
+        """
+        words = np.array(judged.words)
+        consistent = words & ~HIGH & ~(words >> np.uint32(1))  # the low bit of a verdict alone
+        words ^= consistent | consistent << np.uint32(1)
+        return super().unproved(judged._replace(words=words))
+
     @cached_property
     def _exact_reading(self) -> Reading:
         return self.relations.reading(self.dtype, "box")

@@ -30,11 +30,12 @@ from jaxbound.consistency.interface import (
     WindowTest,
 )
 from jaxbound.consistency.reading import Block, gather
+from jaxbound.consistency.searched import only_searched
 from jaxbound.consistency.twice import decided_twice
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import crossing
 from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
-from jaxbound.sets.floats.probe import default_device, usable_devices
+from jaxbound.sets.floats.probe import default_device, searching, searching_device, usable_devices
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.threads import inherited
 
@@ -86,11 +87,11 @@ def _folded(observer: Observer[Any], given: Recording) -> Verdicts:
     """Return the verdicts of an observer on one recording, or on each recording of a batch."""
     lead = given.y.shape[:-2]
     if not lead or observer.batched:
-        return observer.fold(observer.begin(), given)[1]
+        return observer.followed(observer.begin(), given)[1]
     each = []
     for at in np.ndindex(*lead):
         one = replace(given, u=np.asarray(given.u)[at], y=np.asarray(given.y)[at])
-        each.append(observer.fold(observer.begin(), one)[1])
+        each.append(observer.followed(observer.begin(), one)[1])
     if not each:
         nothing = np.empty(given.y.shape[:-1])
         return Judged(nothing.astype(np.int8), nothing)
@@ -116,14 +117,40 @@ def windows(
         test, progress, size: as for `drive`. u: (..., T, m). y: (..., T, p). starts: of that Recording.
     """
     flat_u, flat_y, block = _end_to_end(u), _end_to_end(y), size or test.block
-    judged = test.judged(_filled(test, flat_u, flat_y, y.shape[:-1], starts, progress, block))
+    shape = y.shape[:-1]
+    if is_outside_xla() or not searching_device():
+        return _decided(test, flat_u, flat_y, shape, starts, progress, block)
+
+    def missing(some_u: np.ndarray, some_y: np.ndarray) -> np.ndarray:
+        with outside_xla():
+            alone = windows(test, some_u, some_y, NOWHERE, size=block)
+        return np.asarray(alone.status[:, -1] == Status.MISSING)
+
+    with searching():
+        judged = _decided(test, flat_u, flat_y, shape, starts, progress, block)
+        ends = np.ones(shape, bool)
+        ends[..., _endless(starts, test.horizon, shape[-1])] = False
+        return only_searched(test, judged, flat_u, flat_y, ends.reshape(-1), missing)
+
+
+def _decided(
+    test: WindowTest,
+    u: np.ndarray,
+    y: np.ndarray,
+    shape: tuple[int, ...],
+    starts: np.ndarray,
+    progress: Progress | None,
+    size: int,
+) -> Judged:
+    """Return the verdicts (*shape) of samples that are laid end to end, each FAULT decided twice."""
+    judged = test.judged(_filled(test, u, y, shape, starts, progress, size))
     if test.twice or is_outside_xla():
         return judged
 
     def contradicted(ends: np.ndarray) -> np.ndarray:
-        return _contradicted(test, flat_u, flat_y, ends - test.horizon, block)
+        return _contradicted(test, u, y, ends - test.horizon, size)
 
-    return decided_twice(test, judged, flat_u, flat_y, contradicted)
+    return decided_twice(test, judged, u, y, contradicted)
 
 
 def raw_outputs(
@@ -394,7 +421,11 @@ class _Gathering:
 
 
 def _placed(test: WindowTest, devices: Devices) -> object:
-    """Return the constants of a test on devices; a test remembers them."""
+    """Return the constants of a test on devices; a test remembers them. Outside XLA they are those of the
+    host, which no device has copied.
+    """
+    if is_outside_xla():
+        return test.constants
     if devices not in test.placed:
         test.placed[devices] = everywhere(test.constants, devices)
     return test.placed[devices]

@@ -23,6 +23,7 @@ from jaxbound.exact.linalg import Matrix
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.signals import SignalModel
+from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.objects import readable
@@ -458,6 +459,14 @@ class WindowTest:
         judged.margin.reshape(-1)[gone] = 0
         return judged, ~contradicted
 
+    def unproved(self, judged: Judged) -> Judged:
+        """Return the verdicts with UNDECIDED in place of CONSISTENT, in arrays of their own: a device that
+        nobody has examined says it.
+        """
+        consistent = judged.status == Status.CONSISTENT
+        status = np.where(consistent, np.int8(Status.UNDECIDED), judged.status)
+        return judged._replace(status=status, margin=np.array(judged.margin))
+
     def judged(self, outs: Sequence[np.ndarray]) -> Judged:
         """Return the verdicts from the arrays of `outputs`, each (..., T).
 
@@ -558,6 +567,13 @@ class Observer(Relations, Generic[Carry]):
     def fold(self, carry: Carry, piece: Recording) -> tuple[Carry, Verdicts]:
         """Take the next samples; return (carry, verdicts (T,) of these samples)."""
         raise NotImplementedError
+
+    def followed(self, carry: Carry, piece: Recording) -> tuple[Carry, Verdicts]:
+        """Return what `fold` returns, followed on the CPU where the device may only search: one wrong set
+        would spoil all that come after it.
+        """
+        with where_proofs_hold():
+            return self.fold(carry, piece)
 
     def begin(self) -> Carry:
         """Return the carry that the first sample meets: `begun`, or that of `init`."""

@@ -29,7 +29,7 @@ from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import TOLERATED_STEP, all_starts
 from jaxbound.recordings.table import one_row
 from jaxbound.recordings.tabletime import unlabelled
-from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.floats.probe import refuse_unusable
 from jaxbound.text.objects import readable
 
 __all__ = ["Monitor", "MonitorState", "Verdict"]
@@ -122,7 +122,7 @@ class Monitor:
             self._observer = relations
             return
         relations_of(relations, "a Monitor", "Monitor(parity_relations(model))")
-        refuse_unverified()
+        refuse_unusable()
         self.dtype = np.dtype(jax.dtypes.canonicalize_dtype(float if dtype is None else dtype))
         test = relations.test(method, self.dtype, budget, compensation)
         assert isinstance(test, WindowTest)
@@ -194,7 +194,7 @@ class Monitor:
                     "other"
                 )
             piece = Recording.of(self._observer.signals, u, y, starts, narrow=False)
-            return self._observer.fold(state, piece)
+            return self._observer.followed(state, piece)
         own, s = self._piece(u, y, starts), self._test.horizon
         count, begun = len(own.y), own.starts
         seams, last = self._seams(own, time, state)

@@ -38,6 +38,7 @@ from jaxbound.consistency.reading import Block, gather
 from jaxbound.consistency.unproved import within
 from jaxbound.recordings.arrays import refuse_infinite
 from jaxbound.recordings.recording import Recording
+from jaxbound.sets.floats.kernel import is_outside_xla
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips.polynomials import multiaffine
 
@@ -119,6 +120,13 @@ class ParametricTest(WindowTest):
         on_device: PolynomialReading = jax.device_put(self.reading)
         return on_device
 
+    @property
+    def _read(self) -> PolynomialReading:
+        """The reading where kernels take it: outside XLA that of the host, which no device has copied."""
+        if is_outside_xla():
+            return self.reading
+        return self._on_device
+
     def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Cases:
         """Return a test for each pattern of missing samples; the rarest stay open."""
         refuse_infinite("u", u, self.relations.model.inputs)
@@ -147,7 +155,7 @@ class ParametricTest(WindowTest):
 
     def _judged_whole(self, block: Block) -> tuple[jax.Array, jax.Array]:
         """Return (status, margin) of a block of windows, each by its whole box of parameters."""
-        return judged_whole(self._on_device, finite(block), self.kind, self.proved, self.allowance)
+        return judged_whole(self._read, finite(block), self.kind, self.proved, self.allowance)
 
     def settle(
         self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress

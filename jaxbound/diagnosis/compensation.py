@@ -6,11 +6,12 @@ from jaxbound.consistency.parametric_margins import needed_compensation
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.table import Data
 from jaxbound.relations.uncertain import UncertainRelations
-from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.floats.probe import where_proofs_hold
 
 __all__ = ["compensation"]
 
 
+@where_proofs_hold()
 def compensation(
     relations: UncertainRelations, u: Data, y: Data = None, share: float = 0.0, starts: ArrayLike = ()
 ) -> float:
@@ -54,6 +55,5 @@ def compensation(
         raise ValueError(
             f"share is the part of the windows that may stay suspect: 0 <= share < 1, not {share}"
         )
-    refuse_unverified()
     recording = Recording.of(relations.model, u, y, starts).finite()
     return float(needed_compensation(relations, recording, share))

@@ -9,10 +9,11 @@ import numpy as np
 
 from jaxbound.consistency.drive import drive
 from jaxbound.consistency.interface import Budget, Compensation, Relations, Starts, relations_of
+from jaxbound.consistency.searched import judging_device
 from jaxbound.diagnosis import isolation, observed  # noqa: F401 (the Results of a bank and of an observer)
 from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.recordings.table import Data
-from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.floats.probe import refuse_unusable
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["detect", "margins"]
@@ -65,8 +66,10 @@ def detect(
         TypeError: no relations; samples inside jit, vmap or grad.
         ValueError: shapes or columns that do not fit, another sampling period than the model's, an infinite
             sample, an unknown method, starts that are no sample numbers.
-        RuntimeError: where rounding has not been verified: all devices but CPU, so far, fast-math flags,
-            another rounding mode.
+        RuntimeError: where rounding has not been verified: fast-math flags, another rounding mode.
+
+    A device that nobody examined (`jaxbound examine`) searches: each FAULT is proved on the host, CONSISTENT
+    is UNDECIDED, and the hints say so. An observer follows on the CPU there.
 
     Source: Adrot, Maquin, Ragot 2000, section 4; exactness of "joint": W box(mu) is a zonotope.
 
@@ -85,7 +88,7 @@ def detect(
             "recordings at once; inside, use margins, which is differentiable and proves nothing"
         )
     named, recording = relations.recording(u, y, starts)
-    refuse_unverified()
+    refuse_unusable()
     recording = replace(recording, u=np.asarray(recording.u), y=np.asarray(recording.y))
     test = named.test(method, recording.y.dtype, budget, compensation)
     judged = drive(test, recording, progress)
@@ -95,7 +98,8 @@ def detect(
     if recording.source:
         recorded = recording.hints
     about = test.method, test.relations, recording.u, recording.y, recording.index, starts
-    return result_of(relations, judged, *about, aside=recording.aside(test.horizon), recorded=recorded)
+    aside, device = recording.aside(test.horizon), judging_device(named.remembers)
+    return result_of(relations, judged, *about, aside=aside, recorded=recorded, device=device)
 
 
 def margins(relations: Relations, u: Data, y: Data = None, starts: Starts = ()) -> jax.Array:

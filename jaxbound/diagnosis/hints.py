@@ -6,12 +6,13 @@ import numpy as np
 
 from jaxbound.certificates.interface import Judgement
 from jaxbound.consistency.interface import Relations
+from jaxbound.consistency.searched import NOT_REFUTED
 from jaxbound.models.system import LinearSystem
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import percent, times
 from jaxbound.text.units import same_unit, without_unit
 
-__all__ = ["bound_hints", "column_unit_hints", "fit_hints", "outgrown", "unfit"]
+__all__ = ["bound_hints", "column_unit_hints", "device_hints", "fit_hints", "outgrown", "unfit"]
 
 FOR = "the bounds were found from data for windows of {} samples,"
 MAY = "a FAULT may be no more than an error that lasts longer than those"
@@ -53,6 +54,24 @@ def bound_hints(model: object, relations: Relations | None = None) -> list[str]:
             f"by"
         )
     return sentences + column_unit_hints(model)
+
+
+def device_hints(device: str) -> tuple[str, ...]:
+    """Return the sentence on a device that may not prove; none of a CPU, or of a device that may.
+
+    Args:
+        device: in the words of `judging_device`.
+    """
+    card, is_searched, _ = device.partition(f", {NOT_REFUTED}")
+    if is_searched:
+        return (
+            f"{NOT_REFUTED} ({card}): what it called CONSISTENT is UNDECIDED, with margins as it computed "
+            f"them; each FAULT was proved on the CPU; `jaxbound examine` asks it once whether it may prove, "
+            f"JAX_PLATFORMS=cpu does without it",
+        )
+    if device.startswith("the CPU"):
+        return (f"followed on {device}",)
+    return ()
 
 
 def column_unit_hints(model: LinearSystem) -> list[str]:

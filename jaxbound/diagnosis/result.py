@@ -10,7 +10,7 @@ import numpy as np
 from jaxbound.certificates.interface import WindowCertificate, explain
 from jaxbound.consistency.interface import Judged, Relations
 from jaxbound.diagnosis.alarms import Alarm, forgets_after, group_alarms
-from jaxbound.diagnosis.hints import bound_hints, fit_hints
+from jaxbound.diagnosis.hints import bound_hints, device_hints, fit_hints
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import missing_hints, rounding_hints
@@ -50,6 +50,7 @@ class Result:
         aside: how many windows are MISSING because the model's `where` leaves out a sample of theirs.
         recorded: what was to be said of a recording that came from a file, its .hints; None: it came as
             arrays.
+        device: the device that judged, in words that say whether it was examined; "": a CPU.
     """
 
     status: np.ndarray
@@ -62,6 +63,7 @@ class Result:
     starts: tuple[int, ...] = ()
     aside: int = field(default=0, kw_only=True)
     recorded: tuple[str, ...] | None = field(default=None, kw_only=True, repr=False)
+    device: str = field(default="", kw_only=True, repr=False)
 
     def _head(self) -> str:
         counts = [f"{n} {name}" for name, n in self.counts.items() if n]
@@ -109,6 +111,7 @@ class Result:
         if self.recorded is not None:
             sentences = self.recorded
         model = self.relations.model
+        sentences = (*sentences, *device_hints(self.device))
         return (*sentences, *bound_hints(model, self.relations), *fit_hints(self), *unit_hints(self))
 
     def _of_the_recording(self) -> Iterator[str]:
@@ -204,6 +207,7 @@ def result_of(
     *,
     aside: int = 0,
     recorded: tuple[str, ...] | None = None,
+    device: str = "",
 ) -> Result:
     """Return the Result of verdicts, its kind chosen by the relations that a user gave.
 
@@ -211,4 +215,4 @@ def result_of(
         family: as given to `detect`. judged: the verdicts. The others: see the fields of Result.
     """
     about = method, relations, u, y, index, starts
-    return Result(judged.status, judged.margin, *about, aside=aside, recorded=recorded)
+    return Result(judged.status, judged.margin, *about, aside=aside, recorded=recorded, device=device)

@@ -3,9 +3,10 @@
 import jax
 import numpy as np
 
+from jaxbound.consistency.searched import NOT_REFUTED, judging_device
 from jaxbound.diagnosis.detection import detect
+from jaxbound.diagnosis.hints import device_hints
 from jaxbound.diagnosis.result import Result
-from jaxbound.sets.floats.probe import usable_devices
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["COUNT", "again_hints", "again_said", "decided_again", "judged_elsewhere"]
@@ -70,21 +71,22 @@ def again_hints(res: Result) -> tuple[str, ...]:
     devices = judged_elsewhere()
     if not devices:
         return ()
+    if NOT_REFUTED in devices:  # nothing of it is believed that the host has not proved
+        return again_said(devices, 0)
     return again_said(devices, decided_again(res))
 
 
 def judged_elsewhere() -> str:
-    """Return the kinds of devices that judge, as text; "" where these are CPUs alone."""
-    devices = {device.platform for device in usable_devices()}
-    if devices == {"cpu"}:
-        return ""
-    return ", ".join(sorted(devices))
+    """Return the devices that judge windows, in words; "" where these are CPUs alone."""
+    return judging_device()
 
 
 def again_said(devices: str, count: int) -> tuple[str, ...]:
     """Return the sentence on so many windows that were judged on devices and decided again; none if there are
     no such.
     """
+    if NOT_REFUTED in devices:
+        return device_hints(devices)
     if not count:
         return ()
     return (

@@ -12,7 +12,7 @@ from jaxbound.estimation.observed_plant import ObservedModel, observed_plant
 from jaxbound.estimation.set_observer import Observation, ObserverSetup, SetObserver
 from jaxbound.estimation.zonotope_numbers import first_set
 from jaxbound.recordings.table import Data
-from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
@@ -24,6 +24,7 @@ or grow slowly.
 """
 
 
+@where_proofs_hold()
 def observer(
     model: ObservedModel,
     method: str | ObserverMethod = "zonotope",
@@ -84,7 +85,6 @@ def observer(
         ['MISSING', 'UNDECIDED', 'UNDECIDED', 'FAULT']
     """
     options = observer_method(method, window=window, constraints=constraints)
-    refuse_unverified()
     order = options.usual_order if order is None else order
     if not order >= 1:
         raise ValueError(f"the order of an observer must be at least 1: it is {order!r}")
@@ -95,6 +95,7 @@ def observer(
     return options.observer(ObserverSetup(plant, float(order), weight, bool(restart), first))
 
 
+@where_proofs_hold()
 def observe(
     model: ObservedModel,
     u: Data,

@@ -35,7 +35,7 @@ from jaxbound.recordings.table import Data
 from jaxbound.relations.cost import affordable
 from jaxbound.relations.parity import SUBSETS, stated_relations
 from jaxbound.sets.floats.kernel import kernel
-from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.strips.bank import Bank, bank_of, bank_range
 from jaxbound.text.objects import readable
@@ -62,6 +62,7 @@ class UnknownInputs:
     lags: tuple[int | None, ...]
 
 
+@where_proofs_hold()
 def unknown_inputs(
     model: ModelLike,
     u: Data,
@@ -96,7 +97,6 @@ def unknown_inputs(
         >>> [(round(float(a), 3), round(float(b), 3)) for a, b in zip(leak.lo[:2, 0], leak.hi[:2, 0])]
         [(-0.019, 0.019), (0.481, 0.519)]
     """
-    refuse_unverified()
     model = as_model(model)
     if not model.d:
         raise ValueError("the model has no unknown inputs")

@@ -33,7 +33,7 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import around
 from jaxbound.recordings.signals import SignalModel, Signals
 from jaxbound.recordings.table import Data
-from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.intervals.interval import Interval
 
 __all__ = ["Validation", "complete_windows", "least_horizon", "prepared_slide", "validate"]
@@ -41,6 +41,7 @@ __all__ = ["Validation", "complete_windows", "least_horizon", "prepared_slide", 
 ValidatedModel: TypeAlias = LinearSystem | IntervalSystem | MultiModel
 
 
+@where_proofs_hold()
 def validate(
     model: ValidatedModel,
     u: Data,
@@ -92,7 +93,6 @@ def validate(
         >>> validate(m, np.ones((8, 1)), y).faulty[5].tolist()
         [False, True]
     """
-    refuse_unverified()
     if isinstance(model, MultiModel) and model.partial:
         validate_one = partial(validate, horizon=horizon, method=method, correction=correction)
         return validate_parts(model, u, y, x0, validate_one, starts)

@@ -14,7 +14,7 @@ from jaxbound.estimation.validation_slide import HostCarry, Stretch
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import around
 from jaxbound.recordings.signals import SignalModel
-from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.objects import readable
 
@@ -75,8 +75,8 @@ class ValidationObserver(Observer[ValidationState]):
         x0: Interval | None = None,
         correction: str = "interval",
     ) -> None:
-        refuse_unverified()
-        self.model, self._slide = prepared_slide(model, horizon, method, correction)
+        with where_proofs_hold():
+            self.model, self._slide = prepared_slide(model, horizon, method, correction)
         self.horizon, self.x0 = self._slide.s, x0
 
     def init(self) -> ValidationState:

@@ -21,7 +21,7 @@ from jaxbound.models.signals import Each, named
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.uncertainty import Uncertainty
 from jaxbound.models.unknown import Bounded
-from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.floats.probe import where_proofs_hold
 
 __all__ = ["linearize"]
 
@@ -29,6 +29,7 @@ Ends: TypeAlias = list[tuple[Fraction, Fraction]]
 """A box: (lo, hi) of each entry."""
 
 
+@where_proofs_hold()
 def linearize(
     f: Callable[..., jax.Array],
     x0: Each,
@@ -91,7 +92,6 @@ def linearize(
     refused = sorted(set(bounds) & {"E", "offset", "uncertainties"})
     if refused:
         raise ValueError(f"linearize itself finds {', '.join(refused)}: give x0, u0 and parameters instead")
-    refuse_unverified()
     at_x, at_u, period = _point("x0", x0), _point("u0", () if u0 is None else u0), rational(dt)
     n, m = len(at_x), len(at_u)
     if not n or period <= 0:

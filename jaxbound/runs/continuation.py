@@ -138,9 +138,9 @@ def followed(observer: Observer[Any], given: Joined) -> tuple[Result, Any]:
     edge = max(recording.samples - max(observer.horizon, 1), 0)  # the samples behind it are kept
     between, pieces = carry, []
     if edge:
-        between, first = watch.fold(carry, recording.cut(0, edge))
+        between, first = watch.followed(carry, recording.cut(0, edge))
         pieces.append(first)
-    _, last = watch.fold(between, recording.cut(edge, recording.samples))
+    _, last = watch.followed(between, recording.cut(edge, recording.samples))
     pieces.append(last)
     status = np.concatenate([piece.status for piece in pieces], -1)
     margin = np.concatenate([piece.margin for piece in pieces], -1)

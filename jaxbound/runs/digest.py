@@ -41,7 +41,7 @@ from jaxbound.runs.sink import Sink, Verdicts
 from jaxbound.runs.streaming import CHUNK, Report, all_parts, part_count, publish, write_parts
 from jaxbound.runs.summary import Evidence, evidence
 from jaxbound.runs.tally import Tally
-from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.floats.probe import refuse_unusable
 from jaxbound.text.objects import readable
 
 if TYPE_CHECKING:
@@ -227,7 +227,7 @@ def detect_dataset(
         check_share(part)
     if part is not None and merge:
         raise ValueError("part makes verdicts and merge reports on them: give one of the two")
-    refuse_unverified()
+    refuse_unusable()
     report = progress or (lambda share: None)
     if part is not None:
         with shared_folder(out, (PARTIAL,), (path,)):

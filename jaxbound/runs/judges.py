@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxbound.consistency.interface import Judged, Observer, Relations
 from jaxbound.consistency.monitor import Monitor
+from jaxbound.consistency.searched import NOT_REFUTED
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.spot_checks import COUNT, decided_again, judged_elsewhere
 from jaxbound.files.checkpoint import as_texts, from_texts
@@ -51,7 +52,9 @@ class Windows:
         result = detect(self.relations, on_device(recording, self.laps), method=self.method)
         if devices := judged_elsewhere():
             share = -(-COUNT * recording.samples // self.samples)
-            count = decided_again(result, share, seed=first)
+            count = 0
+            if NOT_REFUTED not in devices:
+                count = decided_again(result, share, seed=first)
             self.again[devices] = self.again.get(devices, 0) + count
         fresh = slice(self.done - first, recording.samples)
         self.done = first + recording.samples
@@ -95,11 +98,11 @@ class Carried(Generic[State]):
         stop = first + recording.samples
         if self.warm and self.done > first:
             before = given.cut(max(self.done - self.warm - first, 0), self.done - first)
-            self.carry, _ = self.observer.fold(self.carry, before)
+            self.carry, _ = self.observer.followed(self.carry, before)
         self.warm = None
         edges = [self.done, *range((self.done // self.size + 1) * self.size, stop, self.size), stop]
         for begin, end in itertools.pairwise(edges):
-            self.carry, found = self.observer.fold(self.carry, given.cut(begin - first, end - first))
+            self.carry, found = self.observer.followed(self.carry, given.cut(begin - first, end - first))
             self.done = end
             verdicts = Judged(np.asarray(found.status), np.asarray(found.margin))
             yield recording.cut(begin - first, end - first), verdicts
@@ -170,6 +173,8 @@ def on_device(recording: Recording, laps: Laps) -> Recording:
     On a CPU that is the copying of columns into arrays.
     """
     laps("read")
+    if jax.default_backend() != "cpu":  # a card gets blocks, of samples that it has never held as a whole
+        return replace(recording, u=np.ascontiguousarray(recording.u), y=np.ascontiguousarray(recording.y))
     placed = jax.device_put((recording.u, recording.y))
     u, y = jax.block_until_ready(placed)  # type: ignore[no-untyped-call]  # jax gives it no types
     laps("transfer")

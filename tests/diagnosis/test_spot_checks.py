@@ -47,11 +47,8 @@ def test_what_was_left_open_contradicts_nothing(judged):
 
 
 def test_a_report_says_so_where_another_device_judged(judged, monkeypatch):
-    class Card:
-        platform = "gpu"
-
     assert again_hints(judged) == ()
-    monkeypatch.setattr(spot_checks, "usable_devices", lambda: (Card(),))
+    monkeypatch.setattr(spot_checks, "judging_device", lambda: "gpu")
     (said,) = again_hints(judged)
     count = min(spot_checks.COUNT, int((judged.status != Status.MISSING).sum()))
     assert (

@@ -16,6 +16,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from jaxbound.sets.floats import rounding, unrolled
+from jaxbound.sets.floats.kinds import most_of_a_quotient
 
 __all__ = ["examination", "premises", "reductions"]
 
@@ -25,7 +26,7 @@ EXACTLY = {
     "product": operator.mul,
     "quotient": operator.truediv,
 }
-ONE, SQUARE = 2.84, 5.7  # units that one operation, and the square of a root, may be off
+ONE, SQUARE = 2.84, 5.7  # units that one operation, and the square of a root, may be off; see also `kinds`
 CHAINS: dict[str, Callable] = {
     "(a b) c": lambda a, b, c: (a * b) * c,
     "(a / b) / c": lambda a, b, c: (a / b) / c,
@@ -53,6 +54,7 @@ def examination(
     """
     rng, info, claims = np.random.default_rng(seed), np.finfo(dtype), {}
     u, smallest = Fraction(float(info.eps)) / 2, Fraction(float(info.tiny))
+    limits = dict.fromkeys(EXACTLY, ONE) | {"quotient": most_of_a_quotient(device, dtype)}
     numbers = lambda low, high: (np.exp2(rng.uniform(low, high, count)) * rng.choice([-1, 1], count)).astype(
         dtype
     )
@@ -79,11 +81,17 @@ def examination(
         for form, (go, other) in forms.items():
             pairs = list(zip(_exact(a), _exact(np.broadcast_to(other, a.shape)), strict=True))
             for name, f in EXACTLY.items():
-                claims[f"error of a {name}{form}"] = error(_exact(go(f)), [f(x, y) for x, y in pairs]), ONE
+                claims[f"error of a {name}{form}"] = (
+                    error(_exact(go(f)), [f(x, y) for x, y in pairs]),
+                    limits[name],
+                )
         positive = [abs(numbers(-8, 8)) for _ in range(3)]
         for name, f in CHAINS.items():
             want = [f(*x) for x in zip(*map(_exact, positive), strict=True)]
-            claims[f"error of {name}"] = error(_exact(run(f, *positive)), want), 2 * ONE
+            most = limits["quotient"] if "/" in name else ONE
+            claims[f"error of {name}"] = error(_exact(run(f, *positive)), want), 2 * most
+        by_one = run(operator.truediv, a, np.ones(count, dtype))  # by which searches keep roundings apart
+        claims["quotients by one that are another number"] = float((by_one != a).sum()), 0.0
         roots = _exact(run(jnp.sqrt, x := abs(numbers(info.minexp + 1, info.maxexp - 1))))
         claims["error of the square of a root"] = error([r * r for r in roots], _exact(x)), SQUARE
         c, d = numbers(-12, 12), numbers(-12, 12)

@@ -1,11 +1,12 @@
 """Was this compiler examined, with these settings? By its version, which is listed, or now: once, and kept
-in the user's folder.
+in the user's folder. And was this card examined, by its user (`examine`)? Then its record is kept there too.
 """
 
+import datetime
 import hashlib
 import json
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -18,7 +19,13 @@ from jaxbound.files.whole import whole
 from jaxbound.sets.floats import settings
 from jaxbound.sets.floats.examination import examination
 
-__all__ = ["doubt_of"]
+__all__ = ["Record", "admitted", "doubt_of", "examine", "record_of"]
+
+PASSED = "passed"
+CARDS = "cards"
+Record = dict[str, str]
+"""Of an examined card: {"card", "platform", "capability", "driver", "jaxlib", "jax", "jaxbound", "date",
+"outcome"}, the outcome "passed" or the claims that do not hold, in words."""
 
 
 def doubt_of(device: jax.Device, kind: dict[str, str], unknown: Sequence[str]) -> str:
@@ -34,7 +41,8 @@ def doubt_of(device: jax.Device, kind: dict[str, str], unknown: Sequence[str]) -
         words.
     """
     reasons = list(unknown)
-    if kind["jaxlib"] not in settings.VERSIONS:
+    on_cpu = kind["platform"] == "cpu"  # a card has a record for its jaxlib
+    if on_cpu and kind["jaxlib"] not in settings.VERSIONS:
         reasons.insert(0, f"jaxlib {kind['jaxlib']} is not among the versions that were examined")
     if not reasons:
         return ""
@@ -66,21 +74,87 @@ def doubt_of(device: jax.Device, kind: dict[str, str], unknown: Sequence[str]) -
     return ""
 
 
-def _broken(device: jax.Device) -> list[str]:
+def examine(
+    device: jax.Device, kind: dict[str, str], progress: Callable[[float], object] | None = None
+) -> tuple[Record, Path | None]:
+    """Examine a card by all of `examination`, in float32 and float64, and keep what came out.
+
+    Args:
+        device: of jax. kind: its `kinds.kind_of_device`. progress: called with the share of the work done.
+
+    Returns:
+        (Record, the file that it is kept in, None where there is no place for it).
+    """
+    broken = _broken(device, progress)
+    about = _identity(device, kind)
+    outcome = "; ".join(broken) or PASSED
+    record = about | {"date": datetime.date.today().isoformat(), "outcome": outcome}
+    path = _card_file(about)
+    if kind["platform"] == "cpu":  # known by its version
+        path = None
+    if path is not None:
+        _keep(path, record)
+        if _read(path) != record:
+            path = None
+    return record, path
+
+
+def record_of(device: jax.Device, kind: dict[str, str]) -> Record | None:
+    """Return the Record of a card with its driver and these versions; None: nobody has examined it so.
+
+    Args:
+        device: of jax. kind: its `kinds.kind_of_device`.
+    """
+    about = _identity(device, kind)
+    path = _card_file(about)
+    record = None if path is None else _read(path)
+    if record is None or any(record.get(name) != value for name, value in about.items()):
+        return None
+    return record
+
+
+def admitted(record: Record | None) -> bool:
+    """Return whether a card with this Record may prove."""
+    return record is not None and record.get("outcome") == PASSED and bool(record.get("date"))
+
+
+def _identity(device: jax.Device, kind: dict[str, str]) -> Record:
+    """Return the part of a Record for which an examination holds."""
+    card = str(getattr(device, "device_kind", "") or kind["platform"])
+    return {"card": card, **kind, "jax": jax.__version__, "jaxbound": __version__}
+
+
+def _card_file(about: Record) -> Path | None:
+    return _file_of(about, CARDS)
+
+
+def _read(path: Path) -> Record | None:
+    """Return what a file holds, None if it cannot be read."""
+    try:
+        record = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return None
+    return record if isinstance(record, dict) else None
+
+
+def _broken(device: jax.Device, progress: Callable[[float], object] | None = None) -> list[str]:
     """Return the claims of an examination, in both types, that do not hold, each in words."""
     found = []
+    report = progress or (lambda share: None)
     with jax.enable_x64(True):
-        for dtype in (np.float32, np.float64):
+        for done, dtype in enumerate((np.float32, np.float64)):
+            report(done / 2)
             for claim, (value, most) in examination(device, dtype).items():
                 if not value <= most:
                     found.append(f"{claim}, {np.dtype(dtype).name}: {value:.3g}, at most {most:g} assumed")
+    report(1.0)
     return found
 
 
-def _file_of(about: dict) -> Path | None:
+def _file_of(about: dict, *folder: str) -> Path | None:
     name = hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()[:32]
     try:
-        return cache_folder() / "examined" / f"{name}.json"
+        return cache_folder().joinpath("examined", *folder, f"{name}.json")
     except RuntimeError:
         return None
 
@@ -97,7 +171,4 @@ def _keep(path: Path, about: dict) -> None:
 
 def _kept(path: Path, about: dict) -> bool:
     """Return whether a file says that this very thing passed: its name alone, a digest, proves nothing."""
-    try:
-        return json.loads(path.read_text()) == json.loads(json.dumps(about))
-    except (OSError, ValueError):
-        return False
+    return _read(path) == json.loads(json.dumps(about))

@@ -2,23 +2,27 @@
 every proof.
 
 **The rounding mode** of the processor is asked at every call: it takes a microsecond, and an import can
-change it at any time. **The device** has to be of a kind whose arithmetic was examined: CPU, so far. An
-accelerator of NVIDIA is known by its compute capability, its driver and the version of jaxlib
-(`kind_of_device`); none is in `EXAMINED` before `examination` has run on one, with every test of this house,
-and before what no probe can show (`PREMISES`) holds for what is computed there. **Flags of XLA, and switches
-of the environment,** that give arithmetic up are refused by name (`settings`): what they allow, a compiler
-need not do to the kernels of a probe. **The probe** (`measure`), one small kernel, catches what names do not,
-and asks the premises beside
-rounding: that a stored quotient is one number for all its uses, that a callee is kept apart. It runs once a
-process for each device and setting, with the flags in force.
+change it at any time. **The device** has to be of a kind whose arithmetic was examined: CPU, by its
+developers (`EXAMINED`); an accelerator by its user, once, with `jaxbound examine`, after which it is known by
+its name, compute capability, driver and version of jaxlib (`examined.record_of`). What no probe can show
+(`PREMISES`) is assumed of it. A device that nobody examined may search (`searching_device`): what decides
+windows then proves every FAULT on the host, and what else proves something goes to the CPU
+(`where_proofs_hold`).
+**Flags of XLA, and switches of the environment,** that give arithmetic up are refused by name (`settings`):
+what they allow, a compiler need not do to the kernels of a probe. **The probe** (`measure`), one small
+kernel, catches what names do not, and asks the premises beside rounding: that a stored quotient is one number
+for all its uses, that a callee is kept apart. It runs once a process for each device and setting, with the
+flags in force.
 **Versions of jaxlib, flags and options of jax** that no table knows are examined in full, once (`examined`).
 """
 
+import contextlib
 import os
+import threading
+from collections.abc import Callable, Iterator
 from fractions import Fraction
-from functools import lru_cache
-from importlib.metadata import version
-from typing import Any
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +30,8 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from jaxbound.sets.floats import rounding, unrolled
-from jaxbound.sets.floats.examined import doubt_of
+from jaxbound.sets.floats.examined import Record, admitted, doubt_of, examine, record_of
+from jaxbound.sets.floats.kinds import kind_of_device, most_of_a_quotient
 from jaxbound.sets.floats.settings import (
     examined_versions,
     loose_flags,
@@ -38,26 +43,35 @@ from jaxbound.sets.floats.settings import (
 __all__ = [
     "EXAMINED",
     "PREMISES",
+    "Examined",
     "Unverified",
     "default_device",
+    "examination_of",
+    "examined_devices",
+    "is_searching",
     "kind_of_device",
     "measure",
     "refuse_other_modes",
+    "refuse_unusable",
     "refuse_unverified",
+    "searching",
+    "searching_device",
     "usable_devices",
     "verified",
+    "where_proofs_hold",
 ]
 
 EXAMINED = frozenset({"cpu"})
 """Kinds of devices, as `kind_of_device` names them without the driver, on which this house's tests were
-run.
+run; others are known by the record of an examination by their user.
 """
+
+_state = threading.local()
 
 PREMISES = {
     "cpu": (),
     "NVIDIA": (
-        "float32: a quotient may be off by 2 ulp, 4 units (PTX ISA, div.full.f32); `outward` must widen it "
-        "by 6 units, and widens by 4",
+        "float32: a quotient may be off by 2 ulp, 4 units (PTX ISA, div.full.f32); `outward` widens it by 6",
         "float32: a root may be off by 1 ulp, 2 units (PTX ISA, sqrt.approx.f32), within the 2.84 that are "
         "assumed",
         "float64: + - * / fma and sqrt are rounded correctly (PTX ISA, .rn)",
@@ -67,6 +81,9 @@ PREMISES = {
     ),
 }
 """What the makers' manuals say of the arithmetic of a kind of device, and no probe can show."""
+
+
+UNREAD = "no manual of its maker was read: that all devices of this kind compute alike is assumed"
 
 
 class Unverified(RuntimeError):
@@ -79,8 +96,13 @@ def refuse_unverified(*given: object) -> None:
     Args:
         given: PyTrees; where jax arrays among them lie, the work is done. Without any: on the devices of
             `usable_devices`.
+
+    While windows are searched for on a device that proves nothing (`searching`), the rounding mode alone is
+    asked: what comes out is proved by others.
     """
     refuse_other_modes()
+    if is_searching():
+        return
     devices = {usable_devices()[0]}
     for x in jax.tree.leaves(given):
         if isinstance(x, jax.Array) and not isinstance(x, jax.core.Tracer):
@@ -88,6 +110,135 @@ def refuse_unverified(*given: object) -> None:
     for device in devices:
         if why := _doubt(device):
             raise Unverified(why)
+
+
+def refuse_unusable() -> None:
+    """Raise Unverified if windows can be decided nowhere in this process.
+
+    A device that may prove is asked all of `refuse_unverified`. Of one that may only search nothing is
+    asked: what proves is then NumPy on the host, which needs its rounding mode alone.
+    """
+    if searching_device():
+        refuse_other_modes()
+    else:
+        refuse_unverified()
+
+
+@contextlib.contextmanager
+def where_proofs_hold() -> Iterator[None]:
+    """Do on the CPU what proves, where work would go to a device that may only search; also a decorator.
+
+    Raises:
+        Unverified: nothing can be proved on the CPU either.
+    """
+    card = searching_device()
+    if not card or is_searching():
+        refuse_unverified()
+        yield
+        return
+    with jax.default_device(_host_beside(card)):
+        refuse_unverified()
+        yield
+
+
+def is_searching() -> bool:
+    """Return whether this thread takes what a device computes for hints, see `searching`."""
+    return getattr(_state, "searching", False)
+
+
+@contextlib.contextmanager
+def searching(active: bool = True) -> Iterator[None]:
+    """Let a device search that proves nothing, on this thread until the block ends: whoever asks for that
+    proves what comes out on the host. active: False changes nothing.
+    """
+    before = is_searching()
+    _state.searching = active or before
+    try:
+        yield
+    finally:
+        _state.searching = before
+
+
+def searching_device() -> str:
+    """Return the kind of device that work goes to, like "NVIDIA 9.0", where it may search and proves nothing;
+    "" where it may prove, or is a CPU, which is refused where it may not.
+    """
+    for device in usable_devices():
+        if _doubt(device) and kind_of_device(device)["platform"] != "cpu":
+            return _named(kind_of_device(device))
+    return ""
+
+
+def examination_of(device: jax.Device) -> Record | None:
+    """Return the Record of the examination by which a device that no table knows may prove; else None."""
+    kind = kind_of_device(device)
+    if _named(kind) in EXAMINED:
+        return None
+    record = record_of(device, kind)
+    return record if admitted(record) else None
+
+
+class Examined(NamedTuple):
+    """The outcome for a kind of device. Fields: record: see `examined.Record`; kept: the file that holds it,
+    "" where none does; premises: sentences that nothing but the maker's manual shows.
+    """
+
+    record: Record
+    kept: str
+    premises: tuple[str, ...]
+
+    @property
+    def may_prove(self) -> bool:
+        """Whether CONSISTENT counts on such devices."""
+        return admitted(self.record)
+
+
+def examined_devices(progress: Callable[[float], object] | None = None) -> list[Examined]:
+    """Examine the devices that work goes to, one of each kind, and keep what came out for processes to come.
+
+    Args:
+        progress: called with the share of the work done.
+
+    Raises:
+        Unverified: flags, switches or a rounding mode with which nothing can be proved.
+    """
+    refuse_other_modes()
+    report = progress or (lambda share: None)
+    kinds = {}
+    for device in usable_devices():
+        name = str(getattr(device, "device_kind", ""))
+        kinds[name, _named(kind_of_device(device))] = device
+    found: list[Examined] = []
+    for device in kinds.values():
+        kind = kind_of_device(device)
+        if why := _loosened(kind, os.environ.get("XLA_FLAGS", ""), _switches_of(device)):
+            raise Unverified(why)
+        record, path = examine(device, kind, partial(_report_part, report, len(found), len(kinds)))
+        about = PREMISES.get(kind["platform"], (UNREAD,))
+        found.append(Examined(record, "" if path is None else str(path), about))
+    _found.cache_clear()  # it may prove from now on
+    return found
+
+
+def _report_part(report: Callable[[float], object], done: int, parts: int, share: float) -> None:
+    """Report a share of the part of the work behind those that are done."""
+    report((done + share) / parts)
+
+
+def _host_beside(card: str) -> jax.Device:
+    """Return the CPU device of a process whose work goes to a card."""
+    try:
+        return jax.local_devices(backend="cpu")[0]
+    except RuntimeError:
+        raise Unverified(
+            f"what is to be proved is done on the CPU, since {card} was not examined, and this process has "
+            f"no CPU device: name it too, as in JAX_PLATFORMS=cuda,cpu"
+        ) from None
+
+
+def _named(kind: dict[str, str]) -> str:
+    """Return a kind of device in words."""
+    return " ".join(x for x in (kind["platform"], kind["capability"]) if x)
 
 
 def refuse_other_modes() -> None:
@@ -133,38 +284,15 @@ def verified(device: jax.Device) -> bool:
     return not _doubt(device)
 
 
-def kind_of_device(device: jax.Device) -> dict[str, str]:
-    """Return the four facts that distinguish kinds of devices: {"platform", "capability", "driver",
-    "jaxlib"}.
-
-    Args:
-        device: of jax. capability: of an NVIDIA device its compute capability, like "9.0", else ""; driver:
-            what its plug-in says.
-
-    Example:
-        >>> import jax
-        >>> kind_of_device(jax.devices("cpu")[0])["platform"]
-        'cpu'
-    """
-    capability = str(getattr(device, "compute_capability", "") or "")
-    nvidia = capability and "nvidia" in str(getattr(device, "device_kind", "")).lower()
-    driver = (
-        ""
-        if device.platform == "cpu"
-        else str(getattr(getattr(device, "client", None), "platform_version", ""))
-    )
-    return {
-        "platform": "NVIDIA" if nvidia else device.platform,
-        "capability": capability,
-        "driver": driver,
-        "jaxlib": version("jaxlib"),
-    }
+def _switches_of(device: jax.Device) -> tuple[str, ...]:
+    """Return the switches of the environment that a device minds."""
+    return set_switches() if device.platform != "cpu" else ()
 
 
 def _doubt(device: jax.Device) -> str:
     """Return why a device proves nothing, in a sentence; empty where it may."""
     x64 = bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]  # made at run time
-    switches = set_switches() if device.platform != "cpu" else ()
+    switches = _switches_of(device)
     return _found(device, os.environ.get("XLA_FLAGS", ""), x64, switches, odd_options())
 
 
@@ -173,28 +301,13 @@ def _found(
     device: jax.Device, flags: str, x64: bool, switches: tuple[str, ...] = (), options: tuple[str, ...] = ()
 ) -> str:
     kind = kind_of_device(device)
-    named = " ".join(x for x in (kind["platform"], kind["capability"]) if x)
+    named = _named(kind)
     if switches:
-        return (
-            f"the environment has {' and '.join(switches)}, by which libraries of {named} compute "
-            f"otherwise: start without"
-        )
-    if named not in EXAMINED:
-        return (
-            f"proofs need a device whose rounding was verified, so far only CPU, not {named}: set "
-            f"JAX_PLATFORMS=cpu, or give "
-            'NumPy arrays under `with jax.default_device("cpu")`; margins gives unproved values anywhere'
-        )
-    if loose := loose_flags(flags):
-        return (
-            f"XLA_FLAGS has {' and '.join(loose)}, with which the compiler keeps to no rounding: start "
-            f"without, nothing can be proved so"
-        )
-    if kind["platform"] == "NVIDIA" and not x64:
-        return (
-            f"on {named} a quotient in float32 may be off by 4 units, more than proofs allow for: switch "
-            f"on jax_enable_x64"
-        )
+        return _loosened(kind, "", switches)
+    if named not in EXAMINED and not admitted(record := record_of(device, kind)):
+        return _why_unexamined(named, record)
+    if loosened := _loosened(kind, flags, ()):
+        return loosened
     measured = measure(device, jnp.result_type(float))
     if broken := [
         f"{name}: {value:.3g}, at most {most:g} assumed"
@@ -214,6 +327,33 @@ def _found(
     if options:
         odd.append(f"jax has {' and '.join(options)}, under which nothing was examined")
     return doubt_of(device, kind, odd)
+
+
+def _loosened(kind: dict[str, str], flags: str, switches: tuple[str, ...]) -> str:
+    """Return which switches or flags give arithmetic up, in a sentence; empty where none does."""
+    if switches:
+        return (
+            f"the environment has {' and '.join(switches)}, by which libraries of {_named(kind)} compute "
+            f"otherwise: start without"
+        )
+    if loose := loose_flags(flags):
+        return (
+            f"XLA_FLAGS has {' and '.join(loose)}, with which the compiler keeps to no rounding: start "
+            f"without, nothing can be proved so"
+        )
+    return ""
+
+
+def _why_unexamined(named: str, record: Record | None) -> str:
+    """Return why a kind of device proves nothing that nobody has examined, or that failed."""
+    failed = ""
+    if record is not None:
+        failed = f"; examined on {record['date']}, it broke what proofs assume ({record['outcome']})"
+    return (
+        f"proofs need a device whose rounding was verified, so far only CPU, not {named}: set "
+        f"JAX_PLATFORMS=cpu, examine it with `jaxbound examine`, or give "
+        f'NumPy arrays under `with jax.default_device("cpu")`; margins gives unproved values anywhere{failed}'
+    )
 
 
 COUNT = 16
@@ -256,12 +396,12 @@ def measure(device: jax.Device, dtype: DTypeLike) -> dict[str, tuple[float, floa
         float(abs(f - w) / abs(f) / u) if f else np.inf for f, w in zip(found, want, strict=True)
     )
     lost = sum(s + e != x + y for s, e, (x, y) in zip(total, rest, pairs, strict=True))
-    by = Fraction(float(divisor[0]))
+    by, coarse = Fraction(float(divisor[0])), most_of_a_quotient(device, dtype)
     underflow = max(abs(f - x / by) for f, x in zip(flushed, least, strict=True)) / smallest
     return {
         "error of a sum": (error(total, [x + y for x, y in pairs]), 2.84),
-        "error of a quotient": (error(quotient, [x / y for x, y in pairs]), 2.84),
-        "error of a quotient by one number": (error(share, [x / by for x in A]), 2.84),
+        "error of a quotient": (error(quotient, [x / y for x, y in pairs]), coarse),
+        "error of a quotient by one number": (error(share, [x / by for x in A]), coarse),
         "error of the square of a root": (error([x * x for x in root], B), 5.7),
         "sums that two_sum loses digits of": (lost, 0),
         "error of an underflow, in smallest numbers": (float(underflow), 1),

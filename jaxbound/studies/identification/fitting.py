@@ -20,7 +20,7 @@ import numpy as np
 from jaxbound.models.numbers import is_whole
 from jaxbound.models.system import LinearSystem, whole_lags
 from jaxbound.relations.parity import parity_relations
-from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.studies.identification import advice
 from jaxbound.studies.identification.bounds import Means, rounded_up, verified
 from jaxbound.studies.identification.candidates import (
@@ -46,6 +46,7 @@ AVERAGES = 0.95
 """Share of the bound of a sample from which on that of a mean says nothing."""
 
 
+@where_proofs_hold()
 def fit(
     recordings: object,
     order: int = 2,
@@ -121,7 +122,6 @@ def fit(
         about["horizon"] = horizon
     else:
         about["lags"] = lags
-    refuse_unverified()  # at the end the bounds are verified
     sentences = advice.inputs_at_rest(records, inputs, outputs)
     problem = FitProblem.of(records, order, horizon, direct, about)
     report(0.05)

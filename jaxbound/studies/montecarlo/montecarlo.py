@@ -36,7 +36,7 @@ from jaxbound.recordings.arrays import inputs_of, refuse_infinite
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import parity_relations
 from jaxbound.relations.residual import Residual
-from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.floats.threads import inherited
 from jaxbound.sets.strips.strips import UNROLLED
 from jaxbound.studies.montecarlo import adversary, kernel, records, recursion, scenarios
@@ -66,6 +66,7 @@ EVERY, PART = 5.0, 64  # seconds between two states that are kept; with rows, ta
 TOGETHER = 16  # tasks that go to a worker at once
 
 
+@where_proofs_hold()
 def study(
     model: ModelLike,
     faults: str | Fault | Sequence[str | Fault],
@@ -145,7 +146,6 @@ def study(
     if isinstance(relations, SetObserver) and method == "joint":
         method = SetObserver.method
     _check_study(model, relations, n, samples, hold, at, method, confidence)
-    refuse_unverified()
     dtype = jax.dtypes.canonicalize_dtype(np.float64)
     u, limits, highest = _study_inputs(model, inputs, input_range, dtype)
     samples = samples if u is None else len(u)

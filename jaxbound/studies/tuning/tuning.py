@@ -25,7 +25,7 @@ from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy
 from jaxbound.relations.residual import Residual
 from jaxbound.relations.uncertain import UncertainRelations
-from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.floats.sizes import power
 from jaxbound.studies.tuning.confidence import Risk, blocks_of, held_out, risk_of, touched
 from jaxbound.studies.tuning.descent import BLOCK, RATE, Faulty, default_optimizer, descend, objective_of
@@ -119,6 +119,7 @@ class TuneResult:
         return counts["FAULT"] / max(sum(counts.values()) - counts["MISSING"], 1)
 
 
+@where_proofs_hold()
 def tune(
     relations: ParityRelation | UncertainRelations,
     healthy: object,
@@ -192,7 +193,6 @@ def tune(
         confidence=confidence,
         every=every,
     )
-    refuse_unverified()
     report = progress or _silent
     model, s = relations.model, relations.horizon
     moved = moving(relations, bounds, weights)

@@ -1,0 +1,70 @@
+"""Kinds of devices: the facts that distinguish them, and how far a quotient may be off on each."""
+
+from functools import cache
+from importlib.metadata import version
+
+import jax
+import numpy as np
+from jax.typing import DTypeLike
+
+__all__ = ["extra_units", "has_coarse_quotients", "kind_of_device", "most_of_a_quotient"]
+
+FINE, COARSE = 2.84, 4.84
+"""Units that a quotient may be off by: anywhere, and in float32 on a card of NVIDIA (4, PTX ISA)."""
+EXTRA = 2.0
+"""Units by which bounds are widened further for a coarse quotient: 6 in place of 4."""
+
+
+def kind_of_device(device: jax.Device) -> dict[str, str]:
+    """Return the four facts that distinguish kinds of devices: {"platform", "capability", "driver",
+    "jaxlib"}.
+
+    Args:
+        device: of jax. capability: of an NVIDIA device its compute capability, like "9.0", else ""; driver:
+            what its plug-in says.
+
+    Example:
+        >>> import jax
+        >>> kind_of_device(jax.devices("cpu")[0])["platform"]
+        'cpu'
+    """
+    capability = str(getattr(device, "compute_capability", "") or "")
+    nvidia = capability and "nvidia" in str(getattr(device, "device_kind", "")).lower()
+    driver = ""
+    if device.platform != "cpu":
+        told = str(getattr(getattr(device, "client", None), "platform_version", ""))
+        driver = " ".join(told.split())
+    return {
+        "platform": "NVIDIA" if nvidia else device.platform,
+        "capability": capability,
+        "driver": driver,
+        "jaxlib": version("jaxlib"),
+    }
+
+
+def most_of_a_quotient(device: jax.Device, dtype: DTypeLike) -> float:
+    """Return the units u that a quotient of a device may be off by, as `rounding.outward` allows for."""
+    if _is_single(dtype) and kind_of_device(device)["platform"] == "NVIDIA":
+        return COARSE
+    return FINE
+
+
+def extra_units(dtype: DTypeLike) -> float:
+    """Return the units that `rounding.outward` widens by beside those it is asked for: 0, and 2 in float32
+    where a card of NVIDIA is in this process.
+
+    One number for the whole process: programs are written down once for all its devices.
+    """
+    if _is_single(dtype) and has_coarse_quotients():
+        return EXTRA
+    return 0.0
+
+
+@cache
+def has_coarse_quotients() -> bool:
+    """Return whether a device of this process divides float32 coarsely."""
+    return any(kind_of_device(device)["platform"] == "NVIDIA" for device in jax.local_devices())
+
+
+def _is_single(dtype: DTypeLike) -> bool:
+    return np.dtype(dtype) == np.float32
