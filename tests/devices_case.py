@@ -89,7 +89,7 @@ def digests(cases, block, samples, counts):
                 hashlib.sha256(b"".join(x.tobytes() for x in arrays)).hexdigest()
             )
         found[case].append(len(np.unique(arrays[0])))
-    found["compiled"] = devices._on_mesh._cache_size()
+    found["compiled"] = devices._on_mesh._cache_size() + devices._wide_on_mesh._cache_size()
     return found
 
 

@@ -6,7 +6,6 @@ and one compilation serves all of them.
 """
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import TypeVar
 
 import jax
@@ -14,6 +13,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxbound.consistency.interface import Array, Arrays
+from jaxbound.sets.floats.kernel import WIDE
 from jaxbound.sets.floats.probe import default_device
 
 __all__ = ["everywhere", "on_devices"]
@@ -58,7 +58,10 @@ def on_devices(
     # devices without work repeat the last block: nobody waits for them longer
     filled = [*blocks, *[blocks[-1]] * (len(devices) - count)]
     stacked = [_stacked(parts, mesh, axis) for parts in zip(*filled, strict=True)]
-    out, tree = jax.tree.flatten(_on_mesh(kernel, mesh, axis, constants, *stacked))
+    together = _on_mesh
+    if getattr(kernel, "wide", False):
+        together = _wide_on_mesh
+    out, tree = jax.tree.flatten(together(kernel, mesh, axis, constants, *stacked))
     of_device = []
     for x in out:
         of_device.append({shard.device: shard.data for shard in x.addressable_shards})
@@ -68,8 +71,7 @@ def on_devices(
     return results
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2))
-def _on_mesh(kernel: Callable[..., T], mesh: Mesh, axis: int, constants: object, *stacked: jax.Array) -> T:
+def _all(kernel: Callable[..., T], mesh: Mesh, axis: int, constants: object, *stacked: jax.Array) -> T:
     """Run a kernel on blocks that are stacked along an axis, a block on each device."""
 
     def spec(x: jax.Array | jax.ShapeDtypeStruct) -> PartitionSpec:
@@ -90,6 +92,10 @@ def _on_mesh(kernel: Callable[..., T], mesh: Mesh, axis: int, constants: object,
     )
     together: T = alone(constants, *stacked)
     return together
+
+
+_on_mesh = jax.jit(_all, static_argnums=(0, 1, 2))
+_wide_on_mesh = jax.jit(_all, static_argnums=(0, 1, 2), compiler_options=WIDE)
 
 
 def _stacked(parts: Sequence[Array], mesh: Mesh, axis: int) -> jax.Array:

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency import whole_numbers
+from jaxbound.consistency.folded import columns, folded_margin, folded_verdict, folds
 from jaxbound.consistency.interface import Again, Arrays, LinearTest, Outs, Progress, Run
 from jaxbound.consistency.reading import Block, Reading, gather
 from jaxbound.consistency.strips_on_host import HostStrips, host_strips
@@ -75,11 +76,15 @@ class StripsTest(LinearTest):
         return unproved_margins(self, _margins, _smooth_margins, given)
 
 
-@kernel
+@kernel(wide=True)
 def verdicts(reading: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return (status, margin) of the windows of one stretch of samples, tested circuit by circuit."""
-    mid, rad, scale, known, known_scale = reading.stretch(u, y)
-    margin = strip_verdict(reading.strips, mid, rad, scale, known, known_scale, reading.lift)
+    known: Sequence[jax.Array] | jax.Array
+    if folds(reading):
+        margin, known = folded_verdict(reading, u, y), columns(u, reading.lags, y.shape[0] - reading.horizon)
+    else:
+        mid, rad, scale, known, known_scale = reading.stretch(u, y)
+        margin = strip_verdict(reading.strips, mid, rad, scale, known, known_scale, reading.lift)
     # else the compiler works out everything once for each of the two results
     margin = jax.lax.optimization_barrier(margin)  # type: ignore[no-untyped-call]  # of JAX
     status = status_of(margin)
@@ -87,11 +92,19 @@ def verdicts(reading: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, j
     return jnp.where(unsure, Status.UNDECIDED, status).astype(jnp.int8), margin
 
 
-@jax.jit
+@kernel(wide=True)
 def _margins(reading: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
+    """Return the margins of the windows of one stretch, unproved."""
+    if folds(reading):
+        return folded_margin(reading, u, y)
+    return _differentiable(reading, u, y)
+
+
+def _differentiable(reading: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
+    """Return the same, of operations that have derivatives everywhere."""
     rows = reading.stretch(u, y)
     return strip_margin(reading.strips, rows.mid, rows.rad, rows.known)
 
 
 # to keep what a derivative needs of every window takes longer, and much longer to compile
-_smooth_margins = jax.checkpoint(_margins)
+_smooth_margins = jax.checkpoint(jax.jit(_differentiable))

@@ -21,7 +21,7 @@ from jaxbound.sets.floats.equations import body, dtype_of
 from jaxbound.sets.floats.numpy_moves import MOVED
 from jaxbound.sets.floats.numpy_primitives import COMPUTED
 
-__all__ = ["Kernel", "evaluated", "is_outside_xla", "kernel", "outside_xla"]
+__all__ = ["WIDE", "Kernel", "evaluated", "is_outside_xla", "kernel", "outside_xla"]
 
 _state = threading.local()
 
@@ -45,6 +45,12 @@ def outside_xla(active: bool = True) -> Iterator[None]:
         _state.outside = before
 
 
+WIDE = {"xla_cpu_prefer_vector_width": 512}
+"""The widest vectors that the processor has. XLA keeps to half of them, but takes samples apart with the
+widest: an elementwise kernel then runs at half its speed or less. Bits are the same.
+"""
+
+
 def _on_the_host(active: bool) -> contextlib.AbstractContextManager[object]:
     """Return a context in which nothing that is proved outside XLA has passed through a card, if active."""
     if not active or jax.default_backend() == "cpu":
@@ -58,10 +64,16 @@ def _on_the_host(active: bool) -> contextlib.AbstractContextManager[object]:
 class Kernel:
     """A jitted function that `outside_xla` evaluates in NumPy. Build it with `kernel`; its other attributes
     are those of `jax.jit`.
+
+    Args:
+        wide: whether it is compiled for the widest vectors where it is the outermost one, which alone may
+            have options.
     """
 
-    def __init__(self, function: Callable, **how: Any) -> None:
+    def __init__(self, function: Callable, wide: bool = False, **how: Any) -> None:
         self._compiled = jax.jit(function, **how)
+        self._wide = wide
+        self._alone = jax.jit(function, compiler_options=WIDE, **how) if wide else self._compiled
         arguments = inspect.signature(function).parameters
         self._names = tuple(
             name for name, x in arguments.items() if x.kind in (x.POSITIONAL_ONLY, x.POSITIONAL_OR_KEYWORD)
@@ -72,15 +84,22 @@ class Kernel:
         self._static = {*names, *(self._names[i] for i in numbers)}
         update_wrapper(self, function)
 
+    @property
+    def wide(self) -> bool:
+        """Whether it is compiled for the widest vectors: those of a CPU."""
+        return self._wide and jax.default_backend() == "cpu"
+
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """Return the result of the function, arrays of JAX; outside XLA arrays of NumPy."""
-        if not is_outside_xla():
+        if not is_outside_xla() and not self.wide:
             return self._compiled(*args, **kwargs)
         given = self._arrays(args, kwargs)
         if any(
             isinstance(x, jax.core.Tracer) for x in given
         ):  # a part of a program that is being written down
             return self._compiled(*args, **kwargs)
+        if not is_outside_xla():
+            return self._alone(*args, **kwargs)
         traced = self._compiled.trace(*args, **kwargs)
         out = evaluated(traced.jaxpr, given)
         return jax.tree.unflatten(jax.tree.structure(traced.out_info), out)
@@ -105,7 +124,7 @@ def kernel(function: None = None, **how: Any) -> Callable[[Callable[..., Any]], 
 def kernel(
     function: Callable[..., Any] | None = None, **how: Any
 ) -> Kernel | Callable[[Callable[..., Any]], Kernel]:
-    """Return a `Kernel`: a decorator, with the arguments of `jax.jit` or none."""
+    """Return a `Kernel`: a decorator, with the arguments of `jax.jit`, `wide`, or none."""
     if function is None:
         return lambda f: Kernel(f, **how)
     return Kernel(function, **how)

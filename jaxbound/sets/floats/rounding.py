@@ -44,6 +44,7 @@ __all__ = [
     "above",
     "dd_add",
     "dd_mul",
+    "folded_error",
     "fraction_to_float",
     "mantissa_exponent",
     "nearest_normals",
@@ -159,6 +160,24 @@ def residual_error(terms: int, dtype: DTypeLike) -> tuple[np.floating, np.floati
     factor |h| may follow: `floor` is to be multiplied by 1 + max|h|.
     """
     return _scalar((2 * terms + 32) * unit(dtype), dtype), _scalar(8 * terms * tiny(dtype), dtype)
+
+
+def folded_error(terms: int, dtype: DTypeLike) -> tuple[np.floating, np.floating]:
+    """Return (gamma, floor) as `residual_error` does, for readings whose last factor joins the coefficient:
+
+        d = y - offset,  q = max(|d| - rho, 0),  c = sigma / (1 + sigma),
+        m = d - c sign(d) q,  r = rho + c q,  H = h / (1 - sigma),
+        scale = sum_i |H_i| (S_i + r_i) + sum_j |k_j| (|v_j| + |offset_j|),
+
+    with S = |y| + |offset|. Proof, in units of u, by c < 1/2: d is off by 2 S, rho by 3 rho, q by 3 S + 3
+    rho, c by 3.84 c (a quotient and its divisor). So m is off by 2 S + c (3 S + 3 rho) + 4.84 c q and a last
+    rounding, 6.92 S + 1.5 rho in all, r by 7.34 r + 1.5 S, H by 5.84 H. A product adds 1, a sum of N terms
+    N - 1: (N + 12.8) S + 1.5 rho on the left-hand side, (N + 13.2) r + 1.5 S on the right, and 1 of either
+    for their difference. Together less than (N + 16) u scale to first order; 9 N / 8 + 24 covers second-order
+    terms and the rounding of the slack itself for N u < 1e-3. Per row 9 flushed results may follow in m, 9 in
+    r, each times |H|, and fewer than 6 in the sums: `floor` is to be multiplied by 1 + max|H|.
+    """
+    return _scalar((1.125 * terms + 24) * unit(dtype), dtype), _scalar(24 * terms * tiny(dtype), dtype)
 
 
 def search_error(outer: int, inner: int, known: int, dtype: DTypeLike) -> tuple[np.floating, np.floating]:

@@ -42,14 +42,15 @@ class Strips:
     """C circuits h with their action k on the known values, in floats (nearest to the exact rationals).
 
     Fields: rows (C, w): which rows a circuit uses; h (C, w); k (C, l); supports: the rows once more, static,
-    if there are few. A circuit shorter than w repeats its first row, with that row's coefficient split by
-    powers of two.
+    if there are few; inputs: then the known values that each circuit uses, static. A circuit shorter than w
+    repeats its first row, with that row's coefficient split by powers of two.
     """
 
     rows: jax.Array | np.ndarray
     h: jax.Array | np.ndarray
     k: jax.Array | np.ndarray
     supports: tuple[tuple[int, ...], ...] | None = field(metadata={"static": True})
+    inputs: tuple[tuple[int, ...], ...] | None = field(default=None, metadata={"static": True})
 
     def astype(self, dtype: DTypeLike) -> Strips:
         """Return the strips in another float dtype; refuse coefficients that it would flush to zero."""
@@ -61,7 +62,7 @@ class Strips:
                 f"{np.dtype(dtype).name} holds: "
                 "rescale the signals or use float64"
             )
-        return Strips(self.rows, self.h.astype(dtype), self.k.astype(dtype), self.supports)
+        return Strips(self.rows, self.h.astype(dtype), self.k.astype(dtype), self.supports, self.inputs)
 
 
 def strips_of(exact_h: Rows, exact_k: Rows) -> Strips:
@@ -77,10 +78,12 @@ def strips_of(exact_h: Rows, exact_k: Rows) -> Strips:
         rows.append(support + support[:1] * padding)
         coefficients.append(values)
         of_inputs.append([rounding.fraction_to_float(x) for x in k])
-    supports = tuple(map(tuple, rows)) if len(rows) <= UNROLLED else None
-    return Strips(
-        np.array(rows, np.int32), np.array(coefficients), np.array(of_inputs).reshape(len(rows), -1), supports
-    )
+    known = np.array(of_inputs).reshape(len(rows), -1)
+    supports = inputs = None
+    if len(rows) <= UNROLLED:
+        supports = tuple(map(tuple, rows))
+        inputs = tuple(tuple(np.flatnonzero(row).tolist()) for row in known)
+    return Strips(np.array(rows, np.int32), np.array(coefficients), known, supports, inputs)
 
 
 def strip_margin(strips: Strips, mid: RowValues, rad: RowValues, known: RowValues) -> jax.Array:
