@@ -68,6 +68,20 @@ def write(path, model, rows):
     )
 
 
+def with_gaps(data, model):
+    """Return lines of a CSV in which one output of a hundred is missing."""
+    rng = np.random.default_rng(1)
+    head, *lines = data.splitlines()
+    first = 1 + model.m
+    out = [head]
+    for line in lines:
+        cells = line.split(b",")
+        for at in first + np.flatnonzero(rng.uniform(size=model.p) < 0.01):
+            cells[at] = b"nan"
+        out.append(b",".join(cells))
+    return b"\n".join(out) + b"\n"
+
+
 def command(data, horizon, *options):
     program = shutil.which("jaxbound", path=Path(sys.executable).parent)
     program = [program] if program else [sys.executable, "-m", "jaxbound.cli"]
@@ -273,6 +287,9 @@ def measured(model, horizon, rows, count):
             figures["live at 1 kHz"] = live(folder, horizon, data, count)
             figures["live at 1 kHz, with --out"] = live(folder, horizon, data, count, "--out", "live")
             figures["Monitor.step"] = stepping(relations, data, count)
+            gaps = with_gaps(b"".join(data.splitlines(keepends=True)[: count + 1]), model)
+            figures["live at 1 kHz, 1 % of the outputs missing"] = live(folder, horizon, gaps, count)
+            figures["Monitor.step, 1 % of the outputs missing"] = stepping(relations, gaps, count)
         return figures
 
 

@@ -133,7 +133,7 @@ class ExchangeTest(LinearTest):
         """Return [(test, starts)]: the windows that lack a sample on which the search is built, by frames
         without it, then all others.
         """
-        lacking = _lacking(self.reading, self.exact_frame, u, y, starts)
+        lacking = self._lacking(u, y, starts)
         cases: list[tuple[WindowTest, np.ndarray]] = []
         for made, chosen in self._frames(u, y, starts[lacking]):
             case = self._searching(_Framed, made, self.steps, self.finer)
@@ -141,6 +141,23 @@ class ExchangeTest(LinearTest):
         if len(starts):
             cases.append((self, starts[~lacking]))
         return cases
+
+    def _lacking(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """Return which windows that start at `starts` lack an inner row, or an input that relations use."""
+        lacking = np.zeros(len(starts), bool)
+        gone = np.isnan(u).any(1) | np.isnan(y).any(1)
+        if not gone.any():
+            return lacking
+        so_far = np.concatenate([[0], np.cumsum(gone)])
+        touched = np.flatnonzero(so_far[starts + self.horizon + 1] > so_far[starts])
+        inner, needed = self.frames.inner, self.frames.needed
+        for first in range(0, len(touched), TOUCHED):
+            chosen = touched[first : first + TOUCHED]
+            inputs, outputs = gather(u, y, starts[chosen], self.lags, self.horizon)
+            missing = np.isnan(inputs).reshape(-1, len(chosen))
+            absent = self.reading.window.absent(outputs)
+            lacking[chosen] = absent[inner].any(0) | missing[needed].any(0)
+        return lacking
 
     def _searching(
         self, kind: "type[ExchangeTest]", made: "_Made", steps: int, finer: float
@@ -296,10 +313,13 @@ class _Frames:
     """Frames for windows that lack samples, made when they are first asked for, and kept: in fractions they
     take some milliseconds.
 
-    Fields: made: the frames, those used last first; the whole one among them.
+    Fields: made: the frames, those used last first; the whole one among them. inner, needed: numbers of its
+    inner rows, and of the inputs that it uses.
     """
 
     def __init__(self, whole: ExactFrame) -> None:
+        self.inner = np.array(whole.inner, int)
+        self.needed = np.flatnonzero([any(column) for column in zip(*whole.K, strict=True)])
         self.whole = _Made(whole, ())
         self.made = [self.whole]
 
@@ -320,26 +340,6 @@ class _Frames:
             if made.inputs == missing and _fits(made.frame, gone, missing):
                 return made
         return None
-
-
-def _lacking(
-    reading: Reading, frame: ExactFrame, u: np.ndarray, y: np.ndarray, starts: np.ndarray
-) -> np.ndarray:
-    """Return which windows that start at `starts` lack an inner row of a frame, or an input that it needs."""
-    lacking = np.zeros(len(starts), bool)
-    gone = np.isnan(u).any(1) | np.isnan(y).any(1)
-    if not gone.any():
-        return lacking
-    so_far = np.concatenate([[0], np.cumsum(gone)])
-    touched = np.flatnonzero(so_far[starts + reading.horizon + 1] > so_far[starts])
-    inner = list(frame.inner)
-    needed = [b for b in range(len(frame.K[0])) if any(row[b] for row in frame.K)]
-    for first in range(0, len(touched), TOUCHED):
-        chosen = touched[first : first + TOUCHED]
-        inputs, outputs = gather(u, y, starts[chosen], reading.lags, reading.horizon)
-        missing = np.isnan(inputs).reshape(-1, len(chosen))
-        lacking[chosen] = reading.window.absent(outputs)[inner].any(0) | missing[needed].any(0)
-    return lacking
 
 
 @jax.jit
