@@ -82,14 +82,15 @@ def test_another_value_anywhere_gives_its_own_answer(monkeypatch):
     """Closure, default, keyword default, global, global of a function that is called, argument of a partial,
     entry of an array: each of them may change between two calls of what looks the same.
     """
-    closure = [value(lambda z, /: k * z[0]) for k in (1.0, 1.0, 3.0)]
-    assert closure == [1, 1, 3]
+    times = lambda k: lambda z: k * z[0]
+    nested = lambda k: lambda z: sum((lambda v: k * v)(v) for v in (z[0], z[1]))
+    assert [value(times(k)) for k in (1.0, 1.0, 3.0)] == [1, 1, 3]
+    assert [value(twice(times(k))) for k in (1.0, 3.0)] == [2, 6]
+    assert [value(nested(k)) for k in (1.0, 3.0)] == [3, 9]
     assert [value(lambda z, k=k: k * z[0]) for k in (1.0, 3.0)] == [1, 3]
     assert [value(lambda z, *, k=k: k * z[0]) for k in (1.0, 3.0)] == [1, 3]
     assert [value(functools.partial(lambda a, z: a * z[0], k)) for k in (1.0, 3.0)] == [1, 3]
     assert [value(functools.partial(lambda z, a: a * z[0], a=k)) for k in (1.0, 3.0)] == [1, 3]
-    assert [value(twice(lambda z: k * z[0])) for k in (1.0, 3.0)] == [2, 6]
-    assert [value(lambda z: sum((lambda v: k * v)(v) for v in (z[0], z[1]))) for k in (1.0, 3.0)] == [3, 9]
     seen = []
     for factor in (2.0, 5.0):
         monkeypatch.setitem(globals(), "FACTOR", factor)
