@@ -21,6 +21,7 @@ from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.status import Status
+from jaxbound.sets.inclusion.functions import frozen
 from jaxbound.sets.inclusion.inclusion import inclusion
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.paving.paving import Paving, pave
@@ -124,7 +125,7 @@ def search(
     relations: ResidualRelations, U: np.ndarray, Y: np.ndarray, budget: int, size: int = BisectionTest.short
 ) -> Paving:
     """Search for unknowns that explain each window."""
-    f = flat(relations.f)
+    f = flat(frozen(relations.f))
     return _paved(relations, f, (U, Y), budget, size, solutions="one", cut="smear")
 
 
@@ -132,7 +133,9 @@ def _exclude(relations: ResidualRelations, U: np.ndarray, Y: np.ndarray, budget:
     """Exclude unknowns for all samples that round to the recorded ones, and inputs that round to ours."""
     slip = 2 * input_slip(U)  # 2: for this computation
     windows = U - slip, U + slip, *recorded(Y, RECORDER_ULPS + 2)
-    return _paved(relations, _Thick(relations.f), windows, budget, size, solutions="none", cut="widest")
+    return _paved(
+        relations, _Thick(frozen(relations.f)), windows, budget, size, solutions="none", cut="widest"
+    )
 
 
 def _paved(

@@ -22,6 +22,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.models.uncertainty import Uncertainty
 from jaxbound.models.unknown import Bounded
 from jaxbound.sets.floats.probe import where_proofs_hold
+from jaxbound.sets.inclusion.functions import frozen
 
 __all__ = ["linearize"]
 
@@ -107,7 +108,7 @@ def linearize(
     where = f"linearized over {_in_words([*states, *inputs, *names], box)}"
     arguments, origins = dict(bounds), {"model": where, "disturbance": where}
 
-    g = _about(_Call(f, n, m, names), box, [*at_x, *at_u], "f", n, [*states, *inputs])
+    g = _about(_Call(frozen(f), n, m, names), box, [*at_x, *at_u], "f", n, [*states, *inputs])
     if continuous:
         g = held(g, n, period)
     else:
@@ -121,7 +122,7 @@ def linearize(
         if "states" in bounds:
             arguments.setdefault("outputs", states)
     else:
-        seen = _measured(_Call(output, n, m, names), box, [*at_x, *at_u], middles, bounds)
+        seen = _measured(_Call(frozen(output), n, m, names), box, [*at_x, *at_u], middles, bounds)
         readout, change, y0 = seen.matrix, seen.change, seen.values
         arguments["noise"] = seen.noise
         origins["noise"] = f"as given, plus what was {where}"

@@ -21,6 +21,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr
 
 from jaxbound.sets.inclusion.derivatives import plain
+from jaxbound.sets.inclusion.functions import forgets
 from jaxbound.sets.inclusion.jaxprs import evaluate, refuse_unsupported
 from jaxbound.sets.inclusion.lifted import enclose
 from jaxbound.sets.intervals.interval import Interval, add, interval, mid, mul, sub, sum
@@ -107,6 +108,7 @@ def _like(x: jax.Array) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct(x.shape, x.dtype)  # type: ignore[no-untyped-call]  # jax states no types here
 
 
+@forgets
 @partial(jax.jit, static_argnums=0)
 def _at(f: Function, x: jax.Array) -> jax.Array:
     """Return the derivatives of f at a point, in plain floats, 0 where they are infinite: a choice, not a
@@ -143,6 +145,7 @@ def _grid(axes: list[np.ndarray]) -> jax.Array:
     return jnp.asarray(np.stack([numbers.ravel() for numbers in along], 1))
 
 
+@forgets
 @partial(jax.jit, static_argnums=0)
 def _remainders(
     functions: tuple[Function, ...], cells: Interval, c: jax.Array, slopes: jax.Array

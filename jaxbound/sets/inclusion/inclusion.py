@@ -23,6 +23,7 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.inclusion.derivatives import plain
+from jaxbound.sets.inclusion.functions import forgets, frozen
 from jaxbound.sets.inclusion.jaxprs import Value, evaluate, refuse_unsupported
 from jaxbound.sets.inclusion.lifted import enclose, settled
 from jaxbound.sets.intervals.interval import Interval, add, intersection, interval, matmul, mid, sub
@@ -47,7 +48,9 @@ def inclusion(f: Callable[..., Any], method: str = "natural") -> Inclusion:
 
     Returns:
         An Inclusion: called like f, with Intervals wherever a set is meant. Arrays and numbers are points. It
-        vmaps and jits; a second call with boxes of the same shape does not trace f again.
+        vmaps and jits; a second call with boxes of the same shape does not trace f again, nor does one of the
+        same function written once more (a `lambda` in a loop): `functions` says what is found again. What
+        it reads beside its arguments counts as it is at the call.
 
     Raises:
         ValueError: an unknown method. TypeError: f cannot be called.
@@ -123,6 +126,8 @@ def _run(kernel: Callable[..., Any], F: Inclusion, args: tuple[Any, ...], option
     refuse_unverified(args, options)
     leaves, structure = jax.tree.flatten((args, options), is_leaf=lambda x: isinstance(x, Interval))
     sets = tuple(isinstance(x, Interval) for x in leaves)
+    if not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((args, options))):
+        F = Inclusion(frozen(F.f), F.method)
     try:
         return kernel(F, _widened([_leaf(x) for x in leaves], sets), structure, sets)
     except NotImplementedError as e:
@@ -243,11 +248,13 @@ def _joined(parts: Sequence[Interval]) -> Interval:
     return jax.tree.map(lambda *ends: jnp.concatenate([e.ravel() for e in ends]), *parts)
 
 
+@forgets
 @kernel(static_argnums=(0, 2, 3))
 def _continuous(F, leaves, structure, sets):
     return _Traced(F.f, leaves, structure, sets).outputs(leaves)[1]
 
 
+@forgets
 @kernel(static_argnums=(0, 2, 3))
 def _jacobian(F, leaves, structure, sets):
     traced = _Traced(F.f, leaves, structure, sets)
@@ -256,6 +263,7 @@ def _jacobian(F, leaves, structure, sets):
     return Interval(jnp.where(continuous, J.lo, -jnp.inf), jnp.where(continuous, J.hi, jnp.inf))
 
 
+@forgets
 @kernel(static_argnums=(0, 2, 3))
 def _enclose(F, leaves, structure, sets):
     traced = _Traced(F.f, leaves, structure, sets)

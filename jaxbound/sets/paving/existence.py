@@ -23,6 +23,7 @@ import jax.numpy as jnp
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import kernel
+from jaxbound.sets.inclusion.functions import forgets
 from jaxbound.sets.inclusion.inclusion import Inclusion, inclusion
 from jaxbound.sets.intervals.comparisons import subset
 from jaxbound.sets.intervals.interval import Interval, hull, mag, mid, rad, wid
@@ -67,6 +68,7 @@ def continuous(f: Callable[..., Any], lo: jax.Array, hi: jax.Array, args: tuple[
     return jax.vmap(lambda lo, hi, *a: _flat(f, a).continuous(Interval(lo, hi)), in_axes=-1)(lo, hi, *args)
 
 
+@forgets
 @kernel(static_argnums=0)
 def _image(f: Callable[..., Any], X: Interval, args: tuple[jax.Array, ...]) -> tuple[Interval, jax.Array]:
     """Return the images (m, N) of boxes (n, N), and where f is proved to be defined and continuous (N,)."""
@@ -77,6 +79,7 @@ def _image(f: Callable[..., Any], X: Interval, args: tuple[jax.Array, ...]) -> t
 _middle = kernel(mid)
 
 
+@forgets
 @kernel(static_argnums=0)
 def _slope(f: Callable[..., Any], X: Interval, args: tuple[jax.Array, ...]) -> Interval:
     """Return the slopes (m, n, N) of f over boxes (n, N), entire where f is not proved to be continuous."""

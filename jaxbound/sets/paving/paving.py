@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.status import Status
+from jaxbound.sets.inclusion.functions import forgets, frozen
 from jaxbound.sets.intervals.interval import Interval, Operand, interval
 from jaxbound.sets.paving.existence import components, continuous, is_interval_function, search
 from jaxbound.sets.paving.frontier import BLOCKS, Boxes, Kernel, Verdicts, explore, in_blocks
@@ -121,7 +122,7 @@ def pave(
     Args:
         f: any JAX function of z (n,) (and of `args` for one target) that returns (m,) or a list of m numbers;
             or a function of an Interval (n,) that returns an Interval (m,) or a list of m, by outward-rounded
-            operations. Pass the same function again to reuse its compilation.
+            operations. The same function written once more is found again, as by `inclusion`.
         box: Interval (n,), bounded.
         target: None, a point (m,), points (B, m), or an Interval of either: is there a z with f(z) in it?
         subdivision: "adaptive" or "uniform".
@@ -159,6 +160,7 @@ def pave(
         ('UNDECIDED', 261, 20)
     """
     refuse_unverified(box, target, args)
+    f = frozen(f)
     box = interval(box)
     lo, hi = np.asarray(box.lo), np.asarray(box.hi)
     if lo.ndim != 1 or not len(lo) or not (np.isfinite(lo) & np.isfinite(hi)).all() or (lo > hi).any():
@@ -359,12 +361,14 @@ def _of_targets(kernel: Callable[..., Any], goal: Interval, args: tuple[Any, ...
     return of
 
 
+@forgets
 @kernel(static_argnums=0)
 def _meets(f: Callable[..., Any], X: Interval, T: Interval, args: tuple[jax.Array, ...]) -> jax.Array:
     """True for each box (n, N) whose image meets its target (closed sets)."""
     return _touch(_evaluate(f, X.lo, X.hi, args), T)
 
 
+@forgets
 @kernel(static_argnums=0)
 def _inner(
     f: Callable[..., Any], X: Interval, T: Interval, args: tuple[jax.Array, ...]
@@ -431,6 +435,7 @@ def _distinct(proofs: Boxes, solutions: str, kernel: Kernel) -> Boxes:
     return lo[:, ~again], hi[:, ~again], owner[~again]
 
 
+@forgets
 @kernel(static_argnums=0)
 def _image_block(
     f: Callable[..., Any], lo: jax.Array, hi: jax.Array, owner: jax.Array, args: tuple[jax.Array, ...]
@@ -488,6 +493,7 @@ def _uniform(
     return cell_lo[:, cell], cell_hi[:, cell], owner.astype(np.int32), np.full(count, total)
 
 
+@forgets
 @kernel(static_argnums=0)
 def _meets_uniform(
     f: Callable[..., Any], lo: jax.Array, hi: jax.Array, goal: Interval, args: tuple[jax.Array, ...]
