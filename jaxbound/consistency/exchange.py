@@ -20,6 +20,7 @@ from jaxbound.consistency import whole_numbers
 from jaxbound.consistency.interface import (
     Again,
     Arrays,
+    Easy,
     Cases,
     Judged,
     LinearRelations,
@@ -30,6 +31,7 @@ from jaxbound.consistency.interface import (
     Run,
     WindowTest,
 )
+from jaxbound.consistency.projection import EasyStretches, EasyWindows, projection
 from jaxbound.consistency.reading import Block, Reading, RowValues, gather
 from jaxbound.consistency.strips_on_host import contradicted_by
 from jaxbound.consistency.twice import Twice
@@ -123,6 +125,14 @@ class ExchangeTest(LinearTest):
     def block(self) -> int:
         """How many windows are judged at once: their inverses should stay in the cache."""
         return _block_of(self.reading.frame)
+
+    @cached_property
+    def easy(self) -> Easy | None:  # type: ignore[override]  # of a property
+        """One fixed projection, which settles most windows of most recordings."""
+        given = projection(self.relations, self.reading, self.dtype)
+        if given is None:
+            return None
+        return Easy(*(kind(self.relations, self.dtype, given) for kind in (EasyStretches, EasyWindows)))
 
     @property
     def outputs(self) -> Outputs:

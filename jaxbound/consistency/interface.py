@@ -38,6 +38,7 @@ __all__ = [
     "Budget",
     "Cases",
     "Compensation",
+    "Easy",
     "Judged",
     "LinearRelations",
     "LinearTest",
@@ -389,6 +390,11 @@ class WindowTest:
         raise NotImplementedError
 
     @property
+    def easy(self) -> "Easy | None":
+        """The tests that settle easy windows before this one is asked; None: none."""
+        return None
+
+    @property
     def outputs(self) -> Outputs:
         """The arrays over samples that `judge` fills: by default status and margin."""
         return (np.dtype(np.int8), Status.MISSING), (self.dtype, np.nan)
@@ -496,6 +502,13 @@ class LinearTest(WindowTest):
     def reading(self) -> Reading:
         """The numbers by which kernels read a window: `relations.reading`."""
         return self.relations.reading(self.dtype, self.method)
+
+
+class Easy(NamedTuple):
+    """Two tests that settle easy windows: of contiguous samples, and of windows that are gathered."""
+
+    stretches: WindowTest
+    windows: WindowTest
 
 
 def refuse_options(

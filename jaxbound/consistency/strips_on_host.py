@@ -287,6 +287,10 @@ def _largest(x: np.ndarray) -> float:
     return float(np.fmax.reduce(np.abs(x), initial=0.0))
 
 
+DENSE = 2
+"""Part of the entries of combinations above which whole rows are summed, not entry by entry."""
+
+
 def contradicted_by(
     reading: Reading, frame: Frame, u: np.ndarray, y: np.ndarray, h: np.ndarray
 ) -> np.ndarray:
@@ -301,7 +305,14 @@ def contradicted_by(
     R, K, h = _doubles(frame.R), _doubles(frame.K), _doubles(h)
     outer, inner, N = np.asarray(frame.outer), np.asarray(frame.inner), h.shape[1]
     windows = _Windows(reading, u, y)
-    of, here = np.nonzero(h.T)  # few: a search ends with about as many as there are states
+    gamma, floor = map(float, rounding.search_error(len(R), len(R.T), len(K.T), y.dtype))
+    largest = 1 + max(np.abs(R).max(initial=0), np.abs(K).max(initial=0))
+    floor *= largest * largest * (1 + windows.size.sum() + windows.known_size.sum())
+    size = windows.size[outer] + np.abs(R) @ windows.size[inner] + np.abs(K) @ windows.known_size
+    if np.count_nonzero(h) > h.size // DENSE:
+        error = np.einsum("j,jn->n", gamma * size + floor, np.abs(h)) + floor
+        return windows.contradicted(outer, inner, h, -np.einsum("ji,jn->in", R, h), K, error)
+    of, here = np.nonzero(h.T)  # few: an exchange search ends with about as many as there are states
     h = h[here, of]
     across = np.stack([np.bincount(of, h * column[here], N) for column in R.T])
     there, also = np.nonzero(across)
@@ -310,10 +321,6 @@ def contradicted_by(
         np.concatenate([outer[here], inner[there]]), np.concatenate([of, also]), weights
     )
     value = np.bincount(of, h * windows.reached(K[here], of), N)
-    size = windows.size[outer] + np.abs(R) @ windows.size[inner] + np.abs(K) @ windows.known_size
-    gamma, floor = map(float, rounding.search_error(len(R), len(R.T), len(K.T), y.dtype))
-    largest = 1 + max(np.abs(R).max(initial=0), np.abs(K).max(initial=0))
-    floor *= largest * largest * (1 + windows.size.sum() + windows.known_size.sum())
     error = np.bincount(of, np.abs(h) * (gamma * size[here] + floor), N) + floor
     with np.errstate(invalid="ignore"):
         return np.asarray((least - value > error) | (most - value < -error))
@@ -361,6 +368,32 @@ class _Windows:
         if missing.any():
             known = np.where(missing & (k == 0), 0, known)
         return np.asarray(np.einsum("ij,ij->i", k, known))
+
+    def contradicted(
+        self, outer: np.ndarray, inner: np.ndarray, h: np.ndarray, back: np.ndarray, K: np.ndarray, error: np.ndarray
+    ) -> np.ndarray:
+        """Return (N,) bool: which windows combinations h of outer rows contradict, -h R of inner ones; of one
+        that lacks a sample nothing is said.
+        """
+        lo, hi = self._every()
+        least, most = np.zeros(h.shape[1]), np.zeros(h.shape[1])
+        for rows, weights in ((outer, h), (inner, back)):
+            below, above = weights * lo[rows], weights * hi[rows]
+            least += np.minimum(below, above).sum(0)
+            most += np.maximum(below, above).sum(0)
+        # no product of a library: its threads wait for each other where others are at work
+        value = np.einsum("nb,nb->n", np.einsum("jn,jb->nb", h, K), self._known)
+        with np.errstate(invalid="ignore"):
+            return np.asarray((least - value > error) | (most - value < -error))
+
+    def _every(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the ends (rows, N) of all rows that speak of one sample."""
+        d = self._y - self._offset[:, None]
+        count = d.shape[2]
+        lo, hi = _between(d, self._rho, self._sigma[:, None])
+        ends = np.repeat(self._ends[:, :, None], count, 2)
+        below = np.concatenate([lo.reshape(-1, count), ends[:, 0] - self._tiny])
+        return below, np.concatenate([hi.reshape(-1, count), ends[:, 1] + self._tiny])
 
     def sums(self, rows: np.ndarray, of: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the least and the most (N,) of weighted sums: of so many rows of so many windows."""
