@@ -1,17 +1,18 @@
-"""What an accelerator has to show before it may prove, in one run; on CPU the same with virtual devices, and
-the door stays shut.
+"""What an accelerator does with windows, in ten minutes; on CPU the same with virtual devices.
 
-The examination of its arithmetic in both precisions; no false alarm where every error lies at a bound;
-verdicts against those of one CPU device; strips and the memory's bandwidth, long windows, a study beside two
-cores, an observer, tuning, memory. Nothing is claimed of a device that this did not run on. A card that
-nobody has examined shows its examination and margins alone; with --admit, and where the examination in
-float64 broke nothing, it counts as examined for this run: what it judges is measured then, not to be
-believed.
+The examination of its arithmetic in both precisions, which `jaxbound examine` runs too; no false alarm where
+every error lies at a bound; verdicts against those of one CPU device: each FAULT the same, nothing CONSISTENT
+where the device was not examined; shares of the limits of its memory and of its arithmetic, of the way from
+the host, and of the time that proving on the host takes at 0, 1 and 100 % faulty windows; long windows, a
+study beside two cores, an observer, tuning. Figures are written after each stage: a run that is cut short
+leaves those that it had.
 
 python -m benchmarks.accelerator [--windows 1000000] [--vertices 1000000] [--scenarios 20000] [--devices 8]
-[--admit]
+[--examine]
 
-What a card is asked for: --windows 1e8 --vertices 1e9 --scenarios 1e6 --admit.
+With --examine the outcome of the examination is kept, as by the shell, and CONSISTENT counts from then on;
+without, a card that nobody examined only searches. What a card is asked for:
+JAX_PLATFORMS=cuda,cpu python -m benchmarks.accelerator --windows 1e8 --vertices 1e8 --examine
 """
 
 import os
@@ -23,9 +24,11 @@ if "--devices" in sys.argv or not os.environ.get("JAX_PLATFORMS"):
         f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={wanted}".strip()
     )
 
+import json
 import time
 from contextlib import nullcontext
 from pathlib import Path
+from unittest.mock import patch
 
 import jax
 import numpy as np
@@ -33,7 +36,9 @@ import numpy as np
 import jaxbound as jb
 from benchmarks import timing
 from benchmarks.long_windows import FOUR
-from jaxbound.consistency import strips
+from benchmarks.twice import faulty
+from jaxbound.consistency import drive, strips
+from jaxbound.consistency.searched import judging_device
 from jaxbound.diagnosis.spot_checks import decided_again
 from jaxbound.sets.floats import probe
 from jaxbound.sets.floats.examination import examination
@@ -44,12 +49,6 @@ from systems import paper  # noqa: E402
 WANTED = {"share of bandwidth": 0.5, "times two cores": 20.0, "million long windows/s": 20.0}
 FEW = 100_000  # scenarios that the cores simulate beside a card
 AT_ONCE = 10_000_000  # windows with errors at their bounds that are drawn at once
-
-
-class Unexamined:
-    """A card that nobody has examined: the door has to stay shut."""
-
-    platform, device_kind, compute_capability = "gpu", "NVIDIA of next year", "99.0"
 
 
 def at_vertices(windows, seed=0):
@@ -80,18 +79,94 @@ def bandwidth(device, size=4 * 10**8):
     return 2 * x.nbytes / timing.clock(lambda: more(x), 5)[1]
 
 
-def of_memory_speed(relations, u, y, device):
+def arithmetic(device, dtype, size=2**22, chains=4, length=64):
+    """Return the operations a second of one device: chains of multiplications and additions of each number,
+    unrolled, so that they fuse into one pass.
+    """
+    x = jax.device_put(np.linspace(0.1, 0.9, size, dtype=dtype), device)
+
+    @jax.jit
+    def chained(x):
+        parts = [x * (k + 1) for k in range(chains)]
+        for _ in range(length):
+            parts = [part * x + 0.25 for part in parts]
+        return sum(parts)
+
+    return 2 * chains * length * size / timing.clock(lambda: chained(x), 5)[2]
+
+
+def from_the_host(device, size=2**27):
+    """Return the bytes a second that go from the host to one device."""
+    x = np.ones(size // 8)
+    return x.nbytes / timing.clock(lambda: jax.device_put(x, device), 5)[1]
+
+
+def limits(device):
+    """Return what binds one device."""
+    return {
+        "memory, GB/s": round(bandwidth(device) / 1e9, 1),
+        "from the host, GB/s": round(from_the_host(device) / 1e9, 1),
+        "float64, GFLOP/s": round(arithmetic(device, np.float64) / 1e9, 1),
+        "float32, GFLOP/s": round(arithmetic(device, np.float32) / 1e9, 1),
+    }
+
+
+def of_the_limits(relations, u, y, device, limit):
     """Return figures of the kernel of strips alone, on one device whose memory holds the samples."""
     test = jax.device_put(relations.reading(y.dtype), device)
     given = [jax.device_put(x, device) for x in (u, y)]
     seconds = timing.clock(lambda: strips.verdicts(test, *given), 5)[1]
     moved = u.nbytes + y.nbytes + len(y) * (1 + y.itemsize)  # samples in, status and margin out
-    share = moved / seconds / bandwidth(device)
+    cost = strips.verdicts.lower(test, *given).compile().cost_analysis() or {}
+    operations = (cost[0] if isinstance(cost, list) else cost).get("flops", np.nan)
+    peak = limit[f"{y.dtype.name}, GFLOP/s"] * 1e9
     return {
         "million/s": round(len(y) / seconds / 1e6, 1),
-        "share of the bandwidth of x + 1": round(share, 3),
-        "wanted": WANTED["share of bandwidth"],
+        "share of the memory's limit": round(moved / seconds / (limit["memory, GB/s"] * 1e9), 3),
+        "operations a window": round(operations / len(y), 1),
+        "share of the arithmetic limit": round(operations / seconds / peak, 3),
+        "wanted of the memory's": WANTED["share of bandwidth"],
     }
+
+
+def sent(relations, u, y):
+    """Return how many times the bytes of a recording go to devices."""
+    counts, spread = [], drive.on_devices
+
+    def counted(kernel, constants, blocks, *rest):
+        counts.extend(x.nbytes for block in blocks for x in block if isinstance(x, np.ndarray))
+        return spread(kernel, constants, blocks, *rest)
+
+    with patch.object(drive, "on_devices", counted):
+        jb.detect(relations, u, y)
+    return round(sum(counts) / (u.nbytes + y.nbytes), 2)
+
+
+def proving(relations, u, y):
+    """Return {share of faulty windows: share of the wall time that proving on the host takes}."""
+    spent, found = [], {}
+    names = ("decided_twice", "only_searched")
+    whole = {name: getattr(drive, name) for name in names}
+
+    def timed(name):
+        def run(*given):
+            start = time.perf_counter()
+            out = whole[name](*given)
+            spent.append(time.perf_counter() - start)
+            return out
+
+        return run
+
+    for share in (0.0, 0.01, 1.0):
+        outputs = faulty(y, share, relations.horizon + 1)
+        jb.detect(relations, u, outputs)
+        with patch.multiple(drive, **{name: timed(name) for name in names}):
+            spent.clear()
+            start = time.perf_counter()
+            jb.detect(relations, u, outputs)
+            total = time.perf_counter() - start
+        found[f"{share:.0%}"] = round(sum(spent) / total, 3)
+    return found
 
 
 def beside_cores(scenarios):
@@ -125,94 +200,119 @@ def speed(run, windows):
 
 
 def judged(relations, u, y):
-    """Return the statuses of all devices, and on how many windows a CPU device alone says something that
-    contradicts them.
-    """
+    """Return (the Result of all devices, what is to be 0 of it beside a CPU device alone)."""
     found = jb.detect(relations, u, y)
     with jax.default_device(jax.local_devices(backend="cpu")[0]):
         alone = jb.detect(relations, u, y).status
-    proved = lambda x: (x == jb.Status.FAULT) | (x == jb.Status.CONSISTENT)
-    return (
-        found,
-        int((proved(found.status) & proved(alone) & (found.status != alone)).sum()),
-        int((found.status != alone).sum()),
-    )
+    fault, consistent = (found.status == kind for kind in (jb.Status.FAULT, jb.Status.CONSISTENT))
+    searched = probe.searching_device()
+    return found, {
+        "FAULT that the CPU explains": int((fault & (alone == jb.Status.CONSISTENT)).sum()),
+        "CONSISTENT that the CPU refutes": int((consistent & (alone == jb.Status.FAULT)).sum()),
+        "CONSISTENT though nobody examined it": int(consistent.sum()) if searched else 0,
+        "MISSING otherwise": int(((found.status == 0) != (alone == 0)).sum()),
+    }
+
+
+class Figures(dict):
+    """Figures by stage, printed and written as they come."""
+
+    def stage(self, name, work):
+        """Do a stage and keep its figures and seconds; one that fails says why, and others go on."""
+        start = time.perf_counter()
+        try:
+            self[name] = work()
+        except (RuntimeError, NotImplementedError, MemoryError, ValueError) as e:
+            self[name] = f"{type(e).__name__}: {str(e)[:300]}"
+        self.setdefault("seconds", {})[name] = round(time.perf_counter() - start, 1)
+        print(f"{self['seconds'][name]:7.1f} s  {name}: {self[name]}", flush=True)
+        (Path(__file__).parent / "accelerator.json").write_text(json.dumps(self, indent=1) + "\n")
+        return self[name]
 
 
 def main():
     windows, vertices = timing.option("--windows", 10**6), timing.option("--vertices", 10**6)
     scenarios = timing.option("--scenarios", 20_000)
-    devices, figures = jax.local_devices(), {}
-    for dtype in (np.float32, np.float64):
-        for device in devices[:: len(devices) - 1 or 1]:
-            found = examination(device, dtype)
-            broken = {name: pair for name, pair in found.items() if not pair[0] <= pair[1]}
-            figures[f"examination of {device}, {np.dtype(dtype).name}"] = {
-                "claims": len(found),
-                "broken": broken,
-            }
-    assert not probe.verified(Unexamined()), "the door is open to what nobody has examined"
-    figures["premises"] = probe.PREMISES.get(probe.kind_of_device(devices[0])["platform"], ("unknown",))
-    figures["may prove"] = {str(probe.kind_of_device(d)): probe.verified(d) for d in devices}
-    if (
-        "--admit" in sys.argv
-        and not all(map(probe.verified, devices))
-        and not figures[f"examination of {devices[0]}, float64"]["broken"]
-    ):
-        kind = probe.kind_of_device(devices[0])
-        probe.EXAMINED |= {" ".join(x for x in (kind["platform"], kind["capability"]) if x)}
-        figures["admitted for this run"] = sorted(probe.EXAMINED)
-    proves = all(map(probe.verified, devices))
-    if not proves:
-        figures["verdicts"] = "refused: this device is not in EXAMINED; margins alone were measured"
+    devices, figures = (
+        jax.local_devices(),
+        Figures(machine=timing.machine(), devices=len(jax.local_devices())),
+    )
+    figures["load average"] = [round(x, 1) for x in os.getloadavg()]
+    if "--examine" in sys.argv:
+        figures.stage("kept", lambda: [found.record for found in probe.examined_devices()])
+    else:
+        for dtype in (np.float32, np.float64):
+            figures.stage(
+                f"examination, {np.dtype(dtype).name}", lambda dtype=dtype: examined(devices[0], dtype)
+            )
+    figures["premises"] = probe.PREMISES.get(probe.kind_of_device(devices[0])["platform"], (probe.UNREAD,))
+    figures["who judges"] = judging_device() or "CPU"
+    limit = figures.stage("limits of the first device", lambda: limits(devices[0]))
     r, long = jb.parity_relations(paper()), jb.parity_relations(paper(), 15)
     rng = np.random.default_rng(0)
     u, y = rng.normal(size=(windows, 1)), rng.normal(size=(windows, 2))
-    figures["margins"] = speed(lambda: jb.margins(r, u, y), windows)
-    figures["strips, the kernel alone"] = of_memory_speed(r, u, y, devices[0])
-    if proves:
-        for precision in (True, False):
-            with jax.enable_x64(precision):
-                name, kind = ("float64", np.float64) if precision else ("float32", np.float32)
-                if not all(map(probe.verified, devices)):
-                    figures[name] = "refused: the door asks for float64 here"
-                    continue
-                some = [x.astype(kind) for x in (u, y)]
-                alarms = false_alarms({"short": r, "long": long}, vertices, kind)
-                found, contradicted, differ = judged(r, *(x[:100_000] for x in some))
-                figures[name] = {
-                    "windows at vertices": vertices,
-                    "false alarms at vertices": alarms,
-                    "contradicted by one CPU device": contradicted,
-                    "other than one CPU device": differ,
-                    "decided again on the CPU": decided_again(found),
-                    "strips, from and to the host": speed(
-                        lambda some=some: jb.detect(r, *some).status, windows
-                    ),
-                }
-                assert not any(alarms.values()) and not contradicted
-        some, four = windows // 20, jb.LinearSystem(**FOUR)
-        inputs = rng.normal(size=(some, four.m))
-        outputs = np.asarray(jb.simulate(four, inputs, jax.random.key(2)).y)
-        rows = jb.parity_relations(four, 15)
-        figures["long windows, 32 rows, 4 states"] = speed(
-            lambda: jb.detect(rows, inputs, outputs).status, some
-        ) | {"wanted": WANTED["million long windows/s"]}
-        figures[f"study of {scenarios} x 200"] = beside_cores(scenarios)
-        figures["observer"] = speed(
-            lambda: jb.detect(jb.observer(paper()), u[:20_000], y[:20_000]).status, 20_000
-        )
-        given = rng.uniform(-1, 1, (some, 1))
-        healthy = given, np.asarray(jb.simulate(paper(), given, jax.random.key(3)).y)
-        figures["tune, windows looked at"] = speed(
-            lambda: jb.tune(r, healthy, steps=100, safety=1).smallest, 100 * some
-        )
+    for kind in (np.float64, np.float32):
+        with jax.enable_x64(kind is np.float64):
+            name, some = np.dtype(kind).name, [x.astype(kind) for x in (u, y)]
+            figures.stage(
+                f"{name}: strips, the kernel alone",
+                lambda some=some: of_the_limits(r, *some, devices[0], limit),
+            )
+            figures.stage(
+                f"{name}: strips, from and to the host",
+                lambda some=some: speed(lambda: jb.detect(r, *some).status, windows),
+            )
+            found, wrong = judged(r, *(x[:100_000] for x in some))
+            figures.stage(f"{name}: to be 0, beside one CPU device", lambda wrong=wrong: wrong)
+            if not probe.searching_device():
+                figures.stage(f"{name}: decided again", lambda found=found: decided_again(found))
+            alarms = figures.stage(
+                f"{name}: false alarms at vertices, of {vertices}",
+                lambda kind=kind: false_alarms({"short": r, "long": long}, vertices, kind),
+            )
+            assert not any(wrong.values()), wrong
+            assert not any(alarms.values()), alarms
+    some, four = max(windows // 20, 1000), jb.LinearSystem(**FOUR)
+    inputs = rng.normal(size=(some, four.m))
+    outputs = np.asarray(jb.simulate(four, inputs, jax.random.key(2)).y)
+    rows = jb.parity_relations(four, 15)
+    given = rng.uniform(-1, 1, (windows, 1))
+    healthy = given, np.asarray(jb.simulate(paper(), given, jax.random.key(3)).y)
+    figures.stage("margins", lambda: speed(lambda: jb.margins(r, u, y), windows))
+    figures.stage(
+        "times that a sample goes to a device",
+        lambda: {"strips": sent(r, u, y), "16 samples": sent(rows, inputs, outputs)},
+    )
+    figures.stage("share of proving on the host, strips", lambda: proving(r, *healthy))
+    figures.stage(
+        "long windows, 32 rows, 4 states",
+        lambda: (
+            speed(lambda: jb.detect(rows, inputs, outputs).status, some)
+            | {"wanted": WANTED["million long windows/s"]}
+        ),
+    )
+    figures.stage(f"study of {scenarios} x 200, on the CPU", lambda: beside_cores(scenarios))
+    figures.stage(
+        "observer, on the CPU where nobody examined the device",
+        lambda: speed(lambda: jb.detect(jb.observer(paper()), u[:20_000], y[:20_000]).status, 20_000),
+    )
+    few = tuple(x[:some] for x in healthy)
+    figures.stage(
+        "tune, windows looked at",
+        lambda: speed(lambda: jb.tune(r, few, steps=100, safety=1).smallest, 100 * some),
+    )
     stats = devices[0].memory_stats() or {}
     figures["peak MB of the first device"] = round(stats.get("peak_bytes_in_use", 0) / 1e6) or None
-    timing.save(
-        "accelerator",
-        {"devices": len(devices), "load average": [round(x, 1) for x in os.getloadavg()], **figures},
-    )
+    timing.save("accelerator", figures)
+
+
+def examined(device, dtype):
+    """Return how many claims there are, and those that do not hold."""
+    found = examination(device, dtype)
+    return {
+        "claims": len(found),
+        "broken": {name: pair for name, pair in found.items() if not pair[0] <= pair[1]},
+    }
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ from jaxbound.cli.terminal import door, nobody_reads, say, system_trouble, usabl
 from jaxbound.cli.window import window_relations
 from jaxbound.consistency.monitor import Monitor
 from jaxbound.diagnosis.alarms import forgets_after
-from jaxbound.diagnosis.hints import bound_hints, outgrown, unfit
+from jaxbound.diagnosis.hints import bound_hints, judging_hints, outgrown, unfit
 from jaxbound.files.locks import refuse_link
 from jaxbound.models.modelfile import load_model
 from jaxbound.models.system import LinearSystem
@@ -215,7 +215,7 @@ class _LiveRun:
         """Begin with nothing judged."""
         self.stream, self.judge, self.lines = stream, judge, lines
         relations = judge.monitor.relations
-        self.hints = bound_hints(stated, relations)
+        self.hints = [*bound_hints(stated, relations), *judging_hints(relations.remembers)]
         self.outgrown = bool(outgrown(stated, relations))
         self.tally = Tally(stream.when, relations.horizon)
         self.alarms = AlarmEnds(forgets_after(relations))

@@ -15,7 +15,7 @@ from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.terminal import door, usable_device
 from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarms import Alarm, group_alarms
-from jaxbound.diagnosis.hints import bound_hints, outgrown
+from jaxbound.diagnosis.hints import bound_hints, judging_hints, outgrown
 from jaxbound.estimation.validation import Validation, least_horizon, validate
 from jaxbound.models.modelfile import load_model
 from jaxbound.models.system import LinearSystem
@@ -195,7 +195,8 @@ def evaluate_validation(
     alarms = res.alarms(*alarm)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
     reaches = outgrown(plant, looks_back="validation")
-    hints = (*recording.hints, *bound_hints(plant), *reaches, *_assumptions(res, recording))
+    sure = (*judging_hints(remembers=True), *bound_hints(plant))
+    hints = (*recording.hints, *sure, *reaches, *_assumptions(res, recording))
     summary = summarised(res, alarms, recording.label, min_coverage, hints, outgrown=bool(reaches))
     close_all(sinks, Outcome(alarms, summary, plant, Path(data), content, options.method, horizon))
     write_page(work, res, recording, summary, seconds=seconds, progress=lambda share: step("report", share))

@@ -460,12 +460,11 @@ class WindowTest:
         return judged, ~contradicted
 
     def unproved(self, judged: Judged) -> Judged:
-        """Return the verdicts with UNDECIDED in place of CONSISTENT, in arrays of their own: a device that
-        nobody has examined says it.
+        """Return the verdicts with UNDECIDED in place of CONSISTENT, which a device says that nobody has
+        examined.
         """
         consistent = judged.status == Status.CONSISTENT
-        status = np.where(consistent, np.int8(Status.UNDECIDED), judged.status)
-        return judged._replace(status=status, margin=np.array(judged.margin))
+        return judged._replace(status=np.where(consistent, np.int8(Status.UNDECIDED), judged.status))
 
     def judged(self, outs: Sequence[np.ndarray]) -> Judged:
         """Return the verdicts from the arrays of `outputs`, each (..., T).

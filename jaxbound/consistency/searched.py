@@ -36,12 +36,17 @@ def only_searched(
     judged = test.unproved(judged)
     status, margin = judged.status.reshape(-1), judged.margin.reshape(-1)
     fault = status == Status.FAULT
-    margin[fault & (margin >= 0)] = np.nan  # its sign is known on the host, its size is not
-    lacking = _lacking(test, u, y, ends & (status == Status.MISSING), missing)
-    lacking |= ~fault & ~_any_sample(test.horizon, u, y)
-    status[~fault] = Status.UNDECIDED
-    status[lacking | ~ends] = Status.MISSING
-    margin[status == Status.MISSING] = np.nan
+    lacking = ~ends
+    unsure = ends & (status == Status.MISSING)
+    if unsure.any():
+        lacking |= _lacking(test, u, y, unsure, missing)
+    if np.isnan(y.min(initial=0)):  # else each window has a sample
+        lacking |= ends & ~fault & ~_any_sample(test.horizon, u, y)
+    np.putmask(status, ~fault, np.int8(Status.UNDECIDED))
+    np.putmask(status, lacking, np.int8(Status.MISSING))
+    np.putmask(margin, lacking, np.nan)
+    if fault.any():  # a sign is known on the host, a size is not
+        np.putmask(margin, fault & (margin >= 0), np.nan)
     return judged
 
 

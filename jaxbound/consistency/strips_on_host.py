@@ -36,6 +36,8 @@ __all__ = ["HostStrips", "contradicted_by", "host_strips"]
 
 BLOCK = 2**13
 """Windows at once: their rows stay in the cache."""
+SPARSE = 2
+"""Windows whose samples are fewer than one in so many are laid end to end: what lies between takes time."""
 DENSE = 4
 """Windows are gathered where fewer than one in so many is asked for, else cut out as stretches."""
 
@@ -98,13 +100,23 @@ class HostStrips:
         `starts`, in rising order.
         """
         out = np.zeros((len(self.strips), len(starts)), bool)
-        first = 0
+        first, samples = 0, self.reading.horizon + 1
         with np.errstate(all="ignore"):
             while first < len(starts):
                 stop = int(np.searchsorted(starts, starts[first] + BLOCK))
-                out[:, first:stop] = self._block(u, y, starts[first:stop])
+                if SPARSE * (stop - first) * samples < min(BLOCK, len(y) - starts[first]):
+                    stop = min(first + BLOCK // samples, len(starts))
+                    out[:, first:stop] = self._far_apart(u, y, starts[first:stop])
+                else:
+                    out[:, first:stop] = self._block(u, y, starts[first:stop])
                 first = stop
         return out
+
+    def _far_apart(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """Return the same of windows that lie far from each other: their samples are laid end to end."""
+        samples = self.reading.horizon + 1
+        rows = (starts[:, None] + np.arange(samples)).ravel()
+        return self._block(u.take(rows, 0), y.take(rows, 0), samples * np.arange(len(starts)))
 
     def _block(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """Return the same of windows that lie close together."""

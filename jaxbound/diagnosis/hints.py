@@ -6,13 +6,21 @@ import numpy as np
 
 from jaxbound.certificates.interface import Judgement
 from jaxbound.consistency.interface import Relations
-from jaxbound.consistency.searched import NOT_REFUTED
+from jaxbound.consistency.searched import NOT_REFUTED, judging_device
 from jaxbound.models.system import LinearSystem
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import percent, times
 from jaxbound.text.units import same_unit, without_unit
 
-__all__ = ["bound_hints", "column_unit_hints", "device_hints", "fit_hints", "outgrown", "unfit"]
+__all__ = [
+    "bound_hints",
+    "column_unit_hints",
+    "device_hints",
+    "fit_hints",
+    "judging_hints",
+    "outgrown",
+    "unfit",
+]
 
 FOR = "the bounds were found from data for windows of {} samples,"
 MAY = "a FAULT may be no more than an error that lasts longer than those"
@@ -72,6 +80,18 @@ def device_hints(device: str) -> tuple[str, ...]:
     if device.startswith("the CPU"):
         return (f"followed on {device}",)
     return ()
+
+
+def judging_hints(remembers: bool) -> tuple[str, ...]:
+    """Return the sentence on the device that judges in this process; none of a CPU.
+
+    Args:
+        remembers: whether an observer, or a validation, judges.
+    """
+    device = judging_device(remembers)
+    if not device:
+        return ()
+    return device_hints(device) or (f"judged on {device}",)
 
 
 def column_unit_hints(model: LinearSystem) -> list[str]:

@@ -85,8 +85,8 @@ def again_said(devices: str, count: int) -> tuple[str, ...]:
     """Return the sentence on so many windows that were judged on devices and decided again; none if there are
     no such.
     """
-    if NOT_REFUTED in devices:
-        return device_hints(devices)
+    if hints := device_hints(devices):
+        return hints
     if not count:
         return ()
     return (

@@ -19,6 +19,7 @@ import jax
 import numpy as np
 
 from jaxbound.consistency.interface import Judged, Observer, Relations
+from jaxbound.consistency.searched import judging_device
 from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.estimation.observation import CarriedState
 from jaxbound.estimation.set_observer import SetObserver
@@ -148,7 +149,8 @@ def followed(observer: Observer[Any], given: Joined) -> tuple[Result, Any]:
     starts = tuple(recording.starts.tolist())
     about = watch.method, watch.continued(carry), recording.u, recording.y, recording.index, starts
     aside = recording.aside(observer.horizon)
-    return result_of(observer, Judged(status, margin), *about, aside=aside), between
+    judged, device = Judged(status, margin), judging_device(remembers=True)
+    return result_of(observer, judged, *about, aside=aside, device=device), between
 
 
 def joined_carries(observer: SetObserver[State], carries: Sequence[State]) -> State:

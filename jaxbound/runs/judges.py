@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxbound.consistency.interface import Judged, Observer, Relations
 from jaxbound.consistency.monitor import Monitor
-from jaxbound.consistency.searched import NOT_REFUTED
+from jaxbound.consistency.searched import NOT_REFUTED, judging_device
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.spot_checks import COUNT, decided_again, judged_elsewhere
 from jaxbound.files.checkpoint import as_texts, from_texts
@@ -88,11 +88,13 @@ class Carried(Generic[State]):
     ) -> None:
         self.observer, self.carry, self.size, self.done, self.warm = observer, carry, size, done, warm
         self.begins = max(warm or 0, self.overlap)
-        self.again: dict[str, int] = {}  # verdicts that rest on all samples before are not decided again
+        self.again: dict[str, int] = {}  # none are decided again: they rest on all samples before
         self.laps = laps
 
     def __call__(self, piece: Numbered) -> Iterator[tuple[Recording, Verdicts]]:
         """Judge the samples that are new in a piece, those of each part by themselves."""
+        if device := judging_device(remembers=True):
+            self.again[device] = 0
         first, recording = piece
         _, given = self.observer.recording(on_device(recording, self.laps))
         stop = first + recording.samples
