@@ -33,6 +33,7 @@ def unexamined():
 
     with (
         patch.object(probe, "_doubt", doubted),
+        patch.object(probe, "is_cpu_default", lambda: False),
         patch.object(probe, "kind_of_device", card),
         patch.object(searched, "kind_of_device", card),
     ):
