@@ -81,7 +81,8 @@ def clipped_hints(c: jax.Array, G: jax.Array, steps: int | jax.Array) -> Hints:
     gram, inverse = gram_inverse(G)
     h = _combined(inverse, -c)
     z = _back(G, h)
-    start = z, z, h, _quotient(h, z, c), jnp.max(jnp.abs(z), 0), jnp.int32(0)
+    high = jnp.max(jnp.abs(z), 0)
+    start: tuple[jax.Array, ...] = (z, z, h, _quotient(h, z, c), high, jnp.zeros((), jnp.int32))
     z, _, h, low, *_ = jax.lax.while_loop(going, move, start)
     return Hints(gram, inverse, z, h, low)
 
