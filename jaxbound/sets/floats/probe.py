@@ -31,7 +31,7 @@ from jax.typing import DTypeLike
 
 from jaxbound.sets.floats import rounding, unrolled
 from jaxbound.sets.floats.examined import Record, admitted, doubt_of, examine, record_of
-from jaxbound.sets.floats.kinds import kind_of_device, most_of_a_quotient
+from jaxbound.sets.floats.kinds import is_cpu_default, kind_of_device, most_of_a_quotient
 from jaxbound.sets.floats.settings import (
     examined_versions,
     loose_flags,
@@ -163,6 +163,8 @@ def searching_device() -> str:
     """Return the kind of device that work goes to, like "NVIDIA 9.0", where it may search and proves nothing;
     "" where it may prove, or is a CPU, which is refused where it may not.
     """
+    if default_device() is None and is_cpu_default():  # asked for each sample of a stream
+        return ""
     for device in usable_devices():
         if _doubt(device) and kind_of_device(device)["platform"] != "cpu":
             return _named(kind_of_device(device))
