@@ -17,7 +17,7 @@ from jaxbound.consistency import drive
 from jaxbound.consistency.parametric import ParametricTest
 from jaxbound.consistency.searched import NOT_REFUTED
 from jaxbound.consistency.twice import Doubtful
-from jaxbound.sets.floats import probe
+from jaxbound.sets.floats import kernel, probe
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.threads import inherited
 
@@ -151,6 +151,33 @@ def test_loose_flags_of_a_cpu_are_refused_beside_a_card_too(monkeypatch):
         jb.detect(jb.parity_relations(paper()), np.zeros((5, 1)), np.zeros((5, 2)))
     with unexamined(), pytest.raises(RuntimeError, match="keeps to no rounding"):
         jb.observer(paper())
+
+
+def test_a_process_without_a_cpu_is_refused_in_one_sentence(monkeypatch):
+    devices = jax.local_devices
+
+    def none_of_that_name(backend=None):
+        if backend is None:
+            return devices()
+        raise RuntimeError(f"Unknown backend {backend}")
+
+    with unexamined():
+        monkeypatch.setattr(probe.jax, "local_devices", none_of_that_name)
+        for call in (probe.refuse_unusable, probe.where_proofs_hold().__enter__):
+            with pytest.raises(
+                RuntimeError, match="no CPU device: name it too, as in JAX_PLATFORMS=cuda,cpu"
+            ):
+                call()
+
+
+def test_what_is_proved_on_the_host_is_placed_on_the_host(monkeypatch):
+    chosen = []
+    monkeypatch.setattr(kernel, "_platform", lambda: "gpu")
+    with kernel.outside_xla():
+        chosen.append(probe.default_device())
+    with kernel.outside_xla(False):
+        chosen.append(probe.default_device())
+    assert chosen == [jax.local_devices(backend="cpu")[0], None]
 
 
 def test_no_other_settings_are_asked_of_a_device_that_searches(rng):

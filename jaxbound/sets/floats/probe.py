@@ -116,10 +116,12 @@ def refuse_unusable() -> None:
     """Raise Unverified if windows can be decided nowhere in this process.
 
     A device that may prove is asked all of `refuse_unverified`. Of one that may only search nothing is
-    asked: what proves is then NumPy on the host, which needs its rounding mode alone.
+    asked: what proves is then NumPy on the host, which needs its rounding mode, and a CPU device for arrays
+    that no card has held.
     """
-    if searching_device():
+    if card := searching_device():
         refuse_other_modes()
+        _host_beside(card)
     else:
         refuse_unverified()
 
