@@ -47,7 +47,8 @@ def outside_xla(active: bool = True) -> Iterator[None]:
 
 WIDE = {"xla_cpu_prefer_vector_width": 512}
 """The widest vectors that the processor has. XLA keeps to half of them, but takes samples apart with the
-widest: an elementwise kernel then runs at half its speed or less. Bits are the same.
+widest: an elementwise kernel then runs at half its speed or less. Bits of `consistency.strips` are the same;
+what else is made wide may round other sums first where a block ends.
 """
 
 
