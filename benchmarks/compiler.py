@@ -187,6 +187,22 @@ def selection():
     )
 
 
+@fact("vectors")
+def vectors():
+    y = numbers(2 * 2**16).astype(np.float32).reshape(-1, 2)
+
+    def chain(y):
+        a, b = y[:, 0], y[:, 1]
+        for k in range(20):
+            a, b = jnp.abs(a * b - k), jnp.abs(b + a * 0.5)
+        return a + b
+
+    wide = jax.jit(chain, compiler_options={"xla_cpu_prefer_vector_width": 512})
+    return f"{seconds(jax.jit(chain), y, repeats=50) / seconds(wide, y, repeats=50):.1f}", (
+        "time of interleaved float32 samples with vectors of 256 bits over 512, where there are such"
+    )
+
+
 @fact("compiling")
 def compiling():
     took = []

@@ -33,6 +33,7 @@ def unexamined():
 
     with (
         patch.object(probe, "_doubt", doubted),
+        patch.object(probe, "is_cpu_default", lambda: False),
         patch.object(probe, "kind_of_device", card),
         patch.object(searched, "kind_of_device", card),
     ):
@@ -66,7 +67,8 @@ class Lies:
             return x ^ wrong
         if np.issubdtype(x.dtype, np.integer):
             return np.where(wrong, np.flip(x), x)
-        lie = -x * rng.lognormal(0, 2, x.shape)
+        with np.errstate(over="ignore"):
+            lie = -x * rng.lognormal(0, 2, x.shape)
         lie = np.where(rng.random(x.shape) < 0.1, np.nan, lie)
         return np.where(wrong, lie, x).astype(x.dtype)
 

@@ -65,8 +65,10 @@ VERTICES = 8
 """Variables up to which the vertices of the box are enumerated."""
 PATTERNS = 64
 """Patterns of missing samples for which relations are made."""
-NEWTON = 7
-"""Steps of Newton's method; beyond them hardly anything more is proved."""
+TRIED = 1, 2, 8
+"""Points of Newton's method at which a proof is tried: the start, the next, which settle most windows, and
+the last, beyond which hardly anything more is proved.
+"""
 SHARE = 0.99
 """How far towards a side of the box one of them may go."""
 LEAST = 1e-6
@@ -75,8 +77,10 @@ LEAST = 1e-6
 Family = TypeVar("Family", bound=PolynomialRelations)
 StatusAndMargin: TypeAlias = tuple[jax.Array, jax.Array]
 """(status, margin) of windows."""
-Newton: TypeAlias = tuple[jax.Array, tuple[jax.Array, ...]]
-"""A point, and (z, p, J, bend, R) of the step that led to it."""
+At: TypeAlias = tuple[jax.Array, ...]
+"""(z, p, J, bend, R): a point, and what a proof there needs."""
+Newton: TypeAlias = tuple[jax.Array, jax.Array, At, jax.Array]
+"""(number of points, the next point, the last one, where a proof holds)."""
 
 
 class Terms(NamedTuple):
@@ -337,25 +341,39 @@ def _explained(reading: PolynomialReading, terms: Terms, start: jax.Array, wante
     """Say near which starts a zero is proved to exist, among the windows where that is wanted.
 
     Newton's method moves a point towards a zero and never onto the sides of the box, where it would have no
-    room left. It is carried by a loop, so that values, slopes and proof are of one point.
+    room left. It is carried by a loop, so that values, slopes and proof are of one point. A proof is tried
+    at the points of `TRIED`; what one of them proves stays proved, so that no window depends on another.
     """
     value, spread, rad, error = terms
     order = max(1, *map(sum, reading.exponents))
 
-    def newton(_: int | jax.Array, carry: Newton) -> Newton:
-        z = carry[0]
+    def newton(z: jax.Array) -> tuple[jax.Array, At]:
         p, J, bend = polynomials.slopes(value, spread, rad, reading.exponents, z)
         R = varying.right_inverse(J, z)
         moved = jnp.clip(z - jnp.sum(R * p[None], 1), z - SHARE * (1 + z), z + SHARE * (1 - z))
         return moved, (z, p, J, bend, R)
 
+    def proved(at: At) -> jax.Array:
+        z, p, J, bend, R = at
+        J_error = jnp.broadcast_to((order * error)[:, None], J.shape)
+        return varying.holds(p, error, J, J_error, z, R, bend)
+
+    def step(carry: Newton) -> Newton:
+        number, z, at, found = carry
+        tried = jnp.any(number == np.array(TRIED, np.int32))
+        found = jax.lax.cond(tried, lambda: found | proved(at), lambda: found)
+        moved, at = jax.lax.cond(jnp.any(wanted & ~found), lambda: newton(z), lambda: (z, at))
+        return number + 1, moved, at, found
+
+    def going(carry: Newton) -> jax.Array:
+        number, *_, found = carry
+        return (number <= TRIED[-1]) & jnp.any(wanted & ~found)
+
     first = jnp.clip(start, -SHARE, SHARE)
-    shapes = jax.eval_shape(newton, 0, (first, ()))[1]
+    shapes = jax.eval_shape(newton, first)[1]
     nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-    steps = jnp.where(jnp.any(wanted), NEWTON + 1, 0)
-    z, p, J, bend, R = jax.lax.fori_loop(0, steps, newton, (first, nothing))[1]
-    J_error = jnp.broadcast_to((order * error)[:, None], J.shape)
-    return wanted & varying.holds(p, error, J, J_error, z, R, bend)
+    *_, found = jax.lax.while_loop(going, step, (jnp.int32(0), first, nothing, jnp.zeros_like(wanted)))
+    return wanted & found
 
 
 def on_boxes(

@@ -27,6 +27,7 @@ import numpy as np
 from jaxbound.consistency.interface import Array, Judged, WindowTest
 from jaxbound.recordings.recording import NOWHERE
 from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
+from jaxbound.sets.floats.probe import is_searching
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["Doubtful", "Twice", "decided_twice", "warn_doubtful"]
@@ -155,7 +156,17 @@ class Twice:
 
 
 def warn_doubtful(what: str) -> None:
-    """Warn of verdicts that NumPy does not confirm, with a line for a report."""
+    """Warn of verdicts that NumPy does not confirm, with a line for a report unless nobody expects a proof of
+    the device.
+    """
+    if is_searching():
+        warnings.warn(
+            f"{what}, on a device that was not examined: NumPy does not confirm it from the samples, so they "
+            f"are UNDECIDED",
+            Doubtful,
+            stacklevel=2,
+        )
+        return
     versions = (
         f"jax {jax.__version__}, jaxlib {version('jaxlib')}, numpy {np.__version__}, {jax.default_backend()}"
     )

@@ -45,7 +45,7 @@ def stretch_block(reading: Reading) -> int:
         return 2**12  # their rows are arrays, which should stay in the cache: twice as fast as 2**14
     if isinstance(shape, Frame) or len(shape.h) > UNROLLED:
         return 2**14
-    return 2**16
+    return 2**17  # to start a block takes as long as some 10^4 windows of it; a short recording fills one
 
 
 QUICK = {"xla_cpu_use_fusion_emitters": False}

@@ -29,6 +29,7 @@ def card(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(probe, "usable_devices", lambda: (device,))
     monkeypatch.setattr(searched, "usable_devices", lambda: (device,))
+    monkeypatch.setattr(probe, "is_cpu_default", lambda: False)
     monkeypatch.setattr(probe, "measure", lambda device, dtype: {})
     monkeypatch.setattr(examined, "examination", lambda device, dtype: {"error of a sum": (1.0, 2.84)})
     yield device

@@ -82,7 +82,7 @@ def test_verdicts_do_not_depend_on_where_a_block_ends(horizon, rng):
     """
     r = jb.parity_relations(paper(), horizon=horizon)
     block = r.test("joint", np.float64).block
-    assert block == (2**16 if horizon == 1 else 2**12)
+    assert block == (2**17 if horizon == 1 else 2**12)
     for samples in (
         block - 1,
         block,

@@ -10,38 +10,59 @@ import numpy as np
 import pytest
 from lying_device import lying, unexamined
 from systems import paper
-from test_twice import METHODS, RELATIONS, healthy
+from test_twice import DISTURBED, METHODS, RELATIONS, healthy
 
 import jaxbound as jb
 from jaxbound.consistency import drive
 from jaxbound.consistency.parametric import ParametricTest
 from jaxbound.consistency.searched import NOT_REFUTED
 from jaxbound.consistency.twice import Doubtful
-from jaxbound.sets.floats import probe
+from jaxbound.sets.floats import kernel, probe
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.threads import inherited
 
 OBSERVERS = "observer", "constrained", "joint"
-WINDOWS = [name for name in RELATIONS if name not in OBSERVERS]
+FAMILIES = RELATIONS | {
+    "disturbed": lambda: jb.parity_relations(DISTURBED, 12),
+    "lags": lambda: jb.parity_relations(paper(), lags=(0, 2, 5)),
+    "means": lambda: jb.parity_relations(paper(tolerance=0, averages={"y1": {3: "0.05"}}), 4),
+    "residual": lambda: jb.residual(drift, jb.interval([-0.01, -0.1], [0.01, 0.1]), horizon=1),
+}
+MANY = "strips", "float32", "bank", "long", "lags"
+WINDOWS = [name for name in FAMILIES if name not in OBSERVERS]
+BY_DAY = [name for name in WINDOWS if name not in ("disturbed", "residual")]
+BY_DAY += [pytest.param(name, marks=pytest.mark.slow) for name in ("disturbed", "residual")]
+
+
+def drift(z, u, y):
+    """A gain that is uncertain by 1 %, a sensor by 0.1."""
+    return y[1, 0] - (1 + z[0]) * y[0, 0] - z[1]
 
 
 def judged(name, relations, u, y):
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", Doubtful)
+        warnings.simplefilter("ignore", RuntimeWarning)  # Doubtful, and NumPy over infinite lies
         return jb.detect(relations, u, y, method=METHODS.get(name, "joint"))
+
+
+def healthy_of(name, rng, count, samples):
+    """Return (relations, u, y) without faults."""
+    relations = FAMILIES[name]()
+    if name == "residual":
+        return relations, np.zeros((count, samples, 0)), rng.uniform(-0.04, 0.04, (count, samples, 1)) + 1
+    return relations, *healthy(name, relations.model, rng, count, samples)
 
 
 def recordings(name, rng, count=2, samples=24):
     """Return (relations, u, y): healthy, with a fault in the last recording and holes in all."""
-    relations = RELATIONS[name]()
-    u, y = healthy(name, relations.model, rng, count, samples)
+    relations, u, y = healthy_of(name, rng, count, samples)
     y[-1, 2 * samples // 3 :, 0] += 5
     y[:, 3] = np.nan
     y[:, samples // 3, 0] = np.nan
     return relations, u, y
 
 
-@pytest.mark.parametrize("name", WINDOWS)
+@pytest.mark.parametrize("name", BY_DAY)
 def test_an_honest_device_finds_every_fault_and_nothing_consistent(name, rng):
     relations, u, y = recordings(name, rng)
     here = judged(name, relations, u, y)
@@ -56,7 +77,7 @@ def test_an_honest_device_finds_every_fault_and_nothing_consistent(name, rng):
     assert not any("not examined" in hint for hint in here.hints)
 
 
-@pytest.mark.parametrize("name", WINDOWS)
+@pytest.mark.parametrize("name", BY_DAY)
 def test_a_lying_device_makes_no_verdict(name, rng):
     relations, u, y = recordings(name, rng)
     here = judged(name, relations, u, y)
@@ -132,6 +153,33 @@ def test_loose_flags_of_a_cpu_are_refused_beside_a_card_too(monkeypatch):
         jb.observer(paper())
 
 
+def test_a_process_without_a_cpu_is_refused_in_one_sentence(monkeypatch):
+    devices = jax.local_devices
+
+    def none_of_that_name(backend=None):
+        if backend is None:
+            return devices()
+        raise RuntimeError(f"Unknown backend {backend}")
+
+    with unexamined():
+        monkeypatch.setattr(probe.jax, "local_devices", none_of_that_name)
+        for call in (probe.refuse_unusable, probe.where_proofs_hold().__enter__):
+            with pytest.raises(
+                RuntimeError, match="no CPU device: name it too, as in JAX_PLATFORMS=cuda,cpu"
+            ):
+                call()
+
+
+def test_what_is_proved_on_the_host_is_placed_on_the_host(monkeypatch):
+    chosen = []
+    monkeypatch.setattr(kernel, "_platform", lambda: "gpu")
+    with kernel.outside_xla():
+        chosen.append(probe.default_device())
+    with kernel.outside_xla(False):
+        chosen.append(probe.default_device())
+    assert chosen == [jax.local_devices(backend="cpu")[0], None]
+
+
 def test_no_other_settings_are_asked_of_a_device_that_searches(rng):
     relations, u, y = recordings("strips", rng)
     with unexamined(), pytest.MonkeyPatch.context() as patch:
@@ -155,7 +203,8 @@ def test_what_a_device_copied_wrongly_proves_nothing(name, rng):
     """Numbers of relations are placed once and lie on the device."""
     relations = RELATIONS[name]()
     u, y = healthy(name, relations.model, rng, 4, 60)
-    with unexamined(), pytest.MonkeyPatch.context() as patch, pytest.warns(Doubtful):
+    said = pytest.warns(Doubtful, match="on a device that was not examined: .* UNDECIDED$")
+    with unexamined(), pytest.MonkeyPatch.context() as patch, said:
         patch.setattr(ParametricTest, "_on_device", property(lambda test: miscopied(test.reading)))
         patch.setattr(drive, "everywhere", lambda constants, devices: miscopied(constants))
         status = jb.detect(relations, u, y).status
@@ -172,13 +221,13 @@ def test_a_thread_searches_where_the_thread_that_asks_does():
 @pytest.mark.long
 @pytest.mark.parametrize("name", WINDOWS)
 def test_no_lie_makes_a_fault_of_a_million_windows(name, rng):
-    """Fewer where NumPy evaluates kernels for every lie."""
-    relations, done = RELATIONS[name](), 0
-    count, recordings = 10**6, 100
-    if relations.test(METHODS.get(name, "joint"), np.float64).replayed and name != "long":
-        count, recordings = 2000, 1
+    """Two thousand where a lie costs milliseconds: a search that goes on, kernels evaluated in NumPy."""
+    relations, _, _ = healthy_of(name, rng, 1, 2)
+    done, count, recordings = 0, 2000, 1
+    if name in MANY:
+        count, recordings = 10**6, 100
     while done < count:
-        u, y = healthy(name, relations.model, rng, recordings, 1000)
+        _, u, y = healthy_of(name, rng, recordings, 1000)
         with unexamined(), lying(0.05, seed=done):
             status = judged(name, relations, u, y).status
         assert not np.isin(status, (Status.FAULT, Status.CONSISTENT)).any()

@@ -385,3 +385,16 @@ def test_what_cannot_be_done_is_said(rng):
 
 def test_systems_cover_golden():
     assert set(GOLDEN) <= set(SYSTEMS)
+
+
+def test_a_window_is_explained_whatever_stands_beside_it(rng):
+    """A proof at an early point ends the search of its window, and of no other."""
+    r = relations(TWO)
+    u, y = record(rng, TWO, 2, "vertices")
+    y[::2] *= 1 + 0.02 * rng.uniform(-1, 1, y[::2].shape)
+    rows = np.arange(20)[:, None] + np.arange(r.horizon + 1)
+    u, y = (x[:, rows].reshape(-1, r.horizon + 1, 1) for x in (u, y))
+    together = jb.detect(r, u, y).status[:, -1]
+    assert {Status.CONSISTENT, Status.UNDECIDED} <= set(together.tolist())
+    alone = [int(jb.detect(r, u[i : i + 1], y[i : i + 1]).status[0, -1]) for i in range(len(together))]
+    np.testing.assert_array_equal(alone, together)

@@ -47,18 +47,27 @@ def outside_xla(active: bool = True) -> Iterator[None]:
 
 WIDE = {"xla_cpu_prefer_vector_width": 512}
 """The widest vectors that the processor has. XLA keeps to half of them, but takes samples apart with the
-widest: an elementwise kernel then runs at half its speed or less. Bits are the same.
+widest: an elementwise kernel then runs at half its speed or less. Bits of `consistency.strips` are the same;
+what else is made wide may round other sums first where a block ends.
 """
 
 
 def _on_the_host(active: bool) -> contextlib.AbstractContextManager[object]:
     """Return a context in which nothing that is proved outside XLA has passed through a card, if active."""
-    if not active or jax.default_backend() == "cpu":
+    if not active or _platform() == "cpu":
         return contextlib.nullcontext()
     try:
         return jax.default_device(jax.local_devices(backend="cpu")[0])
     except RuntimeError:  # a process without a CPU device
         return contextlib.nullcontext()
+
+
+def _platform() -> str:
+    """Return the platform that work goes to, as `jax.default_device` or JAX itself chose it."""
+    chosen = jax.config.jax_default_device  # type: ignore[attr-defined]  # made at run time
+    if chosen is None:
+        return jax.default_backend()
+    return str(getattr(chosen, "platform", chosen))
 
 
 class Kernel:

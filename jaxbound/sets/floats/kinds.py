@@ -1,5 +1,6 @@
 """Kinds of devices: the facts that distinguish them, and how far a quotient may be off on each."""
 
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
 
@@ -7,7 +8,7 @@ import jax
 import numpy as np
 from jax.typing import DTypeLike
 
-__all__ = ["extra_units", "has_coarse_quotients", "kind_of_device", "most_of_a_quotient"]
+__all__ = ["extra_units", "has_coarse_quotients", "is_cpu_default", "kind_of_device", "most_of_a_quotient"]
 
 FINE, COARSE = 2.84, 4.84
 """Units that a quotient may be off by: anywhere, and in float32 on a card of NVIDIA (4, PTX ISA)."""
@@ -63,7 +64,16 @@ def extra_units(dtype: DTypeLike) -> float:
 @cache
 def has_coarse_quotients() -> bool:
     """Return whether a device of this process divides float32 coarsely."""
-    return any(kind_of_device(device)["platform"] == "NVIDIA" for device in jax.local_devices())
+    devices = [*jax.local_devices()]
+    with suppress(RuntimeError):  # beside a CPU that is the default
+        devices += jax.local_devices(backend="gpu")
+    return any(kind_of_device(device)["platform"] == "NVIDIA" for device in devices)
+
+
+@cache
+def is_cpu_default() -> bool:
+    """Return whether work goes to CPUs where nobody chooses a device."""
+    return all(device.platform == "cpu" for device in jax.local_devices())
 
 
 def _is_single(dtype: DTypeLike) -> bool:

@@ -31,7 +31,7 @@ from jax.typing import DTypeLike
 
 from jaxbound.sets.floats import rounding, unrolled
 from jaxbound.sets.floats.examined import Record, admitted, doubt_of, examine, record_of
-from jaxbound.sets.floats.kinds import kind_of_device, most_of_a_quotient
+from jaxbound.sets.floats.kinds import is_cpu_default, kind_of_device, most_of_a_quotient
 from jaxbound.sets.floats.settings import (
     examined_versions,
     loose_flags,
@@ -116,10 +116,12 @@ def refuse_unusable() -> None:
     """Raise Unverified if windows can be decided nowhere in this process.
 
     A device that may prove is asked all of `refuse_unverified`. Of one that may only search nothing is
-    asked: what proves is then NumPy on the host, which needs its rounding mode alone.
+    asked: what proves is then NumPy on the host, which needs its rounding mode, and a CPU device for arrays
+    that no card has held.
     """
-    if searching_device():
+    if card := searching_device():
         refuse_other_modes()
+        _host_beside(card)
     else:
         refuse_unverified()
 
@@ -163,6 +165,8 @@ def searching_device() -> str:
     """Return the kind of device that work goes to, like "NVIDIA 9.0", where it may search and proves nothing;
     "" where it may prove, or is a CPU, which is refused where it may not.
     """
+    if default_device() is None and is_cpu_default():  # asked for each sample of a stream
+        return ""
     for device in usable_devices():
         if _doubt(device) and kind_of_device(device)["platform"] != "cpu":
             return _named(kind_of_device(device))

@@ -4,12 +4,12 @@ For c + G [-1, 1]^q with c (r, N), G (r, q, N), 0 is inside iff some z in the bo
 on that plane is one product with the projection G' (G G')^-1 of each window, and decides half of them. From
 there z moves along the plane against what exceeds a smaller box,
 
-    x = z - clip(z, -s, s),    y = (G G')^-1 G x,    z <- z - 2 (x - G' y) + (z - z before) / 2,
+    x = z - clip(z, -s, s),    y = (G G')^-1 G x,    z <- z - 2 (x - G' y) + m (z - z before),
 
-a reflection with momentum: nothing is factorised again, nothing is gathered, no row is looked for. Both
+a reflection with momentum m: nothing is factorised again, nothing is gathered, no row is looked for. Both
 answers come with each step. A z in the box explains; and y, which tends to the normal of the plane that
-separates, refutes where |y c| > sum_j |y g_j|. Its quotient of these, never above the gauge, says where the
-smaller box should end.
+separates, refutes where |y c| > sum_j |y g_j|. The quotient of these is never above the gauge: the smaller
+box ends at the largest one so far.
 
 Hints are plain floats. What proves is `explains` of any z here, and `varying.refutes` of any y, after these
 hints were arrays. Everything is written for a block of N windows, the last axis, and a window that is decided
@@ -28,12 +28,12 @@ from jaxbound.sets.floats.unrolled import apart, summed
 
 __all__ = ["Hints", "clipped_hints", "explains", "gram_inverse", "symmetric_inverse"]
 
-LEAST_SHARE = 0.3
-"""Size of the smaller box where nothing is known of the gauge yet; it grows to 1 with a gauge known to be
-1."""
 WRITTEN_OUT = 32
 """Generators up to which the sum of their squares is written out: it takes half of the time of a loop."""
-REFLECTED, MOMENTUM = 2.0, 0.5
+REFLECTED, MOMENTUM = 2.0, 0.7
+"""Factors on what is moved: twice the way onto the smaller box is a reflection, which needs fewest steps; of
+the step before most is kept, more and more of it.
+"""
 
 
 class Hints(NamedTuple):
@@ -64,12 +64,12 @@ def clipped_hints(c: jax.Array, G: jax.Array, steps: int | jax.Array) -> Hints:
 
     def move(carry: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
         z, before, h, low, high, count = carry
-        share = LEAST_SHARE + (1 - LEAST_SHARE) * jnp.minimum(low, 1)
+        share, momentum = jnp.minimum(low, 1), MOMENTUM * count / (count + 2)
         y = _combined(inverse, _excess(G, z, share))
         along = _back(G, y)
         found, open_ = _quotient(y, along, c), ~decided(low, high)
         h = jnp.where((open_ & (found > low))[None], y, h)
-        moved = _moved(z, before, along, share, open_)
+        moved = _moved(z, before, along, share, momentum.astype(z.dtype), open_)
         low = jnp.where(open_, jnp.maximum(found, low), low)
         high = jnp.where(open_, jnp.max(jnp.abs(moved), 0), high)
         return moved, z, h, low, high, count + 1
@@ -176,10 +176,15 @@ def _combined(A: jax.Array, y: jax.Array) -> jax.Array:
 
 @apart
 def _moved(
-    z: jax.Array, before: jax.Array, along: jax.Array, share: jax.Array, open_: jax.Array
+    z: jax.Array,
+    before: jax.Array,
+    along: jax.Array,
+    share: jax.Array,
+    momentum: jax.Array,
+    open_: jax.Array,
 ) -> jax.Array:
     excess = z - jnp.clip(z, -share[None], share[None])
-    moved = z - REFLECTED * (excess - along) + MOMENTUM * (z - before)
+    moved = z - REFLECTED * (excess - along) + momentum * (z - before)
     return jnp.where(open_[None], moved, z)
 
 

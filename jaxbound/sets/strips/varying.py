@@ -67,7 +67,7 @@ needs one.
 """
 FLAT = 2.0**10
 """How many times its error the widest strip must measure for the generators to span three dimensions."""
-STEPS = 6, 30
+STEPS = 6, 24
 """Steps of projections on all windows, and on what the first leave; a search for the rest."""
 NEAR = 0.97
 """Gauge known after some steps from which on a window is left to a search: projections creep there."""

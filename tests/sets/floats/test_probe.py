@@ -329,6 +329,7 @@ def test_doors_of_sets_refuse_other_devices_in_one_sentence_and_those_of_recordi
     monkeypatch.setattr(
         probe, "usable_devices", lambda: (Accelerator(),) if probe.default_device() is None else (host,)
     )
+    monkeypatch.setattr(probe, "is_cpu_default", lambda: False)
     monkeypatch.setattr("jaxbound.consistency.drive.usable_devices", lambda: (host,))
     for name, said in proving.answers().items():
         if name not in proving.OF_SETS:
@@ -487,3 +488,8 @@ def test_the_probe_runs_once_and_also_inside_a_trace(monkeypatch):
     assert (np.asarray(upper) >= 1).all()
     jb.membership(jb.zonotope([0.0], [[1.0]]), np.zeros((1, 1)))
     assert len(runs) == 1
+
+
+def test_a_device_that_is_chosen_beside_a_cpu_is_asked_for(monkeypatch):
+    monkeypatch.setattr(probe, "default_device", Accelerator)
+    assert probe.searching_device() == "gpu"
