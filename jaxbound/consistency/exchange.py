@@ -6,10 +6,11 @@ again and searched on; those that lack a sample on which the search is built get
 shared by all windows that it fits.
 """
 
+import copy
 import dataclasses
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -135,6 +136,12 @@ class ExchangeTest(LinearTest):
         if given is None:
             return None
         return Easy(*(kind(self.relations, self.dtype, given) for kind in (EasyStretches, EasyWindows)))
+
+    def measured(self) -> Self:
+        """Return a test that searches every window for its margin."""
+        test = copy.copy(self)
+        test.easy = None
+        return test
 
     @property
     def outputs(self) -> Outputs:

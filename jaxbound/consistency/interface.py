@@ -30,6 +30,7 @@ from jaxbound.text.objects import readable
 
 __all__ = [
     "FAMILIES",
+    "MARGINS",
     "METHODS",
     "OBSERVER",
     "Again",
@@ -61,6 +62,8 @@ __all__ = [
 
 METHODS = ("joint", "box", "paving", "linearized")
 OBSERVER = "observer"
+MARGINS = ("bounds", "exact")
+"""What margins of windows may be: see `detect`."""
 
 Array: TypeAlias = np.ndarray | jax.Array
 Bounds: TypeAlias = Mapping[str, Array]
@@ -393,6 +396,17 @@ class WindowTest:
     def easy(self) -> "Easy | None":
         """The tests that settle easy windows before this one is asked; None: none."""
         return None
+
+    @property
+    def margins_are(self) -> str:
+        """"exact", or "bounds" where easy windows are settled before their margins are known: then margins of
+        CONSISTENT windows are not above the exact ones, those of FAULT not below.
+        """
+        return MARGINS[0] if self.easy is not None else MARGINS[1]
+
+    def measured(self) -> Self:
+        """Return the same test with exact margins."""
+        return self
 
     @property
     def outputs(self) -> Outputs:

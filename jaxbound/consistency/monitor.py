@@ -126,7 +126,7 @@ class Monitor:
         self.dtype = np.dtype(jax.dtypes.canonicalize_dtype(float if dtype is None else dtype))
         test = relations.test(method, self.dtype, budget, compensation)
         assert isinstance(test, WindowTest)
-        self._test = test
+        self._test = test.measured()
         self.relations, self.method = test.relations, test.method
         dt = self.relations.model.dt
         self._dt = np.nan if dt is None else dt

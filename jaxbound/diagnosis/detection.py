@@ -28,6 +28,7 @@ def detect(
     progress: Callable[[float], object] | None = None,
     starts: Starts = (),
     compensation: Compensation = 0.0,
+    margins: str = MARGINS[0],
 ) -> Result:
     """Decide for every window whether any behaviour inside the bounds explains it.
 
@@ -54,6 +55,9 @@ def detect(
             disorder or of another period refused, as of a file.
         compensation: for "linearized", what each relation may be off by for the terms that it neglects, one
             number or one a relation.
+        margins: "bounds": where windows are decided by a search, one that a first projection settles keeps
+            the bound on its margin that this proves, a tenth of the work; "exact": search every window.
+            .margins says which a Result has. .alarms(), .worst and plots measure exactly what they show.
 
     Returns:
         A Result: .status (..., T) int8 (`Status`), .margin (..., T); entry k belongs to the window that ends
@@ -90,7 +94,11 @@ def detect(
     named, recording = relations.recording(u, y, starts)
     refuse_unusable()
     recording = replace(recording, u=np.asarray(recording.u), y=np.asarray(recording.y))
+    if margins not in MARGINS:
+        raise ValueError(f"margins must be one of {', '.join(MARGINS)}, not {margins!r}")
     test = named.test(method, recording.y.dtype, budget, compensation)
+    if isinstance(test, WindowTest) and margins == "exact":
+        test = test.measured()
     judged = drive(test, recording, progress)
     if (judged.status == Status.UNDECIDED).any():  # an infinite sample cannot come out as anything else
         recording.finite()
@@ -99,7 +107,9 @@ def detect(
         recorded = recording.hints
     about = test.method, test.relations, recording.u, recording.y, recording.index, starts
     aside, device = recording.aside(test.horizon), judging_device(named.remembers)
-    return result_of(relations, judged, *about, aside=aside, recorded=recorded, device=device)
+    known = test.margins_are if isinstance(test, WindowTest) else "exact"
+    more = {"aside": aside, "recorded": recorded, "device": device, "margins": known}
+    return result_of(relations, judged, *about, **more)
 
 
 def margins(relations: Relations, u: Data, y: Data = None, starts: Starts = ()) -> jax.Array:

@@ -50,6 +50,8 @@ class Result:
         aside: how many windows are MISSING because the model's `where` leaves out a sample of theirs.
         recorded: what was to be said of a recording that came from a file, its .hints; None: it came as
             arrays.
+        margins: "exact", or "bounds": of a CONSISTENT window .margin is then at most the exact one, of FAULT at
+            least; see `measured`.
         device: the device that judged, in words that say whether it was examined; "": a CPU.
     """
 
@@ -64,6 +66,7 @@ class Result:
     aside: int = field(default=0, kw_only=True)
     recorded: tuple[str, ...] | None = field(default=None, kw_only=True, repr=False)
     device: str = field(default="", kw_only=True, repr=False)
+    margins: str = field(default="exact", kw_only=True, repr=False)
 
     def _head(self) -> str:
         counts = [f"{n} {name}" for name, n in self.counts.items() if n]
@@ -85,6 +88,28 @@ class Result:
         if len(self.starts):
             rows["gaps"] = f"{len(self.starts)}, the first at {int(self.starts[0])}"
         return rows
+
+    def measured(self, where: np.ndarray) -> np.ndarray:
+        """Return the margins (..., T) with exact ones at some windows.
+
+        Args:
+            where: (..., T) bool.
+        """
+        where = where & ~np.isnan(self.margin)
+        if self.margins == "exact" or not where.any():
+            return self.margin
+        return measured(self, where)
+
+    @property
+    def worst(self) -> tuple[int, float] | None:
+        """The FAULT window of the smallest margin, else the window of the smallest: (its index in the flat
+        .margin, this margin, exact); None where no margin is known.
+        """
+        fault = self.status == Status.FAULT
+        margin = np.where(fault | ~fault.any(), self.margin, np.nan)
+        if np.isnan(margin).all():
+            return None
+        return smallest(self, margin)
 
     @property
     def suspect(self) -> np.ndarray:
@@ -208,6 +233,7 @@ def result_of(
     aside: int = 0,
     recorded: tuple[str, ...] | None = None,
     device: str = "",
+    margins: str = "exact",
 ) -> Result:
     """Return the Result of verdicts, its kind chosen by the relations that a user gave.
 
@@ -215,4 +241,5 @@ def result_of(
         family: as given to `detect`. judged: the verdicts. The others: see the fields of Result.
     """
     about = method, relations, u, y, index, starts
-    return Result(judged.status, judged.margin, *about, aside=aside, recorded=recorded, device=device)
+    more = {"aside": aside, "recorded": recorded, "device": device, "margins": margins}
+    return Result(judged.status, judged.margin, *about, **more)
