@@ -142,18 +142,29 @@ def check_rule(k: int, n: int, hold: int = 0, clear: int = 1) -> None:
         raise ValueError(f"k of n needs k <= n: {k} of {n}")
 
 
-def group_alarms(result: Grouped, k: int, n: int, hold: int, clear: int, horizon: int | None) -> list[Alarm]:
+def group_alarms(
+    result: Grouped,
+    k: int,
+    n: int,
+    hold: int,
+    clear: int,
+    horizon: int | None,
+    margin: np.ndarray | None = None,
+) -> list[Alarm]:
     """Group the FAULT windows of a Result: see `Result.alarms`. Array operations over time; the loop is over
     alarms.
 
     Args:
         horizon: of the windows; 0 where verdicts rest on all samples before, so that an onset leaves no
             window; of an observer None, or LATCHED.
+        margin: (..., T), by which the worst window of an alarm is chosen; None: that of the result.
     """
     check_rule(k, n, hold, clear)
     *batch, T = result.status.shape
     recordings = math.prod(batch)
-    status, margin = result.status.reshape(recordings, T), result.margin.reshape(recordings, T)
+    if margin is None:
+        margin = result.margin
+    status, margin = result.status.reshape(recordings, T), margin.reshape(recordings, T)
     fault, missing = status == Status.FAULT, status == Status.MISSING
     alarms = []
     for row in np.flatnonzero(fault.any(1)):

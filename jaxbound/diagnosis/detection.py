@@ -8,7 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency.drive import drive
-from jaxbound.consistency.interface import Budget, Compensation, Relations, Starts, relations_of
+from jaxbound.consistency.interface import (
+    MARGINS,
+    Budget,
+    Compensation,
+    Relations,
+    Starts,
+    WindowTest,
+    relations_of,
+)
 from jaxbound.consistency.searched import judging_device
 from jaxbound.diagnosis import isolation, observed  # noqa: F401 (the Results of a bank and of an observer)
 from jaxbound.diagnosis.result import Result, result_of

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from functools import partial, singledispatch
+from functools import cached_property, partial, singledispatch
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from jaxbound.certificates.interface import WindowCertificate, explain
 from jaxbound.consistency.interface import Judged, Relations
 from jaxbound.diagnosis.alarms import Alarm, forgets_after, group_alarms
+from jaxbound.diagnosis.measuring import exact_margins, tightest
 from jaxbound.diagnosis.hints import bound_hints, device_hints, fit_hints
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.models.system import LinearSystem
@@ -78,12 +79,12 @@ class Result:
             rows["method"] += f", {looked_at(self.relations)}"
         if self.relations is not None and hasattr(self.relations, "model"):
             rows["model"] = repr(self.relations.model)
-        if not np.isnan(self.margin).all():
-            smallest = int(np.nanargmin(self.margin))
-            at: object = smallest
+        if self.worst is not None:
+            number, smallest = self.worst
+            at: object = number
             if self.margin.ndim > 1:
-                at = tuple(map(int, np.unravel_index(smallest, self.margin.shape)))
-            rows["smallest margin"] = f"{self.margin.flat[smallest]:.4g} at {at}"
+                at = tuple(map(int, np.unravel_index(number, self.margin.shape)))
+            rows["smallest margin"] = f"{smallest:.4g} at {at}"
         rows["samples"] = f"u {np.shape(self.u)}, y {np.shape(self.y)} {np.asarray(self.y).dtype}"
         if len(self.starts):
             rows["gaps"] = f"{len(self.starts)}, the first at {int(self.starts[0])}"
@@ -95,12 +96,14 @@ class Result:
         Args:
             where: (..., T) bool.
         """
-        where = where & ~np.isnan(self.margin)
-        if self.margins == "exact" or not where.any():
+        at = np.flatnonzero(where & ~np.isnan(self.margin))
+        if self.margins == "exact" or not len(at):
             return self.margin
-        return measured(self, where)
+        margin = self.margin.copy()
+        margin.flat[at] = exact_margins(self.relations, self.method, self.u, self.y, margin, at)
+        return margin
 
-    @property
+    @cached_property
     def worst(self) -> tuple[int, float] | None:
         """The FAULT window of the smallest margin, else the window of the smallest: (its index in the flat
         .margin, this margin, exact); None where no margin is known.
@@ -109,7 +112,10 @@ class Result:
         margin = np.where(fault | ~fault.any(), self.margin, np.nan)
         if np.isnan(margin).all():
             return None
-        return smallest(self, margin)
+        if self.margins == "exact":
+            at = int(np.nanargmin(margin))
+            return at, float(margin.flat[at])
+        return tightest(self.relations, self.method, self.u, self.y, margin, low=not fault.any())
 
     @property
     def suspect(self) -> np.ndarray:
@@ -176,7 +182,8 @@ class Result:
         horizon: int | None = 0  # of residuals that a user worked out nothing is known
         if self.relations is not None:
             horizon = forgets_after(self.relations)
-        return group_alarms(self, k, n, hold, clear, horizon)
+        margin = self.measured(self.status == Status.FAULT)
+        return group_alarms(self, k, n, hold, clear, horizon, margin)
 
     def explain(self, at: int | tuple[int, ...]) -> WindowCertificate:
         """Return the Certificate of the window that ends at index `at` (an int, or a tuple for a batch), in

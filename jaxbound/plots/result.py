@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_result"]
 
+DRAWN = 2**16
+"""Windows up to which a picture has exact margins; of more it draws the bounds that a Result has."""
+
 
 @plot.register(Result)
 def plot_result(
@@ -30,6 +33,6 @@ def plot_result(
     if alarms is None:
         alarms = res.alarms()
     line = Timeline(len(x))
-    line.add(0, x, res.status, res.margin)
+    line.add(0, x, res.status, res.measured(np.full(len(x), len(x) <= DRAWN)))
     line.mark([a.worst for a in alarms])
     return plot_timeline(line, res.relations.model.name, res.method, len(alarms), ax)

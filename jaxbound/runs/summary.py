@@ -239,16 +239,12 @@ def evidence(res: Tested, alarms: Sequence[Alarm]) -> Evidence:
 @evidence.register(Result)
 def _(res: Result, alarms: Sequence[Alarm]) -> Evidence:
     fault = res.status == Status.FAULT
-    margin = res.margin
     first = at = None
     if fault.any():
-        margin = np.where(fault, margin, np.nan)
         first = at = int(np.argmax(fault))
-    if not np.isnan(margin).all():
-        at = int(np.nanargmin(margin))
     smallest = np.nan
-    if at is not None:
-        smallest = float(margin[at])
+    if res.worst is not None:
+        at, smallest = res.worst
     return Evidence(
         res.method,
         res.relations.horizon,
