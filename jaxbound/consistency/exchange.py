@@ -90,6 +90,8 @@ class ExchangeTest(LinearTest):
 
     threads = twice = True
     short = 16  # the work grows with the block
+    own: "_Made | None" = None
+    """The frame of this search, where it is not that of the relations."""
 
     def __init__(
         self,
@@ -168,6 +170,7 @@ class ExchangeTest(LinearTest):
             shape = rounded_frame(self.relations, made.frame, self.dtype)
             reading = dataclasses.replace(self.reading, shape=shape)
             made.tests[key] = kind(self.relations, self.dtype, reading, steps, finer, self.frames)
+            made.tests[key].own = made
         return made.tests[key]
 
     def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
@@ -292,6 +295,12 @@ class _Framed(ExchangeTest):
     def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Cases:
         """Return the windows given: their frame fits."""
         return [(self, starts)]
+
+    def _frames(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> "list[tuple[_Made, np.ndarray]]":
+        """Return the frame of this search, also where others have taken its place among those kept."""
+        if self.own is None or not len(starts):
+            return []
+        return [(self.own, np.arange(len(starts)))]
 
     def settle(
         self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress
