@@ -22,17 +22,18 @@ from jaxbound.consistency.twice import Twice
 from jaxbound.exact import linalg
 from jaxbound.exact.frames import ExactFrame
 from jaxbound.models import sensor, window
-from jaxbound.models.rows import Kind
+from jaxbound.models.rows import Kind, Row
 from jaxbound.models.system import LinearSystem
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import kernel
-from jaxbound.sets.floats.unrolled import total
+from jaxbound.sets.floats.unrolled import most, total
 from jaxbound.sets.strips.projection import (
     Columns,
     Forced,
     Projection,
     Rows,
     WindowColumns,
+    clipped_inside,
     clipped_margin,
     forced_outputs,
     projected_margin,
@@ -42,6 +43,10 @@ from jaxbound.sets.strips.projection import (
 __all__ = ["EasyStretches", "EasyWindows", "projection"]
 
 BLOCK = 4096
+PART = 1024
+"""Windows of a stretch that are searched together: their rows stay in the cache."""
+FEWEST = 8
+"""A part of which one window in so many is left open is searched as a whole."""
 
 
 class Given(NamedTuple):
@@ -119,39 +124,115 @@ class EasyWindows(_Easy):
         return contradicted_by(self.reading, frame, u, y, whole)
 
 
-@kernel
+@kernel(wide=True)
 def _of_stretch(given: Given, u: jax.Array, y: jax.Array) -> jax.Array:
-    """Return the margins (N,) of the windows of a stretch u (N + s, m), y (N + s, p)."""
-    reading, projection = given
-    rows, count, s = reading.window.all, len(y) - reading.horizon, reading.horizon
+    """Return the margins (N,) of the windows of a stretch u (N + s, m), y (N + s, p).
 
-    def later(x: jax.Array, j: int) -> jax.Array:
-        return x[j : j + count]
+    Where many windows of a part are left open, a few clipped steps are taken for all of it: nothing is gathered.
+    """
+    margin = projected_margin(given.projection, _columns(given, u, y))
+    s, count = given.reading.horizon, len(margin)
+    size = count
+    if count % PART == 0:
+        size = PART
 
+    def settled(i: jax.Array) -> jax.Array:
+        first = i * size
+        own = jax.lax.dynamic_slice_in_dim(margin, first, size)
+        samples = [jax.lax.dynamic_slice_in_dim(x, first, size + s) for x in (u, y)]
+
+        def search(samples: list[jax.Array]) -> jax.Array:
+            rows = _rows(given, *samples)
+            return jnp.maximum(own, clipped_inside(given.projection, rows))
+
+        return jax.lax.cond(jnp.sum(own <= 0) * FEWEST > size, search, lambda _: own, samples)
+
+    if size == count:
+        return settled(jnp.zeros((), jnp.int32))
+    return jax.lax.map(settled, jnp.arange(count // size)).reshape(-1)
+
+
+class _Stretch(NamedTuple):
+    """What belongs to the samples of a stretch, whichever window reads them.
+
+    Fields: samples: of each output (N + s,), then of each disturbance; v: the inputs (N + s,) less their
+    offsets; scale, heaviest, known: (N,), the largest of windows, see `WindowColumns`.
+    """
+
+    samples: list["_Sample"]
+    v: list[jax.Array]
+    scale: jax.Array
+    heaviest: jax.Array
+    known: jax.Array
+
+
+def _stretch_of(reading: Reading, u: jax.Array, y: jax.Array) -> _Stretch:
+    """Return what belongs to the samples u (N + s, m), y (N + s, p) of a stretch."""
+    s, count = reading.horizon, len(y) - reading.horizon
     samples = [_sample(reading, i, y[:, i]) for i in range(y.shape[1])]
-    one = jnp.ones_like(y[:count, 0])
-    scale = _running(_largest([x.scale for x in samples]), s + 1)[:count]
-    heaviest = _running(_largest([x.weight for x in samples]), s + 1)[:count]
-    pushed = _sample_of(*(part[:, 0] for part in reading._disturbance(one[:1])))
-    if len(reading.disturbance):
-        scale = jnp.maximum(scale, jnp.max(pushed.scale))
-        heaviest = jnp.maximum(heaviest, jnp.max(pushed.weight))
-    f, known = None, 0 * one
-    if projection.forced is not None:
-        f = _forced_columns(projection.forced, [u[:, b] - reading.offset_u[b] for b in range(u.shape[1])], s, count)
+    mid, radius, scale = reading._disturbance(jnp.ones_like(y[:, 0]))
+    samples += [_sample_of(*parts) for parts in zip(mid, radius, scale, strict=True)]
+    largest = _running(most([x.scale for x in samples]), s + 1)[:count]
+    heaviest = _running(most([x.weight for x in samples]), s + 1)[:count]
+    v = [u[:, b] - reading.offset_u[b] for b in range(u.shape[1])]
+    known = jnp.zeros_like(largest)
+    if v:
         sizes = [abs(u[:, b]) + abs(reading.offset_u[b]) for b in range(u.shape[1])]
-        known = _running(_largest(sizes), reading.lags)[:count]
+        known = _running(most(sizes), reading.lags)[:count]
+    return _Stretch(samples, v, largest, heaviest, known)
+
+
+def _columns(given: Given, u: jax.Array, y: jax.Array) -> WindowColumns:
+    """Return what a projection reads of the windows of a stretch u (N + s, m), y (N + s, p)."""
+    reading, projection = given
+    count, s = len(y) - reading.horizon, reading.horizon
+    stretch = _stretch_of(reading, u, y)
+    f = None
+    if projection.forced is not None:
+        f = _forced_columns(projection.forced, stretch.v, s, count)
     mid, weight = [], []
     for number in (*projection.outer, *projection.inner):
-        row = rows[number]
-        if row.kind is Kind.DISTURBANCE:
-            mid.append(pushed.mid[row.number] * one)
-            weight.append(pushed.weight[row.number] * one)
-            continue
-        column = later(samples[row.number].mid, row.first)
-        mid.append(column if f is None else column - f[row.first][row.number])
-        weight.append(later(samples[row.number].weight, row.first))
-    return projected_margin(projection, WindowColumns(mid, weight, scale, heaviest, known))
+        row = reading.window.all[number]
+        sample = stretch.samples[_series(reading, row)]
+        own = sample.mid[row.first : row.first + count]
+        if f is not None and row.kind is Kind.READING:
+            own = own - f[row.first][row.number]
+        mid.append(own)
+        weight.append(sample.weight[row.first : row.first + count])
+    return WindowColumns(mid, weight, stretch.scale, stretch.heaviest, stretch.known)
+
+
+def _rows(given: Given, u: jax.Array, y: jax.Array) -> Rows:
+    """Return what a search reads of the windows of a stretch u (N + s, m), y (N + s, p)."""
+    reading, projection = given
+    count = len(y) - reading.horizon
+    stretch = _stretch_of(reading, u, y)
+    rows = [reading.window.all[number] for number in (*projection.outer, *projection.inner)]
+    at = np.array([(_series(reading, row), row.first) for row in rows])
+    lags = np.array([(b, j) for j in range(reading.lags) for b in range(u.shape[1])]).reshape(-1, 2)
+    mid = _taken(jnp.stack([x.mid for x in stretch.samples]), at, count)
+    radius = _taken(jnp.stack([x.radius for x in stretch.samples]), at, count)
+    known = jnp.zeros((0, count), y.dtype)
+    if len(lags):
+        known = _taken(jnp.stack(stretch.v), lags, count)
+    return Rows(mid, radius, known, *stretch[2:])
+
+
+def _series(reading: Reading, row: Row) -> int:
+    """Return the number of the samples of a stretch that a row reads."""
+    if row.kind is Kind.DISTURBANCE:
+        return len(reading.noise) + row.number
+    return row.number
+
+
+def _taken(x: jax.Array, at: np.ndarray, count: int) -> jax.Array:
+    """Return rows (n, N) of x (r, N + s): of each of at (n, 2) = (row, first sample)."""
+
+    def row(place: jax.Array) -> jax.Array:
+        return jax.lax.dynamic_slice(x, (place[0], place[1]), (1, count))[0]
+
+    rows: jax.Array = jax.lax.map(row, jnp.asarray(at))
+    return rows
 
 
 def _forced_columns(forced: Forced, v: Columns, s: int, count: int) -> list[list[jax.Array]]:
@@ -178,8 +259,9 @@ def _of_windows(given: Given, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ja
     def ordered(x: jax.Array) -> jax.Array:
         return jnp.stack([x[i] for i in numbers])
 
-    known, known_scale = rows.known, rows.known_scale
-    of_rows = Rows(*map(ordered, (rows.mid, rows.rad, rows.scale)), known, known_scale)
+    mid, radius, scale = map(ordered, (rows.mid, rows.rad, rows.scale))
+    heaviest, known_size = 1 / jnp.min(radius, 0), jnp.max(rows.known_scale, 0, initial=0)
+    of_rows = Rows(mid, radius, rows.known, jnp.max(scale, 0), heaviest, known_size)
     return clipped_margin(given.projection, of_rows)
 
 
@@ -187,6 +269,7 @@ class _Sample(NamedTuple):
     """What belongs to each sample of an output, or to each disturbance: weight = 1 / radius."""
 
     mid: jax.Array
+    radius: jax.Array
     weight: jax.Array
     scale: jax.Array
 
@@ -198,14 +281,7 @@ def _sample(reading: Reading, i: int, y: jax.Array) -> _Sample:
 
 
 def _sample_of(mid: jax.Array, radius: jax.Array, scale: jax.Array) -> _Sample:
-    return _Sample(mid, 1 / radius, scale)
-
-
-def _largest(rows: Sequence[jax.Array]) -> jax.Array:
-    top = rows[0]
-    for x in rows[1:]:
-        top = jnp.maximum(top, x)
-    return top
+    return _Sample(mid, radius, 1 / radius, scale)
 
 
 def _running(x: jax.Array, lags: int) -> jax.Array:
