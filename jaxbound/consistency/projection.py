@@ -26,7 +26,7 @@ from jaxbound.models.rows import Kind, Row
 from jaxbound.models.system import LinearSystem
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import kernel
-from jaxbound.sets.floats.unrolled import most, total
+from jaxbound.sets.floats.unrolled import most, stored, total
 from jaxbound.sets.strips.projection import (
     Columns,
     Forced,
@@ -250,7 +250,7 @@ def _forced_columns(forced: Forced, v: Columns, s: int, count: int) -> list[list
     return forced_outputs(forced, first, [[x[j : j + count] for x in added] for j in range(later + 1)])
 
 
-@kernel
+@kernel(wide=True)
 def _of_windows(given: Given, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return (margins (N,), h (c, N)) of windows u (lags, m, N), y (s + 1, p, N)."""
     rows = given.reading.block(u, y)
@@ -259,7 +259,7 @@ def _of_windows(given: Given, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ja
     def ordered(x: jax.Array) -> jax.Array:
         return jnp.stack([x[i] for i in numbers])
 
-    mid, radius, scale = map(ordered, (rows.mid, rows.rad, rows.scale))
+    mid, radius, scale = stored(tuple(map(ordered, (rows.mid, rows.rad, rows.scale))))
     heaviest, known_size = 1 / jnp.min(radius, 0), jnp.max(rows.known_scale, 0, initial=0)
     of_rows = Rows(mid, radius, rows.known, jnp.max(scale, 0), heaviest, known_size)
     return clipped_margin(given.projection, of_rows)

@@ -65,13 +65,13 @@ TERMS = 48
 """Terms of a sum that are written out in a search."""
 WRITTEN_OUT = 256
 """Entries of a matrix up to which a product is written out term by term."""
-SHARE = 0.8
+SHARE = 0.85
 """Part of the radii into which errors are clipped: aiming inside them, few steps reach a healthy window."""
-OVER = 3.0
+OVER = 3.5
 """Factor on a step: few errors exceed their share, where a plain step is short."""
 AHEAD = 3
 """Steps of a search of contiguous windows."""
-STEPS = 8
+STEPS = 5
 """Steps after which a window is left to the exchange search."""
 CLEAR = 2.0**14
 """Distance from the boundary, in units of rounding, from which on a search decides, and beyond the bound of its
