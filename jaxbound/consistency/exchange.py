@@ -220,8 +220,6 @@ class ExchangeTest(LinearTest):
 
     def _contradicted(self, block: Block, hints: Arrays, at: np.ndarray) -> np.ndarray:
         """Return which windows of a block the combinations of a search contradict; see `contradicted_by`."""
-        if self.reading.window.sums:
-            return np.zeros(len(at), bool)
         u, y = (x[..., at] for x in block)
         return contradicted_by(self.reading, self.reading.frame, u, y, np.asarray(hints[0])[:, at])
 

@@ -16,13 +16,13 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from jaxbound.consistency.interface import Array, Arrays, LinearRelations, LinearTest, Outputs, Run
-from jaxbound.consistency.reading import Block, Reading
+from jaxbound.consistency.reading import AVERAGING, Block, Reading
 from jaxbound.consistency.strips_on_host import contradicted_by
 from jaxbound.consistency.twice import Twice
 from jaxbound.exact import linalg
 from jaxbound.exact.frames import ExactFrame
 from jaxbound.models import sensor, window
-from jaxbound.models.rows import Kind
+from jaxbound.models.rows import Kind, Row, WeightedSum
 from jaxbound.models.system import LinearSystem
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import kernel
@@ -136,6 +136,10 @@ def _of_stretch(given: Given, u: jax.Array, y: jax.Array) -> jax.Array:
     if len(reading.disturbance):
         scale = jnp.maximum(scale, jnp.max(pushed.scale))
         heaviest = jnp.maximum(heaviest, jnp.max(pushed.weight))
+    sums = [_sum(reading, number, y) for number in range(len(reading.window.sums))]
+    for values, part in zip(reading.window.sums, sums, strict=True):
+        scale = jnp.maximum(scale, _scale_of_sum(values, scale, part.weight))
+        heaviest = jnp.maximum(heaviest, part.weight)
     f, known = None, 0 * one
     if projection.forced is not None:
         f = _forced_columns(projection.forced, [u[:, b] - reading.offset_u[b] for b in range(u.shape[1])], s, count)
@@ -147,6 +151,12 @@ def _of_stretch(given: Given, u: jax.Array, y: jax.Array) -> jax.Array:
         if row.kind is Kind.DISTURBANCE:
             mid.append(pushed.mid[row.number] * one)
             weight.append(pushed.weight[row.number] * one)
+            continue
+        if row.kind is Kind.SUM:
+            part = sums[row.number]
+            column = later(part.mid, row.first)
+            mid.append(column if f is None else column - _forced_sum(row, f))
+            weight.append(part.weight * one)
             continue
         column = later(samples[row.number].mid, row.first)
         mid.append(column if f is None else column - f[row.first][row.number])
@@ -191,6 +201,13 @@ class _Sample(NamedTuple):
     scale: jax.Array
 
 
+class _Sum(NamedTuple):
+    """The runs of a bounded sum: mid (N + s + 1 - its samples,); weight = 1 / radius, the same for all."""
+
+    mid: jax.Array
+    weight: jax.Array
+
+
 def _sample(reading: Reading, i: int, y: jax.Array) -> _Sample:
     bounds = reading.tolerance[i], reading.noise[i], reading.resolution[i], reading.offset_y[i]
     (mid,), (radius,), (scale,) = sensor.true_value([y], *bounds)
@@ -199,6 +216,42 @@ def _sample(reading: Reading, i: int, y: jax.Array) -> _Sample:
 
 def _sample_of(mid: jax.Array, radius: jax.Array, scale: jax.Array) -> _Sample:
     return _Sample(mid, 1 / radius, scale)
+
+
+def _sum(reading: Reading, number: int, y: jax.Array) -> _Sum:
+    """Return the runs of one bounded sum in samples y (N + s, p), as of `Reading.block`, from each sample on.
+
+    The radius is below that of any window: it lacks what recorders round away.
+    """
+    values, dtype = reading.window.sums[number], y.dtype
+    count, radius = len(y) - values.samples + 1, reading.average[number]
+    if not values.measured:
+        return _Sum(jnp.zeros_like(y[:count, 0]), 1 / radius)
+    terms = []
+    for i, weights in values.parts:
+        d = y[:, i] - reading.offset_y[i]
+        for a, weight in enumerate(weights):
+            terms.append(np.asarray(float(weight), dtype) * d[a : a + count])
+        radius = radius + np.asarray(float(values.size_of(i)), dtype) * reading.resolution[i]
+    return _Sum(total(terms), 1 / radius)
+
+
+def _scale_of_sum(values: WeightedSum, scale: jax.Array, weight: jax.Array) -> jax.Array:
+    """Return at least the scale that runs of a sum have in `Reading.block`, whose samples have scales up to
+    `scale`.
+    """
+    return (2 + values.terms / AVERAGING) * (float(values.size) * scale + 1 / weight)
+
+
+def _forced_sum(row: Row, f: Sequence[Sequence[jax.Array]]) -> jax.Array:
+    """Return what inputs add to a run: the weighted sum of f, [sample][output]; nothing to disturbances."""
+    if not row.values.measured:
+        return jnp.zeros(())
+    dtype, terms = f[-1][0].dtype, []
+    for i, weights in row.values.parts:
+        for sample, weight in enumerate(weights, row.first):
+            terms.append(np.asarray(float(weight), dtype) * f[sample][i])
+    return total(terms)
 
 
 def _largest(rows: Sequence[jax.Array]) -> jax.Array:
@@ -218,13 +271,10 @@ def _running(x: jax.Array, lags: int) -> jax.Array:
 
 
 def projection(relations: LinearRelations, reading: Reading, dtype: DTypeLike) -> Projection | None:
-    """Return the projection of windows; None where there is none of use.
-
-    Bounds of sums have rows of several samples, which no column here stands for.
-    """
+    """Return the projection of windows; None where there is none of use."""
     frame, model, horizon = relations.frame, relations.model, relations.horizon
     rows = reading.window.all
-    if frame is None or reading.window.sums or not frame.inner:
+    if frame is None or not frame.inner:
         return None
     if not all(rows[number].seen for number in frame.inner):
         return None
@@ -237,11 +287,18 @@ def projection(relations: LinearRelations, reading: Reading, dtype: DTypeLike) -
         forced = _forced(model, dtype)
         if forced is None:
             return None
-    return projection_of(R, K, radius, outer, frame.inner, forced, horizon + 1, dtype)
+    sums = [values for values in reading.window.sums if values.measured]
+    size = max([1.0, *(float(values.size) for values in sums)])
+    terms = max([1, *(values.terms for values in sums)])
+    return projection_of(R, K, radius, outer, frame.inner, forced, horizon + 1, dtype, size, terms)
 
 
-def _typical(reading: Reading, row) -> float:
+def _typical(reading: Reading, row: Row) -> float:
     """Return a radius for the weight of a row."""
+    if row.kind is Kind.SUM:
+        parts = row.values.parts if row.values.measured else ()
+        away = sum(float(row.values.size_of(i)) * float(reading.resolution[i]) for i, _ in parts)
+        return float(reading.average[row.number]) + away
     if row.kind is Kind.DISTURBANCE:
         lo, hi = np.asarray(reading.disturbance, np.float64)[row.number]
         return 0.5 * (hi - lo)

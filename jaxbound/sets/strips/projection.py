@@ -286,12 +286,15 @@ def projection_of(
     forced: Forced | None,
     samples: int,
     dtype: DTypeLike,
+    spread: float = 1.0,
+    terms: int = 1,
 ) -> Projection | None:
     """Return the Projection of a frame; None where no bound on its rounding is of use.
 
     Args:
         R: (c, k), K (c, l): nearest to the exact ones. radius: (c + k,) >= 0, typical ones, outer rows first. outer,
-            inner: numbers of rows. forced: f. samples: of a window.
+            inner: numbers of rows. forced: f. samples: of a window. spread, terms: of the largest sum in a row,
+            the sum of |weights|, and how many these are.
 
     Encloses: with u the unit roundoff and g(n) = SAFE n u, which bounds what a sum of n - 4 products loses
     (Higham 2002, lemma 3.1; 4 for a rounded coefficient and for what its factors lack):
@@ -299,7 +302,9 @@ def projection_of(
         f   E_f <= G (g(driven terms) D S_u + g(own terms) a F S_u), F = G D bounds |f| / S_u;
             D, a: largest sums of |driven| (or |first|) and |own| in a row, G: of the answer of the recursion to
             what is added at each sample
-        m   16 u S and 2 u (|m| + |f|) for the difference: e_v
+        f   of a row that weighs n samples with the sum of |weights| w: w (E_f + g(n) F S_u), at most w F S_u
+        m   16 u S and 2 u (|m| + |f|) for the difference: e_v; of a sum of samples, off by (n + 4) u of their
+            magnitude and its radius by (n + 8) u, 16 u S is (n + 32) u of it (`Reading._summed`)
         z   (1 + |R|) e_v + g(k) (1 + |R|) V, V = S + F S_u
         d   |P| E_z + g(c) |P| |z|
         e   E_z + |R| E_d + g(k) (|z| + |R| |d|) and 16 u S for the radius
@@ -318,6 +323,8 @@ def projection_of(
     A = np.concatenate([R.astype(np.float64), np.eye(k)])
     step = np.linalg.solve((A.T * weight) @ A, A.T * weight).astype(dtype)
     loss, grown = _forced_loss(forced, samples, u)
+    if terms > 1:
+        loss, grown = spread * (loss + _lost(terms, u) * grown), spread * grown
     through, back = _row_sum(R), _row_sum(step)
     if not np.isfinite(grown) or not np.isfinite(back):
         return None
