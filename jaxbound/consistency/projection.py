@@ -26,13 +26,14 @@ from jaxbound.models.rows import Kind, Row, WeightedSum
 from jaxbound.models.system import LinearSystem
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import kernel
-from jaxbound.sets.floats.unrolled import total
+from jaxbound.sets.floats.unrolled import most, stored, total
 from jaxbound.sets.strips.projection import (
     Columns,
     Forced,
     Projection,
     Rows,
     WindowColumns,
+    clipped_inside,
     clipped_margin,
     forced_outputs,
     projected_margin,
@@ -42,6 +43,10 @@ from jaxbound.sets.strips.projection import (
 __all__ = ["EasyStretches", "EasyWindows", "projection"]
 
 BLOCK = 4096
+PART = 1024
+"""Windows of a stretch that are searched together: their rows stay in the cache."""
+FEWEST = 8
+"""A part of which one window in so many is left open is searched as a whole."""
 
 
 class Given(NamedTuple):
@@ -119,49 +124,124 @@ class EasyWindows(_Easy):
         return contradicted_by(self.reading, frame, u, y, whole)
 
 
-@kernel
+@kernel(wide=True)
 def _of_stretch(given: Given, u: jax.Array, y: jax.Array) -> jax.Array:
-    """Return the margins (N,) of the windows of a stretch u (N + s, m), y (N + s, p)."""
-    reading, projection = given
-    rows, count, s = reading.window.all, len(y) - reading.horizon, reading.horizon
+    """Return the margins (N,) of the windows of a stretch u (N + s, m), y (N + s, p).
 
-    def later(x: jax.Array, j: int) -> jax.Array:
-        return x[j : j + count]
+    Where many windows of a part are left open, a few clipped steps are taken for all of it: nothing is gathered.
+    """
+    margin = projected_margin(given.projection, _columns(given, u, y))
+    s, count = given.reading.horizon, len(margin)
+    size = count
+    if count % PART == 0:
+        size = PART
 
+    def settled(i: jax.Array) -> jax.Array:
+        first = i * size
+        own = jax.lax.dynamic_slice_in_dim(margin, first, size)
+        samples = [jax.lax.dynamic_slice_in_dim(x, first, size + s) for x in (u, y)]
+
+        def search(samples: list[jax.Array]) -> jax.Array:
+            rows = _rows(given, *samples)
+            return jnp.maximum(own, clipped_inside(given.projection, rows))
+
+        return jax.lax.cond(jnp.sum(own <= 0) * FEWEST > size, search, lambda _: own, samples)
+
+    if size == count:
+        return settled(jnp.zeros((), jnp.int32))
+    return jax.lax.map(settled, jnp.arange(count // size)).reshape(-1)
+
+
+class _Stretch(NamedTuple):
+    """What belongs to the samples of a stretch, whichever window reads them.
+
+    Fields: samples: of each output (N + s,), then of each disturbance, then of the runs of each sum; v: the inputs (N + s,) less their
+    offsets; scale, heaviest, known: (N,), the largest of windows, see `WindowColumns`.
+    """
+
+    samples: list["_Sample"]
+    v: list[jax.Array]
+    scale: jax.Array
+    heaviest: jax.Array
+    known: jax.Array
+
+
+def _stretch_of(reading: Reading, u: jax.Array, y: jax.Array) -> _Stretch:
+    """Return what belongs to the samples u (N + s, m), y (N + s, p) of a stretch."""
+    s, count = reading.horizon, len(y) - reading.horizon
     samples = [_sample(reading, i, y[:, i]) for i in range(y.shape[1])]
-    one = jnp.ones_like(y[:count, 0])
-    scale = _running(_largest([x.scale for x in samples]), s + 1)[:count]
-    heaviest = _running(_largest([x.weight for x in samples]), s + 1)[:count]
-    pushed = _sample_of(*(part[:, 0] for part in reading._disturbance(one[:1])))
-    if len(reading.disturbance):
-        scale = jnp.maximum(scale, jnp.max(pushed.scale))
-        heaviest = jnp.maximum(heaviest, jnp.max(pushed.weight))
-    sums = [_sum(reading, number, y) for number in range(len(reading.window.sums))]
-    for values, part in zip(reading.window.sums, sums, strict=True):
-        scale = jnp.maximum(scale, _scale_of_sum(values, scale, part.weight))
-        heaviest = jnp.maximum(heaviest, part.weight)
-    f, known = None, 0 * one
-    if projection.forced is not None:
-        f = _forced_columns(projection.forced, [u[:, b] - reading.offset_u[b] for b in range(u.shape[1])], s, count)
+    mid, radius, scale = reading._disturbance(jnp.ones_like(y[:, 0]))
+    samples += [_sample_of(*parts) for parts in zip(mid, radius, scale, strict=True)]
+    largest = _running(most([x.scale for x in samples]), s + 1)[:count]
+    heaviest = _running(most([x.weight for x in samples]), s + 1)[:count]
+    for number, values in enumerate(reading.window.sums):
+        part = _sum(reading, number, y)
+        samples.append(part)
+        largest = jnp.maximum(largest, _scale_of_sum(values, largest, part.radius[0]))
+        heaviest = jnp.maximum(heaviest, part.weight[0])
+    v = [u[:, b] - reading.offset_u[b] for b in range(u.shape[1])]
+    known = jnp.zeros_like(largest)
+    if v:
         sizes = [abs(u[:, b]) + abs(reading.offset_u[b]) for b in range(u.shape[1])]
-        known = _running(_largest(sizes), reading.lags)[:count]
+        known = _running(most(sizes), reading.lags)[:count]
+    return _Stretch(samples, v, largest, heaviest, known)
+
+
+def _columns(given: Given, u: jax.Array, y: jax.Array) -> WindowColumns:
+    """Return what a projection reads of the windows of a stretch u (N + s, m), y (N + s, p)."""
+    reading, projection = given
+    count, s = len(y) - reading.horizon, reading.horizon
+    stretch = _stretch_of(reading, u, y)
+    f = None
+    if projection.forced is not None:
+        f = _forced_columns(projection.forced, stretch.v, s, count)
     mid, weight = [], []
     for number in (*projection.outer, *projection.inner):
-        row = rows[number]
-        if row.kind is Kind.DISTURBANCE:
-            mid.append(pushed.mid[row.number] * one)
-            weight.append(pushed.weight[row.number] * one)
-            continue
-        if row.kind is Kind.SUM:
-            part = sums[row.number]
-            column = later(part.mid, row.first)
-            mid.append(column if f is None else column - _forced_sum(row, f))
-            weight.append(part.weight * one)
-            continue
-        column = later(samples[row.number].mid, row.first)
-        mid.append(column if f is None else column - f[row.first][row.number])
-        weight.append(later(samples[row.number].weight, row.first))
-    return projected_margin(projection, WindowColumns(mid, weight, scale, heaviest, known))
+        row = reading.window.all[number]
+        sample = stretch.samples[_series(reading, row)]
+        own = sample.mid[row.first : row.first + count]
+        if f is not None and row.kind is Kind.READING:
+            own = own - f[row.first][row.number]
+        if f is not None and row.kind is Kind.SUM:
+            own = own - _forced_sum(row, f)
+        mid.append(own)
+        weight.append(sample.weight[row.first : row.first + count])
+    return WindowColumns(mid, weight, stretch.scale, stretch.heaviest, stretch.known)
+
+
+def _rows(given: Given, u: jax.Array, y: jax.Array) -> Rows:
+    """Return what a search reads of the windows of a stretch u (N + s, m), y (N + s, p)."""
+    reading, projection = given
+    count = len(y) - reading.horizon
+    stretch = _stretch_of(reading, u, y)
+    rows = [reading.window.all[number] for number in (*projection.outer, *projection.inner)]
+    at = np.array([(_series(reading, row), row.first) for row in rows])
+    lags = np.array([(b, j) for j in range(reading.lags) for b in range(u.shape[1])]).reshape(-1, 2)
+    mid = _taken(jnp.stack([x.mid for x in stretch.samples]), at, count)
+    radius = _taken(jnp.stack([x.radius for x in stretch.samples]), at, count)
+    known = jnp.zeros((0, count), y.dtype)
+    if len(lags):
+        known = _taken(jnp.stack(stretch.v), lags, count)
+    return Rows(mid, radius, known, *stretch[2:])
+
+
+def _series(reading: Reading, row: Row) -> int:
+    """Return the number of the samples of a stretch that a row reads."""
+    if row.kind is Kind.DISTURBANCE:
+        return len(reading.noise) + row.number
+    if row.kind is Kind.SUM:
+        return len(reading.noise) + len(reading.disturbance) + row.number
+    return row.number
+
+
+def _taken(x: jax.Array, at: np.ndarray, count: int) -> jax.Array:
+    """Return rows (n, N) of x (r, N + s): of each of at (n, 2) = (row, first sample)."""
+
+    def row(place: jax.Array) -> jax.Array:
+        return jax.lax.dynamic_slice(x, (place[0], place[1]), (1, count))[0]
+
+    rows: jax.Array = jax.lax.map(row, jnp.asarray(at))
+    return rows
 
 
 def _forced_columns(forced: Forced, v: Columns, s: int, count: int) -> list[list[jax.Array]]:
@@ -179,7 +259,7 @@ def _forced_columns(forced: Forced, v: Columns, s: int, count: int) -> list[list
     return forced_outputs(forced, first, [[x[j : j + count] for x in added] for j in range(later + 1)])
 
 
-@kernel
+@kernel(wide=True)
 def _of_windows(given: Given, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return (margins (N,), h (c, N)) of windows u (lags, m, N), y (s + 1, p, N)."""
     rows = given.reading.block(u, y)
@@ -188,8 +268,9 @@ def _of_windows(given: Given, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ja
     def ordered(x: jax.Array) -> jax.Array:
         return jnp.stack([x[i] for i in numbers])
 
-    known, known_scale = rows.known, rows.known_scale
-    of_rows = Rows(*map(ordered, (rows.mid, rows.rad, rows.scale)), known, known_scale)
+    mid, radius, scale = stored(tuple(map(ordered, (rows.mid, rows.rad, rows.scale))))
+    heaviest, known_size = 1 / jnp.min(radius, 0), jnp.max(rows.known_scale, 0, initial=0)
+    of_rows = Rows(mid, radius, rows.known, jnp.max(scale, 0), heaviest, known_size)
     return clipped_margin(given.projection, of_rows)
 
 
@@ -197,15 +278,9 @@ class _Sample(NamedTuple):
     """What belongs to each sample of an output, or to each disturbance: weight = 1 / radius."""
 
     mid: jax.Array
+    radius: jax.Array
     weight: jax.Array
     scale: jax.Array
-
-
-class _Sum(NamedTuple):
-    """The runs of a bounded sum: mid (N + s + 1 - its samples,); weight = 1 / radius, the same for all."""
-
-    mid: jax.Array
-    weight: jax.Array
 
 
 def _sample(reading: Reading, i: int, y: jax.Array) -> _Sample:
@@ -214,33 +289,30 @@ def _sample(reading: Reading, i: int, y: jax.Array) -> _Sample:
     return _sample_of(mid, radius, scale)
 
 
-def _sample_of(mid: jax.Array, radius: jax.Array, scale: jax.Array) -> _Sample:
-    return _Sample(mid, 1 / radius, scale)
-
-
-def _sum(reading: Reading, number: int, y: jax.Array) -> _Sum:
-    """Return the runs of one bounded sum in samples y (N + s, p), as of `Reading.block`, from each sample on.
+def _sum(reading: Reading, number: int, y: jax.Array) -> _Sample:
+    """Return the runs (N + s,) of one bounded sum in samples y (N + s, p), as of `Reading.block`, from each
+    sample on; behind the last one 0, which no window reads. Their scale is left to `_scale_of_sum`.
 
     The radius is below that of any window: it lacks what recorders round away.
     """
     values, dtype = reading.window.sums[number], y.dtype
-    count, radius = len(y) - values.samples + 1, reading.average[number]
-    if not values.measured:
-        return _Sum(jnp.zeros_like(y[:count, 0]), 1 / radius)
-    terms = []
-    for i, weights in values.parts:
-        d = y[:, i] - reading.offset_y[i]
-        for a, weight in enumerate(weights):
-            terms.append(np.asarray(float(weight), dtype) * d[a : a + count])
-        radius = radius + np.asarray(float(values.size_of(i)), dtype) * reading.resolution[i]
-    return _Sum(total(terms), 1 / radius)
+    mid, count, radius = jnp.zeros_like(y[:, 0]), len(y) - values.samples + 1, reading.average[number]
+    if values.measured:
+        terms = []
+        for i, weights in values.parts:
+            d = y[:, i] - reading.offset_y[i]
+            for a, weight in enumerate(weights):
+                terms.append(np.asarray(float(weight), dtype) * d[a : a + count])
+            radius = radius + np.asarray(float(values.size_of(i)), dtype) * reading.resolution[i]
+        mid = jnp.pad(total(terms), (0, len(y) - count))
+    return _sample_of(mid, radius * jnp.ones_like(mid), mid)
 
 
-def _scale_of_sum(values: WeightedSum, scale: jax.Array, weight: jax.Array) -> jax.Array:
-    """Return at least the scale that runs of a sum have in `Reading.block`, whose samples have scales up to
-    `scale`.
+def _scale_of_sum(values: WeightedSum, largest: jax.Array, radius: jax.Array) -> jax.Array:
+    """Return at least the scale that runs of a sum have in `Reading.block`, where that of samples is at most
+    `largest`.
     """
-    return (2 + values.terms / AVERAGING) * (float(values.size) * scale + 1 / weight)
+    return (2 + values.terms / AVERAGING) * (float(values.size) * largest + radius)
 
 
 def _forced_sum(row: Row, f: Sequence[Sequence[jax.Array]]) -> jax.Array:
@@ -254,11 +326,8 @@ def _forced_sum(row: Row, f: Sequence[Sequence[jax.Array]]) -> jax.Array:
     return total(terms)
 
 
-def _largest(rows: Sequence[jax.Array]) -> jax.Array:
-    top = rows[0]
-    for x in rows[1:]:
-        top = jnp.maximum(top, x)
-    return top
+def _sample_of(mid: jax.Array, radius: jax.Array, scale: jax.Array) -> _Sample:
+    return _Sample(mid, radius, 1 / radius, scale)
 
 
 def _running(x: jax.Array, lags: int) -> jax.Array:
@@ -288,17 +357,18 @@ def projection(relations: LinearRelations, reading: Reading, dtype: DTypeLike) -
         if forced is None:
             return None
     sums = [values for values in reading.window.sums if values.measured]
-    size = max([1.0, *(float(values.size) for values in sums)])
+    spread = max([1.0, *(float(values.size) for values in sums)])
     terms = max([1, *(values.terms for values in sums)])
-    return projection_of(R, K, radius, outer, frame.inner, forced, horizon + 1, dtype, size, terms)
+    return projection_of(R, K, radius, outer, frame.inner, forced, horizon + 1, dtype, spread, terms)
 
 
 def _typical(reading: Reading, row: Row) -> float:
     """Return a radius for the weight of a row."""
     if row.kind is Kind.SUM:
-        parts = row.values.parts if row.values.measured else ()
-        away = sum(float(row.values.size_of(i)) * float(reading.resolution[i]) for i, _ in parts)
-        return float(reading.average[row.number]) + away
+        bound = float(reading.average[row.number])
+        if row.values.measured:
+            bound += sum(float(row.values.size_of(i)) * float(reading.resolution[i]) for i, _ in row.values.parts)
+        return bound
     if row.kind is Kind.DISTURBANCE:
         lo, hi = np.asarray(reading.disturbance, np.float64)[row.number]
         return 0.5 * (hi - lo)

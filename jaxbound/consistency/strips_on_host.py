@@ -287,6 +287,8 @@ def _largest(x: np.ndarray) -> float:
     return float(np.fmax.reduce(np.abs(x), initial=0.0))
 
 
+ALONE = 128
+"""Windows of a product that one thread works out."""
 FULL = 2
 """Part of the entries of combinations above which whole rows are summed, not entry by entry."""
 
@@ -310,8 +312,8 @@ def contradicted_by(
     floor *= largest * largest * (1 + windows.size.sum() + windows.known_size.sum())
     size = windows.size[outer] + np.abs(R) @ windows.size[inner] + np.abs(K) @ windows.known_size
     if np.count_nonzero(h) > h.size // FULL:
-        error = np.einsum("j,jn->n", gamma * size + floor, np.abs(h)) + floor
-        return windows.contradicted(outer, inner, h, -np.einsum("ji,jn->in", R, h), K, error)
+        error = _times((gamma * size + floor)[None], np.abs(h))[0] + floor
+        return windows.contradicted(outer, inner, h, -_times(R.T, h), _times(K.T, h), error)
     of, here = np.nonzero(h.T)  # few: an exchange search ends with about as many as there are states
     h = h[here, of]
     across = np.stack([np.bincount(of, h * column[here], N) for column in R.T])
@@ -329,6 +331,16 @@ def contradicted_by(
 def _doubles(x: Array) -> np.ndarray:
     """Return an array in float64, on the host."""
     return np.asarray(x, np.float64)
+
+
+def _times(A: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Return A x (a, N), some columns at a time: of larger products the library starts threads, which wait for
+    each other where others are at work.
+    """
+    out = np.empty((len(A), x.shape[1]))
+    for first in range(0, x.shape[1], ALONE):
+        np.matmul(A, x[:, first : first + ALONE], out=out[:, first : first + ALONE])
+    return out
 
 
 def _highest(x: np.ndarray) -> np.ndarray:
@@ -406,10 +418,16 @@ class _Windows:
         return np.asarray(np.einsum("ij,ij->i", k, known))
 
     def contradicted(
-        self, outer: np.ndarray, inner: np.ndarray, h: np.ndarray, back: np.ndarray, K: np.ndarray, error: np.ndarray
+        self,
+        outer: np.ndarray,
+        inner: np.ndarray,
+        h: np.ndarray,
+        back: np.ndarray,
+        k: np.ndarray,
+        error: np.ndarray,
     ) -> np.ndarray:
-        """Return (N,) bool: which windows combinations h of outer rows contradict, -h R of inner ones; of one
-        that lacks a sample nothing is said.
+        """Return (N,) bool: which windows are contradicted by combinations h of outer rows, back of inner ones, k
+        of inputs; of one that lacks a sample nothing is said.
         """
         lo, hi = self._every()
         least, most = np.zeros(h.shape[1]), np.zeros(h.shape[1])
@@ -417,8 +435,7 @@ class _Windows:
             below, above = weights * lo[rows], weights * hi[rows]
             least += np.minimum(below, above).sum(0)
             most += np.maximum(below, above).sum(0)
-        # no product of a library: its threads wait for each other where others are at work
-        value = np.einsum("nb,nb->n", np.einsum("jn,jb->nb", h, K), self._known)
+        value = np.einsum("bn,bn->n", k, self._known.T)
         with np.errstate(invalid="ignore"):
             return np.asarray((least - value > error) | (most - value < -error))
 

@@ -53,6 +53,7 @@ __all__ = [
     "Projection",
     "Rows",
     "WindowColumns",
+    "clipped_inside",
     "clipped_margin",
     "forced_outputs",
     "projected_margin",
@@ -64,14 +65,18 @@ TERMS = 48
 """Terms of a sum that are written out in a search."""
 WRITTEN_OUT = 256
 """Entries of a matrix up to which a product is written out term by term."""
-SHARE = 0.8
+SHARE = 0.85
 """Part of the radii into which errors are clipped: aiming inside them, few steps reach a healthy window."""
-OVER = 3.0
+OVER = 3.5
 """Factor on a step: few errors exceed their share, where a plain step is short."""
-STEPS = 8
+AHEAD = 3
+"""Steps of a search of contiguous windows."""
+STEPS = 5
 """Steps after which a window is left to the exchange search."""
-CLEAR = 1e-9
-"""Distance from the boundary at which a search stops: far above rounding in float64."""
+CLEAR = 2.0**14
+"""Distance from the boundary, in units of rounding, from which on a search decides, and beyond the bound of its
+own errors: what any other search of the library proves too, so that verdicts do not depend on who is asked.
+"""
 LIGHTEST = 1e-12
 """Least weight of a row in the projection, of a largest of 1."""
 SAFE = 2.0
@@ -143,15 +148,13 @@ def projected_margin(given: Projection, columns: WindowColumns) -> jax.Array:
 
     A window that lacks a sample of its rows is one of the others.
     """
-    c, eps = len(given.outer), jnp.finfo(columns.scale.dtype).eps
+    c = len(given.outer)
     z = _less(columns.mid[:c], _times(given.R, columns.mid[c:]))
     d = _times(given.step[:, :c], z)
     errors = [*_less(z, _times(given.R, d)), *d]
     used = most([jnp.abs(e) * weight for e, weight in zip(errors, columns.weight, strict=True)])
     off = _off(given, given.projected, columns.scale, columns.known)
-    margin = 1 - (used + off * columns.heaviest) * (1 + 16 * eps) - 4 * eps
-    finite = jnp.abs(total(d)) < jnp.inf  # a largest may leave out a NaN, a sum does not
-    return jnp.where(finite & (margin >= 0), jnp.maximum(margin, eps), 0)
+    return _explained(used, off * columns.heaviest, jnp.abs(total(d)))
 
 
 def _off(given: Projection, bound: np.ndarray, scale: jax.Array, known: jax.Array) -> jax.Array:
@@ -197,15 +200,16 @@ def forced_outputs(
 
 
 class Rows(NamedTuple):
-    """What a search reads of N windows: mid, radius, scale (c + k, N), the outer rows first; known, known_scale
-    (l, N).
+    """What a search reads of N windows: mid, radius (c + k, N), the outer rows first; known (l, N); and scale,
+    heaviest, known_size (N,), the largest scale, 1 / radius and |v| + |offset|.
     """
 
     mid: jax.Array
     radius: jax.Array
-    scale: jax.Array
     known: jax.Array
-    known_scale: jax.Array
+    scale: jax.Array
+    heaviest: jax.Array
+    known_size: jax.Array
 
 
 class Search(NamedTuple):
@@ -223,45 +227,75 @@ def clipped_margin(given: Projection, rows: Rows) -> tuple[jax.Array, jax.Array]
 
     A window that lacks a sample of its rows is one of the others.
     """
-    R, c = given.R, len(given.outer)
-    eps = jnp.finfo(rows.mid.dtype).eps
-    z = stored(rows.mid[:c] - _product(R, rows.mid[c:]) - _product(given.K, rows.known))
-    speaks, radius = jnp.asarray(given.speaks)[:, None], rows.radius
-    weight = 1 / radius
-    scale, known = jnp.max(rows.scale, 0), jnp.max(rows.known_scale, 0, initial=0)
-    off = _off(given, given.searched, scale, known)
-
-    def errors(d: jax.Array) -> jax.Array:
-        return jnp.concatenate([z - _product(R, d), -d])
+    R, c, radius = given.R, len(given.outer), rows.radius
+    eps = jnp.finfo(radius.dtype).eps
+    z, d, weight = _begun(given, rows)
+    speaks, share = jnp.asarray(given.speaks)[:, None], stored(SHARE * radius)
+    off = _off(given, given.searched, rows.scale, rows.known_size)
 
     def going(carry: Search) -> jax.Array:
         return (carry.count < STEPS) & ~jnp.all(carry.done)
 
     def move(carry: Search) -> Search:
-        e = errors(carry.d)
-        worst = jnp.max(jnp.abs(e) * weight, 0)
-        excess = stored(e - jnp.clip(e, -SHARE * radius, SHARE * radius))
+        e = _errors(R, z, carry.d)
+        explained = jnp.max(jnp.abs(e) * weight, 0) < 1 - 2 * CLEAR * eps
+        excess = stored(e - jnp.clip(e, -share, share))
         change = stored(_product(given.step, excess))
         h = stored(speaks * (excess[:c] - _product(R, change)))
         residual, width = _against(R, z, radius, h)
-        reached = (worst < 1 - CLEAR) | (residual > (1 + CLEAR) * width)
+        reached = explained | (residual > (1 + 2 * CLEAR * eps) * width)
         d = jnp.where((carry.done | reached)[None], carry.d, carry.d + OVER * change)
         spoken = jnp.where(carry.done[None], carry.h, h)
         return Search(d, spoken, carry.done | reached, carry.count + 1)
 
-    nothing = jnp.zeros_like(scale)
-    start = Search(_product(given.step[:, :c], z), jnp.zeros_like(z), nothing != 0, jnp.zeros((), jnp.int32))
+    start = Search(d, jnp.zeros_like(z), jnp.zeros_like(off, bool), jnp.zeros((), jnp.int32))
     found = jax.lax.while_loop(going, move, start)
-    used = jnp.max(jnp.abs(errors(found.d)) * weight, 0)
-    inside = 1 - (used + off * jnp.max(weight, 0)) * (1 + 16 * eps) - 4 * eps
+    used = jnp.max(jnp.abs(_errors(R, z, found.d)) * weight, 0)
+    inside = _explained(used, off * rows.heaviest, summed(jnp.abs, found.d))
     residual, width = _against(R, z, radius, found.h)
-    size = summed(jnp.abs, found.h)
-    outside = residual - width > (1 + 16 * eps) * (off * size + given.floor)
-    beyond = jnp.minimum(1 - residual / jnp.where(width > 0, width, 1), -eps)
-    margin = jnp.where(inside >= 0, jnp.maximum(inside, eps), jnp.where(outside, beyond, 0))
+    lost = (1 + 16 * eps) * (off * summed(jnp.abs, found.h) + given.floor)
     # a largest may leave out a NaN, a sum does not
-    finite = jnp.abs(summed(lambda x: x, z)) + summed(lambda x: x, radius) < jnp.inf
-    return jnp.where(finite & (scale < jnp.inf) & (known < jnp.inf), margin, 0), found.h
+    outside = (summed(jnp.abs, z) < jnp.inf) & (residual > width * (1 + CLEAR * eps) + 2 * lost)
+    beyond = jnp.minimum(1 - residual / jnp.where(width > 0, width, 1), -eps)
+    return jnp.where(inside > 0, inside, jnp.where(outside, beyond, 0)), found.h
+
+
+def clipped_inside(given: Projection, rows: Rows) -> jax.Array:
+    """Return what `projected_margin` returns, of the d that `AHEAD` clipped steps reach."""
+    R = given.R
+    z, d, weight = _begun(given, rows)
+    share = stored(SHARE * rows.radius)
+
+    def move(_: int, d: jax.Array) -> jax.Array:
+        e = _errors(R, z, d)
+        return stored(d + OVER * _product(given.step, stored(e - jnp.clip(e, -share, share))))
+
+    d = jax.lax.fori_loop(0, AHEAD, move, d)
+    used = jnp.max(jnp.abs(_errors(R, z, d)) * weight, 0)
+    off = _off(given, given.searched, rows.scale, rows.known_size)
+    return _explained(used, off * rows.heaviest, summed(jnp.abs, d))
+
+
+def _begun(given: Projection, rows: Rows) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return z (c, N), the d (k, N) of least squares, weight (c + k, N)."""
+    c = len(given.outer)
+    z = stored(rows.mid[:c] - _product(given.R, rows.mid[c:]) - _product(given.K, rows.known))
+    return z, stored(_product(given.step[:, :c], z)), stored(1 / rows.radius)
+
+
+def _errors(R: np.ndarray, z: jax.Array, d: jax.Array) -> jax.Array:
+    return jnp.concatenate([z - _product(R, d), -d])
+
+
+def _explained(used: jax.Array, off: jax.Array, size: jax.Array) -> jax.Array:
+    """Return the margin of windows whose errors are proved to use at most so much of their bounds; 0 of others.
+
+    Args:
+        size: a sum over d: a largest may leave out a NaN, a sum does not.
+    """
+    eps = jnp.finfo(used.dtype).eps
+    margin = 1 - (used + off) * (1 + 16 * eps) - 4 * eps
+    return jnp.where((size < jnp.inf) & (margin >= CLEAR * eps + off), margin, 0)
 
 
 def _product(A: np.ndarray | jax.Array, x: jax.Array) -> jax.Array:
