@@ -32,7 +32,7 @@ from jaxbound.consistency.interface import (
     Run,
     WindowTest,
 )
-from jaxbound.consistency.projection import EasyStretches, EasyWindows, projection
+from jaxbound.consistency.projection import easy_by, projection
 from jaxbound.consistency.reading import Block, Reading, RowValues, gather
 from jaxbound.consistency.strips_on_host import contradicted_by
 from jaxbound.consistency.twice import Twice
@@ -135,7 +135,7 @@ class ExchangeTest(LinearTest):
         given = projection(self.relations, self.reading, self.dtype)
         if given is None:
             return None
-        return Easy(*(kind(self.relations, self.dtype, given) for kind in (EasyStretches, EasyWindows)))
+        return easy_by(self.relations, self.dtype, given)
 
     def measured(self) -> Self:
         """Return a test that searches every window for its margin."""

@@ -519,9 +519,11 @@ class LinearTest(WindowTest):
 
 
 class Easy(NamedTuple):
-    """Two tests that settle easy windows: of contiguous samples, and of windows that are gathered."""
+    """Two tests that settle easy windows: of contiguous samples, None where that does not pay, and of windows
+    that are gathered.
+    """
 
-    stretches: WindowTest
+    stretches: WindowTest | None
     windows: WindowTest
 
 

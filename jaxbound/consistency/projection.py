@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
-from jaxbound.consistency.interface import Array, Arrays, LinearRelations, LinearTest, Outputs, Run
+from jaxbound.consistency.interface import Array, Arrays, Easy, LinearRelations, LinearTest, Outputs, Run
 from jaxbound.consistency.reading import AVERAGING, Block, Reading
 from jaxbound.consistency.strips_on_host import contradicted_by
 from jaxbound.consistency.twice import Twice
@@ -40,9 +40,13 @@ from jaxbound.sets.strips.projection import (
     projection_of,
 )
 
-__all__ = ["EasyStretches", "EasyWindows", "projection"]
+__all__ = ["EasyStretches", "EasyWindows", "easy_by", "projection"]
 
 BLOCK = 4096
+COLUMNS = 64
+"""Rows of a window up to which a stretch is projected: each is a column, and what compiles grows with the
+square of their number.
+"""
 PART = 1024
 """Windows of a stretch that are searched together: their rows stay in the cache."""
 FEWEST = 8
@@ -337,6 +341,14 @@ def _running(x: jax.Array, lags: int) -> jax.Array:
         x, reach = jnp.maximum(x[:-reach], x[reach:]), 2 * reach
     rest = lags - reach
     return jnp.maximum(x[: len(x) - rest], x[rest:]) if rest else x
+
+
+def easy_by(relations: LinearRelations, dtype: DTypeLike, given: Projection) -> Easy:
+    """Return the tests that settle easy windows by a projection."""
+    stretches = None
+    if len(given.outer) + len(given.inner) <= COLUMNS:
+        stretches = EasyStretches(relations, dtype, given)
+    return Easy(stretches, EasyWindows(relations, dtype, given))
 
 
 def projection(relations: LinearRelations, reading: Reading, dtype: DTypeLike) -> Projection | None:
