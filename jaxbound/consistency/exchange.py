@@ -32,7 +32,7 @@ from jaxbound.consistency.interface import (
     Run,
     WindowTest,
 )
-from jaxbound.consistency.projection import easy_by, projection
+from jaxbound.consistency.projection import easy_by
 from jaxbound.consistency.reading import Block, Reading, RowValues, gather
 from jaxbound.consistency.strips_on_host import contradicted_by
 from jaxbound.consistency.twice import Twice
@@ -132,10 +132,7 @@ class ExchangeTest(LinearTest):
     @cached_property
     def easy(self) -> Easy | None:  # type: ignore[override]  # of a property
         """One fixed projection, which settles most windows of most recordings."""
-        given = projection(self.relations, self.reading, self.dtype)
-        if given is None:
-            return None
-        return easy_by(self.relations, self.dtype, given)
+        return easy_by(self.relations, self.reading, self.dtype)
 
     def measured(self) -> Self:
         """Return a test that searches every window for its margin."""

@@ -42,8 +42,6 @@ class GainsTest(ExchangeTest):
     the true factor.
     """
 
-    easy = None
-
     def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Cases:
         """Return all windows: `settle` makes the frames that they need."""
         return WindowTest.cases(self, u, y, starts)

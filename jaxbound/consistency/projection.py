@@ -6,9 +6,10 @@ sample is in. A radius here is that of the sample alone, which is not above that
 whole window: what it proves CONSISTENT is.
 """
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Callable, Sequence
 from functools import cached_property, partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -40,8 +41,9 @@ from jaxbound.sets.strips.projection import (
     projection_of,
 )
 
-__all__ = ["EasyStretches", "EasyWindows", "easy_by", "projection"]
+__all__ = ["EasyGains", "EasyStretches", "EasyWindows", "easy_by", "nominal", "projection"]
 
+Steps: TypeAlias = Callable[..., tuple[jax.Array, jax.Array]]
 BLOCK = 4096
 COLUMNS = 64
 """Rows of a window up to which a stretch is projected: each is a column, and what compiles grows with the
@@ -49,6 +51,8 @@ square of their number.
 """
 PART = 1024
 """Windows of a stretch that are searched together: their rows stay in the cache."""
+SIGN = 1e-6
+"""The size of a margin that is only proved to have a sign."""
 FEWEST = 8
 """A part of which one window in so many is left open is searched as a whole."""
 
@@ -60,21 +64,35 @@ class Given(NamedTuple):
     projection: Projection
 
 
+class GivenGains(NamedTuple):
+    """Two readings of sensors whose gains keep one value over a window: with gains of 1, and with a gain of
+    each sample's own.
+    """
+
+    nominal: Given
+    free: Given
+
+
 class _Easy(LinearTest):
     """Settles easy windows and says nothing of the others: their margin is 0.
 
     Args:
-        relations, dtype: as of `ExchangeTest`. projection: from `projection`.
+        relations, dtype: as of `ExchangeTest`. given: from `projection`. reading: how windows are read; None: as
+            relations say.
     """
 
     twice = True
 
-    def __init__(self, relations: LinearRelations, dtype: DTypeLike, given: Projection) -> None:
+    def __init__(
+        self, relations: LinearRelations, dtype: DTypeLike, given: Projection, reading: Reading | None = None
+    ) -> None:
         super().__init__(relations, "joint", dtype)
         self.projection = given
+        if reading is not None:
+            self.reading = reading
 
     @property
-    def constants(self) -> Given:
+    def constants(self) -> Given | GivenGains:
         """The reading, and the projection."""
         return Given(self.reading, self.projection)
 
@@ -101,10 +119,15 @@ class EasyWindows(_Easy):
     threads = True
     block = BLOCK // 4
 
+    @property
+    def steps(self) -> Steps:
+        """The kernel that returns (margins (N,), h (c, N)) of windows."""
+        return _of_windows
+
     def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return (margin, open) of windows."""
         judged = []
-        for block, (margin, h) in zip(blocks, run(_of_windows, blocks), strict=True):
+        for block, (margin, h) in zip(blocks, run(self.steps, blocks), strict=True):
             again = partial(self._again, block)
             decided = self._twice.decided(margin, again, partial(self._contradicted, block, h))
             judged.append((decided, decided == 0))
@@ -116,7 +139,7 @@ class EasyWindows(_Easy):
 
     def _again(self, block: Block, at: np.ndarray) -> np.ndarray:
         """Return the margins of some windows of a block, in NumPy."""
-        margin: np.ndarray = _of_windows(self.constants, *(x[..., at] for x in block))[0]
+        margin: np.ndarray = self.steps(self.constants, *(x[..., at] for x in block))[0]
         return margin
 
     def _contradicted(self, block: Block, h: Array, at: np.ndarray) -> np.ndarray:
@@ -126,6 +149,30 @@ class EasyWindows(_Easy):
         whole = np.zeros((len(frame.outer), len(at)), self.dtype)
         whole[[list(frame.outer).index(row) for row in self.projection.outer]] = np.asarray(h)[:, at]
         return contradicted_by(self.reading, frame, u, y, whole)
+
+
+class EasyGains(EasyWindows):
+    """Decides windows of sensors whose gains keep one value over a window.
+
+    Gains of 1 are within every tolerance: a behaviour that they allow is one, and its margin is not above that
+    of the best gains. Gains of each sample's own allow whatever common ones do: what contradicts them is a
+    FAULT. How far that is from being explained by common gains they do not say: its margin is -`SIGN`.
+    """
+
+    @property
+    def constants(self) -> GivenGains:
+        """Both readings, and the projection."""
+        return GivenGains(Given(nominal(self.reading), self.projection), Given(self.reading, self.projection))
+
+    @property
+    def steps(self) -> Steps:
+        """The kernel of both readings."""
+        return _of_gains
+
+
+def nominal(reading: Reading) -> Reading:
+    """Return a reading of sensors whose gains are 1."""
+    return dataclasses.replace(reading, tolerance=np.zeros_like(reading.tolerance))
 
 
 @kernel(wide=True)
@@ -263,9 +310,8 @@ def _forced_columns(forced: Forced, v: Columns, s: int, count: int) -> list[list
     return forced_outputs(forced, first, [[x[j : j + count] for x in added] for j in range(later + 1)])
 
 
-@kernel(wide=True)
-def _of_windows(given: Given, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return (margins (N,), h (c, N)) of windows u (lags, m, N), y (s + 1, p, N)."""
+def _decided(given: Given, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return the same inside a kernel."""
     rows = given.reading.block(u, y)
     numbers = (*given.projection.outer, *given.projection.inner)
 
@@ -276,6 +322,20 @@ def _of_windows(given: Given, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ja
     heaviest, known_size = 1 / jnp.min(radius, 0), jnp.max(rows.known_scale, 0, initial=0)
     of_rows = Rows(mid, radius, rows.known, jnp.max(scale, 0), heaviest, known_size)
     return clipped_margin(given.projection, of_rows)
+
+
+@kernel(wide=True)
+def _of_windows(given: Given, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return (margins (N,), h (c, N)) of windows u (lags, m, N), y (s + 1, p, N)."""
+    return _decided(given, u, y)
+
+
+@kernel(wide=True)
+def _of_gains(given: GivenGains, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return (margins (N,), h (c, N)) of windows whose gains keep one value: see `EasyGains`."""
+    explained, _ = _decided(given.nominal, u, y)
+    free, h = _decided(given.free, u, y)
+    return jnp.where(explained > 0, explained, jnp.where(free < 0, -SIGN, 0)), h
 
 
 class _Sample(NamedTuple):
@@ -343,12 +403,18 @@ def _running(x: jax.Array, lags: int) -> jax.Array:
     return jnp.maximum(x[: len(x) - rest], x[rest:]) if rest else x
 
 
-def easy_by(relations: LinearRelations, dtype: DTypeLike, given: Projection) -> Easy:
-    """Return the tests that settle easy windows by a projection."""
+def easy_by(relations: LinearRelations, reading: Reading, dtype: DTypeLike) -> Easy | None:
+    """Return the tests that settle easy windows by a projection; None where there is none of use."""
+    given = projection(relations, reading, dtype)
+    if given is None:
+        return None
+    windows, stretched = EasyWindows, reading
+    if relations.model.constant_tolerance:
+        windows, stretched = EasyGains, nominal(reading)
     stretches = None
     if len(given.outer) + len(given.inner) <= COLUMNS:
-        stretches = EasyStretches(relations, dtype, given)
-    return Easy(stretches, EasyWindows(relations, dtype, given))
+        stretches = EasyStretches(relations, dtype, given, stretched)
+    return Easy(stretches, windows(relations, dtype, given, reading))
 
 
 def projection(relations: LinearRelations, reading: Reading, dtype: DTypeLike) -> Projection | None:
