@@ -6,7 +6,6 @@ sample is in. A radius here is that of the sample alone, which is not above that
 whole window: what it proves CONSISTENT is.
 """
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 from typing import NamedTuple, TypeAlias
@@ -41,7 +40,7 @@ from jaxbound.sets.strips.projection import (
     projection_of,
 )
 
-__all__ = ["EasyGains", "EasyStretches", "EasyWindows", "easy_by", "nominal", "projection"]
+__all__ = ["EasyStretches", "EasyWindows", "Given", "Steps", "easy_by", "projection", "rows_of"]
 
 Steps: TypeAlias = Callable[..., tuple[jax.Array, jax.Array]]
 BLOCK = 4096
@@ -51,8 +50,6 @@ square of their number.
 """
 PART = 1024
 """Windows of a stretch that are searched together: their rows stay in the cache."""
-SIGN = 1e-6
-"""The size of a margin that is only proved to have a sign."""
 FEWEST = 8
 """A part of which one window in so many is left open is searched as a whole."""
 
@@ -62,15 +59,6 @@ class Given(NamedTuple):
 
     reading: Reading
     projection: Projection
-
-
-class GivenGains(NamedTuple):
-    """Two readings of sensors whose gains keep one value over a window: with gains of 1, and with a gain of
-    each sample's own.
-    """
-
-    nominal: Given
-    free: Given
 
 
 class _Easy(LinearTest):
@@ -92,7 +80,7 @@ class _Easy(LinearTest):
             self.reading = reading
 
     @property
-    def constants(self) -> Given | GivenGains:
+    def constants(self) -> Given:
         """The reading, and the projection."""
         return Given(self.reading, self.projection)
 
@@ -149,30 +137,6 @@ class EasyWindows(_Easy):
         whole = np.zeros((len(frame.outer), len(at)), self.dtype)
         whole[[list(frame.outer).index(row) for row in self.projection.outer]] = np.asarray(h)[:, at]
         return contradicted_by(self.reading, frame, u, y, whole)
-
-
-class EasyGains(EasyWindows):
-    """Decides windows of sensors whose gains keep one value over a window.
-
-    Gains of 1 are within every tolerance: a behaviour that they allow is one, and its margin is not above that
-    of the best gains. Gains of each sample's own allow whatever common ones do: what contradicts them is a
-    FAULT. How far that is from being explained by common gains they do not say: its margin is -`SIGN`.
-    """
-
-    @property
-    def constants(self) -> GivenGains:
-        """Both readings, and the projection."""
-        return GivenGains(Given(nominal(self.reading), self.projection), Given(self.reading, self.projection))
-
-    @property
-    def steps(self) -> Steps:
-        """The kernel of both readings."""
-        return _of_gains
-
-
-def nominal(reading: Reading) -> Reading:
-    """Return a reading of sensors whose gains are 1."""
-    return dataclasses.replace(reading, tolerance=np.zeros_like(reading.tolerance))
 
 
 @kernel(wide=True)
@@ -310,8 +274,8 @@ def _forced_columns(forced: Forced, v: Columns, s: int, count: int) -> list[list
     return forced_outputs(forced, first, [[x[j : j + count] for x in added] for j in range(later + 1)])
 
 
-def _decided(given: Given, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return the same inside a kernel."""
+def rows_of(given: Given, u: jax.Array, y: jax.Array) -> Rows:
+    """Return what a search reads of windows u (lags, m, N), y (s + 1, p, N)."""
     rows = given.reading.block(u, y)
     numbers = (*given.projection.outer, *given.projection.inner)
 
@@ -320,22 +284,13 @@ def _decided(given: Given, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.A
 
     mid, radius, scale = stored(tuple(map(ordered, (rows.mid, rows.rad, rows.scale))))
     heaviest, known_size = 1 / jnp.min(radius, 0), jnp.max(rows.known_scale, 0, initial=0)
-    of_rows = Rows(mid, radius, rows.known, jnp.max(scale, 0), heaviest, known_size)
-    return clipped_margin(given.projection, of_rows)
+    return Rows(mid, radius, rows.known, jnp.max(scale, 0), heaviest, known_size)
 
 
 @kernel(wide=True)
 def _of_windows(given: Given, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return (margins (N,), h (c, N)) of windows u (lags, m, N), y (s + 1, p, N)."""
-    return _decided(given, u, y)
-
-
-@kernel(wide=True)
-def _of_gains(given: GivenGains, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return (margins (N,), h (c, N)) of windows whose gains keep one value: see `EasyGains`."""
-    explained, _ = _decided(given.nominal, u, y)
-    free, h = _decided(given.free, u, y)
-    return jnp.where(explained > 0, explained, jnp.where(free < 0, -SIGN, 0)), h
+    return clipped_margin(given.projection, rows_of(given, u, y))
 
 
 class _Sample(NamedTuple):
@@ -403,14 +358,21 @@ def _running(x: jax.Array, lags: int) -> jax.Array:
     return jnp.maximum(x[: len(x) - rest], x[rest:]) if rest else x
 
 
-def easy_by(relations: LinearRelations, reading: Reading, dtype: DTypeLike) -> Easy | None:
-    """Return the tests that settle easy windows by a projection; None where there is none of use."""
+def easy_by(
+    relations: LinearRelations,
+    reading: Reading,
+    dtype: DTypeLike,
+    windows: type[EasyWindows] = EasyWindows,
+    stretched: Reading | None = None,
+) -> Easy | None:
+    """Return the tests that settle easy windows by a projection; None where there is none of use.
+
+    Args:
+        windows: the test of those that are gathered. stretched: how stretches are read; None: as windows are.
+    """
     given = projection(relations, reading, dtype)
     if given is None:
         return None
-    windows, stretched = EasyWindows, reading
-    if relations.model.constant_tolerance:
-        windows, stretched = EasyGains, nominal(reading)
     stretches = None
     if len(given.outer) + len(given.inner) <= COLUMNS:
         stretches = EasyStretches(relations, dtype, given, stretched)

@@ -13,7 +13,12 @@ import pytest
 from agreement import certificates_hold, monitor_agrees
 
 import jaxbound as jb
+from jaxbound.consistency.drive import raw_outputs
+from jaxbound.consistency.projection import EasyWindows
+from jaxbound.consistency.reading import gather
+from jaxbound.consistency.strips_on_host import contradicted_by
 from jaxbound.models.modelfile import load_model, save_model
+from jaxbound.recordings.recording import NOWHERE
 
 PLANT = dict(
     A=[["0.9", "0.1"], [0, "0.8"]],
@@ -62,7 +67,7 @@ def detected(kind):
         0.5, 4, SAMPLES - SAMPLES // 2
     )
     y[8:10, 0] = np.nan
-    return u, y, jb.detect(r, u, y)
+    return u, y, jb.detect(r, u, y, margins="exact")
 
 
 def consistent(model, s, lags, u, y, scale=1.0):
@@ -135,6 +140,45 @@ def test_verdicts_and_the_size_of_margins_are_those_of_a_linear_program(kind):
                 for f in (1 - 1e-4, 1 + 1e-4)
             ]
             assert near == [False, True]
+
+
+@pytest.mark.parametrize("kind", ["disturbed", pytest.param("lags", marks=SLOW)])
+def test_windows_that_are_settled_first_have_margins_that_a_linear_program_confirms(kind):
+    u, y, exact = detected(kind)
+    r = relations(kind)
+    res, s, lags = jb.detect(r, u, y), r.horizon, r.lags or range(r.horizon + 1)
+    np.testing.assert_array_equal(res.status, exact.status)
+    bounds = {jb.Status.CONSISTENT: 0, jb.Status.FAULT: 0}
+    for k in range(s, SAMPLES, 3):
+        part = slice(k - s, k + 1)
+        inside, factor = res.status[k] == jb.Status.CONSISTENT, 1 - res.margin[k]
+        if abs(res.margin[k] - exact.margin[k]) > 1e-6:  # else no bound
+            bounds[jb.Status(int(res.status[k]))] += 1
+        assert consistent(r.model, s, lags, u[part], y[part], factor * (1 + (2 * inside - 1) * 1e-6)) == inside
+    assert min(bounds.values()) > 0
+    (proved,) = raw_outputs(r.test("joint", y.dtype).easy.stretches, u, y, NOWHERE)
+    assert (res.status[proved > 0] == jb.Status.CONSISTENT).all() and (proved > 0).sum() > 5
+
+
+def test_combinations_of_runs_contradict_in_numpy_what_has_no_solution(rng):
+    """Of FAULT none asks for a replay of the kernels; whatever is combined, nothing CONSISTENT is
+    contradicted.
+    """
+    u, y, exact = detected("disturbed")
+    test = relations("disturbed").test("joint", y.dtype)
+    with pytest.MonkeyPatch.context() as patch:
+        for kind, replay in ((EasyWindows, "_again"), (type(test), "_by_hints")):
+            patch.setattr(kind, replay, lambda *_: pytest.fail("a kernel is replayed"))
+        found = [jb.detect(relations("disturbed"), u, y, margins=margins) for margins in ("bounds", "exact")]
+    for res in found:
+        np.testing.assert_array_equal(res.status, exact.status)
+    ends = np.flatnonzero(exact.status == jb.Status.CONSISTENT)
+    windows = gather(u, y, ends - test.horizon, test.lags, test.horizon)
+    c = len(test.reading.frame.outer)
+    for share in (0.1, 1):
+        for _ in range(20):
+            h = rng.normal(size=(c, len(ends))) * (rng.random((c, len(ends))) < share)
+            assert not contradicted_by(test.reading, test.reading.frame, *windows, h).any()
 
 
 @pytest.mark.parametrize("kind", ["short", "disturbed", pytest.param("lags", marks=SLOW)])

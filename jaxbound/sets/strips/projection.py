@@ -56,6 +56,7 @@ __all__ = [
     "clipped_inside",
     "clipped_margin",
     "forced_outputs",
+    "least_errors",
     "projected_margin",
     "projection_of",
 ]
@@ -281,6 +282,13 @@ def _begun(given: Projection, rows: Rows) -> tuple[jax.Array, jax.Array, jax.Arr
     c = len(given.outer)
     z = stored(rows.mid[:c] - _product(given.R, rows.mid[c:]) - _product(given.K, rows.known))
     return z, stored(_product(given.step[:, :c], z)), stored(1 / rows.radius)
+
+
+def least_errors(given: Projection, mid: jax.Array, known: jax.Array) -> jax.Array:
+    """Return the errors (c + k, N) of the d of least squares, linear in mid and known: as of `Rows`."""
+    c = len(given.outer)
+    z = mid[:c] - _product(given.R, mid[c:]) - _product(given.K, known)
+    return _errors(given.R, z, _product(given.step[:, :c], z))
 
 
 def _errors(R: np.ndarray, z: jax.Array, d: jax.Array) -> jax.Array:
