@@ -89,9 +89,16 @@ def test_verdicts_are_those_of_a_linear_program(kind):
     assert min(told.values()) > 10
 
 
-def test_windows_that_are_settled_first_have_margins_that_a_linear_program_confirms():
+@pytest.mark.parametrize("noisy", [True, False])
+def test_windows_that_are_settled_first_have_margins_that_a_linear_program_confirms(noisy):
+    """The bounds of the noise are what matters, or those of the gains."""
     u, y, exact = detected("plain")
     r = relations("plain")
+    if not noisy:
+        clean = r.model.replace(noise=[0.001, 0.001], tolerance=[0, 0])
+        y = np.array(jb.simulate(clean, u, jax.random.key(1)).y) * [1.045, 0.985]
+        y[120:, 1] += 3
+        exact = jb.detect(r, u, y, margins="exact")
     res = jb.detect(r, u, y)
     np.testing.assert_array_equal(res.status, exact.status)
     first = res.margin != exact.margin
