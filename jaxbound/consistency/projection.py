@@ -40,7 +40,7 @@ from jaxbound.sets.strips.projection import (
     projection_of,
 )
 
-__all__ = ["EasyStretches", "EasyWindows", "Given", "Steps", "easy_by", "projection", "rows_of"]
+__all__ = ["EasyStretches", "EasyWindows", "Given", "Steps", "columns_of", "easy_by", "projection", "rows_of"]
 
 Steps: TypeAlias = Callable[..., tuple[jax.Array, jax.Array]]
 BLOCK = 4096
@@ -145,7 +145,7 @@ def _of_stretch(given: Given, u: jax.Array, y: jax.Array) -> jax.Array:
 
     Where many windows of a part are left open, a few clipped steps are taken for all of it: nothing is gathered.
     """
-    margin = projected_margin(given.projection, _columns(given, u, y))
+    margin = projected_margin(given.projection, columns_of(given, u, y))
     s, count = given.reading.horizon, len(margin)
     size = count
     if count % PART == 0:
@@ -202,7 +202,7 @@ def _stretch_of(reading: Reading, u: jax.Array, y: jax.Array) -> _Stretch:
     return _Stretch(samples, v, largest, heaviest, known)
 
 
-def _columns(given: Given, u: jax.Array, y: jax.Array) -> WindowColumns:
+def columns_of(given: Given, u: jax.Array, y: jax.Array) -> WindowColumns:
     """Return what a projection reads of the windows of a stretch u (N + s, m), y (N + s, p)."""
     reading, projection = given
     count, s = len(y) - reading.horizon, reading.horizon

@@ -13,13 +13,12 @@ import pytest
 from agreement import certificates_hold, monitor_agrees
 
 import jaxbound as jb
-from jaxbound.consistency.drive import raw_outputs
 from jaxbound.consistency.exchange import candidates
-from jaxbound.consistency.projection import EasyWindows
+from jaxbound.consistency.projection import EasyWindows, columns_of
 from jaxbound.consistency.reading import gather
 from jaxbound.consistency.strips_on_host import contradicted_by
 from jaxbound.models.modelfile import load_model, save_model
-from jaxbound.recordings.recording import NOWHERE
+from jaxbound.sets.strips.projection import projected_margin
 
 PLANT = dict(
     A=[["0.9", "0.1"], [0, "0.8"]],
@@ -163,7 +162,9 @@ def test_a_stretch_is_projected_with_the_inputs_that_runs_add_up():
     r = relations("disturbed")
     u = np.random.default_rng(6).uniform(-90, 90, (SAMPLES, 1))
     y = np.array(jb.simulate(r.model, u, jax.random.key(2)).y)
-    (proved,) = raw_outputs(r.test("joint", y.dtype).easy.stretches, u, y, NOWHERE)
+    given = r.test("joint", y.dtype).easy.stretches.constants
+    margins = jax.jit(lambda given, u, y: projected_margin(given.projection, columns_of(given, u, y)))
+    proved = np.concatenate([np.zeros(r.horizon), margins(given, u, y)])
     assert (proved > 0).mean() > 0.4
     for k in np.flatnonzero(proved > 0)[::9]:
         part = slice(k - r.horizon, k + 1)
@@ -183,7 +184,13 @@ def test_combinations_of_runs_contradict_in_numpy_what_has_no_solution(rng):
         found = [jb.detect(relations("disturbed"), u, y, margins=margins) for margins in ("bounds", "exact")]
     for res in found:
         np.testing.assert_array_equal(res.status, exact.status)
+    # sensors that lean to one side: means are what binds
+    quiet = relations("disturbed").model.replace(averages=None, noise=[0.01, 0.01])
+    lean = np.repeat(rng.choice([-1, 1], SAMPLES // 4), 4) * np.linspace(0.1, 0.6, SAMPLES)
+    y = np.array(jb.simulate(quiet, u, jax.random.key(2)).y) + lean[:, None] * [1, 0]
+    exact = jb.detect(relations("disturbed"), u, y, margins="exact")
     ends = np.resize(np.flatnonzero(exact.status == jb.Status.CONSISTENT), test.block)
+    assert exact.margin[ends].min() < 0.1
     windows = gather(u, y, ends - test.horizon, test.lags, test.horizon)
     worst = np.asarray(candidates(test.constants, np.ones(test.block), *windows)[0])
     kept = [rng.normal(size=worst.shape) * (rng.random(worst.shape) < share) for share in (0.1, 0.4, 1)]
