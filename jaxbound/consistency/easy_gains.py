@@ -1,15 +1,15 @@
 """Easy windows of constant tolerances: gains by least squares, then the steps of a certain model.
 
-Rows of given gains g are those of a certain model: output i reads g_i times as much. With the part a_i of what
-is read that belongs to output i, and b of inputs and disturbances, the errors of the first state that fits best
-are linear in the gains,
+Rows of given gains g are those of a certain model, output i being read g_i times as large. With a_i the
+middles of output i and b the rest, inputs and disturbances, the errors of the first state that fits best are
+linear in the gains,
 
     e = sum_i g_i e(a_i) + e(b),    e(z) = (z - R P z, -P z),
 
-and the gains that keep them small follow from as many equations as there are outputs. Whatever they are, within
-the tolerances they are gains: what they explain is CONSISTENT, with a margin that is not above that of the best
-ones. Gains of each sample's own allow whatever common ones do: what contradicts them is a FAULT. How far the
-window is from being explained by common gains that does not say: the margin is -`LEAST`.
+so the gains that keep them small follow from as many equations as there are outputs. Any gains within the
+tolerances do: what they explain is CONSISTENT, and its margin is not above that of the best ones. A gain of
+its own for each sample allows whatever a common one does: what contradicts them all is a FAULT. It does not
+say how far common gains are from an explanation: the margin is -`LEAST`.
 """
 
 import dataclasses
@@ -30,7 +30,7 @@ from jaxbound.sets.strips.projection import Rows, clipped_margin, least_errors
 __all__ = ["EasyGains", "nominal"]
 
 SWEEPS = 8
-"""Rounds in which each gain is fitted to the others; a search sees the windows for which these are too few."""
+"""Rounds in which each gain is fitted to the others."""
 
 
 class GivenGains(NamedTuple):
@@ -56,7 +56,7 @@ class EasyGains(EasyWindows):
 
 def nominal(reading: Reading) -> Reading:
     """Return a reading of sensors whose gains are 1."""
-    return dataclasses.replace(reading, tolerance=np.zeros_like(reading.tolerance))
+    return dataclasses.replace(reading, tolerance=0 * reading.tolerance)
 
 
 @kernel(wide=True)
@@ -67,9 +67,8 @@ def _of_gains(given: GivenGains, u: jax.Array, y: jax.Array) -> tuple[jax.Array,
     of = jnp.take(gains, _gain(given.free), 0)
     top = 2 * jnp.max(gains, 0)  # twice: what the products round
     radius = stored(rows.radius * of)
-    scaled = Rows(
-        stored(rows.mid * of), radius, rows.known, top * rows.scale, 1 / jnp.min(radius, 0), 2 * rows.known_size
-    )
+    heaviest = 1 / jnp.min(radius, 0)
+    scaled = Rows(stored(rows.mid * of), radius, rows.known, top * rows.scale, heaviest, 2 * rows.known_size)
     explained, _ = clipped_margin(given.nominal.projection, scaled)
     own = own_factor(gains, gain_tolerance(reading))
     margin = jnp.maximum(jnp.minimum(explained, 1 - own), LEAST)
@@ -99,6 +98,9 @@ def _fitted(given: Given, rows: Rows) -> jax.Array:
     gains = [jnp.clip(jnp.ones_like(rest[0]), a, b) for a, b in zip(lo, hi, strict=True)]
     for _ in range(SWEEPS):
         for i, row in enumerate(products):
-            others = sum((x * g for j, (x, g) in enumerate(zip(row, gains, strict=False)) if j != i), row[-1])
+            others = row[-1]
+            for j, g in enumerate(gains):
+                if j != i:
+                    others = others + row[j] * g
             gains[i] = jnp.clip((prior[i] - others) / (prior[i] + row[i]), lo[i], hi[i])
     return jnp.stack(gains)

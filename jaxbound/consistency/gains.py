@@ -41,7 +41,8 @@ class GainsTest(ExchangeTest):
     proofs.
 
     The sign of the margin is that of the verdict, its size that of gains that were tried: 1 - t, t not below
-    the true factor.
+    the true factor. Where gains by least squares explain a window (`easy`) it may be larger than that of the
+    search: neither is above the true one.
     """
 
     @cached_property

@@ -20,7 +20,6 @@ from jaxbound.consistency.reading import AVERAGING, Block, Reading
 from jaxbound.consistency.strips_on_host import contradicted_by
 from jaxbound.consistency.twice import Twice
 from jaxbound.exact import linalg
-from jaxbound.exact.frames import ExactFrame
 from jaxbound.models import sensor, window
 from jaxbound.models.rows import Kind, Row, WeightedSum
 from jaxbound.models.system import LinearSystem
@@ -65,8 +64,8 @@ class _Easy(LinearTest):
     """Settles easy windows and says nothing of the others: their margin is 0.
 
     Args:
-        relations, dtype: as of `ExchangeTest`. given: from `projection`. reading: how windows are read; None: as
-            relations say.
+        relations, dtype: as of `ExchangeTest`. given: from `projection`. reading: how windows are read;
+            None: as relations say.
     """
 
     twice = True
@@ -321,7 +320,7 @@ def _sum(reading: Reading, number: int, y: jax.Array) -> _Sample:
         for i, weights in values.parts:
             d = y[:, i] - reading.offset_y[i]
             for a, weight in enumerate(weights):
-                terms.append(np.asarray(float(weight), dtype) * d[a : a + count])
+                terms.append(jnp.asarray(float(weight), dtype) * d[a : a + count])
             radius = radius + np.asarray(float(values.size_of(i)), dtype) * reading.resolution[i]
         mid = jnp.pad(total(terms), (0, len(y) - count))
     return _sample_of(mid, radius * jnp.ones_like(mid), mid)
@@ -341,7 +340,7 @@ def _forced_sum(row: Row, f: Sequence[Sequence[jax.Array]]) -> jax.Array:
     dtype, terms = f[-1][0].dtype, []
     for i, weights in row.values.parts:
         for sample, weight in enumerate(weights, row.first):
-            terms.append(np.asarray(float(weight), dtype) * f[sample][i])
+            terms.append(jnp.asarray(float(weight), dtype) * f[sample][i])
     return total(terms)
 
 
@@ -405,15 +404,21 @@ def projection(relations: LinearRelations, reading: Reading, dtype: DTypeLike) -
 def _typical(reading: Reading, row: Row) -> float:
     """Return a radius for the weight of a row."""
     if row.kind is Kind.SUM:
-        bound = float(reading.average[row.number])
-        if row.values.measured:
-            bound += sum(float(row.values.size_of(i)) * float(reading.resolution[i]) for i, _ in row.values.parts)
-        return bound
+        return _typical_of_sum(reading, row)
     if row.kind is Kind.DISTURBANCE:
         lo, hi = np.asarray(reading.disturbance, np.float64)[row.number]
         return 0.5 * (hi - lo)
     i = row.number
     return float(reading.noise[i] + reading.resolution[i] + reading.tolerance[i])
+
+
+def _typical_of_sum(reading: Reading, row: Row) -> float:
+    """Return the same for the run of a sum."""
+    bound = float(reading.average[row.number])
+    if row.values.measured:
+        for i, _ in row.values.parts:
+            bound += float(row.values.size_of(i)) * float(reading.resolution[i])
+    return bound
 
 
 def _forced(model: LinearSystem, dtype: DTypeLike) -> Forced | None:

@@ -154,7 +154,8 @@ def test_windows_that_are_settled_first_have_margins_that_a_linear_program_confi
         inside, factor = res.status[k] == jb.Status.CONSISTENT, 1 - res.margin[k]
         if abs(res.margin[k] - exact.margin[k]) > 1e-6:  # else no bound
             bounds[jb.Status(int(res.status[k]))] += 1
-        assert consistent(r.model, s, lags, u[part], y[part], factor * (1 + (2 * inside - 1) * 1e-6)) == inside
+        factor *= 1 + (2 * inside - 1) * 1e-6
+        assert consistent(r.model, s, lags, u[part], y[part], factor) == inside
     assert min(bounds.values()) > 0
 
 
@@ -173,8 +174,8 @@ def test_a_stretch_is_projected_with_the_inputs_that_runs_add_up():
 
 
 def test_combinations_of_runs_contradict_in_numpy_what_has_no_solution(rng):
-    """Of FAULT none asks for a replay of the kernels; nothing CONSISTENT is contradicted, neither by what speaks
-    most against it nor by any other combination.
+    """Of FAULT none asks for a replay of the kernels; nothing CONSISTENT is contradicted, neither by what
+    speaks most against it nor by any other combination.
     """
     u, y, exact = detected("disturbed")
     test = relations("disturbed").test("joint", y.dtype)
