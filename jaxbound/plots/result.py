@@ -15,10 +15,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["plot_result"]
+__all__ = ["drawn_margins", "plot_result"]
 
 DRAWN = 2**16
-"""Windows up to which a picture has exact margins; of more it draws the bounds that a Result has."""
+"""Windows up to which a picture has exact margins; of more it has exact ones at FAULT windows alone."""
+
+
+def drawn_margins(res: Result) -> np.ndarray:
+    """Return the margins (T,) that a picture of a Result has."""
+    if len(res.margin) <= DRAWN:
+        return res.measured()
+    return res.reported
 
 
 @plot.register(Result)
@@ -33,6 +40,6 @@ def plot_result(
     if alarms is None:
         alarms = res.alarms()
     line = Timeline(len(x))
-    line.add(0, x, res.status, res.measured(np.full(len(x), len(x) <= DRAWN)))
+    line.add(0, x, res.status, drawn_margins(res))
     line.mark([a.worst for a in alarms])
     return plot_timeline(line, res.relations.model.name, res.method, len(alarms), ax)
