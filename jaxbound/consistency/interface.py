@@ -56,6 +56,7 @@ __all__ = [
     "WindowReading",
     "WindowTest",
     "family",
+    "refuse_margins",
     "refuse_options",
     "relations_of",
 ]
@@ -399,8 +400,8 @@ class WindowTest:
 
     @property
     def margins_are(self) -> str:
-        """"exact", or "bounds" where easy windows are settled before their margins are known: then margins of
-        CONSISTENT windows are not above the exact ones, those of FAULT not below.
+        """One of `MARGINS`: "exact", or "bounds" where easy windows are settled before their margins are
+        known. Margins of CONSISTENT windows are then not above the exact ones, those of FAULT not below.
         """
         return MARGINS[0] if self.easy is not None else MARGINS[1]
 
@@ -518,6 +519,12 @@ class LinearTest(WindowTest):
         return self.relations.reading(self.dtype, self.method)
 
 
+def refuse_margins(margins: str) -> None:
+    """Raise ValueError if margins are asked for that are none of `MARGINS`."""
+    if margins not in MARGINS:
+        raise ValueError(f"margins must be one of {', '.join(MARGINS)}, not {margins!r}")
+
+
 class Easy(NamedTuple):
     """Two tests that settle easy windows: of contiguous samples, and of windows that are gathered."""
 
@@ -584,6 +591,15 @@ class Observer(Relations, Generic[Carry]):
     @property
     def relations(self) -> Self:
         """This observer: a Result asks it for relations."""
+        return self
+
+    @property
+    def margins_are(self) -> str:
+        """"exact": as of a `WindowTest`."""
+        return MARGINS[1]
+
+    def measured(self) -> Self:
+        """Return this observer, as of a `WindowTest`."""
         return self
 
     def init(self) -> Carry:

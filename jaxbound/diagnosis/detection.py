@@ -14,7 +14,7 @@ from jaxbound.consistency.interface import (
     Compensation,
     Relations,
     Starts,
-    WindowTest,
+    refuse_margins,
     relations_of,
 )
 from jaxbound.consistency.searched import judging_device
@@ -63,9 +63,9 @@ def detect(
             disorder or of another period refused, as of a file.
         compensation: for "linearized", what each relation may be off by for the terms that it neglects, one
             number or one a relation.
-        margins: "bounds": where windows are decided by a search, one that a first projection settles keeps
-            the bound on its margin that this proves, a tenth of the work; "exact": search every window.
-            .margins says which a Result has. .alarms(), .worst and plots measure exactly what they show.
+        margins: "bounds": where windows are decided by a search, one that a projection settles keeps the bound
+            on its margin that this proves, at a tenth of the work; "exact": every window is searched. .margins
+            says which a Result has; .alarms(), .worst, .explain and reports have exact ones of what they show.
 
     Returns:
         A Result: .status (..., T) int8 (`Status`), .margin (..., T); entry k belongs to the window that ends
@@ -101,11 +101,10 @@ def detect(
         )
     named, recording = relations.recording(u, y, starts)
     refuse_unusable()
+    refuse_margins(margins)
     recording = replace(recording, u=np.asarray(recording.u), y=np.asarray(recording.y))
-    if margins not in MARGINS:
-        raise ValueError(f"margins must be one of {', '.join(MARGINS)}, not {margins!r}")
     test = named.test(method, recording.y.dtype, budget, compensation)
-    if isinstance(test, WindowTest) and margins == "exact":
+    if margins == "exact":
         test = test.measured()
     judged = drive(test, recording, progress)
     if (judged.status == Status.UNDECIDED).any():  # an infinite sample cannot come out as anything else
@@ -115,8 +114,7 @@ def detect(
         recorded = recording.hints
     about = test.method, test.relations, recording.u, recording.y, recording.index, starts
     aside, device = recording.aside(test.horizon), judging_device(named.remembers)
-    known = test.margins_are if isinstance(test, WindowTest) else "exact"
-    more = {"aside": aside, "recorded": recorded, "device": device, "margins": known}
+    more = {"aside": aside, "recorded": recorded, "device": device, "margins": test.margins_are}
     return result_of(relations, judged, *about, **more)
 
 
