@@ -21,8 +21,8 @@ from jaxbound.consistency import whole_numbers
 from jaxbound.consistency.interface import (
     Again,
     Arrays,
-    Easy,
     Cases,
+    Easy,
     Judged,
     LinearRelations,
     LinearTest,

@@ -2,8 +2,8 @@
 
 `sets.strips.projection` has the idea and the proof. Here a stretch of samples becomes the columns that it
 reads: what belongs to one sample (middle, radius, input) is worked out once and serves all windows that the
-sample is in. A radius here is that of the sample alone, which is not above that of `sensor.true_value` for the
-whole window: what it proves CONSISTENT is.
+sample is in. A radius here is that of the sample alone, which is not above that of `sensor.true_value` for
+the whole window: what it proves CONSISTENT is.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,6 @@ from jaxbound.consistency.reading import Block, Reading
 from jaxbound.consistency.strips_on_host import contradicted_by
 from jaxbound.consistency.twice import Twice
 from jaxbound.exact import linalg
-from jaxbound.exact.frames import ExactFrame
 from jaxbound.models import sensor, window
 from jaxbound.models.rows import Kind
 from jaxbound.models.system import LinearSystem
@@ -111,7 +110,7 @@ class EasyWindows(_Easy):
         return margin
 
     def _contradicted(self, block: Block, h: Array, at: np.ndarray) -> np.ndarray:
-        """Return which windows of a block the combinations of the search contradict; see `contradicted_by`."""
+        """Return which windows of a block the combinations of the search contradict: `contradicted_by`."""
         u, y = (x[..., at] for x in block)
         frame = self.reading.frame
         whole = np.zeros((len(frame.outer), len(at)), self.dtype)
@@ -138,7 +137,9 @@ def _of_stretch(given: Given, u: jax.Array, y: jax.Array) -> jax.Array:
         heaviest = jnp.maximum(heaviest, jnp.max(pushed.weight))
     f, known = None, 0 * one
     if projection.forced is not None:
-        f = _forced_columns(projection.forced, [u[:, b] - reading.offset_u[b] for b in range(u.shape[1])], s, count)
+        f = _forced_columns(
+            projection.forced, [u[:, b] - reading.offset_u[b] for b in range(u.shape[1])], s, count
+        )
         sizes = [abs(u[:, b]) + abs(reading.offset_u[b]) for b in range(u.shape[1])]
         known = _running(_largest(sizes), reading.lags)[:count]
     mid, weight = [], []
@@ -155,8 +156,8 @@ def _of_stretch(given: Given, u: jax.Array, y: jax.Array) -> jax.Array:
 
 
 def _forced_columns(forced: Forced, v: Columns, s: int, count: int) -> list[list[jax.Array]]:
-    """Return f of all windows of a stretch with inputs v, [sample][output]: what inputs add is worked out once
-    a sample.
+    """Return f of all windows of a stretch with inputs v, [sample][output]: what inputs add is worked out
+    once a sample.
     """
     first = [[x[j : j + count] for x in v] for j in range(min(forced.order + 1, s + 1))]
     later = s - forced.order
@@ -265,7 +266,12 @@ def _forced(model: LinearSystem, dtype: DTypeLike) -> Forced | None:
     first = [row[: order * m] for row in H[: order * p]]
     pairs = tuple((j // p, j % p) for j in basis)
     return Forced(
-        _rounded(first, order * p, dtype), _rounded(own, p, dtype), _rounded(driven, p, dtype), pairs, order, int(model.has_feedthrough)
+        _rounded(first, order * p, dtype),
+        _rounded(own, p, dtype),
+        _rounded(driven, p, dtype),
+        pairs,
+        order,
+        int(model.has_feedthrough),
     )
 
 

@@ -370,7 +370,13 @@ class _Windows:
         return np.asarray(np.einsum("ij,ij->i", k, known))
 
     def contradicted(
-        self, outer: np.ndarray, inner: np.ndarray, h: np.ndarray, back: np.ndarray, K: np.ndarray, error: np.ndarray
+        self,
+        outer: np.ndarray,
+        inner: np.ndarray,
+        h: np.ndarray,
+        back: np.ndarray,
+        K: np.ndarray,
+        error: np.ndarray,
     ) -> np.ndarray:
         """Return (N,) bool: which windows combinations h of outer rows contradict, -h R of inner ones; of one
         that lacks a sample nothing is said.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxbound.certificates.interface import WindowCertificate, explain
-from jaxbound.consistency.interface import Judged, Relations
+from jaxbound.consistency.interface import EXACT, Judged, Relations
 from jaxbound.diagnosis.alarms import Alarm, forgets_after, group_alarms
 from jaxbound.diagnosis.hints import bound_hints, device_hints, fit_hints
 from jaxbound.diagnosis.measuring import exact_margins, tightest
@@ -67,7 +67,7 @@ class Result:
     aside: int = field(default=0, kw_only=True)
     recorded: tuple[str, ...] | None = field(default=None, kw_only=True, repr=False)
     device: str = field(default="", kw_only=True, repr=False)
-    margins: str = field(default="exact", kw_only=True, repr=False)
+    margins: str = field(default=EXACT, kw_only=True, repr=False)
 
     def _head(self) -> str:
         counts = [f"{n} {name}" for name, n in self.counts.items() if n]
@@ -90,9 +90,11 @@ class Result:
         """Return the smallest margin as text; of bounds what they say of it, without a search."""
         number = int(np.nanargmin(self.margin))
         smallest = f"{self.margin.flat[number]:.4g}"
-        if self.margins != "exact":
-            below = self.margin.flat[number] < 0
-            return f"{'at most' if below else 'at least'} {smallest}, see .worst"
+        if self.margins != EXACT:
+            side = "at least"
+            if self.margin.flat[number] < 0:
+                side = "at most"
+            return f"{side} {smallest}, see .worst"
         at: object = number
         if self.margin.ndim > 1:
             at = tuple(map(int, np.unravel_index(number, self.margin.shape)))
@@ -107,7 +109,7 @@ class Result:
         if where is None:
             where = np.ones(self.margin.shape, bool)
         at = np.flatnonzero(where & ~np.isnan(self.margin))
-        if self.margins == "exact" or not len(at):
+        if self.margins == EXACT or not len(at):
             return self.margin
         margin = self.margin.copy()
         margin.flat[at] = exact_margins(self.relations, self.method, self.u, self.y, margin, at)
@@ -129,7 +131,7 @@ class Result:
             margin = np.where(fault, self.reported, np.nan)
         if np.isnan(margin).all():
             return None
-        if self.margins == "exact" or fault.any():
+        if self.margins == EXACT or fault.any():
             at = int(np.nanargmin(margin))
             return at, float(margin.flat[at])
         return tightest(self.relations, self.method, self.u, self.y, margin)
@@ -260,7 +262,7 @@ def result_of(
     aside: int = 0,
     recorded: tuple[str, ...] | None = None,
     device: str = "",
-    margins: str = "exact",
+    margins: str = EXACT,
 ) -> Result:
     """Return the Result of verdicts, its kind chosen by the relations that a user gave.
 

@@ -67,7 +67,7 @@ def columns_of(result: Verdicts) -> Columns:
     return _columns(result.status, result.margin)
 
 
-@columns_of.register
+@columns_of.register(Result)
 def _(result: Result) -> Columns:
     """Return those of a Result: margins of FAULT windows are exact."""
     return _columns(result.status, result.reported)
