@@ -2,8 +2,8 @@
 
 `sets.strips.projection` has the idea and the proof. Here a stretch of samples becomes the columns that it
 reads: what belongs to one sample (middle, radius, input) is worked out once and serves all windows that the
-sample is in. A radius here is that of the sample alone, which is not above that of `sensor.true_value` for the
-whole window: what it proves CONSISTENT is.
+sample is in. A radius here is that of the sample alone, which is not above that of `sensor.true_value` for
+the whole window: what it proves CONSISTENT is.
 """
 
 from collections.abc import Callable, Sequence
@@ -130,7 +130,7 @@ class EasyWindows(_Easy):
         return margin
 
     def _contradicted(self, block: Block, h: Array, at: np.ndarray) -> np.ndarray:
-        """Return which windows of a block the combinations of the search contradict; see `contradicted_by`."""
+        """Return which windows of a block the combinations of the search contradict: `contradicted_by`."""
         u, y = (x[..., at] for x in block)
         frame = self.reading.frame
         whole = np.zeros((len(frame.outer), len(at)), self.dtype)
@@ -142,7 +142,8 @@ class EasyWindows(_Easy):
 def _of_stretch(given: Given, u: jax.Array, y: jax.Array) -> jax.Array:
     """Return the margins (N,) of the windows of a stretch u (N + s, m), y (N + s, p).
 
-    Where many windows of a part are left open, a few clipped steps are taken for all of it: nothing is gathered.
+    Where many windows of a part are left open, a few clipped steps are taken for all of it: nothing is
+    gathered.
     """
     margin = projected_margin(given.projection, columns_of(given, u, y))
     s, count = given.reading.horizon, len(margin)
@@ -169,8 +170,9 @@ def _of_stretch(given: Given, u: jax.Array, y: jax.Array) -> jax.Array:
 class _Stretch(NamedTuple):
     """What belongs to the samples of a stretch, whichever window reads them.
 
-    Fields: samples: of each output (N + s,), then of each disturbance, then of the runs of each sum; v: the inputs (N + s,) less their
-    offsets; scale, heaviest, known: (N,), the largest of windows, see `WindowColumns`.
+    Fields: samples: of each output (N + s,), then of each disturbance, then of the runs of each sum; v: the
+    inputs (N + s,) less their offsets; scale, heaviest, known: (N,), the largest of windows, see
+    `WindowColumns`.
     """
 
     samples: list["_Sample"]
@@ -259,8 +261,8 @@ def _taken(x: jax.Array, at: np.ndarray, count: int) -> jax.Array:
 
 
 def _forced_columns(forced: Forced, v: Columns, s: int, count: int) -> list[list[jax.Array]]:
-    """Return f of all windows of a stretch with inputs v, [sample][output]: what inputs add is worked out once
-    a sample.
+    """Return f of all windows of a stretch with inputs v, [sample][output]: what inputs add is worked out
+    once a sample.
     """
     first = [[x[j : j + count] for x in v] for j in range(min(forced.order + 1, s + 1))]
     later = s - forced.order
@@ -437,7 +439,12 @@ def _forced(model: LinearSystem, dtype: DTypeLike) -> Forced | None:
     first = [row[: order * m] for row in H[: order * p]]
     pairs = tuple((j // p, j % p) for j in basis)
     return Forced(
-        _rounded(first, order * p, dtype), _rounded(own, p, dtype), _rounded(driven, p, dtype), pairs, order, int(model.has_feedthrough)
+        _rounded(first, order * p, dtype),
+        _rounded(own, p, dtype),
+        _rounded(driven, p, dtype),
+        pairs,
+        order,
+        int(model.has_feedthrough),
     )
 
 

@@ -334,8 +334,8 @@ def _doubles(x: Array) -> np.ndarray:
 
 
 def _times(A: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Return A x (a, N), some columns at a time: of larger products the library starts threads, which wait for
-    each other where others are at work.
+    """Return A x (a, N), some columns at a time: of larger products the library starts threads, which wait
+    for each other where others are at work.
     """
     out = np.empty((len(A), x.shape[1]))
     for first in range(0, x.shape[1], ALONE):
@@ -426,8 +426,8 @@ class _Windows:
         k: np.ndarray,
         error: np.ndarray,
     ) -> np.ndarray:
-        """Return (N,) bool: which windows are contradicted by combinations h of outer rows, back of inner ones, k
-        of inputs; of one that lacks a sample nothing is said.
+        """Return (N,) bool: which windows are contradicted by combinations h of outer rows, back of inner
+        ones, k of inputs; of one that lacks a sample nothing is said.
         """
         lo, hi = self._every()
         least, most = np.zeros(h.shape[1]), np.zeros(h.shape[1])
