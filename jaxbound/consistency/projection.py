@@ -276,7 +276,7 @@ def _forced_columns(forced: Forced, v: Columns, s: int, count: int) -> list[list
 
 
 def rows_of(given: Given, u: jax.Array, y: jax.Array) -> Rows:
-    """Return what a search reads of windows u (lags, m, N), y (s + 1, p, N)."""
+    """Return the rows of windows u (lags, m, N), y (s + 1, p, N) for a search."""
     rows = given.reading.block(u, y)
     numbers = (*given.projection.outer, *given.projection.inner)
 
@@ -336,7 +336,7 @@ def _scale_of_sum(values: WeightedSum, largest: jax.Array, radius: jax.Array) ->
 
 
 def _forced_sum(row: Row, f: Sequence[Sequence[jax.Array]]) -> jax.Array:
-    """Return what inputs add to a run: the weighted sum of f, [sample][output]; nothing to disturbances."""
+    """Return the share of inputs in a run: the weighted sum of f, [sample][output]; 0 of disturbances."""
     if not row.values.measured:
         return jnp.zeros(())
     dtype, terms = f[-1][0].dtype, []
