@@ -123,20 +123,24 @@ class Detector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-lea
         self.offset_ = 0.0
         return self
 
-    def detect(self, X: Any) -> Result:
-        """Return the Result of `jaxbound.detect` for rows X (T, columns), with certificates and alarms."""
+    def detect(self, X: Any, margins: str = "bounds") -> Result:
+        """Return the Result of `jaxbound.detect` for rows X (T, columns), with certificates and alarms.
+
+        Args:
+            margins: see `jaxbound.detect`; scores are always exact.
+        """
         check_is_fitted(self)
         rows = self._rows(X, reset=False)
         if hasattr(self, "feature_names_in_") and hasattr(X, "columns"):
-            return detect(self.relations_, X, method=self.method)
+            return detect(self.relations_, X, method=self.method, margins=margins)
         u, y = (rows[:, places] for places in self._places)
-        return detect(self.relations_, u, y, method=self.method)
+        return detect(self.relations_, u, y, method=self.method, margins=margins)
 
     def decision_function(self, X: Any) -> np.ndarray:
         """Return (T,) scores: below 0 exactly where a fault is proved, then the margin; else the margin, 0
         where there is none.
         """
-        res = self.detect(X)
+        res = self.detect(X, margins="exact")
         fault, margin = res.status == Status.FAULT, np.nan_to_num(np.asarray(res.margin, np.float64), nan=0.0)
         return np.where(fault, np.minimum(margin, -np.finfo(np.float64).tiny), np.maximum(margin, 0.0))
 
@@ -146,7 +150,7 @@ class Detector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-lea
 
     def predict(self, X: Any) -> np.ndarray:
         """Return (T,) int: -1 where a fault is proved, else 1."""
-        return np.where(self.decision_function(X) < 0, -1, 1)
+        return np.where(self.detect(X).status == Status.FAULT, -1, 1)
 
     def _rows(self, X: object, reset: bool) -> np.ndarray:
         """Return the rows as an array of floats, checked as scikit-learn does."""

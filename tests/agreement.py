@@ -11,8 +11,8 @@ import jaxbound as jb
 
 
 def monitor_agrees(relations, u, y, res):
-    """Insist that a Monitor says the same as a Result, bit for bit; in blocks as long as those of detect,
-    whose kernels are compiled.
+    """Insist that a Monitor says the same as a Result with exact margins, bit for bit; in blocks as long as
+    those of detect, whose kernels are compiled.
 
     Short blocks are those of test_monitor and test_whole_numbers.
     """

@@ -60,7 +60,8 @@ def at_boundary(relations, u, centre, y, steps=12):
     """
     factor = np.ones(len(y))
     for _ in range(steps):
-        gauge = 1 - last(jb.detect(relations, u, moved(centre, y, factor)).margin)
+        res = jb.detect(relations, u, moved(centre, y, factor), margins="exact")
+        gauge = 1 - last(res.margin)
         factor = np.where(
             np.isfinite(gauge) & (gauge > 1e-6) & (gauge != 1), factor / np.maximum(gauge, 1e-6), factor
         )

@@ -80,7 +80,7 @@ def _alarms_row(summary: Summary, evidence: Evidence, explain: str) -> tuple[str
 
 def _worst_row(summary: Summary, evidence: Evidence) -> tuple[str, str]:
     """Return the window that comes nearest to a fault, or is the farthest in it."""
-    margin = summary.margin
+    margin, least = summary.margin, ""
     is_outside = margin < 0
     if evidence.remembers:
         name = "worst"
@@ -91,4 +91,6 @@ def _worst_row(summary: Summary, evidence: Evidence) -> tuple[str, str]:
         name, use = "worst window", f"bounds needed: {times(1 - margin)} the stated ones"
     else:
         name, use = "tightest", f"{percent(1 - margin)} of the bounds are used"
-    return name, f"{cast(Window, summary.worst).time}: margin {margin:.3g}, {use}"
+    if evidence.bounded:
+        least, use = "at least ", f"at most {use}"
+    return name, f"{cast(Window, summary.worst).time}: margin {least}{margin:.3g}, {use}"

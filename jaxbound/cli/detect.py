@@ -11,6 +11,7 @@ from jaxbound.cli.options import (
     add_alarm,
     add_engine,
     add_json,
+    add_margins,
     add_method,
     add_observer,
     add_windows,
@@ -129,6 +130,7 @@ def options(parser: argparse.ArgumentParser) -> None:
         "faulty sensor and says what it should have shown",
     )
     add_windows(parser)
+    add_margins(parser)
     add_alarm(parser)
     add_json(parser)
     add_observer(parser)

@@ -22,6 +22,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.parquet import PARTIAL, VERDICTS
 from jaxbound.recordings.read import open_source
+from jaxbound.recordings.recording import Recording
 from jaxbound.reports.detection import write_report
 from jaxbound.runs.digest import digest
 from jaxbound.runs.endings import ending_hints, sizes_seen
@@ -93,18 +94,19 @@ def evaluate_parts(
     seconds: dict[str, float] = {}
     try:
         if merge:
-            parts = all_parts(relations, source, out, options.method, overlap)
+            parts = all_parts(relations, source, out, options.method, overlap, options.margins)
         else:
             progress = lambda share: step("test", share)
             wanted = relations, source, out, options.method, chunk or CHUNK, progress
             with engine(scheduler, workers) as client:
-                parts, seconds = write_parts(*wanted, client=client, overlap=overlap)
+                spread = {"client": client, "overlap": overlap}
+                parts, seconds = write_parts(*wanted, **spread, margins=options.margins)
         start = time.perf_counter()
         with folder.work() as work:
             progress = lambda share: step("report", 0.4 * share)
             sinks = open_sinks(work, whole=False)
             how = options.method, alarm, work / "alarms.csv", progress, sinks
-            res = digest(relations, source, parts, *how)
+            res = digest(relations, source, parts, *how, margins=options.margins)
             sizes = sizes_seen(res, res.alarms)
             reaches = outgrown(source.model, relations)
             hints = dict.fromkeys((*res.hints, *reaches, *ending_hints(res, res.alarms, sizes)))
@@ -163,7 +165,11 @@ def evaluate(
         refuse_short(data, recording.samples, relations.horizon)
         seconds["read"], start = time.perf_counter() - start, time.perf_counter()
         usable_device()
-    test = lambda r: detect(relations, r, method=options.method, progress=lambda share: step("test", share))
+
+    def test(r: Recording) -> Result:
+        asked = {"method": options.method, "margins": options.margins}
+        return detect(relations, r, progress=lambda share: step("test", share), **asked)
+
     with Beside(open_sinks(work)) as sinks:  # a million verdicts are written while the pictures are drawn
         judge = Whole(test)
         with door():  # one piece: sinks get their rows by the one way that all sources have

@@ -17,11 +17,12 @@ NAME = "examine"
 HELP = "examine the arithmetic of this machine's accelerator, once, so that it may prove"
 EXAMPLES = (
     ("jaxbound examine", "examine a card that JAX can use; from then on CONSISTENT counts there"),
-    ("JAX_PLATFORMS=cuda,cpu jaxbound detect plant.toml run.csv --out report/", "judge there"),
+    ("jaxbound examine --json", "the same as JSON: card, driver, jaxlib, date and outcome"),
 )
 CODES = (
     "exit codes: 0 every device may prove, 1 one may not (the sentence says what it broke), 2 bad input or "
-    "usage. A changed card, driver, jax, jaxlib or jaxbound asks for another examination"
+    "usage. A changed card, driver, jax, jaxlib or jaxbound asks for another examination; "
+    "JAX_PLATFORMS=cuda,cpu chooses the card in other commands too"
 )
 BROKEN = 1
 

@@ -10,6 +10,7 @@ from jaxbound.cli.options import (
     add_alarm,
     add_engine,
     add_json,
+    add_margins,
     add_method,
     add_observer,
     add_windows,
@@ -59,6 +60,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     add_engine(parser)
     add_method(parser, "; observer carries everything since it began on")
     add_windows(parser)
+    add_margins(parser)
     add_alarm(parser)
     add_json(parser)
     add_observer(parser)
@@ -92,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
             with progress_bars(("units",)) as step, engine(args.scheduler, args.workers) as client:
                 how = args.method, args.horizon, args.alarm, args.min_coverage
                 report, pages = lambda share: step("units", share), UnitPages(work)
-                more = options.observer_options, client, args.state
+                more = options.observer_options, client, args.state, options.margins
                 for result in detect_fleet(
                     units, *how, report, args.lags, pages if client is None else None, *more
                 ):

@@ -15,6 +15,7 @@ from jaxbound.cli.terminal import NORMAL, QUIET, VERBOSE, Refused
 from jaxbound.estimation.methods import OBSERVERS, shell_options
 
 __all__ = [
+    "MARGINS",
     "METHODS",
     "OBSERVER",
     "MethodOptions",
@@ -23,6 +24,7 @@ __all__ = [
     "add_force",
     "add_json",
     "add_loudness",
+    "add_margins",
     "add_method",
     "add_observer",
     "add_safety",
@@ -40,6 +42,7 @@ OBSERVER = "observer"
 # A text of its own, because the home of these methods imports jax, for which a help does not wait. A test
 # compares it with `consistency.interface.METHODS`.
 METHODS = "joint, box, paving, linearized"
+MARGINS = "bounds", "exact"  # likewise
 LARGEST = 10**15
 DIGITS = 20  # a number of so many digits is not even converted
 
@@ -62,6 +65,7 @@ class MethodOptions:
         method: one of METHODS, "observer", or, for a command that has it, "validation".
         horizon, lags: the windows; None: those of the model.
         order, latched, observer: of an observer, see `add_observer`.
+        margins: one of MARGINS, see `add_margins`.
         settings: {field: value} of the observer's own options, see `estimation.method.ShellOption`.
     """
 
@@ -71,6 +75,7 @@ class MethodOptions:
     order: int | None = None
     latched: bool = False
     observer: str | None = None
+    margins: str = "bounds"
     settings: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
@@ -145,6 +150,19 @@ def add_method(parser: argparse.ArgumentParser, more: str = "") -> None:
     """Add --method of a command that tests recordings. more: the end of its help."""
     about = f"{METHODS} (default: joint, the exact test){more}"
     parser.add_argument("--method", default="joint", help=about)
+
+
+def add_margins(parser: argparse.ArgumentParser) -> None:
+    """Add --margins."""
+    parser.add_argument(
+        "--margins",
+        choices=MARGINS,
+        default=MARGINS[0],
+        metavar="KIND",
+        help="of long windows: bounds, where a window is easily explained, at a tenth of the work, while "
+        "FAULT and what a report shows closely are exact; or exact, of every window; through a pipe they are "
+        "always exact (default: bounds)",
+    )
 
 
 def add_windows(parser: argparse.ArgumentParser, about: str = "", least: int = 0) -> None:

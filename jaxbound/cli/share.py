@@ -12,6 +12,7 @@ from typing import Any
 from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.terminal import OK, door, progress_bars, show, usable_device, write
 from jaxbound.cli.window import window_relations
+from jaxbound.consistency.interface import BOUNDS
 from jaxbound.models.modelfile import load_model
 from jaxbound.recordings.parquet import PARTIAL
 from jaxbound.recordings.read import open_source
@@ -62,6 +63,7 @@ def judge_share(
                 progress,
                 part,
                 overlap=overlap,
+                margins=options.margins,
             )
         except KeyboardInterrupt:
             if part_files(where, mine):
@@ -133,4 +135,6 @@ def same_test(
             words += [flag, value]
     if options.latched:
         words.append("--latched")
+    if options.margins != BOUNDS:
+        words += ["--margins", options.margins]
     return shlex.join(map(str, (*words, *more)))

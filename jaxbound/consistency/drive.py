@@ -333,8 +333,8 @@ def _past_easy(
     stretches, windows = test.easy
     own = size
     if size == test.block:
-        own = stretches.block
-    if 2 * len(ends) >= len(y):
+        own = (stretches or windows).block
+    if stretches is not None and 2 * len(ends) >= len(y):
         found = _stretches(stretches, u, y, len(y), slice(0, test.horizon), own, _nothing)
         for out, values in zip(outs, found, strict=True):
             out[ends] = values[ends]

@@ -21,8 +21,8 @@ from jaxbound.consistency import whole_numbers
 from jaxbound.consistency.interface import (
     Again,
     Arrays,
-    Easy,
     Cases,
+    Easy,
     Judged,
     LinearRelations,
     LinearTest,
@@ -32,7 +32,7 @@ from jaxbound.consistency.interface import (
     Run,
     WindowTest,
 )
-from jaxbound.consistency.projection import EasyStretches, EasyWindows, projection
+from jaxbound.consistency.projection import easy_by
 from jaxbound.consistency.reading import Block, Reading, RowValues, gather
 from jaxbound.consistency.strips_on_host import contradicted_by
 from jaxbound.consistency.twice import Twice
@@ -132,10 +132,7 @@ class ExchangeTest(LinearTest):
     @cached_property
     def easy(self) -> Easy | None:  # type: ignore[override]  # of a property
         """One fixed projection, which settles most windows of most recordings."""
-        given = projection(self.relations, self.reading, self.dtype)
-        if given is None:
-            return None
-        return Easy(*(kind(self.relations, self.dtype, given) for kind in (EasyStretches, EasyWindows)))
+        return easy_by(self.relations, self.reading, self.dtype)
 
     def measured(self) -> Self:
         """Return a test that searches every window for its margin."""
@@ -220,8 +217,6 @@ class ExchangeTest(LinearTest):
 
     def _contradicted(self, block: Block, hints: Arrays, at: np.ndarray) -> np.ndarray:
         """Return which windows of a block the combinations of a search contradict; see `contradicted_by`."""
-        if self.reading.window.sums:
-            return np.zeros(len(at), bool)
         u, y = (x[..., at] for x in block)
         return contradicted_by(self.reading, self.reading.frame, u, y, np.asarray(hints[0])[:, at])
 

@@ -29,6 +29,8 @@ from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.objects import readable
 
 __all__ = [
+    "BOUNDS",
+    "EXACT",
     "FAMILIES",
     "MARGINS",
     "METHODS",
@@ -58,11 +60,12 @@ __all__ = [
     "family",
     "refuse_options",
     "relations_of",
+    "with_margins",
 ]
 
 METHODS = ("joint", "box", "paving", "linearized")
 OBSERVER = "observer"
-MARGINS = ("bounds", "exact")
+MARGINS = BOUNDS, EXACT = "bounds", "exact"
 """What margins of windows may be: see `detect`."""
 
 Array: TypeAlias = np.ndarray | jax.Array
@@ -399,10 +402,12 @@ class WindowTest:
 
     @property
     def margins_are(self) -> str:
-        """"exact", or "bounds" where easy windows are settled before their margins are known: then margins of
-        CONSISTENT windows are not above the exact ones, those of FAULT not below.
+        """One of `MARGINS`: "exact", or "bounds" where easy windows are settled before their margins are
+        known. Margins of CONSISTENT windows are then not above the exact ones, those of FAULT not below.
         """
-        return MARGINS[0] if self.easy is not None else MARGINS[1]
+        if self.easy is None:
+            return EXACT
+        return BOUNDS
 
     def measured(self) -> Self:
         """Return the same test with exact margins."""
@@ -518,10 +523,28 @@ class LinearTest(WindowTest):
         return self.relations.reading(self.dtype, self.method)
 
 
-class Easy(NamedTuple):
-    """Two tests that settle easy windows: of contiguous samples, and of windows that are gathered."""
+Test = TypeVar("Test", bound="WindowTest | Observer[Any]")
 
-    stretches: WindowTest
+
+def with_margins(test: Test, margins: str) -> Test:
+    """Return a test whose margins are those that are asked for, one of `MARGINS`.
+
+    Raises:
+        ValueError: they are none of these.
+    """
+    if margins not in MARGINS:
+        raise ValueError(f"margins must be one of {', '.join(MARGINS)}, not {margins!r}")
+    if margins == EXACT:
+        return test.measured()
+    return test
+
+
+class Easy(NamedTuple):
+    """Two tests that settle easy windows: of contiguous samples, None where that does not pay, and of windows
+    that are gathered.
+    """
+
+    stretches: WindowTest | None
     windows: WindowTest
 
 
@@ -584,6 +607,15 @@ class Observer(Relations, Generic[Carry]):
     @property
     def relations(self) -> Self:
         """This observer: a Result asks it for relations."""
+        return self
+
+    @property
+    def margins_are(self) -> str:
+        """One of `MARGINS`: those of an observer are exact."""
+        return EXACT
+
+    def measured(self) -> Self:
+        """Return this observer, as of a `WindowTest`."""
         return self
 
     def init(self) -> Carry:

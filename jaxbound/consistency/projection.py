@@ -2,27 +2,26 @@
 
 `sets.strips.projection` has the idea and the proof. Here a stretch of samples becomes the columns that it
 reads: what belongs to one sample (middle, radius, input) is worked out once and serves all windows that the
-sample is in. A radius here is that of the sample alone, which is not above that of `sensor.true_value` for the
-whole window: what it proves CONSISTENT is.
+sample is in. A radius here is that of the sample alone, which is not above that of `sensor.true_value` for
+the whole window: what it proves CONSISTENT is.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property, partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
-from jaxbound.consistency.interface import Array, Arrays, LinearRelations, LinearTest, Outputs, Run
-from jaxbound.consistency.reading import Block, Reading
+from jaxbound.consistency.interface import Array, Arrays, Easy, LinearRelations, LinearTest, Outputs, Run
+from jaxbound.consistency.reading import AVERAGING, Block, Reading
 from jaxbound.consistency.strips_on_host import contradicted_by
 from jaxbound.consistency.twice import Twice
 from jaxbound.exact import linalg
-from jaxbound.exact.frames import ExactFrame
 from jaxbound.models import sensor, window
-from jaxbound.models.rows import Kind, Row
+from jaxbound.models.rows import Kind, Row, WeightedSum
 from jaxbound.models.system import LinearSystem
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import kernel
@@ -40,9 +39,14 @@ from jaxbound.sets.strips.projection import (
     projection_of,
 )
 
-__all__ = ["EasyStretches", "EasyWindows", "projection"]
+__all__ = ["EasyStretches", "EasyWindows", "Given", "Steps", "columns_of", "easy_by", "projection", "rows_of"]
 
+Steps: TypeAlias = Callable[..., tuple[jax.Array, jax.Array]]
 BLOCK = 4096
+COLUMNS = 64
+"""Rows of a window up to which a stretch is projected: each is a column, and what compiles grows with the
+square of their number.
+"""
 PART = 1024
 """Windows of a stretch that are searched together: their rows stay in the cache."""
 FEWEST = 8
@@ -60,14 +64,19 @@ class _Easy(LinearTest):
     """Settles easy windows and says nothing of the others: their margin is 0.
 
     Args:
-        relations, dtype: as of `ExchangeTest`. projection: from `projection`.
+        relations, dtype: as of `ExchangeTest`. given: from `projection`. reading: how windows are read;
+            None: as relations say.
     """
 
     twice = True
 
-    def __init__(self, relations: LinearRelations, dtype: DTypeLike, given: Projection) -> None:
+    def __init__(
+        self, relations: LinearRelations, dtype: DTypeLike, given: Projection, reading: Reading | None = None
+    ) -> None:
         super().__init__(relations, "joint", dtype)
         self.projection = given
+        if reading is not None:
+            self.reading = reading
 
     @property
     def constants(self) -> Given:
@@ -97,10 +106,15 @@ class EasyWindows(_Easy):
     threads = True
     block = BLOCK // 4
 
+    @property
+    def steps(self) -> Steps:
+        """The kernel that returns (margins (N,), h (c, N)) of windows."""
+        return _of_windows
+
     def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return (margin, open) of windows."""
         judged = []
-        for block, (margin, h) in zip(blocks, run(_of_windows, blocks), strict=True):
+        for block, (margin, h) in zip(blocks, run(self.steps, blocks), strict=True):
             again = partial(self._again, block)
             decided = self._twice.decided(margin, again, partial(self._contradicted, block, h))
             judged.append((decided, decided == 0))
@@ -112,11 +126,11 @@ class EasyWindows(_Easy):
 
     def _again(self, block: Block, at: np.ndarray) -> np.ndarray:
         """Return the margins of some windows of a block, in NumPy."""
-        margin: np.ndarray = _of_windows(self.constants, *(x[..., at] for x in block))[0]
+        margin: np.ndarray = self.steps(self.constants, *(x[..., at] for x in block))[0]
         return margin
 
     def _contradicted(self, block: Block, h: Array, at: np.ndarray) -> np.ndarray:
-        """Return which windows of a block the combinations of the search contradict; see `contradicted_by`."""
+        """Return which windows of a block the combinations of the search contradict: `contradicted_by`."""
         u, y = (x[..., at] for x in block)
         frame = self.reading.frame
         whole = np.zeros((len(frame.outer), len(at)), self.dtype)
@@ -128,9 +142,10 @@ class EasyWindows(_Easy):
 def _of_stretch(given: Given, u: jax.Array, y: jax.Array) -> jax.Array:
     """Return the margins (N,) of the windows of a stretch u (N + s, m), y (N + s, p).
 
-    Where many windows of a part are left open, a few clipped steps are taken for all of it: nothing is gathered.
+    Where many windows of a part are left open, a few clipped steps are taken for all of it: nothing is
+    gathered.
     """
-    margin = projected_margin(given.projection, _columns(given, u, y))
+    margin = projected_margin(given.projection, columns_of(given, u, y))
     s, count = given.reading.horizon, len(margin)
     size = count
     if count % PART == 0:
@@ -155,8 +170,9 @@ def _of_stretch(given: Given, u: jax.Array, y: jax.Array) -> jax.Array:
 class _Stretch(NamedTuple):
     """What belongs to the samples of a stretch, whichever window reads them.
 
-    Fields: samples: of each output (N + s,), then of each disturbance; v: the inputs (N + s,) less their
-    offsets; scale, heaviest, known: (N,), the largest of windows, see `WindowColumns`.
+    Fields: samples: of each output (N + s,), then of each disturbance, then of the runs of each sum; v: the
+    inputs (N + s,) less their offsets; scale, heaviest, known: (N,), the largest of windows, see
+    `WindowColumns`.
     """
 
     samples: list["_Sample"]
@@ -174,6 +190,11 @@ def _stretch_of(reading: Reading, u: jax.Array, y: jax.Array) -> _Stretch:
     samples += [_sample_of(*parts) for parts in zip(mid, radius, scale, strict=True)]
     largest = _running(most([x.scale for x in samples]), s + 1)[:count]
     heaviest = _running(most([x.weight for x in samples]), s + 1)[:count]
+    for number, values in enumerate(reading.window.sums):
+        part = _sum(reading, number, y)
+        samples.append(part)
+        largest = jnp.maximum(largest, _scale_of_sum(values, largest, part.radius[0]))
+        heaviest = jnp.maximum(heaviest, part.weight[0])
     v = [u[:, b] - reading.offset_u[b] for b in range(u.shape[1])]
     known = jnp.zeros_like(largest)
     if v:
@@ -182,7 +203,7 @@ def _stretch_of(reading: Reading, u: jax.Array, y: jax.Array) -> _Stretch:
     return _Stretch(samples, v, largest, heaviest, known)
 
 
-def _columns(given: Given, u: jax.Array, y: jax.Array) -> WindowColumns:
+def columns_of(given: Given, u: jax.Array, y: jax.Array) -> WindowColumns:
     """Return what a projection reads of the windows of a stretch u (N + s, m), y (N + s, p)."""
     reading, projection = given
     count, s = len(y) - reading.horizon, reading.horizon
@@ -197,6 +218,8 @@ def _columns(given: Given, u: jax.Array, y: jax.Array) -> WindowColumns:
         own = sample.mid[row.first : row.first + count]
         if f is not None and row.kind is Kind.READING:
             own = own - f[row.first][row.number]
+        if f is not None and row.kind is Kind.SUM:
+            own = own - _forced_sum(row, f)
         mid.append(own)
         weight.append(sample.weight[row.first : row.first + count])
     return WindowColumns(mid, weight, stretch.scale, stretch.heaviest, stretch.known)
@@ -222,6 +245,8 @@ def _series(reading: Reading, row: Row) -> int:
     """Return the number of the samples of a stretch that a row reads."""
     if row.kind is Kind.DISTURBANCE:
         return len(reading.noise) + row.number
+    if row.kind is Kind.SUM:
+        return len(reading.noise) + len(reading.disturbance) + row.number
     return row.number
 
 
@@ -236,8 +261,8 @@ def _taken(x: jax.Array, at: np.ndarray, count: int) -> jax.Array:
 
 
 def _forced_columns(forced: Forced, v: Columns, s: int, count: int) -> list[list[jax.Array]]:
-    """Return f of all windows of a stretch with inputs v, [sample][output]: what inputs add is worked out once
-    a sample.
+    """Return f of all windows of a stretch with inputs v, [sample][output]: what inputs add is worked out
+    once a sample.
     """
     first = [[x[j : j + count] for x in v] for j in range(min(forced.order + 1, s + 1))]
     later = s - forced.order
@@ -250,9 +275,8 @@ def _forced_columns(forced: Forced, v: Columns, s: int, count: int) -> list[list
     return forced_outputs(forced, first, [[x[j : j + count] for x in added] for j in range(later + 1)])
 
 
-@kernel(wide=True)
-def _of_windows(given: Given, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return (margins (N,), h (c, N)) of windows u (lags, m, N), y (s + 1, p, N)."""
+def rows_of(given: Given, u: jax.Array, y: jax.Array) -> Rows:
+    """Return the rows of windows u (lags, m, N), y (s + 1, p, N) for a search."""
     rows = given.reading.block(u, y)
     numbers = (*given.projection.outer, *given.projection.inner)
 
@@ -261,8 +285,13 @@ def _of_windows(given: Given, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ja
 
     mid, radius, scale = stored(tuple(map(ordered, (rows.mid, rows.rad, rows.scale))))
     heaviest, known_size = 1 / jnp.min(radius, 0), jnp.max(rows.known_scale, 0, initial=0)
-    of_rows = Rows(mid, radius, rows.known, jnp.max(scale, 0), heaviest, known_size)
-    return clipped_margin(given.projection, of_rows)
+    return Rows(mid, radius, rows.known, jnp.max(scale, 0), heaviest, known_size)
+
+
+@kernel(wide=True)
+def _of_windows(given: Given, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return (margins (N,), h (c, N)) of windows u (lags, m, N), y (s + 1, p, N)."""
+    return clipped_margin(given.projection, rows_of(given, u, y))
 
 
 class _Sample(NamedTuple):
@@ -280,6 +309,43 @@ def _sample(reading: Reading, i: int, y: jax.Array) -> _Sample:
     return _sample_of(mid, radius, scale)
 
 
+def _sum(reading: Reading, number: int, y: jax.Array) -> _Sample:
+    """Return the runs (N + s,) of one bounded sum in samples y (N + s, p), as of `Reading.block`, from each
+    sample on; behind the last one 0, which no window reads. Their scale is left to `_scale_of_sum`.
+
+    The radius is below that of any window: it lacks what recorders round away.
+    """
+    values, dtype = reading.window.sums[number], y.dtype
+    mid, count, radius = jnp.zeros_like(y[:, 0]), len(y) - values.samples + 1, reading.average[number]
+    if values.measured:
+        terms = []
+        for i, weights in values.parts:
+            d = y[:, i] - reading.offset_y[i]
+            for a, weight in enumerate(weights):
+                terms.append(jnp.asarray(float(weight), dtype) * d[a : a + count])
+            radius = radius + np.asarray(float(values.size_of(i)), dtype) * reading.resolution[i]
+        mid = jnp.pad(total(terms), (0, len(y) - count))
+    return _sample_of(mid, radius * jnp.ones_like(mid), mid)
+
+
+def _scale_of_sum(values: WeightedSum, largest: jax.Array, radius: jax.Array) -> jax.Array:
+    """Return at least the scale that runs of a sum have in `Reading.block`, where that of samples is at most
+    `largest`.
+    """
+    return (2 + values.terms / AVERAGING) * (float(values.size) * largest + radius)
+
+
+def _forced_sum(row: Row, f: Sequence[Sequence[jax.Array]]) -> jax.Array:
+    """Return the share of inputs in a run: the weighted sum of f, [sample][output]; 0 of disturbances."""
+    if not row.values.measured:
+        return jnp.zeros(())
+    dtype, terms = f[-1][0].dtype, []
+    for i, weights in row.values.parts:
+        for sample, weight in enumerate(weights, row.first):
+            terms.append(jnp.asarray(float(weight), dtype) * f[sample][i])
+    return total(terms)
+
+
 def _sample_of(mid: jax.Array, radius: jax.Array, scale: jax.Array) -> _Sample:
     return _Sample(mid, radius, 1 / radius, scale)
 
@@ -293,14 +359,32 @@ def _running(x: jax.Array, lags: int) -> jax.Array:
     return jnp.maximum(x[: len(x) - rest], x[rest:]) if rest else x
 
 
-def projection(relations: LinearRelations, reading: Reading, dtype: DTypeLike) -> Projection | None:
-    """Return the projection of windows; None where there is none of use.
+def easy_by(
+    relations: LinearRelations,
+    reading: Reading,
+    dtype: DTypeLike,
+    windows: type[EasyWindows] = EasyWindows,
+    stretched: Reading | None = None,
+) -> Easy | None:
+    """Return the tests that settle easy windows by a projection; None where there is none of use.
 
-    Bounds of sums have rows of several samples, which no column here stands for.
+    Args:
+        windows: the test of those that are gathered. stretched: how stretches are read; None: as windows are.
     """
+    given = projection(relations, reading, dtype)
+    if given is None:
+        return None
+    stretches = None
+    if len(given.outer) + len(given.inner) <= COLUMNS:
+        stretches = EasyStretches(relations, dtype, given, stretched)
+    return Easy(stretches, windows(relations, dtype, given, reading))
+
+
+def projection(relations: LinearRelations, reading: Reading, dtype: DTypeLike) -> Projection | None:
+    """Return the projection of windows; None where there is none of use."""
     frame, model, horizon = relations.frame, relations.model, relations.horizon
     rows = reading.window.all
-    if frame is None or reading.window.sums or not frame.inner:
+    if frame is None or not frame.inner:
         return None
     if not all(rows[number].seen for number in frame.inner):
         return None
@@ -313,16 +397,30 @@ def projection(relations: LinearRelations, reading: Reading, dtype: DTypeLike) -
         forced = _forced(model, dtype)
         if forced is None:
             return None
-    return projection_of(R, K, radius, outer, frame.inner, forced, horizon + 1, dtype)
+    sums = [values for values in reading.window.sums if values.measured]
+    spread = max([1.0, *(float(values.size) for values in sums)])
+    terms = max([1, *(values.terms for values in sums)])
+    return projection_of(R, K, radius, outer, frame.inner, forced, horizon + 1, dtype, spread, terms)
 
 
-def _typical(reading: Reading, row) -> float:
+def _typical(reading: Reading, row: Row) -> float:
     """Return a radius for the weight of a row."""
+    if row.kind is Kind.SUM:
+        return _typical_of_sum(reading, row)
     if row.kind is Kind.DISTURBANCE:
         lo, hi = np.asarray(reading.disturbance, np.float64)[row.number]
         return 0.5 * (hi - lo)
     i = row.number
     return float(reading.noise[i] + reading.resolution[i] + reading.tolerance[i])
+
+
+def _typical_of_sum(reading: Reading, row: Row) -> float:
+    """Return the same for the run of a sum."""
+    bound = float(reading.average[row.number])
+    if row.values.measured:
+        for i, _ in row.values.parts:
+            bound += float(row.values.size_of(i)) * float(reading.resolution[i])
+    return bound
 
 
 def _forced(model: LinearSystem, dtype: DTypeLike) -> Forced | None:
@@ -341,7 +439,12 @@ def _forced(model: LinearSystem, dtype: DTypeLike) -> Forced | None:
     first = [row[: order * m] for row in H[: order * p]]
     pairs = tuple((j // p, j % p) for j in basis)
     return Forced(
-        _rounded(first, order * p, dtype), _rounded(own, p, dtype), _rounded(driven, p, dtype), pairs, order, int(model.has_feedthrough)
+        _rounded(first, order * p, dtype),
+        _rounded(own, p, dtype),
+        _rounded(driven, p, dtype),
+        pairs,
+        order,
+        int(model.has_feedthrough),
     )
 
 

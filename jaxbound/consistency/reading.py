@@ -19,7 +19,7 @@ from jaxbound.sets.strips.bank import Bank
 from jaxbound.sets.strips.separation import Frame
 from jaxbound.sets.strips.strips import Strips
 
-__all__ = ["Block", "Reading", "RowValues", "Samples", "gather"]
+__all__ = ["AVERAGING", "Block", "Reading", "RowValues", "Samples", "gather"]
 
 Samples = TypeVar("Samples", np.ndarray, jax.Array)
 Values = TypeVar("Values", jax.Array, list[jax.Array])

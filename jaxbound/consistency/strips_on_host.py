@@ -25,7 +25,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from jaxbound.consistency.interface import Array
-from jaxbound.consistency.reading import Reading
+from jaxbound.consistency.reading import AVERAGING, Reading
 from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models.rows import Kind
 from jaxbound.models.sensor import RECORDER_ULPS, input_slip
@@ -299,7 +299,7 @@ def contradicted_by(
     """Return (N,) bool: which windows are contradicted by combinations of their relations.
 
     Args:
-        reading: the Reading, without averages. frame: its Frame.
+        reading: the Reading. frame: its Frame.
         u (lags, m, N), y (s + 1, p, N): the samples of the windows.
         h (c, N): the combinations, of outer rows; whatever they are, what is said here is proved, with the
             error of `rounding.search_error`.
@@ -334,8 +334,8 @@ def _doubles(x: Array) -> np.ndarray:
 
 
 def _times(A: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Return A x (a, N), some columns at a time: of larger products the library starts threads, which wait for
-    each other where others are at work.
+    """Return A x (a, N), some columns at a time: of larger products the library starts threads, which wait
+    for each other where others are at work.
     """
     out = np.empty((len(A), x.shape[1]))
     for first in range(0, x.shape[1], ALONE):
@@ -348,6 +348,16 @@ def _highest(x: np.ndarray) -> np.ndarray:
     return np.asarray(np.fmax.reduce(x, -1, initial=0.0))
 
 
+class _Runs(NamedTuple):
+    """Rows of a bounded sum: their ends below, above (runs, N); size (runs,), what rounding errors are
+    relative to.
+    """
+
+    below: np.ndarray
+    above: np.ndarray
+    size: np.ndarray
+
+
 class _Windows:
     """The rows of N windows in float64, worked out where they are asked for.
 
@@ -356,6 +366,7 @@ class _Windows:
 
     def __init__(self, reading: Reading, u: np.ndarray, y: np.ndarray) -> None:
         unit, self._tiny = float(rounding.unit(y.dtype)), float(rounding.tiny(y.dtype))
+        self._recorded = RECORDER_ULPS * unit
         self._y = reading.seen(y)
         largest = np.fmax.reduce(np.abs(self._y), 0, initial=0.0).astype(np.float64)
         self._sigma, self._offset, noise = map(_doubles, (reading.tolerance, reading.offset_y, reading.noise))
@@ -365,11 +376,36 @@ class _Windows:
         disturbance = _doubles(reading.disturbance)
         disturbances = np.abs(disturbance).sum(1) + self._tiny
         self._ends = np.tile(disturbance, (reading.horizon, 1))
-        self.size = np.concatenate([np.tile(outputs, len(y)), np.tile(disturbances, reading.horizon)])
+        single = [np.tile(outputs, len(y)), np.tile(disturbances, reading.horizon)]
+        runs = [self._runs(reading, number, y) for number in range(len(reading.window.sums))]
+        self._below = [part.below for part in runs]
+        self._above = [part.above for part in runs]
+        self.size = np.concatenate([*single, *[part.size for part in runs]])
         offset_u = _doubles(reading.offset_u)
         self._known = np.ascontiguousarray((u - offset_u[:, None]).reshape(-1, y.shape[2]).T)
         inputs = _highest(_highest(np.abs(u)).T.astype(np.float64)) + np.abs(offset_u)
         self.known_size = np.tile(inputs, len(u))
+
+    def _runs(self, reading: Reading, number: int, y: np.ndarray) -> _Runs:
+        """Return the runs of a bounded sum, as `Reading.block` has them."""
+        values, count = reading.window.sums[number], len(reading.window.runs(number))
+        bound, share = float(reading.average[number]), 2 + values.terms / AVERAGING
+        mid, width = np.zeros((count, y.shape[2])), np.full(y.shape[2], bound)
+        reach = 0.0
+        if values.measured:
+            used = np.where(reading.window.used[:, :, None], y, np.nan)
+            largest = np.fmax.reduce(np.abs(used), 0, initial=0.0).astype(np.float64)
+            slips = _doubles(reading.resolution)[:, None] + self._recorded * (
+                largest + _doubles(reading.noise)[:, None]
+            )
+            for i, weights in values.parts:
+                for sample, weight in enumerate(map(float, weights)):
+                    mid += weight * (y[sample : sample + count, i] - self._offset[i])
+                width = width + _size(weights) * slips[i]
+                reach += _size(weights) * (float(_highest(largest[i])) + abs(self._offset[i]))
+        width = width * SLIGHTLY + self._tiny * (values.terms + float(values.size)) * 8
+        size = share * (reach + float(_highest(width)))
+        return _Runs(mid - width, mid + width, np.full(count, size))
 
     def reached(self, k: np.ndarray, of: np.ndarray) -> np.ndarray:
         """Return k times inputs (entries,), k (entries, l) of so many windows; a missing input counts only
@@ -390,8 +426,8 @@ class _Windows:
         k: np.ndarray,
         error: np.ndarray,
     ) -> np.ndarray:
-        """Return (N,) bool: which windows are contradicted by combinations h of outer rows, back of inner ones, k
-        of inputs; of one that lacks a sample nothing is said.
+        """Return (N,) bool: which windows are contradicted by combinations h of outer rows, back of inner
+        ones, k of inputs; of one that lacks a sample nothing is said.
         """
         lo, hi = self._every()
         least, most = np.zeros(h.shape[1]), np.zeros(h.shape[1])
@@ -404,13 +440,13 @@ class _Windows:
             return np.asarray((least - value > error) | (most - value < -error))
 
     def _every(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the ends (rows, N) of all rows that speak of one sample."""
+        """Return the ends (rows, N) of all rows."""
         d = self._y - self._offset[:, None]
         count = d.shape[2]
         lo, hi = _between(d, self._rho, self._sigma[:, None])
         ends = np.repeat(self._ends[:, :, None], count, 2)
-        below = np.concatenate([lo.reshape(-1, count), ends[:, 0] - self._tiny])
-        return below, np.concatenate([hi.reshape(-1, count), ends[:, 1] + self._tiny])
+        below = np.concatenate([lo.reshape(-1, count), ends[:, 0] - self._tiny, *self._below])
+        return below, np.concatenate([hi.reshape(-1, count), ends[:, 1] + self._tiny, *self._above])
 
     def sums(self, rows: np.ndarray, of: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the least and the most (N,) of weighted sums: of so many rows of so many windows."""
@@ -420,9 +456,15 @@ class _Windows:
         sample, i, window = rows[outputs] // p, rows[outputs] % p, of[outputs]
         d = self._y[sample, i, window] - self._offset[i]
         lo[outputs], hi[outputs] = _between(d, self._rho[i, window], self._sigma[i])
+        single = len(self._y) * p + len(self._ends)
         if len(self._ends):
-            ends = self._ends[rows[~outputs] - len(self._y) * p]
-            lo[~outputs], hi[~outputs] = ends[:, 0] - self._tiny, ends[:, 1] + self._tiny
+            disturbed = ~outputs & (rows < single)
+            ends = self._ends[rows[disturbed] - len(self._y) * p]
+            lo[disturbed], hi[disturbed] = ends[:, 0] - self._tiny, ends[:, 1] + self._tiny
+        if self._below:
+            summed = rows >= single
+            at = rows[summed] - single, of[summed]
+            lo[summed], hi[summed] = np.concatenate(self._below)[at], np.concatenate(self._above)[at]
         below, above = weights * lo, weights * hi
         return np.bincount(of, np.minimum(below, above), N), np.bincount(of, np.maximum(below, above), N)
 

@@ -9,13 +9,13 @@ import numpy as np
 
 from jaxbound.consistency.drive import drive
 from jaxbound.consistency.interface import (
-    MARGINS,
+    BOUNDS,
     Budget,
     Compensation,
     Relations,
     Starts,
-    WindowTest,
     relations_of,
+    with_margins,
 )
 from jaxbound.consistency.searched import judging_device
 from jaxbound.diagnosis import isolation, observed  # noqa: F401 (the Results of a bank and of an observer)
@@ -36,7 +36,7 @@ def detect(
     progress: Callable[[float], object] | None = None,
     starts: Starts = (),
     compensation: Compensation = 0.0,
-    margins: str = MARGINS[0],
+    margins: str = BOUNDS,
 ) -> Result:
     """Decide for every window whether any behaviour inside the bounds explains it.
 
@@ -63,9 +63,10 @@ def detect(
             disorder or of another period refused, as of a file.
         compensation: for "linearized", what each relation may be off by for the terms that it neglects, one
             number or one a relation.
-        margins: "bounds": where windows are decided by a search, one that a first projection settles keeps
-            the bound on its margin that this proves, a tenth of the work; "exact": search every window.
-            .margins says which a Result has. .alarms(), .worst and plots measure exactly what they show.
+        margins: "bounds": where windows are decided by a search, one that a projection settles keeps the
+            bound on its margin that this proves, at a tenth of the work; "exact": every window is searched.
+            .margins says which a Result has; .alarms(), .worst, .explain and reports have exact ones of what
+            they show.
 
     Returns:
         A Result: .status (..., T) int8 (`Status`), .margin (..., T); entry k belongs to the window that ends
@@ -77,7 +78,7 @@ def detect(
     Raises:
         TypeError: no relations; samples inside jit, vmap or grad.
         ValueError: shapes or columns that do not fit, another sampling period than the model's, an infinite
-            sample, an unknown method, starts that are no sample numbers.
+            sample, an unknown method, unknown margins, starts that are no sample numbers.
         RuntimeError: where rounding has not been verified: fast-math flags, another rounding mode.
 
     A device that nobody examined (`jaxbound examine`) searches: each FAULT is proved on the host, CONSISTENT
@@ -102,11 +103,7 @@ def detect(
     named, recording = relations.recording(u, y, starts)
     refuse_unusable()
     recording = replace(recording, u=np.asarray(recording.u), y=np.asarray(recording.y))
-    if margins not in MARGINS:
-        raise ValueError(f"margins must be one of {', '.join(MARGINS)}, not {margins!r}")
-    test = named.test(method, recording.y.dtype, budget, compensation)
-    if isinstance(test, WindowTest) and margins == "exact":
-        test = test.measured()
+    test = with_margins(named.test(method, recording.y.dtype, budget, compensation), margins)
     judged = drive(test, recording, progress)
     if (judged.status == Status.UNDECIDED).any():  # an infinite sample cannot come out as anything else
         recording.finite()
@@ -115,8 +112,7 @@ def detect(
         recorded = recording.hints
     about = test.method, test.relations, recording.u, recording.y, recording.index, starts
     aside, device = recording.aside(test.horizon), judging_device(named.remembers)
-    known = test.margins_are if isinstance(test, WindowTest) else "exact"
-    more = {"aside": aside, "recorded": recorded, "device": device, "margins": known}
+    more = {"aside": aside, "recorded": recorded, "device": device, "margins": test.margins_are}
     return result_of(relations, judged, *about, **more)
 
 

@@ -1,6 +1,7 @@
 """Hints on bounds, and on a model that does not fit, as sentences for whoever acts on verdicts."""
 
 from collections.abc import Mapping
+from typing import Protocol
 
 import numpy as np
 
@@ -134,7 +135,15 @@ def outgrown(model: LinearSystem, relations: Relations | None = None, looks_back
     return [f"{FOR.format(horizon + 1)} and {reach}: {MAY}; fit again with {again}"]
 
 
-def fit_hints(result: Judgement) -> list[str]:
+class Reported(Judgement, Protocol):
+    """Verdicts whose FAULT windows have exact margins where somebody asks for them."""
+
+    @property
+    def reported(self) -> np.ndarray:
+        """(..., T): the margins, exact ones at FAULT windows."""
+
+
+def fit_hints(result: Reported) -> list[str]:
     """Return a sentence, or none, on each recording of a Result that the model or its bounds seem not to
     fit.
     """
@@ -146,11 +155,11 @@ def fit_hints(result: Judgement) -> list[str]:
         what = "samples"
     for at in np.ndindex(result.status.shape[:-1]):
         status, margin = np.asarray(result.status[at]), np.asarray(result.margin[at])
+        counts = {s.name: int(np.count_nonzero(status == s)) for s in Status}
         measured = (status == Status.FAULT) & ~np.isnan(margin)
         worst = np.nan
-        if measured.any() and not relations.remembers:
-            worst = float(margin[measured].min())
-        counts = {s.name: int(np.count_nonzero(status == s)) for s in Status}
+        if measured.any() and not relations.remembers and unfit(counts, worst):
+            worst = float(result.reported[at][measured].min())
         for sentence in unfit(counts, worst, what):
             if at:
                 sentence = f"recording {', '.join(map(str, at))}: {sentence}"

@@ -8,6 +8,8 @@ from jaxbound.recordings.recording import NOWHERE
 
 __all__ = ["exact_margins", "tightest"]
 
+TOGETHER = 2**14
+"""Windows that are gathered at once."""
 LOOKED = 2**16
 """Windows that are searched for the tightest one, before it is the tightest of these."""
 FIRST = 64
@@ -25,33 +27,34 @@ def exact_margins(
     """
     test = relations.test(method, y.dtype)
     assert isinstance(test, WindowTest)
-    s, bounds = test.horizon, margin.reshape(-1)[at]
-    rows = at[:, None] + np.arange(-s, 1)
-    given = (x.reshape(-1, x.shape[-1])[rows] for x in (u, y))
-    found = windows(test.measured(), *given, NOWHERE).margin[:, -1]
-    return np.asarray(np.where(found * bounds > 0, found, bounds))
+    test, before = test.measured(), np.arange(-test.horizon, 1)
+    flat_u, flat_y = (x.reshape(-1, x.shape[-1]) for x in (u, y))
+    exact = margin.reshape(-1)[at]
+    for first in range(0, len(at), TOGETHER):
+        here = slice(first, first + TOGETHER)
+        rows = at[here, None] + before
+        found = windows(test, flat_u[rows], flat_y[rows], NOWHERE).margin[:, -1]
+        exact[here] = np.where(found * exact[here] > 0, found, exact[here])
+    return exact
 
 
 def tightest(
-    relations: Relations, method: str, u: np.ndarray, y: np.ndarray, margin: np.ndarray, low: bool
+    relations: Relations, method: str, u: np.ndarray, y: np.ndarray, margin: np.ndarray
 ) -> tuple[int, float]:
     """Return (its number in the flat margins, the exact margin) of the window with the smallest margin.
 
+    It is searched until no other window can be tighter.
+
     Args:
-        u, y: as of `exact_margins`. margin: (..., T), bounds, NaN at windows that are not asked for. low:
-            whether these are lower bounds: then it is searched until no other window can be tighter; else it
-            is the tightest of the windows with the smallest bounds.
+        u, y: as of `exact_margins`. margin: (..., T), bounds that are not above the exact ones, NaN where
+            there is none.
     """
     order = np.argsort(margin, axis=None)[: np.count_nonzero(~np.isnan(margin))]
     best, at, done, count = np.inf, int(order[0]), 0, FIRST
-    while done < min(len(order), LOOKED):
+    while done < min(len(order), LOOKED) and margin.flat[order[done]] < best:
         some = order[done : done + count]
-        if low and margin.flat[some[0]] >= best:
-            break
         exact = exact_margins(relations, method, u, y, margin, some)
         if exact.min() < best:
             at, best = int(some[exact.argmin()]), float(exact.min())
-        if not low:
-            break
         done, count = done + count, 2 * count
     return at, best

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxbound.certificates.interface import WindowCertificate, explain
-from jaxbound.consistency.interface import Judged, Relations
+from jaxbound.consistency.interface import EXACT, Judged, Relations
 from jaxbound.diagnosis.alarms import Alarm, forgets_after, group_alarms
-from jaxbound.diagnosis.measuring import exact_margins, tightest
 from jaxbound.diagnosis.hints import bound_hints, device_hints, fit_hints
+from jaxbound.diagnosis.measuring import exact_margins, tightest
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import missing_hints, rounding_hints
@@ -51,8 +51,8 @@ class Result:
         aside: how many windows are MISSING because the model's `where` leaves out a sample of theirs.
         recorded: what was to be said of a recording that came from a file, its .hints; None: it came as
             arrays.
-        margins: "exact", or "bounds": of a CONSISTENT window .margin is then at most the exact one, of FAULT at
-            least; see `measured`.
+        margins: "exact", or "bounds": of a CONSISTENT window .margin is then at most the exact one, of FAULT
+            at least; `measured`, `reported` and `worst` have exact ones.
         device: the device that judged, in words that say whether it was examined; "": a CPU.
     """
 
@@ -67,7 +67,7 @@ class Result:
     aside: int = field(default=0, kw_only=True)
     recorded: tuple[str, ...] | None = field(default=None, kw_only=True, repr=False)
     device: str = field(default="", kw_only=True, repr=False)
-    margins: str = field(default="exact", kw_only=True, repr=False)
+    margins: str = field(default=EXACT, kw_only=True, repr=False)
 
     def _head(self) -> str:
         counts = [f"{n} {name}" for name, n in self.counts.items() if n]
@@ -79,29 +79,46 @@ class Result:
             rows["method"] += f", {looked_at(self.relations)}"
         if self.relations is not None and hasattr(self.relations, "model"):
             rows["model"] = repr(self.relations.model)
-        if self.worst is not None:
-            number, smallest = self.worst
-            at: object = number
-            if self.margin.ndim > 1:
-                at = tuple(map(int, np.unravel_index(number, self.margin.shape)))
-            rows["smallest margin"] = f"{smallest:.4g} at {at}"
+        if not np.isnan(self.margin).all():
+            rows["smallest margin"] = self._smallest()
         rows["samples"] = f"u {np.shape(self.u)}, y {np.shape(self.y)} {np.asarray(self.y).dtype}"
         if len(self.starts):
             rows["gaps"] = f"{len(self.starts)}, the first at {int(self.starts[0])}"
         return rows
 
-    def measured(self, where: np.ndarray) -> np.ndarray:
+    def _smallest(self) -> str:
+        """Return the smallest margin as text; of bounds what they say of it, without a search."""
+        number = int(np.nanargmin(self.margin))
+        smallest = f"{self.margin.flat[number]:.4g}"
+        if self.margins != EXACT:
+            side = "at least"
+            if self.margin.flat[number] < 0:
+                side = "at most"
+            return f"{side} {smallest}, see .worst"
+        at: object = number
+        if self.margin.ndim > 1:
+            at = tuple(map(int, np.unravel_index(number, self.margin.shape)))
+        return f"{smallest} at {at}"
+
+    def measured(self, where: np.ndarray | None = None) -> np.ndarray:
         """Return the margins (..., T) with exact ones at some windows.
 
         Args:
-            where: (..., T) bool.
+            where: (..., T) bool; None: everywhere.
         """
+        if where is None:
+            where = np.ones(self.margin.shape, bool)
         at = np.flatnonzero(where & ~np.isnan(self.margin))
-        if self.margins == "exact" or not len(at):
+        if self.margins == EXACT or not len(at):
             return self.margin
         margin = self.margin.copy()
         margin.flat[at] = exact_margins(self.relations, self.method, self.u, self.y, margin, at)
         return margin
+
+    @cached_property
+    def reported(self) -> np.ndarray:
+        """(..., T): the margins as alarms and files report them, with exact ones at FAULT windows."""
+        return self.measured(self.status == Status.FAULT)
 
     @cached_property
     def worst(self) -> tuple[int, float] | None:
@@ -109,13 +126,15 @@ class Result:
         .margin, this margin, exact); None where no margin is known.
         """
         fault = self.status == Status.FAULT
-        margin = np.where(fault | ~fault.any(), self.margin, np.nan)
+        margin = self.margin
+        if fault.any():
+            margin = np.where(fault, self.reported, np.nan)
         if np.isnan(margin).all():
             return None
-        if self.margins == "exact":
+        if self.margins == EXACT or fault.any():
             at = int(np.nanargmin(margin))
             return at, float(margin.flat[at])
-        return tightest(self.relations, self.method, self.u, self.y, margin, low=not fault.any())
+        return tightest(self.relations, self.method, self.u, self.y, margin)
 
     @property
     def suspect(self) -> np.ndarray:
@@ -182,8 +201,7 @@ class Result:
         horizon: int | None = 0  # of residuals that a user worked out nothing is known
         if self.relations is not None:
             horizon = forgets_after(self.relations)
-        margin = self.measured(self.status == Status.FAULT)
-        return group_alarms(self, k, n, hold, clear, horizon, margin)
+        return group_alarms(self, k, n, hold, clear, horizon, self.reported)
 
     def explain(self, at: int | tuple[int, ...]) -> WindowCertificate:
         """Return the Certificate of the window that ends at index `at` (an int, or a tuple for a batch), in
@@ -210,6 +228,8 @@ class Result:
     def to_pandas(self) -> "pd.DataFrame":
         """Return a DataFrame with the columns status (names), margin and suspect, one row a sample.
 
+        Its attrs["margins"] says whether margins are exact or bounds.
+
         Raises:
             ValueError: a batch of recordings; index the result's arrays instead.
         """
@@ -221,9 +241,11 @@ class Result:
                 f"frame for each"
             )
         names = pd.Categorical.from_codes(self.status, [s.name for s in Status])
-        return pd.DataFrame(
+        frame = pd.DataFrame(
             {"status": names, "margin": self.margin, "suspect": self.suspect}, index=self.index
         )
+        frame.attrs["margins"] = self.margins
+        return frame
 
 
 @singledispatch
@@ -240,7 +262,7 @@ def result_of(
     aside: int = 0,
     recorded: tuple[str, ...] | None = None,
     device: str = "",
-    margins: str = "exact",
+    margins: str = EXACT,
 ) -> Result:
     """Return the Result of verdicts, its kind chosen by the relations that a user gave.
 

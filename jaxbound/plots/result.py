@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jaxbound.consistency.interface import BOUNDS
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.result import Result
 from jaxbound.plots.canvas import time_of
@@ -15,10 +16,19 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["plot_result"]
+__all__ = ["drawn_margins", "plot_result"]
 
 DRAWN = 2**16
-"""Windows up to which a picture has exact margins; of more it draws the bounds that a Result has."""
+"""Windows up to which a picture has exact margins; of more it has exact ones at FAULT windows alone."""
+
+
+def drawn_margins(res: Result) -> tuple[np.ndarray, bool]:
+    """Return the margins (T,) that a picture of a Result has, and whether those of CONSISTENT windows are
+    bounds.
+    """
+    if len(res.margin) <= DRAWN:
+        return res.measured(), False
+    return res.reported, res.margins == BOUNDS
 
 
 @plot.register(Result)
@@ -33,6 +43,7 @@ def plot_result(
     if alarms is None:
         alarms = res.alarms()
     line = Timeline(len(x))
-    line.add(0, x, res.status, res.measured(np.full(len(x), len(x) <= DRAWN)))
+    margin, bounded = drawn_margins(res)
+    line.add(0, x, res.status, margin)
     line.mark([a.worst for a in alarms])
-    return plot_timeline(line, res.relations.model.name, res.method, len(alarms), ax)
+    return plot_timeline(line, res.relations.model.name, res.method, len(alarms), ax, bounded)

@@ -72,11 +72,13 @@ class Timeline:
 
 
 def plot_timeline(
-    line: Timeline, name: str, method: str, alarms: int, ax: "Axes | None" = None
+    line: Timeline, name: str, method: str, alarms: int, ax: "Axes | None" = None, bounded: bool = False
 ) -> "Figure | Axes":
     """Draw a complete Timeline of a model of that name, judged by `method`; `alarms` is how many there are;
-    into `ax` the margin alone.
+    into `ax` the margin alone; `bounded`: margins of CONSISTENT windows are bounds, which the title says.
     """
+    if bounded:
+        name = f"{name}, above 0 at least"
     assert line.x is not None, "a Timeline is drawn when all its samples were added"
     at, label, dates = time_axis(line.x)
     if ax is not None:

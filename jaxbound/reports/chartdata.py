@@ -15,6 +15,7 @@ from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.observed import ObserverResult
 from jaxbound.diagnosis.result import Result
 from jaxbound.plots.combination import combination, expected_readings
+from jaxbound.plots.result import drawn_margins
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.uncertain import UncertainRelations
@@ -97,7 +98,8 @@ def _whole(
 ) -> tuple[ChartPiece, Callable[[int], float], AxisClock]:
     """Return the ChartPiece of a Result, the time of a sample by its number, and the AxisClock."""
     time, clock = axis_of(recording, len(res.status), res.relations.model.dt)
-    series = {"margin": res.margin, **_signals(res.u, res.y, signals)}
+    margin, _ = drawn_margins(res)
+    series = {"margin": margin, **_signals(res.u, res.y, signals)}
     bands = bands_of(res, slice(0, len(time)))
     return piece_of(time, res.status, series, bands).fitting(), time.__getitem__, clock
 
@@ -204,8 +206,10 @@ def _stretch(
     else:
         time = np.array([x(k) for k in range(first, stop)])
     ends = slice(begin, begin + stop - first)
+    shown = np.zeros(len(res.status), bool)
+    shown[ends] = True
     series = {
-        "margin": res.margin[ends],
+        "margin": res.measured(shown)[ends],
         **_signals(res.u[ends], res.y[ends], signals),
         **_uncertain(res, ends),
     }

@@ -10,13 +10,14 @@ from typing import Any, cast
 
 import numpy as np
 
-from jaxbound.consistency.interface import LinearRelations
+from jaxbound.consistency.interface import BOUNDS, LinearRelations
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.observed import ObserverResult
 from jaxbound.diagnosis.result import Result
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.system import LinearSystem
 from jaxbound.plots.residuals import distinct_relations
+from jaxbound.plots.result import drawn_margins
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.sentence import looked_at
 from jaxbound.relations.uncertain import UncertainRelations
@@ -88,6 +89,7 @@ def write_report(
         extra=extra,
         charts=drawn,
         picture=_picture(res, recording, alarms),
+        bounded=res.margins == BOUNDS and (isinstance(res, Digest) or drawn_margins(res)[1]),
         signals=(len([row for row in drawn.rows if row.key.startswith("s")]), model.p + model.m),
         combined=any(stretch["combined"] for stretch in drawn.near),
         relations_alone=isinstance(relations, UncertainRelations),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
-from jaxbound.consistency.interface import Relations
+from jaxbound.consistency.interface import BOUNDS, EXACT, Relations, with_margins
 from jaxbound.diagnosis.alarms import Alarm, check_rule
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import bound_hints, unfit
@@ -62,6 +62,8 @@ class Digest:
             number of windows}.
         worst: (sample, margin) of the FAULT window with the smallest margin (without FAULT: of any window),
             or None.
+        margins: "exact", or "bounds": margins of CONSISTENT windows, and that of `worst` where none is FAULT,
+            are then at most the exact ones.
         alarms: the first and the 200 deepest Alarms in order of time; alarm_count: of all of them. hints:
             sentences for the user.
         line: the Timeline to draw. time: {sample: seconds} of the samples named above, others are read when
@@ -86,6 +88,12 @@ class Digest:
     aside: int = 0
     ended: dict[str, int] = field(default_factory=dict)
     signals: tuple[np.ndarray, np.ndarray] | None = None
+    margins: str = EXACT
+
+    @property
+    def bounded(self) -> bool:
+        """Whether the margin of `worst` is a bound."""
+        return self.margins == BOUNDS and not self.counts["FAULT"]
 
     def _head(self) -> str:
         counts = ", ".join(f"{n} {name}" for name, n in self.counts.items() if n)
@@ -94,7 +102,10 @@ class Digest:
     def _rows(self) -> dict[str, str]:
         rows = {"method": f"{self.method}, {looked_at(self.relations)}", "model": repr(self.relations.model)}
         if self.worst is not None:
-            rows["worst"] = f"margin {self.worst[1]:.4g} at {self.label(self.worst[0])}"
+            least = ""
+            if self.bounded:
+                least = "at least "
+            rows["worst"] = f"margin {least}{self.worst[1]:.4g} at {self.label(self.worst[0])}"
         return rows | {"alarms": str(self.alarm_count)}
 
     def label(self, k: int) -> str:
@@ -120,7 +131,8 @@ class Digest:
         UNDECIDED what was FAULT.
         """
         r = self.near(k, samples)
-        return detect(self.relations, r.u, r.y, method=self.method, starts=r.starts), r
+        result = detect(self.relations, r.u, r.y, method=self.method, starts=r.starts, margins=EXACT)
+        return result, r
 
     def near(self, k: int, samples: int = 600) -> Recording:
         """Return so many samples around sample k, and those before them that `around` needs."""
@@ -141,7 +153,8 @@ class Digest:
 @plot.register(Digest)
 def plot_digest(found: Digest, ax: "Axes | None" = None) -> "Figure | Axes":
     """Draw the whole recording as a Result of its verdicts would be drawn."""
-    return plot_timeline(found.line, found.relations.model.name, found.method, found.alarm_count, ax)
+    name, bounded = found.relations.model.name, found.margins == BOUNDS
+    return plot_timeline(found.line, name, found.method, found.alarm_count, ax, bounded)
 
 
 @evidence.register(Digest)
@@ -161,6 +174,8 @@ def _(res: Digest, alarms: Sequence[Alarm]) -> Evidence:
         res.alarm_count,
         res.ended,
         remembers=res.relations.remembers,
+        margins=res.margins,
+        bounded=res.bounded,
     )
 
 
@@ -176,6 +191,7 @@ def detect_dataset(
     merge: bool = False,
     client: "Client | None" = None,
     overlap: int | None = None,
+    margins: str = BOUNDS,
 ) -> "Digest | list[Path]":
     """Test a Parquet recording of any size and write its verdicts as Parquet.
 
@@ -197,6 +213,7 @@ def detect_dataset(
             million samples gets one of its own that begins so many samples earlier, so that parts can be
             shared. It knows less: FAULT is a proof as ever, and may be missed where it rests on samples
             further back. Verdicts do not depend on how the parts are shared.
+        margins: see `detect`; those of FAULT windows are always exact.
 
     Returns:
         A Digest: .counts, .worst (sample, margin), .alarms, .explain(k), .label(k); windows across a gap in
@@ -232,21 +249,21 @@ def detect_dataset(
     if part is not None:
         with shared_folder(out, (PARTIAL,), (path,)):
             source = _source_in_parts(path, relations.model)
-            folder, _ = write_parts(relations, source, out, method, chunk, report, part, client, overlap)
+            how = method, chunk, report, part, client, overlap, margins
+            folder, _ = write_parts(relations, source, out, *how)
             return part_files(folder, numbers_of(part, part_count(source)))
     with output_folder(out, (VERDICTS,), (path,)) as place:
         source = _source_in_parts(path, relations.model)
         if merge:
-            folder = all_parts(relations, source, out, method, overlap)
+            folder = all_parts(relations, source, out, method, overlap, margins)
         else:
 
             def most(share: float) -> None:
                 report(0.95 * share)
 
-            folder, _ = write_parts(
-                relations, source, out, method, chunk, most, client=client, overlap=overlap
-            )
-        found = digest(relations, source, folder, method, alarm)
+            how = method, chunk, most, part, client, overlap, margins
+            folder, _ = write_parts(relations, source, out, *how)
+        found = digest(relations, source, folder, method, alarm, margins=margins)
         publish(place)
     report(1.0)
     return found
@@ -269,6 +286,7 @@ def digest(
     alarms_csv: Path | None = None,
     progress: Report | None = None,
     also: Sequence[Sink] = (),
+    margins: str = BOUNDS,
 ) -> Digest:
     """Read the verdicts of a ParquetSource once.
 
@@ -276,7 +294,8 @@ def digest(
         relations, method: as tested. source: the ParquetSource that was tested. folder: of the parts, as
             `write_parts` left it.
         alarm: (k, n), an alarm needs k FAULT among n windows. alarms_csv: where to write all alarms, or None.
-        progress: called with the share of the work done. also: sinks that take the verdicts too.
+        progress: called with the share of the work done. also: sinks that take the verdicts too. margins: as
+            for `write_parts`.
 
     Returns:
         A Digest.
@@ -312,6 +331,7 @@ def digest(
         times,
         ended=book.ended,
         signals=read_extremes(part_files(folder), source.samples),
+        margins=with_margins(relations.test(method, source.dtype), margins).margins_are,
     )
     sentence = irregular(ticking.clock, digested.label, source.row)
     if sentence:

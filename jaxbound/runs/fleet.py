@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from jaxbound.consistency.interface import Observer, Relations
+from jaxbound.consistency.interface import BOUNDS, Observer, Relations
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import outgrown
@@ -238,6 +238,7 @@ def detect_fleet(
     options: Mapping[str, Any] | None = None,
     client: "Client | None" = None,
     state: str | PathLike[str] | None = None,
+    margins: str = BOUNDS,
 ) -> Iterator[UnitResult]:
     """Test every unit; yield its UnitResult in the order of the units, each as soon as it is there.
 
@@ -254,6 +255,7 @@ def detect_fleet(
             in a run with the same folder, is then judged as if it followed in one file: windows look back
             into the one before, an observer carries on. Where it begins more than a step later, or earlier,
             it begins anew, and its hints say so. The same recording again is judged as it was.
+        margins: of the Results that pages are made from, see `detect`; those of units are exact.
 
     Yields:
         UnitResult. Trouble with a unit makes it "not tested" and leaves the others alone.
@@ -268,11 +270,12 @@ def detect_fleet(
             "options": options,
             "state": state,
             "page": page,
+            "margins": margins,
         }
         yield from _test_by_workers(client, _FleetJob(same), units, progress)
         return
     report = progress or (lambda share: None)
-    how = _How(method, horizon, lags, options, state, alarm, min_coverage)
+    how = _How(method, horizon, lags, options, state, alarm, min_coverage, margins)
     results, done = _Collected(page), 0
     try:
         for _ in follow(_read_groups(units, how), partial(_tested, how=how), [results]):
@@ -295,6 +298,7 @@ class _How(NamedTuple):
     state: str | PathLike[str] | None
     alarm: tuple[int, int]
     min_coverage: float
+    margins: str
 
     @property
     def ahead(self) -> int:
@@ -484,7 +488,7 @@ def _judge_unit(
     elif data.kept is not None and isinstance(relations, Observer):
         res, carry = followed(relations, data.joined)
     else:
-        res, carry = detect(relations, recording, method=how.method), None
+        res, carry = detect(relations, recording, method=how.method, margins=how.margins), None
     if data.kept is not None:
         data.kept.save(recording, carry)
     alarms = res.alarms(*how.alarm)

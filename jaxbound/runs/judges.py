@@ -8,7 +8,7 @@ from typing import Generic, TypeVar
 import jax
 import numpy as np
 
-from jaxbound.consistency.interface import Judged, Observer, Relations
+from jaxbound.consistency.interface import BOUNDS, Judged, Observer, Relations
 from jaxbound.consistency.monitor import Monitor
 from jaxbound.consistency.searched import NOT_REFUTED, judging_device
 from jaxbound.diagnosis.detection import detect
@@ -37,11 +37,14 @@ class Windows:
 
     Args:
         samples: of the whole recording, over which those that are decided again are spread. done: so many of
-            them are judged already. laps: gets the seconds of the stage "transfer".
+            them are judged already. laps: gets the seconds of the stage "transfer". margins: as of `detect`.
     """
 
-    def __init__(self, relations: Relations, method: str, samples: int, done: int, laps: Laps) -> None:
+    def __init__(
+        self, relations: Relations, method: str, samples: int, done: int, laps: Laps, margins: str = BOUNDS
+    ) -> None:
         self.relations, self.method, self.samples, self.done = relations, method, samples, done
+        self.margins = margins
         self.overlap = self.begins = relations.horizon
         self.again: dict[str, int] = {}
         self.laps = laps
@@ -49,7 +52,8 @@ class Windows:
     def __call__(self, piece: Numbered) -> Iterator[tuple[Recording, Verdicts]]:
         """Judge the samples that are new in a piece."""
         first, recording = piece
-        result = detect(self.relations, on_device(recording, self.laps), method=self.method)
+        recorded = on_device(recording, self.laps)
+        result = detect(self.relations, recorded, method=self.method, margins=self.margins)
         if devices := judged_elsewhere():
             share = -(-COUNT * recording.samples // self.samples)
             count = 0
@@ -58,7 +62,7 @@ class Windows:
             self.again[devices] = self.again.get(devices, 0) + count
         fresh = slice(self.done - first, recording.samples)
         self.done = first + recording.samples
-        yield recording.cut(fresh.start, fresh.stop), Judged(result.status[fresh], result.margin[fresh])
+        yield recording.cut(fresh.start, fresh.stop), Judged(result.status[fresh], result.reported[fresh])
 
     def memory(self) -> None:
         """Return None: windows carry nothing."""

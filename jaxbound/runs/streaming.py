@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxbound.consistency.interface import Observer, Relations
+from jaxbound.consistency.interface import BOUNDS, Observer, Relations, with_margins
 from jaxbound.files.checkpoint import from_texts
 from jaxbound.models.fingerprint import fingerprint
 from jaxbound.recordings.contents import Digests
@@ -64,6 +64,7 @@ def write_parts(
     part: tuple[int, int] | None = None,
     client: "Client | None" = None,
     overlap: int | None = None,
+    margins: str = BOUNDS,
 ) -> tuple[Path, dict[str, float]]:
     """Test a ParquetSource and write the parts that are missing in the folder `verdicts.partial` of `out`.
 
@@ -75,7 +76,7 @@ def write_parts(
         copying of columns into the arrays that the kernel reads. Where workers do it, their seconds are
         added.
     """
-    folder, job = _job_of(relations, source, Path(out), method, part, chunk, overlap)
+    folder, job = _job_of(relations, source, Path(out), method, part, chunk, overlap, margins)
     report = progress or (lambda share: None)
     seconds = dict.fromkeys(STAGES, 0.0)
     mine = numbers_of(part or (1, 1), part_count(source))
@@ -134,13 +135,14 @@ def all_parts(
     out: str | PathLike[str],
     method: str = "joint",
     overlap: int | None = None,
+    margins: str = BOUNDS,
 ) -> Path:
     """Return the folder of the parts that `write_parts` made of the same.
 
     Raises:
         ValueError: some are not there, or of another model, recording, version or method.
     """
-    folder, _ = _job_of(relations, source, Path(out), method, overlap=overlap)
+    folder, _ = _job_of(relations, source, Path(out), method, overlap=overlap, margins=margins)
     count = part_count(source)
     missing = missing_parts(folder, range(count))
     if missing:
@@ -190,8 +192,8 @@ class _Judging:
 
     Fields: relations, source, method: as for `write_parts`. folder: of the parts. chunk: samples in memory at
     once. size: of a part, in samples. common: what all parts depend on. overlap: samples that an observer of
-    its own is given before each part; None: one for all. chain: of parts that follow each other, digests of
-    the recording up to the end of each.
+    its own is given before each part; None: one for all. margins: see `detect`. chain: of parts that follow
+    each other, digests of the recording up to the end of each.
     """
 
     relations: Relations
@@ -202,6 +204,7 @@ class _Judging:
     size: int
     common: dict[str, str]
     overlap: int | None = None
+    margins: str = BOUNDS
     chain: list[str] = field(default_factory=list)
 
     @property
@@ -273,7 +276,8 @@ class _Judging:
         """Return the judge of the samples from a part on."""
         done = part * self.size
         if not self.relations.remembers:
-            return Windows(self.relations, self.method, self.source.samples, done, laps)
+            about = self.relations, self.method, self.source.samples
+            return Windows(*about, done, laps, self.margins)
         observer = self.relations.test(self.method, self.source.dtype)
         assert isinstance(observer, Observer), "what remembers is an observer"
         carry = observer.init()
@@ -290,20 +294,22 @@ def _job_of(
     part: tuple[int, int] | None = None,
     chunk: int = CHUNK,
     overlap: int | None = None,
+    margins: str = BOUNDS,
 ) -> tuple[Path, _Judging]:
     """Return (folder for the parts, _Judging that makes them); refuse parts of another run, or not ours.
 
     A share looks at the content of its own parts only: where many are made at once, each reads what it judges
     and not all of the recording.
     """
-    relations.test(method, source.dtype)  # refuses what these relations cannot be tested by
+    # refuses what these relations cannot be tested by
+    test = with_margins(relations.test(method, source.dtype), margins)
     begins = _begins(relations, part, overlap)
     if source.samples <= relations.horizon:
         raise ValueError(
             f"{source.path}: the recording has {source.samples} samples, one window needs "
             f"{relations.horizon + 1}"
         )
-    also: dict[str, str | int] = {}
+    also: dict[str, str | int] = {"margins": test.margins_are}
     if relations.remembers:
         also["overlap"] = begins if begins is not None else "none"
     folder = out / PARTIAL
@@ -311,7 +317,7 @@ def _job_of(
         raise ValueError(f"{folder} is a file: move it, or choose another folder")
     common = identity(relations, method=method, recording=fingerprint(source.layout), **also)
     chunk = max(chunk, LEAST, relations.horizon + 1, (begins or 0) + 1)
-    job = _Judging(relations, source, folder, method, chunk, PART, common, begins)
+    job = _Judging(relations, source, folder, method, chunk, PART, common, begins, margins)
     mine = numbers_of(part or (1, 1), part_count(source))
     for file in part_files(folder):
         number = part_number(file)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from jaxbound.consistency.interface import Relations
+from jaxbound.consistency.interface import EXACT, Relations
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.hints import unfit
 from jaxbound.diagnosis.result import Result
@@ -72,6 +72,8 @@ class Evidence:
             healthy samples are.
         outgrown: whether the bounds were found from data for shorter windows than these: FAULT then proves no
             fault.
+        margins: of the verdicts, "exact" or "bounds", see `detect`. bounded: whether `margin` is such a
+            bound: the exact one is not below it.
     """
 
     method: str
@@ -87,6 +89,8 @@ class Evidence:
     faulty: Mapping[str, int] | None = None
     remembers: bool = False
     outgrown: bool = False
+    margins: str = EXACT
+    bounded: bool = False
 
     @property
     def windows(self) -> int:
@@ -197,13 +201,20 @@ class Summary:
             **also,
             "ended": about.ended or {},
             "always_seen": self._plain_sizes(),
+            "margins": about.margins,
         }
 
     def _plain_worst(self) -> Plain | None:
         if self.worst is None:
             return None
         sample, time, margin = self.worst
-        return {"sample": sample, "time": time, "margin": finite(margin), "factor": finite(1 - margin)}
+        return {
+            "sample": sample,
+            "time": time,
+            "margin": finite(margin),
+            "factor": finite(1 - margin),
+            "exact": not self._evidence.bounded,
+        }
 
     def _plain_sizes(self) -> Plain | None:
         if self.sizes is None:
@@ -257,6 +268,7 @@ def _(res: Result, alarms: Sequence[Alarm]) -> Evidence:
         len(alarms),
         dict(Counter(a.ended for a in alarms)),
         remembers=res.relations.remembers,
+        margins=res.margins,
     )
 
 
@@ -397,5 +409,8 @@ def _healthy(found: Evidence, label: Label) -> str:
         every = f"all {count} windows"
     used = ""
     if found.at is not None and np.isfinite(found.margin):
-        used = f"; the tightest, at {label(found.at)}, uses {percent(1 - found.margin)} of them"
+        most = ""
+        if found.bounded:
+            most = "at most "
+        used = f"; the tightest, at {label(found.at)}, uses {most}{percent(1 - found.margin)} of them"
     return f"No fault found: the model explains {every} within its bounds{used}."

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxbound.diagnosis.alarms import ENDINGS, Alarm
-from jaxbound.diagnosis.result import suspected
+from jaxbound.diagnosis.result import Result, suspected
 from jaxbound.recordings.columns import to_arrow, words, write_columns
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.sink import Outcome, Sink, Verdicts
@@ -64,10 +64,20 @@ def write_verdicts(path: str | PathLike[str], result: Verdicts, recording: Recor
 @singledispatch
 def columns_of(result: Verdicts) -> Columns:
     """Return the columns of a result beside the time: status, margin (blank where there is none), suspect."""
+    return _columns(result.status, result.margin)
+
+
+@columns_of.register(Result)
+def _(result: Result) -> Columns:
+    """Return those of a Result: margins of FAULT windows are exact."""
+    return _columns(result.status, result.reported)
+
+
+def _columns(status: np.ndarray, margin: np.ndarray) -> Columns:
     return {
-        "status": words([x.name for x in Status], result.status),
-        "margin": to_arrow(result.margin),
-        "suspect": to_arrow(suspected(result.status, result.margin)),
+        "status": words([x.name for x in Status], status),
+        "margin": to_arrow(margin),
+        "suspect": to_arrow(suspected(status, margin)),
     }
 
 

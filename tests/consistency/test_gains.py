@@ -1,5 +1,6 @@
 """Constant tolerances over long windows, against linear programs over states, disturbances and gains."""
 
+from fractions import Fraction
 from functools import cache
 
 import jax
@@ -40,7 +41,7 @@ def detected(kind):
     y[70:, 0] *= 1 + 0.02 * np.sin(np.arange(80))
     y[110:, 1] += 3
     y[40, 0] = y[41, 1] = np.nan
-    return u, y, jb.detect(relations(kind), u, y)
+    return u, y, jb.detect(relations(kind), u, y, margins="exact")
 
 
 def excess(model, u, y):
@@ -86,6 +87,27 @@ def test_verdicts_are_those_of_a_linear_program(kind):
             assert jb.Status(int(res.status[k])).name == expected
             told[expected] += 1
     assert min(told.values()) > 10
+
+
+@pytest.mark.parametrize("noisy", [True, False])
+def test_windows_that_are_settled_first_have_margins_that_a_linear_program_confirms(noisy):
+    """The bounds of the noise are what matters, or those of the gains."""
+    u, y, exact = detected("plain")
+    r = relations("plain")
+    if not noisy:
+        clean = r.model.replace(noise=[0.001, 0.001], tolerance=[0, 0])
+        y = np.array(jb.simulate(clean, u, jax.random.key(1)).y) * [1.045, 0.985]
+        y[120:, 1] += 3
+        exact = jb.detect(r, u, y, margins="exact")
+    res = jb.detect(r, u, y)
+    np.testing.assert_array_equal(res.status, exact.status)
+    first = res.margin != exact.margin
+    for status in (jb.Status.CONSISTENT, jb.Status.FAULT):
+        assert (first & (res.status == status)).sum() > 5
+    for k in np.flatnonzero(first & (res.status == jb.Status.CONSISTENT))[::3]:
+        part, share = slice(k - HORIZON, k + 1), Fraction(1 - res.margin[k])
+        limits = {name: [x * share for x in getattr(r.model, name)] for name in ("noise", "tolerance")}
+        assert excess(r.model.replace(**limits), u[part], y[part]) < 1e-9
 
 
 def test_a_gain_that_moves_is_a_fault_that_free_gains_do_not_see():

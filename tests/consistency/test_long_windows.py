@@ -37,19 +37,24 @@ def test_the_verdict_is_that_of_the_program(name, horizon, count, shared, rng):
         f"UNDECIDED"
     )
     assert 0.2 < share < 0.8
-    assert (abs(last(res.margin)[: count // 3]) < 0.05).mean() > 0.9
+    near = np.zeros(res.status.shape, bool)
+    near[: count // 3] = True
+    assert (abs(last(res.measured(near))[: count // 3]) < 0.05).mean() > 0.9
 
 
 def test_the_margin_is_the_gauge_of_the_program(rng):
     r, oracle, u, y = prepared(MODELS["paper"], 20, 60, rng)
     np.testing.assert_allclose(
-        last(jb.detect(r, u, y).margin), 1 - oracle.gauge_by_program(u, y), rtol=1e-7, atol=1e-9
+        last(jb.detect(r, u, y, margins="exact").margin),
+        1 - oracle.gauge_by_program(u, y),
+        rtol=1e-7,
+        atol=1e-9,
     )
 
 
 def test_margins_say_what_detect_says(rng):
     r, _, u, y = prepared(MODELS["paper"], 20, 150, rng)
-    res = jb.detect(r, u, y)
+    res = jb.detect(r, u, y, margins="exact")
     assert (last(res.status) != Status.UNDECIDED).all()
     np.testing.assert_allclose(
         last(np.asarray(jb.margins(r, u, y))), last(res.margin), rtol=1e-10, atol=1e-11
@@ -211,11 +216,14 @@ def test_verdicts_do_not_depend_on_the_block_or_the_position_in_it(rng):
     y = np.array(jb.simulate(paper(), u, jax.random.key(int(rng.integers(2**31)))).y)
     y += np.repeat(rng.choice([0, 0.05, 0.3], (samples // 50, 1)), 50, 0) * rng.normal(size=y.shape)
     y[rng.random(y.shape) < 0.001] = np.nan
-    whole = jb.detect(r, u, y)
+    bounded, whole = jb.detect(r, u, y), jb.detect(r, u, y, margins="exact")
     assert min(whole.counts["FAULT"], whole.counts["CONSISTENT"]) > 100
+    np.testing.assert_array_equal(bounded.status, whole.status)
     cuts = [0, 1, 37, 1024, 1100, 2049, samples - 20]
     for a, b in pairwise(cuts):
         part = jb.detect(r, u[a : b + 20], y[a : b + 20])
+        np.testing.assert_array_equal(part.status[20:], whole.status[a + 20 : b + 20])
+        part = jb.detect(r, u[a : b + 20], y[a : b + 20], margins="exact")
         np.testing.assert_array_equal(part.status[20:], whole.status[a + 20 : b + 20])
         np.testing.assert_array_equal(part.margin[20:], whole.margin[a + 20 : b + 20])
 

@@ -78,7 +78,7 @@ def test_a_long_window_of_a_sensor_without_noise_is_decided(dtype, rng):
 def test_a_monitor_decides_them_alike(horizon, rng):
     plant, relations = Plant(**TURN), jb.parity_relations(jb.LinearSystem(**TURN), horizon)
     u, y = (x[0] for x in windows(plant, 40, 1, rng, float))
-    whole, mon = jb.detect(relations, u, y), jb.Monitor(relations)
+    whole, mon = jb.detect(relations, u, y, margins="exact"), jb.Monitor(relations)
     state, first = mon.run(mon.init(), u[:30], y[:30])
     _, rest = mon.run(state, u[30:], y[30:])
     np.testing.assert_array_equal(np.concatenate([first.status, rest.status]), whole.status)

@@ -13,7 +13,12 @@ import pytest
 from agreement import certificates_hold, monitor_agrees
 
 import jaxbound as jb
+from jaxbound.consistency.exchange import candidates
+from jaxbound.consistency.projection import EasyWindows, columns_of
+from jaxbound.consistency.reading import gather
+from jaxbound.consistency.strips_on_host import contradicted_by
 from jaxbound.models.modelfile import load_model, save_model
+from jaxbound.sets.strips.projection import projected_margin
 
 PLANT = dict(
     A=[["0.9", "0.1"], [0, "0.8"]],
@@ -62,7 +67,7 @@ def detected(kind):
         0.5, 4, SAMPLES - SAMPLES // 2
     )
     y[8:10, 0] = np.nan
-    return u, y, jb.detect(r, u, y)
+    return u, y, jb.detect(r, u, y, margins="exact")
 
 
 def consistent(model, s, lags, u, y, scale=1.0):
@@ -135,6 +140,63 @@ def test_verdicts_and_the_size_of_margins_are_those_of_a_linear_program(kind):
                 for f in (1 - 1e-4, 1 + 1e-4)
             ]
             assert near == [False, True]
+
+
+@pytest.mark.parametrize("kind", ["disturbed", pytest.param("lags", marks=SLOW)])
+def test_windows_that_are_settled_first_have_margins_that_a_linear_program_confirms(kind):
+    u, y, exact = detected(kind)
+    r = relations(kind)
+    res, s, lags = jb.detect(r, u, y), r.horizon, r.lags or range(r.horizon + 1)
+    np.testing.assert_array_equal(res.status, exact.status)
+    bounds = {jb.Status.CONSISTENT: 0, jb.Status.FAULT: 0}
+    for k in range(s, SAMPLES, 3):
+        part = slice(k - s, k + 1)
+        inside, factor = res.status[k] == jb.Status.CONSISTENT, 1 - res.margin[k]
+        if abs(res.margin[k] - exact.margin[k]) > 1e-6:  # else no bound
+            bounds[jb.Status(int(res.status[k]))] += 1
+        factor *= 1 + (2 * inside - 1) * 1e-6
+        assert consistent(r.model, s, lags, u[part], y[part], factor) == inside
+    assert min(bounds.values()) > 0
+
+
+def test_a_stretch_is_projected_with_the_inputs_that_runs_add_up():
+    r = relations("disturbed")
+    u = np.random.default_rng(6).uniform(-90, 90, (SAMPLES, 1))
+    y = np.array(jb.simulate(r.model, u, jax.random.key(2)).y)
+    given = r.test("joint", y.dtype).easy.stretches.constants
+    margins = jax.jit(lambda given, u, y: projected_margin(given.projection, columns_of(given, u, y)))
+    proved = np.concatenate([np.zeros(r.horizon), margins(given, u, y)])
+    assert (proved > 0).mean() > 0.4
+    for k in np.flatnonzero(proved > 0)[::9]:
+        part = slice(k - r.horizon, k + 1)
+        factor = (1 - proved[k]) * (1 + 1e-9)
+        assert consistent(r.model, r.horizon, range(r.horizon + 1), u[part], y[part], factor)
+
+
+def test_combinations_of_runs_contradict_in_numpy_what_has_no_solution(rng):
+    """Of FAULT none asks for a replay of the kernels; nothing CONSISTENT is contradicted, neither by what
+    speaks most against it nor by any other combination.
+    """
+    u, y, exact = detected("disturbed")
+    test = relations("disturbed").test("joint", y.dtype)
+    with pytest.MonkeyPatch.context() as patch:
+        for kind, replay in ((EasyWindows, "_again"), (type(test), "_by_hints")):
+            patch.setattr(kind, replay, lambda *_: pytest.fail("a kernel is replayed"))
+        found = [jb.detect(relations("disturbed"), u, y, margins=margins) for margins in ("bounds", "exact")]
+    for res in found:
+        np.testing.assert_array_equal(res.status, exact.status)
+    # sensors that lean to one side: means are what binds
+    quiet = relations("disturbed").model.replace(averages=None, noise=[0.01, 0.01])
+    lean = np.repeat(rng.choice([-1, 1], SAMPLES // 4), 4) * np.linspace(0.1, 0.6, SAMPLES)
+    y = np.array(jb.simulate(quiet, u, jax.random.key(2)).y) + lean[:, None] * [1, 0]
+    exact = jb.detect(relations("disturbed"), u, y, margins="exact")
+    ends = np.resize(np.flatnonzero(exact.status == jb.Status.CONSISTENT), test.block)
+    assert exact.margin[ends].min() < 0.1
+    windows = gather(u, y, ends - test.horizon, test.lags, test.horizon)
+    worst = np.asarray(candidates(test.constants, np.ones(test.block), *windows)[0])
+    kept = [rng.normal(size=worst.shape) * (rng.random(worst.shape) < share) for share in (0.1, 0.4, 1)]
+    for h in (worst, *kept):
+        assert not contradicted_by(test.reading, test.reading.frame, *windows, h).any()
 
 
 @pytest.mark.parametrize("kind", ["short", "disturbed", pytest.param("lags", marks=SLOW)])

@@ -33,7 +33,7 @@ def detected(kind):
     u = np.random.default_rng(5).uniform(0, 80, (60, 1))
     y = np.array(jb.simulate(r.model, u, jax.random.key(0)).y)
     y[40:, 0] += 2.0
-    return u, y, jb.detect(r, u, y)
+    return u, y, jb.detect(r, u, y, margins="exact")
 
 
 def factor(model, s, lags, u, y):
@@ -94,7 +94,7 @@ def test_all_lags_are_the_window_of_that_horizon():
     u, y, _ = detected("plain")
     model = relations("plain").model
     found = [
-        jb.detect(r, u, y)
+        jb.detect(r, u, y, margins="exact")
         for r in (jb.parity_relations(model, 2), jb.parity_relations(model, lags=(0, 1, 2)))
     ]
     np.testing.assert_array_equal(found[0].status, found[1].status)
@@ -108,7 +108,7 @@ def test_a_sample_that_nobody_looks_at_may_be_missing_or_mad_and_an_input_betwee
     for lag in range(relations("plain").horizon + 1):
         if lag not in LAGS:
             other[k - lag] = (np.nan, 1e6)[lag % 2]
-    again = jb.detect(relations("plain"), u, other)
+    again = jb.detect(relations("plain"), u, other, margins="exact")
     assert again.status[k] == res.status[k] and again.margin[k] == res.margin[k]
     assert again.explain(k).proves == res.status[k] == jb.Status.CONSISTENT
     gone = u.copy()

@@ -61,7 +61,18 @@ class TestSameVerdicts:
             found = detect_dataset(r, folder, tmp_path / str(chunk), method=whole.method, chunk=chunk)
             status, margin = verdicts(tmp_path / str(chunk))
             assert status.tobytes() == whole.status.tobytes() and found.counts == whole.counts
-            np.testing.assert_array_equal(margin, whole.margin)
+            assert found.margins == whole.margins
+            np.testing.assert_array_equal(margin, whole.reported)
+
+    def test_exact_margins_of_long_windows_whatever_the_chunks(self, case, small, tmp_path):
+        r, folder, whole, _ = case("long windows")
+        found = detect_dataset(r, folder, tmp_path / "out", chunk=1100, margins="exact")
+        status, margin = verdicts(tmp_path / "out")
+        assert (found.margins, whole.margins) == ("exact", "bounds")
+        np.testing.assert_array_equal(status, whole.status)
+        np.testing.assert_array_equal(margin, whole.measured())
+        with pytest.raises(ValueError, match="margins"):
+            detect_dataset(r, folder, tmp_path / "none", margins="sharp")
 
     def test_float32(self, case, small, tmp_path):
         r, folder, whole, _ = case("section 5", np.float32)

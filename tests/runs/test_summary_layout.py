@@ -31,7 +31,7 @@ KEYS = [
     "last_ended",
     "hints",
 ]
-LAST = ["ended", "always_seen"]
+LAST = ["ended", "always_seen", "margins"]
 
 
 @pytest.fixture

@@ -4,9 +4,9 @@ In the words of `separation`, a window is consistent iff some d keeps the errors
 
     e = (z - R d, -d)                                                         outer rows, then inner ones
 
-within their radii. The d of least squares is one fixed matrix times z, d = P z, and where errors are spread it
-keeps nearly all windows within their bounds. Nothing is searched, nothing gathered: what is left open goes to
-the exchange search.
+within their radii. The d of least squares is one fixed matrix times z, d = P z, and where errors are spread
+it keeps nearly all windows within their bounds. Nothing is searched, nothing gathered: what is left open goes
+to the exchange search.
 
 **z without the inputs' matrix.** Let f be the answer of the plant at rest to the inputs of the window. Then
 rows - f follow from an initial state alone, so z = (m - f)_outer - R (m - f)_inner. An output of f is a fixed
@@ -56,6 +56,7 @@ __all__ = [
     "clipped_inside",
     "clipped_margin",
     "forced_outputs",
+    "least_errors",
     "projected_margin",
     "projection_of",
 ]
@@ -74,8 +75,9 @@ AHEAD = 3
 STEPS = 5
 """Steps after which a window is left to the exchange search."""
 CLEAR = 2.0**14
-"""Distance from the boundary, in units of rounding, from which on a search decides, and beyond the bound of its
-own errors: what any other search of the library proves too, so that verdicts do not depend on who is asked.
+"""Distance from the boundary, in units of rounding, from which on a search decides, and beyond the bound of
+its own errors: what any other search of the library proves too, so that verdicts do not depend on who is
+asked.
 """
 LIGHTEST = 1e-12
 """Least weight of a row in the projection, of a largest of 1."""
@@ -92,9 +94,9 @@ FLUSHED = 2**20
 class Forced:
     """The answer f of outputs to inputs from rest, as a recursion.
 
-    Fields: first (J p, J m): f of the first J samples on their inputs; own (p, b): each later f on the `basis`
-    of the J samples before it; driven (p, (J + 1) m): on the inputs since the first of these; basis: (sample
-    of these, output), b of them; order: J; direct: 1 where an input acts on outputs at once, else 0.
+    Fields: first (J p, J m): f of the first J samples on their inputs; own (p, b): each later f on the
+    `basis` of the J samples before it; driven (p, (J + 1) m): on the inputs since the first of these; basis:
+    (sample of these, output), b of them; order: J; direct: 1 where an input acts on outputs at once, else 0.
     """
 
     first: np.ndarray
@@ -110,8 +112,8 @@ class Forced:
 class Projection:
     """What a kernel needs to project windows of one frame.
 
-    Fields: R (c, k), K (c, l); step (k, c + k), whose first c columns are P; speaks (c,): the diagonal of W for
-    outer rows; forced: None where no input acts; projected, searched: (2,), on_rows and on_inputs of the
+    Fields: R (c, k), K (c, l); step (k, c + k), whose first c columns are P; speaks (c,): the diagonal of W
+    for outer rows; forced: None where no input acts; projected, searched: (2,), on_rows and on_inputs of the
     error bound of e for d*, and of e and h z for any d within the radii and any h; floor: see above; outer
     (c,), inner (k,): numbers of rows.
     """
@@ -143,8 +145,8 @@ class WindowColumns(NamedTuple):
 
 
 def projected_margin(given: Projection, columns: WindowColumns) -> jax.Array:
-    """Return a proved lower bound > 0 of the margin (N,) of windows that the d of least squares explains; 0 of
-    all others.
+    """Return a proved lower bound > 0 of the margin (N,) of windows that the d of least squares explains; 0
+    of all others.
 
     A window that lacks a sample of its rows is one of the others.
     """
@@ -200,8 +202,8 @@ def forced_outputs(
 
 
 class Rows(NamedTuple):
-    """What a search reads of N windows: mid, radius (c + k, N), the outer rows first; known (l, N); and scale,
-    heaviest, known_size (N,), the largest scale, 1 / radius and |v| + |offset|.
+    """What a search reads of N windows: mid, radius (c + k, N), the outer rows first; known (l, N); and
+    scale, heaviest, known_size (N,), the largest scale, 1 / radius and |v| + |offset|.
     """
 
     mid: jax.Array
@@ -222,8 +224,8 @@ class Search(NamedTuple):
 
 
 def clipped_margin(given: Projection, rows: Rows) -> tuple[jax.Array, jax.Array]:
-    """Return (margin (N,), h (c, N)): a proved bound, towards 0, of the margins of windows that few steps decide,
-    > 0 CONSISTENT and < 0 FAULT; 0 of all others; the combinations that prove FAULT.
+    """Return (margin (N,), h (c, N)): a proved bound, towards 0, of the margins of windows that few steps
+    decide, > 0 CONSISTENT and < 0 FAULT; 0 of all others; the combinations that prove FAULT.
 
     A window that lacks a sample of its rows is one of the others.
     """
@@ -283,12 +285,20 @@ def _begun(given: Projection, rows: Rows) -> tuple[jax.Array, jax.Array, jax.Arr
     return z, stored(_product(given.step[:, :c], z)), stored(1 / rows.radius)
 
 
+def least_errors(given: Projection, mid: jax.Array, known: jax.Array) -> jax.Array:
+    """Return the errors (c + k, N) of the d of least squares, linear in mid and known: as of `Rows`."""
+    c = len(given.outer)
+    z = mid[:c] - _product(given.R, mid[c:]) - _product(given.K, known)
+    return _errors(given.R, z, _product(given.step[:, :c], z))
+
+
 def _errors(R: np.ndarray, z: jax.Array, d: jax.Array) -> jax.Array:
     return jnp.concatenate([z - _product(R, d), -d])
 
 
 def _explained(used: jax.Array, off: jax.Array, size: jax.Array) -> jax.Array:
-    """Return the margin of windows whose errors are proved to use at most so much of their bounds; 0 of others.
+    """Return the margin of windows whose errors are proved to use at most so much of their bounds; 0 of
+    others.
 
     Args:
         size: a sum over d: a largest may leave out a NaN, a sum does not.
@@ -320,20 +330,25 @@ def projection_of(
     forced: Forced | None,
     samples: int,
     dtype: DTypeLike,
+    spread: float = 1.0,
+    terms: int = 1,
 ) -> Projection | None:
     """Return the Projection of a frame; None where no bound on its rounding is of use.
 
     Args:
-        R: (c, k), K (c, l): nearest to the exact ones. radius: (c + k,) >= 0, typical ones, outer rows first. outer,
-            inner: numbers of rows. forced: f. samples: of a window.
+        R: (c, k), K (c, l): nearest to the exact ones. radius: (c + k,) >= 0, typical ones, outer rows first.
+            outer, inner: numbers of rows. forced: f. samples: of a window. spread, terms: of the largest sum
+            in a row, the sum of |weights|, and how many these are.
 
     Encloses: with u the unit roundoff and g(n) = SAFE n u, which bounds what a sum of n - 4 products loses
     (Higham 2002, lemma 3.1; 4 for a rounded coefficient and for what its factors lack):
 
         f   E_f <= G (g(driven terms) D S_u + g(own terms) a F S_u), F = G D bounds |f| / S_u;
-            D, a: largest sums of |driven| (or |first|) and |own| in a row, G: of the answer of the recursion to
-            what is added at each sample
-        m   16 u S and 2 u (|m| + |f|) for the difference: e_v
+            D, a: largest sums of |driven| (or |first|) and |own| in a row, G: of the answer of the recursion
+            to what is added at each sample
+        f   of a row that weighs n samples with the sum of |weights| w: w (E_f + g(n) F S_u), at most w F S_u
+        m   16 u S and 2 u (|m| + |f|) for the difference: e_v; of a sum of samples, off by (n + 4) u of their
+            magnitude and its radius by (n + 8) u, 16 u S is (n + 32) u of it (`Reading._summed`)
         z   (1 + |R|) e_v + g(k) (1 + |R|) V, V = S + F S_u
         d   |P| E_z + g(c) |P| |z|
         e   E_z + |R| E_d + g(k) (|z| + |R| |d|) and 16 u S for the radius
@@ -352,6 +367,8 @@ def projection_of(
     A = np.concatenate([R.astype(np.float64), np.eye(k)])
     step = np.linalg.solve((A.T * weight) @ A, A.T * weight).astype(dtype)
     loss, grown = _forced_loss(forced, samples, u)
+    if terms > 1:
+        loss, grown = spread * (loss + _lost(terms, u) * grown), spread * grown
     through, back = _row_sum(R), _row_sum(step)
     if not np.isfinite(grown) or not np.isfinite(back):
         return None
@@ -372,7 +389,14 @@ def projection_of(
     searched = np.maximum(explained, spoken)
     if not (np.maximum(projected, searched) <= MOST * (1 + z + d + V)).all():
         return None
-    floor = FLUSHED * float(rounding.tiny(dtype)) * (1 + through) ** 2 * (1 + back) * (1 + grown + _row_sum(K)) * (2 + c + k)
+    floor = (
+        FLUSHED
+        * float(rounding.tiny(dtype))
+        * (1 + through) ** 2
+        * (1 + back)
+        * (1 + grown + _row_sum(K))
+        * (2 + c + k)
+    )
     return Projection(
         R,
         K,

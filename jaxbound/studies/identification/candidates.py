@@ -164,7 +164,7 @@ def tested(relations: Relations, parts: Records) -> list[tuple[np.ndarray, np.nd
         if len(y) <= relations.horizon:
             verdicts.append((np.zeros(len(y), np.int8), np.full(len(y), np.nan)))
             continue
-        result = detect(relations, u if u.shape[1] else None, y, starts=starts)
+        result = detect(relations, u if u.shape[1] else None, y, starts=starts, margins="exact")
         verdicts.append((result.status, 1 - result.margin))
     return verdicts
 

@@ -30,7 +30,7 @@ def visible_sizes(model: LinearSystem, scales: Scales) -> tuple[Sizes, Sizes]:
     u = None
     if model.m:
         u = np.broadcast_to(np.array(model.offset["u"], float), (2, p, count, model.m))
-    margin = detect(parity_relations(model), u, y).margin[..., -1]
+    margin = detect(parity_relations(model), u, y, margins="exact").margin[..., -1]
     with np.errstate(divide="ignore"):  # a need grows with the size; healthy noise takes 1 of it
         sizes = np.where(1 - margin > 1e-9, 2 * scales.y_spread / (1 - margin), np.inf)
     jump, steady = (dict(zip(model.outputs, row, strict=True)) for row in sizes.tolist())

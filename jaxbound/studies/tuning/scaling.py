@@ -135,7 +135,8 @@ def factors(relations: ParityRelation | UncertainRelations, windows: JoinedRecor
     if isinstance(relations, UncertainRelations):  # the test gives the windows that it leaves open no size
         t = 1 - np.asarray(margins(relations, windows.u, windows.y))
         return np.where(windows.across(relations.horizon), np.nan, t)
-    return 1 - detect(relations, windows.u, windows.y, starts=windows.starts).margin
+    found = detect(relations, windows.u, windows.y, starts=windows.starts, margins="exact")
+    return 1 - found.margin
 
 
 def worst(t: np.ndarray, count: int) -> np.ndarray:
@@ -175,7 +176,8 @@ def smallest_scale(
     uncertain = isinstance(relations, UncertainRelations)
 
     def judge(scale: float, u: np.ndarray, y: np.ndarray, starts: ArrayLike = ()) -> _Judgement:
-        res = detect(relations.with_bounds(moved.bounds(scale * values)), u, y, starts=starts)
+        scaled = relations.with_bounds(moved.bounds(scale * values))
+        res = detect(scaled, u, y, starts=starts, margins="exact")
         refuted = bool((res.status == Status.FAULT).any())
         least = float(np.nanmin(res.margin, initial=1.0))
         accepted = not refuted if uncertain else least > 0

@@ -272,7 +272,7 @@ def _accepted(
         short = moved.rounded_up(values * extra)
         model = model_with(relations, moved, short, source)
         final = relations.with_bounds({**model_bounds(model), **_parameters(moved, short)})
-        res = detect(final, good.u, good.y, starts=good.starts)
+        res = detect(final, good.u, good.y, starts=good.starts, margins="exact")
         proved = isinstance(relations, UncertainRelations) or not (res.margin <= 0).any()
         if proved and not res.counts["FAULT"]:
             return model, final, res
