@@ -99,8 +99,7 @@ def evaluate_parts(
             progress = lambda share: step("test", share)
             wanted = relations, source, out, options.method, chunk or CHUNK, progress
             with engine(scheduler, workers) as client:
-                spread = {"client": client, "overlap": overlap}
-                parts, seconds = write_parts(*wanted, **spread, margins=options.margins)
+                parts, seconds = write_parts(*wanted, client=client, overlap=overlap, margins=options.margins)
         start = time.perf_counter()
         with folder.work() as work:
             progress = lambda share: step("report", 0.4 * share)
@@ -167,8 +166,13 @@ def evaluate(
         usable_device()
 
     def test(r: Recording) -> Result:
-        asked = {"method": options.method, "margins": options.margins}
-        return detect(relations, r, progress=lambda share: step("test", share), **asked)
+        return detect(
+            relations,
+            r,
+            method=options.method,
+            progress=lambda share: step("test", share),
+            margins=options.margins,
+        )
 
     with Beside(open_sinks(work)) as sinks:  # a million verdicts are written while the pictures are drawn
         judge = Whole(test)

@@ -130,7 +130,7 @@ class ExchangeTest(LinearTest):
         return _block_of(self.reading.frame)
 
     @cached_property
-    def easy(self) -> Easy | None:  # type: ignore[override]  # of a property
+    def easy(self) -> Easy | None:
         """One fixed projection, which settles most windows of most recordings."""
         return easy_by(self.relations, self.reading, self.dtype)
 

@@ -523,10 +523,7 @@ class LinearTest(WindowTest):
         return self.relations.reading(self.dtype, self.method)
 
 
-Test = TypeVar("Test", bound="WindowTest | Observer[Any]")
-
-
-def with_margins(test: Test, margins: str) -> Test:
+def with_margins(test: "WindowTest | Observer[Any]", margins: str) -> "WindowTest | Observer[Any]":
     """Return a test whose margins are those that are asked for, one of `MARGINS`.
 
     Raises:

@@ -112,8 +112,8 @@ def detect(
         recorded = recording.hints
     about = test.method, test.relations, recording.u, recording.y, recording.index, starts
     aside, device = recording.aside(test.horizon), judging_device(named.remembers)
-    more = {"aside": aside, "recorded": recorded, "device": device, "margins": test.margins_are}
-    return result_of(relations, judged, *about, **more)
+    kind = test.margins_are
+    return result_of(relations, judged, *about, aside=aside, recorded=recorded, device=device, margins=kind)
 
 
 def margins(relations: Relations, u: Data, y: Data = None, starts: Starts = ()) -> jax.Array:

@@ -29,7 +29,7 @@ def exact_margins(
     assert isinstance(test, WindowTest)
     test, before = test.measured(), np.arange(-test.horizon, 1)
     flat_u, flat_y = (x.reshape(-1, x.shape[-1]) for x in (u, y))
-    exact = margin.reshape(-1)[at]
+    exact: np.ndarray = margin.reshape(-1)[at]
     for first in range(0, len(at), TOGETHER):
         here = slice(first, first + TOGETHER)
         rows = at[here, None] + before

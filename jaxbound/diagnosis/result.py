@@ -270,5 +270,12 @@ def result_of(
         family: as given to `detect`. judged: the verdicts. The others: see the fields of Result.
     """
     about = method, relations, u, y, index, starts
-    more = {"aside": aside, "recorded": recorded, "device": device, "margins": margins}
-    return Result(judged.status, judged.margin, *about, **more)
+    return Result(
+        judged.status,
+        judged.margin,
+        *about,
+        aside=aside,
+        recorded=recorded,
+        device=device,
+        margins=margins,
+    )

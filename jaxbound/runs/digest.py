@@ -261,8 +261,8 @@ def detect_dataset(
             def most(share: float) -> None:
                 report(0.95 * share)
 
-            how = method, chunk, most, part, client, overlap, margins
-            folder, _ = write_parts(relations, source, out, *how)
+            more = method, chunk, most, None, client, overlap, margins
+            folder, _ = write_parts(relations, source, out, *more)
         found = digest(relations, source, folder, method, alarm, margins=margins)
         publish(place)
     report(1.0)
