@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _show(examined: "Examined") -> None:
-    """Print what came out for a kind of device."""
+    """Print the outcome for a kind of device."""
     record = examined.record
     headline, style = f"{record['card']}: may not prove, it searches", "bold red"
     if examined.may_prove:

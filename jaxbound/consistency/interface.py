@@ -624,7 +624,7 @@ class Observer(Relations, Generic[Carry]):
         raise NotImplementedError
 
     def followed(self, carry: Carry, piece: Recording) -> tuple[Carry, Verdicts]:
-        """Return what `fold` returns, followed on the CPU where the device may only search: one wrong set
+        """Return the verdicts of `fold`, followed on the CPU where the device may only search: one wrong set
         would spoil all that come after it.
         """
         with where_proofs_hold():

@@ -8,6 +8,7 @@ the whole window: what it proves CONSISTENT is.
 
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial
+from operator import mul
 from typing import NamedTuple, TypeAlias
 
 import jax
@@ -97,7 +98,7 @@ class EasyStretches(_Easy):
 
     def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return (margin,) of all windows of stretches."""
-        return [(margin,) for margin in run(_of_stretch, blocks)]
+        return list(zip(run(_of_stretch, blocks), strict=True))
 
 
 class EasyWindows(_Easy):
@@ -126,16 +127,16 @@ class EasyWindows(_Easy):
 
     def _again(self, block: Block, at: np.ndarray) -> np.ndarray:
         """Return the margins of some windows of a block, in NumPy."""
-        margin: np.ndarray = self.steps(self.constants, *(x[..., at] for x in block))[0]
-        return margin
+        u, y = block
+        return np.asarray(self.steps(self.constants, u[..., at], y[..., at])[0])
 
     def _contradicted(self, block: Block, h: Array, at: np.ndarray) -> np.ndarray:
         """Return which windows of a block the combinations of the search contradict: `contradicted_by`."""
-        u, y = (x[..., at] for x in block)
+        u, y = block
         frame = self.reading.frame
         whole = np.zeros((len(frame.outer), len(at)), self.dtype)
-        whole[[list(frame.outer).index(row) for row in self.projection.outer]] = np.asarray(h)[:, at]
-        return contradicted_by(self.reading, frame, u, y, whole)
+        whole[np.isin(frame.outer, self.projection.outer)] = np.asarray(h)[:, at]
+        return contradicted_by(self.reading, frame, u[..., at], y[..., at], whole)
 
 
 @kernel(wide=True)
@@ -151,24 +152,32 @@ def _of_stretch(given: Given, u: jax.Array, y: jax.Array) -> jax.Array:
     if count % PART == 0:
         size = PART
 
+    def search(own: jax.Array, u: jax.Array, y: jax.Array) -> jax.Array:
+        return jnp.maximum(own, clipped_inside(given.projection, _rows(given, u, y)))
+
     def settled(i: jax.Array) -> jax.Array:
         first = i * size
         own = jax.lax.dynamic_slice_in_dim(margin, first, size)
-        samples = [jax.lax.dynamic_slice_in_dim(x, first, size + s) for x in (u, y)]
-
-        def search(samples: list[jax.Array]) -> jax.Array:
-            rows = _rows(given, *samples)
-            return jnp.maximum(own, clipped_inside(given.projection, rows))
-
-        return jax.lax.cond(jnp.sum(own <= 0) * FEWEST > size, search, lambda _: own, samples)
+        samples = jax.tree.map(
+            partial(jax.lax.dynamic_slice_in_dim, start_index=first, slice_size=size + s), (u, y)
+        )
+        many = jnp.sum(own <= 0) * FEWEST > size
+        out: jax.Array = jax.lax.cond(many, search, _unchanged, own, *samples)
+        return out
 
     if size == count:
         return settled(jnp.zeros((), jnp.int32))
-    return jax.lax.map(settled, jnp.arange(count // size)).reshape(-1)
+    margins: jax.Array = jax.lax.map(settled, jnp.arange(count // size))
+    return margins.reshape(-1)
+
+
+def _unchanged(own: jax.Array, u: jax.Array, y: jax.Array) -> jax.Array:
+    """Return the margins as they are."""
+    return own
 
 
 class _Stretch(NamedTuple):
-    """What belongs to the samples of a stretch, whichever window reads them.
+    """The samples of a stretch, as every window that reads them needs them.
 
     Fields: samples: of each output (N + s,), then of each disturbance, then of the runs of each sum; v: the
     inputs (N + s,) less their offsets; scale, heaviest, known: (N,), the largest of windows, see
@@ -183,28 +192,31 @@ class _Stretch(NamedTuple):
 
 
 def _stretch_of(reading: Reading, u: jax.Array, y: jax.Array) -> _Stretch:
-    """Return what belongs to the samples u (N + s, m), y (N + s, p) of a stretch."""
+    """Return the _Stretch of samples u (N + s, m), y (N + s, p)."""
     s, count = reading.horizon, len(y) - reading.horizon
-    samples = [_sample(reading, i, y[:, i]) for i in range(y.shape[1])]
-    mid, radius, scale = reading._disturbance(jnp.ones_like(y[:, 0]))
-    samples += [_sample_of(*parts) for parts in zip(mid, radius, scale, strict=True)]
-    largest = _running(most([x.scale for x in samples]), s + 1)[:count]
-    heaviest = _running(most([x.weight for x in samples]), s + 1)[:count]
+    samples = []
+    for i, values in enumerate(y.T):
+        samples.append(_sample(reading, i, values))
+    samples += map(_sample_of, *reading._disturbance(jnp.ones_like(y[:, 0])))
+    _, _, weights, scales = zip(*samples, strict=True)
+    largest, heaviest = (_running(most(x), s + 1)[:count] for x in (scales, weights))
     for number, values in enumerate(reading.window.sums):
         part = _sum(reading, number, y)
         samples.append(part)
         largest = jnp.maximum(largest, _scale_of_sum(values, largest, part.radius[0]))
         heaviest = jnp.maximum(heaviest, part.weight[0])
-    v = [u[:, b] - reading.offset_u[b] for b in range(u.shape[1])]
+    v, sizes = [], []
+    for now, offset in zip(u.T, reading.offset_u, strict=True):
+        v.append(now - offset)
+        sizes.append(abs(now) + abs(offset))
     known = jnp.zeros_like(largest)
     if v:
-        sizes = [abs(u[:, b]) + abs(reading.offset_u[b]) for b in range(u.shape[1])]
         known = _running(most(sizes), reading.lags)[:count]
     return _Stretch(samples, v, largest, heaviest, known)
 
 
 def columns_of(given: Given, u: jax.Array, y: jax.Array) -> WindowColumns:
-    """Return what a projection reads of the windows of a stretch u (N + s, m), y (N + s, p)."""
+    """Return the columns of the windows of a stretch u (N + s, m), y (N + s, p)."""
     reading, projection = given
     count, s = len(y) - reading.horizon, reading.horizon
     stretch = _stretch_of(reading, u, y)
@@ -226,18 +238,20 @@ def columns_of(given: Given, u: jax.Array, y: jax.Array) -> WindowColumns:
 
 
 def _rows(given: Given, u: jax.Array, y: jax.Array) -> Rows:
-    """Return what a search reads of the windows of a stretch u (N + s, m), y (N + s, p)."""
+    """Return the rows of the windows of a stretch u (N + s, m), y (N + s, p)."""
     reading, projection = given
     count = len(y) - reading.horizon
     stretch = _stretch_of(reading, u, y)
-    rows = [reading.window.all[number] for number in (*projection.outer, *projection.inner)]
-    at = np.array([(_series(reading, row), row.first) for row in rows])
-    lags = np.array([(b, j) for j in range(reading.lags) for b in range(u.shape[1])]).reshape(-1, 2)
-    mid = _taken(jnp.stack([x.mid for x in stretch.samples]), at, count)
-    radius = _taken(jnp.stack([x.radius for x in stretch.samples]), at, count)
+    at = []
+    for number in (*projection.outer, *projection.inner):
+        row = reading.window.all[number]
+        at.append((_series(reading, row), row.first))
+    mids, radii, _, _ = zip(*stretch.samples, strict=True)
+    mid, radius = _taken(jnp.stack(mids), np.array(at), count), _taken(jnp.stack(radii), np.array(at), count)
     known = jnp.zeros((0, count), y.dtype)
-    if len(lags):
-        known = _taken(jnp.stack(stretch.v), lags, count)
+    if stretch.v and reading.lags:
+        places = np.indices((reading.lags, len(stretch.v))).reshape(2, -1)
+        known = _taken(jnp.stack(stretch.v), places[::-1].T, count)
     return Rows(mid, radius, known, *stretch[2:])
 
 
@@ -264,15 +278,23 @@ def _forced_columns(forced: Forced, v: Columns, s: int, count: int) -> list[list
     """Return f of all windows of a stretch with inputs v, [sample][output]: what inputs add is worked out
     once a sample.
     """
-    first = [[x[j : j + count] for x in v] for j in range(min(forced.order + 1, s + 1))]
+    first = [_cut(v, j, count) for j in range(min(forced.order + 1, s + 1))]
     later = s - forced.order
     if later < 0:
         return forced_outputs(forced, first, [])
     terms = []
     for j in range(forced.driven.shape[1] // len(v)):
-        terms += [x[j : j + count + later] for x in v]
-    added = [total([row[j] * x for j, x in enumerate(terms)]) for row in forced.driven]
-    return forced_outputs(forced, first, [[x[j : j + count] for x in added] for j in range(later + 1)])
+        terms += _cut(v, j, count + later)
+    added = []
+    for row in forced.driven:
+        added.append(total(map(mul, row, terms)))
+    driven = [_cut(added, j, count) for j in range(later + 1)]
+    return forced_outputs(forced, first, driven)
+
+
+def _cut(series: Columns, first: int, count: int) -> list[jax.Array]:
+    """Return so many entries of each series, from one on."""
+    return [x[first : first + count] for x in series]
 
 
 def rows_of(given: Given, u: jax.Array, y: jax.Array) -> Rows:
@@ -281,7 +303,7 @@ def rows_of(given: Given, u: jax.Array, y: jax.Array) -> Rows:
     numbers = (*given.projection.outer, *given.projection.inner)
 
     def ordered(x: jax.Array) -> jax.Array:
-        return jnp.stack([x[i] for i in numbers])
+        return jnp.stack(list(map(x.__getitem__, numbers)))
 
     mid, radius, scale = stored(tuple(map(ordered, (rows.mid, rows.rad, rows.scale))))
     heaviest, known_size = 1 / jnp.min(radius, 0), jnp.max(rows.known_scale, 0, initial=0)
@@ -295,7 +317,7 @@ def _of_windows(given: Given, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ja
 
 
 class _Sample(NamedTuple):
-    """What belongs to each sample of an output, or to each disturbance: weight = 1 / radius."""
+    """Samples of an output, or of a disturbance, as rows: weight = 1 / radius."""
 
     mid: jax.Array
     radius: jax.Array
@@ -386,21 +408,24 @@ def projection(relations: LinearRelations, reading: Reading, dtype: DTypeLike) -
     rows = reading.window.all
     if frame is None or not frame.inner:
         return None
-    if not all(rows[number].seen for number in frame.inner):
+    looked, typical = np.array([(row.seen, _typical(reading, row)) for row in rows]).T
+    outer, inner = np.array(frame.outer, int), list(frame.inner)
+    if not looked[inner].all():
         return None
-    kept = [j for j, number in enumerate(frame.outer) if frame.used[j] and rows[number].seen]
-    outer = [frame.outer[j] for j in kept]
-    R, K = (np.asarray(matrix)[kept] for matrix in (reading.frame.R, reading.frame.K))
-    radius = np.array([_typical(reading, rows[number]) for number in (*outer, *frame.inner)])
+    kept = np.array(frame.used, bool) & (looked[outer] > 0)
+    outer = outer[kept]
+    R, K = np.asarray(reading.frame.R)[kept], np.asarray(reading.frame.K)[kept]
+    radius = typical[[*outer, *inner]]
     forced = None
     if model.m and any(map(any, frame.K)):
         forced = _forced(model, dtype)
         if forced is None:
             return None
-    sums = [values for values in reading.window.sums if values.measured]
-    spread = max([1.0, *(float(values.size) for values in sums)])
-    terms = max([1, *(values.terms for values in sums)])
-    return projection_of(R, K, radius, outer, frame.inner, forced, horizon + 1, dtype, spread, terms)
+    spread, terms = 1.0, 1
+    for values in reading.window.sums:
+        if values.measured:
+            spread, terms = max(spread, float(values.size)), max(terms, values.terms)
+    return projection_of(R, K, radius, outer.tolist(), inner, forced, horizon + 1, dtype, spread, terms)
 
 
 def _typical(reading: Reading, row: Row) -> float:
@@ -409,7 +434,7 @@ def _typical(reading: Reading, row: Row) -> float:
         return _typical_of_sum(reading, row)
     if row.kind is Kind.DISTURBANCE:
         lo, hi = np.asarray(reading.disturbance, np.float64)[row.number]
-        return 0.5 * (hi - lo)
+        return float(0.5 * (hi - lo))
     i = row.number
     return float(reading.noise[i] + reading.resolution[i] + reading.tolerance[i])
 
@@ -430,23 +455,25 @@ def _forced(model: LinearSystem, dtype: DTypeLike) -> Forced | None:
     reduced, basis = linalg.row_reduce(linalg.transpose(O))
     if not basis:
         return None
-    order = max(basis, default=-1) // p + 1
-    own = [[row[order * p + i] for row in reduced] for i in range(p)]
-    _, H = window.first_form(model, order)
-    through = linalg.matmul(own, [H[j] for j in basis])
-    driven = [linalg.add_multiple(H[order * p + i], -1, row) for i, row in enumerate(through)]
+    order = max(basis) // p + 1
+    now = slice(order * p, (order + 1) * p)
+    own = np.array(reduced, object)[:, now].T
+    H = np.array(window.first_form(model, order)[1], object)
+    driven = H[now] - own @ H[list(basis)]
     # without D the newest input does not act: whether it is missing is no matter
-    first = [row[: order * m] for row in H[: order * p]]
-    pairs = tuple((j // p, j % p) for j in basis)
+    first = H[: order * p, : order * m]
+    samples, outputs = np.divmod(basis, p)
+    pairs = tuple(zip(samples.tolist(), outputs.tolist(), strict=True))
     return Forced(
-        _rounded(first, order * p, dtype),
-        _rounded(own, p, dtype),
-        _rounded(driven, p, dtype),
+        _rounded(first, dtype),
+        _rounded(own, dtype),
+        _rounded(driven, dtype),
         pairs,
         order,
         int(model.has_feedthrough),
     )
 
 
-def _rounded(rows, count: int, dtype: DTypeLike) -> np.ndarray:
-    return np.asarray(rounding.nearest_normals([x for row in rows for x in row], dtype)).reshape(count, -1)
+def _rounded(matrix: np.ndarray, dtype: DTypeLike) -> np.ndarray:
+    """Return a matrix of fractions in floats."""
+    return np.asarray(rounding.nearest_normals(matrix.ravel().tolist(), dtype)).reshape(matrix.shape)

@@ -80,24 +80,24 @@ def _lacking(
 
     What is missing alone decides that: the host looks at one window a pattern, whose other samples are 0.
     """
-    found = np.zeros(len(doubtful), bool)
+    lacking = np.zeros(len(doubtful), bool)
     at = np.flatnonzero(doubtful)
     if not len(at):
-        return found
+        return lacking
     rows = at[:, None] + np.arange(-test.horizon, 1)
     absent = np.isnan(np.concatenate([y, u], 1))[rows]
     some = absent.any((1, 2))  # a whole window has its data
     patterns, which = np.unique(absent[some], axis=0, return_inverse=True)
     patterns = patterns[:PATTERNS]
     if not len(patterns):
-        return found
+        return lacking
     samples = np.where(patterns, np.nan, 0.0).astype(y.dtype)
     outputs = y.shape[1]
     # A primitive of a newer jax, which NumPy does not know, says nothing.
     with contextlib.suppress(NotImplementedError):
         silent = np.append(missing(samples[..., outputs:], samples[..., :outputs]), False)
-        found[at[some]] = silent[np.minimum(which.ravel(), len(patterns))]
-    return found
+        lacking[at[some]] = silent[np.minimum(which.ravel(), len(patterns))]
+    return lacking
 
 
 def _any_sample(horizon: int, u: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -129,7 +129,7 @@ def _card_file(about: Record) -> Path | None:
 
 
 def _read(path: Path) -> Record | None:
-    """Return what a file holds, None if it cannot be read."""
+    """Return the record in a file, None if it cannot be read."""
     try:
         record = json.loads(path.read_text())
     except (OSError, ValueError):

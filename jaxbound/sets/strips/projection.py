@@ -110,7 +110,7 @@ class Forced:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """What a kernel needs to project windows of one frame.
+    """Matrices and error bounds of a projection of windows, of one frame.
 
     Fields: R (c, k), K (c, l); step (k, c + k), whose first c columns are P; speaks (c,): the diagonal of W
     for outer rows; forced: None where no input acts; projected, searched: (2,), on_rows and on_inputs of the
@@ -131,7 +131,7 @@ class Projection:
 
 
 class WindowColumns(NamedTuple):
-    """What a projection reads of N windows: columns (N,), or scalars that are the same in all windows.
+    """Rows of N windows for a projection: columns (N,), or scalars that are the same in all windows.
 
     Fields: mid, weight: of the outer rows, then of the inner ones, mid less f, weight = 1 / radius; scale,
     heaviest, known: (N,), the largest scale, weight and |v| + |offset|.
@@ -202,7 +202,7 @@ def forced_outputs(
 
 
 class Rows(NamedTuple):
-    """What a search reads of N windows: mid, radius (c + k, N), the outer rows first; known (l, N); and
+    """Rows of N windows for a search: mid, radius (c + k, N), the outer rows first; known (l, N); and
     scale, heaviest, known_size (N,), the largest scale, 1 / radius and |v| + |offset|.
     """
 
@@ -215,12 +215,12 @@ class Rows(NamedTuple):
 
 
 class Search(NamedTuple):
-    """The state of a search: d (k, N), h (c, N), done (N,), count of steps."""
+    """The state of a search: d (k, N), h (c, N), done (N,), steps taken."""
 
     d: jax.Array
     h: jax.Array
     done: jax.Array
-    count: jax.Array
+    steps: jax.Array
 
 
 def clipped_margin(given: Projection, rows: Rows) -> tuple[jax.Array, jax.Array]:
@@ -236,7 +236,7 @@ def clipped_margin(given: Projection, rows: Rows) -> tuple[jax.Array, jax.Array]
     off = _off(given, given.searched, rows.scale, rows.known_size)
 
     def going(carry: Search) -> jax.Array:
-        return (carry.count < STEPS) & ~jnp.all(carry.done)
+        return (carry.steps < STEPS) & ~jnp.all(carry.done)
 
     def move(carry: Search) -> Search:
         e = _errors(R, z, carry.d)
@@ -248,7 +248,7 @@ def clipped_margin(given: Projection, rows: Rows) -> tuple[jax.Array, jax.Array]
         reached = explained | (residual > (1 + 2 * CLEAR * eps) * width)
         d = jnp.where((carry.done | reached)[None], carry.d, carry.d + OVER * change)
         spoken = jnp.where(carry.done[None], carry.h, h)
-        return Search(d, spoken, carry.done | reached, carry.count + 1)
+        return Search(d, spoken, carry.done | reached, carry.steps + 1)
 
     start = Search(d, jnp.zeros_like(z), jnp.zeros_like(off, bool), jnp.zeros((), jnp.int32))
     found = jax.lax.while_loop(going, move, start)
@@ -263,7 +263,7 @@ def clipped_margin(given: Projection, rows: Rows) -> tuple[jax.Array, jax.Array]
 
 
 def clipped_inside(given: Projection, rows: Rows) -> jax.Array:
-    """Return what `projected_margin` returns, of the d that `AHEAD` clipped steps reach."""
+    """Return the bound of `projected_margin` for the d that `AHEAD` clipped steps reach."""
     R = given.R
     z, d, weight = _begun(given, rows)
     share = stored(SHARE * rows.radius)
