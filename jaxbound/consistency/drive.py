@@ -22,6 +22,7 @@ from jaxbound.consistency.devices import everywhere, on_devices
 from jaxbound.consistency.interface import (
     Array,
     Arrays,
+    Easy,
     Judged,
     Observer,
     Progress,
@@ -45,6 +46,7 @@ CORES = os.cpu_count() or 1
 AHEAD = 3  # groups of blocks that are under way at once
 AGAIN = 2**12  # windows that are evaluated in NumPy at once, where there are as many
 SMALL = 2**10  # arrays below this are not worth an alignment
+EASY = 0.5  # the progress that goes to easy windows
 ALIGNMENT = 64  # bytes, at which XLA adopts an array of the host
 
 Devices = tuple[jax.Device, ...]
@@ -308,7 +310,9 @@ def _gathered(
     ends = np.delete(np.arange(length), endless)
     if 0 < length < len(y):
         ends = (ends + np.arange(0, len(y), length)[:, None]).ravel()
-    ends = _past_easy(test, u, y, outs, ends, size)
+    if test.easy is not None and len(ends):
+        ends = _past_easy(test, test.easy, u, y, length, outs, ends, size, _part(report, 0, EASY))
+        report = _part(report, EASY, 1 - EASY)
     total, done = max(len(ends), 1), 0
 
     def again(other: WindowTest, chosen: np.ndarray) -> np.ndarray:
@@ -325,22 +329,28 @@ def _gathered(
 
 
 def _past_easy(
-    test: WindowTest, u: np.ndarray, y: np.ndarray, outs: list[np.ndarray], ends: np.ndarray, size: int
+    test: WindowTest,
+    easy: Easy,
+    u: np.ndarray,
+    y: np.ndarray,
+    length: int,
+    outs: list[np.ndarray],
+    ends: np.ndarray,
+    size: int,
+    report: Progress,
 ) -> np.ndarray:
     """Let easy windows be settled at once; return the ends of the others."""
-    if test.easy is None or not len(ends):
-        return ends
-    stretches, windows = test.easy
+    s, stretches, windows = test.horizon, easy.stretches, easy.windows
     own = size
     if size == test.block:
         own = (stretches or windows).block
-    if stretches is not None and 2 * len(ends) >= len(y):
-        found = _stretches(stretches, u, y, len(y), slice(0, test.horizon), own, _nothing)
+    if stretches is not None and length >= 2 * s:  # of shorter recordings most windows would lie across two
+        found = _stretches(stretches, u, y, len(y), slice(0, s), own, _part(report, 0, 0.5))
         for out, values in zip(outs, found, strict=True):
             out[ends] = values[ends]
         ends = ends[~(found[0][ends] > 0)]
-    own = min(own, windows.block)
-    return _Gathering(windows, u, y, outs, own, _nothing).judge_all(ends - test.horizon) + test.horizon
+    gathering = _Gathering(windows, u, y, outs, min(own, windows.block), _part(report, 0.5, 0.5))
+    return gathering.judge_all(ends - s) + s
 
 
 def _part(report: Progress, before: float, share: float) -> Progress:
