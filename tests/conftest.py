@@ -48,6 +48,14 @@ def pytest_collection_modifyitems(items):
             item.add_marker(pytest.mark.skip(reason=f"needs {marker.args[0]}, which this system lacks"))
 
 
+@pytest.fixture(scope="session", autouse=True)
+def easy_windows_first():
+    """Have few windows settled as many are; processes that tests start keep to what users have."""
+    from jaxbound.consistency import drive
+
+    drive.MANY = 1
+
+
 @pytest.fixture
 def kernels(monkeypatch):
     """Have processes that a test starts share the compiled kernels of this one."""

@@ -46,6 +46,7 @@ CORES = os.cpu_count() or 1
 AHEAD = 3  # groups of blocks that are under way at once
 AGAIN = 2**12  # windows that are evaluated in NumPy at once, where there are as many
 SMALL = 2**10  # arrays below this are not worth an alignment
+MANY = 2**14  # windows from which on easy ones pay for compiling what settles them
 EASY = 0.5  # the progress that goes to easy windows
 ALIGNMENT = 64  # bytes, at which XLA adopts an array of the host
 
@@ -310,7 +311,7 @@ def _gathered(
     ends = np.delete(np.arange(length), endless)
     if 0 < length < len(y):
         ends = (ends + np.arange(0, len(y), length)[:, None]).ravel()
-    if test.easy is not None and len(ends):
+    if len(ends) >= MANY and test.easy is not None:
         ends = _past_easy(test, test.easy, u, y, length, outs, ends, size, _part(report, 0, EASY))
         report = _part(report, EASY, 1 - EASY)
     total, done = max(len(ends), 1), 0

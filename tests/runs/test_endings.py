@@ -65,7 +65,7 @@ def test_page_table_and_json_of_a_lasting_bias_say_repaired_or_lasting(place, ca
     assert (
         found["ended"] == ended
         and sum(ended.values()) == found["alarms"]
-        and list(found)[-2:] == ["ended", "always_seen"]
+        and list(found)[-3:] == ["ended", "always_seen", "margins"]
     )
     (hint,) = found["hints"]
     assert (
