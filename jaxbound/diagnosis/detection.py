@@ -64,8 +64,8 @@ def detect(
         compensation: for "linearized", what each relation may be off by for the terms that it neglects, one
             number or one a relation.
         margins: "bounds": where windows are decided by a search, one that a projection settles keeps the
-            bound on its margin that this proves, at a tenth of the work; "exact": every window is searched.
-            .margins says which a Result has; .alarms(), .worst, .explain and reports have exact ones of what
+            bound on its margin that this proves, at a tenth of the work (from 16 384 windows on); "exact":
+            every window is searched. .margins says which a Result has; .alarms(), .worst, .explain and reports have exact ones of what
             they show.
 
     Returns:
