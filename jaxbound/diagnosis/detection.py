@@ -65,8 +65,8 @@ def detect(
             number or one a relation.
         margins: "bounds": where windows are decided by a search, one that a projection settles keeps the
             bound on its margin that this proves, at a tenth of the work (from 16 384 windows on); "exact":
-            every window is searched. .margins says which a Result has; .alarms(), .worst, .explain and reports have exact ones of what
-            they show.
+            every window is searched. .margins says which a Result has;
+            .alarms(), .worst, .explain and reports have exact ones of what they show.
 
     Returns:
         A Result: .status (..., T) int8 (`Status`), .margin (..., T); entry k belongs to the window that ends
