@@ -193,7 +193,7 @@ def test_the_certificate_agrees_with_the_verdict_of_a_long_window(name, rng):
     """
     relations, gaps = plant(name)
     windows = [window(relations, gaps, rng, bias=float(b)) for b in rng.uniform(0, 4, 15)]
-    res = jb.detect(relations, *(np.stack(x) for x in zip(*windows, strict=True)))
+    res = jb.detect(relations, *(np.stack(x) for x in zip(*windows, strict=True)), margins="exact")
     s = relations.horizon
     decided = np.flatnonzero(np.isin(res.status[:, s], (Status.FAULT, Status.CONSISTENT)))
     assert len(decided) > 10
