@@ -97,7 +97,7 @@ def test_steps_and_bursts_equal_detect_bit_by_bit(rng, name, dtype):
 def test_the_exchange_search_too(rng):
     r = jb.parity_relations(paper(), 20)
     u, y = recording(rng, r.model, 1600, spread=1.03)
-    res = jb.detect(r, u, y, starts=[70])
+    res = jb.detect(r, u, y, starts=[70], margins="exact")
     mon = Monitor(r)
     state, *first = stepped(mon, u[:100], y[:100], [70])
     state, verdict = mon.run(state, u[100:], y[100:])
@@ -112,7 +112,7 @@ def test_the_exchange_search_with_missing_samples(rng):
     y[[30, 60], [0, 1]] = np.nan
     u[75] = np.nan
     y[80:82] = np.nan
-    res = jb.detect(r, u, y)
+    res = jb.detect(r, u, y, margins="exact")
     _, status, margin = stepped(Monitor(r), u, y)
     np.testing.assert_array_equal(status, res.status)
     np.testing.assert_allclose(margin, res.margin, rtol=1e-9, atol=1e-9)
