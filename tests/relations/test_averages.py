@@ -259,7 +259,7 @@ def compared(rng, models, each=12):
         y = np.array(jb.simulate(model, u, int(rng.integers(2**31))).y)
         y += rng.normal(size=y.shape) * np.geomspace(0.01, 3, T)[:, None] * [float(x) for x in model.noise]
         y[rng.random(y.shape) < 0.02] = np.nan
-        found = jb.detect(r, u, y)
+        found = jb.detect(r, u, y, margins="exact")
         seen = np.flatnonzero(found.status != jb.Status.MISSING)
         for k in rng.permutation(seen)[:each]:
             part = slice(k - s, k + 1)
