@@ -51,9 +51,9 @@ def pytest_collection_modifyitems(items):
 @pytest.fixture(scope="session", autouse=True)
 def easy_windows_first():
     """Have few windows settled as many are; processes that tests start keep to what users have."""
-    from jaxbound.consistency import drive
+    from jaxbound.consistency import interface
 
-    drive.MANY = 1
+    interface.MANY = 1
 
 
 @pytest.fixture

@@ -29,6 +29,7 @@ from jaxbound.consistency.interface import (
     Run,
     Verdicts,
     WindowTest,
+    window_count,
 )
 from jaxbound.consistency.reading import Block, gather
 from jaxbound.consistency.searched import only_searched
@@ -46,7 +47,6 @@ CORES = os.cpu_count() or 1
 AHEAD = 3  # groups of blocks that are under way at once
 AGAIN = 2**12  # windows that are evaluated in NumPy at once, where there are as many
 SMALL = 2**10  # arrays below this are not worth an alignment
-MANY = 2**14  # windows from which on easy ones pay for compiling what settles them
 EASY = 0.5  # the progress that goes to easy windows
 ALIGNMENT = 64  # bytes, at which XLA adopts an array of the host
 
@@ -311,8 +311,9 @@ def _gathered(
     ends = np.delete(np.arange(length), endless)
     if 0 < length < len(y):
         ends = (ends + np.arange(0, len(y), length)[:, None]).ravel()
-    if len(ends) >= MANY and test.easy is not None:
-        ends = _past_easy(test, test.easy, u, y, length, outs, ends, size, _part(report, 0, EASY))
+    easy = test.easy_of(window_count((len(y) // max(length, 1), length), s))
+    if easy is not None:
+        ends = _past_easy(test, easy, u, y, length, outs, ends, size, _part(report, 0, EASY))
         report = _part(report, EASY, 1 - EASY)
     total, done = max(len(ends), 1), 0
 

@@ -7,6 +7,7 @@ recording: gaps, batches, devices, threads and progress belong to the driver (`d
 """
 
 import copy
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from types import MappingProxyType
@@ -60,12 +61,15 @@ __all__ = [
     "family",
     "refuse_options",
     "relations_of",
+    "window_count",
     "with_margins",
 ]
 
 METHODS = ("joint", "box", "paving", "linearized")
 OBSERVER = "observer"
 MARGINS = BOUNDS, EXACT = "bounds", "exact"
+MANY = 2**14
+"""Windows from which on easy ones pay for compiling what settles them."""
 """What margins of windows may be: see `detect`."""
 
 Array: TypeAlias = np.ndarray | jax.Array
@@ -397,15 +401,21 @@ class WindowTest:
 
     @property
     def easy(self) -> "Easy | None":
-        """The tests that settle easy windows before this one is asked; None: none."""
+        """The tests that can settle easy windows before this one is asked; None: none."""
         return None
 
-    @property
-    def margins_are(self) -> str:
-        """One of `MARGINS`: "exact", or "bounds" where easy windows are settled before their margins are
-        known. Margins of CONSISTENT windows are then not above the exact ones, those of FAULT not below.
+    def easy_of(self, windows: int) -> "Easy | None":
+        """Return the tests that settle easy windows of so many; None: none, every window is searched."""
+        if windows < MANY:
+            return None
+        return self.easy
+
+    def margins_of(self, windows: int) -> str:
+        """Return which of `MARGINS` so many windows have: "exact", or "bounds" where easy ones are settled
+        before their margins are known. Those of CONSISTENT windows are then not above the exact ones, those
+        of FAULT not below.
         """
-        if self.easy is None:
+        if self.easy_of(windows) is None:
             return EXACT
         return BOUNDS
 
@@ -523,6 +533,12 @@ class LinearTest(WindowTest):
         return self.relations.reading(self.dtype, self.method)
 
 
+def window_count(shape: tuple[int, ...], horizon: int) -> int:
+    """Return how many windows recordings of (..., T) samples have, those across gaps among them."""
+    *lead, length = shape
+    return math.prod(lead) * max(length - horizon, 0)
+
+
 def with_margins(test: "WindowTest | Observer[Any]", margins: str) -> "WindowTest | Observer[Any]":
     """Return a test whose margins are those that are asked for, one of `MARGINS`.
 
@@ -606,9 +622,8 @@ class Observer(Relations, Generic[Carry]):
         """This observer: a Result asks it for relations."""
         return self
 
-    @property
-    def margins_are(self) -> str:
-        """One of `MARGINS`: those of an observer are exact."""
+    def margins_of(self, windows: int) -> str:
+        """Return "exact", of `MARGINS`: which margins an observer has."""
         return EXACT
 
     def measured(self) -> Self:

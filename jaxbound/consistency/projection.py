@@ -7,7 +7,7 @@ the whole window: what it proves CONSISTENT is.
 """
 
 from collections.abc import Callable, Sequence
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from operator import mul
 from typing import NamedTuple, TypeAlias
 
@@ -65,19 +65,16 @@ class _Easy(LinearTest):
     """Settles easy windows and says nothing of the others: their margin is 0.
 
     Args:
-        relations, dtype: as of `ExchangeTest`. given: from `projection`. reading: how windows are read;
-            None: as relations say.
+        relations, dtype: as of `ExchangeTest`. given: from `projection`. reading: how windows are read.
     """
 
     twice = True
 
     def __init__(
-        self, relations: LinearRelations, dtype: DTypeLike, given: Projection, reading: Reading | None = None
+        self, relations: LinearRelations, dtype: DTypeLike, given: Projection, reading: Reading
     ) -> None:
         super().__init__(relations, "joint", dtype)
-        self.projection = given
-        if reading is not None:
-            self.reading = reading
+        self.projection, self.reading = given, reading
 
     @property
     def constants(self) -> Given:
@@ -338,16 +335,24 @@ def _sum(reading: Reading, number: int, y: jax.Array) -> _Sample:
     The radius is below that of any window: it lacks what recorders round away.
     """
     values, dtype = reading.window.sums[number], y.dtype
-    mid, count, radius = jnp.zeros_like(y[:, 0]), len(y) - values.samples + 1, reading.average[number]
+    mid, count = jnp.zeros_like(y[:, 0]), len(y) - values.samples + 1
     if values.measured:
         terms = []
         for i, weights in values.parts:
             d = y[:, i] - reading.offset_y[i]
             for a, weight in enumerate(weights):
                 terms.append(jnp.asarray(float(weight), dtype) * d[a : a + count])
-            radius = radius + np.asarray(float(values.size_of(i)), dtype) * reading.resolution[i]
         mid = jnp.pad(total(terms), (0, len(y) - count))
-    return _sample_of(mid, radius * jnp.ones_like(mid), mid)
+    return _sample_of(mid, jnp.ones_like(mid) * _bound_of_sum(reading, number), mid)
+
+
+def _bound_of_sum(reading: Reading, number: int) -> Array:
+    """Return the bound of one sum, with what its sensors resolve."""
+    values, bound = reading.window.sums[number], reading.average[number]
+    if values.measured:
+        for i, _ in values.parts:
+            bound = bound + np.asarray(float(values.size_of(i)), bound.dtype) * reading.resolution[i]
+    return bound
 
 
 def _scale_of_sum(values: WeightedSum, largest: jax.Array, radius: jax.Array) -> jax.Array:
@@ -398,7 +403,7 @@ def easy_by(
         return None
     stretches = None
     if len(given.outer) + len(given.inner) <= COLUMNS:
-        stretches = EasyStretches(relations, dtype, given, stretched)
+        stretches = EasyStretches(relations, dtype, given, reading if stretched is None else stretched)
     return Easy(stretches, windows(relations, dtype, given, reading))
 
 
@@ -418,7 +423,7 @@ def projection(relations: LinearRelations, reading: Reading, dtype: DTypeLike) -
     radius = typical[[*outer, *inner]]
     forced = None
     if model.m and any(map(any, frame.K)):
-        forced = _forced(model, dtype)
+        forced = _forced(model, np.dtype(dtype))
         if forced is None:
             return None
     spread, terms = 1.0, 1
@@ -431,7 +436,7 @@ def projection(relations: LinearRelations, reading: Reading, dtype: DTypeLike) -
 def _typical(reading: Reading, row: Row) -> float:
     """Return a radius for the weight of a row."""
     if row.kind is Kind.SUM:
-        return _typical_of_sum(reading, row)
+        return float(_bound_of_sum(reading, row.number))
     if row.kind is Kind.DISTURBANCE:
         lo, hi = np.asarray(reading.disturbance, np.float64)[row.number]
         return float(0.5 * (hi - lo))
@@ -439,16 +444,8 @@ def _typical(reading: Reading, row: Row) -> float:
     return float(reading.noise[i] + reading.resolution[i] + reading.tolerance[i])
 
 
-def _typical_of_sum(reading: Reading, row: Row) -> float:
-    """Return the same for the run of a sum."""
-    bound = float(reading.average[row.number])
-    if row.values.measured:
-        for i, _ in row.values.parts:
-            bound += float(row.values.size_of(i)) * float(reading.resolution[i])
-    return bound
-
-
-def _forced(model: LinearSystem, dtype: DTypeLike) -> Forced | None:
+@lru_cache(maxsize=64)
+def _forced(model: LinearSystem, dtype: np.dtype) -> Forced | None:
     """Return how outputs answer to inputs from rest: exact, then rounded once."""
     p, m = model.p, model.m
     O, _ = window.first_form(model, model.n)

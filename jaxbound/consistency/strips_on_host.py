@@ -184,8 +184,8 @@ class HostStrips:
                 slip = slip + abs(c) * cut(own.slip, lag)
         terms, largest = len(strip.rows) + len(strip.inputs), max(map(abs, (*strip.h, *strip.k)))
         gamma, floor = rounding.residual_error(terms + 8, np.float64)
-        error = slip + (gamma * size + floor * (1 + largest))
-        return np.asarray((least > error) | (most < -error))
+        error = slip + float(gamma * size + floor * (1 + largest))
+        return _excludes_0(least, most, error)
 
     def _together(self, sums: dict[int | None, tuple[Ends, Ends]]) -> tuple[Ends, Ends]:
         """Return the least and the most of sums, each times any of its gains."""
@@ -324,8 +324,13 @@ def contradicted_by(
     )
     value = np.bincount(of, h * windows.reached(K[here], of), N)
     error = np.bincount(of, np.abs(h) * (gamma * size[here] + floor), N) + floor
+    return _excludes_0(least - value, most - value, error)
+
+
+def _excludes_0(least: Ends, most: Ends, error: Ends) -> np.ndarray:
+    """Return where no sum between these ends is 0, even off by an error; False where one is NaN."""
     with np.errstate(invalid="ignore"):
-        return np.asarray((least - value > error) | (most - value < -error))
+        return np.asarray((least > error) | (most < -error))
 
 
 def _doubles(x: Array) -> np.ndarray:
@@ -436,8 +441,7 @@ class _Windows:
             least += np.minimum(below, above).sum(0)
             most += np.maximum(below, above).sum(0)
         value = np.einsum("bn,bn->n", k, self._known.T)
-        with np.errstate(invalid="ignore"):
-            return np.asarray((least - value > error) | (most - value < -error))
+        return _excludes_0(least - value, most - value, error)
 
     def _every(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the ends (rows, N) of all rows."""

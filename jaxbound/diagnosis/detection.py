@@ -15,6 +15,7 @@ from jaxbound.consistency.interface import (
     Relations,
     Starts,
     relations_of,
+    window_count,
     with_margins,
 )
 from jaxbound.consistency.searched import judging_device
@@ -63,10 +64,10 @@ def detect(
             disorder or of another period refused, as of a file.
         compensation: for "linearized", what each relation may be off by for the terms that it neglects, one
             number or one a relation.
-        margins: "bounds": where windows are decided by a search, one that a projection settles keeps the
-            bound on its margin that this proves, at a tenth of the work (from 16 384 windows on); "exact":
-            every window is searched. .margins says which a Result has;
-            .alarms(), .worst, .explain and reports have exact ones of what they show.
+        margins: "bounds": of 16 384 windows and more that are decided by a search, one that a projection
+            settles keeps the bound on its margin that this proves, at a tenth of the work; "exact": every
+            window is searched. .margins says which a Result has; .alarms(), .worst, .explain and reports have
+            exact ones of what they show.
 
     Returns:
         A Result: .status (..., T) int8 (`Status`), .margin (..., T); entry k belongs to the window that ends
@@ -112,7 +113,7 @@ def detect(
         recorded = recording.hints
     about = test.method, test.relations, recording.u, recording.y, recording.index, starts
     aside, device = recording.aside(test.horizon), judging_device(named.remembers)
-    kind = test.margins_are
+    kind = test.margins_of(window_count(recording.y.shape[:-1], test.horizon))
     return result_of(relations, judged, *about, aside=aside, recorded=recorded, device=device, margins=kind)
 
 

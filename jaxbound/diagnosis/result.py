@@ -52,7 +52,7 @@ class Result:
         recorded: what was to be said of a recording that came from a file, its .hints; None: it came as
             arrays.
         margins: "exact", or "bounds": of a CONSISTENT window .margin is then at most the exact one, of FAULT
-            at least; `measured`, `reported` and `worst` have exact ones.
+            at least; `exact`, `reported`, `measured` and `worst` have exact ones.
         device: the device that judged, in words that say whether it was examined; "": a CPU.
     """
 
@@ -100,25 +100,25 @@ class Result:
             at = tuple(map(int, np.unravel_index(number, self.margin.shape)))
         return f"{smallest} at {at}"
 
-    def measured(self, where: np.ndarray | None = None) -> np.ndarray:
-        """Return the margins (..., T) with exact ones at some windows.
+    @cached_property
+    def reported(self) -> np.ndarray:
+        """(..., T): the margins as alarms and files report them, with exact ones at FAULT windows."""
+        return self.measured(self.status == Status.FAULT)
 
-        Args:
-            where: (..., T) bool; None: everywhere.
-        """
-        if where is None:
-            where = np.ones(self.margin.shape, bool)
+    @cached_property
+    def exact(self) -> np.ndarray:
+        """(..., T): exact margins of all windows, searched where .margin has bounds."""
+        fault = self.status == Status.FAULT
+        return np.where(fault, self.reported, self.measured(~fault))
+
+    def measured(self, where: np.ndarray) -> np.ndarray:
+        """Return the margins (..., T) with exact ones where (..., T) bool says."""
         at = np.flatnonzero(where & ~np.isnan(self.margin))
         if self.margins == EXACT or not len(at):
             return self.margin
         margin = self.margin.copy()
         margin.flat[at] = exact_margins(self.relations, self.method, self.u, self.y, margin, at)
         return margin
-
-    @cached_property
-    def reported(self) -> np.ndarray:
-        """(..., T): the margins as alarms and files report them, with exact ones at FAULT windows."""
-        return self.measured(self.status == Status.FAULT)
 
     @cached_property
     def worst(self) -> tuple[int, float] | None:

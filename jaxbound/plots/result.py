@@ -16,19 +16,22 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["drawn_margins", "plot_result"]
+__all__ = ["draws_bounds", "drawn_margins", "plot_result"]
 
 DRAWN = 2**16
 """Windows up to which a picture has exact margins; of more it has exact ones at FAULT windows alone."""
 
 
-def drawn_margins(res: Result) -> tuple[np.ndarray, bool]:
-    """Return the margins (T,) that a picture of a Result has, and whether those of CONSISTENT windows are
-    bounds.
-    """
-    if len(res.margin) <= DRAWN:
-        return res.measured(), False
-    return res.reported, res.margins == BOUNDS
+def draws_bounds(res: Result) -> bool:
+    """Return whether the margins of CONSISTENT windows are bounds in a picture of a Result."""
+    return res.margins == BOUNDS and len(res.margin) > DRAWN
+
+
+def drawn_margins(res: Result) -> np.ndarray:
+    """Return the margins (T,) that a picture of a Result has."""
+    if draws_bounds(res):
+        return res.reported
+    return res.exact
 
 
 @plot.register(Result)
@@ -43,7 +46,6 @@ def plot_result(
     if alarms is None:
         alarms = res.alarms()
     line = Timeline(len(x))
-    margin, bounded = drawn_margins(res)
-    line.add(0, x, res.status, margin)
+    line.add(0, x, res.status, drawn_margins(res))
     line.mark([a.worst for a in alarms])
-    return plot_timeline(line, res.relations.model.name, res.method, len(alarms), ax, bounded)
+    return plot_timeline(line, res.relations.model.name, res.method, len(alarms), ax, draws_bounds(res))

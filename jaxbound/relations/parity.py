@@ -159,6 +159,18 @@ class ParityRelation(LinearRelations):
     def _alone(self) -> Strips:
         return strips_of(self.W, self.K)
 
+    @cached_property
+    def _frames(self) -> dict[np.dtype, Frame]:
+        return {}
+
+    def _rounded_frame(self, dtype: DTypeLike) -> Frame:
+        """Return the frame in floats, rounded once for each type."""
+        assert self.frame is not None
+        kind = np.dtype(dtype)
+        if kind not in self._frames:
+            self._frames[kind] = frame_of(self.frame, kind)
+        return self._frames[kind]
+
     def reading(self, dtype: DTypeLike, method: str = "joint") -> Reading:
         """Return the Reading of all circuits ("joint") or of each relation alone ("box") in a float dtype."""
         shape: Strips | Frame
@@ -167,7 +179,7 @@ class ParityRelation(LinearRelations):
         elif self.frame is None:
             shape = self._joint.astype(dtype)
         else:
-            shape = frame_of(self.frame, dtype)
+            shape = self._rounded_frame(dtype)
         return reading(shape, self.model, self.horizon, self.bounds, dtype, self.lags)
 
     def test(

@@ -98,7 +98,7 @@ def _whole(
 ) -> tuple[ChartPiece, Callable[[int], float], AxisClock]:
     """Return the ChartPiece of a Result, the time of a sample by its number, and the AxisClock."""
     time, clock = axis_of(recording, len(res.status), res.relations.model.dt)
-    margin, _ = drawn_margins(res)
+    margin = drawn_margins(res)
     series = {"margin": margin, **_signals(res.u, res.y, signals)}
     bands = bands_of(res, slice(0, len(time)))
     return piece_of(time, res.status, series, bands).fitting(), time.__getitem__, clock

@@ -17,7 +17,7 @@ from jaxbound.diagnosis.result import Result
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.system import LinearSystem
 from jaxbound.plots.residuals import distinct_relations
-from jaxbound.plots.result import drawn_margins
+from jaxbound.plots.result import draws_bounds
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.sentence import looked_at
 from jaxbound.relations.uncertain import UncertainRelations
@@ -89,7 +89,7 @@ def write_report(
         extra=extra,
         charts=drawn,
         picture=_picture(res, recording, alarms),
-        bounded=res.margins == BOUNDS and (isinstance(res, Digest) or drawn_margins(res)[1]),
+        bounded=res.margins == BOUNDS and (isinstance(res, Digest) or draws_bounds(res)),
         signals=(len([row for row in drawn.rows if row.key.startswith("s")]), model.p + model.m),
         combined=any(stretch["combined"] for stretch in drawn.near),
         relations_alone=isinstance(relations, UncertainRelations),

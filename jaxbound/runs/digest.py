@@ -331,7 +331,9 @@ def digest(
         times,
         ended=book.ended,
         signals=read_extremes(part_files(folder), source.samples),
-        margins=with_margins(relations.test(method, source.dtype), margins).margins_are,
+        margins=with_margins(relations.test(method, source.dtype), margins).margins_of(
+            source.samples - relations.horizon
+        ),
     )
     sentence = irregular(ticking.clock, digested.label, source.row)
     if sentence:

@@ -309,7 +309,7 @@ def _job_of(
             f"{source.path}: the recording has {source.samples} samples, one window needs "
             f"{relations.horizon + 1}"
         )
-    also: dict[str, str | int] = {"margins": test.margins_are}
+    also: dict[str, str | int] = {"margins": test.margins_of(source.samples - relations.horizon)}
     if relations.remembers:
         also["overlap"] = begins if begins is not None else "none"
     folder = out / PARTIAL

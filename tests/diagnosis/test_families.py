@@ -80,7 +80,7 @@ def test_a_monitor_says_the_same_at_once_and_sample_by_sample(name):
     mon = jb.Monitor(relations(name), METHODS[name])
     _, whole = mon.run(mon.init(), u, y)
     np.testing.assert_array_equal(whole.status, res.status)
-    np.testing.assert_array_equal(whole.margin, res.measured())
+    np.testing.assert_array_equal(whole.margin, res.exact)
     state, said = mon.init(), []
     for k in range(28, 34):
         state, verdict = mon.step(state, u[k], y[k])

@@ -10,6 +10,7 @@ from oracles import MODELS
 from systems import paper
 
 import jaxbound as jb
+from jaxbound.consistency import interface
 from jaxbound.diagnosis import measuring
 from jaxbound.sets.floats.status import Status
 
@@ -73,7 +74,7 @@ def test_what_is_looked_at_is_exact(name):
     fault = exact.status == Status.FAULT
     np.testing.assert_array_equal(bounded.reported[fault], exact.margin[fault])
     np.testing.assert_array_equal(bounded.reported[~fault], bounded.margin[~fault])
-    np.testing.assert_array_equal(bounded.measured(), exact.margin)
+    np.testing.assert_array_equal(bounded.exact, exact.margin)
     assert bounded.hints == exact.hints
 
 
@@ -110,8 +111,19 @@ def test_verdicts_do_not_depend_on_what_stands_beside_a_window():
         np.testing.assert_array_equal(part.status[:, s:], whole.status[:, first + s : stop])
 
 
+def test_few_windows_are_searched(monkeypatch):
+    r, u, y, starts, bounded, exact = detected("plain")
+    windows = 2 * (T - r.horizon)
+    monkeypatch.setattr(interface, "MANY", windows)
+    assert jb.detect(r, u, y, starts=starts).margins == "bounds"
+    monkeypatch.setattr(interface, "MANY", windows + 1)
+    few = jb.detect(r, u, y, starts=starts)
+    assert few.margins == "exact"
+    np.testing.assert_array_equal(few.margin, exact.margin)
+
+
 def test_results_say_which_margins_they_have():
-    u, y = np.zeros((12, 1)), np.zeros((12, 2))
+    u, y = np.zeros((30, 1)), np.zeros((30, 2))
     short, known = jb.parity_relations(paper(), 1), jb.parity_relations(paper(), 20)
     kinds = {
         jb.detect(short, u, y).margins,
@@ -125,6 +137,6 @@ def test_results_say_which_margins_they_have():
     assert "at most" in repr(bounded) and "at most" not in repr(exact)
     one = jb.detect(known, u, y)
     assert one.to_pandas().attrs == {"margins": "bounds"}
-    assert one.worst is None  # no window is complete
+    assert jb.detect(known, u[:12], y[:12]).worst is None  # no window is complete
     with pytest.raises(ValueError, match="margins must be one of bounds, exact, not 'all'"):
         jb.detect(short, u, y, margins="all")

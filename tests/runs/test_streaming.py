@@ -70,7 +70,7 @@ class TestSameVerdicts:
         status, margin = verdicts(tmp_path / "out")
         assert (found.margins, whole.margins) == ("exact", "bounds")
         np.testing.assert_array_equal(status, whole.status)
-        np.testing.assert_array_equal(margin, whole.measured())
+        np.testing.assert_array_equal(margin, whole.exact)
         with pytest.raises(ValueError, match="margins"):
             detect_dataset(r, folder, tmp_path / "none", margins="sharp")
 

@@ -39,8 +39,14 @@ def kind_of_device(device: jax.Device) -> dict[str, str]:
         "platform": "NVIDIA" if nvidia else device.platform,
         "capability": capability,
         "driver": driver,
-        "jaxlib": version("jaxlib"),
+        "jaxlib": _jaxlib(),
     }
+
+
+@cache
+def _jaxlib() -> str:
+    """Return the version of jaxlib: looking it up takes a millisecond."""
+    return version("jaxlib")
 
 
 def most_of_a_quotient(device: jax.Device, dtype: DTypeLike) -> float:

@@ -241,8 +241,7 @@ def clipped_margin(given: Projection, rows: Rows) -> tuple[jax.Array, jax.Array]
     def move(carry: Search) -> Search:
         e = _errors(R, z, carry.d)
         explained = jnp.max(jnp.abs(e) * weight, 0) < 1 - 2 * CLEAR * eps
-        excess = stored(e - jnp.clip(e, -share, share))
-        change = stored(_product(given.step, excess))
+        excess, change = _clipped(given, e, share)
         h = stored(speaks * (excess[:c] - _product(R, change)))
         residual, width = _against(R, z, radius, h)
         reached = explained | (residual > (1 + 2 * CLEAR * eps) * width)
@@ -269,8 +268,7 @@ def clipped_inside(given: Projection, rows: Rows) -> jax.Array:
     share = stored(SHARE * rows.radius)
 
     def move(_: int, d: jax.Array) -> jax.Array:
-        e = _errors(R, z, d)
-        return stored(d + OVER * _product(given.step, stored(e - jnp.clip(e, -share, share))))
+        return stored(d + OVER * _clipped(given, _errors(R, z, d), share)[1])
 
     d = jax.lax.fori_loop(0, AHEAD, move, d)
     used = jnp.max(jnp.abs(_errors(R, z, d)) * weight, 0)
@@ -280,16 +278,31 @@ def clipped_inside(given: Projection, rows: Rows) -> jax.Array:
 
 def _begun(given: Projection, rows: Rows) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return z (c, N), the d (k, N) of least squares, weight (c + k, N)."""
-    c = len(given.outer)
-    z = stored(rows.mid[:c] - _product(given.R, rows.mid[c:]) - _product(given.K, rows.known))
-    return z, stored(_product(given.step[:, :c], z)), stored(1 / rows.radius)
+    z = stored(_relations(given, rows.mid, rows.known))
+    return z, stored(_fitting(given, z)), stored(1 / rows.radius)
+
+
+def _clipped(given: Projection, e: jax.Array, share: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return (the excess (c + k, N) of errors beyond a share of the radii, its projection (k, N))."""
+    excess = stored(e - jnp.clip(e, -share, share))
+    return excess, stored(_product(given.step, excess))
 
 
 def least_errors(given: Projection, mid: jax.Array, known: jax.Array) -> jax.Array:
     """Return the errors (c + k, N) of the d of least squares, linear in mid and known: as of `Rows`."""
+    z = _relations(given, mid, known)
+    return _errors(given.R, z, _fitting(given, z))
+
+
+def _relations(given: Projection, mid: jax.Array, known: jax.Array) -> jax.Array:
+    """Return z (c, N) of rows."""
     c = len(given.outer)
-    z = mid[:c] - _product(given.R, mid[c:]) - _product(given.K, known)
-    return _errors(given.R, z, _product(given.step[:, :c], z))
+    return mid[:c] - _product(given.R, mid[c:]) - _product(given.K, known)
+
+
+def _fitting(given: Projection, z: jax.Array) -> jax.Array:
+    """Return the d (k, N) of least squares."""
+    return _product(given.step[:, : len(given.outer)], z)
 
 
 def _errors(R: np.ndarray, z: jax.Array, d: jax.Array) -> jax.Array:
