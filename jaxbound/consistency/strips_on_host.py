@@ -328,7 +328,7 @@ def contradicted_by(
 
 
 def _excludes_0(least: Ends, most: Ends, error: Ends) -> np.ndarray:
-    """Return where no sum between these ends is 0, even off by an error; False where one is NaN."""
+    """Return bool: no sum between these ends is 0, even off by an error; False where one is NaN."""
     with np.errstate(invalid="ignore"):
         return np.asarray((least > error) | (most < -error))
 
