@@ -184,3 +184,41 @@ class Feasibility:
                 self.solver.run()
             out[k] = self.solver.getModelStatus() == self.status.kInfeasible
         return out
+
+
+class Batched:
+    """moreau with a compiled batch: by how much must bounds be moved apart so that lower <= M x <= upper?"""
+
+    SIZE = 200
+    LEAST = 1e-7
+
+    def __init__(self, M):
+        import moreau
+        from scipy.sparse import csr_matrix
+
+        rows, self.columns = M.shape
+        A = csr_matrix(np.block([[M, -np.ones((rows, 1))], [-M, -np.ones((rows, 1))]]))
+        self.solver = moreau.CompiledSolver(
+            n=self.columns + 1,
+            m=2 * rows,
+            P_row_offsets=np.zeros(self.columns + 2, int),
+            P_col_indices=[],
+            A_row_offsets=A.indptr,
+            A_col_indices=A.indices,
+            cones=moreau.Cones(num_nonneg_cones=2 * rows),
+            settings=moreau.Settings(
+                batch_size=self.SIZE, device="cpu", solver="active_set", auto_tune=False
+            ),
+        )
+        self.solver.setup([], A.data)
+
+    def run(self, lower, upper):
+        """Return True where a case is infeasible, (N,)."""
+        cost = np.tile(np.r_[np.zeros(self.columns), 1.0], (self.SIZE, 1))
+        out = np.empty(len(lower), bool)
+        for first in range(0, len(lower), self.SIZE):
+            chosen = np.arange(first, first + self.SIZE).clip(max=len(lower) - 1)
+            moved = self.solver.solve(cost, np.hstack([upper[chosen], -lower[chosen]])).x[:, -1]
+            stop = min(first + self.SIZE, len(lower))
+            out[first:stop] = moved[: stop - first] > self.LEAST
+        return out
