@@ -20,7 +20,7 @@ from benchmarks.long_windows import FOUR
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from boundary import GUST  # noqa: E402
-from oracles import Plant, Windows  # noqa: E402
+from oracles import MODELS, Plant, Windows  # noqa: E402
 
 LAGS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 13, 17, 22, 29, 37, 48, 60)
 HEATER = FOUR, {"horizon": 15}
@@ -56,7 +56,10 @@ CASES = {
     "heater, vertices x 1.25": (*HEATER, vertices),
     "heater, T1 + 2 degC in half": (*HEATER, half),
     "heater, T1 + 3 degC in every second 100 samples": (*HEATER, stretches),
+    "section 5, 21 samples": (MODELS["paper"], {"horizon": 20}, uniform),
+    "section 5, 21 samples, vertices x 1.25": (MODELS["paper"], {"horizon": 20}, vertices),
     "section 5 with a disturbance, 21 samples": (GUST, {"horizon": 20}, uniform),
+    "section 5 with a disturbance, 21 samples, vertices x 1.25": (GUST, {"horizon": 20}, vertices),
     "heater, 16 lags of 61 samples": (FOUR, {"lags": LAGS}, uniform),
 }
 

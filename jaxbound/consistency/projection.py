@@ -50,6 +50,8 @@ square of their number.
 """
 PART = 1024
 """Windows of a stretch that are searched together: their rows stay in the cache."""
+SMALL = 8
+"""Inner rows above which fewer are searched together."""
 FEWEST = 8
 """A part of which one window in so many is left open is searched as a whole."""
 
@@ -140,14 +142,18 @@ class EasyWindows(_Easy):
 def _of_stretch(given: Given, u: jax.Array, y: jax.Array) -> jax.Array:
     """Return the margins (N,) of the windows of a stretch u (N + s, m), y (N + s, p).
 
-    Where many windows of a part are left open, a few clipped steps are taken for all of it: nothing is
-    gathered.
+    Where many windows of a part are left open, or have weights of their own, a few clipped steps are taken
+    for all of it: nothing is gathered.
     """
-    margin = projected_margin(given.projection, columns_of(given, u, y))
-    s, count = given.reading.horizon, len(margin)
-    size = count
-    if count % PART == 0:
-        size = PART
+    s, count, weighted = given.reading.horizon, len(y) - given.reading.horizon, given.projection.weighted
+    margin = jnp.zeros_like(y[s:, 0])
+    if not weighted:
+        margin = projected_margin(given.projection, columns_of(given, u, y))
+    size = PART
+    if len(given.projection.inner) > SMALL:
+        size = PART // 4
+    if count % size:
+        size = count
 
     def search(own: jax.Array, u: jax.Array, y: jax.Array) -> jax.Array:
         return jnp.maximum(own, clipped_inside(given.projection, _rows(given, u, y)))
@@ -158,6 +164,8 @@ def _of_stretch(given: Given, u: jax.Array, y: jax.Array) -> jax.Array:
         samples = jax.tree.map(
             partial(jax.lax.dynamic_slice_in_dim, start_index=first, slice_size=size + s), (u, y)
         )
+        if weighted:
+            return search(own, *samples)
         many = jnp.sum(own <= 0) * FEWEST > size
         out: jax.Array = jax.lax.cond(many, search, _unchanged, own, *samples)
         return out
@@ -398,7 +406,9 @@ def easy_by(
     Args:
         windows: the test of those that are gathered. stretched: how stretches are read; None: as windows are.
     """
-    given = projection(relations, reading, dtype)
+    # where gains are fitted, nothing of a window's own is left in its radii
+    weighted = stretched is None and bool(np.any(reading.tolerance))
+    given = projection(relations, reading, dtype, weighted)
     if given is None:
         return None
     stretches = None
@@ -407,8 +417,10 @@ def easy_by(
     return Easy(stretches, windows(relations, dtype, given, reading))
 
 
-def projection(relations: LinearRelations, reading: Reading, dtype: DTypeLike) -> Projection | None:
-    """Return the projection of windows; None where there is none of use."""
+def projection(
+    relations: LinearRelations, reading: Reading, dtype: DTypeLike, weighted: bool
+) -> Projection | None:
+    """Return the projection of windows; None where there is none of use. weighted: see `projection_of`."""
     frame, model, horizon = relations.frame, relations.model, relations.horizon
     rows = reading.window.all
     if frame is None or not frame.inner:
@@ -430,7 +442,8 @@ def projection(relations: LinearRelations, reading: Reading, dtype: DTypeLike) -
     for values in reading.window.sums:
         if values.measured:
             spread, terms = max(spread, float(values.size)), max(terms, values.terms)
-    return projection_of(R, K, radius, outer.tolist(), inner, forced, horizon + 1, dtype, spread, terms)
+    numbers = outer.tolist(), inner
+    return projection_of(R, K, radius, *numbers, forced, horizon + 1, dtype, spread, terms, weighted)
 
 
 def _typical(reading: Reading, row: Row) -> float:

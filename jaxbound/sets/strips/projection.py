@@ -31,11 +31,14 @@ converges to an excess above 0, that is orthogonal to the columns of A, so h = W
 contradicts the window. There is nothing to factorise, no pivot, no gather; ANY d and ANY h that pass are
 proofs, as in `separation`.
 
+**Radii that differ from window to window**, as tolerances make them, need weights W of each window's own:
+then (A'WA)^-1 A'W is no fixed matrix, but a small system that each window factorises once (`weighted`).
+
 Everything is elementwise over N windows: the projection in lists of columns, which a compiler fuses into one
 loop, the search in arrays, of which many uses are made.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple, TypeAlias
 
@@ -46,6 +49,7 @@ from jax.typing import DTypeLike
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.unrolled import most, stored, summed, total
+from jaxbound.sets.strips.weighted import factored, solved
 
 __all__ = [
     "Columns",
@@ -72,6 +76,8 @@ OVER = 3.5
 """Factor on a step: few errors exceed their share, where a plain step is short."""
 AHEAD = 3
 """Steps of a search of contiguous windows."""
+SELDOM = 64
+"""Such a search ends where at most one window in so many is left."""
 STEPS = 5
 """Steps after which a window is left to the exchange search."""
 CLEAR = 2.0**14
@@ -115,7 +121,7 @@ class Projection:
     Fields: R (c, k), K (c, l); step (k, c + k), whose first c columns are P; speaks (c,): the diagonal of W
     for outer rows; forced: None where no input acts; projected, searched: (2,), on_rows and on_inputs of the
     error bound of e for d*, and of e and h z for any d within the radii and any h; floor: see above; outer
-    (c,), inner (k,): numbers of rows.
+    (c,), inner (k,): numbers of rows; weighted: whether windows have weights of their own.
     """
 
     R: np.ndarray
@@ -128,6 +134,7 @@ class Projection:
     floor: np.ndarray
     outer: tuple[int, ...] = field(metadata={"static": True})
     inner: tuple[int, ...] = field(metadata={"static": True})
+    weighted: bool = field(metadata={"static": True})
 
 
 class WindowColumns(NamedTuple):
@@ -231,8 +238,9 @@ def clipped_margin(given: Projection, rows: Rows) -> tuple[jax.Array, jax.Array]
     """
     R, c, radius = given.R, len(given.outer), rows.radius
     eps = jnp.finfo(radius.dtype).eps
-    z, d, weight = _begun(given, rows)
-    speaks, share = jnp.asarray(given.speaks)[:, None], stored(SHARE * radius)
+    weight, least = stored(1 / radius), _least_squares(given, rows)
+    z, d = _begun(given, rows, least)
+    share = stored(SHARE * radius)
     off = _off(given, given.searched, rows.scale, rows.known_size)
 
     def going(carry: Search) -> jax.Array:
@@ -241,8 +249,8 @@ def clipped_margin(given: Projection, rows: Rows) -> tuple[jax.Array, jax.Array]
     def move(carry: Search) -> Search:
         e = _errors(R, z, carry.d)
         explained = jnp.max(jnp.abs(e) * weight, 0) < 1 - 2 * CLEAR * eps
-        excess, change = _clipped(given, e, share)
-        h = stored(speaks * (excess[:c] - _product(R, change)))
+        excess, change = _clipped(least, e, share)
+        h = stored(least.weights[:c] * (excess[:c] - _product(R, change)))
         residual, width = _against(R, z, radius, h)
         reached = explained | (residual > (1 + 2 * CLEAR * eps) * width)
         d = jnp.where((carry.done | reached)[None], carry.d, carry.d + OVER * change)
@@ -262,47 +270,79 @@ def clipped_margin(given: Projection, rows: Rows) -> tuple[jax.Array, jax.Array]
 
 
 def clipped_inside(given: Projection, rows: Rows) -> jax.Array:
-    """Return the bound of `projected_margin` for the d that `AHEAD` clipped steps reach."""
-    R = given.R
-    z, d, weight = _begun(given, rows)
+    """Return the bound of `projected_margin` for the d that at most `AHEAD` clipped steps reach: none where
+    that of least squares explains nearly all.
+    """
+    R, weight, least = given.R, stored(1 / rows.radius), _least_squares(given, rows)
+    z, d = _begun(given, rows, least)
     share = stored(SHARE * rows.radius)
 
-    def move(_: int, d: jax.Array) -> jax.Array:
-        return stored(d + OVER * _clipped(given, _errors(R, z, d), share)[1])
+    def use(d: jax.Array) -> jax.Array:
+        return jnp.max(jnp.abs(_errors(R, z, d)) * weight, 0)
 
-    d = jax.lax.fori_loop(0, AHEAD, move, d)
-    used = jnp.max(jnp.abs(_errors(R, z, d)) * weight, 0)
+    def going(carry: tuple[jax.Array, jax.Array]) -> jax.Array:
+        d, steps = carry
+        return (steps < AHEAD) & (jnp.sum(~(use(d) < 1)) * SELDOM > d.shape[1])
+
+    def move(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        d, steps = carry
+        return stored(d + OVER * _clipped(least, _errors(R, z, d), share)[1]), steps + 1
+
+    d, _ = jax.lax.while_loop(going, move, (d, jnp.zeros((), jnp.int32)))
+    used = use(d)
     off = _off(given, given.searched, rows.scale, rows.known_size)
     return _explained(used, off * rows.heaviest, summed(jnp.abs, d))
 
 
-def _begun(given: Projection, rows: Rows) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return z (c, N), the d (k, N) of least squares, weight (c + k, N)."""
+class LeastSquares(NamedTuple):
+    """The weights of least squares, (c + k, N) or of all windows (c + k, 1), and what maps errors (c + k, N)
+    to the d (k, N) that fit them best.
+    """
+
+    weights: jax.Array
+    fitting: Callable[[jax.Array], jax.Array]
+
+
+def _least_squares(given: Projection, rows: Rows) -> LeastSquares:
+    """Return the LeastSquares of windows: by one matrix, or with weights of their own."""
+    if not given.weighted:
+        weights = jnp.asarray(given.speaks)[:, None]
+        return LeastSquares(weights, lambda x: stored(_product(given.step[:, : len(x)], x)))
+    A = jnp.concatenate([given.R, jnp.eye(len(given.inner), dtype=given.R.dtype)])
+    radius = rows.radius
+    own = jnp.square(jnp.min(radius, 0) / radius)
+    weights = stored(jnp.maximum(own, jnp.finfo(radius.dtype).eps ** 0.75))
+    factor = factored(A, weights)
+
+    def fitting(x: jax.Array) -> jax.Array:
+        weighted = stored(weights[: len(x)] * x)
+        return solved(factor, _product(A.T[:, : len(x)], weighted))
+
+    return LeastSquares(weights, fitting)
+
+
+def _begun(given: Projection, rows: Rows, least: LeastSquares) -> tuple[jax.Array, jax.Array]:
+    """Return z (c, N) and the d (k, N) of least squares."""
     z = stored(_relations(given, rows.mid, rows.known))
-    return z, stored(_fitting(given, z)), stored(1 / rows.radius)
+    return z, least.fitting(z)
 
 
-def _clipped(given: Projection, e: jax.Array, share: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return (the excess (c + k, N) of errors beyond a share of the radii, its projection (k, N))."""
+def _clipped(least: LeastSquares, e: jax.Array, share: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return (the excess (c + k, N) of errors beyond a share of the radii, the d (k, N) that fits it)."""
     excess = stored(e - jnp.clip(e, -share, share))
-    return excess, stored(_product(given.step, excess))
+    return excess, least.fitting(excess)
 
 
 def least_errors(given: Projection, mid: jax.Array, known: jax.Array) -> jax.Array:
     """Return the errors (c + k, N) of the d of least squares, linear in mid and known: as of `Rows`."""
     z = _relations(given, mid, known)
-    return _errors(given.R, z, _fitting(given, z))
+    return _errors(given.R, z, _product(given.step[:, : len(z)], z))
 
 
 def _relations(given: Projection, mid: jax.Array, known: jax.Array) -> jax.Array:
     """Return z (c, N) of rows."""
     c = len(given.outer)
     return mid[:c] - _product(given.R, mid[c:]) - _product(given.K, known)
-
-
-def _fitting(given: Projection, z: jax.Array) -> jax.Array:
-    """Return the d (k, N) of least squares."""
-    return _product(given.step[:, : len(given.outer)], z)
 
 
 def _errors(R: np.ndarray, z: jax.Array, d: jax.Array) -> jax.Array:
@@ -345,13 +385,15 @@ def projection_of(
     dtype: DTypeLike,
     spread: float = 1.0,
     terms: int = 1,
+    weighted: bool = False,
 ) -> Projection | None:
     """Return the Projection of a frame; None where no bound on its rounding is of use.
 
     Args:
         R: (c, k), K (c, l): nearest to the exact ones. radius: (c + k,) >= 0, typical ones, outer rows first.
             outer, inner: numbers of rows. forced: f. samples: of a window. spread, terms: of the largest sum
-            in a row, the sum of |weights|, and how many these are.
+            in a row, the sum of |weights|, and how many these are. weighted: whether windows have weights of
+            their own.
 
     Encloses: with u the unit roundoff and g(n) = SAFE n u, which bounds what a sum of n - 4 products loses
     (Higham 2002, lemma 3.1; 4 for a rounded coefficient and for what its factors lack):
@@ -421,6 +463,7 @@ def projection_of(
         np.asarray(floor, dtype),
         tuple(outer),
         tuple(inner),
+        weighted,
     )
 
 
