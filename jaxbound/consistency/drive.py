@@ -47,6 +47,9 @@ CORES = os.cpu_count() or 1
 AHEAD = 3  # groups of blocks that are under way at once
 AGAIN = 2**12  # windows that are evaluated in NumPy at once, where there are as many
 SMALL = 2**10  # arrays below this are not worth an alignment
+TOGETHER = 2**15  # windows of which the first ones say whether easy ones are among them
+ASKED = 2**11  # so many of these
+FEWEST = 8  # where not one in so many of them is easy, no other is asked
 EASY = 0.5  # the progress that goes to easy windows
 ALIGNMENT = 64  # bytes, at which XLA adopts an array of the host
 
@@ -351,8 +354,18 @@ def _past_easy(
         for out, values in zip(outs, found, strict=True):
             out[ends] = values[ends]
         ends = ends[~(found[0][ends] > 0)]
-    gathering = _Gathering(windows, u, y, outs, min(own, windows.block), _part(report, 0.5, 0.5))
-    return gathering.judge_all(ends - s) + s
+    left, total = [NOWHERE], len(ends)
+    for first in range(0, total, TOGETHER):
+        part = ends[first : first + TOGETHER]
+        done = _part(report, 0.5 + 0.5 * first / total, 0.5 * len(part) / total)
+        gathering = _Gathering(windows, u, y, outs, min(own, windows.block), done)
+        some = gathering.judge_all(part[:ASKED] - s) + s
+        left.append(some)
+        rest = part[ASKED:]
+        if len(some) * FEWEST <= len(part[:ASKED]) * (FEWEST - 1):
+            rest = gathering.judge_all(rest - s) + s
+        left.append(rest)
+    return np.concatenate(left)
 
 
 def _part(report: Progress, before: float, share: float) -> Progress:

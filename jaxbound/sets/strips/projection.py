@@ -310,7 +310,7 @@ def _least_squares(given: Projection, rows: Rows) -> LeastSquares:
         return LeastSquares(weights, lambda x: stored(_product(given.step[:, : len(x)], x)))
     A = jnp.concatenate([given.R, jnp.eye(len(given.inner), dtype=given.R.dtype)])
     radius = rows.radius
-    own = jnp.square(jnp.min(radius, 0) / radius)
+    own = jnp.square(jnp.min(radius, 0)[None] / radius)
     weights = stored(jnp.maximum(own, jnp.finfo(radius.dtype).eps ** 0.75))
     factor = factored(A, weights)
 
