@@ -62,6 +62,9 @@ def charts(
         whole, x, clock = _whole(res, cast(Recording, recording), signals)
         samples = len(res.status)
 
+    about = "the tightest window"
+    if isinstance(res, Digest) and res.bounded:  # another one may be tighter
+        about = "the window with the lowest bound"
     near = _stretches(res, x, signals, alarms, chosen, why, worst)
     first = chosen[0] if chosen else -1
     shown = near[0].piece
@@ -77,7 +80,7 @@ def charts(
         near=[stretch.plain() for stretch in near],
         begin=float(shown.x[0]),
         end=float(shown.x[-1]),
-        about="the tightest window",
+        about=about,
         alarms=[[i, *at] for i, at in zip(sorted(chosen), times, strict=True)],
         alarm=first,
     )

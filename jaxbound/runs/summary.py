@@ -14,7 +14,7 @@ from jaxbound.diagnosis.hints import unfit
 from jaxbound.diagnosis.result import Result
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
-from jaxbound.text.quantities import percent, times
+from jaxbound.text.quantities import most_percent, percent, times
 
 __all__ = [
     "CODES",
@@ -409,8 +409,7 @@ def _healthy(found: Evidence, label: Label) -> str:
         every = f"all {count} windows"
     used = ""
     if found.at is not None and np.isfinite(found.margin):
-        most = ""
-        if found.bounded:
-            most = "at most "
-        used = f"; the tightest, at {label(found.at)}, uses {most}{percent(1 - found.margin)} of them"
+        used = f"; the tightest, at {label(found.at)}, uses {percent(1 - found.margin)} of them"
+        if found.bounded:  # another window may be the tightest
+            used = f"; none uses more than {most_percent(1 - found.margin)} of them"
     return f"No fault found: the model explains {every} within its bounds{used}."
