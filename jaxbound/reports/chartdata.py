@@ -34,7 +34,7 @@ NEAR = 60  # stretches around alarms
 SPAN, ASIDE = 160, 10  # samples of a stretch, and how close to its ends an alarm may be
 BANDS = 50_000  # samples up to which windows say of every reading what they expect
 PATIENCE = 1.0  # seconds to read such stretches of a recording that is not in memory
-COMBINED = "violated combination, in what its bounds allow"
+COMBINED = "combination of relations, in what its bounds allow"
 TITLE = 120  # characters of a relation
 
 
