@@ -389,6 +389,14 @@ def _too_little(found: Evidence, share: float, deed: str, least: float) -> str:
     return f"Too little evidence: only {some} {deed}, at least {percent(least)} are asked for."
 
 
+def _most_used(margin: float) -> str:
+    """Return what a bound on the smallest margin says of all windows; nothing where it says nothing."""
+    most = most_percent(1 - margin)
+    if most == most_percent(1):
+        return ""
+    return f"; none uses more than {most} of them"
+
+
 def _healthy(found: Evidence, label: Label) -> str:
     """Return the sentence on a recording without a fault."""
     tested = round(found.tested * found.windows)
@@ -411,5 +419,5 @@ def _healthy(found: Evidence, label: Label) -> str:
     if found.at is not None and np.isfinite(found.margin):
         used = f"; the tightest, at {label(found.at)}, uses {percent(1 - found.margin)} of them"
         if found.bounded:  # another window may be the tightest
-            used = f"; none uses more than {most_percent(1 - found.margin)} of them"
+            used = _most_used(found.margin)
     return f"No fault found: the model explains {every} within its bounds{used}."
