@@ -11,6 +11,7 @@ Source: McCormick 1976 (envelopes); Neumaier 1990, 4.1 (preconditioned enclosure
 """
 
 import highspy
+import linear_programs
 import numpy as np
 
 CLOSE = 1e-9
@@ -88,16 +89,9 @@ class Oracle:
         columns, rows = np.nonzero(whole.T)
         lp.a_matrix_.start_, lp.a_matrix_.index_ = np.searchsorted(columns, np.arange(lp.num_col_ + 1)), rows
         lp.a_matrix_.value_ = whole[rows, columns]
-        self.solver = highspy.Highs()
-        options = dict(
-            output_flag=False,
-            presolve="off",
-            threads=1,
-            primal_feasibility_tolerance=1e-10,
-            small_matrix_value=1e-12,
+        self.solver = linear_programs.solver(
+            presolve="off", primal_feasibility_tolerance=1e-10, small_matrix_value=1e-12
         )
-        for name, value in options.items():
-            assert self.solver.setOptionValue(name, value) == highspy.HighsStatus.kOk, name
         assert self.solver.passModel(lp) == highspy.HighsStatus.kOk
 
     def decide(self, u, y, most=4000):

@@ -13,6 +13,7 @@ from math import lcm
 
 import flint
 import highspy
+import linear_programs
 import numpy as np
 
 MODELS = {
@@ -372,18 +373,14 @@ class Program:
         lp.a_matrix_.start_ = np.arange(0, rows * columns + 1, columns)
         lp.a_matrix_.index_ = np.tile(np.arange(columns), rows)
         lp.a_matrix_.value_ = M.ravel()
-        self.rows, self.solver = np.arange(rows, dtype=np.int32), highspy.Highs()
-        options = dict(
-            output_flag=False,
+        self.rows = np.arange(rows, dtype=np.int32)
+        self.solver = linear_programs.solver(
             presolve="off",
             solver="simplex",
-            threads=1,
             simplex_scale_strategy=0,
             primal_feasibility_tolerance=1e-10,
             dual_feasibility_tolerance=1e-10,
         )
-        for name, value in options.items():
-            assert self.solver.setOptionValue(name, value) == highspy.HighsStatus.kOk, name
         self.solver.passModel(lp)
 
     def solve(self, lower, upper):
@@ -391,15 +388,7 @@ class Program:
         out = np.empty(len(lower))
         for i, (a, b) in enumerate(zip(lower, upper, strict=True)):
             self.solver.changeRowsBounds(len(self.rows), self.rows, a, b)
-            self.solver.run()
-            if (
-                self.solver.getModelStatus() != highspy.HighsModelStatus.kOptimal
-            ):  # a basis of another case can lead it astray
-                self.solver.clearSolver()
-                self.solver.run()
-            assert self.solver.getModelStatus() == highspy.HighsModelStatus.kOptimal, (
-                self.solver.getModelStatus()
-            )
+            assert linear_programs.is_feasible(self.solver)
             out[i] = self.solver.getObjectiveValue()
         return out
 

@@ -2,6 +2,7 @@
 
 import highspy
 import jax
+import linear_programs
 import numpy as np
 import pytest
 from ploix_experiment import in_fault, record
@@ -145,8 +146,7 @@ class Program:
         self.H = response(B, D)
         self.H_b = response(np.array(plant[1]["B"]), 0 * D)
         self.H_d = np.array(plant[2]["D"])
-        self.solver = highspy.Highs()
-        self.solver.setOptionValue("output_flag", False)
+        self.solver = linear_programs.solver()
 
     def slack(self, u, y):
         """Return the factor on the noise alone at which (u (s + 1,), y (s + 1, p)) just becomes consistent;
@@ -184,7 +184,7 @@ class Program:
         )
         lp.a_matrix_.value_ = whole.T.ravel()
         self.solver.passModel(lp)
-        self.solver.run()
+        assert linear_programs.is_feasible(self.solver)
         return self.solver.getInfo().objective_function_value
 
 
