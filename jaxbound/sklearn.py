@@ -123,7 +123,7 @@ class Detector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-lea
         self.offset_ = 0.0
         return self
 
-    def detect(self, X: Any, margins: str = "bounds") -> Result:
+    def detect(self, X: Any, margins: str = "auto") -> Result:
         """Return the Result of `jaxbound.detect` for rows X (T, columns), with certificates and alarms.
 
         Args:

@@ -12,7 +12,7 @@ from typing import Any
 from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.terminal import OK, door, progress_bars, show, usable_device, write
 from jaxbound.cli.window import window_relations
-from jaxbound.consistency.interface import BOUNDS
+from jaxbound.consistency.interface import AUTO
 from jaxbound.models.modelfile import load_model
 from jaxbound.recordings.parquet import PARTIAL
 from jaxbound.recordings.read import open_source
@@ -135,6 +135,6 @@ def same_test(
             words += [flag, value]
     if options.latched:
         words.append("--latched")
-    if options.margins != BOUNDS:
+    if options.margins != AUTO:
         words += ["--margins", options.margins]
     return shlex.join(map(str, (*words, *more)))

@@ -47,6 +47,7 @@ from jaxbound.sets.strips import separation
 __all__ = [
     "PATIENCE",
     "ExchangeTest",
+    "KeptFrames",
     "Settings",
     "candidates",
     "exchange_margins",
@@ -103,11 +104,11 @@ class ExchangeTest(LinearTest):
         reading: Reading | None = None,
         steps: int | None = None,
         finer: float = 1.0,
-        frames: "_Frames | None" = None,
+        frames: "KeptFrames | None" = None,
     ) -> None:
         super().__init__(relations, "joint", dtype)
         self.finer = finer
-        self.frames = _Frames(self.exact_frame) if frames is None else frames
+        self.frames = KeptFrames(self.exact_frame) if frames is None else frames
         if reading is not None:
             self.reading = reading
         self.steps = 2 * len(self.exact_frame.inner) + 6 if steps is None else steps
@@ -335,12 +336,15 @@ class _Made:
     )
 
 
-class _Frames:
+class KeptFrames:
     """Frames for windows that lack samples, made when they are first asked for, and kept: in fractions they
     take some milliseconds.
 
     Fields: made: the frames, those used last first; the whole one among them. inner, needed: numbers of its
     inner rows, and of the inputs that it uses.
+
+    Args:
+        whole: the frame of windows that lack nothing.
     """
 
     def __init__(self, whole: ExactFrame) -> None:

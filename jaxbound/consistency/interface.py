@@ -61,16 +61,17 @@ __all__ = [
     "family",
     "refuse_options",
     "relations_of",
+    "margins_for",
     "window_count",
     "with_margins",
 ]
 
 METHODS = ("joint", "box", "paving", "linearized")
 OBSERVER = "observer"
-MARGINS = BOUNDS, EXACT = "bounds", "exact"
-MANY = 2**14
+MARGINS = AUTO, BOUNDS, EXACT = "auto", "bounds", "exact"
+"""What margins of windows may be, see `detect`; those of a Result are one of the last two."""
+MANY = 2**17
 """Windows from which on easy ones pay for compiling what settles them."""
-"""What margins of windows may be: see `detect`."""
 
 Array: TypeAlias = np.ndarray | jax.Array
 Bounds: TypeAlias = Mapping[str, Array]
@@ -404,18 +405,12 @@ class WindowTest:
         """The tests that can settle easy windows before this one is asked; None: none."""
         return None
 
-    def easy_of(self, windows: int) -> "Easy | None":
-        """Return the tests that settle easy windows of so many; None: none, every window is searched."""
-        if windows < MANY:
-            return None
-        return self.easy
-
-    def margins_of(self, windows: int) -> str:
-        """Return which of `MARGINS` so many windows have: "exact", or "bounds" where easy ones are settled
-        before their margins are known. Those of CONSISTENT windows are then not above the exact ones, those
-        of FAULT not below.
+    @property
+    def margins_are(self) -> str:
+        """One of `MARGINS`: "exact", or "bounds" where easy windows are settled before their margins are
+        known. Margins of CONSISTENT windows are then not above the exact ones, those of FAULT not below.
         """
-        if self.easy_of(windows) is None:
+        if self.easy is None:
             return EXACT
         return BOUNDS
 
@@ -539,15 +534,26 @@ def window_count(shape: tuple[int, ...], horizon: int) -> int:
     return math.prod(lead) * max(length - horizon, 0)
 
 
-def with_margins(test: "WindowTest | Observer[Any]", margins: str) -> "WindowTest | Observer[Any]":
-    """Return a test whose margins are those that are asked for, one of `MARGINS`.
+def margins_for(margins: str, windows: int) -> str:
+    """Return the margins that are meant, "bounds" or "exact": by "auto", of so many windows.
 
     Raises:
-        ValueError: they are none of these.
+        ValueError: they are none of `MARGINS`.
     """
     if margins not in MARGINS:
         raise ValueError(f"margins must be one of {', '.join(MARGINS)}, not {margins!r}")
-    if margins == EXACT:
+    if margins != AUTO:
+        return margins
+    if windows < MANY:
+        return EXACT
+    return BOUNDS
+
+
+def with_margins(
+    test: "WindowTest | Observer[Any]", margins: str, windows: int
+) -> "WindowTest | Observer[Any]":
+    """Return a test of so many windows whose margins are those that are meant, see `margins_for`."""
+    if margins_for(margins, windows) == EXACT:
         return test.measured()
     return test
 
@@ -622,8 +628,9 @@ class Observer(Relations, Generic[Carry]):
         """This observer: a Result asks it for relations."""
         return self
 
-    def margins_of(self, windows: int) -> str:
-        """Return "exact", of `MARGINS`: which margins an observer has."""
+    @property
+    def margins_are(self) -> str:
+        """One of `MARGINS`: those of an observer are exact."""
         return EXACT
 
     def measured(self) -> Self:

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxbound.consistency.drive import drive
 from jaxbound.consistency.interface import (
-    BOUNDS,
+    AUTO,
     Budget,
     Compensation,
     Relations,
@@ -37,7 +37,7 @@ def detect(
     progress: Callable[[float], object] | None = None,
     starts: Starts = (),
     compensation: Compensation = 0.0,
-    margins: str = BOUNDS,
+    margins: str = AUTO,
 ) -> Result:
     """Decide for every window whether any behaviour inside the bounds explains it.
 
@@ -64,10 +64,10 @@ def detect(
             disorder or of another period refused, as of a file.
         compensation: for "linearized", what each relation may be off by for the terms that it neglects, one
             number or one a relation.
-        margins: "bounds": of 16 384 windows and more that are decided by a search, one that a projection
-            settles keeps the bound on its margin that this proves, at a tenth of the work; "exact": every
-            window is searched. .margins says which a Result has; .alarms(), .worst, .explain and reports have
-            exact ones of what they show.
+        margins: "exact": where windows are decided by a search, each is searched for its margin; "bounds":
+            one that a projection settles keeps the bound on its margin that this proves, at a tenth of the
+            work, but with more to compile; "auto": bounds of 131 072 windows and more. .margins says which a
+            Result has; .alarms(), .worst, .explain and reports have exact ones of what they show.
 
     Returns:
         A Result: .status (..., T) int8 (`Status`), .margin (..., T); entry k belongs to the window that ends
@@ -104,7 +104,8 @@ def detect(
     named, recording = relations.recording(u, y, starts)
     refuse_unusable()
     recording = replace(recording, u=np.asarray(recording.u), y=np.asarray(recording.y))
-    test = with_margins(named.test(method, recording.y.dtype, budget, compensation), margins)
+    test = named.test(method, recording.y.dtype, budget, compensation)
+    test = with_margins(test, margins, window_count(recording.y.shape[:-1], test.horizon))
     judged = drive(test, recording, progress)
     if (judged.status == Status.UNDECIDED).any():  # an infinite sample cannot come out as anything else
         recording.finite()
@@ -113,7 +114,7 @@ def detect(
         recorded = recording.hints
     about = test.method, test.relations, recording.u, recording.y, recording.index, starts
     aside, device = recording.aside(test.horizon), judging_device(named.remembers)
-    kind = test.margins_of(window_count(recording.y.shape[:-1], test.horizon))
+    kind = test.margins_are
     return result_of(relations, judged, *about, aside=aside, recorded=recorded, device=device, margins=kind)
 
 

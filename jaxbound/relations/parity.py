@@ -25,7 +25,7 @@ import numpy as np
 from jax.typing import ArrayLike, DTypeLike
 
 from jaxbound.consistency.constant import ConstantTest
-from jaxbound.consistency.exchange import ExchangeTest
+from jaxbound.consistency.exchange import ExchangeTest, KeptFrames
 from jaxbound.consistency.gains import GainsTest
 from jaxbound.consistency.gridding import PavingTest
 from jaxbound.consistency.interface import (
@@ -163,6 +163,11 @@ class ParityRelation(LinearRelations):
     def _frames(self) -> dict[np.dtype, Frame]:
         return {}
 
+    @cached_property
+    def _frames_without_samples(self) -> KeptFrames:
+        assert self.frame is not None
+        return KeptFrames(self.frame)
+
     def _rounded_frame(self, dtype: DTypeLike) -> Frame:
         """Return the frame in floats, rounded once for each type."""
         assert self.frame is not None
@@ -199,7 +204,8 @@ class ParityRelation(LinearRelations):
             return PavingTest(self, dtype, budget)
         constant = self.model.constant_tolerance
         if method == "joint" and self.frame is not None:
-            return GainsTest(self, dtype) if constant else ExchangeTest(self, dtype)
+            kind = GainsTest if constant else ExchangeTest
+            return kind(self, dtype, frames=self._frames_without_samples)
         return ConstantTest(self, method, dtype) if constant else StripsTest(self, method, dtype)
 
     def recording(self, u: object, y: object = None, starts: Starts = ()) -> tuple[Self, Recording]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
-from jaxbound.consistency.interface import BOUNDS, EXACT, Relations, with_margins
+from jaxbound.consistency.interface import AUTO, BOUNDS, EXACT, Relations, with_margins
 from jaxbound.diagnosis.alarms import Alarm, check_rule
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import bound_hints, unfit
@@ -191,7 +191,7 @@ def detect_dataset(
     merge: bool = False,
     client: "Client | None" = None,
     overlap: int | None = None,
-    margins: str = BOUNDS,
+    margins: str = AUTO,
 ) -> "Digest | list[Path]":
     """Test a Parquet recording of any size and write its verdicts as Parquet.
 
@@ -286,7 +286,7 @@ def digest(
     alarms_csv: Path | None = None,
     progress: Report | None = None,
     also: Sequence[Sink] = (),
-    margins: str = BOUNDS,
+    margins: str = AUTO,
 ) -> Digest:
     """Read the verdicts of a ParquetSource once.
 
@@ -317,6 +317,8 @@ def digest(
     if event is not None:
         worst = event.sample, event.margin
         times[event.sample] = float(event.when)
+    test = relations.test(method, source.dtype)
+    test = with_margins(test, margins, source.samples - relations.horizon)
     digested = Digest(
         relations,
         method,
@@ -331,9 +333,7 @@ def digest(
         times,
         ended=book.ended,
         signals=read_extremes(part_files(folder), source.samples),
-        margins=with_margins(relations.test(method, source.dtype), margins).margins_of(
-            source.samples - relations.horizon
-        ),
+        margins=test.margins_are,
     )
     sentence = irregular(ticking.clock, digested.label, source.row)
     if sentence:

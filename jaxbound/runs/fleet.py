@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from jaxbound.consistency.interface import BOUNDS, Observer, Relations
+from jaxbound.consistency.interface import AUTO, Observer, Relations, margins_for
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import outgrown
@@ -238,7 +238,7 @@ def detect_fleet(
     options: Mapping[str, Any] | None = None,
     client: "Client | None" = None,
     state: str | PathLike[str] | None = None,
-    margins: str = BOUNDS,
+    margins: str = AUTO,
 ) -> Iterator[UnitResult]:
     """Test every unit; yield its UnitResult in the order of the units, each as soon as it is there.
 
@@ -275,7 +275,7 @@ def detect_fleet(
         yield from _test_by_workers(client, _FleetJob(same), units, progress)
         return
     report = progress or (lambda share: None)
-    how = _How(method, horizon, lags, options, state, alarm, min_coverage, margins)
+    how = _How(method, horizon, lags, options, state, alarm, min_coverage, margins, len(units))
     results, done = _Collected(page), 0
     try:
         for _ in follow(_read_groups(units, how), partial(_tested, how=how), [results]):
@@ -299,6 +299,7 @@ class _How(NamedTuple):
     alarm: tuple[int, int]
     min_coverage: float
     margins: str
+    units: int
 
     @property
     def ahead(self) -> int:
@@ -488,7 +489,8 @@ def _judge_unit(
     elif data.kept is not None and isinstance(relations, Observer):
         res, carry = followed(relations, data.joined)
     else:
-        res, carry = detect(relations, recording, method=how.method, margins=how.margins), None
+        margins = margins_for(how.margins, how.units * recording.samples)
+        res, carry = detect(relations, recording, method=how.method, margins=margins), None
     if data.kept is not None:
         data.kept.save(recording, carry)
     alarms = res.alarms(*how.alarm)

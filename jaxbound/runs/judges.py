@@ -8,7 +8,7 @@ from typing import Generic, TypeVar
 import jax
 import numpy as np
 
-from jaxbound.consistency.interface import BOUNDS, Judged, Observer, Relations
+from jaxbound.consistency.interface import AUTO, Judged, Observer, Relations
 from jaxbound.consistency.monitor import Monitor
 from jaxbound.consistency.searched import NOT_REFUTED, judging_device
 from jaxbound.diagnosis.detection import detect
@@ -41,7 +41,7 @@ class Windows:
     """
 
     def __init__(
-        self, relations: Relations, method: str, samples: int, done: int, laps: Laps, margins: str = BOUNDS
+        self, relations: Relations, method: str, samples: int, done: int, laps: Laps, margins: str = AUTO
     ) -> None:
         self.relations, self.method, self.samples, self.done = relations, method, samples, done
         self.margins = margins

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxbound.consistency.interface import BOUNDS, Observer, Relations, with_margins
+from jaxbound.consistency.interface import AUTO, Observer, Relations, margins_for, with_margins
 from jaxbound.files.checkpoint import from_texts
 from jaxbound.models.fingerprint import fingerprint
 from jaxbound.recordings.contents import Digests
@@ -64,7 +64,7 @@ def write_parts(
     part: tuple[int, int] | None = None,
     client: "Client | None" = None,
     overlap: int | None = None,
-    margins: str = BOUNDS,
+    margins: str = AUTO,
 ) -> tuple[Path, dict[str, float]]:
     """Test a ParquetSource and write the parts that are missing in the folder `verdicts.partial` of `out`.
 
@@ -135,7 +135,7 @@ def all_parts(
     out: str | PathLike[str],
     method: str = "joint",
     overlap: int | None = None,
-    margins: str = BOUNDS,
+    margins: str = AUTO,
 ) -> Path:
     """Return the folder of the parts that `write_parts` made of the same.
 
@@ -204,7 +204,7 @@ class _Judging:
     size: int
     common: dict[str, str]
     overlap: int | None = None
-    margins: str = BOUNDS
+    margins: str = AUTO
     chain: list[str] = field(default_factory=list)
 
     @property
@@ -294,7 +294,7 @@ def _job_of(
     part: tuple[int, int] | None = None,
     chunk: int = CHUNK,
     overlap: int | None = None,
-    margins: str = BOUNDS,
+    margins: str = AUTO,
 ) -> tuple[Path, _Judging]:
     """Return (folder for the parts, _Judging that makes them); refuse parts of another run, or not ours.
 
@@ -302,14 +302,15 @@ def _job_of(
     and not all of the recording.
     """
     # refuses what these relations cannot be tested by
-    test = with_margins(relations.test(method, source.dtype), margins)
+    windows = source.samples - relations.horizon
+    test = with_margins(relations.test(method, source.dtype), margins, windows)
     begins = _begins(relations, part, overlap)
     if source.samples <= relations.horizon:
         raise ValueError(
             f"{source.path}: the recording has {source.samples} samples, one window needs "
             f"{relations.horizon + 1}"
         )
-    also: dict[str, str | int] = {"margins": test.margins_of(source.samples - relations.horizon)}
+    also: dict[str, str | int] = {"margins": test.margins_are}
     if relations.remembers:
         also["overlap"] = begins if begins is not None else "none"
     folder = out / PARTIAL
@@ -317,7 +318,9 @@ def _job_of(
         raise ValueError(f"{folder} is a file: move it, or choose another folder")
     common = identity(relations, method=method, recording=fingerprint(source.layout), **also)
     chunk = max(chunk, LEAST, relations.horizon + 1, (begins or 0) + 1)
-    job = _Judging(relations, source, folder, method, chunk, PART, common, begins, margins)
+    job = _Judging(
+        relations, source, folder, method, chunk, PART, common, begins, margins_for(margins, windows)
+    )
     mine = numbers_of(part or (1, 1), part_count(source))
     for file in part_files(folder):
         number = part_number(file)

@@ -390,7 +390,7 @@ def _too_little(found: Evidence, share: float, deed: str, least: float) -> str:
 
 
 def _most_used(margin: float) -> str:
-    """Return what a bound on the smallest margin says of all windows; nothing where it says nothing."""
+    """Return the end of a sentence, by a bound on the smallest margin; nothing where it says nothing."""
     most = most_percent(1 - margin)
     if most == most_percent(1):
         return ""

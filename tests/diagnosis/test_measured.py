@@ -138,5 +138,5 @@ def test_results_say_which_margins_they_have():
     one = jb.detect(known, u, y)
     assert one.to_pandas().attrs == {"margins": "bounds"}
     assert jb.detect(known, u[:12], y[:12]).worst is None  # no window is complete
-    with pytest.raises(ValueError, match="margins must be one of bounds, exact, not 'all'"):
+    with pytest.raises(ValueError, match="margins must be one of auto, bounds, exact, not 'all'"):
         jb.detect(short, u, y, margins="all")

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from jaxbound.consistency.devices import everywhere, on_devices
 from jaxbound.consistency.exchange import ExchangeTest
-from jaxbound.consistency.interface import LinearRelations, Relations, relations_of
+from jaxbound.consistency.interface import AUTO, LinearRelations, Relations, margins_for, relations_of
 from jaxbound.consistency.strips import StripsTest
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.conversion import ModelLike, as_model
@@ -159,7 +159,8 @@ def study(
     words = [np.asarray(_words(key, i)) for i in range(len(trials))]
     room = _largest_room(model, relations, trials, highest, samples, dtype)
     course = kernel.Course(samples, hold, at == "vertices")
-    setup = _Setup(model, relations, course, at, method, room, u, limits, dtype)
+    margins = margins_for(AUTO, n * samples)
+    setup = _Setup(model, relations, course, at, method, room, u, limits, dtype, margins)
     run, block = _engine(setup)
     settings: dict[str, object] = {
         "method": method,
@@ -214,6 +215,7 @@ class _Setup:
     u: np.ndarray | None
     limits: np.ndarray
     dtype: np.dtype
+    margins: str
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -384,9 +386,16 @@ def _attacking(setup: _Setup, plant: FloatPlant) -> Engine:
     def attacked(act: Act, key: np.ndarray, numbers: np.ndarray) -> Counts:
         found = adversary.attack_block(setup.course, test, plant, act, setup.limits, setup.u, key, numbers)
         u, y, onset = (np.asarray(x) for x in found)
-        return *records.count_recordings(setup.relations, act, u, y, onset, setup.method), onset
+        return *_counted(setup, act, u, y, onset), onset
 
     return attacked
+
+
+def _counted(
+    setup: _Setup, act: Act, u: np.ndarray, y: np.ndarray, onset: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return (hits, false, delay) of recordings, by `detect`."""
+    return records.count_recordings(setup.relations, act, u, y, onset, setup.method, setup.margins)
 
 
 def _counting(setup: _Setup, plant: FloatPlant, devices: tuple[jax.Device, ...]) -> Engine:
@@ -414,7 +423,7 @@ def _writing(setup: _Setup, plant: FloatPlant | None) -> Engine:
         else:
             found = kernel.replay_block(setup.course, plant, act, setup.limits, setup.u, key, numbers)
             u, y, onset = (np.asarray(x) for x in found)
-        return *records.count_recordings(setup.relations, act, u, y, onset, setup.method), onset
+        return *_counted(setup, act, u, y, onset), onset
 
     return written
 

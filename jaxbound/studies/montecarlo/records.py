@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.interface import Relations
+from jaxbound.consistency.interface import AUTO, Relations
 from jaxbound.diagnosis.detection import detect
 from jaxbound.models.simulate import simulate
 from jaxbound.models.system import LinearSystem
@@ -31,12 +31,13 @@ def count_recordings(
     y: np.ndarray,
     onset: np.ndarray,
     method: str = "joint",
+    margins: str = AUTO,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return (hits, false, delay) as `kernel.count_block` does, of recordings u (N, T, m), y (N, T, p) with
-    onsets (N,).
+    onsets (N,). margins: as of `detect`.
     """
     s, end = relations.horizon, np.arange(y.shape[1])[None]
-    fault = detect(relations, u, y, method).status == Status.FAULT
+    fault = detect(relations, u, y, method, margins=margins).status == Status.FAULT
     start, length = np.asarray(onset)[:, None], int(act.length)
     touched = (end >= start) & (end - s < start + length)
     if relations.remembers:  # each sample behind the onset rests on faulty ones
