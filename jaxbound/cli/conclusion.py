@@ -11,7 +11,7 @@ import numpy as np
 from jaxbound.cli.evaluation import Evaluation
 from jaxbound.cli.terminal import show, write
 from jaxbound.runs.summary import OUTSIDE, Evidence, Summary, Window
-from jaxbound.text.quantities import percent, times
+from jaxbound.text.quantities import most_percent, percent, times
 
 __all__ = ["conclude"]
 
@@ -80,7 +80,7 @@ def _alarms_row(summary: Summary, evidence: Evidence, explain: str) -> tuple[str
 
 def _worst_row(summary: Summary, evidence: Evidence) -> tuple[str, str]:
     """Return the window that comes nearest to a fault, or is the farthest in it."""
-    margin, least = summary.margin, ""
+    margin = summary.margin
     is_outside = margin < 0
     if evidence.remembers:
         name = "worst"
@@ -91,6 +91,7 @@ def _worst_row(summary: Summary, evidence: Evidence) -> tuple[str, str]:
         name, use = "worst window", f"bounds needed: {times(1 - margin)} the stated ones"
     else:
         name, use = "tightest", f"{percent(1 - margin)} of the bounds are used"
-    if evidence.bounded:
-        least, use = "at least ", f"at most {use}"
-    return name, f"{cast(Window, summary.worst).time}: margin {least}{margin:.3g}, {use}"
+    if evidence.bounded:  # another window may be the tightest
+        use = f"at most {most_percent(1 - margin)} of the bounds are used"
+        return name, f"margin at least {margin:.3g}, {use}"
+    return name, f"{cast(Window, summary.worst).time}: margin {margin:.3g}, {use}"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from jaxbound.cli.command import swift_imports
 from jaxbound.cli.options import add_json
-from jaxbound.cli.terminal import OK, Refused, door, progress_bars, show, write
+from jaxbound.cli.terminal import OK, door, progress_bars, show, some_device, write
 
 if TYPE_CHECKING:
     from jaxbound.sets.floats.probe import Examined
@@ -43,13 +43,7 @@ def run(args: argparse.Namespace) -> int:
     if not os.environ.get("JAX_PLATFORMS"):  # elsewhere the shell keeps to the CPU
         jax.config.update("jax_platforms", None)  # type: ignore[no-untyped-call]  # of JAX
     with door(), progress_bars(("examination",)) as step:
-        try:
-            jax.default_backend()
-        except RuntimeError:
-            named = os.environ.get("JAX_PLATFORMS")
-            raise Refused(
-                f"JAX_PLATFORMS={named} names no device of this machine: unset it, or use cpu"
-            ) from None
+        some_device()
         examined = examined_devices(lambda share: step("examination", share))
     seconds = time.perf_counter() - begun
     if args.json:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from jaxbound.cli.command import swift_imports
 from jaxbound.cli.options import path
-from jaxbound.cli.terminal import OK, Refused, door, show
+from jaxbound.cli.terminal import OK, Refused, door, show, some_device
 
 NAME = "example"
 HELP = "write recordings to try the other commands on"
@@ -41,6 +41,7 @@ def run(args: argparse.Namespace) -> int:
     example = EXAMPLE_SETS[args.name]
     out = args.out or Path(args.name)
     with door(), output_folder(out, example.files) as folder, folder.work() as work:
+        some_device()
         rows = example.write(work)
     first = f"\ntry:\n  cd {out}\n  {example.first}"
     show(f"{example.name}: {example.about}, in {out}", "bold", rows, text=first)

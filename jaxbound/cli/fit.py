@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from jaxbound.cli.command import swift_imports
 from jaxbound.cli.options import add_force, add_json, add_safety, add_windows, path, share, whole_number
-from jaxbound.cli.terminal import OK, door, progress_bars, write
+from jaxbound.cli.terminal import OK, door, progress_bars, some_device, write
 
 if TYPE_CHECKING:
     from jaxbound.recordings.recording import Recording
@@ -124,6 +124,7 @@ def run(args: argparse.Namespace) -> int:
         recordings = read_signals(
             args.data, inputs, outputs, about, args.dt, lambda share: step("read", share)
         )
+        some_device()
         model = fit(
             recordings,
             args.order,

@@ -159,9 +159,9 @@ def add_margins(parser: argparse.ArgumentParser) -> None:
         choices=MARGINS,
         default=MARGINS[0],
         metavar="KIND",
-        help="of long windows: bounds, where a window is easily explained, at a tenth of the work, while "
-        "FAULT and what a report shows closely are exact; or exact, of every window; through a pipe they are "
-        "always exact (default: bounds)",
+        help="of many long windows: bounds, proved, where a window is decided without a search, while those "
+        "of FAULT and of what a report shows closely are exact; or exact, every window searched, which takes "
+        "longer; through a pipe they are always exact (default: bounds)",
     )
 
 

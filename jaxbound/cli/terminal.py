@@ -29,6 +29,7 @@ __all__ = [
     "progress_bars",
     "say",
     "show",
+    "some_device",
     "stoppable",
     "system_trouble",
     "usable_device",
@@ -227,15 +228,20 @@ def say(sentence: str) -> None:
 
 def usable_device() -> None:
     """Raise ValueError if JAX finds no device, Unverified if it runs where nothing is proved."""
-    import jax
-
     from jaxbound.sets.floats.probe import refuse_unusable
+
+    some_device()
+    refuse_unusable()
+
+
+def some_device() -> None:
+    """Raise ValueError if JAX finds no device."""
+    import jax
 
     try:
         jax.default_backend()
-    except RuntimeError:
+    except (RuntimeError, AssertionError):  # the latter where the plugin of the only platform named is absent
         raise ValueError(
             f"JAX_PLATFORMS={os.environ.get('JAX_PLATFORMS')} names no device of this machine: unset it, or "
             f"use cpu"
         ) from None
-    refuse_unusable()

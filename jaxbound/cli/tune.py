@@ -14,7 +14,7 @@ from jaxbound.cli.options import (
     share,
     whole_number,
 )
-from jaxbound.cli.terminal import INTERRUPTED, OK, door, progress_bars, say, write
+from jaxbound.cli.terminal import INTERRUPTED, OK, door, progress_bars, say, some_device, write
 
 NAME = "tune"
 HELP = "find the smallest bounds under which healthy recordings are consistent"
@@ -116,6 +116,7 @@ def run(args: argparse.Namespace) -> int:
         recordings = []
         for i, file in enumerate(files):
             recordings.append(read(file, model, lambda share, i=i: step("read", (i + share) / len(files))))
+        some_device()
         longest = int(np.argmax([recording.samples for recording in recordings]))
         samples = recordings[longest].samples
         model, relations = parity_windows(model, MethodOptions.of(args), files[longest], samples, step)

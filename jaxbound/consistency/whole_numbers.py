@@ -62,7 +62,8 @@ def thin(reading: Reading, u: np.ndarray, y: np.ndarray) -> np.ndarray:
 
     offset = column(reading.offset_y)
     size, least = np.fmax.reduce(np.abs(y), 0), np.fmin.reduce(np.abs(y - offset), 0)
-    bound = column(reading.noise) + column(reading.resolution) + column(reading.tolerance) * least
+    with np.errstate(invalid="ignore"):  # no tolerance of an infinite sample
+        bound = column(reading.noise) + column(reading.resolution) + column(reading.tolerance) * least
     small = ~(bound > THIN[y.dtype] * rounding.unit(y.dtype) * (size + np.abs(offset))).all(0)
     small |= (size > np.sqrt(np.finfo(y.dtype).max)).any(0)
     small |= (bound < 2.0**40 * rounding.tiny(y.dtype)).any(0)

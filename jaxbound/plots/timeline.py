@@ -78,7 +78,7 @@ def plot_timeline(
     into `ax` the margin alone; `bounded`: margins of CONSISTENT windows are bounds, which the title says.
     """
     if bounded:
-        name = f"{name}, above 0 at least"
+        name = f"{name}, above 0 a lower bound"
     assert line.x is not None, "a Timeline is drawn when all its samples were added"
     at, label, dates = time_axis(line.x)
     if ax is not None:

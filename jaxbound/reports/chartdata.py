@@ -34,7 +34,7 @@ NEAR = 60  # stretches around alarms
 SPAN, ASIDE = 160, 10  # samples of a stretch, and how close to its ends an alarm may be
 BANDS = 50_000  # samples up to which windows say of every reading what they expect
 PATIENCE = 1.0  # seconds to read such stretches of a recording that is not in memory
-COMBINED = "violated combination, in what its bounds allow"
+COMBINED = "combination of relations, in what its bounds allow"
 TITLE = 120  # characters of a relation
 
 
@@ -62,6 +62,9 @@ def charts(
         whole, x, clock = _whole(res, cast(Recording, recording), signals)
         samples = len(res.status)
 
+    about = "the tightest window"
+    if isinstance(res, Digest) and res.bounded:  # another one may be tighter
+        about = "the window with the lowest bound"
     near = _stretches(res, x, signals, alarms, chosen, why, worst)
     first = chosen[0] if chosen else -1
     shown = near[0].piece
@@ -77,7 +80,7 @@ def charts(
         near=[stretch.plain() for stretch in near],
         begin=float(shown.x[0]),
         end=float(shown.x[-1]),
-        about="the tightest window",
+        about=about,
         alarms=[[i, *at] for i, at in zip(sorted(chosen), times, strict=True)],
         alarm=first,
     )

@@ -9,10 +9,10 @@ const redraw = () => {
   const piece = within.find((p) => p.combined.has(alarm)) || within[0] || whole;
   const violated = piece.combined.get(alarm) || [...piece.combined.values()][0];
   closer.move(piece, violated, from, to);
-  const mean = Math.round(page.samples / page.whole.n), kept = page.alarms.length ? "alarms" : "the tightest window";
+  const mean = Math.round(page.samples / page.whole.n), kept = page.alarms.length ? "alarms" : page.about;
   const coarse = piece.binned ? `; each step is the lowest and the highest of ${mean} samples, around ${kept} each one is kept` : "";
   const inside = page.alarms.some(([i, , , worst]) => i === alarm && from - hair <= base + worst && base + worst <= to + hair);
-  const where = piece === whole ? "" : alarm < 0 ? "around the tightest window: " : inside ? `around alarm ${alarm + 1}: ` : "";
+  const where = piece === whole ? "" : alarm < 0 ? `around ${page.about}: ` : inside ? `around alarm ${alarm + 1}: ` : "";
   zoom.querySelector(".said").textContent = `${where}${time(from)} to ${time(to)}${coarse}`;
   const relation = zoom.querySelector(".relation");
   relation.hidden = !violated?.relation;

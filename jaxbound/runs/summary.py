@@ -14,7 +14,7 @@ from jaxbound.diagnosis.hints import unfit
 from jaxbound.diagnosis.result import Result
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
-from jaxbound.text.quantities import percent, times
+from jaxbound.text.quantities import most_percent, percent, times
 
 __all__ = [
     "CODES",
@@ -389,6 +389,14 @@ def _too_little(found: Evidence, share: float, deed: str, least: float) -> str:
     return f"Too little evidence: only {some} {deed}, at least {percent(least)} are asked for."
 
 
+def _most_used(margin: float) -> str:
+    """Return what a bound on the smallest margin says of all windows; nothing where it says nothing."""
+    most = most_percent(1 - margin)
+    if most == most_percent(1):
+        return ""
+    return f"; none uses more than {most} of them"
+
+
 def _healthy(found: Evidence, label: Label) -> str:
     """Return the sentence on a recording without a fault."""
     tested = round(found.tested * found.windows)
@@ -409,8 +417,7 @@ def _healthy(found: Evidence, label: Label) -> str:
         every = f"all {count} windows"
     used = ""
     if found.at is not None and np.isfinite(found.margin):
-        most = ""
-        if found.bounded:
-            most = "at most "
-        used = f"; the tightest, at {label(found.at)}, uses {most}{percent(1 - found.margin)} of them"
+        used = f"; the tightest, at {label(found.at)}, uses {percent(1 - found.margin)} of them"
+        if found.bounded:  # another window may be the tightest
+            used = _most_used(found.margin)
     return f"No fault found: the model explains {every} within its bounds{used}."

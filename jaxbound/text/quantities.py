@@ -1,6 +1,8 @@
 """Numbers as people read them: factors, shares and spans of time."""
 
-__all__ = ["duration", "factor", "percent", "rough_duration", "times"]
+import math
+
+__all__ = ["duration", "factor", "most_percent", "percent", "rough_duration", "times"]
 
 UNITS = (("d", 86400, 172800), ("h", 3600, 7200), ("min", 60, 120))
 """A unit of time, its seconds, and the seconds from which on it is used."""
@@ -34,6 +36,16 @@ def percent(share: float) -> str:
     if 0.999 < share < 1:
         return ">99.9 %"
     return f"{100 * share:.3g} %"
+
+
+def most_percent(share: float) -> str:
+    """Return a bound on a share as text, rounded up to hundredths of a percent.
+
+    Example:
+        >>> most_percent(0.95196), most_percent(0.99988), most_percent(1)
+        ('95.2 %', '99.99 %', '100 %')
+    """
+    return f"{math.ceil(round(1e4 * share, 6)) / 100:g} %"
 
 
 def duration(seconds: float) -> str:

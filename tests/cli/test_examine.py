@@ -90,6 +90,23 @@ def test_switches_that_change_arithmetic_are_refused_in_one_sentence(card, capsy
     assert "the environment has NVIDIA_TF32_OVERRIDE=1" in " ".join(capsys.readouterr().err.split())
 
 
+@pytest.mark.parametrize("failure", [RuntimeError, AssertionError])  # jax has both, by what is installed
+@pytest.mark.parametrize("command", ["examine", "demo --out out", "example heater"])
+def test_a_platform_that_is_not_there_is_refused_in_one_sentence(
+    command, failure, capsys, monkeypatch, tmp_path
+):
+    def nothing():
+        raise failure
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("JAX_PLATFORMS", "cuda")
+    monkeypatch.setattr(jax, "default_backend", nothing)
+    assert main.main(command.split()) == 2
+    said = capsys.readouterr().err
+    assert "JAX_PLATFORMS=cuda names no device of this machine: unset it, or use cpu" in said
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_cpu_is_examined_and_known_by_its_version(capsys, monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert main.main(["examine", "--json"]) == 0

@@ -131,3 +131,10 @@ def test_tolerances_whose_fractions_are_long_are_decided(rng):
         np.moveaxis(y, 0, -1),
     )
     assert (margin[1::3] > 0).all() and (margin[2::3] > 0).all() and (margin[::3] < 0).mean() > 0.5
+
+
+def test_an_infinite_recording_of_a_sensor_without_tolerance_is_refused_in_one_sentence():
+    m = jb.LinearSystem([[0.8, 1], [0, 0.2]], [[0], [1]], [[1, 0], [1, 1]], noise=[0.1, 0.01])
+    r = jb.parity_relations(m, horizon=20)
+    with pytest.raises(ValueError, match="y must be finite"):  # and nothing warns
+        jb.detect(r, np.zeros((30, 1)), np.full((30, 2), np.inf))

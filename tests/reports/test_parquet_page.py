@@ -1,10 +1,13 @@
 """A report on Parquet shows the recorded signals over the whole recording, as one on CSV does."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from streaming_case import N, recording, shrink
 
 from jaxbound.plots.canvas import bins
+from jaxbound.plots.plot import plot
 from jaxbound.reports.chartdata import charts
 from jaxbound.runs.digest import detect_dataset
 from jaxbound.runs.partnotes import read_extremes
@@ -37,3 +40,19 @@ def test_the_overview_has_the_signals_that_one_of_a_whole_recording_has(found, c
     there, expected = (charts(x, r, [], [], {}, 100) for x, r in ((found[0], found[0]), (res, whole)))
     assert [row.key for row in there.rows] == [row.key for row in expected.rows]
     assert set(there.whole.low) == {"margin", "s0", "s1", "s2"} <= set(expected.whole.low)
+
+
+@pytest.mark.parametrize(
+    "margins, about", [("exact", "the tightest window"), ("bounds", "the window with the lowest bound")]
+)
+def test_the_page_does_not_call_a_window_the_tightest_by_bounds(found, margins, about):
+    healthy = replace(found[0], margins=margins, counts=found[0].counts | {"FAULT": 0})
+    assert charts(healthy, healthy, [], [], {}, 100).about == about
+
+
+@pytest.mark.parametrize("margins, words", [("exact", ""), ("bounds", ", above 0 a lower bound")])
+def test_a_picture_of_bounds_says_so_in_its_title(found, margins, words):
+    figure = plot(replace(found[0], margins=margins))
+    titles = [figure.axes[0].get_title(at) for at in ("left", "center", "right")]
+    name = found[0].relations.model.name
+    assert any(title.split("   ")[0] == f"Margin of {name}{words}" for title in titles)

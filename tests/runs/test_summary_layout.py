@@ -127,3 +127,18 @@ def test_nothing_to_test_is_too_little_evidence_of_no_windows():
         "Too little evidence: only 0 of 0 windows (0 %) could be decided, at least 50 % are asked for.",
     )
     assert json.dumps(Summary("not tested", "why").plain(), allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    "margin, bounded, used",
+    [
+        (1.2e-4, False, "; the tightest, at sample 7, uses >99.9 % of them"),
+        (1.2e-4, True, "; none uses more than 99.99 % of them"),
+        (1.2e-7, True, ""),
+    ],
+)
+def test_a_bound_on_the_margin_names_no_tightest_window(margin, bounded, used):
+    counts = {"MISSING": 3, "CONSISTENT": 9, "UNDECIDED": 0, "FAULT": 0}
+    found = Evidence("joint", 3, 12, counts, at=7, margin=margin, bounded=bounded)
+    sentence = said(found, "sample {}".format)[1]
+    assert sentence == f"No fault found: the model explains all 9 windows within its bounds{used}."
