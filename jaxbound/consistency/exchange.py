@@ -10,7 +10,7 @@ import copy
 import dataclasses
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial
-from typing import NamedTuple, Self
+from typing import NamedTuple, Self, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -48,6 +48,7 @@ __all__ = [
     "PATIENCE",
     "ExchangeTest",
     "KeptFrames",
+    "Reframed",
     "Settings",
     "candidates",
     "exchange_margins",
@@ -336,6 +337,10 @@ class _Made:
     )
 
 
+Reframed: TypeAlias = dict[tuple[frozenset[int], tuple[int, ...]], _Made]
+"""Frames by the rows and inputs that they were made without."""
+
+
 class KeptFrames:
     """Frames for windows that lack samples, made when they are first asked for, and kept: in fractions they
     take some milliseconds.
@@ -344,10 +349,13 @@ class KeptFrames:
     inner rows, and of the inputs that it uses.
 
     Args:
-        whole: the frame of windows that lack nothing.
+        whole: the frame of windows that lack nothing. reframed: of (rows, inputs) that are missing, frames
+            that were made before, and where those are put that are made here. They are not chosen among:
+            which frame a window gets depends on the windows before it in this recording, not on other ones.
     """
 
-    def __init__(self, whole: ExactFrame) -> None:
+    def __init__(self, whole: ExactFrame, reframed: "Reframed | None" = None) -> None:
+        self.reframed: Reframed = {} if reframed is None else reframed
         self.inner = np.array(whole.inner, int)
         self.needed = np.flatnonzero([any(column) for column in zip(*whole.K, strict=True)])
         self.whole = _Made(whole, ())
@@ -360,10 +368,19 @@ class KeptFrames:
             return self.whole
         made = self._kept(gone, missing)
         if made is None:
-            made = _Made(reframe(self.whole.frame, gone, missing), missing)
+            made = self._without(gone, missing)
         others = [other for other in self.made if other is not made]
         self.made = [made, *others][:KEPT]
         return made
+
+    def _without(self, gone: set[int], missing: tuple[int, ...]) -> _Made:
+        """Return the frame that is made for these rows and inputs."""
+        key = frozenset(gone), missing
+        if key not in self.reframed:
+            if len(self.reframed) >= KEPT:
+                self.reframed.pop(next(iter(self.reframed)))
+            self.reframed[key] = _Made(reframe(self.whole.frame, gone, missing), missing)
+        return self.reframed[key]
 
     def _kept(self, gone: set[int], missing: tuple[int, ...]) -> _Made | None:
         for made in self.made:

@@ -25,7 +25,7 @@ import numpy as np
 from jax.typing import ArrayLike, DTypeLike
 
 from jaxbound.consistency.constant import ConstantTest
-from jaxbound.consistency.exchange import ExchangeTest, KeptFrames
+from jaxbound.consistency.exchange import ExchangeTest, KeptFrames, Reframed
 from jaxbound.consistency.gains import GainsTest
 from jaxbound.consistency.gridding import PavingTest
 from jaxbound.consistency.interface import (
@@ -164,9 +164,8 @@ class ParityRelation(LinearRelations):
         return {}
 
     @cached_property
-    def _frames_without_samples(self) -> KeptFrames:
-        assert self.frame is not None
-        return KeptFrames(self.frame)
+    def _reframed(self) -> Reframed:
+        return {}
 
     def _rounded_frame(self, dtype: DTypeLike) -> Frame:
         """Return the frame in floats, rounded once for each type."""
@@ -205,7 +204,7 @@ class ParityRelation(LinearRelations):
         constant = self.model.constant_tolerance
         if method == "joint" and self.frame is not None:
             kind = GainsTest if constant else ExchangeTest
-            return kind(self, dtype, frames=self._frames_without_samples)
+            return kind(self, dtype, frames=KeptFrames(self.frame, self._reframed))
         return ConstantTest(self, method, dtype) if constant else StripsTest(self, method, dtype)
 
     def recording(self, u: object, y: object = None, starts: Starts = ()) -> tuple[Self, Recording]:

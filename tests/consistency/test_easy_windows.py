@@ -210,8 +210,6 @@ def test_combinations_contradict_what_they_call_a_fault_in_exact_arithmetic(case
 
     _, behind, turned = at_threshold(case, lambda y: next(found(y)) < 0)
     assert contradicted(behind)[turned].all()
-    # a margin's size is rounded, its sign is proved
-    slack = 1e-9 + 300 * float(np.finfo(behind.dtype).eps) * np.abs(case.u).max()
     for y in (behind, at_threshold(case, contradicted).behind):
         margins, h = found(y)
         for number in np.flatnonzero((margins < 0) | contradicted(y)):
@@ -219,4 +217,4 @@ def test_combinations_contradict_what_they_call_a_fault_in_exact_arithmetic(case
             value, width = against(case, exact(case, y, number), own)
             assert value > width
             if margins[number] < 0:
-                assert margins[number] >= float(1 - value / width) - slack
+                assert Fraction(float(margins[number])) >= 1 - value / width

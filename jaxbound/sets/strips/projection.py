@@ -265,7 +265,8 @@ def clipped_margin(given: Projection, rows: Rows) -> tuple[jax.Array, jax.Array]
     lost = (1 + 16 * eps) * (off * summed(jnp.abs, found.h) + given.floor)
     # a largest may leave out a NaN, a sum does not
     outside = (summed(jnp.abs, z) < jnp.inf) & (residual > width * (1 + CLEAR * eps) + 2 * lost)
-    beyond = jnp.minimum(1 - residual / jnp.where(width > 0, width, 1), -eps)
+    contradicts = (residual - 2 * lost) * (1 - CLEAR * eps)
+    beyond = jnp.minimum(1 - contradicts / jnp.where(width > 0, width, 1), -eps)
     return jnp.where(inside > 0, inside, jnp.where(outside, beyond, 0)), found.h
 
 
