@@ -52,8 +52,8 @@ class Result:
         recorded: what was to be said of a recording that came from a file, its .hints; None: it came as
             arrays.
         margins: "exact", or "bounds": of a CONSISTENT window .margin is then at most the exact one, of FAULT
-            at least; `exact`, `reported`, `measured` and `worst` have exact ones. With constant tolerances these
-            are of gains that were tried: bounds too.
+            at least; `exact`, `reported`, `measured` and `worst` have exact ones. With constant tolerances
+            these are of gains that were tried: bounds too.
         device: the device that judged, in words that say whether it was examined; "": a CPU.
     """
 
