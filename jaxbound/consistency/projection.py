@@ -38,9 +38,20 @@ from jaxbound.sets.strips.projection import (
     forced_outputs,
     projected_margin,
     projection_of,
+    witnessed_margin,
 )
 
-__all__ = ["EasyStretches", "EasyWindows", "Given", "Steps", "columns_of", "easy_by", "projection", "rows_of"]
+__all__ = [
+    "EasyStretches",
+    "EasyWindows",
+    "Given",
+    "Steps",
+    "columns_of",
+    "easy_by",
+    "of_witness",
+    "projection",
+    "rows_of",
+]
 
 Steps: TypeAlias = Callable[..., tuple[jax.Array, jax.Array]]
 BLOCK = 4096
@@ -222,24 +233,59 @@ def _stretch_of(reading: Reading, u: jax.Array, y: jax.Array) -> _Stretch:
 
 def columns_of(given: Given, u: jax.Array, y: jax.Array) -> WindowColumns:
     """Return the columns of the windows of a stretch u (N + s, m), y (N + s, p)."""
-    reading, projection = given
-    count, s = len(y) - reading.horizon, reading.horizon
-    stretch = _stretch_of(reading, u, y)
-    f = None
-    if projection.forced is not None:
-        f = _forced_columns(projection.forced, stretch.v, s, count)
-    mid, weight = [], []
-    for number in (*projection.outer, *projection.inner):
-        row = reading.window.all[number]
-        sample = stretch.samples[_series(reading, row)]
-        own = sample.mid[row.first : row.first + count]
-        if f is not None and row.kind is Kind.READING:
-            own = own - f[row.first][row.number]
-        if f is not None and row.kind is Kind.SUM:
-            own = own - _forced_sum(row, f)
-        mid.append(own)
-        weight.append(sample.weight[row.first : row.first + count])
+    stretch, projection = _stretch_of(given.reading, u, y), given.projection
+    numbers, count = (*projection.outer, *projection.inner), len(y) - given.reading.horizon
+    mids, _, weights, _ = zip(*stretch.samples, strict=True)
+    mid = _less_forced(given, stretch, _taken_columns(given.reading, mids, numbers, count), numbers)
+    weight = _taken_columns(given.reading, weights, numbers, count)
     return WindowColumns(mid, weight, stretch.scale, stretch.heaviest, stretch.known)
+
+
+@kernel(wide=True)
+def of_witness(given: Given, u: jax.Array, both: jax.Array) -> jax.Array:
+    """Return margins (N,) of the windows of a stretch u (N + s, m), both (N + s, p + p + g): the samples of
+    outputs, then their true values, in deviations, and the disturbances. Which are taken for what explains a
+    window: > 0 where this is proved, else 0.
+    """
+    reading, inner = given.reading, given.projection.inner
+    y, truth = both[:, : len(reading.noise)], list(both[:, len(reading.noise) :].T)
+    stretch, count = _stretch_of(reading, u, y), len(y) - reading.horizon
+    true = _taken_columns(reading, truth, inner, count)
+    mid = _taken_columns(reading, [sample.mid for sample in stretch.samples], inner, count)
+    errors = [a - b for a, b in zip(true, mid, strict=True)]
+    return witnessed_margin(
+        given.projection, columns_of(given, u, y), _less_forced(given, stretch, true, inner), errors
+    )
+
+
+def _taken_columns(
+    reading: Reading, series: Sequence[jax.Array], numbers: Sequence[int], count: int
+) -> list[jax.Array]:
+    """Return of each row of windows its column (count,) of the series (N + s,) that it reads."""
+    columns = []
+    for number in numbers:
+        row = reading.window.all[number]
+        columns.append(series[_series(reading, row)][row.first : row.first + count])
+    return columns
+
+
+def _less_forced(
+    given: Given, stretch: _Stretch, columns: Sequence[jax.Array], numbers: Sequence[int]
+) -> list[jax.Array]:
+    """Return columns of rows, less what inputs add to them from rest."""
+    reading, forced = given.reading, given.projection.forced
+    if forced is None:
+        return list(columns)
+    f = _forced_columns(forced, stretch.v, reading.horizon, len(columns[0]))
+    less = []
+    for own, number in zip(columns, numbers, strict=True):
+        row = reading.window.all[number]
+        if row.kind is Kind.READING:
+            own = own - f[row.first][row.number]
+        if row.kind is Kind.SUM:
+            own = own - _forced_sum(row, f)
+        less.append(own)
+    return less
 
 
 def _rows(given: Given, u: jax.Array, y: jax.Array) -> Rows:

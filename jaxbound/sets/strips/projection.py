@@ -63,6 +63,7 @@ __all__ = [
     "least_errors",
     "projected_margin",
     "projection_of",
+    "witnessed_margin",
 ]
 
 Columns: TypeAlias = Sequence[jax.Array]
@@ -164,6 +165,22 @@ def projected_margin(given: Projection, columns: WindowColumns) -> jax.Array:
     used = most([jnp.abs(e) * weight for e, weight in zip(errors, columns.weight, strict=True)])
     off = _off(given, given.projected, columns.scale, columns.known)
     return _explained(used, off * columns.heaviest, jnp.abs(total(d)))
+
+
+def witnessed_margin(given: Projection, columns: WindowColumns, inner: Columns, errors: Columns) -> jax.Array:
+    """Return a proved lower bound > 0 of the margin (N,) of windows that known inner rows explain; 0 of all
+    others.
+
+    Args:
+        columns: of the windows, as for `projected_margin`. inner: values of the inner rows, less f, whatever
+            they are. errors: the same less the middles of these rows.
+
+    Encloses: no d is worked out, so that the errors lose less than in `projected_margin`.
+    """
+    z = _less(columns.mid[: len(given.outer)], _times(given.R, inner))
+    used = most([jnp.abs(e) * weight for e, weight in zip([*z, *errors], columns.weight, strict=True)])
+    off = _off(given, given.projected, columns.scale, columns.known)
+    return _explained(used, off * columns.heaviest, jnp.abs(total(errors)))
 
 
 def _off(given: Projection, bound: np.ndarray, scale: jax.Array, known: jax.Array) -> jax.Array:
