@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from jaxbound.consistency.interface import AUTO, Observer, Relations, margins_for
+from jaxbound.consistency.interface import AUTO, Observer, Relations
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import outgrown
@@ -275,7 +275,7 @@ def detect_fleet(
         yield from _test_by_workers(client, _FleetJob(same), units, progress)
         return
     report = progress or (lambda share: None)
-    how = _How(method, horizon, lags, options, state, alarm, min_coverage, margins, len(units))
+    how = _How(method, horizon, lags, options, state, alarm, min_coverage, margins)
     results, done = _Collected(page), 0
     try:
         for _ in follow(_read_groups(units, how), partial(_tested, how=how), [results]):
@@ -299,7 +299,6 @@ class _How(NamedTuple):
     alarm: tuple[int, int]
     min_coverage: float
     margins: str
-    units: int
 
     @property
     def ahead(self) -> int:
@@ -489,8 +488,8 @@ def _judge_unit(
     elif data.kept is not None and isinstance(relations, Observer):
         res, carry = followed(relations, data.joined)
     else:
-        margins = margins_for(how.margins, how.units * recording.samples)
-        res, carry = detect(relations, recording, method=how.method, margins=margins), None
+        # each by its own number of windows: the tightest one of a unit is searched for among nearly all
+        res, carry = detect(relations, recording, method=how.method, margins=how.margins), None
     if data.kept is not None:
         data.kept.save(recording, carry)
     alarms = res.alarms(*how.alarm)
