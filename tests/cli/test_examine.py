@@ -56,7 +56,7 @@ def test_a_changed_driver_or_jaxlib_asks_for_another_examination(card, changed, 
     if changed == "driver":
         monkeypatch.setattr(Client, "platform_version", "of next year")
     elif changed == "jaxlib":
-        monkeypatch.setattr(kinds, "version", lambda name: "0.99")
+        monkeypatch.setattr(kinds, "_jaxlib", lambda: "0.99")
     elif changed == "card":
         monkeypatch.setattr(Card, "device_kind", "NVIDIA H901")
     else:
