@@ -74,8 +74,8 @@ def options(parser: argparse.ArgumentParser) -> None:
         type=share,
         default=0.3,
         metavar="F",
-        help="last share of each recording kept from a first fit, to see what it makes of unseen data "
-        "(default: 0.3)",
+        help="of a single recording, the share that a block holds: its blocks, or several recordings, are "
+        "left out in turn, and bounds as wide as a fit to the others asks for; 0: nothing (default: 0.3)",
     )
     parser.add_argument(
         "--method",
@@ -155,7 +155,7 @@ def run(args: argparse.Namespace) -> int:
         files = [str(args.out)]
         if args.plot:
             files.append(str(args.plot))
-        show_fit(model, args.data, files, args.order, args.held_out, hints)
+        show_fit(model, args.data, files, args.order, hints)
     return OK
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxbound.cli.terminal import show
 from jaxbound.diagnosis.memory import slowest, suggest_lags
 from jaxbound.recordings.expressions import expression
-from jaxbound.studies.identification.fit_result import Fitted
+from jaxbound.studies.identification.fit_result import FitCheck, Fitted
 from jaxbound.text.units import without_unit
 
 __all__ = ["named_units", "plain_fit", "show_fit", "signal_columns"]
@@ -106,6 +106,9 @@ def plain_fit(
     recordings = []
     for file, numbers in zip(files, check.recordings, strict=True):
         recordings.append({"data": str(file)} | _all_finite(numbers))
+    left_out = []
+    for one in check.left_out:
+        left_out.append(one._asdict() | _all_finite({"factor": one.factor}))
     return {
         "out": str(out),
         "order": order,
@@ -117,6 +120,8 @@ def plain_fit(
         "resolution": _by_output(model, model.resolution),
         "smallest": check.smallest,
         "safety": check.safety,
+        "factor": check.factor,
+        "left_out": left_out,
         "held_out": held_out,
         "average": average,
         "means": {a.signal: float(a.bound) for a in model.averages},
@@ -143,10 +148,9 @@ def show_fit(
     files: Sequence[Path],
     written: Sequence[str],
     order: int,
-    held_out: float,
     hints: Sequence[str],
 ) -> None:
-    """Print a model that was fitted to files. written: names of new files; held_out: a share of each file."""
+    """Print a model that was fitted to files. written: names of new files."""
     check = model.check
     rows = [
         ("model", f"{model.n} states, order {order}, coefficients by {check.method}"),
@@ -158,9 +162,9 @@ def show_fit(
     ]
     for file, numbers in zip(files, check.recordings, strict=True):
         rows.append((str(file), _recording_text(numbers)))
-    rows.append(("held out", _held_out_text(check.held_out, held_out)))
+    rows += _left_out(check, files)
     rows += _memory(model)
-    rows.append(("safety", f"{check.safety:g} times the smallest bounds"))
+    rows.append(("safety", f"{check.safety:g} times these bounds"))
     means = []
     for a in model.averages:
         means.append(f"{a.text} within {float(a.bound):.4g} {model.unit(a.signal)}".rstrip())
@@ -212,15 +216,24 @@ def _recording_text(numbers: Mapping[str, float]) -> str:
     return f"{numbers['windows']} windows, {100 * numbers['used']:.3g} % of the bounds used"
 
 
-def _held_out_text(unseen: Mapping[str, float] | None, share: float) -> str:
-    """Return the result of a first fit on the samples that it had not seen."""
-    if unseen is None:
-        return "nothing"
-    return (
-        f"a first fit, to the first {100 * (1 - share):.3g} % of each, found {100 * unseen['fault']:.3g} % "
-        f"FAULT in {unseen['windows']} windows of the rest, which used {100 * unseen['growth']:.3g} % of its "
-        f"bounds; the model is fitted to all"
-    )
+def _left_out(check: FitCheck, files: Sequence[Path]) -> list[tuple[str, str]]:
+    """Return lines on each recording, or block, that was left out, and on what that promises."""
+    if not check.left_out:
+        return [("left out", "nothing")]
+    names = [str(file) for file in files]
+    if len(files) == 1:
+        names = [f"block {i + 1} of {len(check.left_out)}" for i in range(len(check.left_out))]
+    lines = []
+    for name, one in zip(names, check.left_out, strict=True):
+        text = f"{one.factor:.3g} times the smallest bounds, by a fit to the others"
+        if one.why:
+            text = f"unknown: {one.why}"
+        lines.append((f"left out: {name}", text))
+    promise = f"bounds are {check.factor:.3g} times the smallest for these"
+    count = sum(not one.why for one in check.left_out)
+    if len(files) > 1 and count:
+        promise += f"; of recordings like them one in {count + 1} may still ask for more"
+    return [*lines, ("promise", promise)]
 
 
 def _memory(model: Fitted) -> list[tuple[str, str]]:

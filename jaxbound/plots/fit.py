@@ -17,13 +17,13 @@ __all__ = ["plot_fit"]
 
 @plot.register(Fitted)
 def plot_fit(model: Fitted) -> "Figure":
-    """Draw a Fitted: the share of the bounds that each window needs, in the recordings and, by a first fit,
-    in what was held out.
+    """Draw a Fitted: the share of the bounds that each window needs, in the recordings and, by fits
+    to all others, in those that were left out.
     """
     check = model.check
     rows = [("final model, all recordings", check.used, INK)]
     if check.held_out is not None:
-        rows.append(("first fit, on the parts held out", check.held_out_used, COLOURS[Status.UNDECIDED]))
+        rows.append(("each left out, by a fit to the others", check.held_out_used, COLOURS[Status.UNDECIDED]))
     with style():
         fig = canvas((11, 0.6 + 2.1 * len(rows)))
         axes = fig.subplots(len(rows), 2, squeeze=False, width_ratios=(3, 1))

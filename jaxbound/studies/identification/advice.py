@@ -11,9 +11,10 @@ from jaxbound.studies.identification.records import Records
 
 __all__ = ["inputs_at_rest", "limits", "no_average"]
 
-FALSE_SHARE, CONTRADICTION, FEW = 0.02, 3.0, 10
-"""Above this share of FAULT in held-out windows, this factor between the bounds of two recordings, below this
-number of windows that do not overlap, the user is told that the data do not carry the monitor."""
+WIDE, CONTRADICTION, FEW = 1.5, 3.0, 10
+"""Above this factor that a recording asks for that is left out, this factor between the bounds of two
+recordings, below this number of windows that do not overlap, the user is told that the data do not carry the
+monitor."""
 
 
 def inputs_at_rest(records: Records, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
@@ -55,7 +56,7 @@ def limits(model: LinearSystem, check: FitCheck, held_out: float, spans: Sequenc
     Args:
         held_out: the share that was to be held out. spans (p,): how far each output moved.
     """
-    sentences = [_few_windows(model, check), _held_out(check, held_out), _contradiction(check)]
+    sentences = [_few_windows(model, check), *_left_out(check, held_out), _contradiction(check)]
     sentences += [_blind(model, check, name, span) for name, span in zip(model.outputs, spans, strict=True)]
     return [sentence for sentence in sentences if sentence]
 
@@ -76,25 +77,33 @@ def _few_windows(model: LinearSystem, check: FitCheck) -> str:
     )
 
 
-def _held_out(check: FitCheck, held_out: float) -> str:
-    if check.held_out is None:
-        why = "the recordings are too short to hold a part of them out"
+def _left_out(check: FitCheck, held_out: float) -> list[str]:
+    """Return sentences on what a day that was not seen may ask for."""
+    if not check.left_out:
+        why = "the recording is too short to leave a part of it out"
         if not held_out:
-            why = "nothing was held out"
-        return f"{why}: what the monitor makes of data that it has not seen is unknown"
-    share, windows = check.held_out["fault"], check.held_out["windows"]
-    if share <= FALSE_SHARE:
-        return ""
-    return (
-        f"{_percent(share)} of {windows} held-out windows would be FAULT under the bounds of the first "
-        f"{_percent(1 - held_out)} of the recordings, which would have to be {check.held_out['growth']:.2f} "
-        f"times as wide: the recordings do not show all of healthy operation; record more of it, or raise "
-        f"the safety factor"
-    )
-
-
-def _percent(x: float) -> str:
-    return f"{100 * x:.3g} %"
+            why = "nothing was left out"
+        return [f"{why}: what the monitor makes of data that it has not seen is unknown"]
+    alone = len(check.recordings) == 1
+    what = "block" if alone else "recording"
+    sentences = []
+    if alone:
+        sentences.append(
+            f"there is one recording, and its {len(check.left_out)} blocks share a day: what another day "
+            f"asks for is unknown; record more of them, and give each as a file of its own"
+        )
+    for number, one in enumerate(check.left_out, 1):
+        if one.why:
+            sentences.append(
+                f"{what} {number} says nothing of another day: {one.why}; record more, or cut a long "
+                f"recording into files"
+            )
+    if check.factor > WIDE:
+        sentences.append(
+            f"a {what} that is left out needs bounds {check.factor:.2f} times as wide as all together: they "
+            f"do not show all of healthy operation; record more of it, or look at what was different"
+        )
+    return sentences
 
 
 def _contradiction(check: FitCheck) -> str:

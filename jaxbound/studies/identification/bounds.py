@@ -34,23 +34,30 @@ def rounded_up(x: float, digits: int = 3) -> float:
 
 
 def verified(
-    spec: dict[str, Any], bounds: list[float], means: Means, records: Records, safety: float
+    spec: dict[str, Any], smallest: np.ndarray, means: Means, records: Records, factor: float, safety: float
 ) -> tuple[LinearSystem, list[np.ndarray]]:
     """Return (model, used): the model under which every window is CONSISTENT by the proved test, and the
     share of its bounds that each window uses.
 
     A bound is what the recorder rounds, as the resolution, and noise for the rest. Where the bound is smaller
     than that, nothing is rounded: the plant itself moves in steps.
+
+    Args:
+        spec: arguments of a LinearSystem. smallest: (p,), the smallest bounds; means: those of means. factor,
+            safety: by which they are wider, as a recording that is left out asks for, and on top.
     """
+    wider = factor * safety
+    bounds = [rounded_up(x * wider) for x in smallest]
     rounds = _resolutions(records, len(bounds))
     recordings = f"{len(records)} recording{'s' * (len(records) > 1)}"
     source = f"fitted to {measured(records)} samples in {recordings}"
-    lowered = {i: rounded_up(x * safety) for i, (_, x) in means.items()}
+    lowered = {i: rounded_up(x * wider) for i, (_, x) in means.items()}
     for _ in range(ATTEMPTS):
         exact = [Fraction(repr(x)) for x in bounds]
         rounds = [_below(r, x) for r, x in zip(rounds, exact, strict=True)]
         noise = [x - r for x, r in zip(exact, rounds, strict=True)]
-        origin = {"model": source, "noise": f"{source}, safety factor {safety:g}"}
+        widened = f"factor {factor:.3g} of what was left out, safety factor {safety:g}"
+        origin = {"model": source, "noise": f"{source}, {widened}"}
         if any(rounds):
             origin["resolution"] = "as the recordings are rounded"
         averages = {}

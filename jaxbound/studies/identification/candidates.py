@@ -1,9 +1,6 @@
-"""Candidate models of a fit: one a kind of regression, and the trial that chooses among them.
+"""Candidate models of a fit: one a kind of regression."""
 
-A trial fits the first parts of the recordings and looks at the last ones, which it has not seen.
-"""
-
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,11 +15,9 @@ from jaxbound.studies.identification import filters, regression
 from jaxbound.studies.identification.realisation import realised, realised_filters
 from jaxbound.studies.identification.records import Records, measured
 from jaxbound.studies.identification.regression import Scales
-from jaxbound.studies.identification.sizes import blindness
 
 __all__ = """
-    KINDS Candidate FitProblem CandidateTrial all_consistent candidate explains first_trials largest_need
-    needs tested
+    KINDS Candidate FitProblem all_consistent candidate explains largest_need needs tested
 """.split()
 
 Relations = ParityRelation | UncertainRelations
@@ -76,21 +71,6 @@ class Candidate:
     spread: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class CandidateTrial:
-    """A candidate fitted to the heads of the recordings, and the judgement of their tails.
-
-    Fields:
-        bound (p,): the smallest noise that explains the heads. unseen: the share of it that each window of
-            each tail needs. blindness: see `sizes.blindness`, of bounds that cover the tails too.
-    """
-
-    candidate: Candidate
-    bound: np.ndarray
-    unseen: tuple[np.ndarray, ...]
-    blindness: float
-
-
 def candidate(problem: FitProblem, records: Records, kind: str) -> Candidate:
     """Return the Candidate of one of KINDS, fitted to recordings."""
     scales, order, horizon, direct = problem.scales, problem.order, problem.horizon, problem.direct
@@ -123,34 +103,6 @@ def _refuse_few(records: Records, steps: int, windows: int, horizon: int, unknow
         f"too few samples: {total}, hold {windows} complete windows of {horizon + 1} samples, and {steps} "
         f"steps for {unknowns} coefficients an output, twice as many of which are needed: record longer, or "
         f"choose a lower order or horizon"
-    )
-
-
-def first_trials(
-    problem: FitProblem,
-    kinds: Sequence[str],
-    heads: Records,
-    tails: Records,
-    step: Callable[[float], object],
-) -> list[CandidateTrial]:
-    """Return a CandidateTrial of each kind. step: called with the share of the work done."""
-    trials = []
-    for number, kind in enumerate(kinds):
-        trials.append(_trial(problem, kind, heads, tails))
-        step((number + 1) / len(kinds))
-    return trials
-
-
-def _trial(problem: FitProblem, kind: str, heads: Records, tails: Records) -> CandidateTrial:
-    first = candidate(problem, heads, kind)
-    own = largest_need(needs(first.relations, heads))
-    unseen = needs(first.relations, tails)
-    covering = LinearSystem(**first.spec, noise=np.fmax(own, largest_need(unseen)) * first.spread)
-    return CandidateTrial(
-        first,
-        own * first.spread,
-        tuple(x / own for x in unseen),
-        blindness(covering, problem.scales, problem.spans),
     )
 
 

@@ -1,13 +1,26 @@
 """The result of a fit: a model, and what is known of it beyond its numbers."""
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxbound.models.system import LinearSystem
 from jaxbound.text.objects import readable
 
-__all__ = ["FitCheck", "Fitted"]
+__all__ = ["FitCheck", "Fitted", "PartLeftOut"]
+
+
+class PartLeftOut(NamedTuple):
+    """A recording, or a block of one, that was left out of a fit.
+
+    Fields: windows: how many it has. factor: on the smallest bounds, which they need under a fit to all
+    others; nan where `why` says why there is none.
+    """
+
+    windows: int
+    factor: float
+    why: str
 
 
 @readable
@@ -17,26 +30,29 @@ class FitCheck:
 
     Fields:
         method: how the coefficients were found, see `fit`.
-        safety: the factor on the smallest bounds. smallest: those, {output: bound}. smallest_mean: those of
-            the mean of `average` errors in a row, {} where it was not asked for.
-        held_out: what a first fit, to the first parts of the recordings, made of their last parts:
-            {"windows", "fault", "growth"}: how many windows, the share in FAULT, and the factor by which the
-            bounds would have had to be wider; None if nothing was held out. The model itself was fitted to
-            everything afterwards.
+        factor, safety: the factors on the smallest bounds: as the recordings ask for, each left out in turn,
+            and on top. smallest: those bounds, {output: bound}. smallest_mean: those of the mean of `average`
+            errors in a row, {} where it was not asked for.
+        left_out: a `PartLeftOut` for each recording, or each block of a single one.
+        held_out: all of these together: {"windows", "fault", "growth"}: how many windows, the share that
+            would be FAULT with `safety` alone, and the factor by which these bounds would have had to be
+            wider; None if nothing was left out.
         recordings: one {"samples", "windows", "used"} each: used is the largest share of the final bounds
             that a window needs.
         jump: {output: size}: a jump of one output in the middle of a window from which on the window is FAULT
             whatever the noise does.
         steady: the same for an error that fills the window; inf if the model can follow it.
         used, held_out_used: one array (T,) a recording, the share of the bounds that each window needs (nan
-            where there is none): of the final model, and of the first fit on the held-out parts.
+            where there is none): of the final model, and of the fits to all others.
         sentences: what the user should know, above all why the data may not carry a monitor.
     """
 
     method: str
+    factor: float
     safety: float
     smallest: dict[str, float]
     held_out: dict[str, float] | None
+    left_out: tuple[PartLeftOut, ...]
     recordings: tuple[dict[str, float], ...]
     jump: dict[str, float]
     steady: dict[str, float]

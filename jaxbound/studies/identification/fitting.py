@@ -19,21 +19,16 @@ import numpy as np
 
 from jaxbound.models.numbers import is_whole
 from jaxbound.models.system import LinearSystem, whole_lags
-from jaxbound.relations.parity import parity_relations
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.studies.identification import advice
-from jaxbound.studies.identification.bounds import Means, rounded_up, verified
+from jaxbound.studies.identification.bounds import Means, verified
 from jaxbound.studies.identification.candidates import (
     KINDS,
-    CandidateTrial,
     FitProblem,
-    candidate,
     explains,
-    first_trials,
-    largest_need,
-    needs,
 )
-from jaxbound.studies.identification.fit_result import FitCheck, Fitted
+from jaxbound.studies.identification.fit_result import FitCheck, Fitted, PartLeftOut
+from jaxbound.studies.identification.left_out import LeftOut, tried, widest
 from jaxbound.studies.identification.means import smallest_means
 from jaxbound.studies.identification.records import Records, input_ranges, parted, read_records
 from jaxbound.studies.identification.sizes import visible_sizes
@@ -69,8 +64,10 @@ def fit(
     """Find a nominal model and noise bounds from healthy recordings.
 
     The smallest bounds are those under which every window of the recordings is consistent, in the ratio of
-    the outputs' residuals: `tune` moves each by its own. They are multiplied by `safety` and verified:
-    `detect` finds every window CONSISTENT.
+    the outputs' residuals: `tune` moves each by its own. Each recording in turn is then judged by a fit to
+    all others: by the largest factor that one of them asks for the bounds are wider, and by `safety` on top.
+    They are verified: `detect` finds every window CONSISTENT. Of n recordings that are like the next one, one
+    in n + 1 may still ask for more.
 
     Args:
         recordings: one or several of: (u (T, m), y (T, p)) or (u, y, starts), u None without inputs; a table
@@ -85,14 +82,13 @@ def fit(
         inputs, outputs: names; needed with tables. dt: sampling period in s; None: what the times of tables
             or a Recording say, else 1.
         direct: whether inputs act on the outputs of the same sample (D).
-        safety: factor >= 1 on the smallest bounds: how much more than in the recordings healthy operation may
-            deviate.
-        held_out: the last share of each recording, kept back from a first fit to see what it makes of data
-            that it has not seen. 0: none.
+        safety: factor >= 1 on top: how much more than in the recordings healthy operation may deviate.
+        held_out: the share of a single recording that is a block: its blocks are left out in turn, which says
+            less of another day than recordings do. 0: nothing is left out, of several recordings either.
         method: "least squares" (ARX, one step ahead), "windows" (the same, refined over whole windows),
             "filters" (inputs through given filters that fade within a window, so that no state can follow a
-            lasting error) or "auto": whichever sees the smallest jump and lasting error when its bounds cover
-            the held-out parts too.
+            lasting error) or "auto": whichever sees the smallest jump and lasting error with bounds as wide
+            as recordings that are left out ask for.
         average: of so many errors in a row, at most horizon + 1, the mean gets a bound too: an average of the
             model. Lasting errors show smaller where errors do average out. None: none.
         name, units, columns: as of a LinearSystem; tables are read by these columns too. progress: called
@@ -126,22 +122,13 @@ def fit(
     problem = FitProblem.of(records, order, horizon, direct, about)
     report(0.05)
 
-    kind = "windows" if method == "auto" else method
-    held_out_used: tuple[np.ndarray, ...] = ()
-    heads, tails = parted(records, held_out, horizon)
-    if tails:
-        # the method is chosen by what it makes of data that it has not seen; then all data are fitted to
-        kinds = [method] if method != "auto" else [k for k in KINDS if inputs or k != "filters"]
-        trials = first_trials(problem, kinds, heads, tails, lambda share: report(0.05 + 0.5 * share))
-        best = min(trials, key=lambda trial: trial.blindness)  # the first one of equals
-        unseen = list(best.unseen)
-        if average is not None:
-            unseen = _unseen_with_means(best, average, heads, tails, lambda share: report(0.55 + 0.2 * share))
-        kind, held_out_used = best.candidate.kind, tuple(x / safety for x in unseen)
-
-    chosen = candidate(problem, records, kind)
-    smallest = chosen.spread * largest_need(needs(chosen.relations, records))
-    report(0.8)
+    parts, trials = parted(records, held_out, horizon), []
+    kinds = _kinds(method, parts, inputs)
+    for number, kind in enumerate(kinds):
+        trials.append(tried(problem, kind, records, parts))
+        report(0.05 + 0.75 * (number + 1) / len(kinds))
+    best = min(trials, key=lambda trial: trial.blindness)  # the first one of equals
+    chosen, smallest, left = best.candidate, best.bound, best.left
     means: np.ndarray | None = None
     averaged: Means = {}
     if average is not None:
@@ -150,21 +137,25 @@ def fit(
         means = smallest_means(model, smallest, average, explained, lambda share: report(0.8 + 0.1 * share))
         averaged = {i: (average, x) for i, x in enumerate(means) if x < AVERAGES * smallest[i]}
         sentences += [advice.no_average(x, average) for i, x in enumerate(outputs) if i not in averaged]
+        lowered = {outputs[i]: {average: float(x)} for i, (_, x) in averaged.items()}
+        left = tuple(one.under(smallest, lowered, [part]) for one, part in zip(left, parts, strict=True))
 
     # few digits are what a user reads in the model file: the model that is verified is the one that is saved
     spec = chosen.spec | {"ranges": input_ranges(records, inputs)}
-    bounds = [rounded_up(x * safety) for x in smallest]
-    model, used = verified(spec, bounds, averaged, records, safety)
+    factor = widest(left)
+    model, used = verified(spec, smallest, averaged, records, factor, safety)
     jump, steady = visible_sizes(model, problem.scales)
     check = FitCheck(
-        method=kind,
+        method=chosen.kind,
+        factor=factor,
         safety=float(safety),
         smallest=_named(outputs, smallest),
         smallest_mean=_named(outputs, means),
-        held_out=_held_out_summary(held_out_used),
+        held_out=_held_out_summary([one.need / safety for one in left]),
+        left_out=tuple(map(_part_left_out, left)),
         recordings=tuple(_summary(y, x) for (_, y, _), x in zip(records, used, strict=True)),
         used=tuple(used),
-        held_out_used=held_out_used,
+        held_out_used=tuple(one.need / (factor * safety) for one in left),
         jump=jump,
         steady=steady,
     )
@@ -207,14 +198,17 @@ def _check_options(
         )
 
 
-def _unseen_with_means(
-    trial: CandidateTrial, samples: int, heads: Records, tails: Records, step: Callable[[float], object]
-) -> list[np.ndarray]:
-    """Return the needs of the tails once the means of so many errors are bounded as the heads allow."""
-    head = LinearSystem(**trial.candidate.spec)
-    means = smallest_means(head, trial.bound, samples, partial(explains, parts=heads), step)
-    averages = {name: {samples: x} for name, x in zip(head.outputs, means, strict=True)}
-    return needs(parity_relations(head.replace(noise=trial.bound, averages=averages)), tails)
+def _kinds(method: str, parts: Records, inputs: Sequence[str]) -> list[str]:
+    """Return the KINDS that are tried."""
+    if method != "auto":
+        return [method]
+    if not parts:  # nothing tells them apart
+        return ["windows"]
+    return [kind for kind in KINDS if inputs or kind != "filters"]
+
+
+def _part_left_out(one: LeftOut) -> PartLeftOut:
+    return PartLeftOut(int(np.isfinite(one.need).sum()), one.factor, one.why)
 
 
 def _named(outputs: Sequence[str], bounds: np.ndarray | None) -> dict[str, float]:

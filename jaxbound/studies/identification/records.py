@@ -2,6 +2,7 @@
 period.
 """
 
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -37,23 +38,26 @@ def input_ranges(records: Records, inputs: Sequence[str]) -> dict[str, tuple[flo
     return ranges
 
 
-def parted(records: Records, held_out: float, horizon: int) -> tuple[Records, Records]:
-    """Return (heads, tails): the recordings cut in two, tails empty where either holds no window.
+def parted(records: Records, held_out: float, horizon: int) -> Records:
+    """Return the parts that are left out in turn: the recordings; of a single one its blocks, none where a
+    block holds no window.
 
     Args:
-        held_out: the share of the usable samples of each recording that its tail holds.
+        held_out: the share of its usable samples that a block of a single recording holds; 0: nothing is left
+            out.
     """
     if not held_out:
-        return records, []
-    heads, tails = [], []
-    for u, y, starts in records:
-        missing = np.isnan(np.concatenate([u, y], 1)).any(1)
-        cut = _cut(~missing, 1 - held_out)
-        heads.append(_part(u, y, starts, 0, cut))
-        tails.append(_part(u, y, starts, cut, len(y)))
-    if not _holds_window(heads, horizon) or not _holds_window(tails, horizon):
-        return records, []
-    return heads, tails
+        return []
+    if len(records) > 1:
+        return records
+    ((u, y, starts),) = records
+    usable = ~np.isnan(np.concatenate([u, y], 1)).any(1)
+    count = max(round(1 / held_out), 2)
+    cuts = [0, *(_cut(usable, i / count) for i in range(1, count)), len(y)]
+    blocks = [_part(u, y, starts, first, stop) for first, stop in itertools.pairwise(cuts)]
+    if not all(_holds_window([block], horizon) for block in blocks):
+        return []
+    return blocks
 
 
 def _cut(usable: np.ndarray, share: float) -> int:

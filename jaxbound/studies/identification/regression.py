@@ -28,6 +28,7 @@ __all__ = [
     "CompleteWindows",
     "coefficients",
     "growth",
+    "information",
     "least_squares",
     "refined",
     "scales_of",
@@ -123,12 +124,24 @@ def least_squares(windows: CompleteWindows, order: int, direct: bool) -> tuple[n
     Args:
         windows: of order + 1 samples. direct: whether u_k acts on y_k.
     """
+    theta, _, _, singular = np.linalg.lstsq(
+        _regressors(windows, order, direct), windows.y[:, order], rcond=1e-9
+    )
+    return theta, singular
+
+
+def _regressors(windows: CompleteWindows, order: int, direct: bool) -> np.ndarray:
+    """Return the regressors (N, order (p + m) + direct m + 1) of windows of order + 1 samples."""
     u, y = windows.u, windows.y
     past = [y[:, order - i] for i in range(1, order + 1)]
     past += [u[:, order - i] for i in range(not direct, order + 1)]
-    regressors = np.concatenate([*past, np.ones((len(y), 1))], 1)
-    theta, _, _, singular = np.linalg.lstsq(regressors, y[:, order], rcond=1e-9)
-    return theta, singular
+    return np.concatenate([*past, np.ones((len(y), 1))], 1)
+
+
+def information(records: Records, scales: Scales, order: int, direct: bool) -> np.ndarray:
+    """Return the mean of the products of regressors, a matrix: what a step says of the coefficients."""
+    regressors = _regressors(windows_of(records, scales, order), order, direct)
+    return np.asarray(regressors.T @ regressors / max(len(regressors), 1))
 
 
 def coefficients(
