@@ -108,8 +108,8 @@ def test_the_summary_names_bounds_shares_and_cautions(place, capsys):
     for text in (
         "tank: fitted to 1 recording",
         "run.csv 106 windows, ",
-        "safety 1.25 times the smallest bounds",
-        "caution nothing was held out",
+        "safety 1.25 times these bounds",
+        "caution nothing was left out",
         "10 of 120 samples are set aside",
     ):
         assert text in out, out
