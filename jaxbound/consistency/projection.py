@@ -233,12 +233,9 @@ def _stretch_of(reading: Reading, u: jax.Array, y: jax.Array) -> _Stretch:
 
 def columns_of(given: Given, u: jax.Array, y: jax.Array) -> WindowColumns:
     """Return the columns of the windows of a stretch u (N + s, m), y (N + s, p)."""
-    stretch, projection = _stretch_of(given.reading, u, y), given.projection
-    numbers, count = (*projection.outer, *projection.inner), len(y) - given.reading.horizon
-    mids, _, weights, _ = zip(*stretch.samples, strict=True)
-    mid = _less_forced(given, stretch, _taken_columns(given.reading, mids, numbers, count), numbers)
-    weight = _taken_columns(given.reading, weights, numbers, count)
-    return WindowColumns(mid, weight, stretch.scale, stretch.heaviest, stretch.known)
+    stretch = _stretch_of(given.reading, u, y)
+    middles = [sample.mid for sample in stretch.samples]
+    return _columns(given, stretch, middles, middles)
 
 
 @kernel(wide=True)
@@ -249,13 +246,24 @@ def of_witness(given: Given, u: jax.Array, both: jax.Array) -> jax.Array:
     """
     reading, inner = given.reading, given.projection.inner
     y, truth = both[:, : len(reading.noise)], list(both[:, len(reading.noise) :].T)
-    stretch, count = _stretch_of(reading, u, y), len(y) - reading.horizon
-    true = _taken_columns(reading, truth, inner, count)
-    mid = _taken_columns(reading, [sample.mid for sample in stretch.samples], inner, count)
-    errors = [a - b for a, b in zip(true, mid, strict=True)]
-    return witnessed_margin(
-        given.projection, columns_of(given, u, y), _less_forced(given, stretch, true, inner), errors
-    )
+    stretch = _stretch_of(reading, u, y)
+    middles = [sample.mid for sample in stretch.samples]
+    off = [true - middle for true, middle in zip(truth, middles, strict=True)]
+    errors = _taken_columns(reading, off, inner, len(stretch.scale))
+    return witnessed_margin(given.projection, _columns(given, stretch, middles, truth), errors)
+
+
+def _columns(
+    given: Given, stretch: _Stretch, outer: Sequence[jax.Array], inner: Sequence[jax.Array]
+) -> WindowColumns:
+    """Return the columns of windows from the series that outer and inner rows read."""
+    reading, projection, count = given.reading, given.projection, len(stretch.scale)
+    numbers = *projection.outer, *projection.inner
+    rows = _taken_columns(reading, outer, projection.outer, count)
+    rows += _taken_columns(reading, inner, projection.inner, count)
+    weights = _taken_columns(reading, [sample.weight for sample in stretch.samples], numbers, count)
+    mid = _less_forced(given, stretch, rows, numbers)
+    return WindowColumns(mid, weights, stretch.scale, stretch.heaviest, stretch.known)
 
 
 def _taken_columns(

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.experimental.xla_metadata import set_xla_metadata
 
-__all__ = ["FEW", "apart", "foremost", "highest", "largest", "most", "stored", "summed", "total"]
+__all__ = ["FEW", "apart", "foremost", "highest", "largest", "most", "product", "stored", "summed", "total"]
 
 FEW = 8
 """Rows up to which a sum is written out; more are added in a loop, four at a time: it compiles to no more
@@ -115,6 +115,13 @@ def summed(
         add = lambda some, so_far: total([so_far, *(at(some * TOGETHER + i) for i in range(TOGETHER))])
         so_far = jax.lax.fori_loop(0, whole, add, jnp.zeros_like(so_far))
     return total([so_far, *(at(i) for i in range(max(whole * TOGETHER, not whole), count))])
+
+
+def product(A: jax.Array | np.ndarray, x: jax.Array | np.ndarray, few: int = FEW) -> jax.Array:
+    """Return A x (a, N) of a matrix (a, b) and rows (b, N), added up in order; few: as of `summed`."""
+    if not A.shape[1]:
+        return jnp.zeros((len(A), x.shape[1]), x.dtype)
+    return summed(lambda column, row: column[:, None] * row[None], A, x, axes=(1, 0), few=few)
 
 
 def highest(rows: jax.Array) -> jax.Array:

@@ -48,8 +48,8 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.floats.unrolled import most, stored, summed, total
-from jaxbound.sets.strips.weighted import factored, solved
+from jaxbound.sets.floats.unrolled import most, product, stored, summed, total
+from jaxbound.sets.strips.weighted import TERMS, factored, solved
 
 __all__ = [
     "Columns",
@@ -67,8 +67,6 @@ __all__ = [
 ]
 
 Columns: TypeAlias = Sequence[jax.Array]
-TERMS = 48
-"""Terms of a sum that are written out in a search."""
 WRITTEN_OUT = 256
 """Entries of a matrix up to which a product is written out term by term."""
 SHARE = 0.85
@@ -167,17 +165,18 @@ def projected_margin(given: Projection, columns: WindowColumns) -> jax.Array:
     return _explained(used, off * columns.heaviest, jnp.abs(total(d)))
 
 
-def witnessed_margin(given: Projection, columns: WindowColumns, inner: Columns, errors: Columns) -> jax.Array:
+def witnessed_margin(given: Projection, columns: WindowColumns, errors: Columns) -> jax.Array:
     """Return a proved lower bound > 0 of the margin (N,) of windows that known inner rows explain; 0 of all
     others.
 
     Args:
-        columns: of the windows, as for `projected_margin`. inner: values of the inner rows, less f, whatever
-            they are. errors: the same less the middles of these rows.
+        columns: as for `projected_margin`, but with values of the inner rows, whatever they are, in place of
+            their middles. errors: these values less the middles.
 
     Encloses: no d is worked out, so that the errors lose less than in `projected_margin`.
     """
-    z = _less(columns.mid[: len(given.outer)], _times(given.R, inner))
+    c = len(given.outer)
+    z = _less(columns.mid[:c], _times(given.R, columns.mid[c:]))
     used = most([jnp.abs(e) * weight for e, weight in zip([*z, *errors], columns.weight, strict=True)])
     off = _off(given, given.projected, columns.scale, columns.known)
     return _explained(used, off * columns.heaviest, jnp.abs(total(errors)))
@@ -380,10 +379,8 @@ def _explained(used: jax.Array, off: jax.Array, size: jax.Array) -> jax.Array:
 
 
 def _product(A: np.ndarray | jax.Array, x: jax.Array) -> jax.Array:
-    """Return A x (a, N) of a matrix (a, b) and rows (b, N), added up in order."""
-    if not A.shape[1]:
-        return jnp.zeros((len(A), x.shape[1]), x.dtype)
-    return summed(lambda column, row: column[:, None] * row[None], A, x, axes=(1, 0), few=TERMS)
+    """Return A x, its sums written out as a search needs them."""
+    return product(A, x, TERMS)
 
 
 def _against(R: np.ndarray, z: jax.Array, radius: jax.Array, h: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -35,7 +35,7 @@ from jax.typing import DTypeLike
 
 from jaxbound.exact.frames import ExactFrame
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.floats.unrolled import FEW, foremost, stored, summed
+from jaxbound.sets.floats.unrolled import foremost, product, stored, summed
 from jaxbound.sets.strips.exchange_step import WRITTEN_OUT, closeness, long_step, picked, reference, scaled
 from jaxbound.sets.strips.tableau import tableau_search
 
@@ -244,7 +244,7 @@ def separation_verdict(
     gamma, _ = rounding.search_error(c, k, frame.K.shape[1], z.dtype)
     residual, width = jnp.abs(_dot(h, z)) / one, _width(frame.R, h, radius) / one
     outside = residual - width > gamma * _dot(jnp.abs(h), magnitude[:c]) + floor
-    gap = jnp.concatenate([z - _product(frame.R, d), d])
+    gap = jnp.concatenate([z - product(frame.R, d), d])
     within = (
         jnp.abs(gap) + gamma * magnitude + floor[None] - radius <= 0
     )  # false for NaN, which a largest may leave out
@@ -345,7 +345,7 @@ def exchange_search(
         _, value_e, radius_e, e = leader
         now = reference(basis, T, value_e, radius_e, one, ones)
         d = through(P, now.on_S) / ones
-        error = jnp.concatenate([z - _product(R, d, WRITTEN_OUT), d])
+        error = jnp.concatenate([z - product(R, d, WRITTEN_OUT), d])
         worst, w = foremost(jnp.abs(error) * weight / one[None])
         done = done | (worst <= now.t + close * (1 + now.t))
         enters = jnp.take(rows, w, 0, mode="clip").T / ones
@@ -367,7 +367,7 @@ def exchange_search(
         T = jnp.where(done[None], T, jnp.where(swap[None], stays - rest[None] * row, T_w)) / ones
         return P, row, column, basis, T, leader, done, count + 1
 
-    alone = z / (radius[:c] + _product(jnp.abs(R), r_inner))
+    alone = z / (radius[:c] + product(jnp.abs(R), r_inner))
     _, e = foremost(jnp.where(present[:c], jnp.abs(alone), -1) / one[None])
     P = jnp.broadcast_to(jnp.eye(k, dtype=dtype)[:, :, None], (k, k, N))
     basis = jnp.stack(
@@ -385,9 +385,3 @@ def exchange_search(
         jnp.where(present[:c], jnp.where(e[None] == outer, 1, 0) - on_S, 0) / one[None]
     )  # multipliers: 1 on e, -T on S
     return scaled(h), d, done
-
-
-def _product(R: Numbers, x: Numbers, few: int = FEW) -> jax.Array:
-    """Return R x of a matrix (c, k) and rows (k, N), k > 0; few: as of `summed`."""
-    term = lambda column, row: column[:, None] * row[None]
-    return summed(term, cast(jax.Array, R), cast(jax.Array, x), axes=(1, 0), few=few)

@@ -12,12 +12,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.sets.floats.unrolled import stored, summed
+from jaxbound.sets.floats.unrolled import product, stored
 
-__all__ = ["Factor", "factored", "solved"]
+__all__ = ["TERMS", "Factor", "factored", "solved"]
 
 TERMS = 48
-"""Terms of a sum that are written out."""
+"""Terms of a sum that are written out in a search."""
 
 
 class Factor(NamedTuple):
@@ -30,10 +30,7 @@ def factored(A: jax.Array, weights: jax.Array) -> Factor:
     """Return the Factor of A' diag(weights) A, A (r, k) and weights (r, N) > 0."""
     k = A.shape[1]
     i, j = np.tril_indices(k)
-    products = (A[:, i] * A[:, j]).T
-    entries = stored(
-        summed(lambda column, row: column[:, None] * row[None], products, weights, axes=(1, 0), few=TERMS)
-    )
+    entries = stored(product((A[:, i] * A[:, j]).T, weights, TERMS))
     place = np.zeros((k, k), int)
     place[i, j] = place[j, i] = np.arange(len(i))
     row = np.arange(k)[:, None]
