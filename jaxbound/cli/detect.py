@@ -10,6 +10,7 @@ from jaxbound.cli.options import (
     MethodOptions,
     add_alarm,
     add_engine,
+    add_every,
     add_json,
     add_margins,
     add_method,
@@ -129,6 +130,7 @@ def options(parser: argparse.ArgumentParser) -> None:
         "; observer carries everything since it began on; validation bounds states and outputs, names the "
         "faulty sensor and says what it should have shown",
     )
+    add_every(parser)
     add_windows(parser)
     add_margins(parser)
     add_alarm(parser)

@@ -12,12 +12,11 @@ from jaxbound.cli.engine import engine
 from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.share import opened
 from jaxbound.cli.terminal import door, usable_device
-from jaxbound.cli.window import window_relations
+from jaxbound.cli.window import stated_model, window_relations
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import outgrown
 from jaxbound.diagnosis.result import Result
 from jaxbound.diagnosis.spot_checks import again_hints
-from jaxbound.models.modelfile import load_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.parquet import PARTIAL, VERDICTS
@@ -156,7 +155,7 @@ def evaluate(
     """
     seconds, start = {}, time.perf_counter()
     with door():
-        stated = load_model(model)
+        stated = stated_model(model, options.every)
         source = open_source(data, stated)
         content = source.content  # before it is read, so that what is written meanwhile does not pass for it
         recording = source.read(progress=lambda share: step("read", share))

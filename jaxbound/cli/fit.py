@@ -7,7 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxbound.cli.command import swift_imports
-from jaxbound.cli.options import add_force, add_json, add_safety, add_windows, path, share, whole_number
+from jaxbound.cli.options import (
+    add_every,
+    add_force,
+    add_json,
+    add_safety,
+    add_windows,
+    path,
+    share,
+    whole_number,
+)
 from jaxbound.cli.terminal import OK, door, progress_bars, some_device, write
 
 if TYPE_CHECKING:
@@ -68,6 +77,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--dt", type=float, metavar="SECONDS", help="sampling period (default: the median step of the time)"
     )
+    add_every(parser, "as recorded")
     add_safety(parser)
     parser.add_argument(
         "--held-out",
@@ -121,6 +131,8 @@ def run(args: argparse.Namespace) -> int:
             about["time"] = args.time
         if args.where:
             about["where"] = args.where
+        if args.every:
+            about["every"] = args.every
         recordings = read_signals(
             args.data, inputs, outputs, about, args.dt, lambda share: step("read", share)
         )

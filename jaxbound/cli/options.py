@@ -21,6 +21,7 @@ __all__ = [
     "MethodOptions",
     "add_alarm",
     "add_engine",
+    "add_every",
     "add_force",
     "add_json",
     "add_loudness",
@@ -29,6 +30,7 @@ __all__ = [
     "add_observer",
     "add_safety",
     "add_windows",
+    "interval",
     "lags",
     "named",
     "path",
@@ -65,7 +67,7 @@ class MethodOptions:
         method: one of METHODS, "observer", or, for a command that has it, "validation".
         horizon, lags: the windows; None: those of the model.
         order, latched, observer: of an observer, see `add_observer`.
-        margins: one of MARGINS, see `add_margins`.
+        margins: one of MARGINS, see `add_margins`. every: see `add_every`; None: that of the model.
         settings: {field: value} of the observer's own options, see `estimation.method.ShellOption`.
     """
 
@@ -76,6 +78,7 @@ class MethodOptions:
     latched: bool = False
     observer: str | None = None
     margins: str = MARGINS[0]
+    every: str | None = None
     settings: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
@@ -247,6 +250,17 @@ def add_engine(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_every(parser: argparse.ArgumentParser, default: str = "that of the model") -> None:
+    """Add --every. default: of it."""
+    parser.add_argument(
+        "--every",
+        type=interval,
+        metavar="15min",
+        help="samples are the means of what was recorded within each such interval of the clock, in ms, s, "
+        f"min, h or d (default: {default})",
+    )
+
+
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Add --json."""
     about = "a machine-readable summary on stdout, nothing else"
@@ -334,6 +348,17 @@ def share(text: str) -> float:
     if not 0 <= number <= 1:
         raise ArgumentTypeError(f"needs a share between 0 and 1, not {text!r}")
     return number
+
+
+def interval(text: str) -> str:
+    """Return an interval of the clock as it is written."""
+    from jaxbound.recordings.means import seconds_of
+
+    try:
+        seconds_of(text)
+    except ValueError as e:
+        raise ArgumentTypeError(str(e).removeprefix("every ")) from None
+    return text
 
 
 def lags(text: str) -> tuple[int, ...]:

@@ -23,12 +23,11 @@ import numpy as np
 from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.signals import arrivals, ends
 from jaxbound.cli.terminal import door, nobody_reads, say, system_trouble, usable_device
-from jaxbound.cli.window import window_relations
+from jaxbound.cli.window import stated_model, window_relations
 from jaxbound.consistency.monitor import Monitor
 from jaxbound.diagnosis.alarms import forgets_after
 from jaxbound.diagnosis.hints import bound_hints, judging_hints, outgrown, unfit
 from jaxbound.files.locks import refuse_link
-from jaxbound.models.modelfile import load_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.live import LiveSource
 from jaxbound.recordings.pipetext import PipeText
@@ -117,7 +116,7 @@ def judge_stream(
     options = options or MethodOptions()
     with door(), ExitStack() as opened:
         folder = opened.enter_context(_folder(Path(model), out, state))
-        stated = load_model(model)
+        stated = stated_model(model, options.every)
         tested, relations = window_relations(stated, options, model, None, lambda stage, share: None)
         if not relations.searched:  # strips: sooner done than handed to another thread
             # jax states no types of this function

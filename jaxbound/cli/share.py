@@ -11,9 +11,8 @@ from typing import Any
 
 from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.terminal import OK, door, progress_bars, show, usable_device, write
-from jaxbound.cli.window import window_relations
+from jaxbound.cli.window import stated_model, window_relations
 from jaxbound.consistency.interface import AUTO
-from jaxbound.models.modelfile import load_model
 from jaxbound.recordings.parquet import PARTIAL
 from jaxbound.recordings.read import open_source
 from jaxbound.runs.outputs import shared_folder
@@ -108,7 +107,7 @@ def opened(
     model: Path, data: Path | str, options: MethodOptions, step: Callable[[str, float], object]
 ) -> tuple[Any, Any]:
     """Return (Source, relations) of what is to be tested chunk by chunk."""
-    stated = load_model(model)
+    stated = stated_model(model, options.every)
     usable_device()
     source = open_source(data, stated)
     return source, window_relations(stated, options, data, source.samples, step)[1]
@@ -124,6 +123,7 @@ def same_test(
     if options.lags is not None:
         words += ["--lags", ",".join(map(str, options.lags))]
     valued = {
+        "--every": options.every,
         "--horizon": options.horizon,
         "--order": options.order,
         "--observer": options.observer,

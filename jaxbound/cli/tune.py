@@ -6,6 +6,7 @@ import json
 from jaxbound.cli.command import swift_imports
 from jaxbound.cli.options import (
     MethodOptions,
+    add_every,
     add_force,
     add_json,
     add_safety,
@@ -53,6 +54,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=path, required=True, metavar="TUNED.toml", help="the model with its new bounds"
     )
+    add_every(parser)
     add_windows(parser)
     parser.add_argument(
         "--steps",
@@ -92,9 +94,8 @@ def run(args: argparse.Namespace) -> int:
             show_tuning,
             tuned_text,
         )
-        from jaxbound.cli.window import parity_windows
+        from jaxbound.cli.window import parity_windows, stated_model
         from jaxbound.files.whole import whole
-        from jaxbound.models.modelfile import load_model
         from jaxbound.plots.canvas import to_png
         from jaxbound.plots.tune import plot_tuning
         from jaxbound.recordings.read import read
@@ -111,7 +112,7 @@ def run(args: argparse.Namespace) -> int:
     if args.bounds is not None:
         chosen = [name.strip() for name in args.bounds.split(",")]
     with door(), progress_bars(("read", "relations", "tune")) as step:
-        model = load_model(args.model)
+        model = stated_model(args.model, args.every)
         text = args.model.read_text(encoding="utf-8-sig")
         recordings = []
         for i, file in enumerate(files):

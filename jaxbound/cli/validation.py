@@ -13,11 +13,11 @@ import numpy as np
 from jaxbound.cli.evaluation import Evaluation
 from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.terminal import door, usable_device
+from jaxbound.cli.window import stated_model
 from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarms import Alarm, group_alarms
 from jaxbound.diagnosis.hints import bound_hints, judging_hints, outgrown
 from jaxbound.estimation.validation import Validation, least_horizon, validate
-from jaxbound.models.modelfile import load_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.columns import to_arrow, words
 from jaxbound.recordings.read import open_source
@@ -177,7 +177,7 @@ def evaluate_validation(
     """Read a recording, validate it and write everything into a folder, see `evaluate`."""
     seconds, start = {}, time.perf_counter()
     with door():
-        plant = load_model(model)
+        plant = stated_model(model, options.every)
         source = open_source(data, plant)
         content, recording = source.content, source.read(progress=lambda share: step("read", share))
         if options.lags is not None:

@@ -4,7 +4,7 @@ import argparse
 import json
 
 from jaxbound.cli.command import swift_imports
-from jaxbound.cli.options import path
+from jaxbound.cli.options import add_every, path
 from jaxbound.cli.terminal import door, say, show
 
 NAME = "verify"
@@ -40,6 +40,7 @@ def options(parser: argparse.ArgumentParser) -> None:
         metavar="DATA",
         help="the recording: a CSV file, a Parquet file or a folder",
     )
+    add_every(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -50,11 +51,11 @@ def run(args: argparse.Namespace) -> int:
     with swift_imports():
         from jaxbound.certificates.checker.script import CONFIRMED, NOT_CONFIRMED, REFUSED, load
         from jaxbound.certificates.verification import verify, window_of
-        from jaxbound.models.modelfile import load_model
+        from jaxbound.cli.window import stated_model
         from jaxbound.recordings.read import open_source
 
     with door():
-        model = load_model(args.model)
+        model = stated_model(args.model, args.every)
         source = open_source(args.data, model)
     try:
         document = load(args.certificate)

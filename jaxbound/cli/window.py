@@ -1,16 +1,19 @@
 """The windows that a command tests by, those that --horizon or --lags ask for, or its set observer."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 from jaxbound.cli.options import MethodOptions
 from jaxbound.consistency.interface import FAMILIES, Relations
+from jaxbound.models.modelfile import load_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import refuse_short
+from jaxbound.recordings.means import EVERY
 from jaxbound.relations.parity import ParityRelation, parity_relations
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.runs.relations import relations_by
 
-__all__ = ["parity_windows", "window_relations", "windowed"]
+__all__ = ["parity_windows", "stated_model", "window_relations", "windowed"]
 
 
 def windowed(model: LinearSystem, horizon: int | None, lags: tuple[int, ...] | None) -> LinearSystem:
@@ -24,6 +27,21 @@ def windowed(model: LinearSystem, horizon: int | None, lags: tuple[int, ...] | N
     if lags is not None:
         return model.replace(horizon=None, lags=lags)
     return model if horizon is None or model.lags is None else model.replace(horizon=horizon)
+
+
+def stated_model(path: Path | str, every: str | None) -> LinearSystem:
+    """Return the model of a file, whose samples are means over an interval if one is asked for.
+
+    Raises:
+        OSError, ValueError: see `load_model`; an interval that is not its dt.
+    """
+    model = load_model(path)
+    if every is None:
+        return model
+    try:
+        return model.replace(columns={**model.columns, EVERY: every})
+    except ValueError as e:
+        raise ValueError(f"{path}: {e}: fit a model with --every {every}") from None
 
 
 def window_relations(

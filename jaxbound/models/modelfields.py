@@ -274,6 +274,7 @@ def _unwritten(model: LinearSystem, entry: Entry) -> None:
 FIELDS = (
     Field("", "name", TEXT, Argument()),
     Field("", "dt", NUMBER, Elsewhere(_period)),
+    Field("", "every", TEXT, BySignal("columns")),
     Field("", "horizon", WHOLE, Elsewhere(_horizon)),
     Field("", "lags", LAGS, Argument()),
     Field("", "time", TEXT, BySignal("columns")),

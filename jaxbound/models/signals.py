@@ -13,9 +13,20 @@ import numpy as np
 from jaxbound.exact.linalg import Number, Vector
 from jaxbound.models.numbers import number
 from jaxbound.recordings.expressions import expression, is_expression
+from jaxbound.recordings.means import EVERY, seconds_of
 from jaxbound.text.names import listed
 
-__all__ = ["Each", "ModelSignals", "Sensors", "Words", "model_signals", "named", "sensors", "words"]
+__all__ = [
+    "Each",
+    "ModelSignals",
+    "Sensors",
+    "Words",
+    "model_signals",
+    "named",
+    "refuse_other_every",
+    "sensors",
+    "words",
+]
 
 Each: TypeAlias = Number | Sequence[Number] | np.ndarray | jax.Array
 """One number for all, or one for each."""
@@ -87,9 +98,11 @@ def model_signals(
         raise ValueError(f"offset has the fields 'u' and 'y', not {sorted(unknown)}")
     input_offset = _vector("offset u", offset.get("u", 0), input_names)
     output_offset = _vector("offset y", offset.get("y", 0), output_names)
-    texts = words("columns", columns, (*recorded, "time", "where"))
+    texts = words("columns", columns, (*recorded, "time", "where", EVERY))
     for name, text in texts:
-        if name == "where" or (name != "time" and is_expression(text)):
+        if name == EVERY:
+            seconds_of(text)
+        elif name == "where" or (name != "time" and is_expression(text)):
             expression(text)  # refuses what it cannot read
     return ModelSignals(
         input_names,
@@ -101,6 +114,16 @@ def model_signals(
         columns=texts,
         ranges=_ranges(ranges, input_names),
     )
+
+
+def refuse_other_every(columns: Words, dt: float) -> None:
+    """Raise ValueError if samples are means over another interval than dt, in s."""
+    every = dict(columns).get(EVERY)
+    if every is not None and abs(seconds_of(every) - dt) > 1e-9 * dt:
+        raise ValueError(
+            f"every = {every!r} is {seconds_of(every):g} s and dt = {dt:g} s: samples that are means over an "
+            f"interval are that far apart"
+        )
 
 
 def _ranges(

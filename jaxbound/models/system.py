@@ -14,7 +14,16 @@ from jaxbound.exact.linalg import Matrix, MatrixLike, Number, Vector
 from jaxbound.models.average import Average, Averaged, averages_of
 from jaxbound.models.numbers import is_whole
 from jaxbound.models.plant import Plant, plant
-from jaxbound.models.signals import Each, ModelSignals, Sensors, Words, model_signals, sensors, words
+from jaxbound.models.signals import (
+    Each,
+    ModelSignals,
+    Sensors,
+    Words,
+    model_signals,
+    refuse_other_every,
+    sensors,
+    words,
+)
 from jaxbound.models.uncertainty import Uncertainty, centred
 from jaxbound.models.unknown import Bounded, Coupling, without_descriptor
 from jaxbound.text.objects import readable
@@ -87,7 +96,8 @@ class LinearSystem:
         columns: {name: column} where a recording calls a signal otherwise, or "= an expression" over its
             columns, like "= `Supply Temp` - `Mixed Temp`"; "time": the column of its time stamps; "where": a
             condition, like "fan > 0": samples for which it does not hold are no part of the recording, and
-            windows with them are MISSING.
+            windows with them are MISSING; "every": an interval of dt, like "15min": samples are the means of
+            what was recorded within each.
         ranges: {input: (lowest, highest)}: between which it moved in the recordings that the model was fitted
             to; `study` moves it there.
         provenance: {"noise": "datasheet" | "fitted" | "assumed", ...}: where a bound comes from, for reports.
@@ -194,6 +204,7 @@ class LinearSystem:
         signals = model_signals(
             (parts.m, parts.p, parts.n), inputs, outputs, states, offset, units, columns, ranges
         )
+        refuse_other_every(signals.columns, parts.dt)
         length, sparse = _window(horizon, lags)
         measured = sensors(signals.outputs, tolerance, noise, resolution, constant_tolerance)
         vars(self).update(

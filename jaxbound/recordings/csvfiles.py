@@ -28,6 +28,8 @@ __all__ = ["CsvFile"]
 class CsvFile(Source):
     """A CSV file, or any file that no other kind of source takes."""
 
+    as_recorded = True
+
     @classmethod
     def takes(cls, data: object) -> bool:
         """Return True for every path: what is no CSV file is refused in a sentence."""
@@ -56,7 +58,7 @@ def _recording_of(path: Path, model: SignalModel, report: Progress) -> Recording
         raise ValueError("the file has one row of data: a recording has at least two")
     written = _written_times(layout, plan.wanted, table)
     columns = _columns_of(layout, plan, table)
-    times = _times_of(layout, plan, written, model.dt, count)
+    times = _times_of(layout, plan, written, model, count)
     if plan.wanted.time is not None:  # an expression may compare it with a date
         columns.setdefault(plan.wanted.time, times.time if times.stamps is None else times.stamps)
     samples = plan.wanted.samples(columns, count)
@@ -100,11 +102,13 @@ def _columns_of(layout: Layout, plan: Planned, table: Mapping[str, "pa.Array"]) 
 
 
 def _times_of(
-    layout: Layout, plan: Planned, written: "pa.Array | None", dt: float | None, count: int
+    layout: Layout, plan: Planned, written: "pa.Array | None", model: SignalModel, count: int
 ) -> _FileTimes:
     """Return the times of all rows; refuse a file without any where the model has no dt."""
-    name = plan.wanted.time
+    name, dt = plan.wanted.time, model.dt
     if name is None:
+        if not getattr(model, "regular", True):
+            raise ValueError("the file has no time column, which means over intervals of a clock need")
         if dt is None:
             raise ValueError(f"the file has no time column: {NO_TIME}")
         apart = f"the rows are taken to be dt = {dt:g} s apart, and none to be missing"
@@ -114,8 +118,12 @@ def _times_of(
     return _FileTimes(*read_numbers(_floats_of(layout, name, written), dt))
 
 
-def _period_of(layout: Layout, plan: Wanted, model: SignalModel, time: np.ndarray) -> float:
-    """Return the sampling period in s; refuse times that have another than the model's."""
+def _period_of(layout: Layout, plan: Wanted, model: SignalModel, time: np.ndarray) -> float | None:
+    """Return the sampling period in s, None where there need not be one; refuse times that have another than
+    the model's.
+    """
+    if not getattr(model, "regular", True):
+        return None
     try:
         dt = usual_period(time) if model.dt is None else model.dt
         check_period(time, dt, getattr(model, "stated", "the model has"))

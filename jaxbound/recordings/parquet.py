@@ -91,6 +91,7 @@ class ParquetSource(Source):
     states: tuple[tuple[int, int], ...] = ()
 
     parts = True
+    as_recorded = True
 
     @classmethod
     def takes(cls, data: object) -> bool:
@@ -357,6 +358,14 @@ class ParquetSource(Source):
             origin = np.datetime64(round(self.origin * (1e9 / self.scale)), "ns")
         return origin + np.timedelta64(round(seconds * 1e9), "ns")
 
+    def clock(self, size: int) -> Iterator[tuple[np.ndarray, np.ndarray | None]]:
+        """Yield (seconds, datetime64[ns] or None) of all rows, about `size` at once. There is a time."""
+        assert self.time_name is not None, "there is a column of times"
+        start = 0
+        for batch in self._batches(0, self.samples, size, [self.time_name]):
+            yield self.times(start, batch.column(0))
+            start += len(batch)
+
     def probe(self) -> Recording:
         """Return the first 100 000 samples."""
         ((_, table),) = self.tables(0, min(self.samples, PROBE), PROBE)
@@ -500,8 +509,10 @@ def _clocked(source: ParquetSource) -> ParquetSource:
     """Return the source with its time understood; refuse files in the wrong order and another period than the
     model's.
     """
-    dt = source.model.dt
+    dt, regular = source.model.dt, getattr(source.model, "regular", True)
     if source.time_name is None:
+        if not regular:
+            return source
         if dt is None:
             raise ValueError(f"{source.path}: there is no time column: {NO_TIME}")
         apart = f"the rows are taken to be dt = {dt:g} s apart, and none to be missing"
@@ -516,10 +527,14 @@ def _clocked(source: ParquetSource) -> ParquetSource:
             source = replace(source, origin=float(probe.time[0]), scale=scale, hints=hints)
             probe = source.probe()
     try:
-        if dt is None:
+        if not regular:
+            dt = 1.0  # of nothing: rows are as far apart as they are
+            source = replace(source, dt=dt)
+        elif dt is None:
             dt = usual_period(probe.time)
             source = replace(source, dt=dt)
-        check_period(probe.time, dt, getattr(source.model, "stated", "the model has"))
+        if regular:
+            check_period(probe.time, dt, getattr(source.model, "stated", "the model has"))
     except ValueError as e:
         raise ValueError(f"{source.path}: {e}") from None
     if len(source.files) > 1:

@@ -10,6 +10,8 @@ from pathlib import Path
 from jaxbound.recordings.arraysource import Arrays
 from jaxbound.recordings.csvfiles import CsvFile
 from jaxbound.recordings.live import LiveSource
+from jaxbound.recordings.means import every_of, with_every
+from jaxbound.recordings.meansource import means_source
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import TOLERATED_DT
@@ -70,7 +72,10 @@ def open_source(data: object, model: Named) -> Source:
             y, starts).
         model: as for `read`.
     """
-    return kind_of(data).open(data, signals_of(model))
+    kind, signals = kind_of(data), signals_of(model)
+    if every_of(signals) is not None and kind.as_recorded:
+        return means_source(kind, data, signals)
+    return kind.open(data, signals)
 
 
 def kind_of(data: object) -> type[Source]:
@@ -130,7 +135,8 @@ def read_signals(
         paths: one path or several, each as for `read`.
         inputs, outputs: of each signal the name, or (name, column), where a column may be "= an expression"
             over columns.
-        columns: {"time": column, "where": condition, signal: column}, as of a LinearSystem. dt: seconds
+        columns: {"time": column, "where": condition, "every": interval, signal: column}, as of a
+            LinearSystem. dt: seconds
             between samples; None: the median step of the time column, a sentence in .hints says which.
         progress: called with the share of the work done.
 
@@ -147,6 +153,7 @@ def read_signals(
         raise ValueError("there is no output: give at least one")
     columns = dict(columns or {})
     columns |= {signal[0]: signal[1] for signal in (*inputs, *outputs) if not isinstance(signal, str)}
+    columns, dt = with_every(columns, dt, None)
     model = Signals(tuple(map(_name_of, inputs)), tuple(map(_name_of, outputs)), columns, dt)
     recordings: list[Recording] = []
     for i, path in enumerate(paths):

@@ -16,11 +16,23 @@ from numpy.typing import ArrayLike
 from jaxbound.recordings.arrays import computed, float_arrays, is_made, refuse_infinite
 from jaxbound.recordings.columns import to_arrow
 from jaxbound.recordings.expressions import expression, fails, find_column
-from jaxbound.recordings.seams import all_starts, around, aside, check_period, crossing
-from jaxbound.recordings.signals import Named, SignalModel
+from jaxbound.recordings.means import (
+    Grid,
+    every_of,
+    grid_of,
+    instants,
+    is_period,
+    means_of,
+    midnight_of,
+    recorded_model,
+    seconds_of,
+    usual_step,
+)
+from jaxbound.recordings.seams import Clock, all_starts, around, aside, check_period, crossing, tick
+from jaxbound.recordings.signals import Named, SignalModel, signals_of
 from jaxbound.recordings.table import Data, as_table, is_table, paired
 from jaxbound.recordings.tabletime import row_time
-from jaxbound.recordings.timestamps import row_label, time_label
+from jaxbound.recordings.timestamps import from_epoch, row_label, time_label
 from jaxbound.text.objects import readable
 
 if TYPE_CHECKING:
@@ -36,6 +48,7 @@ Samples = tuple[np.ndarray, np.ndarray, np.ndarray | None]
 """(u, y, excluded)."""
 Times = tuple[np.ndarray, np.ndarray | None, "pa.Array | None"]
 """(time in s, stamps, as they are written)."""
+SINCE_1970 = 1e9  # a time in seconds that large is counted from 1970
 EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
 
 
@@ -114,6 +127,9 @@ class Recording:
                 fit the model or the other array, indexes that hold different rows, rows of several units, in
                 disorder or of a wrong sampling period, starts that are no numbers of samples.
         """
+        every = every_of(model)
+        if every is not None:
+            return cls._of_means(model, u, y, starts, narrow, every)
         if y is None and is_made(u):
             return cls._of_recording(model, u, starts, narrow)
         is_one = u is y or y is None
@@ -135,6 +151,22 @@ class Recording:
             return recording
         seams = _union(recording.starts, jumps, all_starts(starts, recording.samples))
         return replace(recording, starts=seams)
+
+    @classmethod
+    def _of_means(
+        cls, model: Named, u: Data, y: Data, starts: ArrayLike, narrow: bool, every: str
+    ) -> "Recording":
+        """Return the Recording of means over intervals; what has no times, or their step, is taken for means
+        already.
+        """
+        recorded = cls.of(recorded_model(signals_of(model)), u, y, starts, regular=False, narrow=narrow)
+        if recorded.time is None or is_period(recorded.dt, every):
+            return recorded
+        if np.size(starts):
+            raise ValueError(f"every = {every!r} and starts do not go together: times show the gaps")
+        means = recorded.averaged(every)
+        _, seams = tick(Clock(seconds_of(every)), means.time)
+        return replace(means, starts=_union(seams, around(means.excluded)))
 
     def _where(self, model: Named, tables: Mapping[str, "pd.DataFrame"]) -> "Recording":
         """Return the recording without the samples that the model's `where` leaves out, by these tables."""
@@ -215,6 +247,41 @@ class Recording:
             return replace(given, u=u, y=y, starts=seams, inputs=inputs, outputs=outputs)
         excluded, index = getattr(given, "excluded", None), getattr(given, "index", None)
         return cls(u, y, seams, inputs, outputs, excluded, index, dt=dt)
+
+    def averaged(self, every: str) -> "Recording":
+        """Return the means over intervals of the clock, without starts and hints, see `means`.
+
+        Raises:
+            ValueError: see `grid_of`.
+        """
+        stamps = self.stamps
+        if stamps is None and self.origin > SINCE_1970:
+            stamps = from_epoch(self.origin + self.time, 1.0)
+        origin = midnight_of(stamps)
+        instant = instants(self.time, stamps, origin)
+        grid = grid_of([instant], every, usual_step(instant), origin)
+        return self.on_grid(grid, int(grid.number[0]), means_of(grid, 0, self.u, self.y, self.excluded))
+
+    def on_grid(self, grid: Grid, zero: int, samples: Samples) -> "Recording":
+        """Return the Recording of means over intervals, with the names of this one.
+
+        Args:
+            grid: the intervals. zero: see `Grid.time`. samples: (u, y, excluded) of them.
+        """
+        u, y, excluded = samples
+        time, stamps = grid.time(zero), grid.stamps
+        origin, index = 0.0, time
+        if stamps is not None:
+            origin, index = float((stamps[0] - EPOCH) / SECOND - time[0]), stamps
+        about: dict[str, Any] = {
+            "index": index,
+            "time": time,
+            "origin": origin,
+            "stamps": stamps,
+            "written": None,
+        }
+        dt = grid.every / 1e9
+        return replace(self, u=u, y=y, excluded=excluded, starts=NOWHERE, dt=dt, hints=(), **about)
 
     def _head(self) -> str:
         names = f" of {self.source}" if self.source else ""

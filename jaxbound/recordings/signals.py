@@ -55,13 +55,14 @@ class Signals:
     """The names that reading needs where there is no model yet.
 
     Fields: inputs, outputs: names; columns: as of a LinearSystem; dt: sampling period in s, None: the median
-    step of the recording.
+    step of the recording; regular: whether its rows have to be a sampling period apart.
     """
 
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     columns: dict[str, str]
     dt: float | None = None
+    regular: bool = True
     stated = "you gave"
     """Who says dt, in sentences."""
     name = ""

@@ -69,6 +69,9 @@ class Source:
 
     parts = False
     """Whether it is read in pieces, so that its size does not matter, and verdicts are written in parts."""
+    as_recorded = False
+    """Whether samples are read with their own times where the model's are means, see `meansource`; other
+    kinds leave that to `Recording.of`."""
     live = False
     """Whether samples come as time goes by: they are judged by a Monitor, see `live.LiveSource`."""
     _whole: Recording | None = None
@@ -196,6 +199,8 @@ def with_hints(
     Raises:
         ValueError: more seams than steps of one sampling period.
     """
+    if not getattr(model, "regular", True):
+        return replace(r, hints=tuple(first))
     clock, starts = tick(Clock(r.dt or 1.0), r.time)
     sentence = irregular(clock, r.label, row)
     if sentence:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxbound.recordings.means import refuse_every
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import Clock, Seam
 from jaxbound.recordings.signals import SignalModel
@@ -35,6 +36,7 @@ class Stream:
     replaying = False
 
     def __init__(self, model: SignalModel, complain: Complain) -> None:
+        refuse_every(model, "samples that are judged as they come")
         self.model, self.complain = model, complain
         self.dt = model.dt or 1.0
         self.clock = Clock(self.dt)

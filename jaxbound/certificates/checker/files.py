@@ -1,9 +1,9 @@
 """A model file and a CSV file in their plainest forms, read by the standard library alone: what is not plain
 is refused, never guessed.
 
-A model is TOML as the page on model files describes it, without [matrices] E, decouple, where, and columns
-that are expressions. Data are a UTF-8 CSV file with a header, a row for each sample, and an empty cell or nan
-for a missing one.
+A model is TOML as the page on model files describes it, without [matrices] E, decouple, where, every, and
+columns that are expressions. Data are a UTF-8 CSV file with a header, a row for each sample, and an empty
+cell or nan for a missing one.
 """
 
 import csv
@@ -35,7 +35,7 @@ def read_model(path: Path) -> tuple[Document, Document, list[str], str | None, F
     table = tomllib.loads(path.read_text(encoding="utf-8-sig"), parse_float=str)
     matrices = table["matrices"]
     insist("C" in matrices or "D" in matrices, f"{path}: C, or D where there are no states, is missing")
-    for field, place in (("decouple", table), ("where", table), ("E", matrices)):
+    for field, place in (("decouple", table), ("where", table), ("every", table), ("E", matrices)):
         insist(
             field not in place, f"{path}: {field} is more than this script reads; jaxbound verify reads it"
         )

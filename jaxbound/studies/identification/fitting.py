@@ -19,6 +19,7 @@ import numpy as np
 
 from jaxbound.models.numbers import is_whole
 from jaxbound.models.system import LinearSystem, whole_lags
+from jaxbound.recordings.means import with_every
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.studies.identification import advice
 from jaxbound.studies.identification.bounds import Means, verified
@@ -51,6 +52,7 @@ def fit(
     inputs: str | Sequence[str] | None = None,
     outputs: str | Sequence[str] | None = None,
     dt: float | None = None,
+    every: str | None = None,
     direct: bool = False,
     safety: float = 1.25,
     held_out: float = 0.3,
@@ -80,7 +82,8 @@ def fit(
         lags: of windows that look at the outputs at some samples only, in place of horizon; see
             `parity_relations` and `suggest_lags`.
         inputs, outputs: names; needed with tables. dt: sampling period in s; None: what the times of tables
-            or a Recording say, else 1.
+            or a Recording say, else 1. every: an interval of the clock, like "15min": samples are the means
+            of what was recorded within each, and the model keeps it.
         direct: whether inputs act on the outputs of the same sample (D).
         safety: factor >= 1 on top: how much more than in the recordings healthy operation may deviate.
         held_out: the share of a single recording that is a block: its blocks are left out in turn, which says
@@ -111,6 +114,7 @@ def fit(
     """
     horizon, lags = _window(horizon, lags)
     _check_options(order, horizon, safety, held_out, method, average)
+    columns, dt = with_every(columns, dt, every)
     report = progress or _silent
     inputs, outputs, dt, records = read_records(recordings, inputs, outputs, columns, dt)
     about = dict(dt=dt, inputs=inputs, outputs=outputs, units=units, columns=columns, name=name)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.recordings.arrays import holds_both, is_made
+from jaxbound.recordings.means import every_of
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import TOLERATED_DT
 from jaxbound.recordings.signals import Signals
@@ -101,6 +102,7 @@ def read_records(
         input_names, output_names = _named(where, parts, input_names, output_names)
         signals = Signals(input_names, output_names, dict(columns or {}), dt)
         recording = _read(where, signals, parts)
+        _refuse_untimed(where, signals, recording)
         u, y = np.asarray(recording.u, np.float64), np.asarray(recording.y, np.float64)
         records.append((u, y, recording.starts))
         if recording.dt is not None:
@@ -137,6 +139,16 @@ def _read(where: str, signals: Signals, parts: tuple[Any, ...]) -> Recording:
             f"recordings as a list"
         )
     return recording
+
+
+def _refuse_untimed(where: str, signals: Signals, recording: Recording) -> None:
+    """Raise ValueError where means over intervals are asked for and nothing tells the time of a sample."""
+    every = every_of(signals)
+    if every is not None and recording.dt is None:
+        raise ValueError(
+            f"{where}: every = {every!r} needs the times of the samples: give a table with a column of them, "
+            f"or a Recording"
+        )
 
 
 def _period(dt: float | None, periods: Sequence[tuple[float, str]]) -> float:

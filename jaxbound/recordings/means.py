@@ -1,0 +1,326 @@
+"""Means over the intervals of a clock: fast recordings at a slower step, irregular ones on a grid.
+
+A sample is the mean of what was recorded from the beginning of an interval, which is its time, up to the end.
+It is missing unless all is there that the recorder usually writes: a step of more than 1.5 usual ones is a
+hole, and the intervals of the samples that it lacks are missing. So is each in which a sample is missing or
+left out. The usual step is one that 19 of 20 steps do not exceed. Intervals count from the midnight of the
+first sample, or from 0 s. One in which nothing was recorded is a missing sample, too; more than 100 of them
+in a row are a gap. The first and the last interval count only where they are whole.
+"""
+
+import re
+from collections.abc import Iterable, Mapping
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxbound.recordings.seams import TOLERATED_DT, TOLERATED_STEP
+from jaxbound.recordings.signals import Named, SignalModel, Signals
+
+__all__ = [
+    "EVERY",
+    "PROBE",
+    "Grid",
+    "every_of",
+    "every_text",
+    "grid_of",
+    "instants",
+    "is_period",
+    "means_of",
+    "midnight_of",
+    "recorded_model",
+    "refuse_every",
+    "seconds_of",
+    "usual_step",
+    "with_every",
+]
+
+EVERY = "every"
+"""Key of `columns` that holds the interval."""
+UNITS = {"ms": 10**6, "s": 10**9, "min": 60 * 10**9, "h": 3600 * 10**9, "d": 86400 * 10**9}
+"""Nanoseconds of each."""
+INTERVAL = re.compile(r"\s*(\d+(?:\.\d+)?)?\s*(ms|s|min|h|d)\s*")
+PROBE = 100_000  # samples that show the usual step
+USUAL = 0.95  # share of steps that are no longer than the usual one
+HOLE = 1.5  # usual steps: a longer one lacks a sample
+EMPTY = 100  # intervals without a sample that are missing samples, and no gap
+DAY = UNITS["d"]
+
+
+class Grid(NamedTuple):
+    """The intervals of a recording that its samples are means over, in their order.
+
+    Fields: number (K,) of each since the origin; first, stop (K,): its rows, none where they are equal; whole
+    (K,) bool; every: length in ns; origin: datetime64[ns] or None, where times are seconds.
+    """
+
+    number: np.ndarray
+    first: np.ndarray
+    stop: np.ndarray
+    whole: np.ndarray
+    every: int
+    origin: np.datetime64 | None
+
+    def part(self, first: int, stop: int) -> "Grid":
+        """Return the intervals first .. stop - 1, with the same numbers of rows."""
+        here = slice(first, stop)
+        return self._replace(
+            number=self.number[here], first=self.first[here], stop=self.stop[here], whole=self.whole[here]
+        )
+
+    def time(self, zero: int) -> np.ndarray:
+        """Return the beginnings of the intervals in s. zero: number of the interval that dates count from."""
+        number = self.number
+        if self.origin is not None:
+            number = number - zero
+        return number * self.every / 1e9
+
+    @property
+    def stamps(self) -> np.ndarray | None:
+        """The beginnings as datetime64[ns], None where times are seconds."""
+        if self.origin is None:
+            return None
+        return self.origin + (self.number * self.every).astype("timedelta64[ns]")
+
+
+def every_of(model: Named) -> str | None:
+    """Return the interval that the samples of a model are means over, as it is written, or None."""
+    columns: Mapping[str, str] = getattr(model, "columns", {})
+    return columns.get(EVERY)
+
+
+def seconds_of(text: str) -> float:
+    """Return the length of an interval in s.
+
+    Raises:
+        ValueError: it is none, or nothing.
+
+    Example:
+        >>> seconds_of("15min"), seconds_of("2 s"), seconds_of("h"), seconds_of("250ms")
+        (900.0, 2.0, 3600.0, 0.25)
+    """
+    return _nanoseconds(text) / 1e9
+
+
+def _nanoseconds(text: str) -> int:
+    found = INTERVAL.fullmatch(text)
+    length = 0
+    if found is not None:
+        length = round(Fraction(found[1] or "1") * UNITS[found[2]])
+    if length <= 0:
+        raise ValueError(
+            f"every needs a number and a unit, ms, s, min, h or d, like '15min' or '2s': not {text!r}"
+        )
+    return length
+
+
+def every_text(seconds: float) -> str:
+    """Return an interval as a user writes it, in the largest unit of which it is a whole number.
+
+    Example:
+        >>> every_text(900), every_text(2), every_text(0.25), every_text(7200)
+        ('15min', '2s', '250ms', '2h')
+    """
+    length = round(seconds * 1e9)
+    for unit, size in reversed(UNITS.items()):
+        if length >= size and length % size == 0:
+            return f"{length // size}{unit}"
+    return f"{seconds:g}s"
+
+
+def with_every(
+    columns: Mapping[str, str] | None, dt: float | None, every: str | None
+) -> tuple[dict[str, str], float | None]:
+    """Return (columns, dt) of samples that are means over an interval; as they are where `every` is None.
+
+    Raises:
+        ValueError: another dt, or no interval.
+    """
+    columns = dict(columns or {})
+    every = every or columns.get(EVERY)
+    if every is None:
+        return columns, dt
+    seconds = seconds_of(every)
+    if dt is not None and abs(dt - seconds) > 1e-9 * seconds:
+        raise ValueError(f"every = {every!r} makes dt = {seconds:g} s: leave out dt = {dt:g}")
+    return columns | {EVERY: every}, seconds
+
+
+def refuse_every(model: Named, what: str) -> None:
+    """Raise ValueError for a model whose samples are means over intervals. what: cannot be averaged."""
+    every = every_of(model)
+    if every is not None:
+        raise ValueError(
+            f"the model's samples are means over {every}, which {what} are not: give a file, or average them "
+            f"before and take `every` out of the model"
+        )
+
+
+def recorded_model(model: SignalModel) -> Signals:
+    """Return the names of a model whose samples are means, to read what was recorded at its own step."""
+    columns = {name: column for name, column in model.columns.items() if name != EVERY}
+    return Signals(tuple(model.inputs), tuple(model.outputs), columns, regular=False)
+
+
+def instants(time: np.ndarray, stamps: np.ndarray | None, origin: np.datetime64 | None) -> np.ndarray:
+    """Return times in whole ns, (N,): since the origin where there are dates, else since 0 s.
+
+    Args:
+        time: (N,) s. stamps: (N,) datetime64, or None. origin: a midnight.
+    """
+    if stamps is None:
+        return np.round(time * 1e9).astype(np.int64)
+    return (stamps.astype("datetime64[ns]") - origin).astype(np.int64)
+
+
+def midnight_of(stamps: np.ndarray | None) -> np.datetime64 | None:
+    """Return the midnight before the first of (N,) dates, or None where there are none."""
+    if stamps is None or not len(stamps):
+        return None
+    day: np.datetime64 = stamps[0].astype("datetime64[D]").astype("datetime64[ns]")
+    return day
+
+
+def usual_step(instant: np.ndarray) -> int:
+    """Return the step in ns that 19 of 20 steps of the first samples do not exceed.
+
+    Raises:
+        ValueError: fewer than two samples, or time that stands still or runs backwards.
+    """
+    steps = np.diff(instant[:PROBE])
+    steps = np.sort(steps[steps > 0])
+    if not len(steps):
+        raise ValueError("its times do not go on, so nothing can be averaged: a recording needs two at least")
+    return int(steps[int(np.ceil(USUAL * len(steps))) - 1])
+
+
+def grid_of(
+    chunks: Iterable[np.ndarray], every: str, usual: int, origin: np.datetime64 | None = None
+) -> Grid:
+    """Return the intervals of a recording.
+
+    Args:
+        chunks: times in ns from `instants`, in order. every: the interval. usual: from `usual_step`. origin:
+            what dates count from.
+
+    Raises:
+        ValueError: an interval that is shorter than the usual step, or no interval that is whole.
+    """
+    length = _nanoseconds(every)
+    if length < (1 - TOLERATED_STEP) * usual:
+        longer = every_text(float(f"{usual / 1e9:.2g}"))
+        raise ValueError(
+            f"every = {every!r} is shorter than the steps of the recording, up to {usual / 1e9:.3g} s: "
+            f"nothing would lie in most intervals; every = {longer!r} holds one at least"
+        )
+    firsts: list[np.ndarray] = []
+    numbers: list[np.ndarray] = []
+    odd: list[np.ndarray] = []  # rows in whose interval a sample is lacking
+    last: np.ndarray = np.zeros(0, np.int64)
+    rows = 0
+    for chunk in chunks:
+        if not len(chunk):
+            continue
+        instant = np.concatenate([last, chunk])
+        at = rows - len(last)  # number of the first row of them
+        number = instant // length
+        step = np.diff(instant)
+        begins = np.flatnonzero((np.diff(number) != 0) | (step < 0)) + 1
+        odd += [at + row for row in _beside_holes(instant, number, step, usual, length)]
+        if not len(last):
+            begins = np.append(0, begins)
+            if (instant[0] - usual) // length >= number[0]:
+                odd.append(np.zeros(1, np.int64))
+        firsts.append(at + begins)
+        numbers.append(number[begins])
+        rows += len(chunk)
+        last = instant[-1:]
+    if len(last) and (last[0] + usual) // length <= last[0] // length:
+        odd.append(np.array([rows - 1]))
+    first, number = np.concatenate(firsts), np.concatenate(numbers)
+    whole = np.ones(len(first), bool)
+    whole[np.searchsorted(first, np.concatenate(odd), "right") - 1] = False
+    grid = Grid(number, first, np.append(first[1:], rows), whole, length, origin)
+    return _with_empty(_without_ends(grid, every))
+
+
+def _beside_holes(
+    instant: np.ndarray, number: np.ndarray, step: np.ndarray, usual: int, length: int
+) -> list[np.ndarray]:
+    """Return the rows before and behind a hole in whose interval a sample is lacking."""
+    back = step < 0
+    before = np.flatnonzero(back | (step > HOLE * usual))
+    behind = before + 1
+    next_one, one_before = (instant[before] + usual) // length, (instant[behind] - usual) // length
+    is_back = back[before]
+    low = np.where(is_back, next_one, np.minimum(next_one, one_before))
+    high = np.where(is_back, one_before, np.maximum(next_one, one_before))
+    return [before[low <= number[before]], behind[high >= number[behind]]]
+
+
+def _without_ends(grid: Grid, every: str) -> Grid:
+    """Return the intervals without the first and the last where they are not whole."""
+    begin, end = int(not grid.whole[0]), len(grid.whole) - int(not grid.whole[-1])
+    if end <= begin:
+        raise ValueError(f"no interval of {every} is in the recording as a whole: it is too short")
+    return grid.part(begin, end)
+
+
+def _with_empty(grid: Grid) -> Grid:
+    """Return the intervals with those between them in which nothing was recorded, unless there are many."""
+    empty = np.diff(grid.number) - 1
+    empty = np.append(np.where((empty > 0) & (empty <= EMPTY), empty, 0), 0)
+    if not empty.any():
+        return grid
+    count = empty + 1
+    own = np.repeat(np.arange(len(count)), count)
+    behind = np.arange(len(own)) - np.repeat(np.cumsum(count) - count, count)  # how many after its own one
+    is_recorded = behind == 0
+    first = np.where(is_recorded, grid.first[own], grid.stop[own])
+    whole = is_recorded & grid.whole[own]
+    return Grid(grid.number[own] + behind, first, grid.stop[own], whole, grid.every, grid.origin)
+
+
+def means_of(
+    grid: Grid, begin: int, u: np.ndarray, y: np.ndarray, excluded: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Return (u, y, excluded) of intervals: (K, m), (K, p) means, NaN where one is missing; (K,) bool, None.
+
+    Args:
+        grid: the intervals. begin: number of the first row of u (N, m), y (N, p) and excluded (N,), which
+            hold all rows of these intervals.
+    """
+    recorded = grid.stop > grid.first
+    bounds = np.append(grid.first[recorded], grid.stop[-1:]) - begin
+    means = [_means(x, bounds, recorded, grid.whole) for x in (u, y)]
+    left_out = None
+    if excluded is not None:
+        left_out = np.zeros(len(recorded), bool)
+        if recorded.any():
+            left_out[recorded] = np.logical_or.reduceat(excluded[: bounds[-1]], bounds[:-1])
+        for x in means:
+            x[left_out] = np.nan
+    return means[0], means[1], left_out
+
+
+def _means(x: np.ndarray, bounds: np.ndarray, recorded: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    """Return (K, n) means of the rows between bounds, each to the last digit."""
+    out = np.full((len(recorded), x.shape[1]), np.nan, x.dtype)
+    if not recorded.any():
+        return out
+    rows = np.asarray(x[bounds[0] : bounds[-1]], np.float64)
+    count = np.diff(bounds)
+    at = bounds[:-1] - bounds[0]
+    mean = np.add.reduceat(rows, at) / count[:, None]
+    # what rounding left over of many summands
+    rest = np.add.reduceat(rows - np.repeat(mean, count, axis=0), at) / count[:, None]
+    out[recorded] = mean + rest
+    out[~whole] = np.nan
+    return out
+
+
+def is_period(dt: float | None, every: str) -> bool:
+    """Return whether samples dt apart, in s, have the step of the interval already."""
+    seconds = seconds_of(every)
+    return dt is not None and abs(float(dt) - seconds) <= TOLERATED_DT * seconds

@@ -1,0 +1,239 @@
+"""Sources whose samples are means over the intervals of a clock, see `means`, of what another source reads.
+
+Of a source in parts the times alone are read first: they say which rows each interval has. So a piece of the
+samples is the same however the recording is cut.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, cast
+
+import numpy as np
+
+from jaxbound.recordings.columns import from_arrow, texts
+from jaxbound.recordings.means import (
+    PROBE,
+    Grid,
+    every_of,
+    grid_of,
+    instants,
+    means_of,
+    midnight_of,
+    recorded_model,
+    usual_step,
+)
+from jaxbound.recordings.parquet import ParquetSource
+from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.seams import Clock, around, tick
+from jaxbound.recordings.selection import Wanted
+from jaxbound.recordings.signals import SignalModel
+from jaxbound.recordings.source import Progress, Source, overlapping, with_hints
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+__all__ = ["MeansSource", "PartMeans", "means_source"]
+
+ROWS = 1_000_000  # read at once
+SECOND = np.timedelta64(1, "s")
+
+
+def means_source(kind: type[Source], data: object, model: SignalModel) -> Source:
+    """Return the source of means of data that another kind of source reads as they were recorded."""
+    raw = kind.open(data, recorded_model(model))
+    if isinstance(raw, ParquetSource):
+        return PartMeans(raw, data, model)
+    return MeansSource(raw, data, model)
+
+
+class MeansSource(Source):
+    """The means of a source that is read as a whole.
+
+    Args:
+        raw: the source, opened with `recorded_model`. data: of it. model: with the interval.
+    """
+
+    def __init__(self, raw: Source, data: object, model: SignalModel) -> None:
+        super().__init__(data, model)
+        self.raw = raw
+        self.every = every_of(model) or ""
+
+    @cached_property
+    def content(self) -> str | None:
+        """The digest of the data as they are when it is first asked for."""
+        return self.raw.content
+
+    def whole(self, progress: Progress | None = None) -> Recording:
+        """Return the Recording of all means."""
+        means = self.raw.whole(progress).averaged(self.every)
+        if means.stamps is not None:
+            means = replace(means, written=_written(means.stamps))
+        return with_hints(self.model, means, "sample {}".format, self.model.columns.get("where", ""))
+
+
+def _written(stamps: np.ndarray) -> "pa.Array":
+    """Return dates as a column of texts."""
+    unit: Literal["s", "ms"] = "s"
+    if (stamps != stamps.astype("datetime64[s]")).any():
+        unit = "ms"
+    return texts([text.replace("T", " ") for text in np.datetime_as_string(stamps, unit).tolist()])
+
+
+class PartMeans(MeansSource):
+    """The means of a recording in Parquet files, none of which is held in memory."""
+
+    parts = True
+    raw: ParquetSource
+
+    @property
+    def path(self) -> Path:
+        """The path as given."""
+        return self.raw.path
+
+    @property
+    def dtype(self) -> np.dtype:
+        """The type that outputs were recorded in."""
+        return self.raw.dtype
+
+    @property
+    def dt(self) -> float:
+        """The interval in s."""
+        return self.grid.every / 1e9
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        """Sentences on how the files were read."""
+        return self.raw.hints
+
+    @property
+    def layout(self) -> str:
+        """The facts that are known of the data before they are read, as text."""
+        return self.raw.layout
+
+    @property
+    def samples(self) -> int:
+        """The number of samples."""
+        return len(self.grid.number)
+
+    @cached_property
+    def grid(self) -> Grid:
+        """The intervals, of which the times of all rows are read."""
+        raw = self.raw
+        if raw.time_name is None:
+            raise ValueError(f"{raw.path}: every = {self.every!r} needs a column of times: there is none")
+        first = raw.probe()
+        origin = midnight_of(first.stamps)
+        usual = usual_step(instants(np.asarray(first.time), first.stamps, origin))
+        try:
+            return grid_of((instants(*times, origin) for times in raw.clock(ROWS)), self.every, usual, origin)
+        except ValueError as e:
+            raise ValueError(f"{raw.path}: {e}") from None
+
+    @property
+    def plan(self) -> Wanted:
+        """The columns that are read."""
+        return self.raw.plan
+
+    def probe(self) -> Recording:
+        """Return the first 100 000 samples."""
+        return self._part(0, min(self.samples, PROBE))
+
+    def unchanged(self, *files: Path) -> None:
+        """Raise ValueError if one of the files was written since it was opened."""
+        self.raw.unchanged(*files)
+
+    def content_of(self, first: int, stop: int) -> str:
+        """Return the digest of the row groups that the samples first..stop are means of."""
+        part = self.grid.part(first, stop)
+        if not len(part.first):
+            return self.raw.content_of(0, 0)
+        return self.raw.content_of(int(part.first[0]), int(part.stop[-1]))
+
+    def row(self, k: int) -> str:
+        """Return how the user finds the first row of sample k."""
+        return self.raw.row(min(int(self.grid.first[k]), self.raw.samples - 1))
+
+    def time(self, k: int) -> float:
+        """Return the time of sample k in seconds."""
+        return float(self.grid.part(k, k + 1).time(self._zero)[0])
+
+    def stamp(self, seconds: float) -> np.datetime64 | None:
+        """Return the time stamp that lies so many seconds behind the first, or None where there are none."""
+        stamps = self.grid.part(0, 1).stamps
+        if stamps is None:
+            return None
+        begin: np.datetime64 = stamps[0]
+        return begin + np.timedelta64(round(seconds * 1e9), "ns")
+
+    def times(self, start: int, written: "pa.Array") -> tuple[np.ndarray, np.ndarray | None]:
+        """Return (seconds, datetime64[ns] or None) of a column of times of means."""
+        times = from_arrow(written)
+        stamps = self.grid.part(0, 1).stamps
+        if stamps is None:
+            return times, None
+        return (times - stamps[0]) / SECOND, times
+
+    def find(self, text: str) -> None:
+        """Return None: times are not searched in files, but found by number."""
+        return None
+
+    def pieces(
+        self, size: int, overlap: int = 0, first: int = 0, stop: int | None = None
+    ) -> Iterator[tuple[int, Recording]]:
+        """Yield (number of its first sample, Recording) of `size` samples each, behind the `overlap` before
+        them.
+        """
+        end = self.samples if stop is None else stop
+        chunks = ((at, self._part(at, min(at + size, end))) for at in range(first, end, size))
+        return overlapping(chunks, overlap, self.dt)
+
+    def read(self, first: int = 0, stop: int | None = None, progress: Progress | None = None) -> Recording:
+        """Return the samples first..stop as one Recording, with its seams; hints only if that is all."""
+        end = self.samples if stop is None else stop
+        r = self._part(first, end)
+        if end - first < self.samples:
+            _, seams = tick(Clock(self.dt), r.time)
+            return replace(r, starts=np.union1d(seams, around(r.excluded)))
+        try:
+            return with_hints(self.model, r, self.row, self.raw.plan.condition, self.hints)
+        except ValueError as e:
+            raise ValueError(f"{self.path}: {e}") from None
+
+    @property
+    def _zero(self) -> int:
+        """The number of the first interval."""
+        return int(self.grid.number[0])
+
+    def _part(self, first: int, stop: int) -> Recording:
+        """Return the samples first..stop without starts and hints, of some rows at a time."""
+        u: list[np.ndarray] = []
+        y: list[np.ndarray] = []
+        left_out: list[np.ndarray | None] = []
+        like: Recording | None = None
+        at = first
+        while at < stop:
+            rows = int(self.grid.first[at]) + ROWS
+            end = min(max(int(np.searchsorted(self.grid.stop, rows, "right")), at + 1), stop)
+            part = self.grid.part(at, end)
+            like = self._recorded(int(part.first[0]), int(part.stop[-1]))
+            means = means_of(part, int(part.first[0]), like.u, like.y, like.excluded)
+            u.append(means[0])
+            y.append(means[1])
+            left_out.append(means[2])
+            at = end
+        assert like is not None, "a part has samples"
+        excluded = None
+        if like.excluded is not None:
+            excluded = np.concatenate(cast("list[np.ndarray]", left_out))
+        grid = self.grid.part(first, stop)
+        return like.on_grid(grid, self._zero, (np.concatenate(u), np.concatenate(y), excluded))
+
+    def _recorded(self, first: int, stop: int) -> Recording:
+        """Return the rows first..stop as they were recorded; where there are none, one that is in no mean."""
+        stop = max(stop, first + 1)
+        if stop > self.raw.samples:
+            first, stop = self.raw.samples - 1, self.raw.samples
+        ((_, table),) = self.raw.tables(first, stop, stop - first)
+        return self.raw.chunk(first, table)
