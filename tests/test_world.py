@@ -197,7 +197,11 @@ class TestClock:
                 "the model has dt = 1 s, but the rows of the recording are 3 s apart: a model with dt = 3 "
                 "fits it",
             ),
-            (1 / 3, "are 0.333333 s apart: keep one of every 3 rows, or take a model with dt = 0.333"),
+            (
+                1 / 3,
+                "are 0.333333 s apart: keep one of every 3 rows, "
+                "let samples be means (--every 1s), or take a model with dt = 0.333",
+            ),
             (1000, "are 1000 s apart: is its time in ms?"),
         ],
     )

@@ -352,7 +352,7 @@ def share(text: str) -> float:
 
 def interval(text: str) -> str:
     """Return an interval of the clock as it is written."""
-    from jaxbound.recordings.means import seconds_of
+    from jaxbound.recordings.clockintervals import seconds_of
 
     try:
         seconds_of(text)

@@ -12,8 +12,9 @@ import numpy as np
 
 from jaxbound.exact.linalg import Number, Vector
 from jaxbound.models.numbers import number
+from jaxbound.recordings.clockintervals import seconds_of
 from jaxbound.recordings.expressions import expression, is_expression
-from jaxbound.recordings.means import EVERY, seconds_of
+from jaxbound.recordings.means import EVERY
 from jaxbound.text.names import listed
 
 __all__ = [

@@ -8,22 +8,19 @@ first sample, or from 0 s. One in which nothing was recorded is a missing sample
 in a row are a gap. The first and the last interval count only where they are whole.
 """
 
-import re
 from collections.abc import Iterable, Mapping
-from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxbound.recordings.seams import TOLERATED_DT, TOLERATED_STEP
+from jaxbound.recordings.clockintervals import nanoseconds, next_interval, seconds_of
+from jaxbound.recordings.seams import MANY, TOLERATED_DT, TOLERATED_STEP, USUAL
 from jaxbound.recordings.signals import Named, SignalModel, Signals
 
 __all__ = [
     "EVERY",
-    "PROBE",
     "Grid",
     "every_of",
-    "every_text",
     "grid_of",
     "instants",
     "is_period",
@@ -31,21 +28,14 @@ __all__ = [
     "midnight_of",
     "recorded_model",
     "refuse_every",
-    "seconds_of",
     "usual_step",
     "with_every",
 ]
 
 EVERY = "every"
 """Key of `columns` that holds the interval."""
-UNITS = {"ms": 10**6, "s": 10**9, "min": 60 * 10**9, "h": 3600 * 10**9, "d": 86400 * 10**9}
-"""Nanoseconds of each."""
-INTERVAL = re.compile(r"\s*(\d+(?:\.\d+)?)?\s*(ms|s|min|h|d)\s*")
-PROBE = 100_000  # samples that show the usual step
-USUAL = 0.95  # share of steps that are no longer than the usual one
 HOLE = 1.5  # usual steps: a longer one lacks a sample
 EMPTY = 100  # intervals without a sample that are missing samples, and no gap
-DAY = UNITS["d"]
 
 
 class Grid(NamedTuple):
@@ -88,45 +78,6 @@ def every_of(model: Named) -> str | None:
     """Return the interval that the samples of a model are means over, as it is written, or None."""
     columns: Mapping[str, str] = getattr(model, "columns", {})
     return columns.get(EVERY)
-
-
-def seconds_of(text: str) -> float:
-    """Return the length of an interval in s.
-
-    Raises:
-        ValueError: it is none, or nothing.
-
-    Example:
-        >>> seconds_of("15min"), seconds_of("2 s"), seconds_of("h"), seconds_of("250ms")
-        (900.0, 2.0, 3600.0, 0.25)
-    """
-    return _nanoseconds(text) / 1e9
-
-
-def _nanoseconds(text: str) -> int:
-    found = INTERVAL.fullmatch(text)
-    length = 0
-    if found is not None:
-        length = round(Fraction(found[1] or "1") * UNITS[found[2]])
-    if length <= 0:
-        raise ValueError(
-            f"every needs a number and a unit, ms, s, min, h or d, like '15min' or '2s': not {text!r}"
-        )
-    return length
-
-
-def every_text(seconds: float) -> str:
-    """Return an interval as a user writes it, in the largest unit of which it is a whole number.
-
-    Example:
-        >>> every_text(900), every_text(2), every_text(0.25), every_text(7200)
-        ('15min', '2s', '250ms', '2h')
-    """
-    length = round(seconds * 1e9)
-    for unit, size in reversed(UNITS.items()):
-        if length >= size and length % size == 0:
-            return f"{length // size}{unit}"
-    return f"{seconds:g}s"
 
 
 def with_every(
@@ -188,7 +139,7 @@ def usual_step(instant: np.ndarray) -> int:
     Raises:
         ValueError: fewer than two samples, or time that stands still or runs backwards.
     """
-    steps = np.diff(instant[:PROBE])
+    steps = np.diff(instant[:MANY])
     steps = np.sort(steps[steps > 0])
     if not len(steps):
         raise ValueError("its times do not go on, so nothing can be averaged: a recording needs two at least")
@@ -207,9 +158,9 @@ def grid_of(
     Raises:
         ValueError: an interval that is shorter than the usual step, or no interval that is whole.
     """
-    length = _nanoseconds(every)
+    length = nanoseconds(every)
     if length < (1 - TOLERATED_STEP) * usual:
-        longer = every_text(float(f"{usual / 1e9:.2g}"))
+        longer = next_interval(usual / 1e9)
         raise ValueError(
             f"every = {every!r} is shorter than the steps of the recording, up to {usual / 1e9:.3g} s: "
             f"nothing would lie in most intervals; every = {longer!r} holds one at least"

@@ -14,7 +14,6 @@ import numpy as np
 
 from jaxbound.recordings.columns import from_arrow, texts
 from jaxbound.recordings.means import (
-    PROBE,
     Grid,
     every_of,
     grid_of,
@@ -24,7 +23,7 @@ from jaxbound.recordings.means import (
     recorded_model,
     usual_step,
 )
-from jaxbound.recordings.parquet import ParquetSource
+from jaxbound.recordings.parquet import PROBE, ParquetSource
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import Clock, around, tick
 from jaxbound.recordings.selection import Wanted

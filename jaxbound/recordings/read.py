@@ -7,14 +7,17 @@ from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
+import numpy as np
+
 from jaxbound.recordings.arraysource import Arrays
+from jaxbound.recordings.clockintervals import every_text
 from jaxbound.recordings.csvfiles import CsvFile
 from jaxbound.recordings.live import LiveSource
 from jaxbound.recordings.means import every_of, with_every
 from jaxbound.recordings.meansource import means_source
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.seams import TOLERATED_DT
+from jaxbound.recordings.seams import TOLERATED_DT, varied_steps
 from jaxbound.recordings.signals import Named, Signals, signals_of
 from jaxbound.recordings.source import KINDS, Progress, Source
 
@@ -192,8 +195,13 @@ def _refuse_other_periods(paths: Sequence[object], recordings: Sequence[Recordin
         return
     slow, quick = paths[periods.index(high)], paths[periods.index(low)]
     fold = high / low
-    thin = "bring them to one period"
+    for path, r in zip(paths, recordings, strict=True):
+        varied = varied_steps(np.asarray(r.time))
+        if varied:
+            raise ValueError(f"{path}: {varied}")
+    thin = "or bring them to one period first"
     if abs(fold - round(fold)) < TOLERATED_DT:
-        thin = f"keep one of every {round(fold)} rows of {quick}"
+        means = f"or let the samples of all be means (--every {every_text(high)})"
+        thin = f"keep one of every {round(fold)} rows of {quick} first, {means}"
     several = f"{slow} has a sample every {high:g} s, {quick} every {low:g} s"
-    raise ValueError(f"{several}, and a model has one sampling period: fit a model to each, or {thin} first")
+    raise ValueError(f"{several}, and a model has one sampling period: fit a model to each, {thin}")

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.recordings.arrays import computed, float_arrays, is_made, refuse_infinite
+from jaxbound.recordings.clockintervals import seconds_of
 from jaxbound.recordings.columns import to_arrow
 from jaxbound.recordings.expressions import expression, fails, find_column
 from jaxbound.recordings.means import (
@@ -25,7 +26,6 @@ from jaxbound.recordings.means import (
     means_of,
     midnight_of,
     recorded_model,
-    seconds_of,
     usual_step,
 )
 from jaxbound.recordings.seams import Clock, all_starts, around, aside, check_period, crossing, tick

@@ -12,6 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxbound.recordings.clockintervals import every_text, next_interval
+
 __all__ = [
     "Clock",
     "Seam",
@@ -24,8 +26,14 @@ __all__ = [
     "seam_hints",
     "tick",
     "usual_period",
+    "varied_hints",
+    "varied_steps",
 ]
 
+MANY = 100_000  # samples that show how far apart they are
+USUAL = 0.95  # share of steps that are no longer than a usual one
+GAPS = 10  # usual steps from which on others are gaps
+VARIED = 0.2  # share of seams from which on hardly a window is left
 TOLERATED_DT = 0.05  # median step against the model's dt
 DISORDER = 0.1  # share of steps back in time from which on the rows are out of order
 TOLERATED_STEP = 0.20  # one step against the model's dt: logger jitter is far below, a missing row far above
@@ -263,42 +271,84 @@ def check_period(time: np.ndarray, dt: float, whose: str = "the model has") -> N
     if back > DISORDER * len(time):
         raise ValueError(f"{back} of {len(time)} rows go back in time: sort them by time")
     apart = f"{whose} dt = {dt:g} s, but the rows of the recording are {median:.6g} s apart"
-    raise ValueError(f"{apart}{_advice(median, dt)}")
+    raise ValueError(f"{apart}{_advice(median, dt, varied_steps(time))}")
 
 
 def _is_near(period: float, dt: float) -> bool:
     return not abs(period - dt) > TOLERATED_DT * dt
 
 
-def _advice(median: float, dt: float) -> str:
+def _advice(median: float, dt: float, varied: str) -> str:
     """Return the likely reason of another sampling period, and the remedy, as the end of a sentence."""
     if median == 0:
         return REPEATED
     for factor, unit in UNITS.items():
         if _is_near(median / factor, dt):
             return f": is its time in {unit}?"
+    if varied:
+        return f"; {varied}"
     fold = round(dt / median)
     if fold > 1 and abs(dt / median - fold) <= TOLERATED_DT * fold:
-        return f": keep one of every {fold} rows, or take a model with dt = {median:.3g}"
+        means = f"let samples be means (--every {every_text(dt)})"
+        return f": keep one of every {fold} rows, {means}, or take a model with dt = {median:.3g}"
     return f": a model with dt = {median:.3g} fits it"
 
 
-def irregular(clock: Clock, label: Callable[[int], str], where: Callable[[int], str]) -> str:
-    """Return a sentence if more than half of all steps are seams, else "": such a recording is no sequence of
-    samples dt apart.
+def varied_steps(time: np.ndarray) -> str:
+    """Return a sentence on the steps of a time axis, (N,) s, and the interval that serves, where they vary by
+    more than jitter; else "".
+
+    Example:
+        >>> varied_steps(np.array([0.0, 1.0, 3.0, 4.0, 6.0]))
+        'its steps vary from 1 s to 2 s: means over intervals that hold the longest bring them to a grid,
+        every = "2s" (--every 2s)'
+    """
+    steps = np.sort(np.diff(time[:MANY]))
+    steps = steps[steps > 0]
+    if not len(steps):
+        return ""
+    low, high = (float(steps[int(share * (len(steps) - 1))]) for share in (1 - USUAL, USUAL))
+    if not (1 + 2 * TOLERATED_STEP) * low < high < GAPS * low:
+        return ""
+    every = next_interval(high)
+    means = "means over intervals that hold the longest bring them to a grid"
+    return f'its steps vary from {low:.3g} s to {high:.3g} s: {means}, every = "{every}" (--every {every})'
+
+
+def varied_hints(clock: Clock, time: np.ndarray) -> list[str]:
+    """Return a sentence where many windows are lost because steps vary. clock: after all samples."""
+    count = sum(seam.count for seam in clock.seams)
+    varied = ""
+    if count > DISORDER * clock.samples:
+        varied = varied_steps(time)
+    if not varied:
+        return []
+    return [f"{count} of {clock.samples - 1} steps of the recording are not dt = {clock.dt:g} s: {varied}"]
+
+
+def irregular(
+    clock: Clock, label: Callable[[int], str], where: Callable[[int], str], time: np.ndarray | None = None
+) -> str:
+    """Return a sentence if more than half of all steps are seams, or a fifth where steps vary, else "": such
+    a recording is no sequence of samples dt apart.
 
     Args:
         clock: the Clock after all samples. label: number of a sample -> text of its time. where: number of a
-            sample -> "row 7".
+            sample -> "row 7". time: of the samples, or of the first ones, in s.
     """
-    count = sum(seam.count for seam in clock.seams)
-    if count <= max(clock.samples - 1, 0) / 2:
+    count, steps, varied = sum(seam.count for seam in clock.seams), max(clock.samples - 1, 0), ""
+    if count > VARIED * steps and time is not None:
+        varied = varied_steps(time)
+    if count <= steps / 2 and not varied:
         return ""
     seam = min(clock.seams, key=lambda s: s.sample)
     many = f"{count} of {clock.samples - 1} steps differ from dt = {clock.dt:g} s"
     one = f"{where(seam.sample)} ({label(seam.sample)}), for one,"
     late = f"comes {seam.step:.6g} s after the row before it"
-    return f"the recording is not regular: {many} by more than {TOLERATED_STEP:.0%}; {one} {late}"
+    sentence = f"the recording is not regular: {many} by more than {TOLERATED_STEP:.0%}; {one} {late}"
+    if varied:
+        return f"{sentence}; {varied}"
+    return sentence
 
 
 def seam_hints(clock: Clock, label: Callable[[int], str], where: Callable[[int], str]) -> list[str]:

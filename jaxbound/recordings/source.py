@@ -15,7 +15,7 @@ import numpy as np
 from jaxbound.recordings.contents import Digests, content
 from jaxbound.recordings.hints import missing_hints, rounding_hints
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.seams import Clock, around, irregular, seam_hints, tick
+from jaxbound.recordings.seams import Clock, around, irregular, seam_hints, tick, varied_hints
 from jaxbound.recordings.selection import where_hints
 from jaxbound.recordings.signals import Named, SignalModel
 from jaxbound.recordings.stillness import still_hints
@@ -202,10 +202,15 @@ def with_hints(
     if not getattr(model, "regular", True):
         return replace(r, hints=tuple(first))
     clock, starts = tick(Clock(r.dt or 1.0), r.time)
-    sentence = irregular(clock, r.label, row)
+    sentence = irregular(clock, r.label, row, r.time)
     if sentence:
         raise ValueError(sentence)
-    hints = [*first, *seam_hints(clock, r.label, row), *missing_hints(model, r.u, r.y, r.excluded)]
+    hints = [
+        *first,
+        *varied_hints(clock, r.time),
+        *seam_hints(clock, r.label, row),
+        *missing_hints(model, r.u, r.y, r.excluded),
+    ]
     hints += [*rounding_hints(model, r.y), *still_hints(model, r.u, r.y, r.label)]
     if r.excluded is not None:
         starts = np.union1d(starts, around(r.excluded))

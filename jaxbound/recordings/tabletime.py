@@ -335,7 +335,7 @@ def _period_and_seams(
         period = usual_period(time) if dt is None else dt
         check_period(time, period, whose)
         clock, seams = tick(Clock(period), time)
-        sentence = irregular(clock, lambda k: str(index[k]), "row {}".format)
+        sentence = irregular(clock, lambda k: str(index[k]), "row {}".format, time)
         if sentence:
             raise ValueError(sentence)
     except ValueError as e:

@@ -335,7 +335,7 @@ def digest(
         signals=read_extremes(part_files(folder), source.samples),
         margins=test.margins_are,
     )
-    sentence = irregular(ticking.clock, digested.label, source.row)
+    sentence = irregular(ticking.clock, digested.label, source.row, source.probe().time)
     if sentence:
         forget_parts(folder)  # verdicts on such data are of no use
         raise ValueError(f"{source.path}: {sentence}")

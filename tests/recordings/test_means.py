@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import jaxbound as jb
 from jaxbound.cli import main
 from jaxbound.recordings import meansource
-from jaxbound.recordings.means import every_text, seconds_of
+from jaxbound.recordings.clockintervals import every_text, seconds_of
 from jaxbound.recordings.read import open_source
 
 MODEL = jb.LinearSystem(

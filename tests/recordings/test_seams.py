@@ -3,8 +3,11 @@
 from dataclasses import astuple
 
 import numpy as np
+import pandas as pd
 import pytest
 
+import jaxbound as jb
+from jaxbound.recordings.read import read_signals
 from jaxbound.recordings.seams import Clock, all_starts, check_period, crossing, irregular, seam_hints, tick
 
 
@@ -108,7 +111,10 @@ class TestSentences:
             ),
             (np.arange(9) * 1000.0, "apart: is its time in ms"),
             (np.arange(9) // 3 * 1.0, "0 s apart: more than half of the rows repeat the time"),
-            (np.arange(9) / 3, "apart: keep one of every 3 rows, or take a model with dt = 0.333$"),
+            (
+                np.arange(9) / 3,
+                r"apart: keep one of every 3 rows, .* \(--every 1s\), or take a model with dt = 0.333$",
+            ),
             (np.arange(27.0) * 5 % 27, "4 of 27 rows go back in time: sort them by time"),
             (-np.arange(9.0), "the rows run backwards in time, the newest first: sort them by time"),
         ],
@@ -125,3 +131,47 @@ class TestSentences:
 def test_starts_that_are_no_sample_numbers_are_refused(starts):
     with pytest.raises(ValueError, match="starts needs the numbers of samples"):
         all_starts(starts, 9)
+
+
+class TestStepsThatVary:
+    """A logger that writes each one to two seconds: a sentence names the steps and the interval that serves."""
+
+    STEPS = 'its steps vary from 1 s to 2 s: .* every = "2s" \\(--every 2s\\)'
+
+    @pytest.fixture
+    def path(self, tmp_path):
+        time = np.cumsum(np.random.default_rng(1).integers(1, 3, 300))
+        rows = "".join(f"{t},{t % 7},{t % 5}\n" for t in time)
+        (tmp_path / "run.csv").write_text("time,u1,y1\n" + rows)
+        pd.read_csv(tmp_path / "run.csv").to_parquet(tmp_path / "run.parquet")
+        return tmp_path / "run.csv"
+
+    def test_under_another_period(self, path):
+        model = jb.LinearSystem([[0.5]], [[1]], [[1]], dt=1.5, noise=0.1)
+        for one in (path, path.with_suffix(".parquet")):
+            with pytest.raises(ValueError, match=self.STEPS):
+                jb.read(one, model)
+
+    def test_where_there_is_no_model(self, path):
+        """Half of the steps are no gaps in 1 s or 2 s, but hardly a window is without one."""
+        for one in (path, path.with_suffix(".parquet")):
+            with pytest.raises(ValueError, match="the recording is not regular: .*" + self.STEPS):
+                read_signals(one, ["u1"], ["y1"])
+        with pytest.raises(ValueError, match="the recording is not regular: .*" + self.STEPS):
+            jb.fit(pd.read_csv(path), inputs="u1", outputs="y1")
+
+    def test_where_few_do(self, tmp_path):
+        time = np.cumsum(np.where(np.arange(300) % 7, 1, 2))
+        pd.DataFrame({"time": time, "y1": time % 5}).to_csv(tmp_path / "run.csv", index=False)
+        (r,) = read_signals(tmp_path / "run.csv", [], ["y1"])
+        assert "42 of 299 steps of the recording are not dt = 1 s: " in r.hints[1] and "2s" in r.hints[1]
+
+    def test_gaps_are_no_steps(self, tmp_path):
+        time = np.cumsum(np.where(np.arange(300) % 4, 1, 3600))
+        pd.DataFrame({"time": time, "y1": time % 5}).to_csv(tmp_path / "run.csv", index=False)
+        (r,) = read_signals(tmp_path / "run.csv", [], ["y1"])
+        assert "--every" not in " ".join(r.hints) and len(r.starts) == 74
+
+    def test_the_interval_that_is_named_serves(self, path):
+        (r,) = read_signals(path, ["u1"], ["y1"], {"every": "2s"})
+        assert not len(r.starts) and not np.isnan(r.y).any() and r.dt == 2

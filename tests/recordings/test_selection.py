@@ -317,7 +317,10 @@ class TestSignals:
             ValueError, match="slow.csv has a sample every 3 s, .*quick.csv every 1 s, and a model has one"
         ) as e:
             read_signals([quick, slow], [], ["y1"])
-        assert f"fit a model to each, or keep one of every 3 rows of {quick} first" in str(e.value)
+        assert (
+            f"keep one of every 3 rows of {quick} first, or let the samples of all be means (--every 3s)"
+            in str(e.value)
+        )
         with pytest.raises(
             ValueError,
             match="you gave dt = 3 s, but the rows of the recording are 1 s apart: keep one of every 3 rows",
