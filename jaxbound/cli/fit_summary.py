@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxbound.cli.terminal import show
 from jaxbound.diagnosis.memory import slowest, suggest_lags
-from jaxbound.recordings.expressions import expression
+from jaxbound.recordings.expressions import CLOCK, expression
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
 from jaxbound.text.units import without_unit
 
@@ -74,6 +74,8 @@ def _signal_column(entry: str) -> Signal:
         return name, _column_entry(column)
     if quoted := QUOTED.fullmatch(entry):
         return quoted[1]
+    if entry in CLOCK:
+        return entry, f"= {entry}"
     return entry
 
 
@@ -87,7 +89,7 @@ def _column_entry(text: str) -> str:
         expression(text)
     except ValueError:
         return text
-    if text.isidentifier():
+    if text.isidentifier() and text not in CLOCK:
         return text
     return f"= {text}"
 

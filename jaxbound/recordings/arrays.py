@@ -11,9 +11,10 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.recordings.expressions import Expression, expression, find_column, is_expression
+from jaxbound.recordings.expressions import Expression, derived, expression, find_column, is_expression
 from jaxbound.recordings.signals import Named
 from jaxbound.recordings.table import Data, as_table, is_table
+from jaxbound.recordings.tabletime import row_time
 from jaxbound.text.names import listed
 
 if TYPE_CHECKING:
@@ -132,7 +133,9 @@ def computed(e: Expression, frames: Mapping[str, Any], name: str) -> np.ndarray:
         series |= {column: frame[column] for column in frame.columns}
     e = e.among(list(series))
     values: dict[str, np.ndarray] = {}
-    for column in e.columns:
+    if e.clock:
+        values |= _told_by_clock(e, frames)
+    for column in e.read:
         cells = series[column]
         if pd.api.types.is_datetime64_any_dtype(cells):
             values[column] = cells.to_numpy("datetime64[ns]")
@@ -141,6 +144,16 @@ def computed(e: Expression, frames: Mapping[str, Any], name: str) -> np.ndarray:
         else:
             values[column] = _converted(partial(cells.to_numpy, np.float64, na_value=np.nan), name)
     return e.values(values)
+
+
+def _told_by_clock(e: Expression, frames: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Return what the times of the rows tell, see `expressions.derived`."""
+    index = next(iter(frames.values())).index
+    times = row_time(index, None, "", regular=False)
+    since = times.time
+    if since is not None and len(since):
+        since = since - since[0]
+    return derived(e.clock, len(index), since, times.stamps)
 
 
 def recorded_type(data: object, name: str) -> np.dtype:

@@ -61,7 +61,7 @@ def _recording_of(path: Path, model: SignalModel, report: Progress) -> Recording
     times = _times_of(layout, plan, written, model, count)
     if plan.wanted.time is not None:  # an expression may compare it with a date
         columns.setdefault(plan.wanted.time, times.time if times.stamps is None else times.stamps)
-    samples = plan.wanted.samples(columns, count)
+    samples = plan.wanted.samples(columns, count, (times.time - times.time[0], times.stamps))
     recording = Recording.filed(model, samples, (times.time, times.stamps, written), path.name)
     dt = _period_of(layout, plan.wanted, model, times.time)
     report(0.9)

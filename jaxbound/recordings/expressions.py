@@ -19,7 +19,7 @@ import numpy as np
 from jaxbound.text.names import listed, quoted
 
 __all__ = """
-    TIMES Expression expression fails find_column is_expression likely missing_column
+    CLOCK TIMES Expression derived expression fails find_column is_expression likely missing_column
 """.split()
 
 TIMES = (
@@ -30,6 +30,12 @@ TIMES = (
 )
 """What a column of times is called, the likeliest first; in a language that is not here, dates are known by
 what they are.
+"""
+
+TIME_OF_DAY, TIME_SINCE_START, PI = "time_of_day", "time_since_start", "pi"
+CLOCK = TIME_OF_DAY, TIME_SINCE_START, PI
+"""Names that an expression may use beside columns, unless a column is called so: seconds since midnight of
+the recording's own clock, seconds since the first sample of the recording, and a number.
 """
 
 Operation = Callable[..., np.ndarray]
@@ -81,7 +87,7 @@ class Expression:
 
     Fields: text: as written, without the leading "="; columns: names of the columns that it needs; texts:
     those of them that are compared with text; names: the columns by the names that stand for them in the
-    tree.
+    tree; clock: those of the columns that are no columns of the recording but told by its clock, see `CLOCK`.
     """
 
     text: str
@@ -89,6 +95,12 @@ class Expression:
     texts: frozenset[str]
     names: Mapping[str, str]
     tree: ast.expr
+    clock: frozenset[str] = frozenset()
+
+    @property
+    def read(self) -> tuple[str, ...]:
+        """Names of the columns that are read of a recording."""
+        return tuple(c for c in self.columns if c not in self.clock)
 
     def among(self, present: Iterable[str]) -> "Expression":
         """Return the same Expression with the columns as they are called in a recording, where blanks at the
@@ -98,13 +110,17 @@ class Expression:
             ValueError: a column is not there.
         """
         where = f"the recording, for {self.text!r},"
-        called = {c: find_column(c, present, where) for c in self.columns}
+        present = list(present)
+        there = {str(c).strip() for c in present}
+        clock = frozenset(c for c in self.columns if c in CLOCK and c not in there)
+        called = {c: c if c in clock else find_column(c, present, where) for c in self.columns}
         return Expression(
             self.text,
             tuple(dict.fromkeys(called.values())),
             frozenset(called[c] for c in self.texts),
             {key: called[c] for key, c in self.names.items()},
             self.tree,
+            clock,
         )
 
     def values(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -195,6 +211,35 @@ class Expression:
         return COMPARISONS[type(op)](a, b)
 
 
+def derived(
+    names: Iterable[str], count: int, since: np.ndarray | None, stamps: np.ndarray | None
+) -> dict[str, np.ndarray]:
+    """Return {name: (N,) floats} of names of `CLOCK`.
+
+    Args:
+        names: those that are needed. count: N. since: (N,) s since the first sample of the recording, or None
+            where nothing tells it. stamps: (N,) datetime64, or None.
+
+    Raises:
+        ValueError: no dates for a time of day, no times at all.
+    """
+    values: dict[str, np.ndarray] = {}
+    for name in names:
+        if name == PI:
+            values[name] = np.full(count, np.pi)
+        elif name == TIME_OF_DAY:
+            if stamps is None:
+                raise ValueError(
+                    f"{name} needs dates: the recording's times have none, or there are no times"
+                )
+            values[name] = (stamps - stamps.astype("datetime64[D]")) / np.timedelta64(1, "s")
+        elif since is None:
+            raise ValueError(f"{name} needs the times of the samples: give a column of them")
+        else:
+            values[name] = np.asarray(since, float)
+    return values
+
+
 def _as_number(x: Value) -> Value:
     """Return yes and no as 1 and 0, and a number as it is."""
     if not isinstance(x, str) and x.dtype == bool:
@@ -241,7 +286,7 @@ def expression(text: str) -> Expression:
     Args:
         text: columns, numbers, + - * / // % **, comparisons (chained ones too), and, or, not, & and | for and
             and or, abs, sqrt, exp, log, sin, ... A leading "=" does not count. Text columns and times may be
-            compared with text in quotes.
+            compared with text in quotes. Names of `CLOCK` need no column.
 
     Returns:
         An Expression.

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxbound.recordings.expressions import TIME_SINCE_START, expression, is_expression
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import around, check_period, tick
 from jaxbound.recordings.signals import SignalModel
@@ -95,6 +96,10 @@ class Readings(Stream):
         memory: dict[str, Any] | None = None,
     ) -> None:
         super().__init__(model, complain)
+        if TIME_SINCE_START in _names_used(model):
+            raise ValueError(
+                f"{TIME_SINCE_START} is of a file or a pipe: a reading does not tell when others began"
+            )
         self.raw = iter(readings)
         self.resumed = memory is not None
         if memory is not None:
@@ -169,6 +174,15 @@ class Readings(Stream):
         if first:
             self.complain("replay", f"{first} samples were judged before and are skipped")
         return piece.cut(first, piece.samples), time[first:]
+
+
+def _names_used(model: SignalModel) -> set[str]:
+    """Return the names in the expressions of a model."""
+    names: set[str] = set()
+    for signal, column in model.columns.items():
+        if is_expression(column) or signal == "where":
+            names.update(expression(column).columns)
+    return names
 
 
 def joined(model: SignalModel, readings: Iterable[Any]) -> Recording:

@@ -122,11 +122,12 @@ class PartMeans(MeansSource):
         raw = self.raw
         if raw.time_name is None:
             raise ValueError(f"{raw.path}: every = {self.every!r} needs a column of times: there is none")
-        first = raw.probe()
-        origin = midnight_of(first.stamps)
-        usual = usual_step(instants(np.asarray(first.time), first.stamps, origin))
+        time, stamps = raw.first_times()
+        origin = midnight_of(stamps)
+        usual = usual_step(instants(time, stamps, origin))
+        chunks = (instants(*times, origin) for times in raw.clock(ROWS, raw.samples))
         try:
-            return grid_of((instants(*times, origin) for times in raw.clock(ROWS)), self.every, usual, origin)
+            return grid_of(chunks, self.every, usual, origin)
         except ValueError as e:
             raise ValueError(f"{raw.path}: {e}") from None
 

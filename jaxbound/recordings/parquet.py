@@ -72,8 +72,8 @@ class ParquetSource(Source):
         dt: sampling period in s, of the model, or else as the time column shows it.
         dtype: float32 if an output, or what it is computed from, is stored so, else float64: what was rounded
             away is counted in the type it was recorded in.
-        origin: what the time is counted from; scale: units a second of a numeric time column that is an
-            epoch, or None.
+        begin: time of the first sample in s. origin: what the time is counted from; scale: units a second of
+            a numeric time column that is an epoch, or None.
         hints: sentences on how the files were read.
         states: (bytes, time of the last change) of each file when it was opened.
     """
@@ -89,6 +89,7 @@ class ParquetSource(Source):
     scale: float | None = None
     hints: tuple[str, ...] = ()
     states: tuple[tuple[int, int], ...] = ()
+    begin: float = 0.0
 
     parts = True
     as_recorded = True
@@ -214,7 +215,8 @@ class ParquetSource(Source):
         for name in self.plan.texts:
             columns[name] = np.array(table.column(name).to_pylist(), object)
         try:
-            samples = self.plan.samples(columns, len(table), self.dtype)
+            begin = time[0] if start == 0 else self.begin
+            samples = self.plan.samples(columns, len(table), (time - begin, stamps), self.dtype)
         except ValueError as e:
             raise ValueError(f"{self.path}: {e}") from None
         recording = Recording.filed(self.model, samples, (time, stamps, written), self.path.name)
@@ -358,13 +360,22 @@ class ParquetSource(Source):
             origin = np.datetime64(round(self.origin * (1e9 / self.scale)), "ns")
         return origin + np.timedelta64(round(seconds * 1e9), "ns")
 
-    def clock(self, size: int) -> Iterator[tuple[np.ndarray, np.ndarray | None]]:
-        """Yield (seconds, datetime64[ns] or None) of all rows, about `size` at once. There is a time."""
+    def clock(self, size: int, stop: int) -> Iterator[tuple[np.ndarray, np.ndarray | None]]:
+        """Yield (seconds, datetime64[ns] or None) of the rows before `stop`, about `size` at once."""
         assert self.time_name is not None, "there is a column of times"
         start = 0
-        for batch in self._batches(0, self.samples, size, [self.time_name]):
+        for batch in self._batches(0, stop, size, [self.time_name]):
             yield self.times(start, batch.column(0))
             start += len(batch)
+
+    def first_times(self) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return (seconds, datetime64[ns] or None) of the first 100 000 rows."""
+        import pyarrow as pa
+
+        assert self.time_name is not None, "there is a column of times"
+        size = min(self.samples, PROBE)
+        rows = pa.Table.from_batches(self._batches(0, size, size, [self.time_name]))
+        return self.times(0, _one_array(rows.column(0)))
 
     def probe(self) -> Recording:
         """Return the first 100 000 samples."""
@@ -517,24 +528,25 @@ def _clocked(source: ParquetSource) -> ParquetSource:
             raise ValueError(f"{source.path}: there is no time column: {NO_TIME}")
         apart = f"the rows are taken to be dt = {dt:g} s apart, and none to be missing"
         return replace(source, hints=(f"the recording has no time column: {apart}",))
-    probe = source.probe()
-    if probe.stamps is not None:
-        source = replace(source, origin=probe.stamps[0])
+    time, stamps = source.first_times()
+    if stamps is not None:
+        source = replace(source, origin=stamps[0])
     else:
-        scale = epoch_scale(probe.time, dt)
+        scale = epoch_scale(time, dt)
         if scale is not None:
             hints = () if scale == 1 else (f"the time column is read as an epoch in {EPOCHS[scale]}",)
-            source = replace(source, origin=float(probe.time[0]), scale=scale, hints=hints)
-            probe = source.probe()
+            source = replace(source, origin=float(time[0]), scale=scale, hints=hints)
+            time, _ = source.first_times()
+    source = replace(source, begin=float(time[0]))
     try:
         if not regular:
             dt = 1.0  # of nothing: rows are as far apart as they are
             source = replace(source, dt=dt)
         elif dt is None:
-            dt = usual_period(probe.time)
+            dt = usual_period(time)
             source = replace(source, dt=dt)
         if regular:
-            check_period(probe.time, dt, getattr(source.model, "stated", "the model has"))
+            check_period(time, dt, getattr(source.model, "stated", "the model has"))
     except ValueError as e:
         raise ValueError(f"{source.path}: {e}") from None
     if len(source.files) > 1:

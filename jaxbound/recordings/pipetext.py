@@ -457,7 +457,10 @@ class PipeText(Stream):
             times = self._counted_times(count)
         if plan.time is not None:
             columns.setdefault(plan.time, times.time if times.stamps is None else times.stamps)
-        u, y, excluded = plan.samples(columns, count)
+        since = times.time
+        if self.origin is not None and self.scale is None:  # numbers that are seconds
+            since = since - self.origin
+        u, y, excluded = plan.samples(columns, count, (since, times.stamps))
         samples = _LineSamples(times.time, times.written, u, y, np.zeros(0, np.int64), excluded)
         if self.after is not None:
             samples, rows = self._behind(samples, rows, times.before)

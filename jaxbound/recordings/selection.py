@@ -9,6 +9,7 @@ from numpy.typing import DTypeLike
 from jaxbound.recordings.expressions import (
     TIMES,
     Expression,
+    derived,
     expression,
     fails,
     find_column,
@@ -20,6 +21,7 @@ from jaxbound.text.names import listed
 
 __all__ = [
     "NO_TIME",
+    "Moments",
     "STAMPS",
     "TELLING",
     "Wanted",
@@ -29,6 +31,8 @@ __all__ = [
     "where_hints",
 ]
 
+Moments = tuple[np.ndarray, np.ndarray | None]
+"""Times of samples: (s since the first sample of the recording, datetime64 or None)."""
 STAMPS, DAYS = ("stamp", "day", "clock"), ("day", "digits")  # kinds of cells, see `stamp_kind`
 DAILY = 43200  # seconds: what is sampled less often needs no clock
 TELLING = "with `time` among the columns of the model (fit: --time)"
@@ -68,7 +72,7 @@ class Wanted:
         """
         if self.where is None:
             return self.signals
-        where = [c for c in self.where.columns if c not in self.where.texts]
+        where = [c for c in self.where.read if c not in self.where.texts]
         return list(dict.fromkeys(self.signals + where))
 
     @property
@@ -77,7 +81,7 @@ class Wanted:
         texts: list[str] = []
         for signal in (*self.inputs, *self.outputs, self.where):
             if isinstance(signal, Expression):
-                texts += [c for c in signal.columns if c in signal.texts and c not in (self.time, self.day)]
+                texts += [c for c in signal.read if c in signal.texts and c not in (self.time, self.day)]
         return list(dict.fromkeys(texts))
 
     @property
@@ -93,19 +97,33 @@ class Wanted:
         times = [column for column in (self.day, self.time) if column is not None]
         return list(dict.fromkeys(self.numbers + self.texts + times))
 
+    @property
+    def clock(self) -> list[str]:
+        """Names that the clock of the recording tells, see `expressions.CLOCK`."""
+        needed: list[str] = []
+        for signal in (*self.inputs, *self.outputs, self.where):
+            if isinstance(signal, Expression):
+                needed += sorted(signal.clock)
+        return list(dict.fromkeys(needed))
+
     def samples(
-        self, columns: Mapping[str, np.ndarray], count: int, dtype: DTypeLike = np.float64
+        self,
+        columns: Mapping[str, np.ndarray],
+        count: int,
+        moments: Moments,
+        dtype: DTypeLike = np.float64,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Return (u, y, excluded): (N, m) and (N, p), NaN where a sample is missing or left out; (N,) bool,
         left out by `where`, or None.
 
         Args:
-            columns: {name: (N,) floats, or what `Expression.values` takes}. count: N. dtype: of y; u is as
-                wide as its widest column.
+            columns: {name: (N,) floats, or what `Expression.values` takes}. count: N. moments: (s since the
+                first sample of the recording, dates or None). dtype: of y; u is as wide as its widest column.
 
         Raises:
-            ValueError: see `Expression.values`.
+            ValueError: see `Expression.values` and `derived`.
         """
+        columns = {**columns, **derived(self.clock, count, *moments)}
         u, y = _stack(self.inputs, columns, count, None), _stack(self.outputs, columns, count, dtype)
         excluded = None
         if self.where is not None:
@@ -144,7 +162,7 @@ def wanted(names: Sequence[str], model: SignalModel, dated: Callable[[str], str]
 def source_columns(signal: str | Expression) -> tuple[str, ...]:
     """Return the names of the columns that a signal is taken or computed from."""
     if isinstance(signal, Expression):
-        return signal.columns
+        return signal.read
     return (signal,)
 
 

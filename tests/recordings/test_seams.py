@@ -134,7 +134,7 @@ def test_starts_that_are_no_sample_numbers_are_refused(starts):
 
 
 class TestStepsThatVary:
-    """A logger that writes each one to two seconds: a sentence names the steps and the interval that serves."""
+    """A logger that writes each one to two seconds: a sentence names them and the interval that serves."""
 
     STEPS = 'its steps vary from 1 s to 2 s: .* every = "2s" \\(--every 2s\\)'
 
