@@ -18,6 +18,7 @@ from jaxbound.cli.options import (
     whole_number,
 )
 from jaxbound.cli.terminal import OK, door, progress_bars, some_device, write
+from jaxbound.estimation.methods import OBSERVERS
 
 if TYPE_CHECKING:
     from jaxbound.recordings.recording import Recording
@@ -93,6 +94,12 @@ def options(parser: argparse.ArgumentParser) -> None:
         help="auto, least squares, windows, or filters (fast given dynamics: no error hides)",
     )
     parser.add_argument(
+        "--observer",
+        choices=tuple(OBSERVERS),
+        metavar="NAME",
+        help=f"bounds for a set observer, in place of windows: {', '.join(OBSERVERS)}",
+    )
+    parser.add_argument(
         "--average",
         type=whole_number(2),
         metavar="N",
@@ -149,6 +156,7 @@ def run(args: argparse.Namespace) -> int:
             held_out=args.held_out,
             method=args.method,
             average=args.average,
+            observer=args.observer,
             name=args.name or args.out.stem,
             progress=lambda share: step("fit", share),
             units=units,
@@ -167,7 +175,7 @@ def run(args: argparse.Namespace) -> int:
         files = [str(args.out)]
         if args.plot:
             files.append(str(args.plot))
-        show_fit(model, args.data, files, args.order, hints)
+        show_fit(model, args.data, files, args.order, hints, args.observer)
     return OK
 
 

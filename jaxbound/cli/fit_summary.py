@@ -151,16 +151,17 @@ def show_fit(
     written: Sequence[str],
     order: int,
     hints: Sequence[str],
+    observer: str | None = None,
 ) -> None:
-    """Print a model that was fitted to files. written: names of new files."""
+    """Print a model that was fitted to files.
+
+    Args:
+        written: names of new files. observer: the one that the bounds are for; None: windows.
+    """
     check = model.check
     rows = [
         ("model", f"{model.n} states, order {order}, coefficients by {check.method}"),
-        (
-            "windows",
-            f"{_window_text(model)} samples, {model.dt:g} s apart: all of them CONSISTENT, by the proved "
-            f"test",
-        ),
+        _tested(model, observer),
     ]
     for file, numbers in zip(files, check.recordings, strict=True):
         rows.append((str(file), _recording_text(numbers)))
@@ -192,9 +193,11 @@ def _bounds_table(model: Fitted) -> list[tuple[str, ...]]:
     check = model.check
     table: list[tuple[str, ...]]
     table = [("output", "smallest bound", "written", "jump always seen", "steady error always seen")]
+    if not check.steady:
+        table = [("output", "smallest bound", "written", "lasting jump always seen")]
     for name, noise, resolution in zip(model.outputs, model.noise, model.resolution, strict=True):
-        jump, steady = (_size(model, sizes, name) for sizes in (check.jump, check.steady))
-        table.append((name, f"{check.smallest[name]:.4g}", f"{float(noise + resolution):.4g}", jump, steady))
+        sizes = [_size(model, each, name) for each in (check.jump, check.steady) if each]
+        table.append((name, f"{check.smallest[name]:.4g}", f"{float(noise + resolution):.4g}", *sizes))
     return table
 
 
@@ -204,12 +207,16 @@ def _size(model: Fitted, sizes: Mapping[str, float], name: str) -> str:
     return f"{sizes[name]:.3g} {model.unit(name)}".rstrip()
 
 
-def _window_text(model: Fitted) -> str:
-    """Return the number of samples of a window."""
-    assert model.horizon is not None, "a fitted model has one"
-    if model.lags is None:
-        return f"{model.horizon + 1}"
-    return f"{len(model.lags)} of {model.horizon + 1}"
+def _tested(model: Fitted, observer: str | None) -> tuple[str, str]:
+    """Return the line on the test that the bounds are for."""
+    apart = f"{model.dt:g} s apart"
+    if model.horizon is None:
+        flags = f"--method observer --observer {observer}"
+        return "observer", f"{observer}, samples {apart}: none is a FAULT; bounds for `detect {flags}`"
+    samples = f"{model.horizon + 1}"
+    if model.lags is not None:
+        samples = f"{len(model.lags)} of {model.horizon + 1}"
+    return "windows", f"{samples} samples, {apart}: all of them CONSISTENT, by the proved test"
 
 
 def _recording_text(numbers: Mapping[str, float]) -> str:
@@ -242,8 +249,7 @@ def _memory(model: Fitted) -> list[tuple[str, str]]:
     """Return a line on lags where the plant remembers longer than its windows: they may see smaller lasting
     errors.
     """
-    assert model.horizon is not None, "a fitted model has one"
-    if model.lags is not None or slowest(model) < MEMORY * (model.horizon + 1):
+    if model.horizon is None or model.lags is not None or slowest(model) < MEMORY * (model.horizon + 1):
         return []
     try:
         lags = suggest_lags(model)

@@ -2,13 +2,16 @@
 
 import argparse
 import json
+from typing import TYPE_CHECKING, cast
 
 from jaxbound.cli.command import swift_imports
 from jaxbound.cli.options import (
+    OBSERVER,
     MethodOptions,
     add_every,
     add_force,
     add_json,
+    add_observer,
     add_safety,
     add_windows,
     path,
@@ -16,6 +19,9 @@ from jaxbound.cli.options import (
     whole_number,
 )
 from jaxbound.cli.terminal import INTERRUPTED, OK, door, progress_bars, say, some_device, write
+
+if TYPE_CHECKING:
+    from jaxbound.studies.tuning.parametrization import Tunable
 
 NAME = "tune"
 HELP = "find the smallest bounds under which healthy recordings are consistent"
@@ -27,6 +33,10 @@ EXAMPLES = (
     (
         "jaxbound tune plant.toml healthy.csv --faulty leak.csv --out tuned.toml",
         "those that leave most of leak.csv outside",
+    ),
+    (
+        "jaxbound tune plant.toml a.csv b.csv --method observer --observer joint --latched --out tuned.toml",
+        "one factor on all bounds, for `detect` with the same observer",
     ),
 )
 CODES = (
@@ -56,6 +66,14 @@ def options(parser: argparse.ArgumentParser) -> None:
     )
     add_every(parser)
     add_windows(parser)
+    parser.add_argument(
+        "--method",
+        choices=("joint", OBSERVER),
+        default="joint",
+        help="joint, windows; observer: all bounds by one factor, at which it follows each recording to its "
+        "end (default: joint)",
+    )
+    add_observer(parser)
     parser.add_argument(
         "--steps",
         type=whole_number(0, 10**7),
@@ -94,7 +112,7 @@ def run(args: argparse.Namespace) -> int:
             show_tuning,
             tuned_text,
         )
-        from jaxbound.cli.window import parity_windows, stated_model
+        from jaxbound.cli.window import stated_model, window_relations
         from jaxbound.files.whole import whole
         from jaxbound.plots.canvas import to_png
         from jaxbound.plots.tune import plot_tuning
@@ -120,9 +138,9 @@ def run(args: argparse.Namespace) -> int:
         some_device()
         longest = int(np.argmax([recording.samples for recording in recordings]))
         samples = recordings[longest].samples
-        model, relations = parity_windows(model, MethodOptions.of(args), files[longest], samples, step)
+        model, relations = window_relations(model, MethodOptions.of(args), files[longest], samples, step)
         tuning = tune(
-            relations,
+            cast("Tunable", relations),  # --method names no other kind
             recordings[: len(args.healthy)],
             recordings[len(args.healthy) :] or None,
             optimizer(args.optimizer, args.steps),
@@ -145,7 +163,7 @@ def run(args: argparse.Namespace) -> int:
         written = [str(args.out)]
         if args.plot:
             written.append(str(args.plot))
-        show_tuning(tuning, written, hints)
+        show_tuning(tuning, args.healthy, written, hints)
     if tuning.stopped:
         say(
             f"stopped after {tuning.steps} of {args.steps} steps: {args.out} has the best bounds until then; "

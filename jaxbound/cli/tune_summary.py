@@ -69,6 +69,8 @@ def plain_tuning(tuning: TuneResult, out: Path, hints: Sequence[str]) -> dict[st
         "out": str(out),
         "horizon": tuning.relations.horizon,
         "scale": tuning.scale,
+        "factor": tuning.factor,
+        "left_out": _plain_factors(tuning.left_out),
         "safety": tuning.safety,
         "bounds": _plain_bounds(tuning.bounds),
         "smallest": _plain_bounds(tuning.smallest),
@@ -93,21 +95,39 @@ def plain_tuning(tuning: TuneResult, out: Path, hints: Sequence[str]) -> dict[st
     }
 
 
+def _plain_factors(factors: Sequence[float]) -> list[float | None]:
+    """Return factors, None for those that are not known: JSON has no such number."""
+    return [x if np.isfinite(x) else None for x in factors]
+
+
 def _plain_bounds(bounds: Mapping[str, np.ndarray | jax.Array]) -> dict[str, list[Any]]:
     return {kind: np.asarray(values).tolist() for kind, values in bounds.items()}
 
 
-def show_tuning(tuning: TuneResult, written: Sequence[str], hints: Sequence[str]) -> None:
-    """Print tuned bounds. written: names of new files."""
+def show_tuning(
+    tuning: TuneResult, healthy: Sequence[Path], written: Sequence[str], hints: Sequence[str]
+) -> None:
+    """Print tuned bounds. healthy: the files they were tuned to. written: names of new files."""
     reason = "no smaller ones in this direction explain the healthy data"
-    safety = f"{tuning.safety:g}, on top of the smallest bounds"
+    safety = f"{tuning.safety:g} times these bounds"
     if tuning.safety <= 1:
         safety += " (none)"
-    window = f"windows of {tuning.relations.horizon + 1} samples"
-    rows = [
-        ("scale", f"{tuning.scale:.9g} times the starting bounds: {reason}"),
+    window = f"windows of {tuning.relations.horizon + 1} samples, by the proved test"
+    if tuning.relations.remembers:
+        window = "samples, by the observer"
+    rows = [("scale", f"{tuning.scale:.9g} times the starting bounds: {reason}")]
+    for file, factor in zip(healthy, tuning.left_out, strict=False):  # a single one is not left out
+        text = "unknown: it, or the others, hold no window"
+        if np.isfinite(factor):
+            text = f"{factor:.3g} times the smallest bounds of the others"
+        rows.append((f"left out: {file}", text))
+    known = int(np.isfinite(tuning.left_out).sum())
+    if known:
+        promise = f"of recordings like them one in {known + 1} may still ask for more"
+        rows.append(("promise", f"bounds are {tuning.factor:.3g} times the smallest for these; {promise}"))
+    rows += [
         ("safety", safety),
-        ("healthy", f"{_counts_text(tuning.counts)} {window}, by the proved test"),
+        ("healthy", f"{_counts_text(tuning.counts)} {window}"),
     ]
     if tuning.faulty_counts:
         rows.append(("faulty", f"{_counts_text(tuning.faulty_counts)}: {tuning.caught:.1%} proved faulty"))

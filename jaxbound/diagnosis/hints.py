@@ -8,7 +8,7 @@ import numpy as np
 from jaxbound.certificates.interface import Judgement
 from jaxbound.consistency.interface import Relations
 from jaxbound.consistency.searched import NOT_REFUTED, judging_device
-from jaxbound.models.system import LinearSystem
+from jaxbound.models.system import FOR_OBSERVER, LinearSystem
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import percent, times
 from jaxbound.text.units import same_unit, without_unit
@@ -120,10 +120,15 @@ def outgrown(model: LinearSystem, relations: Relations | None = None, looks_back
     horizon, origins = model.horizon, " ".join(map(str, model.provenance.values()))
     if model.lags:
         horizon = model.lags[-1]
-    if horizon is None or not ("fitted" in origins or "tuned" in origins):
-        return []
     if not looks_back and relations is not None and relations.remembers:
         looks_back = "an observer"
+    if FOR_OBSERVER in origins and not looks_back:
+        return [
+            "the bounds were found from data for an observer, whose sets are not those of windows: a FAULT "
+            "may be no more than healthy operation; fit again without one"
+        ]
+    if horizon is None or not ("fitted" in origins or "tuned" in origins):
+        return []
     if looks_back:
         return [f"{FOR.format(horizon + 1)} and {looks_back} looks back on all samples: {MAY}"]
     if relations is None or relations.horizon <= horizon:

@@ -25,13 +25,15 @@ from jaxbound.estimation.arrays import Array
 from jaxbound.estimation.blocks import in_blocks, repeated
 from jaxbound.estimation.lanes import emptied, joined
 from jaxbound.estimation.observation import Observation, State
-from jaxbound.estimation.observed_plant import ObservedModel, ObservedPlant
+from jaxbound.estimation.observed_plant import ObservedModel, ObservedPlant, observed_plant
 from jaxbound.estimation.second_look import decided_twice
 from jaxbound.estimation.short_proof import ObservedResult, short_proof
 from jaxbound.estimation.zonotope_numbers import ROUNDED, FirstSet
 from jaxbound.models.sensor import input_slip
+from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.signals import SignalModel, signals_of
+from jaxbound.relations.bounds import Bounds, model_bounds
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import is_outside_xla
 from jaxbound.sets.floats.status import Status
@@ -167,8 +169,10 @@ class SetObserver(Observer[State], Generic[State]):
         return np.stack([np.nextafter(center - reach, -np.inf), np.nextafter(center + reach, np.inf)], 1)
 
     @property
-    def bounds(self) -> dict[str, np.ndarray]:
-        """{"tolerance", "noise"} (p,): of the sensors, as of relations."""
+    def bounds(self) -> Bounds:
+        """Those of the model, as of relations; of an `interval_system` {"tolerance", "noise"} (p,)."""
+        if isinstance(self.model, LinearSystem):
+            return model_bounds(self.model)
         return {"tolerance": self.plant.system.tolerance, "noise": self.plant.system.noise}
 
     @property
@@ -210,6 +214,17 @@ class SetObserver(Observer[State], Generic[State]):
     def continued(self, carry: State) -> Self:
         """Return the same observer, which begins with a carry that `fold` returned."""
         return replace(self, begun=carry)
+
+    def of(self, model: LinearSystem) -> Self:
+        """Return the same observer of another model of as many states.
+
+        Raises:
+            ValueError: as `observer`.
+        """
+        horizon = None
+        if self.plant.start is not None:
+            horizon = self.plant.past
+        return replace(self, plant=observed_plant(model, horizon, self.x0 is not None), begun=None)
 
     def forgetful(self) -> Self:
         """Return the same observer, which begins knowing nothing."""

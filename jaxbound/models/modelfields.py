@@ -277,6 +277,7 @@ FIELDS = (
     Field("", "every", TEXT, BySignal("columns")),
     Field("", "horizon", WHOLE, Elsewhere(_horizon)),
     Field("", "lags", LAGS, Argument()),
+    Field("", "left_out", NUMBER, Argument()),
     Field("", "time", TEXT, BySignal("columns")),
     Field("", "where", TEXT, BySignal("columns")),
     Field("", "constant_tolerance", TRUTH, Argument(unwritten=False)),

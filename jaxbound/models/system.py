@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxbound.exact.linalg import Matrix, MatrixLike, Number, Vector
 from jaxbound.models.average import Average, Averaged, averages_of
-from jaxbound.models.numbers import is_whole
+from jaxbound.models.numbers import is_whole, number
 from jaxbound.models.plant import Plant, plant
 from jaxbound.models.signals import (
     Each,
@@ -29,8 +29,10 @@ from jaxbound.models.unknown import Bounded, Coupling, without_descriptor
 from jaxbound.text.objects import readable
 from jaxbound.text.units import without_unit
 
-__all__ = ["LinearSystem", "matrices_at_zero", "whole_lags"]
+__all__ = ["FOR_OBSERVER", "LinearSystem", "matrices_at_zero", "whole_lags"]
 
+FOR_OBSERVER = "for an observer"
+"""Words in the provenance of bounds from data that were found for one, not for windows."""
 ORIGINS = ("tolerance", "noise", "resolution", "disturbance", "model")
 
 T = TypeVar("T")
@@ -106,6 +108,8 @@ class LinearSystem:
             none is asked for.
         lags: of these windows, where they look at the outputs at some samples only; the horizon is then the
             largest of them.
+        left_out: how many times as wide as the smallest bounds those for a recording that was left out of the
+            fit have to be, >= 1: `jb.fit` finds it, `jb.tune` keeps it. None: not known.
         uncertainties: a sequence of `Uncertainty`: bounded parameters that change A, B, C, D. The given
             matrices are those at the value 0 of every parameter; .A, .B, .C, .D are kept at the middle of
             their bounds.
@@ -137,6 +141,7 @@ class LinearSystem:
     horizon: int | None
     lags: tuple[int, ...] | None
     averages: tuple[Average, ...]
+    left_out: Fraction | None
 
     A = _Of[Matrix]("plant")
     B = _Of[Matrix]("plant")
@@ -190,6 +195,7 @@ class LinearSystem:
         horizon: int | None = None,
         lags: Sequence[int] | None = None,
         averages: Averaged | None = None,
+        left_out: Number | None = None,
     ) -> None:
         if E is not None:
             if np.size(np.asarray(uncertainties, object)):
@@ -216,6 +222,7 @@ class LinearSystem:
             horizon=length,
             lags=sparse,
             averages=_averages(averages, parts, measured, signals.outputs),
+            left_out=_factor(left_out),
         )
 
     def replace(self, **changes: Any) -> LinearSystem:
@@ -234,7 +241,7 @@ class LinearSystem:
             (Fraction(1, 3),)
         """
         if "horizon" in changes or "lags" in changes:  # another window altogether
-            changes = {"horizon": None, "lags": None, **changes}
+            changes = {"horizon": None, "lags": None, "left_out": None, **changes}
         return LinearSystem(**{**self._arguments(), **changes})
 
     __replace__ = replace  # copy.replace(model, noise=..), from Python 3.13 on
@@ -262,6 +269,7 @@ class LinearSystem:
             "horizon": self.horizon if self.lags is None else None,
             "lags": self.lags,
             "averages": self.averages,
+            "left_out": self.left_out,
         }
 
     @property
@@ -383,6 +391,16 @@ def _averages(
                 f"differ has no mean; give the tolerance as noise"
             )
     return averages
+
+
+def _factor(left_out: Number | None) -> Fraction | None:
+    """Return the factor that a recording needs which is left out, checked."""
+    if left_out is None:
+        return None
+    factor = number("left_out", left_out)
+    if factor < 1:
+        raise ValueError(f"left_out must be a factor >= 1, not {left_out!r}")
+    return factor
 
 
 def _window(horizon: int | None, lags: Sequence[int] | None) -> tuple[int | None, tuple[int, ...] | None]:

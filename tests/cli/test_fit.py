@@ -180,3 +180,19 @@ def test_units_of_columns_reach_the_model_and_its_report(tmp_path, monkeypatch, 
     assert model.column("T_room") == "T_room [degC]"
     assert main.main(["detect", "m.toml", "run.csv", "--out", "out"]) == 0
     assert "degC" in (tmp_path / "out/report.html").read_text()
+
+
+def test_bounds_for_an_observer(place, capsys):
+    at = FIT.index("--horizon")
+    command = [*FIT[:at], *FIT[at + 2 :], "--observer", "zonotope", "--method", "least squares"]
+    assert main.main(command) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "lasting jump always seen" in said and "`detect --method observer --observer zonotope`" in said
+    assert jb.load_model("tank.toml").horizon is None
+    observed = ["--method", "observer", "--observer", "zonotope"]
+    assert main.main(["detect", "tank.toml", "run.csv", "--out", "report", *observed]) == 0
+    assert main.main(["tune", "tank.toml", "run.csv", "--out", "tuned.toml", *observed]) == 0
+    assert "for an observer" in jb.load_model("tuned.toml").provenance["noise"]
+    capsys.readouterr()
+    assert main.main([*command, "--force", "--average", "3"]) == 2
+    assert "average is for windows" in capsys.readouterr().err

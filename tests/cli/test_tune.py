@@ -66,7 +66,12 @@ def test_writes_a_model_under_which_no_healthy_window_is_faulty(plant, capsys):
     )
     model = jb.load_model(plant / "out.toml")
     assert list(map(float, model.noise)) == pytest.approx(said["bounds"]["noise"]) and model.horizon == 1
-    assert model.provenance["noise"] == "fitted to 597 healthy windows, safety factor 1.2"
+    assert (
+        model.provenance["noise"]
+        == "fitted to 597 healthy windows, factor 1.1 of what was left out, safety factor 1.2"
+    )
+    assert len(said["left_out"]) == 2 and max(said["left_out"]) == said["factor"]
+    assert float(model.left_out) == pytest.approx(said["factor"], rel=1e-3)
     assert (plant / "p.png").read_bytes().startswith(b"\x89PNG")
     assert (
         main(["detect", str(plant / "out.toml"), str(plant / "a.csv"), "--out", str(plant / "r"), "--json"])
@@ -81,7 +86,7 @@ def test_prints_scale_safety_and_statement_apart(plant, capsys):
     assert "tolerance of y1" not in out and "noise of y2" in out
     for words in (
         "scale ",
-        "safety 1.25, on top",
+        "safety 1.25 times these bounds",
         "298 CONSISTENT",
         "If blocks of healthy operation are exchangeable",
         "gap of 56 s",

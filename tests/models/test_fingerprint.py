@@ -66,6 +66,7 @@ CHANGES = dict(
     name="other",
     horizon=4,
     lags=(0, 1, 3),
+    left_out="1.3",
     averages={"w1": {2: 0.005}},
 )
 WITHOUT = ("E", "averages")

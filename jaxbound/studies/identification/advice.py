@@ -61,13 +61,10 @@ def limits(model: LinearSystem, check: FitCheck, held_out: float, spans: Sequenc
     return [sentence for sentence in sentences if sentence]
 
 
-def _window_length(model: LinearSystem) -> int:
-    assert model.horizon is not None, "a fitted model has one"
-    return model.horizon + 1
-
-
 def _few_windows(model: LinearSystem, check: FitCheck) -> str:
-    length = _window_length(model)
+    if model.horizon is None:  # an observer has no windows
+        return ""
+    length = model.horizon + 1
     whole = int(sum(r["windows"] for r in check.recordings)) // length
     if whole >= FEW:
         return ""
@@ -122,18 +119,18 @@ def _contradiction(check: FitCheck) -> str:
 
 def _blind(model: LinearSystem, check: FitCheck, name: str, span: float) -> str:
     """Return the sentence on an output that moved less than any error of it that is seen."""
-    jump, steady = check.jump[name], check.steady[name]
+    jump, steady = check.jump[name], check.steady.get(name, 0.0)
     unit = f" {model.unit(name)}".rstrip()
     moved = f"in all recordings {name} moved by {span:.3g}{unit} only"
     if jump > span:
         return (
             f"the monitor is blind for {name}: no jump below {jump:.3g}{unit} is sure to be seen, but {moved}"
         )
-    if not steady > span:
+    if not steady > span or model.horizon is None:
         return ""
     size = "however large" if math.isinf(steady) else f"below {steady:.3g}{unit}"
     return (
         f"an error of {name} that was there before the recording began and never changes may stay unseen, "
-        f"{size}, and {moved}: within {_window_length(model)} samples the model can follow it; a longer "
+        f"{size}, and {moved}: within {model.horizon + 1} samples the model can follow it; a longer "
         f"horizon sees smaller ones"
     )

@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxbound.models.system import LinearSystem
+from jaxbound.models.system import FOR_OBSERVER, LinearSystem
 from jaxbound.recordings.hints import recorded_step
-from jaxbound.relations.parity import parity_relations
-from jaxbound.studies.identification.candidates import all_consistent, tested
+from jaxbound.studies.identification.judging import Judge
 from jaxbound.studies.identification.records import Records, measured
 
 __all__ = ["Means", "rounded_up", "verified"]
@@ -34,10 +33,16 @@ def rounded_up(x: float, digits: int = 3) -> float:
 
 
 def verified(
-    spec: dict[str, Any], smallest: np.ndarray, means: Means, records: Records, factor: float, safety: float
+    judge: Judge,
+    spec: dict[str, Any],
+    smallest: np.ndarray,
+    means: Means,
+    records: Records,
+    factor: float,
+    safety: float,
 ) -> tuple[LinearSystem, list[np.ndarray]]:
-    """Return (model, used): the model under which every window is CONSISTENT by the proved test, and the
-    share of its bounds that each window uses.
+    """Return (model, used): the model that no window contradicts by the proved test, and the share of its
+    bounds that each window uses.
 
     A bound is what the recorder rounds, as the resolution, and noise for the rest. Where the bound is smaller
     than that, nothing is rounded: the plant itself moves in steps.
@@ -51,13 +56,16 @@ def verified(
     rounds = _resolutions(records, len(bounds))
     recordings = f"{len(records)} recording{'s' * (len(records) > 1)}"
     source = f"fitted to {measured(records)} samples in {recordings}"
+    meant = ""
+    if "horizon" not in spec and "lags" not in spec:
+        meant = f" {FOR_OBSERVER}"
     lowered = {i: rounded_up(x * wider) for i, (_, x) in means.items()}
     for _ in range(ATTEMPTS):
         exact = [Fraction(repr(x)) for x in bounds]
         rounds = [_below(r, x) for r, x in zip(rounds, exact, strict=True)]
         noise = [x - r for x, r in zip(exact, rounds, strict=True)]
         widened = f"factor {factor:.3g} of what was left out, safety factor {safety:g}"
-        origin = {"model": source, "noise": f"{source}, {widened}"}
+        origin = {"model": source, "noise": f"{source}{meant}, {widened}"}
         if any(rounds):
             origin["resolution"] = "as the recordings are rounded"
         averages = {}
@@ -65,12 +73,12 @@ def verified(
             rest = max(Fraction(repr(lowered[i])) - rounds[i], Fraction(0))
             averages[spec["outputs"][i]] = {samples: rest}
         model = LinearSystem(**spec, noise=noise, resolution=rounds, provenance=origin, averages=averages)
-        verdicts = tested(parity_relations(model), records)
-        if all_consistent(status for status, _ in verdicts):
+        holds, used = judge.shares(model, records)
+        if holds:
             break
         bounds = [rounded_up(WIDER * x) for x in bounds]
         lowered = {i: rounded_up(WIDER * x) for i, x in lowered.items()}
-    return model, [need for _, need in verdicts]
+    return model, used
 
 
 def _below(rounding: Fraction, bound: Fraction) -> Fraction:

@@ -1,26 +1,19 @@
 """Candidate models of a fit: one a kind of regression."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from jaxbound.diagnosis.detection import detect
 from jaxbound.models.system import LinearSystem
-from jaxbound.relations.parity import ParityRelation, parity_relations
-from jaxbound.relations.uncertain import UncertainRelations
-from jaxbound.sets.floats.status import Status
 from jaxbound.studies.identification import filters, regression
+from jaxbound.studies.identification.judging import Judge
 from jaxbound.studies.identification.realisation import realised, realised_filters
 from jaxbound.studies.identification.records import Records, measured
 from jaxbound.studies.identification.regression import Scales
 
-__all__ = """
-    KINDS Candidate FitProblem all_consistent candidate explains largest_need needs tested
-""".split()
-
-Relations = ParityRelation | UncertainRelations
+__all__ = ["KINDS", "Candidate", "FitProblem", "candidate", "largest_need"]
 
 KINDS = ("least squares", "windows", "filters")
 EXACT, LEAST = 1e-14, 1e-3
@@ -35,7 +28,8 @@ class FitProblem:
 
     Fields:
         scales: of all recordings. spans (p,): between the lowest and the highest sample of each output.
-        about: arguments of a LinearSystem beside its matrices. room: windows that every candidate's arrays
+        horizon: of the windows that a regression looks at. about: arguments of a LinearSystem beside its
+            matrices. judge: the test that bounds are found for. room: windows that every candidate's arrays
             hold, so that a fit to a part of the recordings compiles nothing new.
     """
 
@@ -45,30 +39,40 @@ class FitProblem:
     horizon: int
     direct: bool
     about: dict[str, Any]
+    judge: Judge
     room: int
 
     @classmethod
     def of(
-        cls, records: Records, order: int, horizon: int, direct: bool, about: dict[str, Any]
+        cls,
+        records: Records,
+        order: int,
+        horizon: int,
+        direct: bool,
+        about: dict[str, Any],
+        judge: Judge,
     ) -> "FitProblem":
         """Return the FitProblem of fitting to all of these recordings."""
         scales = regression.scales_of(records)
         room = len(regression.windows_of(records, scales, horizon, regression.MOST).y)
         y = np.concatenate([r[1] for r in records])
         spans = tuple(np.nanmax(y, axis=0) - np.nanmin(y, axis=0))
-        return cls(scales, spans, order, horizon, direct, about, room)
+        return cls(scales, spans, order, horizon, direct, about, judge, room)
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A model without bounds: arguments of a LinearSystem, its relations, and the root mean square (p,) of
-    its window residuals in the unit of each output, which is the noise of the relations.
+    """A model without bounds: arguments of a LinearSystem, and the root mean square (p,) of its window
+    residuals in the unit of each output.
     """
 
     kind: str
     spec: dict[str, Any]
-    relations: Relations
     spread: np.ndarray
+
+    def model(self, noise: np.ndarray) -> LinearSystem:
+        """Return the model with these bounds (p,)."""
+        return LinearSystem(**self.spec, noise=noise.tolist())
 
 
 def candidate(problem: FitProblem, records: Records, kind: str) -> Candidate:
@@ -90,8 +94,7 @@ def candidate(problem: FitProblem, records: Records, kind: str) -> Candidate:
     largest = np.nanmax(np.abs(np.concatenate([y for _, y, _ in records])), axis=0)
     spread = np.maximum(spread, EXACT * largest)  # where all fits exactly
     spec |= problem.about
-    relations = parity_relations(LinearSystem(**spec)).with_bounds({"noise": spread})
-    return Candidate(kind, spec, relations, spread)
+    return Candidate(kind, spec, spread)
 
 
 def _refuse_few(records: Records, steps: int, windows: int, horizon: int, unknowns: int) -> None:
@@ -106,39 +109,9 @@ def _refuse_few(records: Records, steps: int, windows: int, horizon: int, unknow
     )
 
 
-def tested(relations: Relations, parts: Records) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return (status, need) of each recording, (T,) each.
-
-    The need of a window is the factor on the bounds that just explains it, nan where there is no window.
-    """
-    verdicts = []
-    for u, y, starts in parts:
-        if len(y) <= relations.horizon:
-            verdicts.append((np.zeros(len(y), np.int8), np.full(len(y), np.nan)))
-            continue
-        result = detect(relations, u if u.shape[1] else None, y, starts=starts, margins="exact")
-        verdicts.append((result.status, 1 - result.margin))
-    return verdicts
-
-
-def needs(relations: Relations, parts: Records) -> list[np.ndarray]:
-    """Return the need of each window, an array (T,) a recording."""
-    return [need for _, need in tested(relations, parts)]
-
-
 def largest_need(each: Sequence[np.ndarray]) -> float:
     """Return the largest need, at least LEAST; nan where there is no window."""
     every = np.concatenate(each)
     if not np.isfinite(every).any():
         return float("nan")
     return max(float(np.nanmax(every)), LEAST)
-
-
-def explains(relations: Relations, parts: Records) -> bool:
-    """Return whether every window of the recordings is CONSISTENT."""
-    return all_consistent(status for status, _ in tested(relations, parts))
-
-
-def all_consistent(statuses: Iterable[np.ndarray]) -> bool:
-    """Return whether every window is CONSISTENT or MISSING. statuses: an array (T,) a recording."""
-    return all(np.isin(status, (Status.MISSING, Status.CONSISTENT)).all() for status in statuses)

@@ -13,10 +13,13 @@ too, of the same windows.
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
 from functools import partial
 
 import numpy as np
 
+from jaxbound.estimation.method import ObserverMethod
+from jaxbound.estimation.methods import observer_method
 from jaxbound.models.numbers import is_whole
 from jaxbound.models.system import LinearSystem, whole_lags
 from jaxbound.recordings.means import with_every
@@ -26,13 +29,12 @@ from jaxbound.studies.identification.bounds import Means, verified
 from jaxbound.studies.identification.candidates import (
     KINDS,
     FitProblem,
-    explains,
 )
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted, PartLeftOut
+from jaxbound.studies.identification.judging import Judge, ObserverJudge, WindowJudge, explains
 from jaxbound.studies.identification.left_out import LeftOut, tried, widest
 from jaxbound.studies.identification.means import smallest_means
 from jaxbound.studies.identification.records import Records, input_ranges, parted, read_records
-from jaxbound.studies.identification.sizes import visible_sizes
 
 __all__ = ["fit"]
 
@@ -58,6 +60,7 @@ def fit(
     held_out: float = 0.3,
     method: str = "auto",
     average: int | None = None,
+    observer: str | ObserverMethod | None = None,
     name: str = "fitted",
     units: Mapping[str, str] | None = None,
     columns: Mapping[str, str] | None = None,
@@ -68,8 +71,8 @@ def fit(
     The smallest bounds are those under which every window of the recordings is consistent, in the ratio of
     the outputs' residuals: `tune` moves each by its own. Each recording in turn is then judged by a fit to
     all others: by the largest factor that one of them asks for the bounds are wider, and by `safety` on top.
-    They are verified: `detect` finds every window CONSISTENT. Of n recordings that are like the next one, one
-    in n + 1 may still ask for more.
+    They are verified: `detect` finds every window CONSISTENT, or an observer no FAULT. Of n recordings that
+    are like the next one, one in n + 1 may still ask for more.
 
     Args:
         recordings: one or several of: (u (T, m), y (T, p)) or (u, y, starts), u None without inputs; a table
@@ -94,11 +97,14 @@ def fit(
             as recordings that are left out ask for.
         average: of so many errors in a row, at most horizon + 1, the mean gets a bound too: an average of the
             model. Lasting errors show smaller where errors do average out. None: none.
+        observer: the method of a set observer ("zonotope", "joint", ..), see `jb.observer`: the bounds are
+            those at which it follows every recording, instead of those of windows; horizon is then that of
+            the windows which `method` looks at. Not with lags or average.
         name, units, columns: as of a LinearSystem; tables are read by these columns too. progress: called
             with the share of the work done.
 
     Returns:
-        A Fitted: a LinearSystem with `.horizon`, provenance "fitted ..." and `.check`.
+        A Fitted: a LinearSystem with `.horizon` (but for an observer), provenance "fitted ..." and `.check`.
 
     Raises:
         ValueError: recordings that do not fit each other, too few samples, an output that stands still,
@@ -112,21 +118,26 @@ def fit(
         >>> abs(float(model.A[0][0]) - 0.8) < 0.05, float(model.noise[0]) < 0.15
         (True, True)
     """
+    if observer is not None:
+        observer = _observer(observer, lags, average)
     horizon, lags = _window(horizon, lags)
     _check_options(order, horizon, safety, held_out, method, average)
     columns, dt = with_every(columns, dt, every)
     report = progress or _silent
     inputs, outputs, dt, records = read_records(recordings, inputs, outputs, columns, dt)
     about = dict(dt=dt, inputs=inputs, outputs=outputs, units=units, columns=columns, name=name)
-    if lags is None:
+    judge: Judge = WindowJudge()
+    if observer is not None:
+        judge = ObserverJudge({"method": observer})
+    elif lags is None:
         about["horizon"] = horizon
     else:
         about["lags"] = lags
     sentences = advice.inputs_at_rest(records, inputs, outputs)
-    problem = FitProblem.of(records, order, horizon, direct, about)
+    problem = FitProblem.of(records, order, horizon, direct, about, judge)
     report(0.05)
 
-    parts, trials = parted(records, held_out, horizon), []
+    parts, trials = parted(records, held_out, horizon + 1), []
     kinds = _kinds(method, parts, inputs)
     for number, kind in enumerate(kinds):
         trials.append(tried(problem, kind, records, parts))
@@ -142,13 +153,17 @@ def fit(
         averaged = {i: (average, x) for i, x in enumerate(means) if x < AVERAGES * smallest[i]}
         sentences += [advice.no_average(x, average) for i, x in enumerate(outputs) if i not in averaged]
         lowered = {outputs[i]: {average: float(x)} for i, (_, x) in averaged.items()}
-        left = tuple(one.under(smallest, lowered, [part]) for one, part in zip(left, parts, strict=True))
+        left = tuple(
+            one.under(judge, smallest, lowered, [part]) for one, part in zip(left, parts, strict=True)
+        )
 
     # few digits are what a user reads in the model file: the model that is verified is the one that is saved
     spec = chosen.spec | {"ranges": input_ranges(records, inputs)}
     factor = widest(left)
-    model, used = verified(spec, smallest, averaged, records, factor, safety)
-    jump, steady = visible_sizes(model, problem.scales)
+    if any(np.isfinite(one.factor) for one in left):
+        spec["left_out"] = Fraction(f"{factor:.4g}")
+    model, used = verified(judge, spec, smallest, averaged, records, factor, safety)
+    jump, steady = judge.sizes(model, problem.scales)
     check = FitCheck(
         method=chosen.kind,
         factor=factor,
@@ -170,6 +185,21 @@ def fit(
 
 def _silent(share: float) -> None:
     """Report to nobody."""
+
+
+def _observer(
+    observer: str | ObserverMethod, lags: Sequence[int] | None, average: int | None
+) -> ObserverMethod:
+    """Return the method of an observer; refuse what it has no use for."""
+    for name, value in (("lags", lags), ("average", average)):
+        if value is not None:
+            raise ValueError(
+                f"{name} is for windows: a fit for an observer looks at every sample, leave it out"
+            )
+    try:
+        return observer_method(observer)
+    except ValueError as e:
+        raise ValueError(f"observer: {e}") from None
 
 
 def _window(horizon: int | None, lags: Sequence[int] | None) -> tuple[int, tuple[int, ...] | None]:

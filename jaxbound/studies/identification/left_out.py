@@ -16,15 +16,14 @@ from typing import Any
 import numpy as np
 
 from jaxbound.models.system import LinearSystem
-from jaxbound.relations.parity import parity_relations
 from jaxbound.studies.identification import regression
 from jaxbound.studies.identification.candidates import (
     Candidate,
     FitProblem,
     candidate,
     largest_need,
-    needs,
 )
+from jaxbound.studies.identification.judging import Judge
 from jaxbound.studies.identification.records import Records
 from jaxbound.studies.identification.sizes import blindness
 
@@ -58,24 +57,26 @@ class LeftOut:
         return float(np.nanmax(self.need))
 
     def under(
-        self, noise: np.ndarray, averages: Mapping[str, Mapping[int, float]], part: Records
+        self, judge: Judge, noise: np.ndarray, averages: Mapping[str, Mapping[int, float]], part: Records
     ) -> "LeftOut":
         """Return the same part, judged under other bounds. averages: {output: {samples: bound}}."""
         if self.model is None:
             return self
         model = LinearSystem(**self.model, noise=noise.tolist(), averages=averages)
-        return LeftOut(self.model, needs(parity_relations(model), part)[0], self.why)
+        return LeftOut(self.model, judge.needs(model, part)[0], self.why)
 
 
-def left_out(problem: FitProblem, kind: str, parts: Records, number: int, noise: np.ndarray) -> LeftOut:
+def left_out(
+    problem: FitProblem, kind: str, parts: Records, number: int, noise: np.ndarray, least: int
+) -> LeftOut:
     """Return one of the parts of recordings under the fit, of one of KINDS, to all others.
 
     Args:
-        noise: (p,), the bounds of the fit to all.
+        noise: (p,), the bounds of the fit to all. least: samples that a part must have.
     """
     others, own = [*parts[:number], *parts[number + 1 :]], parts[number : number + 1]
     unknown = np.full(len(own[0][1]), np.nan)
-    if len(unknown) <= problem.horizon:
+    if len(unknown) < least:
         return LeftOut(None, unknown, "it holds no window")
     if _excited(problem, others, parts) < EXCITED:
         return LeftOut(None, unknown, "the others do not move all that it moves")
@@ -83,7 +84,7 @@ def left_out(problem: FitProblem, kind: str, parts: Records, number: int, noise:
         fitted = candidate(problem, others, kind)
     except ValueError:  # too few samples for the coefficients
         return LeftOut(None, unknown, "the others are too short")
-    return LeftOut(fitted.spec, unknown).under(noise, {}, own)
+    return LeftOut(fitted.spec, unknown).under(problem.judge, noise, {}, own)
 
 
 def _excited(problem: FitProblem, others: Records, parts: Records) -> float:
@@ -121,10 +122,11 @@ class Trial:
 
 def tried(problem: FitProblem, kind: str, records: Records, parts: Records) -> Trial:
     """Return the Trial of one of KINDS. parts: of the recordings, which are left out in turn."""
-    full = candidate(problem, records, kind)
-    bound = largest_need(needs(full.relations, records)) * full.spread
-    left = []
+    full, judge = candidate(problem, records, kind), problem.judge
+    model = full.model(full.spread)
+    bound = largest_need(judge.needs(model, records)) * full.spread
+    left, least = [], judge.least(model)
     for number in range(len(parts)):
-        left.append(left_out(problem, kind, parts, number, bound))
-    covering = LinearSystem(**full.spec, noise=(widest(left) * bound).tolist())
-    return Trial(full, bound, tuple(left), blindness(covering, problem.scales, problem.spans))
+        left.append(left_out(problem, kind, parts, number, bound, least))
+    covering = full.model(widest(left) * bound)
+    return Trial(full, bound, tuple(left), blindness(judge, covering, problem.scales, problem.spans))

@@ -16,10 +16,11 @@ from jaxbound.recordings.seams import TOLERATED_DT
 from jaxbound.recordings.signals import Signals
 from jaxbound.recordings.table import as_table, is_table
 
-__all__ = ["Records", "input_ranges", "measured", "parted", "read_records"]
+__all__ = ["Record", "Records", "input_ranges", "measured", "parted", "read_records"]
 
-Records = list[tuple[np.ndarray, np.ndarray, np.ndarray]]
-"""(u (T, m), y (T, p), starts) of each."""
+Record = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""(u (T, m), y (T, p), starts)."""
+Records = list[Record]
 Names = tuple[str, ...]
 
 
@@ -39,9 +40,9 @@ def input_ranges(records: Records, inputs: Sequence[str]) -> dict[str, tuple[flo
     return ranges
 
 
-def parted(records: Records, held_out: float, horizon: int) -> Records:
+def parted(records: Records, held_out: float, least: int) -> Records:
     """Return the parts that are left out in turn: the recordings; of a single one its blocks, none where a
-    block holds no window.
+    block has less than the least samples.
 
     Args:
         held_out: the share of its usable samples that a block of a single recording holds; 0: nothing is left
@@ -56,7 +57,7 @@ def parted(records: Records, held_out: float, horizon: int) -> Records:
     count = max(round(1 / held_out), 2)
     cuts = [0, *(_cut(usable, i / count) for i in range(1, count)), len(y)]
     blocks = [_part(u, y, starts, first, stop) for first, stop in itertools.pairwise(cuts)]
-    if not all(_holds_window([block], horizon) for block in blocks):
+    if min(len(y) for _, y, _ in blocks) < least:
         return []
     return blocks
 
@@ -69,15 +70,9 @@ def _cut(usable: np.ndarray, share: float) -> int:
     return int(np.searchsorted(counted, share * counted[-1]) + 1)
 
 
-def _part(
-    u: np.ndarray, y: np.ndarray, starts: np.ndarray, first: int, stop: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _part(u: np.ndarray, y: np.ndarray, starts: np.ndarray, first: int, stop: int) -> Record:
     inside = (starts > first) & (starts < stop)
     return u[first:stop], y[first:stop], starts[inside] - first
-
-
-def _holds_window(records: Records, horizon: int) -> bool:
-    return any(len(y) > horizon for _, y, _ in records)
 
 
 def read_records(

@@ -27,6 +27,7 @@ __all__ = [
     "rank_risk",
     "rate_bound",
     "risk_of",
+    "risk_of_recordings",
     "scenario_bound",
     "touched",
 ]
@@ -219,6 +220,25 @@ def risk_of(
         f"0, give a statement.{extra}"
     )
     return Risk(0, length, None, None, confidence, None, factors_of_blocks, False, text)
+
+
+def risk_of_recordings(factors: np.ndarray, confidence: float, safety: float) -> Risk:
+    """Return the Risk of bounds that one number scaled until all recordings were inside.
+
+    Args:
+        factors: (n,) t of each recording at the smallest bounds. confidence, safety: as for `risk_of`.
+    """
+    n = len(factors)
+    average, rate, band = rank_risk(n), rate_bound(n, confidence), distribution_band(n, confidence)
+    text = (
+        f"{n} recording{'s' * (n > 1)} rescaled the given bounds, which must not come from the same data. If "
+        f"recordings of healthy operation are exchangeable (a new one is drawn as these were, in any order), "
+        f"a new one needs more than the smallest bounds with a probability of at most 1/{n + 1} = "
+        f"{_percent(average)}; if they are independent, then with {100 * confidence:g} % confidence at most "
+        f"{_percent(rate)} of all do. What was left out and the safety factor {safety:g} come on top and are "
+        f"not counted."
+    )
+    return Risk(n, 1, average, rate, confidence, band, np.sort(factors), False, text)
 
 
 ASSUMED = "If blocks of healthy operation are exchangeable (a new one is drawn as these were, in any order)"

@@ -6,21 +6,23 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import ROUND_CEILING, Context, Decimal
 from fractions import Fraction
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import bounded_sums, changed_sums
 from jaxbound.relations.bounds import KINDS, model_bounds
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.uncertain import UncertainRelations
 
-__all__ = ["Moving", "model_with", "moving", "unflatten"]
+__all__ = ["Moving", "Tunable", "model_with", "moving", "tuned_model", "unflatten"]
 
 Flat = TypeVar("Flat", jax.Array, np.ndarray)
+Tunable: TypeAlias = ParityRelation | UncertainRelations | SetObserver[Any]
 Sizes = tuple[tuple[str, int], ...]
 """How many entries bounds of each name have."""
 
@@ -52,6 +54,15 @@ class Moving:
         """Return {name: array} with the moved bounds at `values`."""
         return unflatten(self.fixed + self.select @ np.asarray(values, np.float64), self.sizes)
 
+    @property
+    def rows(self) -> dict[str, slice]:
+        """{name: slice of the flat bounds}."""
+        rows, at = {}, 0
+        for name, count in self.sizes:
+            rows[name] = slice(at, at + count)
+            at += count
+        return rows
+
     def total(self, values: np.ndarray) -> float:
         """Return the weighted sum of the bounds."""
         return float(self.weights @ values)
@@ -73,7 +84,7 @@ def unflatten(flat: Flat, sizes: Sizes) -> dict[str, Flat]:
 
 
 def moving(
-    relations: ParityRelation | UncertainRelations,
+    relations: Tunable,
     which: str | Iterable[str] | None = None,
     weights: Mapping[str, ArrayLike] | None = None,
 ) -> Moving:
@@ -88,7 +99,7 @@ def moving(
         ValueError: an unknown name, nothing that could move, a disturbance that excludes 0, weights that are
             not > 0.
     """
-    bounds, model = relations.bounds, relations.model
+    bounds, model = relations.bounds, tuned_model(relations)
     chosen = _chosen(which, bounds)
     for name in (*chosen, *(weights or {})):
         if name not in bounds:
@@ -224,21 +235,26 @@ def _weights(name: str, given: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def model_with(
-    relations: ParityRelation | UncertainRelations, moved: Moving, values: Sequence[Decimal], source: str
+    relations: Tunable,
+    moved: Moving,
+    values: Sequence[Decimal],
+    source: str,
+    left_out: Fraction | None = None,
 ) -> LinearSystem:
     """Return the model with the bounds of the relations, those that moved at `values` (Decimals), and their
     horizon.
 
     Args:
-        relations: before tuning. moved: their Moving. source: provenance of every kind that moved.
+        relations: before tuning. moved: their Moving. source: provenance of every kind that moved. left_out:
+            of the model, the factor that these bounds hold.
 
     Raises:
         ValueError: a tolerance that would reach 1.
     """
-    model, old = relations.model, model_bounds(relations.model)
+    model = tuned_model(relations)
+    old = model_bounds(model)
     provenance, at = dict(model.provenance), 0
-    window = relations.window if isinstance(relations, ParityRelation) else {"horizon": relations.horizon}
-    changes: dict[str, object] = {"provenance": provenance, **window}
+    changes: dict[str, object] = {"provenance": provenance, "left_out": left_out, **_window_of(relations)}
     for kind, count in moved.sizes:
         rows, at = moved.select[at : at + count], at + count
         exact = _decimals(model, kind, np.ravel(relations.bounds[kind]), np.ravel(old[kind]))
@@ -248,6 +264,22 @@ def model_with(
         if rows.any() and kind not in ("parameters", "average"):
             provenance[kind] = source
     return model.replace(**changes)
+
+
+def tuned_model(relations: Tunable) -> LinearSystem:
+    """Return the model of relations or of an observer."""
+    model = relations.model
+    assert isinstance(model, LinearSystem), "tune refuses others at its door"
+    return model
+
+
+def _window_of(relations: Tunable) -> dict[str, object]:
+    """Return the window of relations, as arguments of a LinearSystem; an observer has none."""
+    if isinstance(relations, ParityRelation):
+        return dict(relations.window)
+    if isinstance(relations, UncertainRelations):
+        return {"horizon": relations.horizon}
+    return {"horizon": None, "lags": None}
 
 
 def _decimals(model: LinearSystem, kind: str, now: np.ndarray, before: np.ndarray) -> list[Fraction]:

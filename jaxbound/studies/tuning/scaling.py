@@ -26,7 +26,7 @@ from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.tuning.parametrization import Moving
 
-__all__ = ["JoinedRecordings", "factors", "smallest_scale", "worst", "joined_recordings"]
+__all__ = ["JoinedRecordings", "factors", "joined_recordings", "refuse_same", "smallest_scale", "worst"]
 
 FEW = 16  # worst windows that a test of all adds to those searched
 LEAST, MOST = 1e-12, 1e15  # factors looked at
@@ -38,13 +38,33 @@ class JoinedRecordings:
     """Recordings laid end to end.
 
     Fields: u (T, m), y (T, p) NumPy; starts: samples (0 apart) that do not follow the one before; first:
-    where each recording begins.
+    where each recording begins; entries: where each of those that were given begins, a batch is one.
     """
 
     u: np.ndarray
     y: np.ndarray
     starts: np.ndarray
     first: np.ndarray
+    entries: np.ndarray
+
+    def split(self, number: int) -> tuple["JoinedRecordings", "JoinedRecordings"]:
+        """Return (one of the entries, all others)."""
+        own = np.zeros(len(self.y), bool)
+        own[self.entries[number] : [*self.entries, len(own)][number + 1]] = True
+        return self._where(own), self._where(~own)
+
+    def _where(self, chosen: np.ndarray) -> "JoinedRecordings":
+        """Return the chosen samples, of whole entries."""
+        before = np.cumsum(chosen) - chosen  # how many chosen ones come before each sample
+
+        def kept(at: np.ndarray) -> np.ndarray:
+            at = at[at < len(chosen)]  # an entry without a sample
+            places: np.ndarray = before[at[chosen[at]]]
+            return places
+
+        starts = kept(np.union1d(self.starts, self.first))
+        moved = starts[starts > 0], kept(self.first), kept(self.entries)
+        return JoinedRecordings(self.u[chosen], self.y[chosen], *moved)
 
     def across(self, horizon: int) -> np.ndarray:
         """Return (T,) bool: no window of horizon + 1 samples ends here."""
@@ -87,10 +107,11 @@ def joined_recordings(
     Raises:
         ValueError: anything else, samples that do not fit the model or are infinite, not one complete window.
     """
-    us, ys, starts, first, at = [], [], [], [], 0
+    us, ys, starts, first, entries, at = [], [], [], [], [], 0
     for parts in _parts_of_each(given, what):
         recording = Recording.of(model, *parts).finite()
         length = recording.y.shape[-2]
+        entries.append(at)
         u, y = _end_to_end(recording.u), _end_to_end(recording.y)
         for begin in range(at, at + len(y), max(length, 1)):
             first.append(begin)
@@ -99,13 +120,33 @@ def joined_recordings(
         us.append(u)
         ys.append(y)
     inner = np.unique(np.array([start for start in starts if 0 < start < at], np.int64))
-    joined = JoinedRecordings(np.concatenate(us), np.concatenate(ys), inner, np.array(first))
+    joined = JoinedRecordings(
+        np.concatenate(us), np.concatenate(ys), inner, np.array(first), np.array(entries)
+    )
     if joined.without(horizon).all():
         raise ValueError(
             f"the {what} data hold no window of {horizon + 1} samples in a row: give longer recordings, or a "
             f"shorter horizon"
         )
     return joined
+
+
+def refuse_same(good: JoinedRecordings, bad: JoinedRecordings) -> None:
+    """Refuse faulty recordings that are healthy ones: no bounds can tell them apart."""
+    healthy = {piece: i for i, piece in enumerate(_contents(good))}
+    for j, piece in enumerate(_contents(bad)):
+        if piece in healthy:
+            raise ValueError(
+                f"faulty recording {j + 1} is the same as healthy recording {healthy[piece] + 1}: no bounds "
+                f"can tell them apart"
+            )
+
+
+def _contents(recordings: JoinedRecordings) -> list[tuple[bytes, bytes]]:
+    """Return the numbers of each recording."""
+    inner = recordings.first[1:]
+    pieces = zip(np.split(recordings.u, inner), np.split(recordings.y, inner), strict=True)
+    return [(u.tobytes(), y.tobytes()) for u, y in pieces]
 
 
 def _parts_of_each(given: object, what: str) -> list[tuple[Any, ...]]:

@@ -2,10 +2,10 @@
 says about other data.
 """
 
+import itertools
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from decimal import Decimal
 from typing import TYPE_CHECKING, TypeAlias
 
 import jax
@@ -19,7 +19,6 @@ from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.files.checkpoint import Checkpoint
 from jaxbound.models.numbers import is_whole
 from jaxbound.models.system import LinearSystem
-from jaxbound.relations.bounds import Bounds, model_bounds
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy
@@ -27,24 +26,28 @@ from jaxbound.relations.residual import Residual
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.floats.sizes import power
-from jaxbound.studies.tuning.confidence import Risk, blocks_of, held_out, risk_of, touched
+from jaxbound.studies.tuning.confidence import blocks_of, held_out, risk_of, touched
 from jaxbound.studies.tuning.descent import BLOCK, RATE, Faulty, default_optimizer, descend, objective_of
-from jaxbound.studies.tuning.parametrization import Moving, model_with, moving
+from jaxbound.studies.tuning.left_out import factors_left_out
+from jaxbound.studies.tuning.observer_tuning import tuned_observer
+from jaxbound.studies.tuning.parametrization import Moving, Tunable, moving
 from jaxbound.studies.tuning.scaling import (
     JoinedRecordings,
     factors,
     joined_recordings,
+    refuse_same,
     smallest_scale,
     worst,
 )
-from jaxbound.text.objects import readable
+from jaxbound.studies.tuning.tune_result import History, TuneResult, history_columns
+from jaxbound.studies.tuning.widening import Wider, accepted
 
 if TYPE_CHECKING:
     import optax
 
 __all__ = ["TuneResult", "tune"]
 
-Tunable: TypeAlias = ParityRelation | UncertainRelations
+Windows: TypeAlias = ParityRelation | UncertainRelations
 Carry: TypeAlias = "tuple[jax.Array, optax.OptState]"
 """Logarithms of the values that move, and the state of the optimiser."""
 
@@ -55,73 +58,13 @@ UNTUNED = {
     "bank of the tuned .model",
     Residual: ", whose verdict comes from bisection, with no margin to scale or to derive: try boxes by "
     "with_bounds and detect",
-    SetObserver: ", whose margin has no derivative: tune long windows, with lags, and build the observer of "
-    "the tuned .model",
 }
 NEAR = 0.01  # bounds this close to the smallest are close enough between steps
 
 
-@readable
-@dataclass(frozen=True, eq=False)
-class TuneResult:
-    """Bounds that were tuned, how, and what is known of them.
-
-    Fields:
-        bounds: {name: array}, smallest times safety, rounded up to four digits: those of .model.
-        smallest: {name: array}, at which every healthy window is proved to be consistent. For use with
-            `with_bounds`.
-        scale: their size, the weighted mean of smallest / starting bounds, rounded down: along this direction
-            no smaller bounds explain the healthy data, for a little below it `detect` finds a FAULT. With one
-            bound, or no steps, the smallest factor on all of them.
-        safety: the factor on top.
-        start: {name: array}, where they came from.
-        margin: (T,) of the healthy samples laid end to end, at .bounds, by the proved test; NaN where no
-            window ends.
-        counts: {status name: healthy windows} at .bounds; FAULT is 0. faulty_counts: the same of the faulty
-            windows, or None.
-        statement, risk: what is known about healthy data not seen, in sentences and as a Risk.
-        history: {"step": (k,), "width": (k,) of the smallest bounds in this direction relative to the start,
-            "outside": (k,) share of faulty windows outside (NaN without any), "values": (k, b)}; names: (b,),
-            of the bounds that moved.
-        steps: made. stopped: True if interrupted: this is the best until then.
-        model: the LinearSystem with .bounds, for `save_model`. relations: those of its horizon, for `detect`.
-        notes: sentences on what did not move.
-    """
-
-    bounds: Bounds
-    smallest: dict[str, np.ndarray]
-    scale: float
-    safety: float
-    start: Bounds
-    margin: np.ndarray
-    counts: dict[str, int]
-    faulty_counts: dict[str, int] | None
-    risk: Risk
-    history: dict[str, np.ndarray]
-    names: tuple[str, ...]
-    steps: int
-    stopped: bool
-    model: LinearSystem
-    relations: ParityRelation | UncertainRelations
-    notes: tuple[str, ...]
-
-    @property
-    def statement(self) -> str:
-        """Sentences about healthy data that were not seen."""
-        return self.risk.text
-
-    @property
-    def caught(self) -> float | None:
-        """The share of faulty windows that are FAULT at .bounds, or None."""
-        counts = self.faulty_counts
-        if counts is None:
-            return None
-        return counts["FAULT"] / max(sum(counts.values()) - counts["MISSING"], 1)
-
-
 @where_proofs_hold()
 def tune(
-    relations: ParityRelation | UncertainRelations,
+    relations: Tunable,
     healthy: object,
     faulty: object = None,
     optimizer: "optax.GradientTransformation | None" = None,
@@ -141,14 +84,18 @@ def tune(
     most of these outside.
 
     The direction of the bounds is found by gradient, free of their size; their size is then the smallest at
-    which the proved test finds no healthy window outside, so this holds whatever the gradient did.
+    which the proved test finds no healthy window outside, so this holds whatever the gradient did. Each of
+    several recordings is then left out in turn: the bounds are as many times as wide as the one that needs
+    most asks for, and `safety` on top.
 
     Args:
         relations: from `parity_relations`; their bounds are the start. Those at 0 stay 0. What the joint test
             explains, "box", "paving" and a bank do not refute either: bounds tuned by it hold for them too.
+            Or a set observer of a LinearSystem: one factor on all bounds, by bisection, at which no sample is
+            FAULT.
         healthy: (u, y), arrays (..., T, m) and (..., T, p) or DataFrames, or a list of such tuples, one a
-            recording; (u, y, starts) where samples do not follow the one before, as for `detect`. NaN marks a
-            missing sample.
+            recording that is left out in turn; (u, y, starts) where samples do not follow the one before, as
+            for `detect`. NaN marks a missing sample.
         faulty: the same for recordings with faults, every window of which should be outside; or None.
         optimizer: any optax.GradientTransformation, acting on the logarithms of the bounds; None: Adam with a
             falling step.
@@ -194,6 +141,8 @@ def tune(
         every=every,
     )
     report = progress or _silent
+    if isinstance(relations, SetObserver):
+        return tuned_observer(relations, healthy, faulty, bounds, safety, confidence, report)
     model, s = relations.model, relations.horizon
     moved = moving(relations, bounds, weights)
     alone = len(moved.names) == 1
@@ -201,7 +150,7 @@ def tune(
     bad = None
     if faulty is not None:
         bad = joined_recordings(model, s, faulty, "faulty")
-        _refuse_same(good, bad)
+        refuse_same(good, bad)
     gone = good.without(s)
     label, length = blocks_of(gone, s, block)
     if model.constant_tolerance and steps and not alone:
@@ -213,14 +162,29 @@ def tune(
     unseen = gone | touched(np.isin(label, np.flatnonzero(for_scale)), s)
     search = _Search(relations, moved, good, unseen, bad, safety, optimizer, steps, every, state)
     if steps and not alone:
-        search.run(lambda share: report(0.9 * share))
+        search.run(lambda share: report(0.6 * share))
 
     low, high = smallest_scale(relations, moved, search.best, good)
-    report(0.95)
     smallest = np.nextafter(high * search.best, np.inf)
-    source = f"fitted to {int((~gone).sum())} healthy windows, safety factor {safety:g}"
-    new, final, res = _accepted(relations, moved, smallest * safety, good, source)
-    moved_kinds = {kind for kind, rows in _rows(moved) if moved.select[rows].any()}
+    done = itertools.count()
+
+    def direction(others: JoinedRecordings) -> np.ndarray:
+        number, count = next(done), len(good.entries)
+        if search.stopped or not steps or alone:
+            return search.best
+        again = _Search(
+            relations, moved, others, others.without(s), bad, safety, optimizer, steps, every, None
+        )
+        again.run(lambda share: report(0.6 + 0.3 * (number + share) / count))
+        search.stopped = again.stopped
+        return again.best
+
+    left = factors_left_out(relations, moved, good, direction)
+    report(0.95)
+    wider = Wider.of(relations, left, safety)
+    source = f"fitted to {int((~gone).sum())} healthy windows, {wider.text}"
+    new, final, res = accepted(relations, moved, smallest, wider, good, source)
+    moved_kinds = {kind for kind, rows in moved.rows.items() if moved.select[rows].any()}
     risk = risk_of(
         factors(relations.with_bounds(moved.bounds(smallest)), good),
         label,
@@ -241,7 +205,9 @@ def tune(
         bounds=final.bounds,
         smallest=moved.bounds(smallest),
         scale=low * moved.total(search.best) / moved.total(moved.start),
+        factor=wider.factor,
         safety=safety,
+        left_out=left,
         start=relations.bounds,
         margin=res.margin,
         counts=_counts(res, good, s),
@@ -253,34 +219,12 @@ def tune(
         stopped=search.stopped,
         model=new,
         relations=final,
-        notes=(*moved.notes, *_vanished(moved, smallest)),
+        notes=(*moved.notes, *wider.notes, *_vanished(moved, smallest)),
     )
 
 
 def _silent(share: float) -> None:
     """Report to nobody."""
-
-
-def _accepted(
-    relations: Tunable, moved: Moving, values: np.ndarray, good: JoinedRecordings, source: str
-) -> tuple[LinearSystem, Tunable, Result]:
-    """Return a model with the moved bounds at values, rounded up, its relations, and their verdicts on
-    healthy windows, none of which is FAULT.
-    """
-    extra = 1.0
-    while extra <= 2:
-        short = moved.rounded_up(values * extra)
-        model = model_with(relations, moved, short, source)
-        final = relations.with_bounds({**model_bounds(model), **_parameters(moved, short)})
-        res = detect(final, good.u, good.y, starts=good.starts, margins="exact")
-        proved = isinstance(relations, UncertainRelations) or not (res.margin <= 0).any()
-        if proved and not res.counts["FAULT"]:
-            return model, final, res
-        extra *= 1.001  # only where a search ends early, or the test is not monotone (uncertain parameters)
-    raise ValueError(
-        "the proved test refutes a healthy window even at twice the bounds that it accepted: look at that "
-        "model"
-    )
 
 
 def _counts(res: Result, recordings: JoinedRecordings, horizon: int) -> dict[str, int]:
@@ -296,7 +240,7 @@ class _Search:
     file they are kept in.
     """
 
-    relations: Tunable
+    relations: Windows
     moved: Moving
     good: JoinedRecordings
     unseen: np.ndarray
@@ -309,7 +253,7 @@ class _Search:
     step: int = 0
     stopped: bool = False
     score: tuple[float, float] = (np.inf, np.inf)
-    history: list[tuple[int, float, float, np.ndarray]] = field(default_factory=list)
+    history: History = field(default_factory=list)
     checkpoint: Checkpoint | None = None
 
     def __post_init__(self) -> None:
@@ -398,14 +342,7 @@ class _Search:
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return the history as arrays."""
-        looks = len(self.history)
-        values = [each for *_, each in self.history]
-        return {
-            "step": np.array([step for step, *_ in self.history], int),
-            "width": np.array([width for _, width, *_ in self.history]),
-            "outside": np.array([outside for _, _, outside, _ in self.history]),
-            "values": np.array(values).reshape(looks, len(self.moved.names)),
-        }
+        return history_columns(self.history, len(self.moved.names))
 
     def _identity(self, carry: Carry) -> dict[str, str]:
         """Return the mark that tells this call from others. Of an optimiser nobody can say more than what it
@@ -478,41 +415,6 @@ def _vanished(moved: Moving, values: np.ndarray) -> tuple[str, ...]:
     )
 
 
-def _rows(moved: Moving) -> Iterator[tuple[str, slice]]:
-    """Yield (name, slice of the flat bounds)."""
-    at = 0
-    for name, count in moved.sizes:
-        yield name, slice(at, at + count)
-        at += count
-
-
-def _parameters(moved: Moving, values: Sequence[Decimal]) -> dict[str, np.ndarray]:
-    """Return the bounds of parameters, in the half-widths of the model that the relations were made for."""
-    rows = dict(_rows(moved))
-    if "parameters" not in rows:
-        return {}
-    flat = moved.fixed + moved.select @ np.array([float(v) for v in values])
-    return {"parameters": flat[rows["parameters"]]}
-
-
-def _refuse_same(good: JoinedRecordings, bad: JoinedRecordings) -> None:
-    """Refuse faulty recordings that are healthy ones: no bounds can tell them apart."""
-    healthy = {piece: i for i, piece in enumerate(_contents(good))}
-    for j, piece in enumerate(_contents(bad)):
-        if piece in healthy:
-            raise ValueError(
-                f"faulty recording {j + 1} is the same as healthy recording {healthy[piece] + 1}: no bounds "
-                f"can tell them apart"
-            )
-
-
-def _contents(recordings: JoinedRecordings) -> list[tuple[bytes, bytes]]:
-    """Return the numbers of each recording."""
-    inner = recordings.first[1:]
-    pieces = zip(np.split(recordings.u, inner), np.split(recordings.y, inner), strict=True)
-    return [(u.tobytes(), y.tobytes()) for u, y in pieces]
-
-
 def _check(
     relations: object,
     steps: int,
@@ -523,7 +425,12 @@ def _check(
     every: int,
 ) -> None:
     """Raise TypeError or ValueError for what `tune` does not take."""
-    if not isinstance(relations, ParityRelation | UncertainRelations):
+    if isinstance(relations, SetObserver):
+        if not isinstance(relations.model, LinearSystem):
+            raise TypeError(
+                "tune needs the observer of a LinearSystem: an interval_system has no bounds to scale"
+            )
+    elif not isinstance(relations, ParityRelation | UncertainRelations):
         why = next((text for kind, text in UNTUNED.items() if isinstance(relations, kind)), "")
         raise TypeError(f"tune needs relations from parity_relations, not {type(relations).__name__}{why}")
     _refuse_below("steps", steps, 0)

@@ -341,6 +341,42 @@ class TestLeftOut:
         assert check.left_out[2].why == "it holds no window"
 
 
+class TestObserver:
+    OF = dict(order=1, method="least squares")
+
+    @pytest.mark.parametrize("observer", ["zonotope", pytest.param("joint", marks=pytest.mark.slow)])
+    def test_bounds_are_those_at_which_it_follows_every_recording(self, observer, rng):
+        records = [run(rng, 60), run(rng, 50, noise=0.08)]
+        model = jb.fit(records, **self.OF, observer=observer, safety=1)
+        check = model.check
+        assert model.horizon is None and model.lags is None and check.steady == {}
+        assert "for an observer" in model.provenance["noise"]
+
+        def follows(bound, recording, of=model):
+            watch = jb.observer(of.replace(noise=bound, resolution=0), method=observer)
+            return not jb.detect(watch, *recording).counts["FAULT"]
+
+        smallest = check.smallest["y1"]
+        assert all(follows(smallest, r) for r in records)
+        assert not all(follows(0.985 * smallest, r) for r in records)
+        for number, one in enumerate(check.left_out):
+            others = jb.fit(records[1 - number], **self.OF, observer=observer, held_out=0)
+            assert follows(one.factor * smallest, records[number], others)
+            assert not follows(0.985 * one.factor * smallest, records[number], others)
+        assert float(model.noise[0] + model.resolution[0]) == pytest.approx(check.factor * smallest, rel=0.01)
+        size = check.jump["y1"]
+        u, y = records[0]
+        late = y + 1.05 * size * (np.arange(len(y)) >= 30)[:, None]
+        assert jb.detect(jb.observer(model, method=observer), u, late).counts["FAULT"]
+
+    def test_windows_of_a_model_that_was_fitted_for_one_prove_no_fault(self, rng):
+        u, y = run(rng, 60)
+        model = jb.fit([(u, y), run(rng, 60)], **self.OF, observer="zonotope")
+        said = jb.detect(jb.parity_relations(model), u, y).hints
+        assert any("found from data for an observer" in hint for hint in said)
+        assert not any("found from data" in hint for hint in jb.detect(jb.observer(model), u, y).hints)
+
+
 class TestCautions:
     def said(self, records, **options):
         return " | ".join(jb.fit(records, **{"order": 1, "horizon": 4} | options).check.sentences)
@@ -379,6 +415,11 @@ class TestCautions:
     [
         (dict(order=0), "order must be a whole number >= 1, not 0"),
         (dict(horizon=1), r"horizon must be a whole number above the order \(1\), not 1"),
+        (
+            dict(observer="joint", average=2),
+            "average is for windows: a fit for an observer looks at every sample",
+        ),
+        (dict(observer="sharp"), "observer: method must be one of zonotope"),
         (dict(safety=0.9), "safety must be a factor >= 1, not 0.9"),
         (dict(average=6), "average must be a whole number from 2 to the 5 samples of a window, not 6"),
         (dict(average=True), "average must be a whole number from 2"),

@@ -247,12 +247,14 @@ def test_model_file_holds_the_bounds_rounded_up_and_says_where_they_come_from(rn
         and model.provenance["tolerance"] == "datasheet"
         and model.horizon == 1
     )
-    assert model.provenance["noise"] == "fitted to 298 healthy windows, safety factor 1.25"
+    assert model.provenance["noise"] == (
+        f"fitted to 298 healthy windows, factor {res.factor:.3g} of what was left out, safety factor 1.25"
+    )
     for exact, smallest, bound in zip(model.noise, res.smallest["noise"], res.bounds["noise"], strict=True):
         assert (
-            Fraction(smallest) * Fraction(5, 4)
+            Fraction(smallest) * Fraction(res.factor) * Fraction(5, 4)
             <= exact
-            <= Fraction(smallest) * Fraction(5, 4) * Fraction(1002, 1000)
+            <= Fraction(smallest) * Fraction(res.factor) * Fraction(5, 4) * Fraction(1002, 1000)
         )
         assert float(exact) == pytest.approx(bound, rel=1e-15)
     again = jb.parity_relations(model)

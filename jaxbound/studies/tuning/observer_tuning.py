@@ -1,0 +1,136 @@
+"""Tuning a set observer: the smallest factor on all its bounds under which it follows healthy recordings to
+their ends.
+
+Its margins say by how much a sample is off, not by which factor on all bounds it would not be: what it
+carries depends on them. So the factor is found by bisection over whole recordings. Approximate sets need not
+grow with the bounds: both ends of the bracket are verdicts of the observer, what lies between is not known.
+"""
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from jaxbound.diagnosis.detection import detect
+from jaxbound.estimation.set_observer import SetObserver
+from jaxbound.models.system import FOR_OBSERVER
+from jaxbound.sets.floats.status import Status
+from jaxbound.studies.tuning.confidence import risk_of_recordings
+from jaxbound.studies.tuning.left_out import of_needs
+from jaxbound.studies.tuning.parametrization import model_with, moving, tuned_model
+from jaxbound.studies.tuning.scaling import joined_recordings, refuse_same
+from jaxbound.studies.tuning.tune_result import TuneResult, history_columns
+from jaxbound.studies.tuning.widening import Wider, accepted
+
+__all__ = ["observer_scale", "tuned_observer"]
+
+CLOSE = 1.01
+"""Ratio of the ends of a bracket."""
+LEAST, MOST = 2.0**-20, 2.0**20
+
+
+def tuned_observer(
+    watch: SetObserver[Any],
+    healthy: object,
+    faulty: object,
+    bounds: str | Iterable[str] | None,
+    safety: float,
+    confidence: float,
+    report: Callable[[float], object],
+) -> TuneResult:
+    """Return the bounds of an observer, all scaled by one factor."""
+    moved = moving(watch, bounds)
+    model = tuned_model(watch)
+    good = joined_recordings(model, watch.horizon, healthy)
+    bad = None
+    if faulty is not None:
+        bad = joined_recordings(model, watch.horizon, faulty, "faulty")
+        refuse_same(good, bad)
+
+    def scaled(scale: float) -> SetObserver[Any]:
+        return watch.of(model_with(watch, moved, moved.rounded_up(scale * moved.start), ""))
+
+    needs = []
+    for number in range(len(good.entries)):
+        own, _ = good.split(number)
+        needs.append(observer_scale(scaled, own.u, own.y, own.starts))
+        report(0.95 * (number + 1) / len(good.entries))
+    scale = max(needs)
+    left = of_needs(needs)
+    wider = Wider.of(watch, left, safety)
+    source = f"fitted to {len(good.y)} healthy samples {FOR_OBSERVER}, {wider.text}"
+    smallest = scale * moved.start
+    new, final, res = accepted(watch, moved, smallest, wider, good, source)
+    faulty_counts = None
+    if bad is not None:
+        faulty_counts = detect(final, bad.u, bad.y, starts=bad.starts).counts
+    report(1.0)
+    return TuneResult(
+        bounds=final.bounds,
+        smallest=moved.bounds(smallest),
+        scale=scale,
+        factor=wider.factor,
+        safety=safety,
+        left_out=left,
+        start=watch.bounds,
+        margin=res.margin,
+        counts=res.counts,
+        faulty_counts=faulty_counts,
+        risk=risk_of_recordings(np.array(needs) / scale, confidence, safety),
+        history=history_columns([], len(moved.names)),
+        names=moved.names,
+        steps=0,
+        stopped=False,
+        model=new,
+        relations=final,
+        notes=(*moved.notes, *wider.notes),
+    )
+
+
+def _follows(watch: SetObserver[Any], u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> bool:
+    """Return whether no sample of a recording is a FAULT, decided once: a search asks often, and what it
+    finds is verified by `detect`.
+    """
+    _, recording = watch.recording(u if u.shape[1] else None, y, starts)
+    alone = watch.telling(enclosures=False)
+    _, judged = alone.judged(alone.begin(), recording)
+    return not (judged.status == Status.FAULT).any()
+
+
+def observer_scale(
+    build: Callable[[float], SetObserver[Any]], u: np.ndarray, y: np.ndarray, starts: np.ndarray
+) -> float:
+    """Return a factor at which an observer follows a recording, and at .99 times which it does not.
+
+    Args:
+        build: of a factor, the observer whose bounds are so many times as wide. u (T, m), y (T, p), starts:
+            the recording.
+
+    Raises:
+        ValueError: no factor up to a million will do.
+    """
+
+    def holds(scale: float) -> bool:
+        return _follows(build(scale), u, y, starts)
+
+    high = 1.0
+    if holds(high):
+        low = high / 2
+        while low > LEAST and holds(low):
+            low, high = low / 2, low
+    else:
+        low, high = high, 2 * high
+        while not holds(high):
+            low, high = high, 2 * high
+            if high > MOST:
+                raise ValueError(
+                    "no size of the bounds that move lets the observer follow a healthy recording: let other "
+                    "bounds move too, or look at it"
+                )
+    while high > CLOSE * low:
+        middle = (low * high) ** 0.5
+        if holds(middle):
+            high = middle
+        else:
+            low = middle
+    return high

@@ -1,0 +1,127 @@
+"""From the smallest bounds to those that are written: wider by what recordings that were left out ask for and
+by a safety factor, rounded up, and verified by the proved test itself.
+"""
+
+from collections.abc import Sequence
+from decimal import Decimal
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxbound.diagnosis.detection import detect
+from jaxbound.diagnosis.result import Result
+from jaxbound.estimation.set_observer import SetObserver
+from jaxbound.models.system import LinearSystem
+from jaxbound.relations.bounds import model_bounds
+from jaxbound.relations.parity import ParityRelation
+from jaxbound.studies.tuning.parametrization import Moving, Tunable, model_with, tuned_model
+from jaxbound.studies.tuning.scaling import JoinedRecordings
+
+__all__ = ["Wider", "accepted"]
+
+
+class Wider(NamedTuple):
+    """Factors on the smallest bounds.
+
+    Fields: factor, safety: as of a TuneResult. known: whether something was left out, here or by the fit of
+    the model. notes: sentences.
+    """
+
+    factor: float
+    safety: float
+    known: bool
+    notes: tuple[str, ...]
+
+    @classmethod
+    def of(cls, relations: Tunable, left: Sequence[float], safety: float) -> "Wider":
+        """Return the factors that recordings which were left out ask for."""
+        stated = _stated(relations)
+        own = [x for x in left if np.isfinite(x)]
+        needed = max([1.0, *own])
+        notes = []
+        if stated > needed:
+            notes.append(
+                f"the fit of the model, with each recording left out in turn, asked for bounds {stated:.3g} "
+                f"times the smallest: so wide they stay"
+            )
+        elif not stated and not own:
+            notes.append(
+                "there is one recording, or none that can be left out: what another day asks for is unknown; "
+                "give each day as a recording of its own"
+            )
+        if not stated and "model" in tuned_model(relations).provenance:
+            notes.append(
+                "a recording is left out of the bounds alone: the model may have been fitted to it, and then "
+                "another day asks for more than the factor says"
+            )
+        return cls(max(needed, stated), safety, bool(own) or stated > 0, tuple(notes))
+
+    @property
+    def text(self) -> str:
+        """The factors, for the provenance of bounds."""
+        safety = f"safety factor {self.safety:g}"
+        if not self.known:
+            return safety
+        return f"factor {self.factor:.3g} of what was left out, {safety}"
+
+    @property
+    def left_out(self) -> Fraction | None:
+        """The factor that a model states."""
+        if not self.known:
+            return None
+        return Fraction(f"{self.factor:.4g}")
+
+
+def _stated(relations: Tunable) -> float:
+    """Return the factor that the model of relations states for these windows; 0 where it states none."""
+    model = tuned_model(relations)
+    if isinstance(relations, SetObserver) or model.left_out is None:
+        return 0.0
+    if relations.horizon != model.horizon:
+        return 0.0
+    if isinstance(relations, ParityRelation) and relations.lags != model.lags:
+        return 0.0
+    return float(model.left_out)
+
+
+def accepted(
+    relations: Tunable,
+    moved: Moving,
+    smallest: np.ndarray,
+    wider: Wider,
+    good: JoinedRecordings,
+    source: str,
+) -> tuple[LinearSystem, Tunable, Result]:
+    """Return a model with the moved bounds, wider than the smallest and rounded up, its relations, and their
+    verdicts on healthy windows, none of which is FAULT.
+    """
+    values, extra = smallest * (wider.factor * wider.safety), 1.0
+    while extra <= 2:
+        short = moved.rounded_up(values * extra)
+        model = model_with(relations, moved, short, source, wider.left_out)
+        final = _under(relations, moved, model, short)
+        res = detect(final, good.u, good.y, starts=good.starts, margins="exact")
+        proved = not isinstance(relations, ParityRelation) or not (res.margin <= 0).any()
+        if proved and not res.counts["FAULT"]:
+            return model, final, res
+        extra *= 1.001  # only where a search ends early, or the test is not monotone (uncertain parameters)
+    raise ValueError(
+        "the proved test refutes a healthy window even at twice the bounds that it accepted: look at that "
+        "model"
+    )
+
+
+def _under(relations: Tunable, moved: Moving, model: LinearSystem, short: Sequence[Decimal]) -> Tunable:
+    """Return relations, or an observer, under the bounds of a model, of which those that moved are these."""
+    if isinstance(relations, SetObserver):
+        return relations.of(model)
+    return relations.with_bounds({**model_bounds(model), **_parameters(moved, short)})
+
+
+def _parameters(moved: Moving, values: Sequence[Decimal]) -> dict[str, np.ndarray]:
+    """Return the bounds of parameters, in the half-widths of the model that the relations were made for."""
+    if "parameters" not in moved.rows:
+        return {}
+    flat = moved.fixed + moved.select @ np.array([float(v) for v in values])
+    return {"parameters": flat[moved.rows["parameters"]]}
