@@ -11,7 +11,15 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.recordings.expressions import Expression, derived, expression, find_column, is_expression
+from jaxbound.recordings.expressions import (
+    Expression,
+    derived,
+    expression,
+    fails,
+    find_column,
+    is_expression,
+)
+from jaxbound.recordings.oddcells import OddCells, error_hints, odd_of_frame, refuse_odd, unsaid_hints
 from jaxbound.recordings.signals import Named
 from jaxbound.recordings.table import Data, as_table, is_table
 from jaxbound.recordings.tabletime import row_time
@@ -29,6 +37,7 @@ __all__ = [
     "is_made",
     "recorded_type",
     "refuse_infinite",
+    "without_words",
 ]
 
 HALF = "{} is in half precision: convert it to float32 and state in `resolution` what was rounded away"
@@ -147,13 +156,73 @@ def computed(e: Expression, frames: Mapping[str, Any], name: str) -> np.ndarray:
 
 
 def _told_by_clock(e: Expression, frames: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """Return what the times of the rows tell, see `expressions.derived`."""
+    """Return the names that the times of the rows tell, see `expressions.derived`."""
     index = next(iter(frames.values())).index
     times = row_time(index, None, "", regular=False)
     since = times.time
     if since is not None and len(since):
         since = since - since[0]
     return derived(e.clock, len(index), since, times.stamps)
+
+
+def without_words(model: Named, u: Data, y: Data) -> tuple[Data, Data, list[str]]:
+    """Return (u, y, sentences): tables with missing samples in the place of words.
+
+    Raises:
+        ValueError: a word, no error of a spreadsheet, in a row that the model's `where` does not leave out.
+    """
+    frames = {name: x for name, x in (("y", y), ("u", u)) if is_table(x)}
+    odd: dict[str, OddCells] = {}
+    cleaned: dict[str, Any] = {}
+    for name, frame in frames.items():
+        cleaned[name] = frame
+        for column in _text_columns(frame, model):
+            numbers, cells = odd_of_frame(frame[column])
+            if len(cells.rows):
+                odd[column] = cells
+                cleaned[name] = cleaned[name].assign(**{column: numbers})
+    if not odd:
+        return u, y, []
+    condition, excluded = _condition(model), None
+    if condition is not None:
+        excluded = fails(computed(condition, cleaned, "the recording"))
+    row = "row {}".format
+    refuse_odd(odd, excluded, row)
+    hints = error_hints(odd, excluded, row)
+    if condition is not None:
+        hints += unsaid_hints(odd, condition.columns, row)
+    return cleaned.get("u", u), cleaned.get("y", y), hints
+
+
+def _condition(model: Named) -> Expression | None:
+    """Return the condition of a model by which samples are left out, or None."""
+    where = getattr(model, "columns", {}).get("where")
+    if where is None:
+        return None
+    return expression(where)
+
+
+def _text_columns(frame: "pd.DataFrame", model: Named) -> list[str]:
+    """Return the columns of a table that hold text and that a model needs as numbers."""
+    import pandas as pd
+
+    kinds = zip(frame.columns, frame.dtypes, strict=True)
+    words = [c for c, kind in kinds if kind == object or pd.api.types.is_string_dtype(kind)]
+    words = [c for c in words if list(frame.columns).count(c) == 1]
+    if not words:
+        return []
+    column_for, condition = getattr(model, "column", str), _condition(model)
+    needed: set[str] = set()
+    for signal in (*model.inputs, *model.outputs):
+        text = column_for(signal)
+        needed.add(signal)
+        if is_expression(text):
+            needed.update(c for c in expression(text).columns if c not in expression(text).texts)
+        else:
+            needed.add(text.strip())
+    if condition is not None:
+        needed.update(c for c in condition.columns if c not in condition.texts)
+    return [c for c in words if str(c).strip() in needed]
 
 
 def recorded_type(data: object, name: str) -> np.dtype:

@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxbound.recordings.columns import from_arrow, valid
 from jaxbound.recordings.csvtext import Layout, Planned, above_header, parse_columns, planned, sniff
+from jaxbound.recordings.oddcells import OddCells, error_hints, no_number, refuse_odd, unsaid_hints
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import check_period, usual_period
 from jaxbound.recordings.selection import NO_TIME, STAMPS, TELLING, Wanted
@@ -51,21 +52,23 @@ def _recording_of(path: Path, model: SignalModel, report: Progress) -> Recording
     except ValueError as e:
         raise ValueError(f"{e}{above_header(layout)}") from None
     report(0.05)
-    table = parse_columns(layout, plan)
+    table, odd = parse_columns(layout, plan)
     report(0.7)
     count = len(table[plan.wanted.columns[0]])
     if count < 2:
         raise ValueError("the file has one row of data: a recording has at least two")
+    _refuse_odd_times(layout, plan.wanted, odd)
     written = _written_times(layout, plan.wanted, table)
-    columns = _columns_of(layout, plan, table)
+    columns = _columns_of(layout, plan, table, odd)
     times = _times_of(layout, plan, written, model, count)
     if plan.wanted.time is not None:  # an expression may compare it with a date
         columns.setdefault(plan.wanted.time, times.time if times.stamps is None else times.stamps)
     samples = plan.wanted.samples(columns, count, (times.time - times.time[0], times.stamps))
+    hints = _about_cells(layout, plan.wanted, columns, odd, samples[2])
     recording = Recording.filed(model, samples, (times.time, times.stamps, written), path.name)
     dt = _period_of(layout, plan.wanted, model, times.time)
     report(0.9)
-    hints = (*layout.hints, *filter(None, [times.hint]))
+    hints = [*layout.hints, *filter(None, [times.hint]), *hints]
     return with_hints(model, replace(recording, dt=dt), layout.row, plan.wanted.condition, hints)
 
 
@@ -90,12 +93,50 @@ def _written_times(layout: Layout, plan: Wanted, table: Mapping[str, "pa.Array"]
     return written
 
 
-def _columns_of(layout: Layout, plan: Planned, table: Mapping[str, "pa.Array"]) -> dict[str, np.ndarray]:
+def _refuse_odd_times(layout: Layout, plan: Wanted, odd: Mapping[str, OddCells]) -> None:
+    """Refuse a time that is no number where others are."""
+    if plan.time is not None and plan.time in odd:
+        cells = odd[plan.time]
+        raise ValueError(no_number(layout.row(int(cells.rows[0])), plan.time, cells.words[0]))
+
+
+def _about_cells(
+    layout: Layout,
+    plan: Wanted,
+    columns: Mapping[str, np.ndarray],
+    odd: Mapping[str, OddCells],
+    excluded: np.ndarray | None,
+) -> list[str]:
+    """Return sentences on cells that hold no numbers; refuse those, and infinite ones, in rows that count."""
+    condition: tuple[str, ...] = ()
+    if plan.where is not None:
+        condition = plan.where.read
+    refuse_odd(odd, excluded, layout.row)
+    for name in plan.numbers:
+        if name in columns and columns[name].dtype.kind == "f":
+            _refuse_infinite(layout, name, np.isinf(columns[name]), excluded)
+    return [*error_hints(odd, excluded, layout.row), *unsaid_hints(odd, condition, layout.row)]
+
+
+def _refuse_infinite(layout: Layout, name: str, infinite: np.ndarray, excluded: np.ndarray | None) -> None:
+    """Refuse an infinite number in a row that counts."""
+    if excluded is not None:
+        infinite = infinite & ~excluded
+    if infinite.any():
+        first = layout.row(int(np.argmax(infinite)))
+        wrong = "is infinite or too large for a number (leave a missing sample blank)"
+        raise ValueError(f"{first} of column {name!r} {wrong}")
+
+
+def _columns_of(
+    layout: Layout, plan: Planned, table: Mapping[str, "pa.Array"], odd: Mapping[str, OddCells]
+) -> dict[str, np.ndarray]:
     """Return {column: floats, or texts} of the columns that signals and the condition need."""
     columns: dict[str, np.ndarray] = {}
     for name in plan.wanted.numbers:
         if name not in (plan.wanted.time, plan.wanted.day) or not plan.is_text:
-            columns[name] = _floats_of(layout, name, table[name])
+            columns[name] = from_arrow(table[name])
+            _refuse_empty(layout, name, columns[name], odd)
     for name in plan.wanted.texts:
         columns[name] = np.array(table[name].to_pylist(), object)
     return columns
@@ -115,7 +156,9 @@ def _times_of(
         return _FileTimes(np.arange(count) * dt, None, f"the file has no time column: {apart}")
     if plan.is_text:
         return _FileTimes(*parse_stamps(written, dt, layout.row))
-    return _FileTimes(*read_numbers(_floats_of(layout, name, written), dt))
+    seconds = from_arrow(written)
+    _refuse_infinite(layout, name, np.isinf(seconds), None)
+    return _FileTimes(*read_numbers(seconds, dt))
 
 
 def _period_of(layout: Layout, plan: Wanted, model: SignalModel, time: np.ndarray) -> float | None:
@@ -136,17 +179,8 @@ def _period_of(layout: Layout, plan: Wanted, model: SignalModel, time: np.ndarra
     return dt
 
 
-def _floats_of(layout: Layout, name: str, column: "pa.Array") -> np.ndarray:
-    """Return a column as floats, NaN where a sample is missing; refuse infinity and a column without any
-    number.
-    """
-    x = from_arrow(column)
-    if np.isinf(x).any():
-        k = int(np.argmax(np.isinf(x)))
-        raise ValueError(
-            f"{layout.row(k)} of column {name!r} is infinite or too large for a number (leave a missing "
-            f"sample blank)"
-        )
+def _refuse_empty(layout: Layout, name: str, x: np.ndarray, odd: Mapping[str, OddCells]) -> None:
+    """Refuse a column without any number."""
     if np.isnan(x).all():
+        refuse_odd({name: odd[name]} if name in odd else {}, None, layout.row)
         raise ValueError(f"column {name!r} holds no number at all: all {len(x)} cells are blank or NaN")
-    return x

@@ -29,7 +29,7 @@ class CountedLines:
 
     Fields: lines: how many there are, with the last even where it has no end; last: number of the last that
     holds more than blanks; open_end: whether a block ends in a line with an open quotation mark, where a
-    parser would not notice it.
+    parser would not notice it; has_sharps: whether a # is in it, as errors of a spreadsheet have one.
     """
 
     closed = False  # what pyarrow asks of a file
@@ -37,7 +37,7 @@ class CountedLines:
     def __init__(self, file: IO[bytes], delimiter: str = ",") -> None:
         self._file, self._delimiter, self._held, self._begun = file, delimiter.encode(), b"", b""
         self._ends = self._trailing = 0
-        self._unfinished = self.open_end = False
+        self._unfinished = self.open_end = self.has_sharps = False
 
     @property
     def lines(self) -> int:
@@ -67,6 +67,7 @@ class CountedLines:
         return data
 
     def _counted(self, data: bytes) -> bytes:
+        self.has_sharps |= b"#" in data
         bytes_of = np.frombuffer(data, np.uint8)
         ends = np.count_nonzero(bytes_of == 10)
         if b"\r" in data:

@@ -14,7 +14,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from jaxbound.recordings.csvlines import BOM, CountedLines, is_blank, is_open, lines_of
+from jaxbound.recordings.oddcells import ERRORS, OddCells, no_number
 from jaxbound.recordings.selection import Wanted, wanted
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.timestamps import DIGITS, stamp_kind
@@ -41,13 +44,13 @@ __all__ = [
     "sniff",
 ]
 
-WORDS = ("NaN", "nan", "NAN", "null", "NULL", "Null", "NA", "N/A", "n/a", "#N/A", "None", "none")
-MISSING_CELLS = ("", " ", *WORDS, *(f" {x}" for x in WORDS))
+WORDS = ("NaN", "nan", "NAN", "null", "NULL", "Null", "NA", "N/A", "n/a", "None", "none")
+BLANK_CELLS = ("", " ", *WORDS, *(f" {x}" for x in WORDS))
+MISSING_CELLS = (*BLANK_CELLS, *ERRORS)
 ENOUGH, LINES = 1 << 18, 8  # bytes and lines of a file that show how it is written
 LONGEST = 1 << 26  # bytes looked at at most, for a header of many columns
 ENDS = (b"\n", b"\r")
 FURTHER = 20  # lines below the first row that show whether it is the header
-MANY = 10  # words that a sentence on cells that are no numbers repeats at most
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(inf|infinity)|nan", re.IGNORECASE)
 UNCLOSED = "has a quotation mark that is not closed: remove it, or close it on the same line"
 DELIMITERS = (";", "\t", ",")
@@ -302,19 +305,27 @@ def parsing(layout: Layout) -> "pc.ParseOptions":
     )
 
 
-def converting(layout: Layout, plan: Planned) -> list["pc.ConvertOptions"]:
-    """Return the options by which pyarrow reads cells, one for each decimal sign that there may be."""
+def converting(layout: Layout, plan: Planned, as_texts: bool = False) -> list["pc.ConvertOptions"]:
+    """Return the options by which pyarrow reads cells, one for each decimal sign that there may be.
+
+    Args:
+        as_texts: numbers as the texts that they are written in, errors of a spreadsheet too.
+    """
     import pyarrow as pa
     import pyarrow.csv as pc
 
-    kinds = {f"f{i}": pa.string() if name in plan.texts else pa.float64() for name, i in plan.numbers.items()}
+    kinds = dict.fromkeys([f"f{i}" for i in plan.numbers.values()], pa.string())
+    missing = BLANK_CELLS
+    if not as_texts:
+        missing = MISSING_CELLS
+        kinds |= {f"f{i}": pa.float64() for name, i in plan.numbers.items() if name not in plan.texts}
     options: list[pc.ConvertOptions] = []
     for decimal in layout.decimals:
         options.append(
             pc.ConvertOptions(
                 include_columns=list(kinds),
                 decimal_point=decimal,
-                null_values=list(MISSING_CELLS),
+                null_values=list(missing),
                 strings_can_be_null=True,
                 column_types=kinds,
             )
@@ -327,8 +338,19 @@ def numbered_columns(layout: Layout) -> list[str]:
     return [f"f{i}" for i in range(len(layout.names))]
 
 
-def parse_columns(layout: Layout, plan: Planned) -> dict[str, "pa.Array"]:
-    """Return {column: pyarrow array} of the wanted columns, an element for each row of the file.
+class Cells(NamedTuple):
+    """The wanted columns of a file.
+
+    Fields: columns: {name: pyarrow array} with an element for each row of the file; odd: of columns of
+    numbers, the cells that hold none.
+    """
+
+    columns: dict[str, "pa.Array"]
+    odd: dict[str, OddCells]
+
+
+def parse_columns(layout: Layout, plan: Planned) -> Cells:
+    """Return the wanted columns of a file.
 
     Args:
         layout: of the file; its .blank is filled. plan: the columns; without a time, a blank line between
@@ -336,6 +358,24 @@ def parse_columns(layout: Layout, plan: Planned) -> dict[str, "pa.Array"]:
 
     Raises:
         ValueError: a row that cannot be read, or is not what pyarrow took for one: which, and why.
+    """
+    for convert in converting(layout, plan):
+        # the first rows may be whole numbers, which do not show the decimal sign of those below
+        table, has_errors = _table_of(layout, plan, convert)
+        if table is not None and not has_errors:
+            return Cells({name: table[f"f{i}"].combine_chunks() for name, i in plan.numbers.items()}, {})
+        if table is not None:
+            break
+    table, _ = _table_of(layout, plan, converting(layout, plan, as_texts=True)[0])
+    if table is None:
+        raise ValueError(_bad_row(layout, plan))
+    texts = {name: table[f"f{i}"].combine_chunks() for name, i in plan.numbers.items()}
+    return _numbers_among(layout, plan, texts)
+
+
+def _table_of(layout: Layout, plan: Planned, convert: "pc.ConvertOptions") -> "tuple[pa.Table | None, bool]":
+    """Return (table of the wanted columns, whether there may be errors of a spreadsheet in it); None where
+    some row or cell cannot be read.
     """
     import pyarrow as pa
     import pyarrow.csv as pc
@@ -347,19 +387,50 @@ def parse_columns(layout: Layout, plan: Planned) -> dict[str, "pa.Array"]:
         encoding=layout.encoding,
         block_size=max(1 << 20, 64 * len(layout.names), 16 * sum(map(len, layout.names))),
     )
-    failure: Exception | None = None
-    # the first rows may be whole numbers, which do not show the decimal sign of those below
-    for convert in converting(layout, plan):
-        with open(layout.path, "rb", buffering=0) as file:
-            lines = CountedLines(file, layout.delimiter)
-            try:
-                table = pc.read_csv(lines, read, parsing(layout), convert)
-            except (pa.ArrowInvalid, pa.ArrowKeyError, UnicodeError) as e:
-                failure = failure or e
-                continue
-        _refuse_lost_rows(layout, lines, table.num_rows, plan.wanted.time is not None)
-        return {name: table[f"f{i}"].combine_chunks() for name, i in plan.numbers.items()}
-    raise ValueError(_bad_row(layout, plan) or str(failure).splitlines()[0])
+    with open(layout.path, "rb", buffering=0) as file:
+        lines = CountedLines(file, layout.delimiter)
+        try:
+            table = pc.read_csv(lines, read, parsing(layout), convert)
+        except (pa.ArrowInvalid, pa.ArrowKeyError, UnicodeError):
+            return None, False
+    _refuse_lost_rows(layout, lines, table.num_rows, plan.wanted.time is not None)
+    return table, lines.has_sharps
+
+
+def _numbers_among(layout: Layout, plan: Planned, texts: dict[str, "pa.Array"]) -> Cells:
+    """Return the numbers that are written in columns of texts, by the decimal sign that leaves least over."""
+    best: Cells | None = None
+    for decimal in layout.decimals:
+        columns, odd = dict(texts), {}
+        for name in texts:
+            if name not in plan.texts:
+                columns[name], cells = _numbers_of(texts[name], decimal)
+                if len(cells.rows):
+                    odd[name] = cells
+        if best is None or _count(odd) < _count(best.odd):
+            best = Cells(columns, odd)
+    assert best is not None, "there is a decimal sign"
+    return best
+
+
+def _count(odd: dict[str, OddCells]) -> int:
+    return sum(len(cells.rows) for cells in odd.values())
+
+
+def _numbers_of(cells: "pa.Array", decimal: str) -> "tuple[pa.Array, OddCells]":
+    """Return (floats, null where there is none, the cells that are no numbers) of a column of texts."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    trimmed = pc.utf8_trim_whitespace(cells)
+    plain = trimmed
+    if decimal != ".":  # a point stands in no number then
+        plain = pc.replace_substring(pc.replace_substring(trimmed, ".", "#"), decimal, ".")
+    plain = pc.utf8_ltrim(plain, "+")
+    is_number = pc.match_substring_regex(plain, f"^({NUMBER.pattern})$", ignore_case=True)
+    numbers = pc.if_else(is_number, plain, pa.scalar(None, pa.string())).cast(pa.float64())
+    odd = np.flatnonzero(pc.fill_null(pc.invert(is_number), False).to_numpy(zero_copy_only=False))
+    return numbers, OddCells(odd, trimmed.take(pa.array(odd)).to_pylist())
 
 
 def _refuse_lost_rows(layout: Layout, counted: CountedLines, rows: int, timed: bool) -> None:
@@ -388,45 +459,19 @@ def _refuse_lost_rows(layout: Layout, counted: CountedLines, rows: int, timed: b
 
 
 def _bad_row(layout: Layout, plan: Planned) -> str:
-    """Return a sentence on the first row that cannot be read, and on all cells like it: the slow second
-    pass. "" where there is none.
+    """Return a sentence on the first row that is none, or whose cells have no number in between before it:
+    the slow second pass.
     """
-    cells = _OddCells()
     for number, line in enumerate(lines_of(layout.path), 1):
         if number <= layout.skip or layout.is_blank(line):
             continue
         if layout.is_open(line):
-            return cells.first or f"row {number} {UNCLOSED}"
+            return f"row {number} {UNCLOSED}"
         row = cells_of(_line_text(line, layout), layout.delimiter, spaced=False)
         if len(row) != len(layout.names):
-            many = f"row {number} has {len(row)} cells, the header has {len(layout.names)} columns"
-            return cells.first or many
+            return f"row {number} has {len(row)} cells, the header has {len(layout.names)} columns"
         for name, i in plan.numbers.items():
             is_read = name in plan.texts or row[i] in MISSING_CELLS or is_number(row[i], layout.decimal)
             if not is_read:
-                cells.add(number, name, row[i].strip()[:60])
-    return cells.sentence()
-
-
-class _OddCells:
-    """Cells that are no numbers: a sentence on the first, how many others, and the words in them."""
-
-    def __init__(self) -> None:
-        self.first, self.others = "", 0
-        self.words: dict[str, None] = {}
-
-    def add(self, row: int, column: str, word: str) -> None:
-        """Take the next cell."""
-        if not self.first:
-            what = f"row {row} of column {column!r} holds {word!r}"
-            self.first = f"{what}, which is not a number: leave a missing sample blank"
-            return
-        self.others += 1
-        if len(self.words) < MANY:
-            self.words[word] = None
-
-    def sentence(self) -> str:
-        """Return the sentence on all of them."""
-        if not self.others:
-            return self.first
-        return f"{self.first}; {self.others} more cells hold {listed(list(self.words))}, too"
+                return no_number(f"row {number}", name, row[i].strip())
+    return "the file cannot be read"

@@ -20,13 +20,14 @@ from jaxbound.recordings.csvtext import (
     planned,
     sniff,
 )
+from jaxbound.recordings.oddcells import no_number
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.timestamps import with_day
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = ["FEW", "SOURCE", "LineReader", "WrongCells"]
+__all__ = ["FEW", "SOURCE", "Cells", "LineReader", "WrongCells"]
 
 FEW = 8  # lines that are read one by one
 PLAIN = re.compile(r" *[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)? *")
@@ -103,6 +104,32 @@ class LineReader:
                 raise ValueError(f"of column {name!r} is infinite")
         return cells
 
+    def numbers_in(self, line: bytes) -> Cells:
+        """Return the same as `columns` of one line, in which a cell that is no number is a missing sample.
+
+        Raises:
+            ValueError: it has not as many cells as the header, or an open quotation mark.
+        """
+        import pyarrow as pa
+
+        cells = self.cells(line)
+        if len(cells) != len(self.layout.names) or self.layout.is_open(line):
+            raise ValueError("is no row")
+        columns: dict[str, np.ndarray] = {}
+        times: dict[str, pa.Array] = {}
+        for name, i in self.index.items():
+            cell = cells[i].strip()
+            is_missing = cell in MISSING_CELLS
+            if name in self.plan.texts:
+                columns[name] = np.array([None if is_missing else cells[i]], object)
+            elif name in self.texts:
+                times[name] = pa.array([None if is_missing else cells[i]], pa.string())
+            elif is_number(cell, self.layout.decimal):
+                columns[name] = np.array([float(cell.replace(self.layout.decimal, "."))])
+            else:
+                columns[name] = np.array([np.nan])
+        return columns, self._time_of(times)
+
     def trouble(self, line: bytes) -> str:
         """Return the trouble with a line, as far as its cells show; or ""."""
         if self.layout.is_open(line):
@@ -116,10 +143,7 @@ class LineReader:
             cell = cells[i].strip()
             is_read = name in self.texts or cell in MISSING_CELLS or is_number(cell, self.layout.decimal)
             if not is_read:
-                return (
-                    f"of column {name!r} holds {cell[:60]!r}, which is not a number: leave a missing "
-                    f"sample blank"
-                )
+                return no_number("", name, cell).strip()
         return ""
 
     def stamp(self, line: bytes) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from jaxbound.recordings.columns import to_arrow
 from jaxbound.recordings.csvlines import BOM, split_lines
 from jaxbound.recordings.csvtext import is_number
-from jaxbound.recordings.linetext import SOURCE, LineReader, WrongCells
+from jaxbound.recordings.linetext import SOURCE, Cells, LineReader, WrongCells
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import TOLERATED_STEP, check_period, tick
 from jaxbound.recordings.signals import SignalModel
@@ -30,6 +30,8 @@ __all__ = ["PipeText"]
 LONGEST = 1 << 20  # bytes of a line
 SHOWN = 100  # samples whose steps say whether the sampling period is the model's
 TOLD = 20  # seams of one piece that get a sentence
+POSITION = "clock texts origin scale broken aside after skipped number".split()
+"""What taking a line changes."""
 Line = tuple[int, bytes]
 """A line with its number."""
 
@@ -441,14 +443,34 @@ class PipeText(Stream):
                 yield from self._pieces(rows[half:])
                 return
             number, line = rows[0]
+            left_out = self._left_out(rows)
+            if left_out is not None:
+                yield left_out
+                return
             self.broken = True
             trouble = self._known_reader.trouble(line) or str(e).strip()
             self._lose(f"line {number} {trouble}")
 
-    def _samples(self, rows: list[Line]) -> _LineSamples:
-        """Return the samples of lines that can all be read."""
+    def _left_out(self, rows: list[Line]) -> _LineSamples | None:
+        """Return the sample of a line with cells that are no numbers, if `where` leaves it out, else None."""
+        if self._known_reader.plan.where is None:
+            return None
+        before = {name: getattr(self, name) for name in POSITION}
+        try:
+            samples = self._samples(rows, self._known_reader.numbers_in(rows[0][1]))
+        except ValueError:
+            return None
+        if samples.excluded is None or not samples.excluded.all():
+            vars(self).update(before)
+            return None
+        return samples
+
+    def _samples(self, rows: list[Line], cells: Cells | None = None) -> _LineSamples:
+        """Return the samples of lines that can all be read. cells: of them, None: not read yet."""
         count, plan = len(rows), self._known_reader.plan
-        columns, texts = self._known_reader.columns([line for _, line in rows])
+        if cells is None:
+            cells = self._known_reader.columns([line for _, line in rows])
+        columns, texts = cells
         if texts is not None:
             times = self._text_times(texts)
         elif plan.time is not None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.recordings.arrays import computed, float_arrays, is_made, refuse_infinite
+from jaxbound.recordings.arrays import computed, float_arrays, is_made, refuse_infinite, without_words
 from jaxbound.recordings.clockintervals import seconds_of
 from jaxbound.recordings.columns import to_arrow
 from jaxbound.recordings.expressions import expression, fails, find_column
@@ -141,12 +141,15 @@ class Recording:
         if y is None:
             raise ValueError("y is missing: give u and y, or one table or Recording that holds both")
         u, y, jumps = paired(u, y, model)
+        u, y, hints = without_words(model, u, y)
         indexes = [x.index for x in (y, u) if hasattr(x, "iloc")]
         names = tuple(model.inputs), tuple(model.outputs)
         recording = cls(*float_arrays(model, u, y, narrow), NOWHERE, *names)
         recording = recording._where(model, {name: x for name, x in (("y", y), ("u", u)) if is_table(x)})
         if indexes:
             recording = recording._timed(model, indexes[0], regular)
+        if hints:
+            recording = replace(recording, hints=tuple(hints))
         if not np.size(starts) and not len(jumps):
             return recording
         seams = _union(recording.starts, jumps, all_starts(starts, recording.samples))

@@ -302,7 +302,7 @@ BAD = {
     ),
     "several words": (
         text_of([*ROWS, (2.0, "off", 3), (2.5, 1, "No Data"), (3.0, "off", 3)]),
-        "leave a missing sample blank; 2 more cells hold 'No Data', 'off', too",
+        "leave the row out by `where`; 2 more cells hold 'No Data', 'off', too",
     ),
     "header below": (
         "Logger 7\n\nt;u1;y1\n0;1;2\n",

@@ -1,0 +1,121 @@
+"""Cells that hold no number where one is needed.
+
+A spreadsheet's error is a missing sample, and is counted. Other words are refused, with the place of the
+first, unless `where` leaves their rows out: those may hold anything.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from jaxbound.text.names import listed
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["ERRORS", "OddCells", "error_hints", "no_number", "odd_of_frame", "refuse_odd", "unsaid_hints"]
+
+ERRORS = ("#VALUE!", "#DIV/0!", "#N/A", "#REF!", "#NUM!", "#NAME?", "#NULL!")
+"""The errors of a spreadsheet."""
+MANY = 10  # words that a sentence repeats at most
+LONGEST = 60  # letters of a word in a sentence
+
+
+class OddCells(NamedTuple):
+    """The cells of one column that are no numbers.
+
+    Fields: rows (K,): their numbers, ascending; words: what they hold.
+    """
+
+    rows: np.ndarray
+    words: Sequence[str]
+
+    def counting(self, excluded: np.ndarray | None) -> "OddCells":
+        """Return those in rows that `where`, (N,) bool or None, does not leave out."""
+        if excluded is None:
+            return self
+        return self._among(np.flatnonzero(~excluded[self.rows]).tolist())
+
+    def errors(self) -> "OddCells":
+        """Return those that are errors of a spreadsheet."""
+        return self._which(True)
+
+    def others(self) -> "OddCells":
+        """Return those that are other words."""
+        return self._which(False)
+
+    def _which(self, are_errors: bool) -> "OddCells":
+        return self._among([i for i, word in enumerate(self.words) if (word in ERRORS) == are_errors])
+
+    def _among(self, chosen: list[int]) -> "OddCells":
+        return OddCells(self.rows[chosen], [self.words[i] for i in chosen])
+
+
+Odd = Mapping[str, OddCells]
+"""{column: its cells that are no numbers}."""
+
+
+def no_number(where: str, column: str, word: str) -> str:
+    """Return a sentence on one cell. where: it is, like "row 7"."""
+    held = f"{where} of column {column!r} holds {word[:LONGEST]!r}, which is not a number"
+    return f"{held}: leave a missing sample blank, or leave the row out by `where`"
+
+
+def refuse_odd(odd: Odd, excluded: np.ndarray | None, row: Callable[[int], str]) -> None:
+    """Raise ValueError if a word, no spreadsheet's error, stands in a row that counts.
+
+    Args:
+        odd: of each column. excluded: (N,) bool, rows that `where` leaves out, or None. row: number of a row
+            -> "row 7".
+    """
+    found: list[tuple[int, int, str, str]] = []
+    for place, (column, cells) in enumerate(odd.items()):
+        counting = cells.others().counting(excluded)
+        for k, word in zip(counting.rows.tolist(), counting.words, strict=True):
+            found.append((k, place, column, word))
+    if not found:
+        return
+    (k, _, column, word), *others = sorted(found)
+    sentence = no_number(row(k), column, word)
+    if others:
+        words = list(dict.fromkeys(word[:LONGEST] for *_, word in others))
+        sentence += f"; {len(others)} more cells hold {listed(words[:MANY])}, too"
+    raise ValueError(sentence)
+
+
+def error_hints(odd: Odd, excluded: np.ndarray | None, row: Callable[[int], str]) -> list[str]:
+    """Return a sentence for each column with errors of a spreadsheet in rows that count; as `refuse_odd`."""
+    sentences: list[str] = []
+    for column, cells in odd.items():
+        errors = cells.errors().counting(excluded)
+        if not errors.words:
+            continue
+        one = f"{len(errors.words)} cells of column {column!r} hold"
+        if len(errors.words) == 1:
+            one = f"one cell of column {column!r} holds"
+        first = f"the first {errors.words[0]} in {row(int(errors.rows[0]))}"
+        sentences.append(f"{one} an error of a spreadsheet, {first}: missing samples")
+    return sentences
+
+
+def unsaid_hints(odd: Odd, columns: Sequence[str], row: Callable[[int], str]) -> list[str]:
+    """Return a sentence for each column of the condition in which words leave open whether a row counts."""
+    sentences: list[str] = []
+    for column in columns:
+        cells = odd.get(column)
+        if cells is not None and cells.words:
+            count = f"{len(cells.words)} cells of column {column!r}, in the condition, hold no number"
+            first = f"the first {cells.words[0][:LONGEST]!r} in {row(int(cells.rows[0]))}"
+            sentences.append(f"{count}, {first}: their rows are left out")
+    return sentences
+
+
+def odd_of_frame(cells: "pd.Series") -> tuple["pd.Series", OddCells]:
+    """Return (the numbers of a column, NaN where there is none, its cells that are no numbers)."""
+    import pandas as pd
+
+    numbers = pd.to_numeric(cells, errors="coerce")
+    odd = np.flatnonzero((cells.notna() & numbers.isna()).to_numpy(bool))
+    words = [str(word).strip() for word in cells.iloc[odd]]
+    return numbers, OddCells(odd, words)
