@@ -207,7 +207,7 @@ def _text_columns(frame: "pd.DataFrame", model: Named) -> list[str]:
     import pandas as pd
 
     kinds = zip(frame.columns, frame.dtypes, strict=True)
-    words = [c for c, kind in kinds if kind == object or pd.api.types.is_string_dtype(kind)]
+    words = [c for c, kind in kinds if kind == np.dtype(object) or pd.api.types.is_string_dtype(kind)]
     words = [c for c in words if list(frame.columns).count(c) == 1]
     if not words:
         return []
