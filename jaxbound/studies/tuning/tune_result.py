@@ -29,10 +29,10 @@ class TuneResult:
         scale: their size, the weighted mean of smallest / starting bounds, rounded down: along this direction
             no smaller bounds explain the healthy data, for a little below it `detect` finds a FAULT. With one
             bound, or no steps, the smallest factor on all of them.
-        factor, safety: the factors on the smallest bounds: as the recordings ask for, each left out in turn,
-            and no less than .left_out of the model before; and on top.
+        factor, safety: the factors on the smallest bounds: that of the model, .left_out, or as the recordings
+            ask for, each left out in turn; and on top.
         left_out: how many times as wide as the smallest bounds of the others those for each recording have to
-            be; nan where nobody can say; () of a single one.
+            be; nan where nobody can say; () of a single one, or where the model states its factor.
         start: {name: array}, where they came from.
         margin: (T,) of the healthy samples laid end to end, at .bounds, by the proved test; NaN where no
             window ends.

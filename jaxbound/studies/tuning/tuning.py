@@ -40,7 +40,7 @@ from jaxbound.studies.tuning.scaling import (
     worst,
 )
 from jaxbound.studies.tuning.tune_result import History, TuneResult, history_columns
-from jaxbound.studies.tuning.widening import Wider, accepted
+from jaxbound.studies.tuning.widening import Wider, accepted, stated_factor
 
 if TYPE_CHECKING:
     import optax
@@ -86,7 +86,8 @@ def tune(
     The direction of the bounds is found by gradient, free of their size; their size is then the smallest at
     which the proved test finds no healthy window outside, so this holds whatever the gradient did. Each of
     several recordings is then left out in turn: the bounds are as many times as wide as the one that needs
-    most asks for, and `safety` on top.
+    most asks for, and `safety` on top. A model that `fit` made for these windows keeps the factor that was
+    found there: to its own recordings it is no stranger.
 
     Args:
         relations: from `parity_relations`; their bounds are the start. Those at 0 stay 0. What the joint test
@@ -179,7 +180,9 @@ def tune(
         search.stopped = again.stopped
         return again.best
 
-    left = factors_left_out(relations, moved, good, direction)
+    left: tuple[float, ...] = ()
+    if stated_factor(relations) is None:
+        left = factors_left_out(relations, moved, good, direction)
     report(0.95)
     wider = Wider.of(relations, left, safety)
     source = f"fitted to {int((~gone).sum())} healthy windows, {wider.text}"

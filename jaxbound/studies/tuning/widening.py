@@ -18,7 +18,7 @@ from jaxbound.relations.parity import ParityRelation
 from jaxbound.studies.tuning.parametrization import Moving, Tunable, model_with, tuned_model
 from jaxbound.studies.tuning.scaling import JoinedRecordings
 
-__all__ = ["Wider", "accepted"]
+__all__ = ["Wider", "accepted", "stated_factor"]
 
 
 class Wider(NamedTuple):
@@ -36,26 +36,26 @@ class Wider(NamedTuple):
     @classmethod
     def of(cls, relations: Tunable, left: Sequence[float], safety: float) -> "Wider":
         """Return the factors that recordings which were left out ask for."""
-        stated = _stated(relations)
+        stated = stated_factor(relations)
         own = [x for x in left if np.isfinite(x)]
-        needed = max([1.0, *own])
         notes = []
-        if stated > needed:
+        if stated is not None:
             notes.append(
-                f"the fit of the model, with each recording left out in turn, asked for bounds {stated:.3g} "
-                f"times the smallest: so wide they stay"
+                f"the fit of the model left recordings out, and asked for bounds {stated:.3g} times the "
+                f"smallest: so wide they are"
             )
-        elif not stated and not own:
+        elif not own:
             notes.append(
                 "there is one recording, or none that can be left out: what another day asks for is unknown; "
                 "give each day as a recording of its own"
             )
-        if not stated and "model" in tuned_model(relations).provenance:
+        elif "model" in tuned_model(relations).provenance:
             notes.append(
                 "a recording is left out of the bounds alone: the model may have been fitted to it, and then "
                 "another day asks for more than the factor says"
             )
-        return cls(max(needed, stated), safety, bool(own) or stated > 0, tuple(notes))
+        factor = max([1.0, *own]) if stated is None else stated
+        return cls(factor, safety, bool(own) or stated is not None, tuple(notes))
 
     @property
     def text(self) -> str:
@@ -73,15 +73,15 @@ class Wider(NamedTuple):
         return Fraction(f"{self.factor:.4g}")
 
 
-def _stated(relations: Tunable) -> float:
-    """Return the factor that the model of relations states for these windows; 0 where it states none."""
+def stated_factor(relations: Tunable) -> float | None:
+    """Return the factor that the fit of the model found for these windows; None where it found none."""
     model = tuned_model(relations)
     if isinstance(relations, SetObserver) or model.left_out is None:
-        return 0.0
+        return None
     if relations.horizon != model.horizon:
-        return 0.0
+        return None
     if isinstance(relations, ParityRelation) and relations.lags != model.lags:
-        return 0.0
+        return None
     return float(model.left_out)
 
 
