@@ -39,6 +39,13 @@ CODES = (
 )
 
 
+def whole_or_auto(text: str) -> int | str:
+    """Return a whole number, or auto."""
+    if text == "auto":
+        return text
+    return whole_number(1, 1000)(text)
+
+
 def options(parser: argparse.ArgumentParser) -> None:
     """Add the arguments and options."""
     parser.add_argument(
@@ -59,10 +66,18 @@ def options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--order",
-        type=whole_number(1, 1000),
+        type=whole_or_auto,
         default=2,
         metavar="N",
-        help="samples back that determine the next one (default: 2)",
+        help="samples back that determine the next one; auto: 1 to 4, by recordings that are left out "
+        "(default: 2)",
+    )
+    parser.add_argument(
+        "--delay",
+        type=whole_or_auto,
+        default=1,
+        metavar="N",
+        help="samples until inputs act, the dead time; auto: of 1 to 8, likewise (default: 1)",
     )
     bounded = "bounds are found for windows of S + 1 samples (default: 15; with --lags, the largest of them)"
     add_windows(parser, bounded, least=1)
@@ -151,6 +166,7 @@ def run(args: argparse.Namespace) -> int:
             lags=args.lags,
             inputs=[signal if isinstance(signal, str) else signal[0] for signal in inputs],
             outputs=[signal if isinstance(signal, str) else signal[0] for signal in outputs],
+            delay=args.delay,
             direct=args.direct,
             safety=args.safety,
             held_out=args.held_out,
@@ -169,13 +185,13 @@ def run(args: argparse.Namespace) -> int:
                 f.write(to_png(plot_fit(model)))
     hints = _hints(args.data, recordings)
     if args.json:
-        summary = plain_fit(model, args.data, args.out, args.order, args.average, hints)
+        summary = plain_fit(model, args.data, args.out, args.average, hints)
         write(json.dumps(summary, indent=1, allow_nan=False) + "\n")
     else:
         files = [str(args.out)]
         if args.plot:
             files.append(str(args.plot))
-        show_fit(model, args.data, files, args.order, hints, args.observer)
+        show_fit(model, args.data, files, hints, args.observer)
     return OK
 
 

@@ -98,7 +98,6 @@ def plain_fit(
     model: Fitted,
     files: Sequence[Path],
     out: Path,
-    order: int,
     average: int | None,
     hints: Sequence[str],
 ) -> dict[str, Any]:
@@ -113,7 +112,8 @@ def plain_fit(
         left_out.append(one._asdict() | _all_finite({"factor": one.factor}))
     return {
         "out": str(out),
-        "order": order,
+        "order": check.order,
+        "delay": check.delay,
         "horizon": model.horizon,
         "states": model.n,
         "dt": model.dt,
@@ -149,7 +149,6 @@ def show_fit(
     model: Fitted,
     files: Sequence[Path],
     written: Sequence[str],
-    order: int,
     hints: Sequence[str],
     observer: str | None = None,
 ) -> None:
@@ -158,9 +157,11 @@ def show_fit(
     Args:
         written: names of new files. observer: the one that the bounds are for; None: windows.
     """
-    check = model.check
+    check, late = model.check, ""
+    if check.delay > 1:
+        late = f", a delay of {check.delay} samples"
     rows = [
-        ("model", f"{model.n} states, order {order}, coefficients by {check.method}"),
+        ("model", f"{model.n} states, order {check.order}{late}, coefficients by {check.method}"),
         _tested(model, observer),
     ]
     for file, numbers in zip(files, check.recordings, strict=True):

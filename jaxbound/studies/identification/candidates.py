@@ -12,6 +12,7 @@ from jaxbound.studies.identification.judging import Judge
 from jaxbound.studies.identification.realisation import realised, realised_filters
 from jaxbound.studies.identification.records import Records, measured
 from jaxbound.studies.identification.regression import Scales
+from jaxbound.studies.identification.structure import chained, delayed
 
 __all__ = ["KINDS", "Candidate", "FitProblem", "candidate", "largest_need"]
 
@@ -28,14 +29,16 @@ class FitProblem:
 
     Fields:
         scales: of all recordings. spans (p,): between the lowest and the highest sample of each output.
-        horizon: of the windows that a regression looks at. about: arguments of a LinearSystem beside its
-            matrices. judge: the test that bounds are found for. room: windows that every candidate's arrays
-            hold, so that a fit to a part of the recordings compiles nothing new.
+        order, delay, direct: see `fit`. horizon: of the windows that a regression looks at.
+        about: arguments of a LinearSystem beside its matrices. judge: the test that bounds are found for.
+        room: windows that every candidate's arrays hold, so that a fit to a part of the recordings compiles
+            nothing new.
     """
 
     scales: Scales
     spans: tuple[float, ...]
     order: int
+    delay: int
     horizon: int
     direct: bool
     about: dict[str, Any]
@@ -47,6 +50,7 @@ class FitProblem:
         cls,
         records: Records,
         order: int,
+        delay: int,
         horizon: int,
         direct: bool,
         about: dict[str, Any],
@@ -57,7 +61,7 @@ class FitProblem:
         room = len(regression.windows_of(records, scales, horizon, regression.MOST).y)
         y = np.concatenate([r[1] for r in records])
         spans = tuple(np.nanmax(y, axis=0) - np.nanmin(y, axis=0))
-        return cls(scales, spans, order, horizon, direct, about, judge, room)
+        return cls(scales, spans, order, delay, horizon, direct, about, judge, room)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +83,7 @@ def candidate(problem: FitProblem, records: Records, kind: str) -> Candidate:
     """Return the Candidate of one of KINDS, fitted to recordings."""
     scales, order, horizon, direct = problem.scales, problem.order, problem.horizon, problem.direct
     p, m = len(problem.about["outputs"]), len(problem.about["inputs"])
+    records = delayed(records, problem.delay)
     steps = regression.windows_of(records, scales, order)
     windows = regression.windows_of(records, scales, horizon, regression.MOST)
     _refuse_few(records, len(steps.y), len(windows.y), horizon, order * (p + m) + direct * m + 1)
@@ -93,7 +98,7 @@ def candidate(problem: FitProblem, records: Records, kind: str) -> Candidate:
         spec, spread = realised(theta, scales, order, direct, m, p), spread * scales.y_spread
     largest = np.nanmax(np.abs(np.concatenate([y for _, y, _ in records])), axis=0)
     spread = np.maximum(spread, EXACT * largest)  # where all fits exactly
-    spec |= problem.about
+    spec = chained(spec, problem.delay) | problem.about
     return Candidate(kind, spec, spread)
 
 

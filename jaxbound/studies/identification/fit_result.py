@@ -29,7 +29,7 @@ class FitCheck:
     """The knowledge of a fit beyond its model.
 
     Fields:
-        method: how the coefficients were found, see `fit`.
+        method: how the coefficients were found, order, delay: of the model, see `fit`.
         factor, safety: the factors on the smallest bounds: as the recordings ask for, each left out in turn,
             and on top. smallest: those bounds, {output: bound}. smallest_mean: those of the mean of `average`
             errors in a row, {} where it was not asked for.
@@ -48,6 +48,8 @@ class FitCheck:
     """
 
     method: str
+    order: int
+    delay: int
     factor: float
     safety: float
     smallest: dict[str, float]

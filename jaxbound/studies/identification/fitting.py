@@ -35,9 +35,11 @@ from jaxbound.studies.identification.judging import Judge, ObserverJudge, Window
 from jaxbound.studies.identification.left_out import LeftOut, tried, widest
 from jaxbound.studies.identification.means import smallest_means
 from jaxbound.studies.identification.records import Records, input_ranges, parted, read_records
+from jaxbound.studies.identification.structure import DELAYS, ORDERS, structure
 
 __all__ = ["fit"]
 
+AUTO = "auto"
 HORIZON = 15
 """Of the windows where neither a horizon nor lags are asked for."""
 AVERAGES = 0.95
@@ -47,9 +49,10 @@ AVERAGES = 0.95
 @where_proofs_hold()
 def fit(
     recordings: object,
-    order: int = 2,
+    order: int | str = 2,
     horizon: int | None = None,
     *,
+    delay: int | str = 1,
     lags: Sequence[int] | None = None,
     inputs: str | Sequence[str] | None = None,
     outputs: str | Sequence[str] | None = None,
@@ -79,7 +82,10 @@ def fit(
             with the columns `inputs` and `outputs`; a Recording. NaN marks a missing sample. No window
             crosses gaps in the times of a table, or `starts`.
         order: so many samples back determine the next one (of "filters": so many filters an output). order *
-            p states.
+            p states. "auto": whichever of 1 to 4 sees the smallest errors at the bounds that recordings which
+            are left out ask for.
+        delay: so many samples pass before inputs act (dead time), 1 of a plant that answers at the next one;
+            (delay - 1) * m more states. "auto": of 1, 2, 3, 4, 6 and 8, chosen as the order is.
         horizon: s, the bounds are found for windows of s + 1 samples; None: 15. Long windows see small
             faults; the model says for which it is made.
         lags: of windows that look at the outputs at some samples only, in place of horizon; see
@@ -121,7 +127,9 @@ def fit(
     if observer is not None:
         observer = _observer(observer, lags, average)
     horizon, lags = _window(horizon, lags)
-    _check_options(order, horizon, safety, held_out, method, average)
+    _check_options(order, delay, horizon, safety, held_out, method, average)
+    if direct and delay != 1:
+        raise ValueError("direct inputs act at once: leave delay at 1, or direct out")
     columns, dt = with_every(columns, dt, every)
     report = progress or _silent
     inputs, outputs, dt, records = read_records(recordings, inputs, outputs, columns, dt)
@@ -134,10 +142,11 @@ def fit(
     else:
         about["lags"] = lags
     sentences = advice.inputs_at_rest(records, inputs, outputs)
-    problem = FitProblem.of(records, order, horizon, direct, about, judge)
+    parts, trials = parted(records, held_out, horizon + 1), []
+    order, delay = _structure(records, parts, horizon, order, delay, direct)
+    problem = FitProblem.of(records, order, delay, horizon, direct, about, judge)
     report(0.05)
 
-    parts, trials = parted(records, held_out, horizon + 1), []
     kinds = _kinds(method, parts, inputs)
     for number, kind in enumerate(kinds):
         trials.append(tried(problem, kind, records, parts))
@@ -166,6 +175,8 @@ def fit(
     jump, steady = judge.sizes(model, problem.scales)
     check = FitCheck(
         method=chosen.kind,
+        order=order,
+        delay=delay,
         factor=factor,
         safety=float(safety),
         smallest=_named(outputs, smallest),
@@ -212,13 +223,37 @@ def _window(horizon: int | None, lags: Sequence[int] | None) -> tuple[int, tuple
     return lags[-1], lags
 
 
+def _structure(
+    records: Records, parts: Records, horizon: int, order: int | str, delay: int | str, direct: bool
+) -> tuple[int, int]:
+    """Return the order and the delay, chosen where that is left to the data."""
+    orders: Sequence[int] = ORDERS
+    delays: Sequence[int] = DELAYS
+    if order != AUTO:
+        orders = (int(order),)
+    if delay != AUTO:
+        delays = (int(delay),)
+    if AUTO not in (order, delay):
+        return orders[0], delays[0]
+    return structure(records, parts, horizon, orders, delays, direct)
+
+
 def _check_options(
-    order: int, horizon: int, safety: float, held_out: float, method: str, average: int | None
+    order: int | str,
+    delay: int | str,
+    horizon: int,
+    safety: float,
+    held_out: float,
+    method: str,
+    average: int | None,
 ) -> None:
     """Raise ValueError if an option is out of range."""
-    if not is_whole(order) or order < 1:
-        raise ValueError(f"order must be a whole number >= 1, not {order!r}")
-    if not is_whole(horizon) or horizon <= order:
+    for name, value in (("order", order), ("delay", delay)):
+        if value != AUTO and not (is_whole(value) and value >= 1):
+            raise ValueError(f"{name} must be a whole number >= 1, or auto, not {value!r}")
+    if order == AUTO:
+        order = 1
+    if not is_whole(horizon) or horizon <= int(order):
         raise ValueError(f"horizon must be a whole number above the order ({order}), not {horizon!r}")
     if not (np.isfinite(safety) and safety >= 1):
         raise ValueError(f"safety must be a factor >= 1, not {safety!r}")

@@ -26,6 +26,7 @@ from jaxbound.studies.identification.candidates import (
 from jaxbound.studies.identification.judging import Judge
 from jaxbound.studies.identification.records import Records
 from jaxbound.studies.identification.sizes import blindness
+from jaxbound.studies.identification.structure import delayed
 
 __all__ = ["LeftOut", "Trial", "left_out", "tried", "widest"]
 
@@ -90,6 +91,7 @@ def left_out(
 def _excited(problem: FitProblem, others: Records, parts: Records) -> float:
     """Return the least share of what all parts say of a direction of the regressors that the others say."""
     about = problem.scales, problem.order, problem.direct
+    others, parts = delayed(others, problem.delay), delayed(parts, problem.delay)
     some, every = regression.information(others, *about), regression.information(parts, *about)
     scale, directions = np.linalg.eigh(every)
     told = scale > RANK * scale.max()

@@ -32,6 +32,7 @@ __all__ = [
     "least_squares",
     "refined",
     "scales_of",
+    "window_residuals",
     "windows_of",
 ]
 
@@ -258,11 +259,20 @@ def window_spread(
     """Return the root mean square (p,) of the window residuals of each output, standardised, each output
     weighed alike.
     """
-    u, y, there = _filled(windows, room)
-    e = np.asarray(_residuals(theta, u, y, there, np.ones(y.shape[2]), order, direct))
-    own = e[: len(windows.y)].reshape(windows.y.shape)
+    own = window_residuals(theta, windows, order, direct, room)
     spread = np.sqrt((own**2).mean((0, 1)))
     return np.maximum(np.where(np.isfinite(spread), spread, 1.0), 1e-9)
+
+
+def window_residuals(
+    theta: np.ndarray, windows: CompleteWindows, order: int, direct: bool, room: int = 0
+) -> np.ndarray:
+    """Return the window residuals (N, s + 1, p), standardised, each output weighed alike; room: as of
+    `refined`.
+    """
+    u, y, there = _filled(windows, room)
+    left = np.asarray(_residuals(theta, u, y, there, np.ones(y.shape[2]), order, direct))
+    return left[: len(windows.y)].reshape(windows.y.shape)
 
 
 def _filled(windows: CompleteWindows, room: int) -> tuple[jax.Array, jax.Array, jax.Array]:

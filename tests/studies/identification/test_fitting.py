@@ -413,7 +413,7 @@ class TestCautions:
 @pytest.mark.parametrize(
     "change, message",
     [
-        (dict(order=0), "order must be a whole number >= 1, not 0"),
+        (dict(order=0), "order must be a whole number >= 1, or auto, not 0"),
         (dict(horizon=1), r"horizon must be a whole number above the order \(1\), not 1"),
         (
             dict(observer="joint", average=2),

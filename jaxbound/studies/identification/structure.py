@@ -1,0 +1,179 @@
+"""Order and delay of a model, by recordings that are left out.
+
+Models are fitted to all recordings but one in turn. The largest window
+residual of what was left out stands for the bound, and the smallest jump and lasting error that exceed it
+anywhere stand for what would be seen: the same quantity by which methods are chosen, with another norm and
+without a test, a thousand times as fast.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from jaxbound.studies.identification import regression
+from jaxbound.studies.identification.records import Record, Records
+from jaxbound.studies.identification.regression import CompleteWindows, Scales
+
+__all__ = ["DELAYS", "ORDERS", "chained", "delayed", "structure"]
+
+ORDERS = (1, 2, 3, 4)
+DELAYS = (1, 2, 3, 4, 6, 8)
+"""Samples from an input to its first effect that are tried."""
+ENOUGH = 1.1
+"""The first order, and delay, is taken whose errors are seen from at most so many times the best's on."""
+ROOM = 512
+"""Windows that are looked at, at most, spread evenly: one compilation an order."""
+
+
+def delayed(records: Records, delay: int) -> Records:
+    """Return recordings with the inputs of delay - 1 samples before; NaN where nobody recorded them."""
+    return [_delayed(record, delay - 1) for record in records]
+
+
+def _delayed(record: Record, samples: int) -> Record:
+    u, y, starts = record
+    if not samples:
+        return record
+    late = np.full_like(u, np.nan)
+    late[samples:] = u[: max(len(u) - samples, 0)]
+    for start in np.asarray(starts, int):  # nor do inputs cross a gap
+        late[start : start + samples] = np.nan
+    return late, y, starts
+
+
+def chained(spec: dict[str, Any], delay: int) -> dict[str, Any]:
+    """Return arguments of a LinearSystem whose inputs act `delay` samples later, where those of `spec` act
+    one later: each input waits in delay - 1 states.
+    """
+    if delay == 1 or spec["B"] is None:
+        return spec
+    A, B, C = (np.asarray(spec[name], float) for name in "ABC")
+    (n, m), waiting = B.shape, (delay - 1) * B.shape[1]
+    whole = np.zeros((n + waiting, n + waiting))
+    whole[:n, :n] = A
+    whole[:n, n + waiting - m :] = B
+    whole[n + m :, n : n + waiting - m] = np.eye(waiting - m)
+    enters = np.zeros((n + waiting, m))
+    enters[n : n + m] = np.eye(m)
+    return spec | {"A": whole, "B": enters, "C": np.hstack([C, np.zeros((len(C), waiting))])}
+
+
+def structure(
+    records: Records,
+    parts: Records,
+    horizon: int,
+    orders: Sequence[int],
+    delays: Sequence[int],
+    direct: bool,
+) -> tuple[int, int]:
+    """Return the (order, delay) that would see the smallest errors at the bounds that recordings which are
+    left out ask for.
+
+    First the delay, of models of every order that are fitted one step ahead; then the order, of models that
+    are refined over whole windows: one step ahead the noise of sensors asks for more than the plant has.
+
+    Args:
+        parts: of the recordings, left out in turn; [] : nothing is. horizon: of the windows. orders, delays:
+            that are tried, ascending.
+
+    Raises:
+        ValueError: there are too few samples for any of them.
+    """
+    orders = [order for order in orders if order < horizon]
+    delay = delays[0]
+    if len(delays) > 1:
+        found = {}
+        for tried in delays:
+            blind = [_Trained(records, parts, horizon, order, tried, direct, False) for order in orders]
+            found[tried] = min(one.blindness for one in blind)
+        delay = _first_good(found)
+    found = {}
+    for order in orders:
+        found[order] = _Trained(records, parts, horizon, order, delay, direct, True).blindness
+    return _first_good(found), delay
+
+
+def _first_good(found: Mapping[int, float]) -> int:
+    """Return the first choice of those that are not much worse than the best."""
+    least = min(found.values())
+    if not np.isfinite(least):
+        raise ValueError(
+            "too few samples for any order: record longer, or choose an order and a shorter horizon"
+        )
+    return min(choice for choice, blind in found.items() if blind <= ENOUGH * least)
+
+
+@dataclass(frozen=True, eq=False)
+class _Trained:
+    """Models of an order and a delay, of all recordings and of all but one in turn.
+
+    Fields: is_refined: whether over whole windows; else one step ahead.
+    """
+
+    records: Records
+    parts: Records
+    horizon: int
+    order: int
+    delay: int
+    direct: bool
+    is_refined: bool
+
+    @property
+    def blindness(self) -> float:
+        """The sizes of errors that are seen, see `sizes.blindness`, by residuals; inf: too few samples."""
+        scales, y = regression.scales_of(self.records), np.concatenate([y for _, y, _ in self.records])
+        theta = self._fitted(delayed(self.records, self.delay), scales)
+        if theta is None:
+            return np.inf
+        largest = [np.full(y.shape[1], 1e-9)]
+        for others, own in _left_out(delayed(self.records, self.delay), delayed(self.parts, self.delay)):
+            trained = self._fitted(others, scales)
+            windows = self._windows(own, scales)
+            if trained is not None and len(windows.y):
+                left = regression.window_residuals(trained, windows, self.order, self.direct, ROOM)
+                largest.append(np.abs(left).max((0, 1)))
+        spans = np.nanmax(y, axis=0) - np.nanmin(y, axis=0)
+        return self._seen(theta, np.max(largest, 0), spans / scales.y_spread)
+
+    def _windows(self, records: Records, scales: Scales) -> CompleteWindows:
+        return regression.windows_of(records, scales, self.horizon, ROOM)
+
+    def _fitted(self, records: Records, scales: Scales) -> np.ndarray | None:
+        """Return the coefficients; None where samples are too few."""
+        steps = regression.windows_of(records, scales, self.order)
+        signals = steps.y.shape[2] + steps.u.shape[2]
+        windows = self._windows(records, scales)
+        if len(steps.y) < 2 * (self.order * signals + self.direct * steps.u.shape[2] + 1) or not len(
+            windows.y
+        ):
+            return None
+        theta, _ = regression.least_squares(steps, self.order, self.direct)
+        if self.is_refined:
+            theta, _ = regression.refined(theta, windows, self.order, self.direct, ROOM)
+        return theta
+
+    def _seen(self, theta: np.ndarray, bound: np.ndarray, spans: np.ndarray) -> float:
+        """Return the sizes of a jump and of a lasting error whose residuals exceed twice the bounds (p,),
+        summed over outputs, in their spreads; spans (p,): the most that counts.
+        """
+        count, p = self.horizon + 1, len(bound)
+        samples = np.arange(count)
+        acts = np.stack([samples >= count // 2, samples >= 0])
+        wrong = (acts[:, None, :, None] * np.eye(p)[None, :, None]).reshape(2 * p, count, p)
+        m = (len(theta) - 1 - self.order * p) // (self.order + self.direct)
+        windows = CompleteWindows(np.zeros((2 * p, count, m)), wrong, np.zeros(2 * p, int))
+        alone = theta.copy()
+        alone[-1] = 0  # the response to the error, without the constant
+        left = np.abs(regression.window_residuals(alone, windows, self.order, self.direct, ROOM)) / bound
+        shown = np.maximum(left.max((1, 2)), 1e-12).reshape(2, p)
+        return float(np.minimum(2 / shown, spans).sum())
+
+
+def _left_out(records: Records, parts: Records) -> Iterator[tuple[Records, Records]]:
+    """Yield (all others, one) of the parts, or the recordings twice where there are none."""
+    if not parts:
+        yield records, records
+    for number in range(len(parts)):
+        yield [*parts[:number], *parts[number + 1 :]], parts[number : number + 1]

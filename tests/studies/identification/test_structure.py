@@ -1,0 +1,69 @@
+"""Order and delay by recordings that are left out: found again where they are known."""
+
+import numpy as np
+import pytest
+
+import jaxbound as jb
+from jaxbound.studies.identification.structure import chained, delayed
+
+POLES = {1: [0.85], 2: [1.5, -0.7]}
+ACTS = {1: [1.0], 2: [0.5, 0.3]}
+
+
+def recorded(order, delay, rng, T=150):
+    u = np.repeat(rng.uniform(-1, 1, T // 8 + 1), 8)[:T]
+    acts, true = np.concatenate([np.zeros(delay - 1), u]), np.zeros(T)
+    for k in range(T):
+        for lag, (a, b) in enumerate(zip(POLES[order], ACTS[order], strict=True), 1):
+            if k >= lag:
+                true[k] += a * true[k - lag] + b * acts[k - lag]
+    return u[:, None], (true + rng.uniform(-0.1, 0.1, T))[:, None]
+
+
+@pytest.mark.parametrize("order, delay", [(1, 6), pytest.param(2, 1, marks=pytest.mark.slow)])
+def test_order_and_delay_are_found(order, delay, rng):
+    records = [recorded(order, delay, rng) for _ in range(3)]
+    model = jb.fit(records, "auto", delay="auto", method="windows")
+    assert (model.check.order, model.check.delay) == (order, delay)
+    assert model.n == order + delay - 1
+    assert all(jb.detect(jb.parity_relations(model), *r).counts["FAULT"] == 0 for r in records)
+
+
+def test_inputs_wait_in_states_of_their_own(rng):
+    A, B, C = [[0.5, 0.2], [0, 0.3]], [[1.0, 2], [0, 1]], [[1.0, 0]]
+    late = chained({"A": A, "B": B, "C": C}, 4)
+    u = rng.normal(size=(30, 2))
+    (moved,) = delayed([(u, np.zeros((30, 1)), np.array([], int))], 4)
+    assert np.isnan(moved[0][:3]).all() and np.array_equal(moved[0][3:], u[:-3])
+
+    def outputs(model, u):
+        A, B, C = (np.array(model[name], float) for name in "ABC")
+        x, y = np.zeros(len(A)), []
+        for now in u:
+            y.append(C @ x)
+            x = A @ x + B @ now
+        return np.array(y)
+
+    plain = outputs({"A": A, "B": B, "C": C}, np.nan_to_num(moved[0]))
+    np.testing.assert_allclose(outputs(late, u), plain, atol=1e-12)
+    assert chained({"A": A, "B": B, "C": C}, 1)["A"] is A
+
+
+def test_inputs_before_a_gap_do_not_act_behind_it():
+    u, y = np.arange(6.0)[:, None], np.zeros((6, 1))
+    (moved,) = delayed([(u, y, np.array([3]))], 3)
+    np.testing.assert_array_equal(moved[0][:, 0], [np.nan, np.nan, 0, np.nan, np.nan, 3])
+
+
+@pytest.mark.parametrize(
+    "options, sentence",
+    [
+        (dict(delay=0), "delay must be a whole number >= 1, or auto, not 0"),
+        (dict(order="best"), "order must be a whole number >= 1, or auto, not 'best'"),
+        (dict(delay=2, direct=True), "direct inputs act at once"),
+        (dict(order="auto", horizon=1), "horizon must be a whole number above the order"),
+    ],
+)
+def test_what_cannot_be_chosen_is_refused(options, sentence, rng):
+    with pytest.raises(ValueError, match=sentence):
+        jb.fit(recorded(1, 1, rng, 40), **options)
