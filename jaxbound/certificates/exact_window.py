@@ -18,7 +18,7 @@ from typing import Any, Protocol, Self, TypeAlias
 
 import numpy as np
 
-from jaxbound.certificates.plain import exact_floats
+from jaxbound.certificates.plain import exact_floats, plain_factors
 from jaxbound.consistency.interface import Bounds
 from jaxbound.exact import linalg
 from jaxbound.exact.chebyshev import Reference, Subspace, chebyshev, subspace
@@ -86,7 +86,8 @@ class ExactWindow:
     tolerance, noise, resolution (p,); disturbance (g, 2); unit: the roundoff of the recording's float type;
     floor: its smallest normal number, in every bound; drive: what the inputs that are there make of each row;
     error (p,): what is allowed to a sensor beyond its bounds. average (a,): bounds of averages; whole
-    ((s+1)p,): all samples, also those that only averages look at; lags: of the relations.
+    ((s+1)p,): all samples, also those that only averages look at; lags: of the relations. factors ((s+1)p,):
+    on the noise of each sample, 1 where there is none; empty: the model has none.
     """
 
     model: LinearSystem
@@ -104,6 +105,7 @@ class ExactWindow:
     average: Vector = ()
     whole: Samples = ()
     lags: tuple[int, ...] | None = None
+    factors: Vector = ()
 
     def with_error(self, i: int, e: Fraction) -> Self:
         """Return the window with an error of up to e allowed to output i."""
@@ -131,17 +133,30 @@ class ExactWindow:
         readings: list[tuple[Fraction | None, Fraction]] = []
         for j, v in enumerate(self.y):
             i = j % p
-            rho = self.noise[i] + self.rounded[i] + self.floor
+            rho = self.noise_at(j) + self._rounded_at(j) + self.floor
             if v is None:
                 readings.append((None, rho))
             else:
                 readings.append((v - offset[i], rho))
         return readings
 
+    def noise_at(self, j: int) -> Fraction:
+        """Return the noise bound of sample j of all: times its factor, where it has one."""
+        noise = self.noise[j % self.model.p]
+        if not self.factors:
+            return noise
+        return noise * self.factors[j]
+
+    def _rounded_at(self, j: int) -> Fraction:
+        """Return the largest |delta| of sample j beyond its noise."""
+        i = j % self.model.p
+        return self.rounded[i] + RECORDER_ULPS * self.unit * (self.noise_at(j) - self.noise[i])
+
     @cached_property
     def rounded(self) -> list[Fraction]:
-        """The largest |delta| of each output beyond its noise: resolution, what the recorder rounds away of
-        the largest sample that is looked at, and the error that is allowed to it.
+        """The largest |delta| of each output beyond its noise, where that is times no factor: resolution,
+        what the recorder rounds away of the largest sample that is looked at, and the error that is allowed
+        to it.
         """
         p = self.model.p
         largest = [ZERO] * p
@@ -319,8 +334,8 @@ def readable_relation(h: Sequence[Fraction]) -> Vector:
 
 
 def exact_window(relations: Bounded, u: np.ndarray, y: np.ndarray) -> ExactWindow:
-    """Return the ExactWindow of samples u (s+1, m), y (s+1, p). The bounds are those that the kernel takes,
-    to the last bit.
+    """Return the ExactWindow of samples u (s+1, m), factors on noise behind them, y (s+1, p). The bounds are
+    those that the kernel takes, to the last bit.
     """
     samples = exact_samples(relations, u, y)
     K = _forms(relations.model, relations.horizon)[1]
@@ -334,14 +349,14 @@ def exact_samples(relations: Bounded, u: np.ndarray, y: np.ndarray) -> dict[str,
     pairs = np.reshape(bounds.get("disturbance", np.zeros((0, 2))), (-1, 2))
     lowest = _exactly(rounding.round_down(pairs[:, 0], dtype))
     highest = _exactly(rounding.round_up(pairs[:, 1], dtype))
-    looked_at = y
+    looked_at, m = y, model.m
     if relations.lags is not None:
         kept = np.isin(s - np.arange(s + 1), relations.lags)
         looked_at = np.where(kept[:, None], y, np.nan).astype(dtype)
     return {
         "model": model,
         "horizon": s,
-        "u": exact_floats(u[: window.input_lags(model, s)]),
+        "u": exact_floats(u[: window.input_lags(model, s), :m]),
         "y": exact_floats(looked_at),
         "tolerance": _exactly(rounding.round_up(bounds["tolerance"], dtype)),
         "noise": _exactly(rounding.round_up(bounds["noise"], dtype)),
@@ -352,6 +367,7 @@ def exact_samples(relations: Bounded, u: np.ndarray, y: np.ndarray) -> dict[str,
         "average": _exactly(rounding.round_up(bounds.get("average", ()), dtype)),
         "whole": exact_floats(y),
         "lags": relations.lags,
+        "factors": tuple(x for row in plain_factors(model, u) or () for x in row),
     }
 
 

@@ -11,7 +11,7 @@ from jaxbound.models.rows import WeightedSum
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import bounded_sums
 
-__all__ = ["exact_floats", "plain_model", "plain_names", "plain_samples", "plain_sums"]
+__all__ = ["exact_floats", "plain_factors", "plain_model", "plain_names", "plain_samples", "plain_sums"]
 
 MATRICES = ("A", "B", "C", "D", "G", "F", "D_v")
 
@@ -62,6 +62,8 @@ def plain_names(
     for kind in ("states", "inputs", "outputs"):
         names[kind] = list(getattr(model, kind))
     names["units"] = dict(model.units)
+    if model.times:
+        names["times_noise"] = dict(model.times)
     if model.uncertainties:
         names["parameters"] = [parameter.name for parameter in model.uncertainties]
     names["sample"], names["times"] = sample, None
@@ -73,6 +75,20 @@ def plain_names(
 def plain_samples(x: np.ndarray) -> list[list[Fraction | None]]:
     """Return samples (T, k) as rows of exact numbers, None for NaN."""
     return [list(exact_floats(row)) for row in x]
+
+
+def plain_factors(model: LinearSystem, u: np.ndarray) -> list[list[Fraction]] | None:
+    """Return the factors on the noise of each sample of each output, that stand behind the inputs in u (T,
+    m), as T rows: 1 where an output has none, or where it is missing; None: the model has none.
+    """
+    if not model.factors:
+        return None
+    rows = [[Fraction(1)] * model.p for _ in range(len(u))]
+    for column, factor in enumerate(model.factors, model.m):
+        for row, value in zip(rows, exact_floats(u[:, column]), strict=True):
+            if value is not None:
+                row[factor.number] = value
+    return rows
 
 
 def exact_floats(values: ArrayLike) -> tuple[Fraction | None, ...]:

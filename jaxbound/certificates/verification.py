@@ -10,7 +10,13 @@ from jaxbound.certificates.checker.claim import claimed
 from jaxbound.certificates.checker.proof import confirm
 from jaxbound.certificates.checker.script import fewer_averages, stated_lags
 from jaxbound.certificates.checker.words import Matrix
-from jaxbound.certificates.plain import exact_floats, plain_model, plain_names, plain_samples
+from jaxbound.certificates.plain import (
+    exact_floats,
+    plain_factors,
+    plain_model,
+    plain_names,
+    plain_samples,
+)
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 
@@ -67,10 +73,12 @@ def verify(
             )
         first = _bounds_of_state(x0)
     plain = plain_model(model)
-    inputs = plain_samples(np.asarray(recording.u)[place][start:stop])
+    u = np.asarray(recording.u)[place][start:stop]
+    inputs, factors = plain_samples(u[:, : model.m]), plain_factors(model, u)
     outputs = plain_samples(np.asarray(recording.y)[place][start:stop])
     precision, lags = str(recording.y.dtype), stated_lags(document, plain)
-    claim = claimed(fewer_averages(document, plain), inputs, outputs, precision, lags, first)
+    about = fewer_averages(document, plain)
+    claim = claimed(about, inputs, outputs, precision, lags, first, factors)
     times = None
     if document["names"]["times"] is not None:
         times = [recording.label(j) for j in range(start, stop)]

@@ -93,6 +93,8 @@ class Witnessed:
         for bound in ("tolerance", "noise", "resolution", "disturbance"):
             numbers[bound] = getattr(w, bound)
         numbers["recorder"], numbers["floor"] = RECORDER_ULPS * w.unit, w.floor
+        if w.factors:
+            numbers["factors"] = rows_of(w.factors, model.p)
         if w.lags is not None:
             numbers["lags"] = tuple(map(Fraction, w.lags))
         if w.rows.sums:

@@ -72,6 +72,8 @@ def _bounds_rows(model: LinearSystem) -> list[tuple[str, str]]:
     for kind in SENSOR_BOUNDS:
         values = _nonzero_text(model.outputs, getattr(model, kind))
         rows.append((kind, f"{values}   {_origin(model, kind)}".rstrip()))
+    for factor in model.factors:
+        rows.append((f"noise of {factor.output}", f"times {factor.text}"))
     if model.g:
         ranges = []
         for j, (lo, hi) in enumerate(model.disturbance):
@@ -143,11 +145,12 @@ def plain_model(model: LinearSystem, relations: ParityRelation | UncertainRelati
         "disturbances": [[float(x) for x in ends] for ends in model.disturbance],
         "parameters": parameters,
         "provenance": dict(model.provenance),
+        "times": dict(model.times),
         "relations": relations.text().splitlines(),
         "notes": list(relations.notes),
         "hints": bound_hints(model),
     }
-    is_known = not model.uncertainties and not any(model.tolerance)
+    is_known = not model.uncertainties and not any(model.tolerance) and not model.factors
     if is_known and _seconds(model, relations.horizon) <= PATIENCE:
         sizes = _guaranteed(model, relations.horizon, relations.lags)
         plain["guaranteed"] = {n: None if math.isinf(size) else float(size) for n, size in sizes.items()}

@@ -172,7 +172,7 @@ class ExchangeTest(LinearTest):
         for first in range(0, len(touched), TOUCHED):
             chosen = touched[first : first + TOUCHED]
             inputs, outputs = gather(u, y, starts[chosen], self.lags, self.horizon)
-            missing = np.isnan(inputs).reshape(-1, len(chosen))
+            missing = np.isnan(self.reading.inputs(inputs)).reshape(-1, len(chosen))
             absent = self.reading.window.absent(outputs)
             lacking[chosen] = absent[inner].any(0) | missing[needed].any(0)
         return lacking
@@ -285,7 +285,7 @@ class ExchangeTest(LinearTest):
         if not len(starts):
             return []
         samples, outputs = gather(u, y, starts, self.lags, self.horizon)
-        missing = np.isnan(samples).reshape(-1, len(starts)).T
+        missing = np.isnan(self.reading.inputs(samples)).reshape(-1, len(starts)).T
         absent = self.reading.window.absent(outputs).T
         lost = np.concatenate([absent, missing], 1)
         patterns, which = lost[:1], np.zeros(len(starts), int)

@@ -10,7 +10,8 @@ left for a window are seven operations a reading and some twenty a strip, its er
 (`rounding.folded_error`, which has the proof).
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import jax
@@ -23,7 +24,7 @@ from jaxbound.models.rows import Kind, Row
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.strips.strips import Strips
 
-__all__ = ["columns", "folded_margin", "folded_verdict", "folds"]
+__all__ = ["folded_margin", "folded_verdict", "folds", "known_columns"]
 
 ROOM = 4
 """Magnitudes are summed so many times as large: where they are finite, nothing else of their strip
@@ -109,7 +110,7 @@ def _factors(reading: Reading) -> jax.Array:
 def _strips(reading: Reading, u: jax.Array, y: jax.Array) -> Iterator[_Strip]:
     """Yield the strips of all circuits that the windows of a stretch look at."""
     strips, top = reading.strips, np.finfo(y.dtype).max
-    rows, inputs = _rows(reading, y), _inputs(reading, u, y)
+    rows, inputs = _rows(reading, u, y), _inputs(reading, u, y)
     assert strips.supports is not None and strips.inputs is not None
     for c, support in enumerate(strips.supports):
         if not all(reading.window.all[i].seen for i in support):
@@ -147,11 +148,11 @@ def _of_samples(term: tuple[jax.Array, _Row]) -> bool:
     return term[1].mid.ndim > 0
 
 
-def _rows(reading: Reading, y: jax.Array) -> list[_Row]:
+def _rows(reading: Reading, u: jax.Array, y: jax.Array) -> list[_Row]:
     """Return the rows of all windows of a stretch y (N + s, p), those they look at."""
     count, factors = y.shape[0] - reading.horizon, _factors(reading)
     shares = jnp.maximum(reading.tolerance / (1 + reading.tolerance), rounding.tiny(y.dtype))
-    noises = _noises(reading, y)
+    noises = _noises(reading, u, y)
     rows = []
     for row in reading.window.all:
         if row.kind is Kind.DISTURBANCE:
@@ -160,32 +161,47 @@ def _rows(reading: Reading, y: jax.Array) -> list[_Row]:
         i = row.number
         sample = y[row.first : row.first + count, i]
         d = sample - reading.offset_y[i]
-        over = jnp.abs(d) - noises[i]
+        rho = noises[i](row.first)
+        over = jnp.abs(d) - rho
         q = jnp.where(over > 0, over, 0)
-        mid, rad = d - shares[i] * _with_sign(q, d), noises[i] + shares[i] * q
+        mid, rad = d - shares[i] * _with_sign(q, d), rho + shares[i] * q
         rows.append(_Row(mid, rad, jnp.abs(sample), jnp.abs(reading.offset_y[i]), factors[i]))
     return rows
 
 
-def _noises(reading: Reading, y: jax.Array) -> list[jax.Array]:
-    """Return rho (N,) of each output: noise, resolution and what the recorder rounded away; a missing sample
-    is no larger than 0.
+def _noises(reading: Reading, u: jax.Array, y: jax.Array) -> list[Callable[[int], jax.Array]]:
+    """Return rho (N,) of each output, of (number of a sample in the windows): noise, resolution and what the
+    recorder rounded away; a missing sample is no larger than 0.
     """
-    count, u = y.shape[0] - reading.horizon, rounding.unit(y.dtype)
-    ulps = np.asarray(sensor.RECORDER_ULPS * u, y.dtype)
-    noises = []
+    count = y.shape[0] - reading.horizon
+    ulps = np.asarray(sensor.RECORDER_ULPS * rounding.unit(y.dtype), y.dtype)
+    noises: list[Callable[[int], jax.Array]] = []
     for i in range(y.shape[1]):
-        largest = jnp.zeros((), y.dtype)
+        largest: jax.Array = jnp.zeros((), y.dtype)
         for sample in range(reading.horizon + 1):
             if reading.window.looked_at(sample):
                 size = jnp.abs(y[sample : sample + count, i])
                 largest = jnp.where(size > largest, size, largest)
         # an infinite sample stays its own row's matter
         largest = jnp.minimum(largest, np.finfo(y.dtype).max)
-        still = reading.noise[i] + reading.resolution[i]
-        still += ulps * reading.noise[i] + rounding.tiny(y.dtype)
-        noises.append(still + ulps * largest)
+        noise, rounded = reading.noise_at(u, i), largest * ulps
+        still = noise + reading.resolution[i]
+        still += ulps * noise + rounding.tiny(y.dtype)
+        if i in reading.times:
+            noises.append(partial(_at, still, rounded))
+        else:
+            noises.append(partial(_throughout, still + rounded))
     return noises
+
+
+def _throughout(rho: jax.Array, first: int) -> jax.Array:
+    """Return rho (N,), the same at all samples of a window."""
+    return rho
+
+
+def _at(still: jax.Array, rounded: jax.Array, first: int) -> jax.Array:
+    """Return rho (N,) at one sample of windows. still: of each sample of a stretch."""
+    return still[first : first + len(rounded)] + rounded
 
 
 def _with_sign(size: jax.Array, sign: jax.Array) -> jax.Array:
@@ -206,10 +222,16 @@ def _disturbance(reading: Reading, row: Row, dtype: np.dtype) -> _Row:
 def _inputs(reading: Reading, u: jax.Array, y: jax.Array) -> list[_Row]:
     """Return the inputs of all windows of a stretch u (N + s, m)."""
     inputs = []
-    for b, sample in enumerate(columns(u, reading.lags, y.shape[0] - reading.horizon)):
-        offset = reading.offset_u[b % u.shape[1]]
+    for b, sample in enumerate(known_columns(reading, u, y.shape[0] - reading.horizon)):
+        offset = reading.offset_u[b % len(reading.offset_u)]
         inputs.append(_Row(sample - offset, None, jnp.abs(sample), jnp.abs(offset)))
     return inputs
+
+
+def known_columns(reading: Reading, u: jax.Array, count: int) -> list[jax.Array]:
+    """Return the inputs of N windows of a stretch u (N + s, m) as columns (N,), time-major."""
+    lags = reading.lags if reading.acting is None else reading.acting
+    return columns(reading.known_inputs(u), lags, count)
 
 
 def columns(x: jax.Array, lags: int, count: int) -> list[jax.Array]:

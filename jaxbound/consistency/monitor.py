@@ -25,6 +25,7 @@ from jaxbound.consistency.interface import (
     WindowTest,
     relations_of,
 )
+from jaxbound.recordings.factors import factors_of, known, narrowed
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import TOLERATED_STEP, all_starts
 from jaxbound.recordings.table import one_row
@@ -44,8 +45,8 @@ class MonitorState(NamedTuple):
     """The memory of a Monitor: a PyTree of NumPy arrays. `np.savez(file, **state._asdict())` saves it, and
     `mon.init()._replace(**np.load(file))` restores it.
 
-    Fields: u (s, m), y (s, p): the last samples, NaN where there is none; follows: how many of them follow
-    each other up to now, at most s;
+    Fields: u (s, m), factors on noise behind the inputs, y (s, p): the last samples, NaN where there is none;
+    follows: how many of them follow each other up to now, at most s;
     samples: how many there were in all; time: of the last one in s, NaN if not known.
     """
 
@@ -142,7 +143,7 @@ class Monitor:
         if self._observer is not None:
             return self._observer.init()
         s, model = self.relations.horizon, self.relations.model
-        u, y = (np.full((s, channels), np.nan, self.dtype) for channels in (model.m, model.p))
+        u, y = (np.full((s, channels), np.nan, self.dtype) for channels in (len(known(model)), model.p))
         return MonitorState(u, y, np.int64(0), np.int64(0), np.float64(np.nan))
 
     def step(
@@ -216,13 +217,14 @@ class Monitor:
     def _piece(self, u: object, y: object, starts: Starts) -> "_Piece":
         """Return samples in our dtype, with all that a table tells beside, or refuse them."""
         model = self.relations.model
-        if self._fits(u, model.m) and self._fits(y, model.p) and len(u) == len(y):
+        plain = not factors_of(model)
+        if plain and self._fits(u, model.m) and self._fits(y, model.p) and len(u) == len(y):
             none = isinstance(starts, tuple) and not starts
             piece = _Piece(u, y, NOWHERE if none else all_starts(starts, len(y)))
         else:
             piece = self._of_table(u, y, starts)
         if np.count_nonzero(np.isinf(piece.u)) or np.count_nonzero(np.isinf(piece.y)):
-            Recording(piece.u, piece.y, piece.starts, model.inputs, model.outputs).finite()
+            Recording(piece.u, piece.y, piece.starts, known(model), model.outputs).finite()
         return piece
 
     def _fits(self, x: object, channels: int) -> TypeGuard[np.ndarray]:
@@ -239,7 +241,7 @@ class Monitor:
                 f"allows for: "
                 f"build it as Monitor(relations, dtype=np.{table.y.dtype})"
             )
-        own_u, own_y = np.asarray(table.u, self.dtype), np.asarray(table.y, self.dtype)
+        own_u, own_y = narrowed(model, np.asarray(table.u), self.dtype), np.asarray(table.y, self.dtype)
         if own_y.ndim != 2:
             raise ValueError(
                 f"a Monitor follows one recording: y must have shape (N, {len(model.outputs)}), not "

@@ -212,7 +212,7 @@ def _stretch_of(reading: Reading, u: jax.Array, y: jax.Array) -> _Stretch:
     s, count = reading.horizon, len(y) - reading.horizon
     samples = []
     for i, values in enumerate(y.T):
-        samples.append(_sample(reading, i, values))
+        samples.append(_sample(reading, i, u, values))
     samples += map(_sample_of, *reading._disturbance(jnp.ones_like(y[:, 0])))
     _, _, weights, scales = zip(*samples, strict=True)
     largest, heaviest = (_running(most(x), s + 1)[:count] for x in (scales, weights))
@@ -222,12 +222,12 @@ def _stretch_of(reading: Reading, u: jax.Array, y: jax.Array) -> _Stretch:
         largest = jnp.maximum(largest, _scale_of_sum(values, largest, part.radius[0]))
         heaviest = jnp.maximum(heaviest, part.weight[0])
     v, sizes = [], []
-    for now, offset in zip(u.T, reading.offset_u, strict=True):
+    for now, offset in zip(reading.known_inputs(u).T, reading.offset_u, strict=True):
         v.append(now - offset)
         sizes.append(abs(now) + abs(offset))
     known = jnp.zeros_like(largest)
     if v:
-        known = _running(most(sizes), reading.lags)[:count]
+        known = _running(most(sizes), _acting(reading))[:count]
     return _Stretch(samples, v, largest, heaviest, known)
 
 
@@ -308,8 +308,8 @@ def _rows(given: Given, u: jax.Array, y: jax.Array) -> Rows:
     mids, radii, _, _ = zip(*stretch.samples, strict=True)
     mid, radius = _taken(jnp.stack(mids), np.array(at), count), _taken(jnp.stack(radii), np.array(at), count)
     known = jnp.zeros((0, count), y.dtype)
-    if stretch.v and reading.lags:
-        places = np.indices((reading.lags, len(stretch.v))).reshape(2, -1)
+    if stretch.v and _acting(reading):
+        places = np.indices((_acting(reading), len(stretch.v))).reshape(2, -1)
         known = _taken(jnp.stack(stretch.v), places[::-1].T, count)
     return Rows(mid, radius, known, *stretch[2:])
 
@@ -384,8 +384,15 @@ class _Sample(NamedTuple):
     scale: jax.Array
 
 
-def _sample(reading: Reading, i: int, y: jax.Array) -> _Sample:
-    bounds = reading.tolerance[i], reading.noise[i], reading.resolution[i], reading.offset_y[i]
+def _acting(reading: Reading) -> int:
+    """Return at how many samples of a window inputs act."""
+    if reading.acting is None:
+        return reading.lags
+    return reading.acting
+
+
+def _sample(reading: Reading, i: int, u: jax.Array, y: jax.Array) -> _Sample:
+    bounds = reading.tolerance[i], reading.noise_at(u, i), reading.resolution[i], reading.offset_y[i]
     (mid,), (radius,), (scale,) = sensor.true_value([y], *bounds)
     return _sample_of(mid, radius, scale)
 
@@ -461,7 +468,7 @@ def easy_by(
         windows: the test of those that are gathered. stretched: how stretches are read; None: as windows are.
     """
     # where gains are fitted, nothing of a window's own is left in its radii
-    weighted = stretched is None and bool(np.any(reading.tolerance))
+    weighted = stretched is None and (bool(np.any(reading.tolerance)) or bool(reading.times))
     given = projection(relations, reading, dtype, weighted)
     if given is None:
         return None

@@ -53,6 +53,8 @@ class Reading:
     Fields: shape, the Strips of a few circuits, the Frame of an exchange search or a Bank; tolerance, noise,
     resolution, offset_y (p,); disturbance (g, 2); offset_u (m,); window: its rows; lags, the samples of u in
     a window; average (a,): bounds of the sums of the window.
+    times: numbers of the outputs whose noise is times a factor of each sample: the columns of u behind its m
+    inputs are these factors. acting: of the lags, those at which inputs act; None: all.
     """
 
     shape: Strips | Frame | Bank
@@ -65,6 +67,38 @@ class Reading:
     window: WindowRows = field(metadata={"static": True})
     lags: int = field(metadata={"static": True})
     average: jax.Array | np.ndarray = field(default_factory=lambda: np.zeros(0))
+    times: tuple[int, ...] = field(default=(), metadata={"static": True})
+    acting: int | None = field(default=None, metadata={"static": True})
+
+    def inputs(self, u: Samples) -> Samples:
+        """Return the inputs of windows u (lags, m, N), those that act, without the factors behind them."""
+        if not self.times:
+            return u
+        return u[: self.acting, : len(self.offset_u)]
+
+    def known_inputs(self, u: Samples) -> Samples:
+        """Return the inputs (T, m) of samples u, without the factors behind them."""
+        if not self.times:
+            return u
+        return u[:, : len(self.offset_u)]
+
+    def factor(self, u: Samples, i: int) -> Samples | None:
+        """Return the factor on the noise of output i, of samples u (T, m) or of windows (lags, m, N); None:
+        it has none. 1 where it is missing: so is the sample of the output.
+        """
+        if i not in self.times:
+            return None
+        own = u[:, len(self.offset_u) + self.times.index(i)]
+        if isinstance(own, np.ndarray):
+            return np.where(np.isnan(own), np.asarray(1, own.dtype), own)
+        return jnp.where(jnp.isnan(own), 1, own)
+
+    def noise_at(self, u: jax.Array, i: int) -> jax.Array:
+        """Return the noise of output i: times its factor at samples u, as of `factor`, where it has one."""
+        factor = self.factor(u, i)
+        if factor is None:
+            return self.noise[i]
+        return self.noise[i] * factor
 
     @property
     def horizon(self) -> int:
@@ -149,10 +183,14 @@ class Reading:
         if self.window.lags is not None:
             taken = jnp.where(self.window.used[:, :, None], whole, jnp.nan)
         largest = jnp.max(jnp.where(jnp.isnan(taken), 0, abs(taken)), 0, keepdims=True)
+        noise = self.noise[None, :, None]
+        if self.times:
+            each = [self.noise_at(u, i) * jnp.ones_like(y[:, i]) for i in range(y.shape[1])]
+            noise = jnp.stack(each, 1)
         (mid,), (rad,), (scale,) = sensor.true_value(
             [y],
             self.tolerance[None, :, None],
-            self.noise[None, :, None],
+            noise,
             self.resolution[None, :, None],
             self.offset_y[None, :, None],
             largest,
@@ -168,6 +206,7 @@ class Reading:
             mid = jnp.concatenate([mid, own_mid])
             rad = jnp.concatenate([rad, own_rad])
             scale = jnp.concatenate([scale, own_scale])
+        u = self.inputs(u)
         known = u - self.offset_u[None, :, None]
         known_scale = abs(u) + abs(self.offset_u)[None, :, None]
         return RowValues(mid, rad, scale, known.reshape(-1, count), known_scale.reshape(-1, count))
@@ -240,13 +279,18 @@ class Reading:
 
         Rows are the true outputs, time-major, then the disturbances w_k .. w_{k+s-1}.
         """
+        m = len(self.offset_u)
         nothing = jnp.full_like(y[0][0], jnp.nan)
         per_output = []
         for i in range(len(self.noise)):
             samples = []
             for j, now in enumerate(y):
                 samples.append(now[i] if self.window.looked_at(j) else nothing)
-            bounds = self.tolerance[i], self.noise[i], self.resolution[i], self.offset_y[i]
+            noise: jax.Array | list[jax.Array] = self.noise[i]
+            if i in self.times:
+                column = m + self.times.index(i)
+                noise = [self.noise[i] * jnp.where(jnp.isnan(now[column]), 1, now[column]) for now in u]
+            bounds = self.tolerance[i], noise, self.resolution[i], self.offset_y[i]
             per_output.append(sensor.true_value(samples, *bounds))
         rows: tuple[list[jax.Array], ...] = ([], [], [])
         for part, values in enumerate(rows):
@@ -256,6 +300,8 @@ class Reading:
             for values, w in zip(rows, self._disturbance(jnp.ones_like(y[0][0])), strict=True):
                 values.extend([*w] * self.horizon)
         known, known_scale = [], []
+        if self.times:
+            u = [now[:m] for now in u[: self.acting]]
         for now in u:
             known += [v - self.offset_u[i] for i, v in enumerate(now)]
         for now in u:

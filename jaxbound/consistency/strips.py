@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency import whole_numbers
-from jaxbound.consistency.folded import columns, folded_margin, folded_verdict, folds
+from jaxbound.consistency.folded import folded_margin, folded_verdict, folds, known_columns
 from jaxbound.consistency.interface import Again, Arrays, LinearTest, Outs, Progress, Run
 from jaxbound.consistency.reading import Block, Reading, gather
 from jaxbound.consistency.strips_on_host import HostStrips, host_strips
@@ -81,7 +81,8 @@ def verdicts(reading: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, j
     """Return (status, margin) of the windows of one stretch of samples, tested circuit by circuit."""
     known: Sequence[jax.Array] | jax.Array
     if folds(reading):
-        margin, known = folded_verdict(reading, u, y), columns(u, reading.lags, y.shape[0] - reading.horizon)
+        margin = folded_verdict(reading, u, y)
+        known = known_columns(reading, u, y.shape[0] - reading.horizon)
     else:
         mid, rad, scale, known, known_scale = reading.stretch(u, y)
         margin = strip_verdict(reading.strips, mid, rad, scale, known, known_scale, reading.lift)

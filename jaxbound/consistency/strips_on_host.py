@@ -131,8 +131,8 @@ class HostStrips:
         def gathered(x: np.ndarray, shift: int) -> np.ndarray:
             return np.asarray(x[shift + at])
 
-        series = self._series(y[span])
-        inputs = [self._input(u[span, i], i) for i in range(u.shape[1])]
+        series = self._series(u[span], y[span])
+        inputs = [self._input(x, i) for i, x in enumerate(self.reading.known_inputs(u[span]).T)]
         cut, count = (stretch, end - begin) if dense else (gathered, len(starts))
         seen = []
         for strip in self.strips:
@@ -141,11 +141,11 @@ class HostStrips:
             seen = [x[at] for x in seen]
         return np.stack(seen)
 
-    def _series(self, y: np.ndarray) -> dict[tuple[Kind, int], _Series]:
-        """Return the _Series of all rows over samples y, by kind and number."""
+    def _series(self, u: np.ndarray, y: np.ndarray) -> dict[tuple[Kind, int], _Series]:
+        """Return the _Series of all rows over samples u, y, by kind and number."""
         series = {}
         for i in range(y.shape[1]):
-            series[Kind.READING, i] = self._reading(y[:, i], i)
+            series[Kind.READING, i] = self._reading(y[:, i], i, self.reading.factor(u, i))
         for j in range(len(self.reading.disturbance)):
             series[Kind.DISTURBANCE, j] = self._disturbance(j)
         for number in range(len(self.reading.window.sums)):
@@ -198,21 +198,25 @@ class HostStrips:
             most = most + np.maximum(lo * above, hi * above)
         return least, most
 
-    def _reading(self, y: np.ndarray, i: int) -> _Series:
-        """Return the _Series of an output, from its samples."""
+    def _reading(self, y: np.ndarray, i: int, factor: np.ndarray | None) -> _Series:
+        """Return the _Series of an output, from its samples and the factor on its noise."""
         r = self.reading
         y = y.astype(np.float64, copy=False)
-        sigma, offset, noise = float(r.tolerance[i]), float(r.offset_y[i]), float(r.noise[i])
+        sigma, offset = float(r.tolerance[i]), float(r.offset_y[i])
+        noise: Ends = float(r.noise[i])
+        if factor is not None:
+            noise = noise * factor.astype(np.float64)
         largest = _largest(y)
         tiny = float(rounding.tiny(np.float64))
-        rho = (noise + float(r.resolution[i]) + self._rounded(largest + noise) + 4 * tiny) * SLIGHTLY
+        rho = (noise + float(r.resolution[i]) + self._recorder * (largest + noise) + 4 * tiny) * SLIGHTLY
         own = 0.0 if self.gains else sigma
         lo, hi = _between(_moved(y, offset), rho, own)
-        return _Series(lo, hi, (largest + abs(offset) + rho) / (1 - sigma))
+        return _Series(lo, hi, (largest + abs(offset) + float(np.max(rho))) / (1 - sigma))
 
-    def _rounded(self, largest: float) -> float:
-        """Return the most that the recorder rounds away."""
-        return RECORDER_ULPS * float(rounding.unit(self.recorded)) * largest
+    @property
+    def _recorder(self) -> float:
+        """The share of a size that the recorder rounds away at most."""
+        return RECORDER_ULPS * float(rounding.unit(self.recorded))
 
     def _disturbance(self, j: int) -> _Series:
         """Return the _Series of a disturbance: its bounds."""
@@ -233,7 +237,7 @@ class HostStrips:
         for i, weights in values.parts:
             samples = y[:, i].astype(np.float64, copy=False)
             largest, offset, noise = _largest(samples), float(r.offset_y[i]), float(r.noise[i])
-            half += _size(weights) * (float(r.resolution[i]) + self._rounded(largest + noise))
+            half += _size(weights) * (float(r.resolution[i]) + self._recorder * (largest + noise))
             size += _size(weights) * (largest + abs(offset))
             for lag, f in enumerate(weights):
                 middle += float(f) * (samples[lag : lag + runs] - offset)
@@ -353,6 +357,13 @@ def _highest(x: np.ndarray) -> np.ndarray:
     return np.asarray(np.fmax.reduce(x, -1, initial=0.0))
 
 
+def _factor(reading: Reading, u: np.ndarray, i: int) -> np.ndarray:
+    """Return the factor (s + 1, N) on the noise of an output that has one, from windows u (s + 1, m, N)."""
+    factor = reading.factor(u, i)
+    assert factor is not None, "its number is among reading.times"
+    return factor.astype(np.float64)
+
+
 class _Runs(NamedTuple):
     """Rows of a bounded sum: their ends below, above (runs, N); size (runs,), what rounding errors are
     relative to.
@@ -375,9 +386,17 @@ class _Windows:
         self._y = reading.seen(y)
         largest = np.fmax.reduce(np.abs(self._y), 0, initial=0.0).astype(np.float64)
         self._sigma, self._offset, noise = map(_doubles, (reading.tolerance, reading.offset_y, reading.noise))
-        bound = noise + _doubles(reading.resolution) + RECORDER_ULPS * unit * noise + 4 * self._tiny
-        self._rho = (bound[:, None] + RECORDER_ULPS * unit * largest) * SLIGHTLY
-        outputs = (_highest(largest) + np.abs(self._offset) + _highest(self._rho)) / (1 - self._sigma)
+        noises = np.repeat(noise[None, :, None], len(y), 0)
+        if reading.times:
+            noises = np.repeat(noises, y.shape[2], 2)
+            for i in reading.times:
+                noises[:, i] *= _factor(reading, u, i)
+        bound = (
+            noises + _doubles(reading.resolution)[:, None] + RECORDER_ULPS * unit * noises + 4 * self._tiny
+        )
+        self._rho = (bound + RECORDER_ULPS * unit * largest) * SLIGHTLY
+        widest = _highest(self._rho).max(0)
+        outputs = (_highest(largest) + np.abs(self._offset) + widest) / (1 - self._sigma)
         disturbance = _doubles(reading.disturbance)
         disturbances = np.abs(disturbance).sum(1) + self._tiny
         self._ends = np.tile(disturbance, (reading.horizon, 1))
@@ -386,7 +405,7 @@ class _Windows:
         self._below = [part.below for part in runs]
         self._above = [part.above for part in runs]
         self.size = np.concatenate([*single, *[part.size for part in runs]])
-        offset_u = _doubles(reading.offset_u)
+        u, offset_u = reading.inputs(u), _doubles(reading.offset_u)
         self._known = np.ascontiguousarray((u - offset_u[:, None]).reshape(-1, y.shape[2]).T)
         inputs = _highest(_highest(np.abs(u)).T.astype(np.float64)) + np.abs(offset_u)
         self.known_size = np.tile(inputs, len(u))
@@ -459,7 +478,7 @@ class _Windows:
         outputs = rows < len(self._y) * p
         sample, i, window = rows[outputs] // p, rows[outputs] % p, of[outputs]
         d = self._y[sample, i, window] - self._offset[i]
-        lo[outputs], hi[outputs] = _between(d, self._rho[i, window], self._sigma[i])
+        lo[outputs], hi[outputs] = _between(d, self._rho[sample, i, window], self._sigma[i])
         single = len(self._y) * p + len(self._ends)
         if len(self._ends):
             disturbed = ~outputs & (rows < single)

@@ -63,12 +63,25 @@ def thin(reading: Reading, u: np.ndarray, y: np.ndarray) -> np.ndarray:
     offset = column(reading.offset_y)
     size, least = np.fmax.reduce(np.abs(y), 0), np.fmin.reduce(np.abs(y - offset), 0)
     with np.errstate(invalid="ignore"):  # no tolerance of an infinite sample
-        bound = column(reading.noise) + column(reading.resolution) + column(reading.tolerance) * least
+        noise = column(reading.noise)
+        if reading.times:
+            noise = noise * _least_factors(reading, u, y)
+        bound = noise + column(reading.resolution) + column(reading.tolerance) * least
     small = ~(bound > THIN[y.dtype] * rounding.unit(y.dtype) * (size + np.abs(offset))).all(0)
     small |= (size > np.sqrt(np.finfo(y.dtype).max)).any(0)
     small |= (bound < 2.0**40 * rounding.tiny(y.dtype)).any(0)
     infinite = np.isinf(y).any((0, 1)) | np.isinf(u).any((0, 1))
     return np.asarray(small & ~infinite)
+
+
+def _least_factors(reading: Reading, u: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return (p, N), the least factor on the noise of each output in windows; 1 where it has none."""
+    least = np.ones(y.shape[1:], y.dtype)
+    for i in reading.times:
+        factor = reading.factor(u, i)
+        if factor is not None:
+            least[i] = factor.min(0)
+    return least
 
 
 def _wide(reading: Reading, y: np.ndarray) -> bool:
@@ -104,7 +117,7 @@ def settle(
     """
     s = reading.horizon
     open_ = status == UNDECIDED
-    if not np.count_nonzero(open_) or _wide(reading, y):
+    if not np.count_nonzero(open_) or (not reading.times and _wide(reading, y)):
         return
     left = np.flatnonzero(open_ & (margin == 0))
     if len(left):

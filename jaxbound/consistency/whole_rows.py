@@ -49,6 +49,7 @@ def whole_rows(model: LinearSystem, reading: Reading, u: np.ndarray, y: np.ndarr
     """Return the WholeRows of windows u (lags, m, N), y (s + 1, p, N), NaN where missing."""
     numbers = _numbers(model, reading, u, y)
     evaluate = {Kind.READING: _of_reading, Kind.DISTURBANCE: _of_disturbance, Kind.SUM: _of_sum}
+    u = reading.inputs(u)
     twice, spread, factor = [], [], []
     for row in reading.window:
         middle, width, share = evaluate[row.kind](numbers, row)
@@ -84,15 +85,16 @@ class _Numbers:
     """Samples and bounds in integers, to be divided by `scale`.
 
     Fields: window; deviations (s + 1, p, N) from the offsets, of missing samples any; known, slip (lags, m,
-    N); noise, rounded (p,): of rounded its entries are (N,), resolution and rounding of the recorder;
-    tolerance (p,) Fractions; disturbance [(lo, hi)]; average [bound].
+    N); noise, rounded (p,): of rounded its entries are (N,), resolution and rounding of the recorder, of both
+    (s + 1, N) where noise is times a factor; tolerance (p,) Fractions; disturbance [(lo, hi)]; average
+    [bound].
     """
 
     window: WindowRows
     deviations: np.ndarray
     known: np.ndarray
     slip: np.ndarray
-    noise: np.ndarray
+    noise: list[np.ndarray]
     rounded: list[np.ndarray]
     tolerance: list[Fraction]
     disturbance: np.ndarray
@@ -105,6 +107,12 @@ def _numbers(model: LinearSystem, reading: Reading, u: np.ndarray, y: np.ndarray
     need.
     """
     used = np.where(reading.window.used[:, :, None], y, np.nan)
+    factors: dict[int, np.ndarray] = {}
+    for i in reading.times:
+        factor = reading.factor(u, i)
+        if factor is not None:
+            factors[i] = factor
+    u = reading.inputs(u)
     inputs = np.where(np.isnan(u), 0, u)
     slip = input_slip(inputs)
     bounds = [
@@ -113,7 +121,8 @@ def _numbers(model: LinearSystem, reading: Reading, u: np.ndarray, y: np.ndarray
     ]
     # the recorder's ulps are a power of two: shifted by it sizes of samples still are integers
     shift = -int(np.log2(float(RECORDER_ULPS * rounding.unit(y.dtype))))
-    power = max(0, shift + max(map(places, (u, slip, used, *bounds))))
+    finest = max(map(places, factors.values()), default=0)
+    power = max(0, shift + max(map(places, (u, slip, used, *bounds))) + finest)
     offsets = (*model.offset["u"], *model.offset["y"])
     common = lcm(*(x.denominator for x in offsets))
 
@@ -125,16 +134,18 @@ def _numbers(model: LinearSystem, reading: Reading, u: np.ndarray, y: np.ndarray
 
     noise, resolution, disturbance, average = map(whole, bounds)
     samples = whole(np.where(np.isnan(used), 0, used))
-    rounded = []
+    noises, rounded = list(noise), []
     for i in range(len(noise)):
+        if i in factors:
+            noises[i] = noise[i] * whole_floats(factors[i], finest) >> finest
         largest = np.abs(samples[:, i]).max(0)
-        rounded.append(resolution[i] + ((largest + noise[i]) >> shift))
+        rounded.append(resolution[i] + ((largest + noises[i]) >> shift))
     return _Numbers(
         reading.window,
         samples - whole_offset(model.offset["y"]),
         whole(inputs) - whole_offset(model.offset["u"]),
         whole(slip),
-        noise,
+        noises,
         rounded,
         [Fraction(float(x)) for x in reading.tolerance],
         disturbance,
@@ -150,6 +161,8 @@ def _of_reading(numbers: _Numbers, row: Row) -> tuple[np.ndarray, np.ndarray, Fr
     under = int((1 - sigma) * sigma.denominator)
     either = np.array([under, over], object)  # which may be too long for 64 bits
     rho = numbers.noise[i] + numbers.rounded[i]
+    if np.ndim(rho) > 1:  # of each sample
+        rho = rho[row.first]
     d = numbers.deviations[row.first, i]
     above, below = rho + d, rho - d
     # times (1 - sigma) (1 + sigma) and the denominator of sigma

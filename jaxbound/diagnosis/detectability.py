@@ -34,6 +34,7 @@ from jaxbound.exact.price import SECONDS
 from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.faults import Fault
+from jaxbound.models.operating_point import at_factors
 from jaxbound.models.rows import Kind, WindowRows
 from jaxbound.models.sensor import RECORDER_ULPS
 from jaxbound.models.system import LinearSystem
@@ -91,6 +92,7 @@ def detectable(
     operating_range: OperatingRange = None,
     lags: Sequence[int] | None = None,
     method: str = "joint",
+    factors: Mapping[str, Number] | None = None,
 ) -> GuaranteedSize:
     """Return the smallest size of a constant fault that is guaranteed to be detected.
 
@@ -107,6 +109,8 @@ def detectable(
         method: "joint": of windows. "observer": of a set observer that has settled when the fault begins, a
             bias or a drift (its size is a sample's), on a certain model without tolerances; no horizon,
             operating_range or lags.
+        factors: {output: the largest value of its factor in the window}, of a model whose noise is times
+            factors; of windows with larger ones nothing is said.
 
     Returns:
         A GuaranteedSize, a float: `detect` with method "joint", in float64, calls every complete window FAULT
@@ -118,7 +122,8 @@ def detectable(
         since the onset: size}.
 
     Raises:
-        ValueError: a signal that the model does not have, an operating range that is missing or not positive.
+        ValueError: a signal that the model does not have, an operating range that is missing or not positive,
+            factors that are missing or negative.
         NotImplementedError: another kind of fault, an uncertain model; with "observer" one with tolerances.
 
     Example:
@@ -135,7 +140,7 @@ def detectable(
             f"method must be joint or {SetObserver.method}, not {method!r}: sizes of others are counted by "
             f"jb.study"
         )
-    model = as_model(model)
+    model = at_factors(as_model(model, factors=True), factors)
     signal = _constant_fault(model, fault)
     reach = operating_reach(model, operating_range)
     if horizon is None and lags is None:
@@ -226,8 +231,8 @@ def always_seen(
 
     Returns:
         The sizes of `detectable` at the horizon of the relations, outputs first; None where they are not
-        known: another method than "joint", an uncertain model, or windows so long that more than about a
-            second would be spent.
+        known: another method than "joint", an uncertain model, noise times factors, or windows so long that
+            more than about a second would be spent.
 
     Example:
         >>> from jaxbound import LinearSystem
@@ -239,7 +244,7 @@ def always_seen(
         return None
     model, s = relations.model, relations.horizon
     signals, rows = model.outputs + model.inputs, (s + 1) * model.p + s * model.g
-    if model.uncertainties or rows**3 * (1 + model.d) * len(signals) > EFFORT:
+    if model.uncertainties or model.factors or rows**3 * (1 + model.d) * len(signals) > EFFORT:
         return None
     reach = None
     if any(model.tolerance):

@@ -84,7 +84,7 @@ def unit_hints(result: Judgement) -> list[str]:
     relations, status = result.relations, np.asarray(result.status)
     if result.method != "joint" or not isinstance(relations, ParityRelation) or status.ndim != 1:
         return []
-    if relations.model.constant_tolerance:
+    if relations.model.constant_tolerance or relations.model.factors:  # which inputs in other units change
         return []
     tested = np.flatnonzero(status != Status.MISSING)
     if not len(tested):

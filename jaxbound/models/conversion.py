@@ -15,6 +15,7 @@ import numpy as np
 from jaxbound.exact.exponential import exponential
 from jaxbound.exact.linalg import rational
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.times import refuse_factors
 
 __all__ = ["ModelLike", "StateSpace", "as_model", "from_control", "from_scipy", "hold"]
 
@@ -42,12 +43,16 @@ ModelLike: TypeAlias = LinearSystem | StateSpace
 """What `as_model` takes."""
 
 
-def as_model(obj: ModelLike) -> LinearSystem:
+def as_model(obj: ModelLike, factors: bool = False) -> LinearSystem:
     """Return a LinearSystem as it is; convert a discrete state-space object of python-control or
     scipy.signal.
 
+    Args:
+        factors: whether the caller knows factors on the noise, the `times` of a model.
+
     Raises:
-        TypeError: anything else. ValueError: what `from_control` and `from_scipy` refuse.
+        TypeError: anything else. ValueError: a model with `times` where they are not known; what
+            `from_control` and `from_scipy` refuse.
 
     Example:
         >>> m = LinearSystem([[0.5]], None, [[1]])
@@ -55,6 +60,8 @@ def as_model(obj: ModelLike) -> LinearSystem:
         True
     """
     if isinstance(obj, LinearSystem):
+        if not factors:
+            refuse_factors(obj)
         return obj
     packages = _packages(obj)
     if "control" in packages:

@@ -20,6 +20,7 @@ __all__ = [
     "AVERAGES",
     "BOUND",
     "MATRIX",
+    "NOISE",
     "NUMBER",
     "RANGE",
     "TEXT",
@@ -39,6 +40,7 @@ Stated: TypeAlias = tuple[int | str | list[int | str], int | str]
 """(samples or weights, bound) of an average."""
 
 AVERAGE = ("samples", "weights", "bound")
+TIMES = ("bound", "times")
 LARGEST_EXPONENT = 400  # no float is that large, and an exact number would take as many digits
 LONG = 15  # digits of a whole number that is written without an exponent
 
@@ -178,6 +180,25 @@ def _spelled_bound(ends: tuple[Fraction, Fraction]) -> str:
     return _spelled_range(ends)
 
 
+def _read_noise(field: str, where: str, value: object) -> int | str | tuple[int | str, str]:
+    """Return the bound of a noise, with the expression of its factor where it has one."""
+    if not isinstance(value, dict):
+        return _read_number(field, where, value)
+    name = _named(field, where)
+    table = known_fields(name, value, TIMES)
+    for part in TIMES:
+        if part not in table:
+            raise ValueError(f'{name} needs {part}: {{bound = 0.4, times = "1 + 0.5*abs(fan - 0.6)"}}')
+    return _read_number("bound", name, table["bound"]), _read_text("times", name, table["times"])
+
+
+def _spelled_noise(bound: Fraction | tuple[Fraction, str]) -> str:
+    if not isinstance(bound, tuple):
+        return _spelled(bound)
+    size, times = bound
+    return f"{{bound = {_spelled(size)}, times = {_quoted(times)}}}"
+
+
 def _read_matrix(field: str, where: str, value: object) -> list[list[int | str]]:
     name = _named(field, where)
     if not isinstance(value, list) or not all(isinstance(row, list) for row in value):
@@ -230,6 +251,7 @@ NUMBER = ValueKind(_read_number, _spelled)
 TRUTH = ValueKind(_read_truth, json.dumps)
 RANGE = ValueKind(_read_range, _spelled_range)
 BOUND = ValueKind(_read_bound, _spelled_bound)
+NOISE = ValueKind(_read_noise, _spelled_noise)
 MATRIX = ValueKind(_read_matrix, _spelled_matrix)
 AVERAGES = ValueKind(_read_averages, _spelled_averages)
 

@@ -14,6 +14,7 @@ from jaxbound.exact.linalg import Matrix, Number, columns_of
 from jaxbound.models.fingerprint import fingerprint
 from jaxbound.models.signals import Each, named
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.times import refuse_factors
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval, interval
 from jaxbound.text.objects import readable
@@ -242,6 +243,7 @@ def as_intervals(model: LinearSystem | IntervalSystem, unknown_inputs: bool = Fa
     if model.d and not unknown_inputs:
         raise ValueError("validate takes no unknown inputs: use jb.observe, jb.unknown_inputs or jb.detect")
 
+    refuse_factors(model)
     left = _combinations(model)
     moves = None
     if left is not None:

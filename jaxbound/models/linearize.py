@@ -99,6 +99,10 @@ def linearize(
         raise ValueError(
             f"linearize needs at least one state and a positive dt: {n} states, dt={float(period):g}"
         )
+    if bounds.get("times"):
+        raise ValueError(
+            "linearize takes no times: what it adds to the noise for its remainder must not be times a factor"
+        )
     between = _parameters(parameters)
     names = tuple(between)
     states = named("states", bounds.get("states"), n, "x")

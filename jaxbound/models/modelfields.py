@@ -16,6 +16,7 @@ from jaxbound.models.filevalues import (
     AVERAGES,
     BOUND,
     MATRIX,
+    NOISE,
     NUMBER,
     RANGE,
     TEXT,
@@ -121,6 +122,29 @@ class OfEachOutput:
     def value(self, model: LinearSystem, name: str, entry: Entry) -> object:
         """Return the number of an output; None: it is 0."""
         return getattr(model, name)[entry.number] or None
+
+
+@dataclass(frozen=True)
+class NoiseOfEachOutput:
+    """The noise of each output, 0 where a file says nothing, and the factors on it."""
+
+    def collect(self, arguments: dict[str, Any], name: str, place: str, tables: list[Table]) -> None:
+        """Put the bounds of all outputs and their factors into the arguments."""
+        bounds, times = [], {}
+        for table in tables:
+            bound = table.get(name, 0)
+            if isinstance(bound, tuple):
+                bound, times[table["name"]] = bound
+            bounds.append(bound)
+        if tables:
+            arguments |= {name: bounds, "times": times}
+
+    def value(self, model: LinearSystem, name: str, entry: Entry) -> object:
+        """Return the bound of an output, with its factor where it has one; None: it is 0."""
+        bound, output = model.noise[entry.number], model.outputs[entry.number]
+        if output in model.times:
+            return bound, model.times[output]
+        return bound or None
 
 
 @dataclass(frozen=True)
@@ -295,7 +319,7 @@ FIELDS = (
     Field("outputs", "column", TEXT, BySignal("columns")),
     Field("outputs", "offset", NUMBER, OffsetOf("y")),
     Field("outputs", "tolerance", NUMBER, OfEachOutput()),
-    Field("outputs", "noise", NUMBER, OfEachOutput()),
+    Field("outputs", "noise", NOISE, NoiseOfEachOutput()),
     Field("outputs", "resolution", NUMBER, OfEachOutput()),
     Field("outputs", "averages", AVERAGES, Elsewhere(_averages)),
     Field("disturbances", "bound", BOUND, Elsewhere(_disturbance)),

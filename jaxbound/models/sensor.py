@@ -29,7 +29,7 @@ window plus noise.
 def true_value(
     samples: Sequence[jax.Array],
     tolerance: jax.Array,
-    noise: jax.Array,
+    noise: jax.Array | Sequence[jax.Array],
     resolution: jax.Array,
     offset: jax.Array,
     largest: jax.Array | None = None,
@@ -40,7 +40,8 @@ def true_value(
     Args:
         samples: the s + 1 recorded values of one output, each a scalar or an array over windows; NaN where
             absent.
-        tolerance, noise, resolution, offset: of that output, scalars, taken as exact.
+        tolerance, noise, resolution, offset: of that output, scalars, taken as exact; noise that differs from
+            sample to sample: as the samples, off by one rounding.
         largest: the largest magnitude among the samples, if the caller has it (else the samples must be all
             of the window's).
 
@@ -58,14 +59,12 @@ def true_value(
             largest = jnp.maximum(largest, abs(y))
     # an infinite sample stays its own row's matter
     largest = jnp.minimum(largest, np.finfo(largest.dtype).max)
-    rho = (
-        noise
-        + resolution
-        + RECORDER_ULPS * rounding.unit(largest.dtype) * (largest + noise)
-        + rounding.tiny(largest.dtype)
-    )
+    if isinstance(noise, Sequence):
+        each = [_rho(x, resolution, largest) for x in noise]
+    else:
+        each = [_rho(noise, resolution, largest)] * len(samples)
     mid, rad, scale = [], [], []
-    for gone, y in zip(absent, samples, strict=True):
+    for gone, y, rho in zip(absent, samples, each, strict=True):
         d = y - offset
         above, below, half = abs(d + rho), abs(d - rho), 0.5 * tolerance
         # above - below = 2 clip(d, -rho, rho), above + below = 2 max(|d|, rho)
@@ -75,6 +74,16 @@ def true_value(
         # 0 * inf is NaN in every row of a window with an infinite sample, and NaN is absence, never overflow
         scale.append(jnp.where(gone, jnp.nan, jnp.where(size < jnp.inf, size, jnp.inf)))
     return mid, rad, scale
+
+
+def _rho(noise: jax.Array, resolution: jax.Array, largest: jax.Array) -> jax.Array:
+    """Return the largest |delta| of samples."""
+    return (
+        noise
+        + resolution
+        + RECORDER_ULPS * rounding.unit(largest.dtype) * (largest + noise)
+        + rounding.tiny(largest.dtype)
+    )
 
 
 def largest_error(y: np.ndarray, noise: np.ndarray, recorded: np.dtype | type, horizon: int) -> np.ndarray:

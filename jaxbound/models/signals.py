@@ -57,13 +57,14 @@ class ModelSignals:
 @dataclass(frozen=True)
 class Sensors:
     """The bounds of the sensors of a model, one number an output. Build it with `sensors`; the fields are
-    those of a LinearSystem.
+    those of a LinearSystem, times as pairs (output, expression).
     """
 
     tolerance: Vector
     noise: Vector
     resolution: Vector
     constant_tolerance: bool
+    times: Words = ()
 
 
 def model_signals(

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import FrozenInstanceError, dataclass, fields
+from dataclasses import FrozenInstanceError, dataclass, fields, replace
 from fractions import Fraction
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Generic, NoReturn, TypeVar, overload
 
@@ -24,8 +25,10 @@ from jaxbound.models.signals import (
     sensors,
     words,
 )
+from jaxbound.models.times import times_of
 from jaxbound.models.uncertainty import Uncertainty, centred
 from jaxbound.models.unknown import Bounded, Coupling, without_descriptor
+from jaxbound.recordings.factors import Factor
 from jaxbound.text.objects import readable
 from jaxbound.text.units import without_unit
 
@@ -78,6 +81,10 @@ class LinearSystem:
         constant_tolerance: True if each theta keeps one value over a window (the gain error of a sensor),
             False if it is drawn anew.
         noise: absolute noise bound >= 0, in the unit of the output, one number or one per output.
+        times: {output: expression}: the noise of an output is its bound times the value of an expression at
+            each sample, {"T1": "1 + 0.5*abs(fan - 0.6)"}: over inputs of the model, by their names and as
+            recorded, and over other columns of the recording, never over what an output is read from. Where
+            it has no value, that sample of the output counts as missing. Also kept as .factors.
         resolution: what the recording itself rounds away (half a step of a quantised sensor), in the unit of
             the output, one number or one per output. On top of it, every sample is taken to be known to 4 u
             (largest |y_i| in the window + noise_i), u the unit roundoff of the recording's float type: a sum,
@@ -120,7 +127,7 @@ class LinearSystem:
 
     Raises:
         ValueError: shapes that do not fit, a number that is not finite, a negative bound, a tolerance >= 1, a
-            name used twice.
+            name used twice, a factor that rests on an output.
 
     Source: Adrot, Maquin, Ragot 2000, (1)-(2).
 
@@ -176,6 +183,7 @@ class LinearSystem:
         *,
         tolerance: Each = 0.0,
         noise: Each = 0.0,
+        times: Mapping[str, str] | None = None,
         constant_tolerance: bool | np.bool_ = False,
         resolution: Each | None = None,
         E: MatrixLike | None = None,
@@ -213,6 +221,8 @@ class LinearSystem:
         refuse_other_every(signals.columns, parts.dt)
         length, sparse = _window(horizon, lags)
         measured = sensors(signals.outputs, tolerance, noise, resolution, constant_tolerance)
+        factors = times_of(times, signals, measured, bool(parts.uncertainties))
+        measured = replace(measured, times=factors)
         vars(self).update(
             plant=parts,
             sensors=measured,
@@ -252,6 +262,7 @@ class LinearSystem:
             "dt": self.dt,
             "tolerance": self.tolerance,
             "noise": self.noise,
+            "times": self.times,
             "constant_tolerance": self.constant_tolerance,
             "resolution": self.resolution,
             "unknown_inputs": (self.F, self.D_v) if self.d else None,
@@ -271,6 +282,16 @@ class LinearSystem:
             "averages": self.averages,
             "left_out": self.left_out,
         }
+
+    @property
+    def times(self) -> Mapping[str, str]:
+        """The factors on the noise that are stated, {output: expression}."""
+        return MappingProxyType(dict(self.sensors.times))
+
+    @cached_property
+    def factors(self) -> tuple[Factor, ...]:
+        """The same in the order of the columns that they have behind the inputs of a Recording."""
+        return tuple(Factor(self.outputs.index(name), name, text) for name, text in self.sensors.times)
 
     @property
     def offset(self) -> Mapping[str, Vector]:
@@ -352,6 +373,8 @@ class LinearSystem:
                 f"tolerance {float(tolerance):.4g}, noise {float(noise):.4g}, "
                 f"resolution {float(resolution):.4g} {self.unit(name)}"
             )
+            if name in self.times:
+                rows[name] += f", noise times {self.times[name]}"
         for u in self.uncertainties:
             rows[u.name] = repr(u)
         return rows
@@ -385,6 +408,11 @@ def _averages(
         )
     for average in averages:
         signal = average.signal
+        if signal in dict(measured.times):
+            raise ValueError(
+                f"averages and times of {signal!r} do not go together: errors whose bound follows a factor "
+                f"have no one bound on their mean"
+            )
         if signal in outputs and measured.tolerance[outputs.index(signal)]:
             raise ValueError(
                 f"averages of {signal!r} need its tolerance to be 0: a relative error of samples that "

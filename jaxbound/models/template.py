@@ -67,7 +67,7 @@ resolution = 0.0005  # half a step of what the recorder rounds to: three decimal
 [[outputs]]
 name = "flow"
 unit = "m3/s"
-noise = 0.05
+noise = 0.05         # or a bound that follows the operating point: noise = {bound = 0.05, times = "1 + abs(pump - 50) / 100"}
 # averages = [{samples = 16, bound = 0.01}]   # errors that average out: so large at most is the mean of 16 consecutive ones
 
 # One [[disturbances]] block per column of G, in order: what acts on the states unmeasured, drawn anew each sample within its bound.

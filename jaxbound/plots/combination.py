@@ -27,7 +27,7 @@ class _Samples:
     """The true outputs of every window, less their offsets, as its samples tell alone.
 
     Fields: middle, half (N, (s+1)p), time-major; error (N, p): what noise, resolution and rounding may add to
-    a sample.
+    the last sample.
     """
 
     middle: np.ndarray
@@ -47,7 +47,7 @@ def combination(certificate: Certificate, u: np.ndarray, y: np.ndarray) -> tuple
     """
     window, model = certificate.window, certificate.window.model
     s, outputs, disturbed = window.horizon, (window.horizon + 1) * model.p, model.g * window.horizon
-    samples = _samples(window, y)
+    samples = _samples(window, u, y)
     h, k = _floats(certificate.h), _floats(certificate.k)
     used = np.flatnonzero(h[:outputs])  # a sample that is not looked at may be missing
     value = samples.middle[:, used] @ h[used]
@@ -87,7 +87,7 @@ def expected_readings(relations: ParityRelation, u: np.ndarray, y: np.ndarray) -
     if len(y) <= s or not len(rows.outputs):
         return Interval(lo, hi)
     window = exact_window(relations, u[: s + 1], y[: s + 1])
-    samples = _samples(window, y)
+    samples = _samples(window, u, y)
     least, most = (
         np.full((len(samples.middle), model.p), -np.inf),
         np.full((len(samples.middle), model.p), np.inf),
@@ -159,11 +159,19 @@ def _bounded_by(
     return lo, hi
 
 
-def _samples(window: ExactWindow, y: np.ndarray) -> _Samples:
-    """Return the ranges of the true outputs of all windows that the samples y (T, p) alone allow."""
+def _samples(window: ExactWindow, u: np.ndarray, y: np.ndarray) -> _Samples:
+    """Return the ranges of the true outputs of all windows that the samples y (T, p) alone allow, u (T, m)
+    with the factors on their noise.
+    """
     every = np.lib.stride_tricks.sliding_window_view(np.asarray(y, float), window.horizon + 1, axis=0)
     every = np.moveaxis(every, 2, 1)  # (N, s + 1, p)
-    noise, tolerance = _floats(window.noise), _floats(window.tolerance)
+    noise, tolerance = _floats(window.noise)[None, None], _floats(window.tolerance)
+    if window.model.factors:
+        factors = np.ones(np.shape(y))
+        for column, factor in enumerate(window.model.factors, window.model.m):
+            factors[:, factor.number] = np.asarray(u, float)[:, column]
+        windows = np.lib.stride_tricks.sliding_window_view(factors, window.horizon + 1, axis=0)
+        noise = noise * np.moveaxis(windows, 2, 1)
     largest = np.fmax.reduce(abs(every), 1, keepdims=True, initial=0.0)
     recorded = RECORDER_ULPS * float(window.unit) * (largest + noise) + float(window.floor)
     error = noise + _floats(window.resolution) + recorded
@@ -174,7 +182,7 @@ def _samples(window: ExactWindow, y: np.ndarray) -> _Samples:
     deviation = every - _floats(window.model.offset["y"])
     low, high = -stretched(error - deviation), stretched(error + deviation)
     flat = (len(every), -1)
-    return _Samples(((low + high) / 2).reshape(flat), ((high - low) / 2).reshape(flat), error[:, 0])
+    return _Samples(((low + high) / 2).reshape(flat), ((high - low) / 2).reshape(flat), error[:, -1])
 
 
 def _readings(
@@ -214,7 +222,7 @@ def _inputs(window: ExactWindow, u: np.ndarray, count: int, known: int) -> np.nd
     m = window.model.m
     if not known:
         return np.zeros((count, 0))
-    deviation = np.asarray(u, float) - _floats(window.model.offset["u"])
+    deviation = np.asarray(u, float)[:, :m] - _floats(window.model.offset["u"])
     lags = [deviation[lag : lag + count] for lag in range(known // m)]
     return np.concatenate(lags, 1)
 

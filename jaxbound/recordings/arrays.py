@@ -5,6 +5,7 @@ NaN, everything checked.
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, cast
 
 import jax
@@ -18,6 +19,17 @@ from jaxbound.recordings.expressions import (
     fails,
     find_column,
     is_expression,
+)
+from jaxbound.recordings.factors import (
+    Factor,
+    by_name,
+    factors_of,
+    followed_by,
+    known,
+    masked,
+    narrowed,
+    values_of,
+    with_factors,
 )
 from jaxbound.recordings.oddcells import OddCells, error_hints, odd_of_frame, refuse_odd, unsaid_hints
 from jaxbound.recordings.signals import Named
@@ -40,6 +52,7 @@ __all__ = [
     "without_words",
 ]
 
+NO_TABLES: Mapping[str, Any] = MappingProxyType({})
 HALF = "{} is in half precision: convert it to float32 and state in `resolution` what was rounded away"
 
 
@@ -70,11 +83,24 @@ def floats(data: Data, name: str) -> np.ndarray:
     return _without_names(as_table(data, name), name)
 
 
-def float_arrays(model: Named, u: Data, y: Data, narrow: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return u and y as float arrays of one batch that fit the model. See `Recording.of` for `narrow`.
+def float_arrays(
+    model: Named,
+    u: Data,
+    y: Data,
+    narrow: bool,
+    tables: Mapping[str, Any] = NO_TABLES,
+    excluded: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return u and y as float arrays of one batch that fit the model, with its factors behind the inputs. See
+    `Recording.of` for `narrow`.
+
+    Args:
+        tables: DataFrames, by their columns factors are worked out. excluded: (T,) bool, samples that do not
+            count, or None.
 
     Raises:
-        ValueError: a shape that does not fit the model or the other array, text, half precision.
+        ValueError: a shape that does not fit the model or the other array, text, half precision, a factor
+            that is none.
     """
     y = _channels(_signals_by_name(model, y, "y", model.outputs), "y", model.outputs)
     if u is not None:
@@ -83,19 +109,64 @@ def float_arrays(model: Named, u: Data, y: Data, narrow: bool) -> tuple[np.ndarr
         raise ValueError(f"u is missing: the model has the inputs {listed(model.inputs, str)}")
     else:
         u = np.zeros((*y.shape[:-1], 0), y.dtype)
-    u = _channels(u, "u", model.inputs)
+    columns, own = model.inputs, known(model)
+    if u.ndim > 1 and u.shape[-1] == len(own):
+        columns = own
+    u = _channels(u, "u", columns)
     if u.shape[-2] != y.shape[-2]:
         raise ValueError(f"u and y must have the same number of samples: {u.shape[-2]} and {y.shape[-2]}")
+    if factors_of(model):
+        u, y = _factored(model, u, y, tables, excluded)
     if narrow:
         dtype = jax.dtypes.canonicalize_dtype(y.dtype)
         if dtype != y.dtype and isinstance(y, np.ndarray):
             _warn_rounded(y, dtype)
-        u, y = _in_type(u, dtype), _in_type(y, dtype)
+        u, y = narrowed(model, u, dtype), _in_type(y, dtype)
     try:
         batch = np.broadcast_shapes(u.shape[:-2], y.shape[:-2])
     except ValueError:
         raise ValueError(f"the leading axes of u {u.shape} and y {y.shape} do not fit each other") from None
     return _broadcast(u, batch), _broadcast(y, batch)
+
+
+def _factored(
+    model: Named, u: np.ndarray, y: np.ndarray, tables: Mapping[str, Any], excluded: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return (u, y) with the factors of a model behind its inputs, where they are not there already."""
+    m = len(model.inputs)
+    if u.shape[-1] > m:
+        followed_by(model, u)
+        return u, masked(model, u, y)
+    if isinstance(u, jax.core.Tracer) or isinstance(y, jax.core.Tracer):
+        raise ValueError(
+            "factors on noise are worked out on the host: inside jit, vmap or grad give u with the factors "
+            "behind its inputs, as Recording.of(model, u, y).u has them"
+        )
+    u, y = np.asarray(u), np.asarray(y)
+    if tables:
+        values = [_over_tables(model, factor.expression, u, tables) for factor in factors_of(model)]
+    else:
+        for factor in factors_of(model):
+            _refuse_columns(model, factor)
+        values = values_of(model, {}, u)
+    if excluded is not None:
+        values = [np.where(excluded, np.nan, x) for x in values]
+    return with_factors(model, u, y, values)
+
+
+def _over_tables(model: Named, e: Expression, u: np.ndarray, tables: Mapping[str, Any]) -> np.ndarray:
+    """Return the values of an Expression over the inputs u (T, m) and the columns of DataFrames."""
+    return computed(e, tables, "the recording", by_name(model, u))
+
+
+def _refuse_columns(model: Named, factor: Factor) -> None:
+    """Raise ValueError for a factor that needs more than the inputs of a model: arrays have no columns."""
+    others = [name for name in factor.expression.columns if name not in model.inputs]
+    if others:
+        raise ValueError(
+            f"the noise of {factor.output!r} is times {factor.text!r}, and arrays have no column "
+            f"{listed(others)}: give a table or a file, or u with the factors behind its inputs"
+        )
 
 
 def _in_type(x: np.ndarray, dtype: np.dtype) -> np.ndarray:
@@ -132,19 +203,28 @@ def refuse_infinite(name: str, data: ArrayLike, channels: Sequence[str]) -> None
         )
 
 
-def computed(e: Expression, frames: Mapping[str, Any], name: str) -> np.ndarray:
-    """Return the values of an Expression over the columns of DataFrames, and over their index by its name."""
+def computed(
+    e: Expression, frames: Mapping[str, Any], name: str, given: Mapping[str, np.ndarray] = NO_TABLES
+) -> np.ndarray:
+    """Return the values of an Expression over the columns of DataFrames, and over their index by its name.
+
+    Args:
+        given: {name: floats}, which go before columns of the same name.
+    """
     import pandas as pd
 
     series: dict[str, pd.Series] = {}
     for frame in reversed(list(frames.values())):
         series[str(frame.index.name)] = frame.index.to_series()
         series |= {column: frame[column] for column in frame.columns}
-    e = e.among(list(series))
+    e = e.among(list(dict.fromkeys((*given, *series))))
     values: dict[str, np.ndarray] = {}
     if e.clock:
         values |= _told_by_clock(e, frames)
     for column in e.read:
+        if column in given:
+            values[column] = given[column]
+            continue
         cells = series[column]
         if pd.api.types.is_datetime64_any_dtype(cells):
             values[column] = cells.to_numpy("datetime64[ns]")

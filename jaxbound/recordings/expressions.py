@@ -44,8 +44,10 @@ Value = np.ndarray | np.generic | str
 
 NAMES_OF_FUNCTIONS = """
     abs sqrt exp expm1 log log1p log10 sin cos tan arcsin arccos arctan arctan2 sinh cosh tanh arcsinh arccosh
-    arctanh floor ceil
+    arctanh floor ceil minimum maximum
 """.split()
+OF_TWO = ("arctan2", "minimum", "maximum")
+"""Functions of two numbers; the others take one."""
 FUNCTIONS: dict[str, Operation] = {name: getattr(np, name) for name in NAMES_OF_FUNCTIONS}
 ARITHMETIC: dict[type[ast.operator | ast.unaryop], Operation] = {
     ast.Add: np.add,
@@ -285,8 +287,8 @@ def expression(text: str) -> Expression:
 
     Args:
         text: columns, numbers, + - * / // % **, comparisons (chained ones too), and, or, not, & and | for and
-            and or, abs, sqrt, exp, log, sin, ... A leading "=" does not count. Text columns and times may be
-            compared with text in quotes. Names of `CLOCK` need no column.
+            and or, abs, sqrt, minimum, maximum, exp, log, sin, ... A leading "=" does not count. Text columns
+            and times may be compared with text in quotes. Names of `CLOCK` need no column.
 
     Returns:
         An Expression.
@@ -353,7 +355,7 @@ def _check_nodes(text: str, nodes: Iterable[ast.AST]) -> None:
         if not isinstance(node.func, ast.Name) or node.func.id not in FUNCTIONS or node.keywords:
             _refuse_part(text, f"the function {ast.unparse(node.func)}")
         name, count = node.func.id, len(node.args)
-        if count != (2 if name == "arctan2" else 1):
+        if count != 1 + (name in OF_TWO):
             raise ValueError(f"the expression {text!r} gives {name} {count} numbers")
 
 

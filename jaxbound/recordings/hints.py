@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from jaxbound.recordings.factors import known
 from jaxbound.recordings.signals import Named
 from jaxbound.text.names import listed
 
@@ -45,7 +46,7 @@ def missing_hints(
 def missing_samples(model: Named, u: np.ndarray, y: np.ndarray) -> dict[str, int]:
     """Return {signal: number of its missing samples}."""
     missing = [*np.isnan(u).sum(0).tolist(), *np.isnan(y).sum(0).tolist()]
-    return dict(zip((*model.inputs, *model.outputs), missing, strict=True))
+    return dict(zip((*known(model), *model.outputs), missing, strict=True))
 
 
 def missing_sentences(missing: Mapping[str, int], samples: int) -> list[str]:

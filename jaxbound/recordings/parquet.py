@@ -216,7 +216,7 @@ class ParquetSource(Source):
             columns[name] = np.array(table.column(name).to_pylist(), object)
         try:
             begin = time[0] if start == 0 else self.begin
-            samples = self.plan.samples(columns, len(table), (time - begin, stamps), self.dtype)
+            samples = self.plan.samples(columns, len(table), (time - begin, stamps), self.dtype, start)
         except ValueError as e:
             raise ValueError(f"{self.path}: {e}") from None
         recording = Recording.filed(self.model, samples, (time, stamps, written), self.path.name)
@@ -299,9 +299,11 @@ class ParquetSource(Source):
                 at += len(batch)
 
     def _is_computed_with(self, column: str) -> bool:
-        """Return whether a signal or the condition is an expression over a column."""
-        signals = (*self.plan.inputs, *self.plan.outputs, self.plan.where)
-        return any(isinstance(signal, Expression) and column in signal.columns for signal in signals)
+        """Return whether a signal, the condition or a factor is an expression over a column."""
+        signals = (*self.plan.inputs, *self.plan.outputs)
+        if any(isinstance(signal, Expression) and column in signal.columns for signal in signals):
+            return True
+        return any(column in self.plan.own(e) for e in self.plan.computed)
 
     def _numbers(self, start: int, name: str, column: "pa.ChunkedArray") -> np.ndarray:
         """Return a column as floats, NaN where a sample is missing."""

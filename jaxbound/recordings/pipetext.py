@@ -15,6 +15,7 @@ import numpy as np
 from jaxbound.recordings.columns import to_arrow
 from jaxbound.recordings.csvlines import BOM, split_lines
 from jaxbound.recordings.csvtext import is_number
+from jaxbound.recordings.factors import known
 from jaxbound.recordings.linetext import SOURCE, Cells, LineReader, WrongCells
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import TOLERATED_STEP, check_period, tick
@@ -232,7 +233,7 @@ class PipeText(Stream):
             samples.u,
             samples.y,
             samples.starts,
-            self.model.inputs,
+            known(self.model),
             self.model.outputs,
             samples.excluded,
             time=samples.time,

@@ -17,6 +17,7 @@ from jaxbound.recordings.arrays import computed, float_arrays, is_made, refuse_i
 from jaxbound.recordings.clockintervals import seconds_of
 from jaxbound.recordings.columns import to_arrow
 from jaxbound.recordings.expressions import expression, fails, find_column
+from jaxbound.recordings.factors import known
 from jaxbound.recordings.means import (
     Grid,
     every_of,
@@ -60,10 +61,11 @@ class Recording:
 
     Fields:
         u, y: (..., T, m), (..., T, p) of one float dtype in the order of the model's signals; NaN where a
-            sample is missing or does not count. Tracers and jax arrays stay what they are.
+            sample is missing or does not count. Behind the inputs u has a column for each factor on the noise
+            of an output. Tracers and jax arrays stay what they are.
         starts: (k,) whole numbers, ascending: samples that do not follow the one before. Windows across are
             MISSING.
-        inputs, outputs: names of the signals; both empty: not known, they are taken by position.
+        inputs, outputs: names of the columns of u and y; both empty: not known, they are taken by position.
         excluded: (T,) bool, samples that the model's `where` leaves out, with a start at either end of each
             stretch; None: it has none, or there was no table to look at.
         index: labels of the rows, of the table that y came from, else of that of u; of a file its times;
@@ -110,7 +112,8 @@ class Recording:
         Args:
             model: with .inputs, .outputs and, where tables may be named otherwise, .columns, .column(signal),
                 .dt (None: not known).
-            u, y: arrays (..., T, m), (..., T, p), masked or not; or tables: DataFrames of pandas or polars,
+            u, y: arrays (..., T, m), or (..., T, m + q) with the q factors of the model behind its inputs;
+                (..., T, p), masked or not; or tables: DataFrames of pandas or polars,
                 tables of pyarrow, Datasets and labelled DataArrays of xarray, dicts of columns. Signals are
                 taken by name, rows of two tables by the labels of their index. u is None for a model without
                 inputs. y None: u holds both, a table or a Recording (or anything with .u and .y).
@@ -125,7 +128,8 @@ class Recording:
         Raises:
             ValueError: a column that is not there, names that are not understood, text, a shape that does not
                 fit the model or the other array, indexes that hold different rows, rows of several units, in
-                disorder or of a wrong sampling period, starts that are no numbers of samples.
+                disorder or of a wrong sampling period, starts that are no numbers of samples, a factor that
+                is negative, or that needs columns which arrays do not have.
         """
         every = every_of(model)
         if every is not None:
@@ -143,9 +147,10 @@ class Recording:
         u, y, jumps = paired(u, y, model)
         u, y, hints = without_words(model, u, y)
         indexes = [x.index for x in (y, u) if hasattr(x, "iloc")]
-        names = tuple(model.inputs), tuple(model.outputs)
-        recording = cls(*float_arrays(model, u, y, narrow), NOWHERE, *names)
-        recording = recording._where(model, {name: x for name, x in (("y", y), ("u", u)) if is_table(x)})
+        tables = {name: x for name, x in (("y", y), ("u", u)) if is_table(x)}
+        excluded = _excluded(model, tables)
+        samples = float_arrays(model, u, y, narrow, tables, excluded)
+        recording = cls(*samples, NOWHERE, known(model), tuple(model.outputs))._without(excluded)
         if indexes:
             recording = recording._timed(model, indexes[0], regular)
         if hints:
@@ -171,12 +176,10 @@ class Recording:
         _, seams = tick(Clock(seconds_of(every)), means.time)
         return replace(means, starts=_union(seams, around(means.excluded)))
 
-    def _where(self, model: Named, tables: Mapping[str, "pd.DataFrame"]) -> "Recording":
-        """Return the recording without the samples that the model's `where` leaves out, by these tables."""
-        columns = getattr(model, "columns", {})
-        if "where" not in columns or not tables:
+    def _without(self, excluded: np.ndarray | None) -> "Recording":
+        """Return the recording without the samples that the model's `where` leaves out."""
+        if excluded is None:
             return self
-        excluded = fails(computed(expression(columns["where"]), tables, "the recording"))
         u, y = (np.where(excluded[:, None], np.array(np.nan, x.dtype), x) for x in (self.u, self.y))
         return replace(self, u=u, y=y, excluded=excluded, starts=_union(self.starts, around(excluded)))
 
@@ -215,7 +218,7 @@ class Recording:
         return cls(
             u,
             y,
-            inputs=tuple(model.inputs),
+            inputs=known(model),
             outputs=tuple(model.outputs),
             excluded=excluded,
             index=index,
@@ -237,7 +240,11 @@ class Recording:
         if is_table(as_table(u, "u")) or is_table(as_table(y, "y")):
             return cls.of(model, u, y, _union(own_starts, starts), narrow=narrow)
         names = [*getattr(given, "inputs", ()), *getattr(given, "outputs", ())]
-        inputs, outputs = tuple(model.inputs), tuple(model.outputs)
+        inputs, outputs = known(model), tuple(model.outputs)
+        if names and not set(inputs) <= set(
+            names
+        ):  # without the factors: they are worked out where they can be
+            inputs = tuple(model.inputs)
         if names and (given.inputs, given.outputs) != (inputs, outputs):
             signals = [x[..., i] for x in (u, y) for i in range(x.shape[-1])]
             u, y = _stack_of(inputs, names, signals, u), _stack_of(outputs, names, signals, y)
@@ -246,6 +253,7 @@ class Recording:
         if dt and stated:
             check_period(np.arange(2) * dt, stated, getattr(model, "stated", THE_MODEL))
         u, y = float_arrays(model, u, y, narrow)
+        inputs = known(model)
         if isinstance(given, cls):
             return replace(given, u=u, y=y, starts=seams, inputs=inputs, outputs=outputs)
         excluded, index = getattr(given, "excluded", None), getattr(given, "index", None)
@@ -390,6 +398,16 @@ class Recording:
         refuse_infinite("u", self.u, self.inputs)
         refuse_infinite("y", self.y, self.outputs)
         return self
+
+
+def _excluded(model: Named, tables: Mapping[str, "pd.DataFrame"]) -> np.ndarray | None:
+    """Return (T,) bool, the samples that the model's `where` leaves out by these tables; None: it has none,
+    or there is no table.
+    """
+    columns = getattr(model, "columns", {})
+    if "where" not in columns or not tables:
+        return None
+    return fails(computed(expression(columns["where"]), tables, "the recording"))
 
 
 def _stack_of(

@@ -16,7 +16,8 @@ from jaxbound.recordings.expressions import (
     is_expression,
     likely,
 )
-from jaxbound.recordings.signals import SignalModel
+from jaxbound.recordings.factors import by_name, factors_of, with_factors
+from jaxbound.recordings.signals import Named, SignalModel
 from jaxbound.text.names import listed
 
 __all__ = [
@@ -48,7 +49,8 @@ class Wanted:
 
     Fields: inputs, outputs: a column or an Expression for each signal; where: the Expression of the
     condition, or None; time: the column of the time, or None; day: the column of the day where the time is
-    only that of a day, or None.
+    only that of a day, or None; factors: an Expression for each factor of the model, over columns and inputs;
+    model: whose factors they are.
     """
 
     inputs: tuple[str | Expression, ...]
@@ -56,6 +58,22 @@ class Wanted:
     where: Expression | None
     time: str | None
     day: str | None = None
+    factors: tuple[Expression, ...] = ()
+    model: Named | None = None
+
+    @property
+    def computed(self) -> tuple[Expression, ...]:
+        """The expressions beside signals: the condition, and those of factors."""
+        if self.where is None:
+            return self.factors
+        return (self.where, *self.factors)
+
+    def own(self, e: Expression) -> list[str]:
+        """Return the names of the columns that an expression needs; inputs are none."""
+        inputs: tuple[str, ...] = ()
+        if self.model is not None and e is not self.where:
+            inputs = self.model.inputs
+        return [c for c in e.read if c not in inputs]
 
     @property
     def signals(self) -> list[str]:
@@ -70,16 +88,16 @@ class Wanted:
         """Names of the columns that hold numbers, the signals' first; a numeric time that only orders the
         samples is not among them.
         """
-        if self.where is None:
-            return self.signals
-        where = [c for c in self.where.read if c not in self.where.texts]
-        return list(dict.fromkeys(self.signals + where))
+        others: list[str] = []
+        for e in self.computed:
+            others += [c for c in self.own(e) if c not in e.texts]
+        return list(dict.fromkeys(self.signals + others))
 
     @property
     def texts(self) -> list[str]:
         """Names of the columns that are compared with text, the time left out."""
         texts: list[str] = []
-        for signal in (*self.inputs, *self.outputs, self.where):
+        for signal in (*self.inputs, *self.outputs, *self.computed):
             if isinstance(signal, Expression):
                 texts += [c for c in signal.read if c in signal.texts and c not in (self.time, self.day)]
         return list(dict.fromkeys(texts))
@@ -101,7 +119,7 @@ class Wanted:
     def clock(self) -> list[str]:
         """Names that the clock of the recording tells, see `expressions.CLOCK`."""
         needed: list[str] = []
-        for signal in (*self.inputs, *self.outputs, self.where):
+        for signal in (*self.inputs, *self.outputs, *self.computed):
             if isinstance(signal, Expression):
                 needed += sorted(signal.clock)
         return list(dict.fromkeys(needed))
@@ -112,6 +130,7 @@ class Wanted:
         count: int,
         moments: Moments,
         dtype: DTypeLike = np.float64,
+        first: int = 0,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Return (u, y, excluded): (N, m) and (N, p), NaN where a sample is missing or left out; (N,) bool,
         left out by `where`, or None.
@@ -119,9 +138,10 @@ class Wanted:
         Args:
             columns: {name: (N,) floats, or what `Expression.values` takes}. count: N. moments: (s since the
                 first sample of the recording, dates or None). dtype: of y; u is as wide as its widest column.
+            first: number of the first sample, for sentences.
 
         Raises:
-            ValueError: see `Expression.values` and `derived`.
+            ValueError: see `Expression.values` and `derived`; a factor that is none.
         """
         columns = {**columns, **derived(self.clock, count, *moments)}
         u, y = _stack(self.inputs, columns, count, None), _stack(self.outputs, columns, count, dtype)
@@ -129,6 +149,13 @@ class Wanted:
         if self.where is not None:
             excluded = fails(self.where.values(columns))
             u[excluded], y[excluded] = np.nan, np.nan
+        if self.factors and self.model is not None:
+            values, every = [], {**columns, **by_name(self.model, u)}
+            for e in self.factors:
+                values.append(e.values(every))
+                if excluded is not None:
+                    values[-1] = np.where(excluded, np.nan, values[-1])
+            u, y = with_factors(self.model, u, y, values, first)
         return u, y, excluded
 
 
@@ -150,7 +177,10 @@ def wanted(names: Sequence[str], model: SignalModel, dated: Callable[[str], str]
     """
     inputs = tuple(_column_for(signal, names, model) for signal in model.inputs)
     outputs = tuple(_column_for(signal, names, model) for signal in model.outputs)
-    signals = Wanted(inputs, outputs, None, None)
+    factors = []
+    for factor in factors_of(model):
+        factors.append(factor.expression.among(dict.fromkeys((*model.inputs, *names))))
+    signals = Wanted(inputs, outputs, None, None, factors=tuple(factors), model=model)
     taken = signals.signals
     free = [name for name in names if name not in taken]
     day, time = time_column(names, free, model.columns.get("time"), dated, getattr(model, "dt", None))

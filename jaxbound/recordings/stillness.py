@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxbound.recordings.factors import known
 from jaxbound.recordings.signals import Named
 
 __all__ = [
@@ -262,7 +263,9 @@ def still_hints(model: Named, u: np.ndarray, y: np.ndarray, label: Callable[[int
     hints: list[str] = []
     for name, signal in zip(model.outputs, y.T, strict=True):
         hints += signal_hints(name, follow_runs(Runs(), np.ascontiguousarray(signal)), label)
-    for name, signal in zip(model.inputs, u.T, strict=True):
+    for name, signal in zip(known(model), u.T, strict=True):
+        if name not in model.inputs:
+            continue  # a factor stands still where the plant does
         hints += signal_hints(name, follow_runs(Runs(), np.ascontiguousarray(signal)), label, driven=True)
     return hints
 

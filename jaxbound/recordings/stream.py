@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxbound.recordings.factors import known
 from jaxbound.recordings.means import refuse_every
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import Clock, Seam
@@ -69,8 +70,9 @@ class Stream:
 
     def nothing(self) -> tuple[int, Recording]:
         """Return the piece without samples."""
-        u, y = np.empty((0, self.model.m)), np.empty((0, len(self.model.outputs)))
-        return self.clock.samples, Recording(u, y, NOWHERE, self.model.inputs, self.model.outputs)
+        columns, outputs = known(self.model), self.model.outputs
+        u, y = np.empty((0, len(columns))), np.empty((0, len(outputs)))
+        return self.clock.samples, Recording(u, y, NOWHERE, columns, outputs)
 
     def _clock_memory(self) -> dict[str, Any]:
         """Return the memory of the clock."""

@@ -150,6 +150,9 @@ def reading(
     lo_hi = bounds.get("disturbance", np.zeros((0, 2)))
     if not isinstance(lo_hi, jax.core.Tracer):
         lo_hi = np.stack([rounding.round_down(lo_hi[:, 0], dtype), rounding.round_up(lo_hi[:, 1], dtype)], 1)
+    lags_of_u, acting = window.input_lags(model, horizon), None
+    if model.factors:
+        lags_of_u, acting = horizon + 1, lags_of_u
     return Reading(
         cast("Strips | Frame", shape),  # None for a PolynomialReading: only windows are read by it
         _taken(float_bound(bounds["tolerance"], dtype)),
@@ -159,8 +162,10 @@ def reading(
         _taken(np.array(list(map(float, model.offset["u"])), dtype)),
         _taken(np.array(list(map(float, model.offset["y"])), dtype)),
         window.window_rows(model, horizon, lags),
-        window.input_lags(model, horizon),
+        lags_of_u,
         _taken(float_bound(bounds.get("average", np.zeros(0)), dtype)),
+        tuple(factor.number for factor in model.factors),
+        acting,
     )
 
 

@@ -47,6 +47,7 @@ from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.times import refuse_factors
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.bounds import Bounds, changed_bounds, model_bounds, reading
 from jaxbound.relations.cost import affordable, refuse_many_states
@@ -122,9 +123,11 @@ class ParityRelation(LinearRelations):
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """The methods of `test`: "joint" alone knows bounds of averages."""
+        """The methods of `test`: "joint" alone knows bounds of averages, "paving" no factors on noise."""
         if self.model.averages:
             return METHODS[:1]
+        if self.model.factors:
+            return METHODS[:2]
         return METHODS[:3]
 
     @property
@@ -200,6 +203,7 @@ class ParityRelation(LinearRelations):
         if window.bounded_sums(self.model) and method != "joint":
             raise ValueError(f"averages are tested by method 'joint': {method!r} looks at single samples")
         if method == "paving":
+            refuse_factors(self.model)
             return PavingTest(self, dtype, budget)
         constant = self.model.constant_tolerance
         if method == "joint" and self.frame is not None:
@@ -329,7 +333,7 @@ def parity_relations(
         >>> r.horizon, r.count, len(r.circuits)
         (1, 2, 4)
     """
-    model, report = as_model(model), progress or (lambda share: None)
+    model, report = as_model(model, factors=True), progress or (lambda share: None)
     if form not in ("first", "second"):
         raise ValueError(f"form must be 'first' or 'second', not {form!r}")
     if lags is None and horizon is None:

@@ -33,7 +33,10 @@ def moving(relations: R, made: Callable[[LinearSystem], R]) -> R | None:
     summed = any(not values.measured for values in window_rows(model, 0).sums)
     if ends is None or summed or any(isinstance(x, jax.core.Tracer) for x in bounds.values()):
         return None
-    still = np.asarray((np.abs(ends) < VANISHING).all(1))
+    most = VANISHING
+    if model.factors:  # what widens the noise must not be times a factor
+        most = np.finfo(float).smallest_subnormal
+    still = np.asarray((np.abs(ends) < most).all(1))
     if not still.any():
         return None
     less = made(_moving_model(model, still))

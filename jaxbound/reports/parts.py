@@ -58,7 +58,11 @@ def _bounds(model: LinearSystem, bounds: Mapping[str, np.ndarray | Vector], i: i
     """Return the cells of what the sensor of output i may do."""
     tolerance = float(bounds.get("tolerance", model.tolerance)[i])
     noise = float(bounds.get("noise", model.noise)[i])
-    return f"{percent(tolerance)} of the value", f"± {noise:.6g}", f"± {_short(model.resolution[i])}"
+    noises = f"± {noise:.6g}"
+    text = model.times.get(model.outputs[i])
+    if text is not None:
+        noises = f"{noises} times {text}"
+    return f"{percent(tolerance)} of the value", noises, f"± {_short(model.resolution[i])}"
 
 
 def _disturbance(model: LinearSystem, j: int) -> tuple[str, str, str, str]:

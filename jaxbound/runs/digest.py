@@ -19,6 +19,7 @@ from jaxbound.diagnosis.spot_checks import again_said
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.plots.plot import plot
 from jaxbound.plots.timeline import Timeline, plot_timeline
+from jaxbound.recordings.factors import known
 from jaxbound.recordings.hints import missing_sentences, rounding_hints
 from jaxbound.recordings.parquet import PARTIAL, VERDICTS, ParquetSource
 from jaxbound.recordings.read import open_source
@@ -429,7 +430,7 @@ def _about_signals(found: Digest, folder: Path) -> _AboutSignals:
         samples = kept.present
         aside = found.samples - horizon - windows_inside(kept, horizon)
         hints = where_hints(where.text, found.samples - samples, found.samples)
-    named = dict(zip((*model.inputs, *model.outputs), runs, strict=True))
+    named = dict(zip((*known(model), *model.outputs), runs, strict=True))
     still: list[str] = []
     for name in (*model.outputs, *model.inputs):
         still += signal_hints(name, named[name], found.label, driven=name in model.inputs)

@@ -14,6 +14,7 @@ from jaxbound.consistency.searched import NOT_REFUTED, judging_device
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.spot_checks import COUNT, decided_again, judged_elsewhere
 from jaxbound.files.checkpoint import as_texts, from_texts
+from jaxbound.recordings.factors import known
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.loop import Laps, Memory
 from jaxbound.runs.sink import Verdicts
@@ -137,7 +138,8 @@ class Live:
     def compile(self) -> None:
         """Judge samples of zeros and forget them, so that no sample waits for a compiler."""
         model, window = self.monitor.relations.model, self.monitor.relations.horizon + 1
-        self.monitor.run(self.monitor.init(), np.zeros((window, model.m)), np.zeros((window, model.p)))
+        u, y = np.zeros((window, len(known(model)))), np.zeros((window, model.p))
+        self.monitor.run(self.monitor.init(), u, y)
 
     def memory(self) -> Memory:
         """Return the state of the Monitor."""

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxbound.plots.canvas import PANELS, bins, inside
+from jaxbound.recordings.factors import known
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stillness import Run, Runs, follow_runs, joined_runs
 
@@ -32,7 +33,8 @@ class Noted:
 
     def __init__(self, samples: int, model: SignalModel) -> None:
         self.edges = bins(samples)
-        outputs, inputs = range(model.m, model.m + model.p), range(model.m)
+        columns = len(known(model))
+        outputs, inputs = range(columns, columns + model.p), range(model.m)
         self.shown = [*outputs, *inputs][:PANELS]  # in the order of a page
 
     def of(self, first: int, signals: np.ndarray) -> dict[bytes, str]:

@@ -6,6 +6,7 @@ from typing import Any
 from jaxbound.consistency.interface import FAMILIES, OBSERVER, Relations
 from jaxbound.estimation.observer import observer
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.times import refuse_factors
 from jaxbound.relations.parity import parity_relations
 
 __all__ = ["relations_by"]
@@ -32,6 +33,7 @@ def relations_by(
         ValueError: no relation, or no observer, of this model.
     """
     if method in FAMILIES:
+        refuse_factors(model)
         return FAMILIES[method](model, horizon)
     if method == OBSERVER:
         return observer(model, **{"horizon": horizon, **(options or {})})

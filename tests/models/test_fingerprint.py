@@ -22,6 +22,7 @@ BASE = dict(
     dt=0.01,
     tolerance=[0.02, 0.1],
     noise=[0.1, 0.01],
+    times=None,
     constant_tolerance=False,
     resolution=None,
     E=None,
@@ -41,6 +42,7 @@ BASE = dict(
     horizon=3,
 )
 CHANGES = dict(
+    times={"a": "1 + abs(load)"},
     A=[["0.5", 1], [0, "0.20000000000000000001"]],
     B=[[0], [2]],
     C=[[1, 0], [1, 2]],
@@ -69,7 +71,7 @@ CHANGES = dict(
     left_out="1.3",
     averages={"w1": {2: 0.005}},
 )
-WITHOUT = ("E", "averages")
+WITHOUT = ("E", "averages", "times")
 FIELDS = [name for name in inspect.signature(jb.LinearSystem.__init__).parameters if name != "self"]
 
 

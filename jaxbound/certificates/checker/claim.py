@@ -51,6 +51,7 @@ def claimed(
     precision: str = DOUBLE,
     lags: Sequence[int] | None = None,
     first: Sequence[Sequence[F]] | None = None,
+    factors: Sequence[Sequence[F]] | None = None,
 ) -> Claim:
     """Return the numbers of a certificate that are no part of its proof: those of the model, of its bounds
     and of the samples.
@@ -60,6 +61,7 @@ def claimed(
             judged.
         lags: so many samples before its last the window looks at outputs; None: always. first: (lo, hi) of
             each first state, or None.
+        factors: on the noise of each sample of each output, s + 1 rows; None: there are none.
     """
     unit, floor = PRECISIONS[precision]
     out: Document = {name: model[name] for name in STATED}
@@ -70,6 +72,14 @@ def claimed(
         out["disturbance"].append([-rounded_up(-lo, precision), rounded_up(hi, precision)])
     out["recorder"], out["floor"] = RECORDER_ULPS * unit, floor
     out["u"], out["y"] = _inputs(model, u), _looked_at(y, lags)
+    if factors is not None:
+        insist(
+            len(factors) == len(y)
+            and all(len(one) == len(other) for one, other in zip(factors, y, strict=True)),
+            "there must be a factor on the noise of each sample",
+        )
+        insist(all(x >= 0 for row in factors for x in row), "a factor on a noise must be >= 0")
+        out["factors"] = factors
     if lags is not None:
         out["lags"] = list(map(F, lags))
     if model["averages"]:

@@ -1,9 +1,9 @@
 """A model file and a CSV file in their plainest forms, read by the standard library alone: what is not plain
 is refused, never guessed.
 
-A model is TOML as the page on model files describes it, without [matrices] E, decouple, where, every, and
-columns that are expressions. Data are a UTF-8 CSV file with a header, a row for each sample, and an empty
-cell or nan for a missing one.
+A model is TOML as the page on model files describes it, without [matrices] E, decouple, where, every, factors
+on noise, and columns that are expressions. Data are a UTF-8 CSV file with a header, a row for each sample,
+and an empty cell or nan for a missing one.
 """
 
 import csv
@@ -46,6 +46,11 @@ def read_model(path: Path) -> tuple[Document, Document, list[str], str | None, F
     for letter, shape in shapes.items():
         model[letter] = _matrix(matrices.get(letter), *shape)
     model["offset_u"], model["offset_y"] = _each(inputs, "offset", m), _each(outputs, "offset", p)
+    for signal in outputs:
+        insist(
+            not isinstance(signal.get("noise"), dict),
+            f"{path}: a factor on noise is more than this script reads; jaxbound verify reads it",
+        )
     for bound in ("tolerance", "noise", "resolution"):
         model[bound] = _each(outputs, bound, p)
     model["disturbance"] = [_pair(signal["bound"]) for signal in disturbances]

@@ -3,7 +3,8 @@ library alone.
 
 Plant x+ = A x + B u + G w + F v, readings y = (1 + theta) (C x + D u + D_v v) + delta, in deviations from the
 offsets; v any number, |theta| <= tolerance, w in its bounds, |delta| <= noise + resolution + recorder
-(largest |y| of the signal + noise) + floor (+ an error of one sensor).
+(largest |y| of the signal + noise) + floor (+ an error of one sensor). With "factors" the noise of each
+sample is times its own.
 
 "averages" bound weighted sums of consecutive deltas of one output, or of one disturbance, in every run of
 samples that is looked at; one over several signals names the others "beside" the first. "first_state" bounds
@@ -99,7 +100,8 @@ def _shown(c: Document) -> Claim:
     every_y = c["y"]
     if "all_y" in c:
         every_y = c["all_y"]
-    return claimed(model, c["u"], every_y, precision, c.get("lags"), c.get("first_state"))
+    first, factors = c.get("first_state"), c.get("factors")
+    return claimed(model, c["u"], every_y, precision, c.get("lags"), first, factors)
 
 
 def _compare_names(shown: dict[str, Any], names: dict[str, Any]) -> None:

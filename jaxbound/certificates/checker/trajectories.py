@@ -87,12 +87,13 @@ def limits(
     Args: gains: 1 / (1 + theta) of each output, where it is known.
     """
     deltas = [_delta(c, i, error) for i in range(len(c["noise"]))]
+    wider = _wider(c)
     bounds = [(lo - c["floor"], hi + c["floor"]) for lo, hi in c["disturbance"]]
     out = []
-    for row in c["y"]:
+    for row, more in zip(c["y"], wider, strict=True):
         readings: list[Ends | None] = []
         for i, (y, delta) in enumerate(zip(row, deltas, strict=True)):
-            readings.append(_true_output(c, i, y, delta, gains))
+            readings.append(_true_output(c, i, y, delta + more[i], gains))
         out.append((readings, bounds))
     return out
 
@@ -177,6 +178,21 @@ def _delta(c: Claim, i: int, error: Error) -> F:
     if error is not None and error[0] == i:
         delta += error[1]
     return delta
+
+
+def _wider(c: Claim) -> list[list[F]]:
+    """Return by how much the |delta| of each sample may be larger than `_delta` says: its noise is times a
+    factor, and what the recorder rounds away of it.
+    """
+    every, wider = c.get("factors"), []
+    if every is None:
+        every = [[F(1)] * len(c["noise"])] * len(c["y"])
+    for factors in every:
+        more = []
+        for noise, factor in zip(c["noise"], factors, strict=True):
+            more.append((factor - 1) * noise * (1 + c["recorder"]))
+        wider.append(more)
+    return wider
 
 
 def _looked_at(c: Claim, i: int) -> Iterator[F]:

@@ -94,6 +94,7 @@ class Claim(TypedDict):
     uncertainties: NotRequired[list[Parameter]]
     variables: NotRequired[list[tuple[Fraction, Fraction | None]]]
     first_state: NotRequired[list[Vector]]
+    factors: NotRequired[Matrix]
 
 
 class Relation(TypedDict):

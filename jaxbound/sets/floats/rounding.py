@@ -156,10 +156,12 @@ def residual_error(terms: int, dtype: DTypeLike) -> tuple[np.floating, np.floati
     sigma)): 8 u. A product adds 1, a sum of N terms N - 1, in any order. Hence (N + 13) u on the left-hand
     side; likewise (N + 11) u on the right-hand side; comparing the two adds 2.
     Sum: (2 N + 26) u scale to first order; 2 N + 32 covers second-order terms and the rounding of the slack
-    itself for N u < 1e-3. Each of at most 8 N operations may flush a result below `tiny`, after which a
-    factor |h| may follow: `floor` is to be multiplied by 1 + max|h|.
+    itself for N u < 1e-3. A noise that is the product of a bound and a factor is off by u rho more: by sigma
+    u rho on m and (1 + sigma) u rho on r. Of r the left-hand side has (N + 11) u before, 2 u less than of
+    |y|, so that (2 N + 26) u still holds. Each of at most 9 N operations may flush a result below `tiny`,
+    after which a factor |h| may follow: `floor` is to be multiplied by 1 + max|h|.
     """
-    return _scalar((2 * terms + 32) * unit(dtype), dtype), _scalar(8 * terms * tiny(dtype), dtype)
+    return _scalar((2 * terms + 32) * unit(dtype), dtype), _scalar(9 * terms * tiny(dtype), dtype)
 
 
 def folded_error(terms: int, dtype: DTypeLike) -> tuple[np.floating, np.floating]:
@@ -174,10 +176,11 @@ def folded_error(terms: int, dtype: DTypeLike) -> tuple[np.floating, np.floating
     rounding, 6.92 S + 1.5 rho in all, r by 7.34 r + 1.5 S, H by 5.84 H. A product adds 1, a sum of N terms
     N - 1: (N + 12.8) S + 1.5 rho on the left-hand side, (N + 13.2) r + 1.5 S on the right, and 1 of either
     for their difference. Together less than (N + 16) u scale to first order; 9 N / 8 + 24 covers second-order
-    terms and the rounding of the slack itself for N u < 1e-3. Per row 9 flushed results may follow in m, 9 in
-    r, each times |H|, and fewer than 6 in the sums: `floor` is to be multiplied by 1 + max|H|.
+    terms and the rounding of the slack itself for N u < 1e-3. A noise that is a product is off by u rho more:
+    by c u rho on m and u rho on r, in all less than (N + 18) u scale. Per row 10 flushed results may follow
+    in m, 10 in r, each times |H|, and fewer than 6 in the sums: `floor` is to be multiplied by 1 + max|H|.
     """
-    return _scalar((1.125 * terms + 24) * unit(dtype), dtype), _scalar(24 * terms * tiny(dtype), dtype)
+    return _scalar((1.125 * terms + 24) * unit(dtype), dtype), _scalar(26 * terms * tiny(dtype), dtype)
 
 
 def search_error(outer: int, inner: int, known: int, dtype: DTypeLike) -> tuple[np.floating, np.floating]:

@@ -1,0 +1,309 @@
+"""Noise times a factor of each sample: verdicts are those of linear programs whose bounds follow it."""
+
+from fractions import Fraction
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.optimize import linprog
+
+import jaxbound as jb
+from jaxbound.certificates.verification import verify
+from jaxbound.sets.floats.status import Status
+
+CLEAR = {np.float64: 1e-6, np.float32: 2e-3}
+"""Distance from the boundary from which on rounding has no say."""
+FACTORS = {
+    "1 + 0.5*abs(fan - 0.6)": lambda fan, load: 1 + 0.5 * abs(fan - 0.6),
+    "maximum(0.2, minimum(load, 3))": lambda fan, load: np.maximum(0.2, np.minimum(load, 3)),
+    "sqrt(abs(load)) + 2 * (fan > 0)": lambda fan, load: np.sqrt(abs(load)) + 2 * (fan > 0),
+    "fan < 0.5": lambda fan, load: 1.0 * (fan < 0.5),
+}
+KINDS = {
+    "strips": dict(n=1, p=1, horizon=2),
+    "circuits in a scan": dict(n=2, p=2, horizon=2),
+    "search": dict(n=2, p=2, horizon=9),
+    "search with disturbances": dict(n=2, p=2, horizon=6, g=1),
+    "lags": dict(n=2, p=2, lags=(0, 1, 2, 4, 8)),
+}
+
+
+def case(rng, n, p, horizon=None, lags=None, g=0):
+    """Return (a model, its window, functions of its factors by output)."""
+    rounded = lambda *shape: np.round(0.5 * rng.normal(size=shape), 2)
+    A = rounded(n, n) + 0.4 * np.eye(n)
+    A = np.round(A * min(1.0, 0.95 / max(abs(np.linalg.eigvals(A)).max(), 0.1)), 3)
+    texts = rng.permutation(list(FACTORS))[:p]
+    outputs = [f"T{i}" for i in range(p)]
+    chosen = {outputs[i]: str(texts[i]) for i in range(p) if i == 0 or rng.random() < 0.5}
+    model = jb.LinearSystem(
+        A,
+        rounded(n, 1),
+        rounded(p, n) + np.eye(p, n),
+        rounded(p, 1) if rng.random() < 0.5 else None,
+        noise=np.round(rng.uniform(0.1, 0.5, p), 2),
+        tolerance=np.round(rng.choice([0, 0.05], p), 2),
+        resolution=rng.choice([0, 0.01], p),
+        disturbance=(rounded(n, g), np.round(rng.uniform(0.02, 0.1, g), 2)) if g else None,
+        inputs="fan",
+        outputs=outputs,
+        offset={"u": 0.25, "y": np.round(rng.normal(size=p), 1)},
+        columns={"fan": "Fan [%]"},
+        times=chosen,
+    )
+    window = {"lags": lags} if lags else {"horizon": horizon}
+    return model, window, {name: FACTORS[text] for name, text in chosen.items()}
+
+
+def floats(matrix):
+    rows = [list(map(float, row)) for row in matrix]
+    return np.array(rows).reshape(len(rows), -1)
+
+
+def recording(rng, model, factors, samples, excess):
+    """Return (table, factors (T, p)) of a plant whose errors lie at vertices of bounds, times excess."""
+    A, B, C, D, G = (floats(getattr(model, name)) for name in "ABCDG")
+    fan, load = rng.uniform(0, 1.2, samples), rng.normal(0, 2, samples)
+    f = np.ones((samples, model.p))
+    for name, function in factors.items():
+        f[:, model.outputs.index(name)] = function(fan, load)
+    x, u, y = rng.normal(size=model.n), fan - float(model.offset["u"][0]), np.empty((samples, model.p))
+    sign = lambda: rng.choice([-1.0, 1.0], model.p)
+    for k in range(samples):
+        t = C @ x + D[:, 0] * u[k]
+        error = (np.array(model.noise, float) * f[k] + np.array(model.resolution, float)) * sign()
+        y[k] = (1 + excess * sign() * np.array(model.tolerance, float)) * t + excess * error
+        w = np.array([rng.choice([float(lo), float(hi)]) for lo, hi in model.disturbance])
+        x = A @ x + B[:, 0] * u[k] + (G @ w if model.g else 0)
+    y += np.array(model.offset["y"], float)
+    table = pd.DataFrame({"Fan [%]": fan, "load": load})
+    for i, name in enumerate(model.outputs):
+        table[name] = y[:, i]
+    return table, f
+
+
+def gauge(model, window, u, y, f, unit):
+    """Return the least t such that all half-widths times t explain samples u (s+1, 1), y, f (s+1, p); None
+    where no sample is looked at. unit: roundoff of the samples.
+    """
+    A, B, C, D, G = (floats(getattr(model, name)) for name in "ABCDG")
+    s, (n, p, g) = len(y) - 1, (model.n, model.p, model.g)
+    lags = window.get("lags", range(s + 1))
+    columns = n + s * g
+    state, drive = np.eye(n, columns), np.zeros(n)  # x = state z + drive
+    rows, sides = [], []
+
+    def between(row, value, middle, half):
+        for sign in (1, -1):  # sign (row z + value - middle) <= t half
+            rows.append([*(sign * row), -half])
+            sides.append(sign * (middle - value))
+
+    for k in range(s + 1):
+        deviation = u[k, 0] - float(model.offset["u"][0])
+        for i in range(p):
+            if s - k not in lags or np.isnan(y[k, i]):
+                continue
+            sigma, d = float(model.tolerance[i]), y[k, i] - float(model.offset["y"][i])
+            noise = float(model.noise[i]) * f[k, i]
+            rho = noise + float(model.resolution[i]) + 4 * unit * (np.nanmax(abs(y[:, i])) + noise)
+            ends = [(d + e) / (1 + theta) for e in (-rho, rho) for theta in (-sigma, sigma)]
+            middle, half = (max(ends) + min(ends)) / 2, (max(ends) - min(ends)) / 2
+            value = C[i] @ drive
+            if D[i, 0]:
+                value = value + D[i, 0] * deviation
+            between(C[i] @ state, value, middle, half)
+        if k < s:
+            state, drive = A @ state, A @ drive + B[:, 0] * deviation
+            if g:
+                state[:, n + k * g : n + (k + 1) * g] += G
+    for j in range(s * g):
+        lo, hi = map(float, model.disturbance[j % g])
+        between(np.eye(columns)[n + j], 0.0, (lo + hi) / 2, (hi - lo) / 2)
+    if not rows:
+        return None
+    cost = np.append(np.zeros(columns), 1.0)
+    ends = [(None, None)] * columns + [(0, None)]
+    best = linprog(cost, rows, sides, bounds=ends, method="highs")
+    assert best.status == 0, best.message
+    return best.fun
+
+
+def judged(relations, window, table, f, dtype=np.float64):
+    """Return the status of all windows, each compared with a linear program."""
+    model = relations.model
+    typed = table.astype({name: dtype for name in model.outputs})
+    exact, bounds = (jb.detect(relations, typed, margins=margins) for margins in ("exact", "bounds"))
+    s, y = relations.horizon, typed[list(model.outputs)].to_numpy(dtype)
+    u = table[["Fan [%]"]].to_numpy()
+    for k in range(s, len(y)):
+        stretch = slice(k - s, k + 1)
+        unit = np.finfo(dtype).eps / 2
+        t = gauge(model, window, u[stretch], y[stretch].astype(float), f[stretch], unit)
+        if t is not None and abs(t - 1) > CLEAR[dtype]:
+            expected = Status.FAULT if t > 1 else Status.CONSISTENT
+            assert exact.status[k] == bounds.status[k] == expected, (k, t, exact.status[k], bounds.status[k])
+    return exact.status
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("kind", KINDS)
+def test_verdicts_are_those_of_linear_programs(kind, dtype):
+    rng = np.random.default_rng(list(kind.encode()))
+    seen = set()
+    for excess in (0.5, 1.0, 1.6, 4.0):
+        model, window, factors = case(rng, **KINDS[kind])
+        relations = jb.parity_relations(model, **window)
+        table, f = recording(rng, model, factors, 40, excess)
+        status = judged(relations, window, table, f, dtype)
+        seen |= set(status.tolist())
+        if excess <= 1.0:
+            assert not (status == Status.FAULT).any(), "errors within their bounds"
+    assert {Status.CONSISTENT, Status.FAULT} <= seen
+
+
+@pytest.mark.parametrize("kind", ["strips", "search"])
+def test_missing_samples_and_factors_silence_what_needs_them(kind):
+    rng = np.random.default_rng(3)
+    model, window, factors = case(rng, **KINDS[kind])
+    table, f = recording(rng, model, factors, 60, 2.5)
+    table.loc[20, "T0"] = np.nan
+    whole = table.copy()
+    # what a factor is missing for is missing itself
+    (text,) = {model.times["T0"]}
+    column = "load" if "load" in text else "Fan [%]"
+    if column == "load":
+        table.loc[40, "load"] = np.nan
+        whole.loc[40, "T0"] = np.nan
+        for name in factors:
+            if "load" in model.times[name]:
+                whole.loc[40, name] = np.nan
+    relations = jb.parity_relations(model, **window)
+    found, expected = jb.detect(relations, table), jb.detect(relations, whole)
+    np.testing.assert_array_equal(found.status, expected.status)
+    np.testing.assert_array_equal(found.margin, expected.margin)
+    judged(relations, window, whole, f)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_factor_of_one_changes_no_verdict(kind):
+    rng = np.random.default_rng(5)
+    for dtype in (np.float64, np.float32):
+        model, window, factors = case(rng, **KINDS[kind])
+        table, _ = recording(rng, model, factors, 200, 1.4)
+        table = table.astype({name: dtype for name in model.outputs})
+        ones = {name: "1 + 0*load" for name in model.outputs}
+        plain = jb.parity_relations(model.replace(times=None), **window)
+        times = jb.parity_relations(model.replace(times=ones), **window)
+        for method in ("joint", "box"):
+            ways = dict(method=method, margins="exact")
+            one, other = jb.detect(plain, table, **ways), jb.detect(times, table, **ways)
+            np.testing.assert_array_equal(one.status, other.status)
+            if relations_are_searched(plain) and method == "joint":
+                np.testing.assert_array_equal(one.margin, other.margin)
+            # compilers are free to contract sums of strips in another order
+            np.testing.assert_allclose(one.margin, other.margin, rtol=0, atol=40 * np.finfo(dtype).eps)
+
+
+def relations_are_searched(relations):
+    return relations.frame is not None
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_samples_one_by_one_give_the_same_verdicts(kind):
+    rng = np.random.default_rng(7)
+    model, window, factors = case(rng, **KINDS[kind])
+    table, _ = recording(rng, model, factors, 40, 1.5)
+    relations = jb.parity_relations(model, **window)
+    whole = jb.detect(relations, table, margins="exact")
+    monitor = jb.Monitor(relations)
+    state, status, margin = monitor.init(), [], []
+    for k in range(len(table)):
+        state, verdict = monitor.run(state, table.iloc[k : k + 1].reset_index(drop=True))
+        status.append(verdict.status[0])
+        margin.append(verdict.margin[0])
+    np.testing.assert_array_equal(status, whole.status)
+    np.testing.assert_array_equal(margin, whole.margin)
+    for first in (0, 11):  # and in bursts
+        state, verdict = monitor.run(monitor.init(), table.iloc[first:].reset_index(drop=True))
+        end = first + relations.horizon
+        np.testing.assert_array_equal(verdict.margin[relations.horizon :], whole.margin[end:])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_certificates_are_confirmed_and_those_of_other_factors_are_not(kind):
+    rng = np.random.default_rng(11)
+    model, window, factors = case(rng, **KINDS[kind])
+    model = model.replace(**window)
+    quiet, _ = recording(rng, model, factors, 30, 0.5)
+    loud, _ = recording(rng, model, factors, 30, 4.0)
+    table = pd.concat([quiet, loud], ignore_index=True)
+    relations = jb.parity_relations(model)
+    found = jb.detect(relations, table, margins="exact")
+    seen = set()
+    for k in (int(np.nanargmin(found.margin)), int(np.nanargmax(found.margin))):
+        certificate = found.explain(k)
+        assert certificate.proves == found.status[k]
+        document = certificate.to_dict()
+        verify(document, model, table)
+        seen.add(document["certificate"])
+        wider = {name: f"2*({text})" for name, text in model.times.items()}
+        with pytest.raises(ValueError, match="something else"):
+            verify(document, model.replace(times=wider), table)
+        with pytest.raises(ValueError, match="factors|number of the proof|times_noise|missing or unknown"):
+            verify(document, model.replace(times=None), table)
+    assert seen == {"FAULT", "CONSISTENT"}
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("kind", ["strips", "circuits in a scan", "search"])
+def test_fractions_say_the_same_where_bounds_are_as_thin_as_rounding(kind, dtype):
+    rng = np.random.default_rng(list(kind.encode()))
+    seen = set()
+    for noise in (0.0, 1e-300, 2.0**-20):
+        model, window, _ = case(rng, **KINDS[kind])
+        model = model.replace(noise=noise, resolution=0, tolerance=0, times={"T0": "load**2"}, **window)
+        table, _ = recording(rng, model, {"T0": lambda fan, load: load**2}, 30, 1.0)
+        outputs = list(model.outputs)
+        table.loc[20:, outputs] += 1e-6 * rng.normal(size=(10, model.p))
+        table = table.astype({name: dtype for name in outputs})
+        found = jb.detect(jb.parity_relations(model), table)
+        for k in np.flatnonzero((found.status == Status.FAULT) | (found.status == Status.CONSISTENT)):
+            assert found.explain(int(k)).proves == found.status[k], k
+        seen |= set(found.status.tolist())
+    assert {Status.FAULT, Status.CONSISTENT} <= seen
+
+
+def test_margins_are_those_of_detect_and_have_derivatives():
+    import jax
+
+    rng = np.random.default_rng(13)
+    for kind in ("strips", "search"):
+        model, window, factors = case(rng, **KINDS[kind])
+        table, _ = recording(rng, model, factors, 40, 1.2)
+        relations = jb.parity_relations(model, **window)
+        found, margins = jb.detect(relations, table, margins="exact"), jb.margins(relations, table)
+        np.testing.assert_allclose(margins, found.margin, atol=1e-9)
+        given = jb.Recording.of(model, table)
+        k = int(np.nanargmin(found.margin))
+        bounds = relations.bounds
+
+        def margin(noise, relations=relations, given=given, k=k):
+            return jb.margins(relations.with_bounds({"noise": noise}), given.u, given.y)[k]
+
+        slope = jax.grad(margin)(bounds["noise"])
+        step = 1e-6
+        ahead = margin(bounds["noise"] + step) - margin(bounds["noise"] - step)
+        np.testing.assert_allclose(ahead / (2 * step), slope.sum(), rtol=1e-3)
+
+
+def test_half_of_a_bound_times_two_is_the_bound():
+    rng = np.random.default_rng(17)
+    model = jb.LinearSystem([[0.9]], [[1]], [[1]], noise="1/2", inputs="fan", outputs="T")
+    halved = model.replace(noise="1/4", times={"T": "2 + 0*fan"})
+    u, y = rng.normal(size=(200, 1)), rng.normal(size=(200, 1))
+    for horizon in (1, 8, 30):
+        one, other = (jb.detect(jb.parity_relations(m, horizon), u, y) for m in (model, halved))
+        np.testing.assert_array_equal(one.status, other.status)
+        k = int(np.nanargmin(one.margin))
+        assert one.explain(k).factor == other.explain(k).factor
+    assert other.explain(k).window.noise == (Fraction(1, 4),)
