@@ -333,7 +333,7 @@ def test_every_block_of_commands_is_run_or_says_why_not():
 
 def test_every_command_has_its_help_on_the_page_and_every_key_of_a_model_file_its_entry():
     from jaxbound.cli.main import commands
-    from jaxbound.models.filevalues import AVERAGE
+    from jaxbound.models.filevalues import AVERAGE, TIMES
     from jaxbound.models.modelfields import field_names
 
     page = (ROOT / "docs" / "commands.md").read_text()
@@ -341,7 +341,9 @@ def test_every_command_has_its_help_on_the_page_and_every_key_of_a_model_file_it
         commands()
     ) == set(re.findall("^## (\\w+)$", page, re.M))
     known = [
-        *map(field_names, ("", "states", "inputs", "outputs", "disturbances")),
+        *map(field_names, ("", "states", "inputs", "outputs")),
+        TIMES,
+        field_names("disturbances"),
         AVERAGE,
         *map(field_names, ("uncertainty", "matrices", "provenance")),
     ]

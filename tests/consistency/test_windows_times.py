@@ -12,7 +12,9 @@ from jaxbound.certificates.verification import verify
 from jaxbound.sets.floats.status import Status
 
 CLEAR = {np.float64: 1e-6, np.float32: 2e-3}
-"""Distance from the boundary from which on rounding has no say."""
+"""Distance from the boundary from which on no verdict is wrong by how samples are rounded for a program."""
+DECIDED = {np.float64: 1e-6, np.float32: 3e-2}
+"""Distance from the boundary from which on rounding leaves none UNDECIDED."""
 FACTORS = {
     "1 + 0.5*abs(fan - 0.6)": lambda fan, load: 1 + 0.5 * abs(fan - 0.6),
     "maximum(0.2, minimum(load, 3))": lambda fan, load: np.maximum(0.2, np.minimum(load, 3)),
@@ -141,7 +143,9 @@ def judged(relations, window, table, f, dtype=np.float64):
         t = gauge(model, window, u[stretch], y[stretch].astype(float), f[stretch], unit)
         if t is not None and abs(t - 1) > CLEAR[dtype]:
             expected = Status.FAULT if t > 1 else Status.CONSISTENT
-            assert exact.status[k] == bounds.status[k] == expected, (k, t, exact.status[k], bounds.status[k])
+            for status in (exact.status[k], bounds.status[k]):
+                open_ = status == Status.UNDECIDED and abs(t - 1) <= DECIDED[dtype]
+                assert status == expected or open_, (k, t, status)
     return exact.status
 
 
