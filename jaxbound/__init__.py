@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from jaxbound.diagnosis.isolation import evaluate
     from jaxbound.diagnosis.memory import suggest_lags
     from jaxbound.estimation.observer import observe, observer
+    from jaxbound.estimation.parameters import parameters
     from jaxbound.estimation.unknown_inputs import unknown_inputs
     from jaxbound.estimation.validation import validate
     from jaxbound.models.conversion import from_control, from_scipy
@@ -83,6 +84,7 @@ __all__ = [
     "membership",
     "observe",
     "observer",
+    "parameters",
     "parity_relations",
     "pave",
     "plot",
@@ -117,6 +119,7 @@ _HOMES = {
     "diagnosis.isolation": "evaluate",
     "diagnosis.memory": "suggest_lags",
     "estimation.observer": "observe observer",
+    "estimation.parameters": "parameters",
     "estimation.unknown_inputs": "unknown_inputs",
     "estimation.validation": "validate",
     "models.conversion": "from_control from_scipy",
@@ -150,7 +153,7 @@ _HOMES = {
     "studies.tuning.tuning": "tune",
     "certificates": "Certificate UncertainCertificate",
     "diagnosis": "Alarm BankResult GuaranteedSize Result",
-    "estimation": "Observation UnknownInputs Validation",
+    "estimation": "Observation ParameterSet UnknownInputs Validation",
     "models": "IntervalSystem Trajectory",
     "relations": "Isolability ParityRelation Redundancy Residual Signatures UncertainRelations",
     "runs": "Digest",

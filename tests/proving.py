@@ -16,6 +16,9 @@ from jaxbound import sets
 
 MODEL = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1)
 LEAKING = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1, unknown_inputs=[[1]])
+FIXED = jb.LinearSystem(
+    [[0]], None, [[1]], noise=0.1, uncertainties=[jb.Uncertainty("a", A=[[1]], varying=False)]
+)
 UNSURE = jb.LinearSystem([[1]], None, [[1]], uncertainties=[jb.Uncertainty("gain", C=[["1/2"]])])
 
 
@@ -30,6 +33,7 @@ def doors():
     r, unsure, y = jb.parity_relations(MODEL), jb.parity_relations(UNSURE), np.array([[0.05], [0.0], [0.05]])
     box, M = jb.interval(np.zeros(1), np.ones(1)), jb.interval_system([[0.5]], None, [[1]])
     Z, F = jb.zonotope([0.0], [[1.0]]), jb.inclusion(square)
+    fixed = jb.parity_relations(FIXED)
     monitor = lambda: jb.Monitor(r)
     return {
         "detect": lambda: jb.detect(r, None, y),
@@ -38,6 +42,7 @@ def doors():
         "compensation": lambda: jb.compensation(unsure, None, y),
         "observer": lambda: jb.observer(MODEL),
         "observe": lambda: jb.observe(MODEL, None, y),
+        "parameters": lambda: jb.parameters(fixed, None, y),
         "unknown_inputs": lambda: jb.unknown_inputs(LEAKING, None, y, horizon=1),
         "validate": lambda: jb.validate(M, None, y),
         "linearize": lambda: jb.linearize(lambda x, u: -x * x, [1.0], region={"x": 0.1}),

@@ -71,6 +71,9 @@ BY_DAY = {
     "estimation/test_observer_averages": {
         "many_draws_that_keep_averages_are_never_a_fault": "draws_that_keep_averages_are_never_a_fault"
     },
+    "estimation/test_parameters": {
+        "the_true_parameters_of_a_thousand_recordings_are_never_lost": "the_true_parameters_are_never_lost"
+    },
     "estimation/test_unknown_input_observer": dict.fromkeys(
         ["half_a_million_fault_free_samples", "fifty_thousand_fault_free_samples_of_joint_observers"],
         "the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault",

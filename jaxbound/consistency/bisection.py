@@ -26,7 +26,7 @@ from jaxbound.sets.inclusion.inclusion import inclusion
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.paving.paving import Paving, pave
 
-__all__ = ["BUDGET", "BisectionTest", "flat", "search", "whole_budget"]
+__all__ = ["BUDGET", "BisectionTest", "Thick", "flat", "search", "whole_budget"]
 
 BUDGET = 1000
 """Boxes that may be evaluated for a window."""
@@ -55,7 +55,7 @@ class ResidualRelations(Relations):
 
 
 @dataclass(frozen=True)
-class _Thick:
+class Thick:
     """The residual over boxes and intervals of samples, as a function of Intervals: it can exclude, and needs
     no slopes of the samples.
     """
@@ -65,6 +65,7 @@ class _Thick:
     def __call__(
         self, z: Interval, u_lo: jax.Array, u_hi: jax.Array, y_lo: jax.Array, y_hi: jax.Array
     ) -> Interval:
+        """Return an enclosure of the residual."""
         enclosure: Interval = inclusion(flat(self.f), "best")(z, Interval(u_lo, u_hi), Interval(y_lo, y_hi))
         return enclosure
 
@@ -134,7 +135,7 @@ def _exclude(relations: ResidualRelations, U: np.ndarray, Y: np.ndarray, budget:
     slip = 2 * input_slip(U)  # 2: for this computation
     windows = U - slip, U + slip, *recorded(Y, RECORDER_ULPS + 2)
     return _paved(
-        relations, _Thick(frozen(relations.f)), windows, budget, size, solutions="none", cut="widest"
+        relations, Thick(frozen(relations.f)), windows, budget, size, solutions="none", cut="widest"
     )
 
 

@@ -35,7 +35,7 @@ from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.intervals.interval import Interval, interval, matmul, sub
 from jaxbound.sets.paving.paving import reaches
 
-__all__ = ["BoxTest", "PavingTest", "internal_form"]
+__all__ = ["BoxTest", "PavingTest", "internal_form", "span"]
 
 BUDGET = 3, 100_000
 """(q, boxes a window) of a paving where nothing else is asked."""
@@ -168,13 +168,13 @@ def _whole_windows(test: WindowTest, u: np.ndarray, y: np.ndarray, starts: np.nd
     counted, lengths = (u, y), (test.lags, test.horizon + 1)
     lacking, endless = np.zeros(len(starts), bool), np.zeros(len(starts), bool)
     for x, length in zip(counted, lengths, strict=True):
-        lacking |= _span(np.isnan(x), starts, length)
-        endless |= _span(np.isinf(x), starts, length)
+        lacking |= span(np.isnan(x), starts, length)
+        endless |= span(np.isinf(x), starts, length)
     cases = [(test, starts[~lacking & ~endless]), (Open(test, np.nan), starts[endless])]
     return [(case, own) for case, own in cases if len(own)]
 
 
-def _span(bad: np.ndarray, starts: np.ndarray, length: int) -> np.ndarray:
+def span(bad: np.ndarray, starts: np.ndarray, length: int) -> np.ndarray:
     """Return whether any of so many samples from each of `starts` on is bad (T, channels)."""
     counted = np.concatenate([[0], np.cumsum(bad.any(1))])
     return np.asarray(counted[starts + length] > counted[starts])

@@ -1,4 +1,5 @@
-"""Set-membership estimation: set observers, data validation, multiple models, unknown inputs.
+"""Set-membership estimation: set observers, data validation, multiple models, unknown inputs, constant
+parameters.
 
 Names are imported when they are first asked for: the command line reads the table of methods before anything
 is computed.
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from jaxbound.estimation.joint_observer import JointObserver, JointState
     from jaxbound.estimation.method import ObserverMethod
     from jaxbound.estimation.observation import Observation
+    from jaxbound.estimation.parameter_set import ParameterSet
     from jaxbound.estimation.set_observer import ObserverState, SetObserver, ZonotopeObserver
     from jaxbound.estimation.unknown_inputs import UnknownInputs
     from jaxbound.estimation.validation_observer import ValidationObserver
@@ -31,6 +33,7 @@ __all__ = [
     "Observation",
     "ObserverMethod",
     "ObserverState",
+    "ParameterSet",
     "SetObserver",
     "UnknownInputs",
     "Validation",
@@ -46,6 +49,7 @@ _HOMES = {
     "joint_observer": "JointObserver JointState",
     "method": "ObserverMethod",
     "observation": "Observation",
+    "parameter_set": "ParameterSet",
     "set_observer": "ObserverState SetObserver ZonotopeObserver",
     "unknown_inputs": "UnknownInputs",
     "validation_result": "Validation",
