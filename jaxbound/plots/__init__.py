@@ -2,6 +2,28 @@
 draws.
 """
 
-from jaxbound.plots import bank, fit, observation, result, sets, signatures, study, tune, validation
+from jaxbound.plots import (
+    bank,
+    fit,
+    observation,
+    parameters,
+    result,
+    sets,
+    signatures,
+    study,
+    tune,
+    validation,
+)
 
-__all__ = ["bank", "fit", "observation", "result", "sets", "signatures", "study", "tune", "validation"]
+__all__ = [
+    "bank",
+    "fit",
+    "observation",
+    "parameters",
+    "result",
+    "sets",
+    "signatures",
+    "study",
+    "tune",
+    "validation",
+]

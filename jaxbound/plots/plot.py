@@ -25,6 +25,7 @@ def plot(thing: object, time: object = None, alarms: object = None, ax: object =
             A Digest: as a Result. A Validation: the band of the true value of each output, and its faulty
                 samples.
             An Observation: the band of each output before its sample is looked at, and of each state.
+            A ParameterSet: its boxes, for each pair of parameters.
             A Zonotope or ConstrainedZonotope in the plane, or a list of them: their outlines.
         time: (T,) seconds or datetime64, of a Result, BankResult, Validation or Observation; None: the index
             of the DataFrame, or sample numbers times dt.
