@@ -59,7 +59,8 @@ def options(parser: argparse.ArgumentParser) -> None:
         "--inputs",
         default="",
         metavar="A,B",
-        help="columns; or name=column, or name=expression like lift=Tsup-Tmix",
+        help="columns; or name=column, or name=expression like lift=Tsup-Tmix; names with commas or = in "
+        "backticks or double quotes",
     )
     parser.add_argument(
         "--outputs", required=True, metavar="C,D", help="as --inputs: what the model is to explain"

@@ -7,6 +7,7 @@ from typing import Any, SupportsFloat
 
 import numpy as np
 
+from jaxbound.cli.names import parted, unquoted
 from jaxbound.cli.terminal import show
 from jaxbound.diagnosis.memory import slowest, suggest_lags
 from jaxbound.recordings.expressions import CLOCK, expression
@@ -17,9 +18,7 @@ __all__ = ["named_units", "plain_fit", "show_fit", "signal_columns"]
 
 Signal = str | tuple[str, str]  # a column of that name, or (name, column)
 MEMORY = 1.5  # times the window that a plant must remember before longer windows are spoken of
-COMMA = re.compile(r",(?=(?:[^`]*`[^`]*`)*[^`]*$)(?![^()]*\))")  # outside of backticks and brackets
 ASSIGNED = re.compile(r"\s*([^=<>!`'\"]+?)\s*=(?!=)\s*(.+?)\s*")
-QUOTED = re.compile(r"`([^`]+)`")
 
 
 def signal_columns(option: str, text: str) -> list[Signal]:
@@ -34,7 +33,7 @@ def signal_columns(option: str, text: str) -> list[Signal]:
     """
     if not text.strip():
         return []
-    entries = [entry.strip() for entry in COMMA.split(text)]
+    entries = parted(text)
     if not all(entries):
         raise ValueError(
             f"{option} needs names, or name=column or name=expression, with commas between them: {text!r} "
@@ -72,19 +71,17 @@ def _signal_column(entry: str) -> Signal:
     if assigned := ASSIGNED.fullmatch(entry):
         name, column = assigned.groups()
         return name, _column_entry(column)
-    if quoted := QUOTED.fullmatch(entry):
-        return quoted[1]
     if entry in CLOCK:
         return entry, f"= {entry}"
-    return entry
+    return unquoted(entry)
 
 
 def _column_entry(text: str) -> str:
     """Return the entry of a model file for a signal: "= expression", or the name of a column, which may have
     blanks in it.
     """
-    if quoted := QUOTED.fullmatch(text):
-        return quoted[1]
+    if unquoted(text) != text:
+        return unquoted(text)
     try:
         expression(text)
     except ValueError:

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable
 
 from jaxbound.cli.command import swift_imports
+from jaxbound.cli.names import parted, unquoted
 from jaxbound.cli.options import (
     METHODS,
     MethodOptions,
@@ -47,7 +48,7 @@ def options(parser: argparse.ArgumentParser) -> None:
         "--faults",
         required=True,
         metavar="F,F",
-        help="like y1:bias,y2:gain,u1:bias; kinds as in a simulation",
+        help="like y1:bias,y2:gain,u1:bias; kinds as in a simulation; a name with commas in backticks",
     )
     parser.add_argument(
         "--sizes",
@@ -125,7 +126,7 @@ def run(args: argparse.Namespace) -> int:
     sizes = _sizes(args.sizes)
     ranges = _pairs("--input-range", args.input_range)
     onset = _onset(args.onset)
-    faults = [f.strip() for f in args.faults.split(",") if f.strip()]
+    faults = [_fault_text(fault) for fault in parted(args.faults) if fault]
     stages = progress_bars(("relations", "study", "report"))
     with (
         door(),
@@ -163,6 +164,19 @@ def run(args: argparse.Namespace) -> int:
         step("report", 1.0)
     conclude_study(result, args.out, seconds, as_json=args.json)
     return OK
+
+
+def _fault_text(text: str) -> str:
+    """Return signal:kind, of a signal that may stand in backticks or double quotes.
+
+    Example:
+        >>> _fault_text("`Q1=Heater, left`:bias"), _fault_text("AHU: Supply:gain"), _fault_text('"a, b"')
+        ('Q1=Heater, left:bias', 'AHU: Supply:gain', 'a, b')
+    """
+    signal, colon, kind = text.rpartition(":")
+    if not colon or unquoted(text) != text:
+        return unquoted(text)
+    return f"{unquoted(signal)}:{kind}"
 
 
 class _Announced:

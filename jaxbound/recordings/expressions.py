@@ -17,6 +17,7 @@ from typing import NoReturn
 import numpy as np
 
 from jaxbound.text.names import listed, quoted
+from jaxbound.text.units import same_unit, without_unit
 
 __all__ = """
     CLOCK TIMES Expression derived expression fails find_column is_expression likely missing_column
@@ -397,7 +398,8 @@ def _check_constants(text: str, nodes: Iterable[ast.AST], strings: set[int]) -> 
 def _refuse_part(text: str, what: str) -> NoReturn:
     raise ValueError(
         f"the expression {text!r} holds {what}: there are columns, numbers, + - * / // % **, comparisons, "
-        f"and, or, not, and the functions {', '.join(FUNCTIONS)}"
+        f"and, or, not, and the functions {', '.join(FUNCTIONS)}; names with brackets, points or other signs "
+        f"stand in backticks, like `Supply Temp`"
     )
 
 
@@ -421,11 +423,32 @@ def missing_column(wanted: str, present: Iterable[str], where: str, kind: str = 
     """Return the sentence for a column, or what else of a kind, that is not there, with the nearest name."""
     names = list(map(str, present))
     longest, most = NEAR
+    other = _in_another_unit(wanted, names)
+    if other:
+        return f"{where} has {kind} {other} in the place of {quoted(wanted)}"
     near = difflib.get_close_matches(wanted, [c for c in names if len(c) < longest][:most], n=1, cutoff=0.5)
     here = listed(names)
     if near:
-        return f"{where} has no {kind} {quoted(wanted)}; did you mean {quoted(near[0])}? It has {here}."
+        stands = ""
+        if re.search("[,=]", near[0]):
+            stands = " In the shell a name with a comma or an equal sign stands in backticks."
+        return (
+            f"{where} has no {kind} {quoted(wanted)}; did you mean {quoted(near[0])}?{stands} It has {here}."
+        )
     return f"{where} has no {kind} {quoted(wanted)}: it has {here}"
+
+
+def _in_another_unit(wanted: str, names: Iterable[str]) -> str:
+    """Return the end of a sentence on a column of the same name but for its unit, "" where there is none."""
+    name, unit = without_unit(wanted)
+    for there in names:
+        called, stated = without_unit(there)
+        if not stated or called.strip() != name.strip() or there == wanted:
+            continue
+        if unit and not same_unit(unit, stated):
+            return f"{quoted(there)}, in another unit: convert it, as one signal has one unit,"
+        return f"{quoted(there)}, with a unit in its name: give the name as it stands there,"
+    return ""
 
 
 def likely(names: Iterable[str], patterns: Iterable[str]) -> list[str]:

@@ -7,9 +7,10 @@ import numpy as np
 
 from jaxbound.models.system import LinearSystem
 from jaxbound.studies.identification.fit_result import FitCheck
-from jaxbound.studies.identification.records import Records
+from jaxbound.studies.identification.records import Records, measured
+from jaxbound.text.names import listed
 
-__all__ = ["inputs_at_rest", "limits", "no_average"]
+__all__ = ["apart", "inputs_at_rest", "limits", "no_average"]
 
 WIDE, CONTRADICTION, FEW = 1.5, 3.0, 10
 """Above this factor that a recording asks for that is left out, this factor between the bounds of two
@@ -17,12 +18,16 @@ recordings, below this number of windows that do not overlap, the user is told t
 monitor."""
 
 
-def inputs_at_rest(records: Records, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
-    """Return a sentence for each input that never moves.
+def inputs_at_rest(
+    records: Records, inputs: Sequence[str], outputs: Sequence[str], horizon: int
+) -> list[str]:
+    """Return a sentence for each input that never moves, none where there is no window.
 
     Raises:
-        ValueError: an output stands still.
+        ValueError: an output stands still, or every input.
     """
+    if measured(records) <= horizon:
+        return []  # refused for that
     u, y = (np.concatenate([r[side] for r in records]) for side in (0, 1))
     for name, x in zip(outputs, y.T, strict=True):
         if _stands_still(x):
@@ -30,12 +35,37 @@ def inputs_at_rest(records: Records, inputs: Sequence[str], outputs: Sequence[st
                 f"{name} stands still in all recordings: nothing can be learnt of it; leave it out, or look "
                 f"at the sensor"
             )
+    still = [name for name, x in zip(inputs, u.T, strict=True) if _stands_still(x)]
+    if still and len(still) == len(inputs):
+        raise ValueError(
+            f"no input moves in these recordings ({listed(still, str)}), so nothing can be learnt of them: "
+            f"record a step, or leave them out of the inputs"
+        )
     return [
         f"{name} never moves in these recordings: what it does to the outputs is unknown, and the model says "
         f"nothing; record a step of it"
-        for name, x in zip(inputs, u.T, strict=True)
-        if _stands_still(x)
+        for name in still
     ]
+
+
+def apart(records: Records, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
+    """Return a sentence for each signal of which two recordings have nothing in common: units may differ."""
+    sentences: list[str] = []
+    for side, names in ((0, inputs), (1, outputs)):
+        for i, name in enumerate(names):
+            ranges = [(x[side][:, i], number) for number, x in enumerate(records, 1)]
+            moving = [(np.nanmin(x), np.nanmax(x), number) for x, number in ranges if not _stands_still(x)]
+            if len(moving) < 2:
+                continue
+            low, high = min(moving, key=lambda r: r[1]), max(moving)
+            if low[1] < high[0]:
+                below = f"{low[0]:.4g} to {low[1]:.4g} in recording {low[2]}"
+                above = f"{high[0]:.4g} to {high[1]:.4g} in recording {high[2]}"
+                sentences.append(
+                    f"{name} lies at {below} and at {above}, which have nothing in common: is it in two "
+                    f"units, like degC and degF, or are these two plants?"
+                )
+    return sentences
 
 
 def _stands_still(x: np.ndarray) -> bool:

@@ -141,7 +141,10 @@ def fit(
         about["horizon"] = horizon
     else:
         about["lags"] = lags
-    sentences = advice.inputs_at_rest(records, inputs, outputs)
+    sentences = [
+        *advice.inputs_at_rest(records, inputs, outputs, horizon),
+        *advice.apart(records, inputs, outputs),
+    ]
     parts, trials = parted(records, held_out, horizon + 1), []
     order, delay = _structure(records, parts, horizon, order, delay, direct)
     problem = FitProblem.of(records, order, delay, horizon, direct, about, judge)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.recordings.arrays import holds_both, is_made
+from jaxbound.recordings.clockintervals import every_text
 from jaxbound.recordings.means import every_of
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import TOLERATED_DT
@@ -154,7 +155,7 @@ def _period(dt: float | None, periods: Sequence[tuple[float, str]]) -> float:
     if high - low > TOLERATED_DT * low:
         raise ValueError(
             f"{last} has a sample every {high:g} s, {first} every {low:g} s, and a model has one sampling "
-            f"period"
+            f"period: fit a model to each, or let the samples of all be means, every = {every_text(high)!r}"
         )
     if dt is None:
         return periods[0][0]

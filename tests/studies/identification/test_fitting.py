@@ -386,7 +386,10 @@ class TestCautions:
 
     def test_an_input_that_never_moves(self, rng):
         u, y = run(rng)
-        assert "u1 never moves in these recordings" in self.said((0 * u + 3, y))
+        still = np.concatenate([u, 0 * u + 3], 1)
+        assert "u2 never moves in these recordings" in self.said((still, y))
+        with pytest.raises(ValueError, match=r"no input moves in these recordings \(u1\)"):
+            self.said((0 * u + 3, y))
 
     def test_recordings_that_contradict_each_other(self, rng):
         said = self.said([run(rng, 60, noise=0.01), run(rng, 60, noise=0.4)])
