@@ -4,9 +4,9 @@ import re
 
 __all__ = ["parted", "unquoted"]
 
-COMMA = re.compile(r""",(?=(?:[^`"]|`[^`]*`|"[^"]*")*$)(?![^(`"]*\))""")
+COMMA = re.compile(r""",(?=(?:[^`"]|`[^`]*`|"[^"]*")*$)(?!(?:[^()`"]|`[^`]*`|"[^"]*")*\))""")
 """A comma outside of backticks, double quotes and brackets."""
-TICKED = re.compile(r",(?=(?:[^`]|`[^`]*`)*$)(?![^(`]*\))")
+TICKED = re.compile(r",(?=(?:[^`]|`[^`]*`)*$)(?!(?:[^()`]|`[^`]*`)*\))")
 """A comma outside of backticks and brackets, where a double quote is an inch."""
 QUOTED = re.compile(r"""`([^`]+)`|"([^"]+)\"""")
 
