@@ -118,9 +118,13 @@ def model_signals(
     )
 
 
-def refuse_other_every(columns: Words, dt: float) -> None:
-    """Raise ValueError if samples are means over another interval than dt, in s."""
+def refuse_other_every(columns: Words, dt: float, has_factors: bool) -> None:
+    """Raise ValueError if samples are means over another interval than dt, in s, or have factors on noise."""
     every = dict(columns).get(EVERY)
+    if every is not None and has_factors:
+        raise ValueError(
+            f"every = {every!r} and times do not go together: a factor on noise is of a sample, no mean"
+        )
     if every is not None and abs(seconds_of(every) - dt) > 1e-9 * dt:
         raise ValueError(
             f"every = {every!r} is {seconds_of(every):g} s and dt = {dt:g} s: samples that are means over an "

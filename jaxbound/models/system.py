@@ -218,7 +218,7 @@ class LinearSystem:
         signals = model_signals(
             (parts.m, parts.p, parts.n), inputs, outputs, states, offset, units, columns, ranges
         )
-        refuse_other_every(signals.columns, parts.dt)
+        refuse_other_every(signals.columns, parts.dt, bool(times))
         length, sparse = _window(horizon, lags)
         measured = sensors(signals.outputs, tolerance, noise, resolution, constant_tolerance)
         factors = times_of(times, signals, measured, bool(parts.uncertainties))

@@ -235,6 +235,11 @@ def test_a_model_refuses_an_interval_that_is_none(every, dt, sentence):
         PLAIN.replace(dt=dt, columns={"every": every})
 
 
+def test_factors_on_noise_are_of_samples_and_not_of_means():
+    with pytest.raises(ValueError, match="every = '15min' and times do not go together"):
+        PLAIN.replace(times={"y1": "1 + abs(u1)"})
+
+
 @pytest.mark.parametrize(
     ("every", "rows", "sentence"),
     [
