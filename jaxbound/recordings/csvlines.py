@@ -15,9 +15,12 @@ from typing import IO
 
 import numpy as np
 
+from jaxbound.recordings.oddcells import ERRORS
+
 __all__ = ["BOM", "CountedLines", "is_blank", "is_open", "lines_of", "split_lines"]
 
 BOM = b"\xef\xbb\xbf"
+ERROR = re.compile(b"|".join(re.escape(word.encode()) for word in ERRORS))
 BLOCK = 1 << 20  # bytes looked at at once
 
 
@@ -29,7 +32,7 @@ class CountedLines:
 
     Fields: lines: how many there are, with the last even where it has no end; last: number of the last that
     holds more than blanks; open_end: whether a block ends in a line with an open quotation mark, where a
-    parser would not notice it; has_sharps: whether a # is in it, as errors of a spreadsheet have one.
+    parser would not notice it; has_errors: whether an error of a spreadsheet is in it.
     """
 
     closed = False  # what pyarrow asks of a file
@@ -37,7 +40,7 @@ class CountedLines:
     def __init__(self, file: IO[bytes], delimiter: str = ",") -> None:
         self._file, self._delimiter, self._held, self._begun = file, delimiter.encode(), b"", b""
         self._ends = self._trailing = 0
-        self._unfinished = self.open_end = self.has_sharps = False
+        self._unfinished = self.open_end = self.has_errors = False
 
     @property
     def lines(self) -> int:
@@ -67,7 +70,8 @@ class CountedLines:
         return data
 
     def _counted(self, data: bytes) -> bytes:
-        self.has_sharps |= b"#" in data
+        if b"#" in data or b"#" in self._begun:
+            self.has_errors |= ERROR.search(self._begun + data) is not None
         bytes_of = np.frombuffer(data, np.uint8)
         ends = np.count_nonzero(bytes_of == 10)
         if b"\r" in data:

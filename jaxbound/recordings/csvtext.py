@@ -394,7 +394,7 @@ def _table_of(layout: Layout, plan: Planned, convert: "pc.ConvertOptions") -> "t
         except (pa.ArrowInvalid, pa.ArrowKeyError, UnicodeError):
             return None, False
     _refuse_lost_rows(layout, lines, table.num_rows, plan.wanted.time is not None)
-    return table, lines.has_sharps
+    return table, lines.has_errors
 
 
 def _numbers_among(layout: Layout, plan: Planned, texts: dict[str, "pa.Array"]) -> Cells:

@@ -27,6 +27,7 @@ from jaxbound.recordings.means import (
     means_of,
     midnight_of,
     recorded_model,
+    refuse_every,
     usual_step,
 )
 from jaxbound.recordings.seams import Clock, all_starts, around, aside, check_period, crossing, tick
@@ -133,7 +134,7 @@ class Recording:
         """
         every = every_of(model)
         if every is not None:
-            return cls._of_means(model, u, y, starts, narrow, every)
+            return cls._of_means(model, u, y, starts, regular, narrow, every)
         if y is None and is_made(u):
             return cls._of_recording(model, u, starts, narrow)
         is_one = u is y or y is None
@@ -162,7 +163,7 @@ class Recording:
 
     @classmethod
     def _of_means(
-        cls, model: Named, u: Data, y: Data, starts: ArrayLike, narrow: bool, every: str
+        cls, model: Named, u: Data, y: Data, starts: ArrayLike, regular: bool, narrow: bool, every: str
     ) -> "Recording":
         """Return the Recording of means over intervals; what has no times, or their step, is taken for means
         already.
@@ -170,6 +171,8 @@ class Recording:
         recorded = cls.of(recorded_model(signals_of(model)), u, y, starts, regular=False, narrow=narrow)
         if recorded.time is None or is_period(recorded.dt, every):
             return recorded
+        if not regular:
+            refuse_every(model, "tables that come one by one")
         if np.size(starts):
             raise ValueError(f"every = {every!r} and starts do not go together: times show the gaps")
         means = recorded.averaged(every)

@@ -235,6 +235,16 @@ def test_a_model_refuses_an_interval_that_is_none(every, dt, sentence):
         PLAIN.replace(dt=dt, columns={"every": every})
 
 
+def test_a_monitor_takes_means_but_no_tables_that_it_would_have_to_average():
+    """Intervals that two tables share would be lost, and those around taken to follow each other."""
+    monitor = jb.Monitor(jb.parity_relations(PLAIN))
+    with pytest.raises(ValueError, match="means over 15min, which tables that come one by one are not"):
+        monitor.run(monitor.init(), minutes())
+    means = jb.Recording.of(PLAIN, minutes().drop(columns="fan"))
+    _, verdicts = monitor.run(monitor.init(), means)
+    np.testing.assert_array_equal(verdicts.status, jb.detect(monitor.relations, means).status)
+
+
 def test_factors_on_noise_are_of_samples_and_not_of_means():
     with pytest.raises(ValueError, match="every = '15min' and times do not go together"):
         PLAIN.replace(times={"y1": "1 + abs(u1)"})
