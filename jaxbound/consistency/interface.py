@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from jaxbound.consistency.reading import Block, Reading
 from jaxbound.exact.frames import ExactFrame
 from jaxbound.exact.linalg import Matrix
+from jaxbound.models.region import Departure
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.signals import SignalModel
@@ -142,12 +143,13 @@ class Verdicts(Protocol):
 @readable
 class Judged(NamedTuple):
     """Verdicts (..., T): status, as int8; margin; words, of a bank the packed verdicts of its relations, else
-    None.
+    None; departure: from the region of training, None: it is not known, or not asked for.
     """
 
     status: np.ndarray
     margin: np.ndarray
     words: np.ndarray | None = None
+    departure: Departure | None = None
 
 
 class Relations:

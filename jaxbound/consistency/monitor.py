@@ -14,23 +14,27 @@ import numpy as np
 from jax.typing import DTypeLike
 from numpy.typing import ArrayLike
 
+from jaxbound.consistency.claims import CLAIMED, UNCLAIMED, refuse_outside, unclaimed
 from jaxbound.consistency.drive import windows
 from jaxbound.consistency.interface import (
     OBSERVER,
     Budget,
     Compensation,
+    Judged,
     Observer,
     Relations,
     Starts,
     WindowTest,
     relations_of,
 )
+from jaxbound.models.region import Departure, Region
 from jaxbound.recordings.factors import factors_of, known, narrowed
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import TOLERATED_STEP, all_starts
 from jaxbound.recordings.table import one_row
 from jaxbound.recordings.tabletime import unlabelled
 from jaxbound.sets.floats.probe import refuse_unusable
+from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 
 __all__ = ["Monitor", "MonitorState", "Verdict"]
@@ -60,13 +64,22 @@ class MonitorState(NamedTuple):
 @readable
 class Verdict(NamedTuple):
     """Of the window that ends at a sample: status (a `Status` as int8) and margin, as in the Result of
-    `detect`; (N,) for N samples.
+    `detect`, and its departure from the region of training (None: the model states no ranges); (N,) for N
+    samples.
 
     CONSISTENT after FAULT does not say that a fault is repaired: see `Alarm`.
     """
 
     status: np.ndarray
     margin: np.ndarray
+    departure: Departure | None = None
+
+    @property
+    def outside(self) -> np.ndarray:
+        """(N,): as of a Result, 0 inside; NaN where it is not known."""
+        if self.departure is None:
+            return np.full(np.shape(self.margin), np.nan)
+        return self.departure.share
 
 
 @readable
@@ -78,7 +91,7 @@ class Monitor:
         relations: from `parity_relations` or `residual` (whose signals have names), or a bank, as for
             `detect`; or an Observer, whose carry is then the state, and what it judges, of one sample or of
             N, the verdict.
-        method, budget, compensation: as for `detect`.
+        method, budget, compensation, outside: as for `detect`.
         dtype: of the samples, float64 or float32; None: as JAX is configured. Outputs of a wider type are
             rounded to it; a narrower type is refused, since more was rounded away than the verdicts would
             allow for.
@@ -90,7 +103,8 @@ class Monitor:
     certain samples takes some milliseconds, the first that lacks one, two or more inputs compiles.
 
     Raises:
-        TypeError: no relations. ValueError: a method, budget or compensation that they cannot be tested by.
+        TypeError: no relations. ValueError: a method, budget or compensation that they cannot be tested by;
+            outside="undecided" of an Observer, whose verdicts are its own.
         RuntimeError: on a device where rounding has not been verified, see `detect`.
 
     Encloses: FAULT and CONSISTENT are proofs, as those of `detect`.
@@ -115,11 +129,18 @@ class Monitor:
         dtype: DTypeLike | None = None,
         budget: Budget = None,
         compensation: Compensation = 0.0,
+        outside: str = CLAIMED,
     ) -> None:
+        refuse_outside(outside)
+        self.outside = outside
         self.relations: Relations = relations
         self.method = OBSERVER
         self._observer: Observer[Any] | None = None
         if isinstance(relations, Observer):
+            if outside != CLAIMED:
+                raise ValueError(
+                    "outside is for windows: a Monitor hands on the verdicts of an Observer as they are"
+                )
             self._observer = relations
             return
         relations_of(relations, "a Monitor", "Monitor(parity_relations(model))")
@@ -129,6 +150,7 @@ class Monitor:
         assert isinstance(test, WindowTest)
         self._test = test.measured()
         self.relations, self.method = test.relations, test.method
+        self.region = Region.of(self.relations)
         dt = self.relations.model.dt
         self._dt = np.nan if dt is None else dt
 
@@ -169,7 +191,8 @@ class Monitor:
         times = None if time is None else [time]
         state, judged = self.run(state, one_row(u, "u"), one_row(y, "y"), starts=starts, time=times)
         if type(judged) is Verdict:
-            return state, Verdict(judged.status[0], judged.margin[0])
+            departure = judged.departure and judged.departure.cut(0)
+            return state, Verdict(judged.status[0], judged.margin[0], departure)
         return state, jax.tree.map(lambda x: x[0], judged)  # of an Observer
 
     def run(
@@ -202,7 +225,7 @@ class Monitor:
         if len(seams):
             begun = np.concatenate([begun, seams])
         all_u, all_y = np.concatenate([state.u, own.u]), np.concatenate([state.y, own.y])
-        verdict = Verdict(np.zeros(0, np.int8), np.zeros(0, self.dtype))
+        verdict = self._judged(all_u[:0], Judged(np.zeros(0, np.int8), np.zeros(0, self.dtype)))
         if count:
             broken = begun + s  # counted in all samples
             if state.follows < s:
@@ -296,7 +319,16 @@ class Monitor:
         if len(y) - s <= BURST * self._test.short:
             size = self._test.short
         judged = windows(self._test, u, y, starts, size=size)
-        return Verdict(judged.status[s:], judged.margin[s:])
+        return self._judged(u, judged, s)
+
+    def _judged(self, u: np.ndarray, judged: Judged, first: int = 0) -> Verdict:
+        """Return the verdicts from a sample on, with how far they lie outside the region of training."""
+        if self.region is None:
+            return Verdict(judged.status[first:], judged.margin[first:])
+        departure = self.region.departure(u, judged.status == Status.MISSING)
+        if self.outside == UNCLAIMED:
+            judged = unclaimed(judged, departure)
+        return Verdict(judged.status[first:], judged.margin[first:], departure.cut(slice(first, None)))
 
 
 class _Piece(NamedTuple):

@@ -5,6 +5,17 @@ from jaxbound.diagnosis.detectability import GuaranteedSize
 from jaxbound.diagnosis.isolation import BankResult
 from jaxbound.diagnosis.memory import SuggestedLags
 from jaxbound.diagnosis.observed import ObserverResult
+from jaxbound.diagnosis.region import Outside
 from jaxbound.diagnosis.result import Result
+from jaxbound.models.region import Departure
 
-__all__ = ["Alarm", "BankResult", "GuaranteedSize", "ObserverResult", "Result", "SuggestedLags"]
+__all__ = [
+    "Alarm",
+    "BankResult",
+    "Departure",
+    "GuaranteedSize",
+    "ObserverResult",
+    "Outside",
+    "Result",
+    "SuggestedLags",
+]

@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike
 
 from jaxbound.certificates.interface import WindowCertificate
 from jaxbound.consistency.interface import Relations
+from jaxbound.diagnosis.region import farthest_of
+from jaxbound.models.region import Departure
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 
@@ -64,6 +66,10 @@ class Grouped(Explained, Protocol):
     def margin(self) -> np.ndarray:
         """(..., T)."""
 
+    @property
+    def departure(self) -> Departure | None:
+        """(..., T), from the region of training; None: it is not known."""
+
 
 @runtime_checkable
 class Isolated(Protocol):
@@ -80,7 +86,9 @@ class Alarm:
 
     Fields: start, end: first and last sample (inclusive); windows: how many are FAULT; depth: the worst
     margin (< 0), reached at sample `worst`; recording: index of the recording in a batch, () for a single
-    one; result: what the alarm was found in; ended: why it is over, of which no verdict is a proof, one of
+    one; result: what the alarm was found in; outside: how many of its FAULT windows lie outside the region of
+    training, None where there is none; outside_by: the farthest of them in words; ended: why it is over, of
+    which no verdict is a proof, one of
 
     - "still on at the last sample", "no data after it";
     - "its onset may have left the window: repaired or lasting": every FAULT window reaches back to the first
@@ -101,6 +109,8 @@ class Alarm:
     recording: tuple[int, ...] = ()
     result: Explained | None = field(default=None, repr=False, compare=False)
     ended: str = field(default="", repr=False)
+    outside: int | None = field(default=None, repr=False)
+    outside_by: str = field(default="", repr=False)
 
     @cached_property
     def certificate(self) -> WindowCertificate:
@@ -171,10 +181,25 @@ def group_alarms(
         recording = tuple(map(int, np.unravel_index(row, tuple(batch))))
         *columns, first, last = stretches(fault[row], margin[row], k, n, hold, clear)
         codes = endings(first, last, follows(missing[row], columns[1]), horizon)
-        rows = zip(*map(np.ndarray.tolist, columns), codes.tolist(), strict=True)
-        for start, end, windows, depth, worst, code in rows:
-            alarms.append(Alarm(start, end, windows, depth, worst, recording, result, ENDINGS[code]))
+        outside = _outside(result, recording, fault[row], columns[0], columns[1])
+        rows = zip(*map(np.ndarray.tolist, columns), codes.tolist(), *outside, strict=True)
+        for start, end, windows, depth, worst, code, count, words in rows:
+            why = ENDINGS[code]
+            alarms.append(Alarm(start, end, windows, depth, worst, recording, result, why, count, words))
     return alarms
+
+
+def _outside(
+    result: Grouped, recording: tuple[int, ...], fault: np.ndarray, start: np.ndarray, end: np.ndarray
+) -> tuple[Sequence[int | None], Sequence[str]]:
+    """Return (how many FAULT windows of each alarm lie outside the region of training, the farthest in
+    words).
+    """
+    departure = result.departure
+    if departure is None:
+        return [None] * len(start), [""] * len(start)
+    counts, farthest = farthest_of(departure.cut(recording), fault, start, end)
+    return counts.tolist(), farthest.words()
 
 
 def forgets_after(relations: Relations) -> int | None:

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.consistency.claims import CLAIMED, UNCLAIMED, refuse_outside, unclaimed
 from jaxbound.consistency.drive import drive
 from jaxbound.consistency.interface import (
     AUTO,
@@ -21,6 +22,7 @@ from jaxbound.consistency.interface import (
 from jaxbound.consistency.searched import judging_device
 from jaxbound.diagnosis import isolation, observed  # noqa: F401 (the Results of a bank and of an observer)
 from jaxbound.diagnosis.result import Result, result_of
+from jaxbound.models.region import Region
 from jaxbound.recordings.table import Data
 from jaxbound.sets.floats.probe import refuse_unusable
 from jaxbound.sets.floats.status import Status
@@ -38,6 +40,7 @@ def detect(
     starts: Starts = (),
     compensation: Compensation = 0.0,
     margins: str = AUTO,
+    outside: str = CLAIMED,
 ) -> Result:
     """Decide for every window whether any behaviour inside the bounds explains it.
 
@@ -68,6 +71,8 @@ def detect(
             one that a projection settles keeps the bound on its margin that this proves, at a tenth of the
             work, but with more to compile; "auto": bounds of 131 072 windows and more. .margins says which a
             Result has; .alarms(), .worst, .explain and reports have exact ones of what they show.
+        outside: "fault": of a window that reads inputs outside the region of training, the model's `ranges`,
+            FAULT is FAULT, and .outside says how far; "undecided": it is not claimed there, and UNDECIDED.
 
     Returns:
         A Result: .status (..., T) int8 (`Status`), .margin (..., T); entry k belongs to the window that ends
@@ -79,7 +84,8 @@ def detect(
     Raises:
         TypeError: no relations; samples inside jit, vmap or grad.
         ValueError: shapes or columns that do not fit, another sampling period than the model's, an infinite
-            sample, an unknown method, unknown margins, starts that are no sample numbers.
+            sample, an unknown method, unknown margins, another word for outside, starts that are no sample
+            numbers.
         RuntimeError: where rounding has not been verified: fast-math flags, another rounding mode.
 
     A device that nobody examined (`jaxbound examine`) searches: each FAULT is proved on the host, CONSISTENT
@@ -101,6 +107,7 @@ def detect(
             "arrays, a batch of "
             "recordings at once; inside, use margins, which is differentiable and proves nothing"
         )
+    refuse_outside(outside)
     named, recording = relations.recording(u, y, starts)
     refuse_unusable()
     recording = replace(recording, u=np.asarray(recording.u), y=np.asarray(recording.y))
@@ -109,13 +116,25 @@ def detect(
     judged = drive(test, recording, progress)
     if (judged.status == Status.UNDECIDED).any():  # an infinite sample cannot come out as anything else
         recording.finite()
+    region = Region.of(named)
+    if region is not None and outside == UNCLAIMED:
+        missing = judged.status == Status.MISSING
+        judged = unclaimed(judged, region.departure(recording.u, missing))
     starts, recorded = tuple(recording.starts.tolist()), None
     if recording.source:
         recorded = recording.hints
     about = test.method, test.relations, recording.u, recording.y, recording.index, starts
     aside, device = recording.aside(test.horizon), judging_device(named.remembers)
-    kind = test.margins_are
-    return result_of(relations, judged, *about, aside=aside, recorded=recorded, device=device, margins=kind)
+    return result_of(
+        relations,
+        judged,
+        *about,
+        aside=aside,
+        recorded=recorded,
+        device=device,
+        margins=test.margins_are,
+        outside_is=outside,
+    )
 
 
 def margins(relations: Relations, u: Data, y: Data = None, starts: Starts = ()) -> jax.Array:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxbound.certificates.interface import Judgement
 from jaxbound.consistency.interface import Relations
 from jaxbound.consistency.searched import NOT_REFUTED, judging_device
+from jaxbound.diagnosis.region import Outside
 from jaxbound.models.system import FOR_OBSERVER, LinearSystem
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import percent, times
@@ -19,6 +20,7 @@ __all__ = [
     "device_hints",
     "fit_hints",
     "judging_hints",
+    "never_seen",
     "outgrown",
     "unfit",
 ]
@@ -147,6 +149,9 @@ class Reported(Judgement, Protocol):
     def reported(self) -> np.ndarray:
         """(..., T): the margins, exact ones at FAULT windows."""
 
+    def beyond_of(self, at: tuple[int, ...]) -> Outside | None:
+        """Return the windows of a recording outside the region of training; None: there is no region."""
+
 
 def fit_hints(result: Reported) -> list[str]:
     """Return a sentence, or none, on each recording of a Result that the model or its bounds seem not to
@@ -160,37 +165,60 @@ def fit_hints(result: Reported) -> list[str]:
         what = "samples"
     for at in np.ndindex(result.status.shape[:-1]):
         status, margin = np.asarray(result.status[at]), np.asarray(result.margin[at])
+        beyond = result.beyond_of(at)
         counts = {s.name: int(np.count_nonzero(status == s)) for s in Status}
         measured = (status == Status.FAULT) & ~np.isnan(margin)
         worst = np.nan
         if measured.any() and not relations.remembers and unfit(counts, worst):
             worst = float(result.reported[at][measured].min())
-        for sentence in unfit(counts, worst, what):
+        for sentence in unfit(counts, worst, what, beyond):
             if at:
                 sentence = f"recording {', '.join(map(str, at))}: {sentence}"
             sentences.append(sentence)
     return sentences
 
 
-def unfit(counts: Mapping[str, int], margin: float, what: str = "windows") -> list[str]:
+def unfit(
+    counts: Mapping[str, int], margin: float, what: str = "windows", beyond: Outside | None = None
+) -> list[str]:
     """Return a sentence, or none, where all windows with data are FAULT, or nearly all.
+
+    Outside the region of training it is that; inside it a fault is the likelier reason.
 
     Args:
         counts: {status name: number of windows}. margin: of the worst, NaN: not known. what: "windows" or
-            "samples".
+            "samples". beyond: those outside the region of training, None: there is no region.
     """
     faults = counts["FAULT"]
     tested = faults + counts["CONSISTENT"] + counts["UNDECIDED"]
     if faults < 2 or faults < NEARLY_ALL * tested:
         return []
+    if beyond is not None and beyond.holds(faults):
+        return [never_seen(beyond, faults, what)]
     by = ""
     if np.isfinite(margin):
         wider = times(1 - margin).removesuffix(" times")
         by = f": all bounds times about {wider} would make every window consistent"
-    if faults == tested:
-        return [
-            f"every one of the {faults} {what} with data is FAULT: the model or its bounds do not fit this "
-            f"recording{by}"
-        ]
-    many = f"{faults} of {tested} {what} with data ({percent(faults / tested)}) are FAULT"
-    return [f"{many}: a fault lasts all through, or the model or its bounds do not fit this recording{by}"]
+    many = f"every one of the {faults} {what} with data is FAULT"
+    if faults < tested:
+        many = f"{faults} of {tested} {what} with data ({percent(faults / tested)}) are FAULT"
+    if beyond is not None and beyond.spares(faults):
+        within = "within the region of training"
+        if beyond.faults:
+            within = f"nearly all {within}"
+        return [f"{many}, {within}: a fault lasts all through, or the bounds are too tight{by}"]
+    why = "the model or its bounds do not fit this recording"
+    if faults < tested:
+        why = f"a fault lasts all through, or {why}"
+    return [f"{many}: {why}{by}"]
+
+
+def never_seen(beyond: Outside, faults: int, what: str = "windows") -> str:
+    """Return the sentence on FAULT windows that lie outside the region of training, nearly all of so many."""
+    many, proofs = f"all {faults} FAULT {what} read", "their proofs rest"
+    if beyond.faults < faults:
+        many = f"{beyond.faults} of {faults} FAULT {what} read"
+    if faults == 1:
+        many, proofs = f"the only FAULT {what.removesuffix('s')} reads", "its proof rests"
+    new = f"inputs that this model has never seen, most by {beyond.words}"
+    return f"{many} {new}: {proofs} on extrapolation"

@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxbound.certificates.interface import WindowCertificate, explain
+from jaxbound.consistency.claims import CLAIMED
 from jaxbound.consistency.interface import EXACT, Judged, Relations
 from jaxbound.diagnosis.alarms import Alarm, forgets_after, group_alarms
 from jaxbound.diagnosis.hints import bound_hints, device_hints, fit_hints
 from jaxbound.diagnosis.measuring import exact_margins, tightest
+from jaxbound.diagnosis.region import Excursions, Outside
 from jaxbound.diagnosis.units import unit_hints
+from jaxbound.models.region import Departure, Region
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import missing_hints, rounding_hints
 from jaxbound.recordings.stillness import still_hints
@@ -55,6 +58,8 @@ class Result:
             at least; `exact`, `reported`, `measured` and `worst` have exact ones. With constant tolerances
             these are of gains that were tried: bounds too.
         device: the device that judged, in words that say whether it was examined; "": a CPU.
+        outside_is: "fault", or "undecided": the word for FAULT outside the region of training, as given to
+            `detect`.
     """
 
     status: np.ndarray
@@ -69,6 +74,7 @@ class Result:
     recorded: tuple[str, ...] | None = field(default=None, kw_only=True, repr=False)
     device: str = field(default="", kw_only=True, repr=False)
     margins: str = field(default=EXACT, kw_only=True, repr=False)
+    outside_is: str = field(default=CLAIMED, kw_only=True, repr=False)
 
     def _head(self) -> str:
         counts = [f"{n} {name}" for name, n in self.counts.items() if n]
@@ -82,6 +88,9 @@ class Result:
             rows["model"] = repr(self.relations.model)
         if not np.isnan(self.margin).all():
             rows["smallest margin"] = self._smallest()
+        if self.beyond is not None:
+            tested = int(np.count_nonzero(self.status != Status.MISSING))
+            rows["training"] = self.beyond.shown(tested, self.relations.remembers)
         rows["samples"] = f"u {np.shape(self.u)}, y {np.shape(self.y)} {np.asarray(self.y).dtype}"
         if len(self.starts):
             rows["gaps"] = f"{len(self.starts)}, the first at {int(self.starts[0])}"
@@ -136,6 +145,51 @@ class Result:
             at = int(np.nanargmin(margin))
             return at, float(margin.flat[at])
         return tightest(self.relations, self.method, self.u, self.y, margin)
+
+    @cached_property
+    def departure(self) -> Departure | None:
+        """How far each window lies outside the region of training, by which input, and this input's sample;
+        None: the model states no ranges of its inputs.
+        """
+        if self.relations is None:
+            return None
+        region = Region.of(self.relations)
+        if region is None:
+            return None
+        return region.departure(self.u, self.status == Status.MISSING)
+
+    @property
+    def outside(self) -> np.ndarray:
+        """(..., T): how far a window lies outside the region of training, the largest excess of an input over
+        the samples that the window reads, in widths of the range between which it moved in training.
+
+        0 inside; inf of an input that never moved there; NaN where the window is MISSING, or the model states
+        no ranges (`fit` writes them). Of an observer, which rests on all samples before, it is said of the
+        step that led to the sample. A FAULT outside is a proof too, of a model that is extrapolated.
+        """
+        if self.departure is None:
+            return np.full(self.status.shape, np.nan)
+        return self.departure.share
+
+    @property
+    def outside_by(self) -> np.ndarray:
+        """(..., T): the number of the input that lies farthest outside; -1 where none does."""
+        if self.departure is None:
+            return np.full(self.status.shape, -1, np.int16)
+        return self.departure.by
+
+    @cached_property
+    def beyond(self) -> Outside | None:
+        """The windows outside the region of training, counted; None: there is no region."""
+        return self.beyond_of(())
+
+    def beyond_of(self, at: tuple[int, ...]) -> Outside | None:
+        """Return the same of one recording of a batch."""
+        if self.departure is None:
+            return None
+        counts = Excursions(self.departure.region)
+        counts.add(self.status[at], self.margin[at], self.departure.cut(at))
+        return counts.total(self.outside_is)
 
     @property
     def suspect(self) -> np.ndarray:
@@ -227,7 +281,8 @@ class Result:
         return explain(self, at)
 
     def to_pandas(self) -> "pd.DataFrame":
-        """Return a DataFrame with the columns status (names), margin and suspect, one row a sample.
+        """Return a DataFrame with the columns status (names), margin and suspect, one row a sample; and
+        outside, where there is a region of training.
 
         Its attrs["margins"] says whether margins are exact or bounds.
 
@@ -245,6 +300,8 @@ class Result:
         frame = pd.DataFrame(
             {"status": names, "margin": self.margin, "suspect": self.suspect}, index=self.index
         )
+        if self.departure is not None:
+            frame["outside"] = self.outside
         frame.attrs["margins"] = self.margins
         return frame
 
@@ -264,6 +321,7 @@ def result_of(
     recorded: tuple[str, ...] | None = None,
     device: str = "",
     margins: str = EXACT,
+    outside_is: str = CLAIMED,
 ) -> Result:
     """Return the Result of verdicts, its kind chosen by the relations that a user gave.
 
@@ -279,4 +337,5 @@ def result_of(
         recorded=recorded,
         device=device,
         margins=margins,
+        outside_is=outside_is,
     )

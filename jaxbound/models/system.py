@@ -108,7 +108,7 @@ class LinearSystem:
             windows with them are MISSING; "every": an interval of dt, like "15min": samples are the means of
             what was recorded within each.
         ranges: {input: (lowest, highest)}: between which it moved in the recordings that the model was fitted
-            to; `study` moves it there.
+            to; verdicts say which windows lie outside, see `Result.outside`, and `study` moves it there.
         provenance: {"noise": "datasheet" | "fitted" | "assumed", ...}: where a bound comes from, for reports.
         name: of the plant, for reports.
         horizon: of the windows for which the bounds were found (`jb.fit`): `parity_relations` takes it where

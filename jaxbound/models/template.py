@@ -53,7 +53,7 @@ name = "pump"
 unit = "%"           # optional, for the report
 column = "Pump [%]"  # optional: the column of the recording, if it is not called like the signal, or "= `In (bar)` - `Out (bar)`"
 offset = 50          # optional: operating point; the model speaks of (recorded value - offset)
-range = [30, 70]     # optional: between which it moves; jaxbound study draws its levels there
+range = [30, 70]     # optional: between which it moves; verdicts say what lies outside, and jaxbound study draws its levels there
 
 # One [[outputs]] block per row of C, in order, with what is known of its sensor:
 #     recorded = (1 + theta) (true value) + e,    |theta| <= tolerance,   |e| <= noise + resolution,   drawn anew each sample

@@ -10,7 +10,7 @@ from systems import paper
 
 import jaxbound as jb
 from jaxbound.consistency import exchange, strips
-from jaxbound.consistency.monitor import Monitor
+from jaxbound.consistency.monitor import Monitor, Verdict
 from jaxbound.consistency.strips import StripsTest
 
 
@@ -39,7 +39,7 @@ def stepped(mon, u, y, starts=(), state=None):
 
 
 def assert_equal(found, res):
-    status, margin = found[-2:]
+    status, margin = found[:2] if isinstance(found, Verdict) else found[-2:]
     np.testing.assert_array_equal(status, res.status)
     assert (margin.dtype, status.dtype) == (res.margin.dtype, res.status.dtype)
     np.testing.assert_array_equal(margin, res.margin)

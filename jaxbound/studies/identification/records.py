@@ -31,12 +31,12 @@ def measured(records: Records) -> int:
 
 
 def input_ranges(records: Records, inputs: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Return {input: (lowest, highest)} of what was recorded; an input that never moved has none."""
+    """Return {input: (lowest, highest)} of what was recorded; of one that never moved the number twice."""
     u = np.concatenate([r[0] for r in records])
     ranges = {}
     for name, x in zip(inputs, u.T, strict=True):
         x = x[np.isfinite(x)]
-        if len(x) and x.min() < x.max():
+        if len(x):
             ranges[name] = float(x.min()), float(x.max())
     return ranges
 

@@ -338,7 +338,11 @@ def _limits(model: LinearSystem, input_range: ArrayLike | None, dtype: np.dtype)
     if input_range is None:
         known = []
         for name, level in zip(model.inputs, model.offset["u"], strict=True):
-            known.append(model.ranges.get(name, (float(level) - 1, float(level) + 1)))
+            near = float(level) - 1, float(level) + 1
+            lo, hi = map(float, model.ranges.get(name, near))
+            if lo == hi:  # an input that never moved
+                lo, hi = near
+            known.append((lo, hi))
         limits = np.array(known, float).reshape(-1, 2)
     else:
         limits = np.asarray(input_range, float)

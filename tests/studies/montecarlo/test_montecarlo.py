@@ -69,6 +69,8 @@ def test_inputs_move_over_the_range_that_the_model_states(found):
     assert jb.study(
         simple().replace(ranges={"u1": (3, 7)}), "y1:bias", 3, 3, input_range=(0, 1), **OPTIONS
     ).settings["input range"] == [[0, 1]]
+    still = jb.study(simple().replace(ranges={"u1": (3, 3)}), "y1:bias", 3, 3, **OPTIONS)
+    assert still.settings["input range"] == [[-1.0, 1.0]], "of an input that never moved nothing is known"
 
 
 def test_recordings_hold_the_fault_and_nothing_else(found):
