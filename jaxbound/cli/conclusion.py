@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxbound.cli.evaluation import Evaluation
 from jaxbound.cli.terminal import show, write
+from jaxbound.diagnosis.region import Outside
 from jaxbound.runs.summary import OUTSIDE, Evidence, Summary, Window
 from jaxbound.text.quantities import most_percent, percent, times
 
@@ -40,6 +41,8 @@ def conclude(evaluation: Evaluation, data: Path | str, out: Path, as_json: bool 
     rows = [_counts_row(evidence), _tested_row(evidence), _alarms_row(summary, evidence, explain)]
     if np.isfinite(summary.margin):
         rows.append(_worst_row(summary, evidence))
+    if evidence.outside is not None:
+        rows.append(_training_row(evidence, evidence.outside))
     if explain:
         rows.append(("proof" if summary.verdict == "fault" else "why", f"{explain}{evidence.at}"))
     rows += [("hint", hint) for hint in summary.hints]
@@ -76,6 +79,13 @@ def _alarms_row(summary: Summary, evidence: Evidence, explain: str) -> tuple[str
         at = f"{first.removesuffix(' s')}s" if first.endswith(" s") else first
         text = f"{text}: {explain}{shlex.quote(at)}"
     return "alarms", text
+
+
+def _training_row(evidence: Evidence, outside: Outside) -> tuple[str, str]:
+    """Return how many windows lie outside the region of training, and the input that leads most of them
+    out.
+    """
+    return "training", outside.shown(round(evidence.tested * evidence.windows), evidence.remembers)
 
 
 def _worst_row(summary: Summary, evidence: Evidence) -> tuple[str, str]:

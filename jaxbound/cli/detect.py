@@ -7,6 +7,7 @@ from jaxbound.cli.command import EXIT_CODES, swift_imports
 from jaxbound.cli.options import (
     METHODS,
     OBSERVER,
+    OUTSIDE,
     MethodOptions,
     add_alarm,
     add_engine,
@@ -15,6 +16,7 @@ from jaxbound.cli.options import (
     add_margins,
     add_method,
     add_observer,
+    add_outside,
     add_windows,
     named,
     path,
@@ -133,6 +135,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     add_every(parser)
     add_windows(parser)
     add_margins(parser)
+    add_outside(parser)
     add_alarm(parser)
     add_json(parser)
     add_observer(parser)
@@ -153,6 +156,8 @@ def run(args: argparse.Namespace) -> int:
     _refuse_incomplete_file_run(args)
     with door(OSError):
         kind = kind_of(args.data)
+    if args.method == VALIDATION and args.outside != OUTSIDE[0]:
+        raise Refused(f"--outside is for other methods: {VALIDATION} does not ask where its inputs lie")
     _refuse_shares(args, kind.parts)
     _refuse_engine_of_a_whole(args, kind.parts)
     if args.part is not None:

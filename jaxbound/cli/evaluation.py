@@ -93,18 +93,25 @@ def evaluate_parts(
     seconds: dict[str, float] = {}
     try:
         if merge:
-            parts = all_parts(relations, source, out, options.method, overlap, options.margins)
+            kind = options.margins, options.outside
+            parts = all_parts(relations, source, out, options.method, overlap, *kind)
         else:
             progress = lambda share: step("test", share)
             wanted = relations, source, out, options.method, chunk or CHUNK, progress
             with engine(scheduler, workers) as client:
-                parts, seconds = write_parts(*wanted, client=client, overlap=overlap, margins=options.margins)
+                parts, seconds = write_parts(
+                    *wanted,
+                    client=client,
+                    overlap=overlap,
+                    margins=options.margins,
+                    outside=options.outside,
+                )
         start = time.perf_counter()
         with folder.work() as work:
             progress = lambda share: step("report", 0.4 * share)
             sinks = open_sinks(work, whole=False)
             how = options.method, alarm, work / "alarms.csv", progress, sinks
-            res = digest(relations, source, parts, *how, margins=options.margins)
+            res = digest(relations, source, parts, *how, margins=options.margins, outside=options.outside)
             sizes = sizes_seen(res, res.alarms)
             reaches = outgrown(source.model, relations)
             hints = dict.fromkeys((*res.hints, *reaches, *ending_hints(res, res.alarms, sizes)))
@@ -171,6 +178,7 @@ def evaluate(
             method=options.method,
             progress=lambda share: step("test", share),
             margins=options.margins,
+            outside=options.outside,
         )
 
     with Beside(open_sinks(work)) as sinks:  # a million verdicts are written while the pictures are drawn

@@ -71,6 +71,8 @@ def run(args: argparse.Namespace) -> int:
         rows = [(name, main_terms(text)) for name, text in rows]
         rest = f"--all: every coefficient, and what the {len(labels)} samples say, {len(table) - 1} rows"
         rows.append(("all of it", rest))
+    if explained.training:
+        rows.append(("training", explained.training))
     if explained.ambiguity:
         rows.insert(0, ("asked for", explained.ambiguity))
     rows.append(("certificate", str(file)))

@@ -4,12 +4,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from jaxbound.certificates.interface import certify
 from jaxbound.cli.options import OBSERVER
 from jaxbound.cli.sample_axis import SampleAxis
-from jaxbound.consistency.interface import FAMILIES
+from jaxbound.consistency.interface import FAMILIES, Relations
+from jaxbound.models.region import Region
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.read import open_source
+from jaxbound.recordings.recording import Recording
 from jaxbound.runs.contradiction import refuted_again
 from jaxbound.runs.relations import relations_by
 from jaxbound.runs.runfile import VALIDATION, is_outgrown, load_run
@@ -24,6 +28,7 @@ class Explained:
     Fields:
         certificate: that `certify` gives. sample: the last of the window. labels: the times of its samples.
         outgrown: its bounds were found from data for shorter windows, so that a FAULT proves no fault.
+        training: whether its inputs lie in the region of training, in words; "": the model states no ranges.
         ambiguity: a sentence, or "", where the number that was asked for could be meant as a time.
     """
 
@@ -31,6 +36,7 @@ class Explained:
     sample: int
     labels: list[str]
     outgrown: bool
+    training: str
     ambiguity: str
 
 
@@ -71,7 +77,20 @@ def explain_window(directory: str | Path, at: str) -> Explained:
         raise ValueError(f"{axis.label(k)} (sample {k}): {e}") from None
     first = part.samples - certificate.window.horizon - 1
     labels = [part.label(j) for j in range(first, part.samples)]
-    return Explained(certificate, k, labels, is_outgrown(Path(directory)), axis.also_a_time(at))
+    about = is_outgrown(Path(directory)), _training(relations, part), axis.also_a_time(at)
+    return Explained(certificate, k, labels, *about)
+
+
+def _training(relations: Relations, part: Recording) -> str:
+    """Return whether the window that ends with a recording lies in the region of training, in words."""
+    region = Region.of(relations)
+    if region is None:
+        return ""
+    u = np.asarray(part.u, np.float64)
+    (words,) = region.departure(u, np.zeros(len(u), bool)).cut(slice(-1, None)).words()
+    if words:
+        return f"outside it: {words}"
+    return "its inputs are within the ranges of training"
 
 
 def _asked_horizon(model: LinearSystem, method: str, horizon: int) -> int | None:

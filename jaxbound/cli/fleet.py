@@ -1,6 +1,7 @@
 """The command `jaxbound fleet`: many units in one command, a table and a page with the worst first."""
 
 import argparse
+from functools import partial
 
 from jaxbound.cli.command import swift_imports
 from jaxbound.cli.options import (
@@ -13,6 +14,7 @@ from jaxbound.cli.options import (
     add_margins,
     add_method,
     add_observer,
+    add_outside,
     add_windows,
     path,
     refuse_unknown_method,
@@ -61,6 +63,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     add_method(parser, "; observer carries everything since it began on")
     add_windows(parser)
     add_margins(parser)
+    add_outside(parser)
     add_alarm(parser)
     add_json(parser)
     add_observer(parser)
@@ -94,15 +97,14 @@ def run(args: argparse.Namespace) -> int:
             with progress_bars(("units",)) as step, engine(args.scheduler, args.workers) as client:
                 how = args.method, args.horizon, args.alarm, args.min_coverage
                 report, pages = lambda share: step("units", share), UnitPages(work)
-                more = options.observer_options, client, args.state, options.margins
-                for result in detect_fleet(
-                    units, *how, report, args.lags, pages if client is None else None, *more
-                ):
+                test = partial(detect_fleet, margins=options.margins, outside=options.outside)
+                more = options.observer_options, client, args.state
+                for result in test(units, *how, report, args.lags, pages if client is None else None, *more):
                     results.append(result)
                 if client is not None:  # which units get a page is known once all are tested
                     faulty = [r.unit for r in results if r.verdict in SHOWING][:PAGES]
                     pages.number(faulty)
-                    again = detect_fleet(faulty, *how, None, args.lags, pages, *more) if faulty else ()
+                    again = test(faulty, *how, None, args.lags, pages, *more) if faulty else ()
                     told = {r.unit.name: r for r in again}
                     results = [told.get(r.unit.name, r) for r in results]
         except KeyboardInterrupt:

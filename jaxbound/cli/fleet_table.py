@@ -50,6 +50,9 @@ FIELDS = (
     "model",
     "recording",
     "ended",
+    "outside",
+    "FAULT_outside",
+    "outside_by",
 )
 
 
@@ -90,7 +93,21 @@ def _cells(result: UnitResult) -> dict[str, object]:
         "model": cell(str(result.unit.model)),
         "recording": cell(str(result.unit.recording)),
         "ended": summary.last_ended,
+        **_outside_cells(summary),
     }
+
+
+def _outside_cells(summary: Summary) -> dict[str, object]:
+    """Return the cells on the region of training: windows and FAULT windows outside, and the farthest in
+    words; empty where the model states no ranges.
+    """
+    outside = None
+    if summary.found is not None:
+        outside = summary.found.outside
+    if outside is None:
+        return dict.fromkeys(("outside", "FAULT_outside", "outside_by"), "")
+    cells = {"outside": outside.windows, "FAULT_outside": outside.faults}
+    return cells | {"outside_by": cell(outside.words)}
 
 
 def _number_cell(x: float) -> str:
@@ -147,7 +164,7 @@ def conclude_fleet(results: Sequence[UnitResult], out: Path, as_json: bool) -> i
         write(json.dumps(plain, indent=2, allow_nan=False) + "\n")
         return code
     table: list[tuple[str, ...]]
-    table = [("unit", "verdict", "margin", "FAULT", "decided", "first alarm", "the last alarm")]
+    table = [("unit", "verdict", "margin", "FAULT", "outside", "decided", "first alarm", "the last alarm")]
     table += [_shown_row(result) for result in ordered[:SHOWN]]
     untested = [result for result in ordered if result.verdict == "not tested"]
     rows = [("not tested", f"{r.unit.name}: {r.summary.sentence}") for r in untested[:SHOWN]]
@@ -166,6 +183,7 @@ def _shown_row(result: UnitResult) -> tuple[str, ...]:
         result.verdict,
         "" if math.isnan(result.margin) else f"{result.margin:.3g}",
         str(summary.counts["FAULT"]),
+        str(_outside_cells(summary)["FAULT_outside"]),
         percent(summary.decided),
         summary.first_alarm,
         summary.last_ended,

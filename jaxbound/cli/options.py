@@ -18,6 +18,7 @@ __all__ = [
     "MARGINS",
     "METHODS",
     "OBSERVER",
+    "OUTSIDE",
     "MethodOptions",
     "add_alarm",
     "add_engine",
@@ -28,6 +29,7 @@ __all__ = [
     "add_margins",
     "add_method",
     "add_observer",
+    "add_outside",
     "add_safety",
     "add_windows",
     "interval",
@@ -45,6 +47,7 @@ OBSERVER = "observer"
 # compares it with `consistency.interface.METHODS`.
 METHODS = "joint, box, paving, linearized"
 MARGINS = "auto", "bounds", "exact"  # likewise
+OUTSIDE = "fault", "undecided"  # likewise, of `consistency.claims`
 LARGEST = 10**15
 DIGITS = 20  # a number of so many digits is not even converted
 
@@ -67,7 +70,8 @@ class MethodOptions:
         method: one of METHODS, "observer", or, for a command that has it, "validation".
         horizon, lags: the windows; None: those of the model.
         order, latched, observer: of an observer, see `add_observer`.
-        margins: one of MARGINS, see `add_margins`. every: see `add_every`; None: that of the model.
+        margins: one of MARGINS, see `add_margins`. outside: one of OUTSIDE, see `add_outside`.
+        every: see `add_every`; None: that of the model.
         settings: {field: value} of the observer's own options, see `estimation.method.ShellOption`.
     """
 
@@ -79,6 +83,7 @@ class MethodOptions:
     observer: str | None = None
     margins: str = MARGINS[0]
     every: str | None = None
+    outside: str = OUTSIDE[0]
     settings: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
@@ -165,6 +170,18 @@ def add_margins(parser: argparse.ArgumentParser) -> None:
         help="of long windows: exact, every window searched; or bounds, proved, where a window is decided "
         "without a search, ten times as fast, while those of FAULT and of what a report shows closely are "
         "exact; auto: bounds of 131 072 windows and more; through a pipe always exact (default: auto)",
+    )
+
+
+def add_outside(parser: argparse.ArgumentParser) -> None:
+    """Add --outside."""
+    parser.add_argument(
+        "--outside",
+        choices=OUTSIDE,
+        default=OUTSIDE[0],
+        metavar="WORD",
+        help="for FAULT where inputs leave the region of training, the ranges of the model: fault, and said "
+        "to be outside; or undecided, not claimed there (default: fault)",
     )
 
 

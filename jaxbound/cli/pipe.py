@@ -24,6 +24,7 @@ from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.signals import arrivals, ends
 from jaxbound.cli.terminal import door, nobody_reads, say, system_trouble, usable_device
 from jaxbound.cli.window import stated_model, window_relations
+from jaxbound.consistency.interface import Relations
 from jaxbound.consistency.monitor import Monitor
 from jaxbound.diagnosis.alarms import forgets_after
 from jaxbound.diagnosis.hints import bound_hints, judging_hints, outgrown, unfit
@@ -45,7 +46,7 @@ from jaxbound.runs.refusals import Refused
 from jaxbound.runs.rows import VERDICTS, RowFile, RowText
 from jaxbound.runs.sink import Outcome, Sink, Verdicts
 from jaxbound.runs.sinks import close_all, file_names, open_sinks
-from jaxbound.runs.summary import Evidence, Summary, Window, said, unsaid
+from jaxbound.runs.summary import Evidence, Summary, Window, finite, said, unsaid
 from jaxbound.runs.tally import AlarmEnds, Tally, alarm_goes_on
 from jaxbound.sets.floats.status import Status
 
@@ -122,13 +123,14 @@ def judge_stream(
             # jax states no types of this function
             jax.config.update("jax_cpu_enable_async_dispatch", False)  # type: ignore[no-untyped-call]
         usable_device()
-        judge = Live(Monitor(relations, options.method))
+        judge = _live(relations, options)
         path = _state_path(out, state)
         journal = None
         if path is not None:
             if state is None:
                 refuse_link(path)
-            journal = opened.enter_context(Journal(path, identity(relations, method=options.method)))
+            how = {"method": options.method, "word outside training": options.outside}
+            journal = opened.enter_context(Journal(path, identity(relations, **how)))
         before = None if journal is None else journal.before
         work: Any = nullcontext()
         if folder is not None:
@@ -139,7 +141,7 @@ def judge_stream(
             work = folder.work()
         with work as place:
             stream = _stream(data, relations.model, _Complaints(), before and before["source"], whole)
-            lines = _PrintedLines(as_json, out is None)
+            lines = _PrintedLines(as_json, out is None, judge.region is not None)
             run = opened.enter_context(_LiveRun(stated, stream, judge, journal, lines, out, place))
             run.resume()
             if folder is not None:
@@ -152,6 +154,13 @@ def judge_stream(
         if folder is not None:
             folder.settle(VERDICTS, STATE)
     return summary.exit_code
+
+
+def _live(relations: Relations, options: MethodOptions) -> Live:
+    """Return the judge of samples as they come."""
+    if relations.remembers:
+        return Live(Monitor(relations, options.method), options.outside)
+    return Live(Monitor(relations, options.method, outside=options.outside), options.outside)
 
 
 def _is_file() -> bool:
@@ -216,7 +225,7 @@ class _LiveRun:
         relations = judge.monitor.relations
         self.hints = [*bound_hints(stated, relations), *judging_hints(relations.remembers)]
         self.outgrown = bool(outgrown(stated, relations))
-        self.tally = Tally(stream.when, relations.horizon)
+        self.tally = Tally(stream.when, relations.horizon, region=judge.region)
         self.alarms = AlarmEnds(forgets_after(relations))
         lines.alarms = self.alarms
         self.file = None
@@ -281,7 +290,7 @@ class _LiveRun:
         if tally.worst is not None:
             at, margin = tally.worst.when, tally.worst.margin
             worst = Window(tally.worst.sample, self.stream.label(at), margin)
-        counts = tally.named()
+        counts, outside = tally.named(), tally.outside(self.judge.outside)
         numbers = Evidence(
             self.judge.monitor.method,
             relations.horizon,
@@ -295,16 +304,19 @@ class _LiveRun:
             self.alarms.endings,
             remembers=observes,
             outgrown=self.outgrown,
+            outside=outside,
         )
         verdict, sentence = said(numbers, self.stream.label, min_coverage)
-        hints = unsaid([hint for hint in self._hints(counts, margin) if hint], sentence)
+        hints = unsaid([hint for hint in self._hints(numbers) if hint], sentence)
         for hint in hints:
             say(hint)
+        if outside is not None:
+            say(f"training: {outside.shown(clock.samples - counts['MISSING'], observes)}")
         some = ", ".join(f"{n} {name}" for name, n in counts.items() if n)
         say(f"{sentence} {clock.samples} samples: {some}")
         return Summary(verdict, sentence, numbers, worst, hints=hints, model=relations.model.name)
 
-    def _hints(self, counts: dict[str, int], margin: float) -> list[str]:
+    def _hints(self, found: Evidence) -> list[str]:
         """Return sentences to check; some may be empty."""
         clock, relations = self.stream.clock, self.judge.monitor.relations
         where, counted = (lambda k: f"sample {k}"), (lambda k: "counted from 0")
@@ -315,9 +327,9 @@ class _LiveRun:
             hints.append(f"{lines} could not be read: left out, and no window spans them")
         if not relations.latched:
             if relations.remembers:
-                hints += unfit(counts, np.nan, "samples")
+                hints += unfit(found.counts, np.nan, "samples", found.outside)
             else:
-                hints += unfit(counts, margin, "windows")
+                hints += unfit(found.counts, found.margin, "windows", found.outside)
         return [*hints, *endings_said(self.alarms.endings, self.alarms.alarms)]
 
 
@@ -325,16 +337,19 @@ class _PrintedLines:
     """Lines of verdicts on stdout, a sink.
 
     Args:
-        as_json: as JSON, else as CSV. alone: the verdicts are written nowhere else.
+        as_json: as JSON, else as CSV. alone: the verdicts are written nowhere else. has_region: whether they
+            say how they depart from the region of training.
 
     Fields: text: of the rows; alarms: an AlarmEnds in the same loop, before this sink.
     """
 
-    def __init__(self, as_json: bool, alone: bool) -> None:
+    def __init__(self, as_json: bool, alone: bool, has_region: bool = False) -> None:
         self.json, self.alone = as_json, alone
-        self.text = RowText()
+        self.text = RowText(has_region)
         self.alarms = AlarmEnds(None)
-        self.header = b"" if as_json else b"time,status,margin\n"
+        self.header = b""
+        if not as_json:
+            self.header = f"{','.join(self.text.names)}\n".encode()
         self.texts = False
         self.fresh = b""
 
@@ -380,19 +395,22 @@ class _PrintedLines:
         if not self.json:
             return rows.replace(b",true\n", b"\n").replace(b",false\n", b"\n")
         on, lines = self.alarms.before, []
-        for when, status, margin, _ in csv.reader(io.StringIO(rows.decode())):
+        for when, status, margin, *outside, _ in csv.reader(io.StringIO(rows.decode())):
             on, ended = alarm_goes_on(on, Status[status], self.alarms.forgets)
             time = when if self.texts else _number(when)
             line = {"time": time, "status": status, "margin": _number(margin), "ended": ended}
+            if outside:
+                share, by, reading = outside
+                line |= {"outside": _number(share), "outside_by": by or None, "outside_at": _number(reading)}
             lines.append(json.dumps(line) + "\n")
         return "".join(lines).encode()
 
 
 def _number(text: str) -> float | None:
-    """Return the number in a cell, None of an empty one."""
+    """Return the number in a cell, None of an empty one, or of an infinite one."""
     if not text:
         return None
-    return float(text)
+    return finite(float(text))
 
 
 def _is_text(piece: Recording) -> bool:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from jaxbound.cli.options import MethodOptions
+from jaxbound.cli.options import OUTSIDE, MethodOptions
 from jaxbound.cli.terminal import OK, door, progress_bars, show, usable_device, write
 from jaxbound.cli.window import stated_model, window_relations
 from jaxbound.consistency.interface import AUTO
@@ -63,6 +63,7 @@ def judge_share(
                 part,
                 overlap=overlap,
                 margins=options.margins,
+                outside=options.outside,
             )
         except KeyboardInterrupt:
             if part_files(where, mine):
@@ -137,4 +138,6 @@ def same_test(
         words.append("--latched")
     if options.margins != AUTO:
         words += ["--margins", options.margins]
+    if options.outside != OUTSIDE[0]:
+        words += ["--outside", options.outside]
     return shlex.join(map(str, (*words, *more)))

@@ -72,6 +72,10 @@ class Validated:
         return np.full(len(self.y), np.nan)
 
     @property
+    def departure(self) -> None:
+        """None: of a validation it is not said where its inputs lie."""
+
+    @property
     def counts(self) -> dict[str, int]:
         """{status name: number of windows}."""
         return {s.name: int(np.sum(self.status == s)) for s in Status}

@@ -52,11 +52,19 @@ const boxes = (u, piece, on, name) => {
     if (to > left && from < right) u.ctx.fillRect(from, top, Math.max(to - from, devicePixelRatio), height);
   }
 };
+const untrained = (u, lo, hi) => { // where an input was not in training
+  const { left, top, width, height } = u.bbox, foot = top + height;
+  const at = (v) => Math.min(Math.max(u.valToPos(v, "y", true), top), foot);
+  u.ctx.fillStyle = `${colour("UNDECIDED")}40`;
+  u.ctx.fillRect(left, top, width, at(hi) - top);
+  u.ctx.fillRect(left, at(lo), width, foot - at(lo));
+};
 const behind = (u, row, { piece, violated }) => {
   if (row.kind === "verdicts") return VERDICTS.forEach((name, s) => boxes(u, piece, (i) => piece.status[i] === s, name));
   const faulty = piece.low[`${row.key}:faulty`], beyond = (i) => Math.abs(violated?.values[i] ?? 0) > 1;
   const proved = (i) => (faulty ? (faulty[i] ?? null) !== null : piece.status[i] === FAULT);
   boxes(u, piece, row.key === "combination" ? beyond : proved, "shade");
+  if (row.training) untrained(u, ...row.training);
   if (row.kind !== "combination") return;
   const top = u.valToPos(1, "y", true);
   u.ctx.fillStyle = colour("allowed");

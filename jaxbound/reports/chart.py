@@ -41,7 +41,8 @@ class ChartRow:
     """One chart below the others.
 
     Fields: key: of its numbers; name; unit; kind: "signal", "margin", "combination" or "enclosed"; steps:
-    whether a sample holds until the next one. A key:band is drawn behind a chart. "enclosed": a signal with
+    whether a sample holds until the next one; training: an input's ends there, None: not stated.
+    A key:band is drawn behind a chart. "enclosed": a signal with
     key:faulty, its samples that are proved to be wrong, and key:instead, what is to be used in their place.
     """
 
@@ -50,6 +51,7 @@ class ChartRow:
     unit: str = ""
     kind: str = "signal"
     steps: bool = False
+    training: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)

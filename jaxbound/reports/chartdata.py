@@ -14,6 +14,7 @@ from jaxbound.certificates.certificate import Certificate
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.observed import ObserverResult
 from jaxbound.diagnosis.result import Result
+from jaxbound.models.system import LinearSystem
 from jaxbound.plots.combination import combination, expected_readings
 from jaxbound.plots.result import drawn_margins
 from jaxbound.recordings.recording import Recording
@@ -90,10 +91,20 @@ def signal_rows(res: Result | Digest) -> list[ChartRow]:
     """Return a ChartRow for each output and each input; an input holds until its next sample."""
     model = res.relations.model
     outputs = [ChartRow(f"s{i}", name, model.unit(name)) for i, name in enumerate(model.outputs)]
-    inputs = [
-        ChartRow(f"s{model.p + i}", name, model.unit(name), steps=True) for i, name in enumerate(model.inputs)
-    ]
+    inputs = []
+    for i, name in enumerate(model.inputs):
+        training = _training(res, name)
+        inputs.append(ChartRow(f"s{model.p + i}", name, model.unit(name), steps=True, training=training))
     return outputs + inputs
+
+
+def _training(res: Result | Digest, name: str) -> tuple[float, float] | None:
+    """Return the range of an input in training, None where it is not stated."""
+    model = res.relations.model
+    if not isinstance(model, LinearSystem) or name not in model.ranges:
+        return None
+    lo, hi = model.ranges[name]
+    return float(lo), float(hi)
 
 
 def _whole(

@@ -85,6 +85,7 @@ def write_report(
         counts=summary.counts,
         warm_up=relations.horizon,
         decided=summary.decided,
+        **_training(cast(Evidence, summary.found)),
         hints=summary.hints,
         extra=extra,
         charts=drawn,
@@ -148,9 +149,36 @@ def _alarm_rows(
             since = _since(res, recording, a.worst)
         begun, ended = recording.label(a.start), recording.label(a.end)
         rows.append(
-            (i + 1, begun, ended, duration(lasts), a.windows, needed, wrong, violated, a.ended, since)
+            (
+                i + 1,
+                begun,
+                ended,
+                duration(lasts),
+                a.windows,
+                needed,
+                wrong,
+                violated,
+                a.ended,
+                since,
+                _outside(a),
+            )
         )
     return rows
+
+
+def _training(found: Evidence) -> dict[str, object]:
+    """Return the values of the template on the region of training: words, and whether windows lie outside."""
+    if found.outside is None:
+        return {"training": "", "beyond": False}
+    tested = round(found.tested * found.windows)
+    return {"training": found.outside.shown(tested, found.remembers), "beyond": found.outside.windows > 0}
+
+
+def _outside(alarm: Alarm) -> str:
+    """Return how much of an alarm lies outside the region of training; "" for nothing."""
+    if not alarm.outside:
+        return ""
+    return f"outside training: {alarm.outside} of its FAULT windows, by {alarm.outside_by}"
 
 
 def _since(res: ObserverResult, recording: Recording | Digest, k: int) -> str:

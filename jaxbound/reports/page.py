@@ -67,7 +67,7 @@ def _readable(value: object) -> object:
 
 def _after(sentence: str, title: str) -> str:
     """Return a sentence without the title that stands above it, with a capital letter."""
-    plain = sentence.removeprefix(f"{title}: ")
+    plain = sentence.removeprefix(f"{title}: ").removeprefix(f"{title}, ")
     return plain[:1].upper() + plain[1:]
 
 

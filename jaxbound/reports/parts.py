@@ -23,7 +23,7 @@ def model_values(model: LinearSystem, bounds: Mapping[str, np.ndarray | Vector])
     return {
         "bounded": ("output", "column", "unit", "offset", *_headed(model)),
         "outputs": [(*_signal(model, "y", i), *_bounds(model, bounds, i)) for i in range(model.p)],
-        "inputs": [_signal(model, "u", i) for i in range(model.m)],
+        "inputs": [(*_signal(model, "u", i), *_training(model, i)) for i in range(model.m)],
         "disturbances": [_disturbance(model, j) for j in range(model.g)],
         "parameters": list(map(_parameter, model.uncertainties)),
         "matrices": list(_matrices(model)),
@@ -52,6 +52,14 @@ def _signal(model: LinearSystem, kind: str, i: int) -> tuple[str, str, str, str]
     """Return the first cells of an input's ("u") or output's ("y") row."""
     name = {"u": model.inputs, "y": model.outputs}[kind][i]
     return name, model.column(name), model.unit(name), _short(model.offset[kind][i])
+
+
+def _training(model: LinearSystem, i: int) -> tuple[str, str]:
+    """Return the cells of where input i was in training, empty where it is not stated."""
+    if model.inputs[i] not in model.ranges:
+        return "", ""
+    lo, hi = model.ranges[model.inputs[i]]
+    return _short(lo), _short(hi)
 
 
 def _bounds(model: LinearSystem, bounds: Mapping[str, np.ndarray | Vector], i: int) -> tuple[str, str, str]:

@@ -8,6 +8,8 @@ import numpy as np
 
 from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarms import ENDINGS, Alarm, endings, follows, forgets_after, stretches
+from jaxbound.diagnosis.region import farthest_of
+from jaxbound.models.region import Departure, Region
 from jaxbound.recordings.columns import to_arrow, write_columns
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.loop import Quiet
@@ -27,6 +29,8 @@ OLDER = frozenset({"start", "from", "first_sample", "begun"})
 """What an alarm over two parts has from the first of them."""
 WORST = frozenset({"worst", "at", "worst_sample", "depth"})
 """What it has from the deeper of them."""
+FARTHEST = frozenset({"share", "by", "reading"})
+"""What it has from the part of which a FAULT window lies farther outside the region of training."""
 DEEPEST = 200  # alarms kept in memory
 FIELDS = (
     "first_sample",
@@ -67,6 +71,7 @@ class AlarmBook(Quiet):
         self.mark = mark
         self.ended: dict[str, int] = {}
         self.samples = self.count = 0
+        self.region = Region.of(relations)
         self.before = np.zeros(0, bool)
         self.open: Columns | None = None
         self.kept: list[tuple[Alarm, list[float]]] = []
@@ -102,7 +107,12 @@ class AlarmBook(Quiet):
             fault, verdicts.margin, k, n, 0, 1, self.before
         )
         self.before = np.concatenate([self.before, fault])[max(len(self.before) + len(fault) - n + 1, 0) :]
+        counts, farthest = np.zeros(len(start), np.int64), None
+        if verdicts.departure is not None:
+            counts, farthest = farthest_of(verdicts.departure, fault, start, end)
         return {
+            "outside": counts,
+            **_far(farthest, len(start)),
             "start": written.take(to_arrow(start)),
             "end": written.take(to_arrow(end)),
             "worst": written.take(to_arrow(worst)),
@@ -125,18 +135,30 @@ class AlarmBook(Quiet):
         alarms["ended"] = endings(alarms["begun"], alarms["last"], alarms["after"], self.horizon)
         for code in alarms["ended"].tolist():
             self.ended[ENDINGS[code]] = self.ended.get(ENDINGS[code], 0) + 1
+        columns = self._in_words(alarms)
         if self.path is not None:
-            write_columns(self.path, alarm_columns(alarms, self.dt), append=self.count > 0)
+            write_columns(self.path, alarm_columns(columns, self.dt), append=self.count > 0)
         self.count += count
         # the first of all is kept too, however shallow: sentences name it
         picked = np.unique([*np.argsort(alarms["depth"])[:DEEPEST], *range(min(1, count))]).astype(int)
         fresh: list[tuple[Alarm, list[float]]] = []
-        for row in zip(*(alarms[name][picked].tolist() for name in FIELDS), strict=True):
-            start, end, n, depth, worst, *times, why = row
-            fresh.append((Alarm(start, end, n, depth, worst, ended=ENDINGS[why]), times))
+        outside: list[tuple[int | None, str]] = [(None, "")] * len(picked)
+        if self.region is not None:
+            outside = [(int(columns["outside"][i]), columns["outside_by"][i]) for i in picked]
+        rows = zip(*(alarms[name][picked].tolist() for name in FIELDS), outside, strict=True)
+        for start, end, n, depth, worst, *times, why, (beyond, by) in rows:
+            alarm = Alarm(start, end, n, depth, worst, ended=ENDINGS[why], outside=beyond, outside_by=by)
+            fresh.append((alarm, times))
         self.first = self.first or fresh[:1]
         self.kept = sorted([*self.kept, *fresh], key=lambda pair: pair[0].depth)[:DEEPEST]
         self.mark(alarms["worst_sample"])
+
+    def _in_words(self, alarms: Columns) -> Columns:
+        """Return alarms with words on the farthest FAULT window of each; without a region nothing of it."""
+        if self.region is None:
+            return {name: x for name, x in alarms.items() if name != "outside"}
+        farthest = Departure(alarms["share"], alarms["by"], alarms["reading"], self.region)
+        return alarms | {"outside_by": farthest.words()}
 
     def alarms(self) -> tuple[list[Alarm], dict[int, float]]:
         """Return ([Alarm], {sample: seconds}) of the first and the deepest in order of time."""
@@ -147,6 +169,13 @@ class AlarmBook(Quiet):
         return [pairs[start][0] for start in sorted(pairs)], named
 
 
+def _far(farthest: Departure | None, count: int) -> Columns:
+    """Return the columns of the FAULT windows that lie farthest outside, one an alarm."""
+    if farthest is None:
+        return {name: np.zeros(count) for name in FARTHEST}
+    return {"share": farthest.share, "by": farthest.by, "reading": farthest.reading}
+
+
 def _joined_first(open_alarm: Columns, alarms: Columns) -> Columns:
     """Return alarms, the first of them joined with the one that was open."""
     windows = alarms["windows"]
@@ -154,10 +183,13 @@ def _joined_first(open_alarm: Columns, alarms: Columns) -> Columns:
     if windows[0] and alarms["depth"][0] < open_alarm["depth"][0]:
         deeper = True
     older = OLDER if deeper else OLDER | WORST
+    if open_alarm["share"][0] >= alarms["share"][0]:
+        older |= FARTHEST
     joined = dict(alarms)
     for name in older:
         joined[name] = _in_front(open_alarm[name], alarms[name][1:])
-    joined["windows"] = np.concatenate([open_alarm["windows"] + windows[:1], windows[1:]])
+    for name in ("windows", "outside"):
+        joined[name] = np.concatenate([open_alarm[name] + alarms[name][:1], alarms[name][1:]])
     return joined
 
 

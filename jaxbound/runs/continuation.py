@@ -18,12 +18,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import jax
 import numpy as np
 
+from jaxbound.consistency.claims import CLAIMED, UNCLAIMED, unclaimed
 from jaxbound.consistency.interface import Judged, Observer, Relations
 from jaxbound.consistency.searched import judging_device
 from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.estimation.observation import CarriedState
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.files.checkpoint import Checkpoint
+from jaxbound.models.region import Region
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import TOLERATED_STEP
 from jaxbound.relations.identity import identity
@@ -122,11 +124,12 @@ class Continuation:
         self.file.save(**stored)
 
 
-def followed(observer: Observer[Any], given: Joined) -> tuple[Result, Any]:
+def followed(observer: Observer[Any], given: Joined, outside: str = CLAIMED) -> tuple[Result, Any]:
     """Follow recordings behind a carry, by an observer.
 
     Args:
-        given: (..., T, .) recordings of one length, side by side, and the carry of all of them.
+        given: (..., T, .) recordings of one length, side by side, and the carry of all of them. outside: see
+            `detect`.
 
     Returns:
         (Result of all of them, the carry before the last samples that `Continuation` keeps).
@@ -150,7 +153,10 @@ def followed(observer: Observer[Any], given: Joined) -> tuple[Result, Any]:
     about = watch.method, watch.continued(carry), recording.u, recording.y, recording.index, starts
     aside = recording.aside(observer.horizon)
     judged, device = Judged(status, margin), judging_device(remembers=True)
-    return result_of(observer, judged, *about, aside=aside, device=device), between
+    region = Region.of(observer)
+    if region is not None and outside == UNCLAIMED:
+        judged = unclaimed(judged, region.departure(recording.u, status == Status.MISSING))
+    return result_of(observer, judged, *about, aside=aside, device=device, outside_is=outside), between
 
 
 def joined_carries(observer: SetObserver[State], carries: Sequence[State]) -> State:

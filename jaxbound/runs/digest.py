@@ -10,13 +10,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
+from jaxbound.consistency.claims import CLAIMED, refuse_outside
 from jaxbound.consistency.interface import AUTO, BOUNDS, EXACT, Relations, with_margins
 from jaxbound.diagnosis.alarms import Alarm, check_rule
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import bound_hints, unfit
+from jaxbound.diagnosis.region import Outside
 from jaxbound.diagnosis.result import Result
 from jaxbound.diagnosis.spot_checks import again_said
 from jaxbound.diagnosis.units import unit_hints
+from jaxbound.models.region import Region
 from jaxbound.plots.plot import plot
 from jaxbound.plots.timeline import Timeline, plot_timeline
 from jaxbound.recordings.factors import known
@@ -73,6 +76,8 @@ class Digest:
         ended: {ending of an Alarm: how many of all alarms have it}.
         signals: (low, high), each (k, bins): extremes of the recorded signals in the bins of the line,
             outputs before inputs; or None.
+        beyond: the windows outside the region of training, counted; None: the model states no ranges.
+            outside_is: see `Result`.
     """
 
     relations: Relations
@@ -90,6 +95,8 @@ class Digest:
     ended: dict[str, int] = field(default_factory=dict)
     signals: tuple[np.ndarray, np.ndarray] | None = None
     margins: str = EXACT
+    beyond: Outside | None = None
+    outside_is: str = CLAIMED
 
     @property
     def bounded(self) -> bool:
@@ -107,6 +114,9 @@ class Digest:
             if self.bounded:
                 least = "at least "
             rows["worst"] = f"margin {least}{self.worst[1]:.4g} at {self.label(self.worst[0])}"
+        if self.beyond is not None:
+            tested = self.samples - self.counts["MISSING"]
+            rows["training"] = self.beyond.shown(tested, self.relations.remembers)
         return rows | {"alarms": str(self.alarm_count)}
 
     def label(self, k: int) -> str:
@@ -132,7 +142,15 @@ class Digest:
         UNDECIDED what was FAULT.
         """
         r = self.near(k, samples)
-        result = detect(self.relations, r.u, r.y, method=self.method, starts=r.starts, margins=EXACT)
+        result = detect(
+            self.relations,
+            r.u,
+            r.y,
+            method=self.method,
+            starts=r.starts,
+            margins=EXACT,
+            outside=self.outside_is,
+        )
         return result, r
 
     def near(self, k: int, samples: int = 600) -> Recording:
@@ -177,6 +195,7 @@ def _(res: Digest, alarms: Sequence[Alarm]) -> Evidence:
         remembers=res.relations.remembers,
         margins=res.margins,
         bounded=res.bounded,
+        outside=res.beyond,
     )
 
 
@@ -193,6 +212,7 @@ def detect_dataset(
     client: "Client | None" = None,
     overlap: int | None = None,
     margins: str = AUTO,
+    outside: str = CLAIMED,
 ) -> "Digest | list[Path]":
     """Test a Parquet recording of any size and write its verdicts as Parquet.
 
@@ -200,7 +220,8 @@ def detect_dataset(
         relations: from `parity_relations` or `structured_relations`, or an `observer`.
         path: a Parquet file, or a folder of them that follow each other by name.
         out: folder for `verdicts.parquet`, a folder of files with the columns time, status, margin and
-            suspect, one row a sample. A call that was stopped is continued by the same call.
+            suspect, one row a sample; where the model states ranges also outside, outside_by, outside_at, as
+            in verdicts.csv. A call that was stopped is continued by the same call.
         method: see `detect`.
         chunk: samples in memory at once, at least 65 536; verdicts do not depend on it.
         alarm: (k, n), an alarm needs k FAULT among n windows.
@@ -214,7 +235,7 @@ def detect_dataset(
             million samples gets one of its own that begins so many samples earlier, so that parts can be
             shared. It knows less: FAULT is a proof as ever, and may be missed where it rests on samples
             further back. Verdicts do not depend on how the parts are shared.
-        margins: see `detect`; those of FAULT windows are always exact.
+        margins: see `detect`; those of FAULT windows are always exact. outside: see `detect`.
 
     Returns:
         A Digest: .counts, .worst (sample, margin), .alarms, .explain(k), .label(k); windows across a gap in
@@ -241,6 +262,7 @@ def detect_dataset(
             f"{type(relations).__name__}"
         )
     check_rule(*alarm)
+    refuse_outside(outside)
     if part is not None:
         check_share(part)
     if part is not None and merge:
@@ -250,21 +272,21 @@ def detect_dataset(
     if part is not None:
         with shared_folder(out, (PARTIAL,), (path,)):
             source = _source_in_parts(path, relations.model)
-            how = method, chunk, report, part, client, overlap, margins
+            how = method, chunk, report, part, client, overlap, margins, outside
             folder, _ = write_parts(relations, source, out, *how)
             return part_files(folder, numbers_of(part, part_count(source)))
     with output_folder(out, (VERDICTS,), (path,)) as place:
         source = _source_in_parts(path, relations.model)
         if merge:
-            folder = all_parts(relations, source, out, method, overlap, margins)
+            folder = all_parts(relations, source, out, method, overlap, margins, outside)
         else:
 
             def most(share: float) -> None:
                 report(0.95 * share)
 
-            more = method, chunk, most, None, client, overlap, margins
+            more = method, chunk, most, None, client, overlap, margins, outside
             folder, _ = write_parts(relations, source, out, *more)
-        found = digest(relations, source, folder, method, alarm, margins=margins)
+        found = digest(relations, source, folder, method, alarm, margins=margins, outside=outside)
         publish(place)
     report(1.0)
     return found
@@ -288,6 +310,7 @@ def digest(
     progress: Report | None = None,
     also: Sequence[Sink] = (),
     margins: str = AUTO,
+    outside: str = CLAIMED,
 ) -> Digest:
     """Read the verdicts of a ParquetSource once.
 
@@ -295,20 +318,21 @@ def digest(
         relations, method: as tested. source: the ParquetSource that was tested. folder: of the parts, as
             `write_parts` left it.
         alarm: (k, n), an alarm needs k FAULT among n windows. alarms_csv: where to write all alarms, or None.
-        progress: called with the share of the work done. also: sinks that take the verdicts too. margins: as
-            for `write_parts`.
+        progress: called with the share of the work done. also: sinks that take the verdicts too. margins,
+            outside: as for `write_parts`.
 
     Returns:
         A Digest.
     """
     report = progress or (lambda share: None)
-    tally = Tally(_seconds_at, relations.horizon)
+    region = Region.of(relations)
+    tally = Tally(_seconds_at, relations.horizon, region=region)
     times = _SampleTimes(source)
     drawing = _Drawing(Timeline(source.samples))
     ticking = _Ticking(source.dt, times)
     book = AlarmBook(alarm, source.dt, relations, alarms_csv, drawing.line.mark)
     sinks: list[Taker[Recording, Verdicts]] = [tally, ticking, drawing, book, *also]
-    for _ in follow(verdicts_of(folder, source), as_judged, sinks):
+    for _ in follow(verdicts_of(folder, source, region), as_judged, sinks):
         report(tally.samples / source.samples)
     book.close()
     alarms, named = book.alarms()
@@ -335,6 +359,8 @@ def digest(
         ended=book.ended,
         signals=read_extremes(part_files(folder), source.samples),
         margins=test.margins_are,
+        beyond=tally.outside(outside),
+        outside_is=outside,
     )
     sentence = irregular(ticking.clock, digested.label, source.row, source.probe().time)
     if sentence:
@@ -361,11 +387,11 @@ def _unfit_bounds(found: Digest) -> list[str]:
     if relations.latched:
         return []
     if relations.remembers:
-        return unfit(found.counts, np.nan, "samples")
+        return unfit(found.counts, np.nan, "samples", found.beyond)
     margin = np.nan
     if found.worst is not None:
         margin = found.worst[1]
-    return unfit(found.counts, margin, "windows")
+    return unfit(found.counts, margin, "windows", found.beyond)
 
 
 def _wrong_units(found: Digest) -> list[str]:

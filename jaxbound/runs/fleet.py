@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from jaxbound.consistency.claims import CLAIMED
 from jaxbound.consistency.interface import AUTO, Observer, Relations
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detection import detect
@@ -239,6 +240,7 @@ def detect_fleet(
     client: "Client | None" = None,
     state: str | PathLike[str] | None = None,
     margins: str = AUTO,
+    outside: str = CLAIMED,
 ) -> Iterator[UnitResult]:
     """Test every unit; yield its UnitResult in the order of the units, each as soon as it is there.
 
@@ -255,7 +257,8 @@ def detect_fleet(
             in a run with the same folder, is then judged as if it followed in one file: windows look back
             into the one before, an observer carries on. Where it begins more than a step later, or earlier,
             it begins anew, and its hints say so. The same recording again is judged as it was.
-        margins: of the Results that pages are made from, see `detect`; those of units are exact.
+        margins: of the Results that pages are made from, see `detect`; those of units are exact. outside: see
+            `detect`.
 
     Yields:
         UnitResult. Trouble with a unit makes it "not tested" and leaves the others alone.
@@ -271,11 +274,12 @@ def detect_fleet(
             "state": state,
             "page": page,
             "margins": margins,
+            "outside": outside,
         }
         yield from _test_by_workers(client, _FleetJob(same), units, progress)
         return
     report = progress or (lambda share: None)
-    how = _How(method, horizon, lags, options, state, alarm, min_coverage, margins)
+    how = _How(method, horizon, lags, options, state, alarm, min_coverage, margins, outside)
     results, done = _Collected(page), 0
     try:
         for _ in follow(_read_groups(units, how), partial(_tested, how=how), [results]):
@@ -299,6 +303,7 @@ class _How(NamedTuple):
     alarm: tuple[int, int]
     min_coverage: float
     margins: str
+    outside: str
 
     @property
     def ahead(self) -> int:
@@ -453,7 +458,7 @@ def _tested(group: Group, how: _How) -> Iterator[Judgement]:
     read = [(unit, _tried(unit, job.result)) for unit, job in group]
     together: _Together = {}
     if len(group) > 1:
-        together = _side_by_side([data for _, data in read if isinstance(data, _UnitData)])
+        together = _side_by_side([data for _, data in read if isinstance(data, _UnitData)], how.outside)
     for unit, data in read:
         if isinstance(data, UnitResult):
             yield data, None
@@ -486,10 +491,11 @@ def _judge_unit(
     if known is not None:
         res, carry = known
     elif data.kept is not None and isinstance(relations, Observer):
-        res, carry = followed(relations, data.joined)
+        res, carry = followed(relations, data.joined, how.outside)
     else:
         # each by its own number of windows: the tightest one of a unit is searched for among nearly all
-        res, carry = detect(relations, recording, method=how.method, margins=how.margins), None
+        test = partial(detect, method=how.method, margins=how.margins, outside=how.outside)
+        res, carry = test(relations, recording), None
     if data.kept is not None:
         data.kept.save(recording, carry)
     alarms = res.alarms(*how.alarm)
@@ -505,7 +511,7 @@ _Together = dict[int, _Followed]
 """{id of a recording: its outcome}."""
 
 
-def _side_by_side(read: Sequence[_UnitData]) -> _Together:
+def _side_by_side(read: Sequence[_UnitData], outside: str) -> _Together:
     """Return the outcomes of units that an observer can follow side by side."""
     alike: dict[tuple[object, ...], list[_UnitData]] = {}
     for data in read:
@@ -514,7 +520,7 @@ def _side_by_side(read: Sequence[_UnitData]) -> _Together:
     for group in alike.values():
         if len(group) > 1 and group[0].recording.samples > group[0].relations.horizon:
             with suppress(ValueError):  # of one of them: each is told alone what is wrong
-                outcomes |= _followed_together(group)
+                outcomes |= _followed_together(group, outside)
     return outcomes
 
 
@@ -529,7 +535,7 @@ def _shape_of(data: _UnitData) -> tuple[object, ...]:
     return recording.samples, tuple(recording.starts.tolist()), *types, data.joined.known, before
 
 
-def _followed_together(group: Sequence[_UnitData]) -> _Together:
+def _followed_together(group: Sequence[_UnitData], outside: str) -> _Together:
     """Follow units of one model, and of one shape, by one observer."""
     first, observer = group[0], group[0].relations
     assert isinstance(observer, SetObserver), "others are tested one by one"
@@ -539,12 +545,12 @@ def _followed_together(group: Sequence[_UnitData]) -> _Together:
     many = Recording(u, y, one.starts, one.inputs, one.outputs)
     between = None
     if first.kept is None:
-        together = detect(observer, many, method=observer.method)
+        together = detect(observer, many, method=observer.method, outside=outside)
     else:
         carry = None
         if first.joined.carry is not None:
             carry = joined_carries(observer, [data.joined.carry for data in group])
-        together, between = followed(observer, Joined(many, carry, first.joined.known))
+        together, between = followed(observer, Joined(many, carry, first.joined.known), outside)
     outcomes: _Together = {}
     for i, data in enumerate(group):
         carry = None

@@ -8,16 +8,19 @@ from typing import Generic, TypeVar
 import jax
 import numpy as np
 
+from jaxbound.consistency.claims import CLAIMED, UNCLAIMED, unclaimed
 from jaxbound.consistency.interface import AUTO, Judged, Observer, Relations
 from jaxbound.consistency.monitor import Monitor
 from jaxbound.consistency.searched import NOT_REFUTED, judging_device
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.spot_checks import COUNT, decided_again, judged_elsewhere
 from jaxbound.files.checkpoint import as_texts, from_texts
+from jaxbound.models.region import Region
 from jaxbound.recordings.factors import known
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.loop import Laps, Memory
 from jaxbound.runs.sink import Verdicts
+from jaxbound.sets.floats.status import Status
 
 __all__ = ["Carried", "Live", "Numbered", "Whole", "Windows", "as_judged"]
 
@@ -38,14 +41,22 @@ class Windows:
 
     Args:
         samples: of the whole recording, over which those that are decided again are spread. done: so many of
-            them are judged already. laps: gets the seconds of the stage "transfer". margins: as of `detect`.
+            them are judged already. laps: gets the seconds of the stage "transfer". margins, outside: as of
+            `detect`.
     """
 
     def __init__(
-        self, relations: Relations, method: str, samples: int, done: int, laps: Laps, margins: str = AUTO
+        self,
+        relations: Relations,
+        method: str,
+        samples: int,
+        done: int,
+        laps: Laps,
+        margins: str = AUTO,
+        outside: str = CLAIMED,
     ) -> None:
         self.relations, self.method, self.samples, self.done = relations, method, samples, done
-        self.margins = margins
+        self.margins, self.outside = margins, outside
         self.overlap = self.begins = relations.horizon
         self.again: dict[str, int] = {}
         self.laps = laps
@@ -54,7 +65,9 @@ class Windows:
         """Judge the samples that are new in a piece."""
         first, recording = piece
         recorded = on_device(recording, self.laps)
-        result = detect(self.relations, recorded, method=self.method, margins=self.margins)
+        result = detect(
+            self.relations, recorded, method=self.method, margins=self.margins, outside=self.outside
+        )
         if devices := judged_elsewhere():
             share = -(-COUNT * recording.samples // self.samples)
             count = 0
@@ -63,7 +76,11 @@ class Windows:
             self.again[devices] = self.again.get(devices, 0) + count
         fresh = slice(self.done - first, recording.samples)
         self.done = first + recording.samples
-        yield recording.cut(fresh.start, fresh.stop), Judged(result.status[fresh], result.reported[fresh])
+        departure = result.departure
+        if departure is not None:
+            departure = departure.cut(fresh)
+        judged = Judged(result.status[fresh], result.reported[fresh], departure=departure)
+        yield recording.cut(fresh.start, fresh.stop), judged
 
     def memory(self) -> None:
         """Return None: windows carry nothing."""
@@ -77,7 +94,7 @@ class Carried(Generic[State]):
     Args:
         observer, carry: the observer and its carry. size: of a part, in samples. done: so many samples are
             judged already. laps: as for `Windows`. warm: samples before the first part that it is given, in
-            the first piece; None: it goes on with the carry.
+            the first piece; None: it goes on with the carry. outside: as of `detect`.
     """
 
     overlap = 1
@@ -90,11 +107,12 @@ class Carried(Generic[State]):
         done: int,
         laps: Laps,
         warm: int | None = None,
+        outside: str = CLAIMED,
     ) -> None:
         self.observer, self.carry, self.size, self.done, self.warm = observer, carry, size, done, warm
         self.begins = max(warm or 0, self.overlap)
         self.again: dict[str, int] = {}  # none are decided again: they rest on all samples before
-        self.laps = laps
+        self.laps, self.outside, self.region = laps, outside, Region.of(observer)
 
     def __call__(self, piece: Numbered) -> Iterator[tuple[Recording, Verdicts]]:
         """Judge the samples that are new in a piece, those of each part by themselves."""
@@ -112,6 +130,9 @@ class Carried(Generic[State]):
             self.carry, found = self.observer.followed(self.carry, given.cut(begin - first, end - first))
             self.done = end
             verdicts = Judged(np.asarray(found.status), np.asarray(found.margin))
+            before = max(begin - first - 1, 0)  # the step to the first sample begins at the one before
+            u = np.asarray(recording.u)[before : end - first]
+            verdicts = _placed(verdicts, self.region, u, self.outside)
             yield recording.cut(begin - first, end - first), verdicts
 
     def memory(self) -> Memory:
@@ -119,12 +140,36 @@ class Carried(Generic[State]):
         return as_texts(self.carry)
 
 
-class Live:
-    """The judge of samples as they come, by a Monitor."""
+def _placed(judged: Judged, region: Region | None, u: np.ndarray, outside: str) -> Judged:
+    """Return verdicts of an observer with their departure from the region of training.
 
-    def __init__(self, monitor: Monitor) -> None:
-        self.monitor = monitor
+    Args:
+        u: (N, m), the samples of the verdicts, and one before them where there is one. outside: of `detect`.
+    """
+    if region is None:
+        return judged
+    before = len(u) - len(judged.status)
+    missing = np.concatenate([np.zeros(before, bool), judged.status == Status.MISSING])
+    departure = region.departure(u, missing).cut(slice(before, None))
+    if outside == UNCLAIMED:
+        judged = unclaimed(judged, departure)
+    return judged._replace(departure=departure)
+
+
+class Live:
+    """The judge of samples as they come, by a Monitor.
+
+    Args:
+        outside: of a Monitor of an observer, as of `detect`; that of windows has its own.
+
+    Fields: last: (1, m) the inputs of the last sample, of an observer; NaN before there is one.
+    """
+
+    def __init__(self, monitor: Monitor, outside: str = CLAIMED) -> None:
+        self.monitor, self.outside = monitor, outside
         self.state = monitor.init()
+        self.last = np.full((1, len(known(monitor.relations.model))), np.nan)
+        self.region = Region.of(monitor.relations)
 
     def __call__(self, piece: Numbered) -> Iterator[tuple[Recording, Verdicts]]:
         """Judge the samples of a piece."""
@@ -133,6 +178,10 @@ class Live:
             self.state, verdicts = self.monitor.run(
                 self.state, recording.u, recording.y, starts=recording.starts
             )
+            if self.monitor.relations.remembers:
+                u = np.concatenate([self.last, recording.u])
+                judged = Judged(np.asarray(verdicts.status), np.asarray(verdicts.margin))
+                verdicts, self.last = _placed(judged, self.region, u, self.outside), u[-1:]
             yield recording, verdicts
 
     def compile(self) -> None:
@@ -142,12 +191,23 @@ class Live:
         self.monitor.run(self.monitor.init(), u, y)
 
     def memory(self) -> Memory:
-        """Return the state of the Monitor."""
+        """Return the state of the Monitor, of an observer the last inputs too."""
+        if self._looks_back:
+            return as_texts((self.state, self.last))
         return as_texts(self.state)
 
     def resume(self, memory: Sequence[str]) -> None:
         """Go on from a memory."""
-        self.state = from_texts(self.monitor.init(), memory)
+        begun = self.monitor.init(), self.last
+        if self._looks_back:
+            self.state, self.last = from_texts(begun, memory)
+        else:
+            self.state = from_texts(begun[0], memory)
+
+    @property
+    def _looks_back(self) -> bool:
+        """Whether the state of the Monitor lacks the last inputs, which the region is asked for."""
+        return self.monitor.relations.remembers and self.region is not None
 
 
 class Whole(Generic[Found]):

@@ -8,7 +8,7 @@ which it is needed.
 import json
 import os
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from os import PathLike
 from pathlib import Path
@@ -20,6 +20,7 @@ from jaxbound.consistency.interface import Judged
 from jaxbound.diagnosis.result import suspected
 from jaxbound.files.checkpoint import refuse_other
 from jaxbound.files.whole import UNFINISHED, whole
+from jaxbound.models.region import Departure, Region
 from jaxbound.recordings.columns import categories, from_arrow, to_arrow
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.parquetfiles import Damage
@@ -27,6 +28,7 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.runs.loop import Memory, Quiet
 from jaxbound.runs.partnotes import AGAIN, RUNS, Noted
 from jaxbound.runs.sink import Verdicts
+from jaxbound.runs.verdictfiles import outside_columns
 from jaxbound.sets.floats.status import Status
 
 if TYPE_CHECKING:
@@ -62,17 +64,20 @@ class Carrier(Protocol):
 
 
 class _Waiting(NamedTuple):
-    """Samples that wait for their part: times as written, verdicts, and signals (n, k)."""
+    """Samples that wait for their part: times as written, verdicts, signals (n, k), and departures."""
 
     written: "pa.Array"
     status: np.ndarray
     margin: np.ndarray
     signals: np.ndarray
+    departure: Departure | None
 
     def cut(self, first: int, stop: int) -> "_Waiting":
         """Return the rows first .. stop - 1."""
         here = slice(first, stop)
-        return _Waiting(self.written[here], self.status[here], self.margin[here], self.signals[here])
+        departure = self.departure and self.departure.cut(here)
+        numbers = self.status[here], self.margin[here], self.signals[here]
+        return _Waiting(self.written[here], *numbers, departure)
 
 
 class Parts(Quiet):
@@ -102,15 +107,14 @@ class Parts(Quiet):
         """Take the next samples; write the parts that they complete, and at the end the part that is left."""
         import pyarrow as pa
 
-        self.waiting.append(
-            _Waiting(piece.column, verdicts.status, verdicts.margin, _signals_and_where(piece))
-        )
+        numbers = verdicts.status, verdicts.margin, _signals_and_where(piece)
+        self.waiting.append(_Waiting(piece.column, *numbers, verdicts.departure))
         while rows := sum(len(waiting.status) for waiting in self.waiting):
             if rows < self.size and self.done + rows < self.end:
                 return
-            times, status, margin, signals = zip(*self.waiting, strict=True)
+            times, status, margin, signals, departures = zip(*self.waiting, strict=True)
             numbers = np.concatenate(status), np.concatenate(margin), np.concatenate(signals)
-            together = _Waiting(pa.concat_arrays(times), *numbers)
+            together = _Waiting(pa.concat_arrays(times), *numbers, _end_to_end(departures))
             self._write(together.cut(0, self.size))
             self.waiting = [together.cut(self.size, rows)]
 
@@ -123,6 +127,7 @@ class Parts(Quiet):
             "time": rows.written,
             "status": categories([x.name for x in Status], rows.status),
             "margin": to_arrow(rows.margin),
+            **outside_columns(rows.departure),
             "suspect": to_arrow(suspected(rows.status, rows.margin)),
         }
         number = self.done // self.size
@@ -133,7 +138,7 @@ class Parts(Quiet):
             refuse_other_part(path, self.notes[number])
         with whole(path, links=False) as f:
             table = pa.table(columns).replace_schema_metadata(about)
-            pq.write_table(table, f, use_dictionary=["status"], write_page_checksum=True)
+            pq.write_table(table, f, use_dictionary=["status", "outside_by"], write_page_checksum=True)
         self.done += len(rows.status)
 
     def _metadata(self, number: int, signals: np.ndarray) -> dict[bytes, str]:
@@ -146,6 +151,15 @@ class Parts(Quiet):
             about[AGAIN] = json.dumps(self.judge.again)
             self.judge.again.clear()
         return about
+
+
+def _end_to_end(departures: Sequence[Departure | None]) -> Departure | None:
+    """Return the departures of pieces as one."""
+    there = [departure for departure in departures if departure is not None]
+    if not there:
+        return None
+    share, by, reading, regions = zip(*there, strict=True)
+    return Departure(np.concatenate(share), np.concatenate(by), np.concatenate(reading), regions[0])
 
 
 def _signals_and_where(piece: Recording) -> np.ndarray:
@@ -234,18 +248,22 @@ def carry_behind(part: Path) -> list[str]:
     return texts
 
 
-def verdicts_of(folder: Path, source: ParquetSource) -> Iterator[tuple[Recording, Judged]]:
-    """Yield (Recording, verdicts) of each part of a recording in order: times, and no signals."""
+def verdicts_of(
+    folder: Path, source: ParquetSource, region: Region | None = None
+) -> Iterator[tuple[Recording, Judged]]:
+    """Yield (Recording, verdicts) of each part of a recording in order: times, and no signals. region: of
+    training, which the parts speak of.
+    """
     first = 0
     for part in part_files(folder):
-        written, judged = _read_part(part)
+        written, judged = _read_part(part, region)
         time, stamps = source.times(first, written)
         nothing = np.empty((len(time), 0))
         yield Recording(nothing, nothing, time=time, stamps=stamps, written=written), judged
         first += len(time)
 
 
-def _read_part(part: Path) -> tuple["pa.Array", Judged]:
+def _read_part(part: Path, region: Region | None) -> tuple["pa.Array", Judged]:
     """Return (time column, verdicts) of a part."""
     import pyarrow.parquet as pq
 
@@ -256,4 +274,18 @@ def _read_part(part: Path) -> tuple["pa.Array", Judged]:
     codes = np.array([Status[name] for name in status.dictionary.to_pylist()], np.int8)
     indices = status.indices.cast("int32")
     picked = codes[np.frombuffer(indices.buffers()[1], np.int32, len(indices), 4 * indices.offset)]
-    return written, Judged(picked, from_arrow(margin))
+    departure = None
+    if region is not None:
+        departure = _departure_from(table, region)
+    return written, Judged(picked, from_arrow(margin), departure=departure)
+
+
+def _departure_from(table: "pa.Table", region: Region) -> Departure:
+    """Return the departures that `outside_columns` wrote."""
+    share, by, reading = (
+        table.column(name).combine_chunks() for name in ("outside", "outside_by", "outside_at")
+    )
+    by = by.dictionary_encode()
+    numbers = [("", *region.inputs).index(name) - 1 for name in by.dictionary.to_pylist()]
+    picked = np.array(numbers, np.int16)[np.frombuffer(by.indices.buffers()[1], np.int32, len(by))]
+    return Departure(from_arrow(share), picked, from_arrow(reading), region)

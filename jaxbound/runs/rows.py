@@ -21,16 +21,27 @@ if TYPE_CHECKING:
 __all__ = ["VERDICTS", "RowFile", "RowText", "number_text"]
 
 VERDICTS = "verdicts.csv"
-HEADER = b"time,status,margin,suspect\n"
+PLAIN = "time", "status", "margin"
+REGION = "outside", "outside_by", "outside_at"  # of models that state ranges, before suspect
+QUOTED = set(',"\r\n')  # in a cell
 NAMES, FAULT = [status.name for status in Status], int(Status.FAULT)
 RECOGNISED = 80  # last bytes of verdicts.csv by which it is known again
 UNFORCED = 1 << 13  # bytes that wait in the checkpoint before verdicts.csv is forced to the disk
 
 
 class RowText:
-    """The rows of the last verdicts, made once for all that write them."""
+    """The rows of the last verdicts, made once for all that write them.
 
-    def __init__(self) -> None:
+    Args:
+        has_region: whether verdicts say how they depart from the region of training.
+
+    Fields: names: of the columns before the last one, which is suspect.
+    """
+
+    def __init__(self, has_region: bool = False) -> None:
+        self.names: tuple[str, ...] = PLAIN
+        if has_region:
+            self.names = *PLAIN, *REGION
         self.verdicts: Verdicts | None = None
         self.text = b""
 
@@ -120,8 +131,9 @@ class RowFile:
         """Begin the file anew."""
         self.file = self._opened()
         self.file.truncate(0)
-        _write_all(self.file, HEADER)
-        self.written = HEADER
+        header = ",".join((*self.text.names, "suspect\n")).encode()
+        _write_all(self.file, header)
+        self.written = header
         self.force()
         sync_folder(self.path.parent)
 
@@ -139,21 +151,43 @@ def _row_text(written: "pa.Array", verdicts: Verdicts) -> bytes:
     """Return rows of verdicts.csv; written: the times as the recording has them, a pyarrow array."""
     import pyarrow as pa
 
-    if len(written) <= FEW and is_plain(written):  # by hand, which is sooner done
+    is_simple = is_plain(written) and _plainly_named(verdicts)
+    if len(written) <= FEW and is_simple:  # by hand, which is sooner done
         return _few_rows(written.to_pylist(), verdicts)
     sink = pa.BufferOutputStream()
     write_rows(sink, {"time": written, **columns_of(verdicts)})
     return bytes(sink.getvalue().to_pybytes())
 
 
+def _plainly_named(verdicts: Verdicts) -> bool:
+    """Return whether no name of an input needs quotes in a CSV file."""
+    if verdicts.departure is None:
+        return True
+    return QUOTED.isdisjoint("".join(verdicts.departure.names))
+
+
 def _few_rows(times: list[float | str], verdicts: Verdicts) -> bytes:
     rows: list[str] = []
-    for when, status, margin in zip(times, verdicts.status.tolist(), verdicts.margin.tolist(), strict=True):
+    outside = _outside_cells(verdicts)
+    numbers = verdicts.status.tolist(), verdicts.margin.tolist(), outside
+    for when, status, margin, cells in zip(times, *numbers, strict=True):
         if not isinstance(when, str):
             when = number_text(when)
         suspect = str(status == FAULT or margin < 0).lower()
-        rows.append(f"{when},{NAMES[status]},{number_text(margin)},{suspect}\n")
+        rows.append(f"{when},{NAMES[status]},{number_text(margin)},{cells}{suspect}\n")
     return "".join(rows).encode()
+
+
+def _outside_cells(verdicts: Verdicts) -> list[str]:
+    """Return the cells of each row on the region of training, each with a comma behind it."""
+    departure = verdicts.departure
+    if departure is None:
+        return [""] * len(verdicts.status)
+    cells: list[str] = []
+    numbers = departure.share.tolist(), departure.by.tolist(), departure.reading.tolist()
+    for share, by, reading in zip(*numbers, strict=True):
+        cells.append(f"{number_text(share)},{departure.names[by + 1]},{number_text(reading)},")
+    return cells
 
 
 def number_text(x: float) -> str:

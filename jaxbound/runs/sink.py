@@ -11,6 +11,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 
 from jaxbound.diagnosis.alarms import Alarm
+from jaxbound.models.region import Departure
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.loop import Memory, Quiet
@@ -22,7 +23,8 @@ __all__ = ["REGISTERED", "Outcome", "Sink", "Verdicts", "register"]
 class Verdicts(Protocol):
     """The verdicts of some samples: a Result, a Judged, or anything else with a status of each.
 
-    Fields: status: (T,) int8, see `Status`; margin: (T,).
+    Fields: status: (T,) int8, see `Status`; margin: (T,); departure: (T,) from the region of training, None:
+    it is not known.
     """
 
     @property
@@ -32,6 +34,10 @@ class Verdicts(Protocol):
     @property
     def margin(self) -> np.ndarray:
         """Of each sample, NaN where there is none."""
+
+    @property
+    def departure(self) -> Departure | None:
+        """Of each sample."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxbound.consistency.claims import CLAIMED
 from jaxbound.consistency.interface import AUTO, Observer, Relations, margins_for, with_margins
 from jaxbound.files.checkpoint import from_texts
 from jaxbound.models.fingerprint import fingerprint
@@ -65,6 +66,7 @@ def write_parts(
     client: "Client | None" = None,
     overlap: int | None = None,
     margins: str = AUTO,
+    outside: str = CLAIMED,
 ) -> tuple[Path, dict[str, float]]:
     """Test a ParquetSource and write the parts that are missing in the folder `verdicts.partial` of `out`.
 
@@ -76,7 +78,8 @@ def write_parts(
         copying of columns into the arrays that the kernel reads. Where workers do it, their seconds are
         added.
     """
-    folder, job = _job_of(relations, source, Path(out), method, part, chunk, overlap, margins)
+    how = part, chunk, overlap, margins, outside
+    folder, job = _job_of(relations, source, Path(out), method, *how)
     report = progress or (lambda share: None)
     seconds = dict.fromkeys(STAGES, 0.0)
     mine = numbers_of(part or (1, 1), part_count(source))
@@ -136,13 +139,15 @@ def all_parts(
     method: str = "joint",
     overlap: int | None = None,
     margins: str = AUTO,
+    outside: str = CLAIMED,
 ) -> Path:
     """Return the folder of the parts that `write_parts` made of the same.
 
     Raises:
         ValueError: some are not there, or of another model, recording, version or method.
     """
-    folder, _ = _job_of(relations, source, Path(out), method, overlap=overlap, margins=margins)
+    how = None, CHUNK, overlap, margins, outside
+    folder, _ = _job_of(relations, source, Path(out), method, *how)
     count = part_count(source)
     missing = missing_parts(folder, range(count))
     if missing:
@@ -192,8 +197,8 @@ class _Judging:
 
     Fields: relations, source, method: as for `write_parts`. folder: of the parts. chunk: samples in memory at
     once. size: of a part, in samples. common: what all parts depend on. overlap: samples that an observer of
-    its own is given before each part; None: one for all. margins: see `detect`. chain: of parts that follow
-    each other, digests of the recording up to the end of each.
+    its own is given before each part; None: one for all. margins, outside: see `detect`. chain: of parts that
+    follow each other, digests of the recording up to the end of each.
     """
 
     relations: Relations
@@ -205,6 +210,7 @@ class _Judging:
     common: dict[str, str]
     overlap: int | None = None
     margins: str = AUTO
+    outside: str = CLAIMED
     chain: list[str] = field(default_factory=list)
 
     @property
@@ -277,13 +283,13 @@ class _Judging:
         done = part * self.size
         if not self.relations.remembers:
             about = self.relations, self.method, self.source.samples
-            return Windows(*about, done, laps, self.margins)
+            return Windows(*about, done, laps, self.margins, self.outside)
         observer = self.relations.test(self.method, self.source.dtype)
         assert isinstance(observer, Observer), "what remembers is an observer"
         carry = observer.init()
         if part and self.follows:
             carry = from_texts(carry, carry_behind(self.folder / part_name(part - 1)))
-        return Carried(observer, carry, self.size, done, laps, self.overlap)
+        return Carried(observer, carry, self.size, done, laps, self.overlap, self.outside)
 
 
 def _job_of(
@@ -295,6 +301,7 @@ def _job_of(
     chunk: int = CHUNK,
     overlap: int | None = None,
     margins: str = AUTO,
+    outside: str = CLAIMED,
 ) -> tuple[Path, _Judging]:
     """Return (folder for the parts, _Judging that makes them); refuse parts of another run, or not ours.
 
@@ -310,7 +317,7 @@ def _job_of(
             f"{source.path}: the recording has {source.samples} samples, one window needs "
             f"{relations.horizon + 1}"
         )
-    also: dict[str, str | int] = {"margins": test.margins_are}
+    also: dict[str, str | int] = {"margins": test.margins_are, "word outside training": outside}
     if relations.remembers:
         also["overlap"] = begins if begins is not None else "none"
     folder = out / PARTIAL
@@ -318,9 +325,8 @@ def _job_of(
         raise ValueError(f"{folder} is a file: move it, or choose another folder")
     common = identity(relations, method=method, recording=fingerprint(source.layout), **also)
     chunk = max(chunk, LEAST, relations.horizon + 1, (begins or 0) + 1)
-    job = _Judging(
-        relations, source, folder, method, chunk, PART, common, begins, margins_for(margins, windows)
-    )
+    kind = margins_for(margins, windows)
+    job = _Judging(relations, source, folder, method, chunk, PART, common, begins, kind, outside)
     mine = numbers_of(part or (1, 1), part_count(source))
     for file in part_files(folder):
         number = part_number(file)

@@ -10,7 +10,8 @@ import numpy as np
 
 from jaxbound.consistency.interface import EXACT, Relations
 from jaxbound.diagnosis.alarms import Alarm
-from jaxbound.diagnosis.hints import unfit
+from jaxbound.diagnosis.hints import never_seen, unfit
+from jaxbound.diagnosis.region import Outside
 from jaxbound.diagnosis.result import Result
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
@@ -24,6 +25,7 @@ __all__ = [
     "Summary",
     "Window",
     "evidence",
+    "finite",
     "said",
     "summarised",
     "unsaid",
@@ -74,6 +76,8 @@ class Evidence:
             fault.
         margins: of the verdicts, "exact" or "bounds", see `detect`. bounded: whether `margin` is such a
             bound: the exact one is not below it.
+        outside: the windows outside the region of training; None: the model states no ranges, or a validation
+            judged.
     """
 
     method: str
@@ -91,6 +95,7 @@ class Evidence:
     outgrown: bool = False
     margins: str = EXACT
     bounded: bool = False
+    outside: Outside | None = None
 
     @property
     def windows(self) -> int:
@@ -202,6 +207,7 @@ class Summary:
             "ended": about.ended or {},
             "always_seen": self._plain_sizes(),
             "margins": about.margins,
+            "outside": about.outside and about.outside.plain(),
         }
 
     def _plain_worst(self) -> Plain | None:
@@ -269,6 +275,7 @@ def _(res: Result, alarms: Sequence[Alarm]) -> Evidence:
         dict(Counter(a.ended for a in alarms)),
         remembers=res.relations.remembers,
         margins=res.margins,
+        outside=res.beyond,
     )
 
 
@@ -321,22 +328,34 @@ def said(found: Evidence, label: Label, min_coverage: float = 0.5) -> tuple[str,
 
 def _proved_fault(found: Evidence, label: Label) -> tuple[str, str]:
     """Return (verdict, sentence) where windows are FAULT: proved, as far as the bounds hold over such
-    windows.
+    windows, and where they are.
     """
-    every = _unfit_windows(found)
-    sentence = every or _fault_sentence(found, label)
+    every, faults, beyond = _unfit_windows(found), found.counts["FAULT"], found.outside
+    verdict, title = "fault", "Fault proved"
     if found.outgrown:
-        return OUTSIDE, f"Outside the bounds as fitted: {sentence}."
-    if every:
-        return "fault", f"{sentence[:1].upper()}{sentence[1:]}."
-    return "fault", f"Fault proved: {sentence}."
+        verdict = OUTSIDE
+        title = "Outside the bounds as fitted"
+    if beyond is not None and beyond.holds(faults):
+        what = "windows"
+        if found.remembers:
+            what = "samples"
+        sentence = _fault_sentence(found, label)
+        new = never_seen(beyond, faults, what)
+        return verdict, f"{title}, outside training: {new}. {sentence}."
+    if every and not found.outgrown and beyond is None:
+        return verdict, f"{every[:1].upper()}{every[1:]}."
+    sentence = every or _fault_sentence(found, label)
+    if beyond is not None and beyond.faults:
+        lie = f"lie{'s' * (beyond.faults == 1)} outside training, most by {beyond.words}"
+        sentence += f"; {beyond.faults} of the FAULT ones {lie}"
+    return verdict, f"{title}: {sentence}."
 
 
 def _unfit_windows(found: Evidence) -> str:
     """Return the sentence on windows that are all FAULT, "" where some are not, or an observer judged."""
     if found.remembers or found.counts["CONSISTENT"] or found.counts["UNDECIDED"]:
         return ""
-    return "".join(unfit(found.counts, found.margin))
+    return "".join(unfit(found.counts, found.margin, beyond=found.outside))
 
 
 def _fault_sentence(found: Evidence, label: Label) -> str:
@@ -386,7 +405,17 @@ def _too_little(found: Evidence, share: float, deed: str, least: float) -> str:
     if found.remembers:
         what = "samples"
     some = f"{round(share * found.windows)} of {found.windows} {what} ({percent(share)})"
-    return f"Too little evidence: only {some} {deed}, at least {percent(least)} are asked for."
+    asked = f"at least {percent(least)} are asked for"
+    return f"Too little evidence: only {some} {deed}, {asked}{_unclaimed(found)}."
+
+
+def _unclaimed(found: Evidence) -> str:
+    """Return the end of a sentence on windows whose FAULT is not claimed outside the region of training."""
+    if found.outside is None or not found.outside.unclaimed:
+        return ""
+    many = f"{found.outside.unclaimed} that the model does not explain"
+    lie = f"lie{'s' * (found.outside.unclaimed == 1)} outside training"
+    return f"; {many} {lie}, where no FAULT is claimed, most by {found.outside.words}"
 
 
 def _most_used(margin: float) -> str:
@@ -403,7 +432,7 @@ def _healthy(found: Evidence, label: Label) -> str:
     if found.remembers:
         return (
             f"No fault found: none of {tested} samples is proved to contradict the model and the samples "
-            f"before it."
+            f"before it{_unclaimed(found)}."
         )
     if found.faulty is not None:
         every = f"every sample of {tested} windows fits what the samples before it allow"
@@ -420,4 +449,5 @@ def _healthy(found: Evidence, label: Label) -> str:
         used = f"; the tightest, at {label(found.at)}, uses {percent(1 - found.margin)} of them"
         if found.bounded:  # another window may be the tightest
             used = _most_used(found.margin)
+    used = _unclaimed(found) or used
     return f"No fault found: the model explains {every} within its bounds{used}."

@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxbound.diagnosis.alarms import ENDINGS, NO_DATA, OTHER, endings
+from jaxbound.diagnosis.region import Excursions, Outside
+from jaxbound.models.region import Region
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.loop import Memory, Quiet
 from jaxbound.runs.sink import Verdicts
@@ -39,6 +41,7 @@ class Tally(Quiet):
             samples.
         first: the first FAULT. worst: the FAULT window with the smallest margin. tightest: the window with
             the smallest margin of all. last: time of the last sample.
+        region: of training; None: it is not known. beyond: windows outside of it.
     """
 
     when: Callable[[Recording, int], When]
@@ -51,6 +54,13 @@ class Tally(Quiet):
     worst: Event | None = None
     tightest: Event | None = None
     last: When | None = None
+    region: Region | None = None
+
+    def __post_init__(self) -> None:
+        """Begin to count windows outside the region of training."""
+        self.beyond: Excursions | None = None
+        if self.region is not None:
+            self.beyond = Excursions(self.region)
 
     def add(self, piece: Recording, verdicts: Verdicts) -> None:
         """Count the next samples."""
@@ -65,6 +75,8 @@ class Tally(Quiet):
             self.first = self.first or first
             self.worst = _smaller(self.worst, self._smallest(piece, margin, fault) or first)
         self.tightest = _smaller(self.tightest, self._smallest(piece, margin, np.arange(len(status))))
+        if self.beyond is not None and verdicts.departure is not None:
+            self.beyond.add(status, margin, verdicts.departure)
         self.last = self.when(piece, len(status) - 1)
         self.samples += len(status)
 
@@ -72,12 +84,23 @@ class Tally(Quiet):
         """Return {name of a status: number of windows}."""
         return {status.name: self.counts[status] for status in Status}
 
+    def outside(self, outside_is: str) -> Outside | None:
+        """Return the windows outside the region of training; None: not known. outside_is: of a Result."""
+        if self.beyond is None:
+            return None
+        return self.beyond.total(outside_is)
+
     def memory(self) -> Memory:
         """Return the counts."""
-        return {name: getattr(self, name) for name in REMEMBERED}
+        counts = {name: getattr(self, name) for name in REMEMBERED}
+        if self.beyond is None:
+            return counts
+        return counts | {"beyond": self.beyond.memory()}
 
     def resume(self, memory: dict[str, Any]) -> None:
         """Go on from a memory."""
+        if self.beyond is not None:
+            self.beyond.resume(memory.pop("beyond", {}))
         for name, value in memory.items():
             if name in EVENTS and value is not None:
                 value = Event(*value)

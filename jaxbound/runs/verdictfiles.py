@@ -9,7 +9,8 @@ import numpy as np
 
 from jaxbound.diagnosis.alarms import ENDINGS, Alarm
 from jaxbound.diagnosis.result import Result, suspected
-from jaxbound.recordings.columns import to_arrow, words, write_columns
+from jaxbound.models.region import Departure
+from jaxbound.recordings.columns import texts, to_arrow, words, write_columns
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.sink import Outcome, Sink, Verdicts
 from jaxbound.sets.floats.status import Status
@@ -17,7 +18,15 @@ from jaxbound.sets.floats.status import Status
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = ["AlarmTable", "VerdictTable", "alarm_columns", "columns_of", "write_alarms", "write_verdicts"]
+__all__ = [
+    "AlarmTable",
+    "VerdictTable",
+    "alarm_columns",
+    "columns_of",
+    "outside_columns",
+    "write_alarms",
+    "write_verdicts",
+]
 
 Columns = dict[str, "pa.Array"]
 """{name: column}, as they are written."""
@@ -44,7 +53,10 @@ class AlarmTable(Sink):
 
     def close(self, outcome: Outcome) -> None:
         """Write the table."""
-        write_alarms(self.folder / self.names[0], outcome.alarms, self.recording, outcome.model.dt)
+        found = outcome.summary.found
+        has_region = found is not None and found.outside is not None
+        about = self.recording, outcome.model.dt, has_region
+        write_alarms(self.folder / self.names[0], outcome.alarms, *about)
 
 
 def write_verdicts(path: str | PathLike[str], result: Verdicts, recording: Recording | None = None) -> None:
@@ -63,30 +75,54 @@ def write_verdicts(path: str | PathLike[str], result: Verdicts, recording: Recor
 
 @singledispatch
 def columns_of(result: Verdicts) -> Columns:
-    """Return the columns of a result beside the time: status, margin (blank where there is none), suspect."""
-    return _columns(result.status, result.margin)
+    """Return the columns of a result beside the time: status, margin (blank where there is none), those of
+    `outside_columns`, suspect.
+    """
+    return _columns(result.status, result.margin, result.departure)
 
 
 @columns_of.register(Result)
 def _(result: Result) -> Columns:
     """Return those of a Result: margins of FAULT windows are exact."""
-    return _columns(result.status, result.reported)
+    return _columns(result.status, result.reported, result.departure)
 
 
-def _columns(status: np.ndarray, margin: np.ndarray) -> Columns:
+def _columns(status: np.ndarray, margin: np.ndarray, departure: Departure | None) -> Columns:
     return {
         "status": words([x.name for x in Status], status),
         "margin": to_arrow(margin),
+        **outside_columns(departure),
         "suspect": to_arrow(suspected(status, margin)),
     }
 
 
-def write_alarms(path: str | PathLike[str], alarms: Sequence[Alarm], recording: Recording, dt: float) -> None:
+def outside_columns(departure: Departure | None) -> Columns:
+    """Return the columns of windows by the region of training; none where there is no region.
+
+    outside: the share by which each lies outside, 0 inside, blank where it is MISSING. outside_by: the input,
+    outside_at: its sample.
+    """
+    if departure is None:
+        return {}
+    return {
+        "outside": to_arrow(departure.share),
+        "outside_by": words(departure.names, departure.by + 1),
+        "outside_at": to_arrow(departure.reading),
+    }
+
+
+def write_alarms(
+    path: str | PathLike[str],
+    alarms: Sequence[Alarm],
+    recording: Recording,
+    dt: float,
+    has_region: bool = False,
+) -> None:
     """Write one row an alarm: start and end (time of the recording), duration in s, FAULT windows, depth and
     when it was reached.
 
     `factor` is how many times wider the bounds would have to be; an alarm of a single sample lasts dt;
-    `ended`: see `Alarm`.
+    `ended`, `outside`, `outside_by`: see `Alarm`; the last two where there is a region of training.
     """
     written = recording.column
     starts = np.array([alarm.start for alarm in alarms], np.int64)
@@ -104,6 +140,9 @@ def write_alarms(path: str | PathLike[str], alarms: Sequence[Alarm], recording: 
         "depth": np.array([alarm.depth for alarm in alarms], np.float64),
         "ended": np.array([ENDINGS.index(alarm.ended) for alarm in alarms], np.int64),
     }
+    if has_region:
+        columns["outside"] = np.array([alarm.outside for alarm in alarms], np.int64)
+        columns["outside_by"] = [alarm.outside_by for alarm in alarms]
     write_columns(path, alarm_columns(columns, dt))
 
 
@@ -113,8 +152,11 @@ def alarm_columns(alarms: Mapping[str, Any], dt: float) -> Columns:
     Args:
         alarms: {"start", "end", "worst": times as the recording has them (pyarrow), "from", "to": seconds,
             "first_sample", "last_sample", "windows", "depth", "ended" (numbers of ENDINGS): NumPy}, one entry
-            an alarm.
+            an alarm; "outside", "outside_by" (a list of texts) where there is a region of training.
     """
+    outside = {}
+    if "outside" in alarms:
+        outside = {"outside": to_arrow(alarms["outside"]), "outside_by": texts(alarms["outside_by"])}
     return {
         "start": alarms["start"],
         "end": alarms["end"],
@@ -126,4 +168,5 @@ def alarm_columns(alarms: Mapping[str, Any], dt: float) -> Columns:
         "factor": to_arrow(1 - alarms["depth"]),
         "worst": alarms["worst"],
         "ended": words(ENDINGS, alarms["ended"]),
+        **outside,
     }

@@ -514,7 +514,7 @@ from jaxbound.recordings.read import read
 from jaxbound.runs.verdictfiles import write_verdicts
 m = LinearSystem([[0.5]], [[1]], [[1]], dt=0.5)
 r = read({str(tmp_path / "d.csv")!r}, m)
-verdicts = dict(status=np.zeros(50, np.int8), margin=np.full(50, np.nan), suspect=np.zeros(50, bool))
+verdicts = dict(status=np.zeros(50, np.int8), margin=np.full(50, np.nan), departure=None)
 res = type("R", (), verdicts)
 write_verdicts({str(tmp_path / "v.csv")!r}, res, r)
 print("pandas" in sys.modules)

@@ -65,7 +65,7 @@ def test_page_table_and_json_of_a_lasting_bias_say_repaired_or_lasting(place, ca
     assert (
         found["ended"] == ended
         and sum(ended.values()) == found["alarms"]
-        and list(found)[-3:] == ["ended", "always_seen", "margins"]
+        and list(found)[-4:] == ["ended", "always_seen", "margins", "outside"]
     )
     (hint,) = found["hints"]
     assert (
@@ -123,7 +123,7 @@ def test_a_fleet_says_why_the_last_alarm_is_over(place, capsys):
     assert sum(units["A"]["ended"].values()) == units["A"]["alarms"] and ONSET_LEFT in units["A"]["ended"]
     assert "windows of 2 samples alone cannot tell" in units["A"]["hints"][-1]
     rows = {row["unit"]: row for row in csv.DictReader((place / "fleet/fleet.csv").read_text().splitlines())}
-    assert rows["A"]["ended"] == ONSET_LEFT and fleet_table.FIELDS[-1] == "ended"
+    assert rows["A"]["ended"] == ONSET_LEFT and fleet_table.FIELDS[16] == "ended"
     assert f"The last alarm: {ONSET_LEFT}." in (place / "fleet/fleet.html").read_text()
 
 

@@ -31,7 +31,7 @@ KEYS = [
     "last_ended",
     "hints",
 ]
-LAST = ["ended", "always_seen", "margins"]
+LAST = ["ended", "always_seen", "margins", "outside"]
 
 
 @pytest.fixture
