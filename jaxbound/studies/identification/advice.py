@@ -1,5 +1,6 @@
 """Advice on a fit: sentences on signals that stand still, and on what the data do not carry."""
 
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -10,8 +11,10 @@ from jaxbound.studies.identification.fit_result import FitCheck
 from jaxbound.studies.identification.records import Records, measured
 from jaxbound.text.names import listed
 
-__all__ = ["apart", "inputs_at_rest", "limits", "no_average"]
+__all__ = ["apart", "inputs_at_rest", "inputs_together", "limits", "no_average"]
 
+TOGETHER = 0.995
+"""Correlation of two inputs above which nobody can tell them apart."""
 WIDE, CONTRADICTION, FEW = 1.5, 3.0, 10
 """Above this factor that a recording asks for that is left out, this factor between the bounds of two
 recordings, below this number of windows that do not overlap, the user is told that the data do not carry the
@@ -65,6 +68,24 @@ def apart(records: Records, inputs: Sequence[str], outputs: Sequence[str]) -> li
                     f"{name} lies at {below} and at {above}, which have nothing in common: is it in two "
                     f"units, like degC and degF, or are these two plants?"
                 )
+    return sentences
+
+
+def inputs_together(records: Records, inputs: Sequence[str]) -> list[str]:
+    """Return a sentence for each pair of inputs that move together."""
+    u = np.concatenate([r[0] for r in records])
+    u = u[np.isfinite(u).all(1)]
+    sentences = []
+    for i, j in itertools.combinations(range(len(inputs)), 2):
+        if _stands_still(u[:, i]) or _stands_still(u[:, j]):
+            continue
+        together = abs(float(np.corrcoef(u[:, i], u[:, j])[0, 1]))
+        if together > TOGETHER:
+            sentences.append(
+                f"{inputs[i]} and {inputs[j]} move together (correlation {together:.3f}): the data do not "
+                f"tell apart what each does, and an hour in which they part looks like a fault; record steps "
+                f"of one alone, or leave one out"
+            )
     return sentences
 
 

@@ -85,7 +85,7 @@ def fit(
             p states. "auto": whichever of 1 to 4 sees the smallest errors at the bounds that recordings which
             are left out ask for.
         delay: so many samples pass before inputs act (dead time), 1 of a plant that answers at the next one;
-            (delay - 1) * m more states. "auto": of 1, 2, 3, 4, 6 and 8, chosen as the order is.
+            (delay - 1) * m more states. "auto": of 1 to 6 and 8, chosen as the order is.
         horizon: s, the bounds are found for windows of s + 1 samples; None: 15. Long windows see small
             faults; the model says for which it is made.
         lags: of windows that look at the outputs at some samples only, in place of horizon; see
@@ -143,6 +143,7 @@ def fit(
         about["lags"] = lags
     sentences = [
         *advice.inputs_at_rest(records, inputs, outputs, horizon),
+        *advice.inputs_together(records, inputs),
         *advice.apart(records, inputs, outputs),
     ]
     parts, trials = parted(records, held_out, horizon + 1), []

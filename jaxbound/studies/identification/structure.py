@@ -6,9 +6,10 @@ anywhere stand for what would be seen: the same quantity by which methods are ch
 without a test, a thousand times as fast.
 """
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from jaxbound.studies.identification.regression import CompleteWindows, Scales
 __all__ = ["DELAYS", "ORDERS", "chained", "delayed", "structure"]
 
 ORDERS = (1, 2, 3, 4)
-DELAYS = (1, 2, 3, 4, 6, 8)
+DELAYS = (1, 2, 3, 4, 5, 6, 8)
 """Samples from an input to its first effect that are tried."""
 ENOUGH = 1.1
 """The first order, and delay, is taken whose errors are seen from at most so many times the best's on."""
@@ -84,18 +85,22 @@ def structure(
     orders = [order for order in orders if order < horizon]
     delay = delays[0]
     if len(delays) > 1:
-        found = {}
-        for tried in delays:
-            blind = [_Trained(records, parts, horizon, order, tried, direct, False) for order in orders]
-            found[tried] = min(one.blindness for one in blind)
-        delay = _first_good(found)
+        pairs = {}
+        for order, tried in itertools.product(orders, delays):
+            pairs[order, tried] = _Trained(
+                records, parts, horizon, order, tried, direct, is_refined=False
+            ).blindness
+        _, delay = _first_good(pairs)
     found = {}
     for order in orders:
-        found[order] = _Trained(records, parts, horizon, order, delay, direct, True).blindness
+        found[order] = _Trained(records, parts, horizon, order, delay, direct, is_refined=True).blindness
     return _first_good(found), delay
 
 
-def _first_good(found: Mapping[int, float]) -> int:
+Choice = TypeVar("Choice", int, tuple[int, int])
+
+
+def _first_good(found: Mapping[Choice, float]) -> Choice:
     """Return the first choice of those that are not much worse than the best."""
     least = min(found.values())
     if not np.isfinite(least):

@@ -391,6 +391,12 @@ class TestCautions:
         with pytest.raises(ValueError, match=r"no input moves in these recordings \(u1\)"):
             self.said((0 * u + 3, y))
 
+    def test_inputs_that_move_together(self, rng):
+        u, y = run(rng)
+        said = self.said((np.hstack([u, 2 * u + 1e-3 * rng.normal(size=u.shape)]), y))
+        assert "u1 and u2 move together (correlation 1.000)" in said
+        assert "move together" not in self.said((np.hstack([u, rng.normal(size=u.shape)]), y))
+
     def test_recordings_that_contradict_each_other(self, rng):
         said = self.said([run(rng, 60, noise=0.01), run(rng, 60, noise=0.4)])
         assert (

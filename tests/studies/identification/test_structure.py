@@ -67,3 +67,11 @@ def test_inputs_before_a_gap_do_not_act_behind_it():
 def test_what_cannot_be_chosen_is_refused(options, sentence, rng):
     with pytest.raises(ValueError, match=sentence):
         jb.fit(recorded(1, 1, rng, 40), **options)
+
+
+@pytest.mark.slow
+def test_of_fresh_days_fewer_have_a_false_alarm_than_the_promise():
+    from benchmarks.tomorrow import trial
+
+    found = trial("oscillator", 3, 7, method="least squares")
+    assert found["with safety"] <= 0.25 and found["with safety"] <= found["beyond"]
