@@ -316,6 +316,39 @@ def test_long_recordings_are_asked_in_parts_and_whole_at_the_end(rng, monkeypatc
     assert jb.parameters(RELATIONS[plant], u, y, budget=1).status == "FAULT"
 
 
+def test_errors_of_every_kind_lose_nothing(rng):
+    """Tolerances, noise, a disturbance and a quantised recording about an operating point, all at their
+    bounds; two outputs.
+    """
+    gain, leak = fixed("k", "0.5", "1.5", B=[["0.5"]]), fixed("leak", "0", "0.3", A=[[-1]])
+    m = jb.LinearSystem(
+        [["0.9"]],
+        [[0]],
+        [[1], ["0.5"]],
+        tolerance=["0.02", 0],
+        noise=["0.01", "0.02"],
+        resolution=["0.005", 0],
+        disturbance=([[1]], [("-0.01", "0.03")]),
+        offset={"u": [2], "y": [10, 5]},
+        uncertainties=[gain, leak],
+    )
+    relations = {s: jb.parity_relations(m, s) for s in (1, 2)}
+    for _ in range(12):
+        k, lost = Fraction(int(rng.integers(50, 151)), 100), Fraction(int(rng.integers(0, 31)), 100)
+        x, u, y = Fraction(int(rng.integers(-8, 9)), 4), [], []
+        for now in rng.integers(-4, 5, int(rng.integers(10, 40))).tolist():
+            theta, n1, n2 = (int(e) for e in rng.choice([-1, 1], 3))
+            first = (1 + theta * Fraction(2, 100)) * x + n1 * Fraction(1, 100) + 10
+            y.append([float(Fraction(round(first * 100), 100)), float(x / 2 + n2 * Fraction(2, 100) + 5)])
+            u.append([2.0 + now])
+            w = Fraction(int(rng.choice([-1, 3])), 100)
+            x = (Fraction(9, 10) - lost) * x + k / 2 * now + w
+        for r in relations.values():
+            found = jb.parameters(r, u, y, precision=0.2, budget=300)
+            assert found.contains({"k": k, "leak": lost}) and found.status != "FAULT"
+            assert found.share < 0.5
+
+
 def test_parameters_that_vary_may_be_anything_at_each_sample(rng):
     a, b = PLANTS["pole and gain"][1]
     b = jb.Uncertainty("b", B=b.B, between=("1.2", "1.4"))
