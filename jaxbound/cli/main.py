@@ -15,7 +15,20 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from jaxbound import __version__
-from jaxbound.cli import demo, detect, examine, example, explain, fit, fleet, info, study, tune, verify
+from jaxbound.cli import (
+    demo,
+    detect,
+    examine,
+    example,
+    explain,
+    fit,
+    fleet,
+    info,
+    parameters,
+    study,
+    tune,
+    verify,
+)
 from jaxbound.cli.command import EXIT_CODES, Command, Parser, add_command, swift_imports
 from jaxbound.cli.terminal import (
     BAD_INPUT,
@@ -41,6 +54,7 @@ COMMANDS: tuple[Command, ...] = (
     fleet,
     fit,
     tune,
+    parameters,
     study,
     info,
     examine,
