@@ -102,7 +102,7 @@ def test_tune_and_info(plant, capsys):
         (f'v="{VALVE}", q = "{HEATER}"', [("v", VALVE), ("q", HEATER)]),
         (f"v=2*`{VALVE}`+arctan2(a, b),q", [("v", f"= 2*`{VALVE}`+arctan2(a, b)"), "q"]),
         ("AHU: Supply,b (c, d),e", ["AHU: Supply", "b (c, d)", "e"]),
-        ('a 5" pipe,b', ['a 5" pipe', "b"]),
+        ('b,a 5" pipe,c', ["b", 'a 5" pipe', "c"]),
         (f"x=arctan2(a, `{VALVE}`),`{MODE}`,b", [("x", f"= arctan2(a, `{VALVE}`)"), MODE, "b"]),
         ("x=mode == 'on',y", [("x", "= mode == 'on'"), "y"]),
     ],

@@ -1,6 +1,7 @@
 """Means over intervals of the clock: pandas says which, every door gives the same, pieces are the whole."""
 
 import json
+from fractions import Fraction
 
 import hypothesis
 import numpy as np
@@ -165,15 +166,33 @@ def test_times_in_seconds_count_from_zero(tmp_path):
 
 def test_means_of_many_large_numbers_are_known_to_the_last_digit():
     """What rounding a sum of 86 400 samples loses would be more than the 4 u that verdicts allow for."""
-    rng = np.random.default_rng(3)
-    time = pd.date_range("2024-03-01", periods=86_400, freq="s")
-    y = 1e9 + rng.uniform(0, 1, 86_400)
-    model = PLAIN.replace(dt=86_400, columns={"every": "d"})
-    r = jb.Recording.of(model, pd.DataFrame({"time": time, "u1": 0.0, "y1": y}))
-    from fractions import Fraction
+    y = 1e9 + np.random.default_rng(3).uniform(0, 1, (86_400, 2))
+    frame = pd.DataFrame({"time": pd.date_range("2024-03-01", periods=86_400, freq="s"), "u1": 0.0})
+    frame["y1"], frame["y2"] = y.T
+    columns = {"every": "d"}
+    model = jb.LinearSystem([[0.5]], [[1]], [[1], [1]], dt=86_400, noise=0.1, columns=columns)
+    r = jb.Recording.of(model, frame)
+    for mean, x in zip(r.y[0].tolist(), y.T, strict=True):
+        exact = sum(map(Fraction, x.tolist())) / len(x)
+        assert abs(Fraction(mean) - exact) <= Fraction(float(np.spacing(mean)))
 
-    exact = sum(map(Fraction, y.tolist())) / len(y)
-    assert abs(Fraction(float(r.y[0, 0])) - exact) <= Fraction(float(np.spacing(r.y[0, 0])))
+
+@hypothesis.given(st.floats(-1e12, 1e12, allow_subnormal=False), st.integers(2, 60))
+def test_the_mean_of_a_sensor_that_stands_still_stands_still(value, count):
+    """Else a stuck signal would seem to move by its rounding."""
+    time = pd.date_range("2024-03-01", periods=4 * count, freq="s")
+    frame = pd.DataFrame({"time": time, "u1": 0.0, "y1": value})
+    r = jb.Recording.of(PLAIN.replace(dt=count, columns={"every": f"{count}s"}), frame)
+    assert (r.y == value).all()
+
+
+def test_a_clock_that_is_set_back_within_an_interval_is_a_seam():
+    """By its label the next interval follows, but more time went by."""
+    frame = minutes(900, "2024-03-01 00:00").drop(columns="fan")
+    back = frame.assign(time=frame["time"].where(frame.index < 130, frame["time"] - pd.Timedelta("5min")))
+    r = jb.Recording.of(PLAIN, back)
+    (seam,) = r.starts
+    assert np.isnan(r.y[seam - 1 : seam + 1, 0]).all() and r.stamps[seam] == r.stamps[seam - 1]
 
 
 def test_what_has_no_times_is_taken_for_means_already():
