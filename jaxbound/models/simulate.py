@@ -7,7 +7,7 @@ levels (a plain recursion was off by 120 times that).
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
 from types import ModuleType
@@ -27,7 +27,9 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.models.uncertainty import Uncertainty
 from jaxbound.random.keys import key_of
 from jaxbound.random.threefry import Array
-from jaxbound.recordings.arrays import inputs_of, refuse_infinite
+from jaxbound.recordings.arrays import floats, inputs_of, refuse_infinite
+from jaxbound.recordings.factors import known
+from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.rounding import Pair
 from jaxbound.sets.floats.sizes import power
@@ -95,7 +97,8 @@ def simulate(
         inside the bounds (half an ulp of y beyond what the noise explains), so `detect` never calls it FAULT.
 
     Raises:
-        ValueError: shapes that do not fit, a signal that the model does not have, an unknown `at`.
+        ValueError: shapes that do not fit, a signal that the model does not have, an unknown `at`; a factor
+            on noise without a value, or over more than inputs: u may have the factors behind its inputs.
 
     Example:
         >>> import jax, jaxbound as jb
@@ -103,10 +106,11 @@ def simulate(
         >>> simulate(m, jnp.ones((50, 1)), jax.random.key(0)).y.shape
         (50, 1)
     """
-    model = as_model(model)
+    model = as_model(model, factors=True)
     if at not in ("uniform", "vertices"):
         raise ValueError(f"at must be 'uniform' or 'vertices', not {at!r}")
-    recorded = _recorded_inputs(model, u)
+    given, factors = _recorded_inputs(model, u)
+    recorded = given[..., : model.m]
     *leading, T, _ = recorded.shape
     batch, dtype = tuple(leading), recorded.dtype
     start = _first_states(model, x0, batch, dtype)
@@ -134,6 +138,10 @@ def simulate(
     arrays = draws, _filled(recorded, count, samples), start, v
 
     places, averages = places_of(model, dtype)
+    bounds = _bounds(model, averages, dtype)
+    if factors is not None:
+        # inward: no draw lies beyond its bound
+        bounds["noise"] = np.nextafter(bounds["noise"] * _filled(factors, count, samples), 0, dtype=dtype)
     run = _recorded if _library(*arrays) is np else _recorded_within
     out = run(
         tuple(channels),
@@ -142,12 +150,15 @@ def simulate(
         at == "vertices",
         model.constant_tolerance,
         _plant_numbers(model, dtype),
-        _bounds(model, averages, dtype),
+        bounds,
         np.array([f.size for f in faults], dtype),
         np.pad(active, ((0, 0), (0, samples - T))),
         *arrays,
     )
-    return Trajectory(*_cut(out, batch, T))
+    run_of = Trajectory(*_cut(out, batch, T))
+    if factors is None:
+        return run_of
+    return replace(run_of, u=cast("jax.Array", given))
 
 
 class _Channel(NamedTuple):
@@ -177,7 +188,27 @@ class _Bounds(TypedDict):
     averages: AverageNumbers
 
 
-def _recorded_inputs(model: LinearSystem, u: object) -> Array:
+def _recorded_inputs(model: LinearSystem, u: object) -> tuple[Array, Array | None]:
+    """Return (inputs (..., T, m) in the float type of the simulation, checked, as they are given: with the
+    factors on noise behind them; these factors (..., T, p), None where the model has none).
+    """
+    if not model.factors:
+        return _checked_inputs(model, u), None
+    if model.averages:
+        raise ValueError("simulate draws noise times a factor only where no errors average out")
+    inputs: Array = floats(u, "u")
+    shape = inputs.shape[:-1]
+    given = _host(Recording.of(model, inputs, np.zeros((*shape, model.p), inputs.dtype)).u)
+    refuse_infinite("u", given, known(model))
+    factors = np.ones((*shape, model.p), given.dtype)
+    for column, factor in enumerate(model.factors, model.m):
+        factors[..., factor.number] = given[..., column]
+    if np.isnan(factors).any():
+        raise ValueError("simulate needs every factor on noise: an input, or an expression, has no value")
+    return given, factors
+
+
+def _checked_inputs(model: LinearSystem, u: object) -> Array:
     """Return inputs (..., T, m) in the float type of the simulation, checked."""
     given = inputs_of(model, u)
     if given is None:
@@ -472,7 +503,7 @@ def _unknowns(
     u: Array,
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Draw theta, noise, disturbances, parameters and the noise of faults of recordings. draws: by stream."""
-    count, T, p = u.shape[0], u.shape[1], len(bounds["noise"])
+    count, T, p = u.shape[0], u.shape[1], bounds["noise"].shape[-1]
     xp = _library(u, *draws.values())
 
     def drawn(stream: int, width: int) -> Array:
@@ -503,7 +534,10 @@ def _unknowns(
     each = extreme(drawn(PARAMETER, len(bounds["varying"])))
     parameters = xp.where(bounds["varying"][None, None], each, each[:, :1])
     extra = drawn(FAULT_NOISE, len(channels))
-    noise = bounds["noise"][None, None] * extreme(drawn(NOISE, p))
+    largest = bounds["noise"]
+    if largest.ndim == 1:  # else one for each sample
+        largest = largest[None, None]
+    noise = largest * extreme(drawn(NOISE, p))
     return tolerance[None] * signs, noise, w, parameters, extra
 
 

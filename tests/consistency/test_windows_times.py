@@ -9,6 +9,8 @@ from scipy.optimize import linprog
 
 import jaxbound as jb
 from jaxbound.certificates.verification import verify
+from jaxbound.consistency.reading import gather
+from jaxbound.consistency.strips_on_host import contradicted_by
 from jaxbound.sets.floats.status import Status
 
 CLEAR = {np.float64: 1e-6, np.float32: 2e-3}
@@ -168,23 +170,18 @@ def test_verdicts_are_those_of_linear_programs(kind, dtype):
 @pytest.mark.parametrize("kind", ["strips", "search"])
 def test_missing_samples_and_factors_silence_what_needs_them(kind):
     rng = np.random.default_rng(3)
-    model, window, factors = case(rng, **KINDS[kind])
+    model, window, _ = case(rng, **KINDS[kind])
+    model, factors = model.replace(times={"T0": "1 + load**2"}), {"T0": lambda fan, load: 1 + load**2}
     table, f = recording(rng, model, factors, 60, 2.5)
     table.loc[20, "T0"] = np.nan
     whole = table.copy()
-    # what a factor is missing for is missing itself
-    (text,) = {model.times["T0"]}
-    column = "load" if "load" in text else "Fan [%]"
-    if column == "load":
-        table.loc[40, "load"] = np.nan
-        whole.loc[40, "T0"] = np.nan
-        for name in factors:
-            if "load" in model.times[name]:
-                whole.loc[40, name] = np.nan
+    table.loc[40, "load"] = np.nan  # what a factor is missing for is missing itself
+    whole.loc[40, "T0"] = np.nan
     relations = jb.parity_relations(model, **window)
     found, expected = jb.detect(relations, table), jb.detect(relations, whole)
     np.testing.assert_array_equal(found.status, expected.status)
     np.testing.assert_array_equal(found.margin, expected.margin)
+    assert len(getattr(relations, "_reframed", ())) <= 10, "frames without samples, none without a factor"
     judged(relations, window, whole, f)
 
 
@@ -277,6 +274,57 @@ def test_fractions_say_the_same_where_bounds_are_as_thin_as_rounding(kind, dtype
     assert {Status.FAULT, Status.CONSISTENT} <= seen
 
 
+@pytest.mark.parametrize("kind", ["strips", "circuits in a scan"])
+def test_a_second_look_at_strips_knows_the_factors(kind):
+    rng = np.random.default_rng(19)
+    model, window, _ = case(rng, **KINDS[kind])
+    counts = []
+    for text in ("2 + 0*load", "0.25 + 0*load", "abs(load)"):
+        times = model.replace(times={"T0": text}, resolution=0.01)
+        table, _ = recording(rng, model, {"T0": lambda fan, load: 1 + 0 * load}, 200, 1.5)
+        relations = jb.parity_relations(times, **window)
+        found, given = jb.detect(relations, table), jb.Recording.of(times, table)
+        test, s = relations.test("joint", np.float64), relations.horizon
+        seen = test.contradicted(given.u, given.y, np.arange(len(table) - s))
+        np.testing.assert_array_equal(seen, found.status[s:] == Status.FAULT)
+        counts.append(seen.sum())
+    assert counts[0] < counts[1], "wide bounds, then narrow ones"
+
+
+@pytest.mark.parametrize("kind", ["search", "search with disturbances"])
+def test_easy_windows_know_the_factors(kind):
+    rng = np.random.default_rng(29)
+    model, window, _ = case(rng, **(KINDS[kind] | {"g": 0}))
+    quiet, _ = recording(rng, model, {}, 60, 0.5)
+    narrow = model.replace(times={name: "0.25 + 0*load" for name in model.outputs}, resolution=0, tolerance=0)
+    for margins in ("exact", "bounds"):
+        found = jb.detect(jb.parity_relations(narrow, **window), quiet, margins=margins)
+        s = found.relations.horizon
+        assert (found.status[s:] == Status.FAULT).all()
+
+
+def test_a_combination_contradicts_by_the_factors_alone():
+    rng = np.random.default_rng(23)
+    model, window, _ = case(rng, **KINDS["search"])
+    within, beyond = (recording(rng, model, {}, 30, excess)[0] for excess in (0.7, 1.1))
+    table = pd.concat([within, beyond], ignore_index=True)
+    seen = {}
+    for text in ("1 + 0*load", "4 + 0*load", "0.5 + 0*load"):
+        times = model.replace(times={name: text for name in model.outputs}, resolution=0)
+        relations = jb.parity_relations(times, **window)
+        reading, given = relations.reading(np.float64), jb.Recording.of(times, table)
+        s, outer = relations.horizon, np.asarray(reading.frame.outer)
+        starts = np.arange(len(table) - s)
+        u, y = gather(given.u, given.y, starts, reading.lags, s)
+        if not seen:  # the combinations that speak most against windows whose factor is 1
+            plain = jb.detect(relations, table, margins="exact")
+            h = np.array([plain.explain(int(k + s)).explanation.h for k in starts], float).T[outer]
+        seen[text] = contradicted_by(reading, reading.frame, u, y, h)
+    one, four, half = seen.values()
+    assert one.any() and (four <= one).all() and (one <= half).all()
+    assert four.sum() < one.sum() < half.sum()
+
+
 def test_margins_are_those_of_detect_and_have_derivatives():
     import jax
 
@@ -311,3 +359,12 @@ def test_half_of_a_bound_times_two_is_the_bound():
         k = int(np.nanargmin(one.margin))
         assert one.explain(k).factor == other.explain(k).factor
     assert other.explain(k).window.noise == (Fraction(1, 4),)
+
+
+def test_what_a_vanishing_disturbance_adds_to_noise_is_not_times_a_factor():
+    model = jb.LinearSystem([[0.9]], None, [[1]], noise=0.1, disturbance=([[1]], 1e-290), outputs="T")
+    times = model.replace(times={"T": "load"})
+    assert jb.parity_relations(model, 3)._moving is not None
+    assert jb.parity_relations(times, 3)._moving is None
+    still = times.replace(disturbance=([[1]], 0))
+    assert jb.parity_relations(still, 3)._moving.model.times == times.times

@@ -97,7 +97,6 @@ CALLS = {
     "structured_relations": lambda m, u, y: jb.structured_relations(m),
     "isolability": lambda m, u, y: jb.isolability(m),
     "suggest_lags": lambda m, u, y: jb.suggest_lags(m),
-    "simulate": lambda m, u, y: jb.simulate(m, u, jax.random.key(0)),
     "study": lambda m, u, y: jb.study(m, [jb.Fault("T", "bias", 1.0, 4)], 2, 0, samples=8),
     "detect by paving": lambda m, u, y: jb.detect(jb.parity_relations(m), u, y, method="paving"),
     "detect by an observer": lambda m, u, y: jb.detect(relations_by("observer", m), u, y),
@@ -105,7 +104,7 @@ CALLS = {
 }
 KNOWN = """
     parity_relations detect margins Monitor detect_dataset tune detectable save_model load_model plot read
-    LinearSystem Recording with_faults
+    LinearSystem Recording simulate with_faults
 """.split()
 """Public names that know factors; their tests are here and in consistency/test_windows_times.py."""
 WITHOUT_A_MODEL = """
@@ -257,6 +256,30 @@ def test_guaranteed_sizes_are_those_of_the_largest_factors():
     y = np.array(y) + rng.uniform(-1, 1, (60, 2)) * np.stack([0.4 * (1 + abs(u[:, 0])), 0.1 + 0 * u[:, 0]], 1)
     y[:, 0] += size
     assert (jb.detect(relations, u, y).status[2:] == jb.Status.FAULT).all()
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("at", ["uniform", "vertices"])
+def test_simulated_noise_lies_within_its_factor(at, dtype):
+    rng = np.random.default_rng(9)
+    model = plant(times={"T": "1 + abs(fan)", "S": "fan > 0"}, tolerance=[0.05, 0])
+    u = rng.uniform(-1, 1, (20, 60, 1)).astype(dtype)
+    run = jb.simulate(model, u, jax.random.key(1), at=at)
+    bound = np.stack([0.4 * (1 + abs(u[..., 0])), 0.1 * (u[..., 0] > 0)], -1)
+    assert run.y.dtype == dtype and (abs(run.noise) <= bound * (1 + 1e-6)).all()
+    assert abs(run.noise[..., 0]).max() > 0.4 * 1.5
+    for horizon in (1, 8):
+        relations = jb.parity_relations(model, horizon)
+        assert not (jb.detect(relations, run).status == jb.Status.FAULT).any()
+        assert (jb.detect(relations, u, run.y).status[..., horizon:] != jb.Status.FAULT).all()
+    same = jb.simulate(model.replace(times={"T": "1 + 0*fan"}), u, jax.random.key(1), at=at)
+    plain = jb.simulate(plant(times=None, tolerance=[0.05, 0]), u, jax.random.key(1), at=at)
+    np.testing.assert_allclose(same.y, plain.y, rtol=4 * np.finfo(dtype).eps, atol=4 * np.finfo(dtype).eps)
+    with pytest.raises(ValueError, match="arrays have no column 'load'"):
+        jb.simulate(plant(times={"T": "load"}), u, jax.random.key(1))
+    behind = np.concatenate([u, 2 + 0 * u], -1)
+    double = jb.simulate(plant(times={"T": "load"}), behind, jax.random.key(1), at="vertices")
+    np.testing.assert_allclose(abs(double.noise[..., 0]), 0.8, rtol=1e-6)
 
 
 def test_with_faults_keeps_the_factors():

@@ -10,6 +10,7 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.cli.main import main
+from jaxbound.recordings.read import open_source
 
 T = 300
 
@@ -123,3 +124,13 @@ def test_units_of_a_fleet_have_the_verdicts_of_their_recordings(unit):
     assert main(["fleet", str(folder / "fleet.csv"), "--out", str(folder / "fleet")]) == 1
     found = pd.read_csv(folder / "fleet" / "fleet.csv")
     np.testing.assert_allclose(found["margin"], worst, rtol=1e-3)
+
+
+def test_a_factor_that_is_none_is_named_by_its_sample_in_any_chunk(unit):
+    folder, model, table = unit
+    table.loc[200:, "load"] = -1.0
+    table.loc[:199, "load"] = 1.0
+    table.to_parquet(folder / "bad.parquet", index=False)
+    source = open_source(folder / "bad.parquet", model.replace(times={"T1": "load"}))
+    with pytest.raises(ValueError, match="at sample 200 it is -1"):
+        source.read(150, 250)
