@@ -50,8 +50,6 @@ def times_of(
             f"drawn anew"
         )
     columns = dict(signals.columns)
-    if "every" in columns:
-        raise ValueError("times and every do not go together: a factor is that of a sample, not of a mean")
     measured_in: dict[str, str] = {}  # column: the output that is recorded there
     for output in signals.outputs:
         measured_in |= dict.fromkeys(_sources(output, columns), output)

@@ -109,8 +109,8 @@ KNOWN = """
 """Public names that know factors; their tests are here and in consistency/test_windows_times.py."""
 WITHOUT_A_MODEL = """
     Fault Status Uncertainty compensation evaluate fit from_control from_scipy inclusion
-    interval interval_system linearize membership pave residual sets signatures solve_interval strips
-    use_cache zonotope
+    interval interval_system linearize membership parameters pave residual sets signatures solve_interval
+    strips use_cache zonotope
 """.split()
 
 
@@ -284,3 +284,14 @@ def test_simulated_noise_lies_within_its_factor(at, dtype):
 
 def test_with_faults_keeps_the_factors():
     assert jb.with_faults(plant(), "S:bias").times == TIMES
+
+
+def test_the_region_of_training_is_that_of_the_inputs_alone():
+    model = plant(ranges={"fan": (0, 1)}, times={"T": "9 + 0*fan"})
+    relations = jb.parity_relations(model, 2)
+    u, y = np.array([[0.5], [0.5], [0.5], [2.0], [0.5]]), np.zeros((5, 2))
+    found = jb.detect(relations, u, y)
+    plain = jb.detect(jb.parity_relations(model.replace(times=None), 2), u, y)
+    np.testing.assert_array_equal(found.outside, plain.outside)
+    monitor = jb.Monitor(relations)
+    np.testing.assert_array_equal(monitor.run(monitor.init(), u, y)[1].outside, plain.outside)
