@@ -386,9 +386,9 @@ class _Windows:
         self._y = reading.seen(y)
         largest = np.fmax.reduce(np.abs(self._y), 0, initial=0.0).astype(np.float64)
         self._sigma, self._offset, noise = map(_doubles, (reading.tolerance, reading.offset_y, reading.noise))
-        noises = np.repeat(noise[None, :, None], len(y), 0)
+        noises = noise[None, :, None]
         if reading.times:
-            noises = np.repeat(noises, y.shape[2], 2)
+            noises = np.broadcast_to(noises, y.shape).copy()
             for i in reading.times:
                 noises[:, i] *= _factor(reading, u, i)
         bound = (
@@ -396,6 +396,7 @@ class _Windows:
         )
         self._rho = (bound + RECORDER_ULPS * unit * largest) * SLIGHTLY
         widest = _highest(self._rho).max(0)
+        self._rho = np.broadcast_to(self._rho, y.shape)  # the same at all samples, where no factor differs
         outputs = (_highest(largest) + np.abs(self._offset) + widest) / (1 - self._sigma)
         disturbance = _doubles(reading.disturbance)
         disturbances = np.abs(disturbance).sum(1) + self._tiny
