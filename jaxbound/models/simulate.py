@@ -109,8 +109,8 @@ def simulate(
     model = as_model(model, factors=True)
     if at not in ("uniform", "vertices"):
         raise ValueError(f"at must be 'uniform' or 'vertices', not {at!r}")
-    given, factors = _recorded_inputs(model, u)
-    recorded = given[..., : model.m]
+    columns, factors = _recorded_inputs(model, u)
+    recorded = columns[..., : model.m]
     *leading, T, _ = recorded.shape
     batch, dtype = tuple(leading), recorded.dtype
     start = _first_states(model, x0, batch, dtype)
@@ -158,7 +158,7 @@ def simulate(
     run_of = Trajectory(*_cut(out, batch, T))
     if factors is None:
         return run_of
-    return replace(run_of, u=cast("jax.Array", given))
+    return replace(run_of, u=cast("jax.Array", columns))
 
 
 class _Channel(NamedTuple):

@@ -105,7 +105,6 @@ def test_verbs_that_need_windows_say_so(watch):
     )  # more than a short piece: its kernel is compiled already
     res = jb.detect(watch, u, y + [20, -3])
     for work, kind, says in (
-        (lambda: jb.tune(watch, (u, y)), TypeError, "margin has no derivative: tune long windows, with lags"),
         (lambda: jb.margins(watch, u, y), NotImplementedError, "margins are those of windows"),
         (lambda: jb.compensation(watch, u, y), TypeError, "for relations with uncertain parameters"),
         (
