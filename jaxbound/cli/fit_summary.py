@@ -161,8 +161,9 @@ def show_fit(
         ("model", f"{model.n} states, order {check.order}{late}, coefficients by {check.method}"),
         _tested(model, observer),
     ]
+    what = "sample" if model.horizon is None else "window"
     for file, numbers in zip(files, check.recordings, strict=True):
-        rows.append((str(file), _recording_text(numbers)))
+        rows.append((str(file), _recording_text(numbers, what)))
     rows += _left_out(check, files)
     rows += _memory(model)
     rows.append(("safety", f"{check.safety:g} times these bounds"))
@@ -217,10 +218,10 @@ def _tested(model: Fitted, observer: str | None) -> tuple[str, str]:
     return "windows", f"{samples} samples, {apart}: all of them CONSISTENT, by the proved test"
 
 
-def _recording_text(numbers: Mapping[str, float]) -> str:
+def _recording_text(numbers: Mapping[str, float], what: str) -> str:
     if not numbers["windows"]:
-        return "no window"
-    return f"{numbers['windows']} windows, {100 * numbers['used']:.3g} % of the bounds used"
+        return f"no {what}"
+    return f"{numbers['windows']} {what}s, {100 * numbers['used']:.3g} % of the bounds used"
 
 
 def _left_out(check: FitCheck, files: Sequence[Path]) -> list[tuple[str, str]]:

@@ -20,10 +20,13 @@ def plot_fit(model: Fitted) -> "Figure":
     """Draw a Fitted: the share of the bounds that each window needs, in the recordings and, by fits
     to all others, in those that were left out.
     """
-    check = model.check
-    rows = [("final model, all recordings", check.used, INK)]
+    check, what, apart = model.check, "a window needs", "each left out"
+    if model.horizon is None:  # an observer: one factor a recording
+        what, apart = "a sample needs", "each left out, as a whole"
+    rows = [(f"{what}: final model, all recordings", check.used, INK)]
     if check.held_out is not None:
-        rows.append(("each left out, by a fit to the others", check.held_out_used, COLOURS[Status.UNDECIDED]))
+        alone = f"{what}: {apart}, by a fit to the others"
+        rows.append((alone, check.held_out_used, COLOURS[Status.UNDECIDED]))
     with style():
         fig = canvas((11, 0.6 + 2.1 * len(rows)))
         axes = fig.subplots(len(rows), 2, squeeze=False, width_ratios=(3, 1))
@@ -36,7 +39,7 @@ def plot_fit(model: Fitted) -> "Figure":
             for edge in edges[1:-1]:
                 line.axvline(edge, color=GRID, lw=1.2)
             line.set_xlim(0, max(len(every), 1))
-            line.set_title(f"Share of the bounds that a window needs: {title}")
+            line.set_title(f"Share of the bounds that {title}")
             bars.hist(every[np.isfinite(every)], bins=30, color=colour)
             bars.axvline(1, color=FAULTY, lw=1)
             for ax in (line, bars):
