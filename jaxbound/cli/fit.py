@@ -2,7 +2,7 @@
 
 import argparse
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,11 +39,16 @@ CODES = (
 )
 
 
-def whole_or_auto(text: str) -> int | str:
-    """Return a whole number, or auto."""
-    if text == "auto":
-        return text
-    return whole_number(1, 1000)(text)
+def whole_or_auto(least: int) -> Callable[[str], int | str]:
+    """Return a reader of whole numbers, or auto."""
+    number = whole_number(least, 1000)
+
+    def read(text: str) -> int | str:
+        if text == "auto":
+            return text
+        return number(text)
+
+    return read
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -67,15 +72,15 @@ def options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--order",
-        type=whole_or_auto,
+        type=whole_or_auto(0),
         default=2,
         metavar="N",
-        help="samples back that determine the next one; auto: 1 to 4, by recordings that are left out "
-        "(default: 2)",
+        help="samples back that determine the next one; 0: none, a static plant; auto: 1 to 4, "
+        "by recordings that are left out (default: 2)",
     )
     parser.add_argument(
         "--delay",
-        type=whole_or_auto,
+        type=whole_or_auto(1),
         default=1,
         metavar="N",
         help="samples until inputs act, the dead time; auto: of 1 to 8, likewise (default: 1)",

@@ -120,7 +120,7 @@ def test_the_summary_names_bounds_shares_and_cautions(place, capsys):
     [
         (["--outputs", "T  in"], "run.csv: .*has no column 'T  in'"),
         (["--inputs", "heat=Heater (%),"], "--inputs needs names, or name=column or name=expression"),
-        (["--order", "0"], "--order needs a whole number >= 1"),
+        (["--order", "-1"], "--order needs a whole number >= 0"),
         (["--horizon", "1"], r"horizon must be a whole number above the order \(1\), not 1"),
         (["--safety", "0.5"], "safety must be a factor >= 1"),
         (["--held-out", "1"], "held_out must be a share from 0 to below 1"),

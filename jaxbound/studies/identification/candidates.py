@@ -9,7 +9,7 @@ import numpy as np
 from jaxbound.models.system import LinearSystem
 from jaxbound.studies.identification import filters, regression
 from jaxbound.studies.identification.judging import Judge
-from jaxbound.studies.identification.realisation import realised, realised_filters
+from jaxbound.studies.identification.realisation import realised, realised_filters, realised_static
 from jaxbound.studies.identification.records import Records, measured
 from jaxbound.studies.identification.regression import Scales
 from jaxbound.studies.identification.structure import chained, delayed
@@ -87,7 +87,9 @@ def candidate(problem: FitProblem, records: Records, kind: str) -> Candidate:
     steps = regression.windows_of(records, scales, order)
     windows = regression.windows_of(records, scales, horizon, regression.MOST)
     _refuse_few(records, len(steps.y), len(windows.y), horizon, order * (p + m) + direct * m + 1)
-    if kind == "filters":
+    if order == 0:
+        spec, spread = realised_static(steps, scales)
+    elif kind == "filters":
         spec, spread = realised_filters(records, scales, filters.poles_of(order, horizon), direct)
     else:
         theta, _ = regression.least_squares(steps, order, direct)

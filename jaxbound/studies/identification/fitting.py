@@ -82,7 +82,8 @@ def fit(
             with the columns `inputs` and `outputs`; a Recording. NaN marks a missing sample. No window
             crosses gaps in the times of a table, or `starts`.
         order: so many samples back determine the next one (of "filters": so many filters an output). order *
-            p states. "auto": whichever of 1 to 4 sees the smallest errors at the bounds that recordings which
+            p states. 0: a static model, y = D u and a constant, of windows of one sample unless horizon asks
+            for more. "auto": whichever of 1 to 4 sees the smallest errors at the bounds that recordings which
             are left out ask for.
         delay: so many samples pass before inputs act (dead time), 1 of a plant that answers at the next one;
             (delay - 1) * m more states. "auto": of 1 to 6 and 8, chosen as the order is.
@@ -126,7 +127,9 @@ def fit(
     """
     if observer is not None:
         observer = _observer(observer, lags, average)
-    horizon, lags = _window(horizon, lags)
+    if order == 0:
+        direct = True
+    horizon, lags = _window(horizon, lags, order)
     _check_options(order, delay, horizon, safety, held_out, method, average)
     if direct and delay != 1:
         raise ValueError("direct inputs act at once: leave delay at 1, or direct out")
@@ -151,7 +154,7 @@ def fit(
     problem = FitProblem.of(records, order, delay, horizon, direct, about, judge)
     report(0.05)
 
-    kinds = _kinds(method, parts, inputs)
+    kinds = _kinds(method, order, parts, inputs)
     for number, kind in enumerate(kinds):
         trials.append(tried(problem, kind, records, parts))
         report(0.05 + 0.75 * (number + 1) / len(kinds))
@@ -217,10 +220,15 @@ def _observer(
         raise ValueError(f"observer: {e}") from None
 
 
-def _window(horizon: int | None, lags: Sequence[int] | None) -> tuple[int, tuple[int, ...] | None]:
+def _window(
+    horizon: int | None, lags: Sequence[int] | None, order: int | str
+) -> tuple[int, tuple[int, ...] | None]:
     """Return (horizon, lags) of the windows that are asked for."""
+    usual = HORIZON
+    if order == 0:
+        usual = 0
     if lags is None:
-        return HORIZON if horizon is None else horizon, None
+        return usual if horizon is None else horizon, None
     if horizon is not None:
         raise ValueError("lags say by themselves how long a window is: leave horizon out")
     lags = whole_lags(lags)
@@ -252,12 +260,15 @@ def _check_options(
     average: int | None,
 ) -> None:
     """Raise ValueError if an option is out of range."""
-    for name, value in (("order", order), ("delay", delay)):
-        if value != AUTO and not (is_whole(value) and value >= 1):
-            raise ValueError(f"{name} must be a whole number >= 1, or auto, not {value!r}")
+    for name, value, least in (("order", order, 0), ("delay", delay, 1)):
+        if value != AUTO and not (is_whole(value) and value >= least):
+            raise ValueError(f"{name} must be a whole number >= {least}, or auto, not {value!r}")
     if order == AUTO:
         order = 1
-    if not is_whole(horizon) or horizon <= int(order):
+    if order == 0 and method not in ("auto", KINDS[0]):
+        raise ValueError(f"a static model, order 0, is fitted by {KINDS[0]}: leave method out")
+    shortest = 0 if order == 0 else int(order) + 1
+    if not is_whole(horizon) or horizon < shortest:
         raise ValueError(f"horizon must be a whole number above the order ({order}), not {horizon!r}")
     if not (np.isfinite(safety) and safety >= 1):
         raise ValueError(f"safety must be a factor >= 1, not {safety!r}")
@@ -271,8 +282,10 @@ def _check_options(
         )
 
 
-def _kinds(method: str, parts: Records, inputs: Sequence[str]) -> list[str]:
+def _kinds(method: str, order: int, parts: Records, inputs: Sequence[str]) -> list[str]:
     """Return the KINDS that are tried."""
+    if order == 0:
+        return [KINDS[0]]
     if method != "auto":
         return [method]
     if not parts:  # nothing tells them apart

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 
 from jaxbound.studies.identification import filters, regression
 from jaxbound.studies.identification.records import Records
-from jaxbound.studies.identification.regression import Scales
+from jaxbound.studies.identification.regression import CompleteWindows, Scales
 
-__all__ = ["realised", "realised_filters"]
+__all__ = ["realised", "realised_filters", "realised_static"]
 
 DIGITS = 6
 """Coefficients are rounded to this many digits behind the largest effect that they could have, relative to
@@ -61,6 +61,23 @@ def realised_filters(
         "offset": {"y": _short(y0, scales.y_spread), "u": _short(scales.u, scales.u_spread)},
     }
     return spec, spread * scales.y_spread
+
+
+def realised_static(windows: CompleteWindows, scales: Scales) -> tuple[dict[str, Any], np.ndarray]:
+    """Return (arguments of a LinearSystem without states, spread) by least squares of single samples."""
+    theta, _ = regression.least_squares(windows, 0, True)
+    _, _, D, c = regression.coefficients(theta, 0, True, windows.u.shape[2], windows.y.shape[2])
+    left = windows.y[:, 0] - windows.u[:, 0] @ np.asarray(D).T - np.asarray(c)
+    to_u = scales.y_spread[:, None] / scales.u_spread[None]
+    y0 = scales.y + np.asarray(c) * scales.y_spread
+    spec = {
+        "A": None,
+        "B": None,
+        "C": None,
+        "D": _short(np.asarray(D) * to_u, to_u),
+        "offset": {"y": _short(y0, scales.y_spread), "u": _short(scales.u, scales.u_spread)},
+    }
+    return spec, np.maximum(np.sqrt((left**2).mean(0)), 1e-9) * scales.y_spread
 
 
 def _short(x: np.ndarray, size: np.ndarray) -> np.ndarray:

@@ -253,6 +253,33 @@ class TestModel:
         assert model.m == 0 and model.noise[0] < 0.03
 
 
+class TestStatic:
+    def test_outputs_that_follow_inputs_at_once(self, rng, tmp_path):
+        def day(count):
+            u = rng.uniform(0, 10, (count, 2))
+            return u, 3 + u @ np.array([[2.0, 0], [0.5, -1.0]]) + rng.uniform(-0.1, 0.1, (count, 2))
+
+        records = [day(80), day(60)]
+        model = jb.fit(records, 0)
+        np.testing.assert_allclose(np.array(model.D, float), [[2, 0.5], [0, -1]], atol=0.02)
+        assert (model.n, model.horizon, model.check.order) == (0, 0, 0) and model.check.factor >= 1
+        relations = jb.parity_relations(model)
+        assert all(jb.detect(relations, *r).counts["CONSISTENT"] == len(r[1]) for r in records)
+        smallest = [model.check.smallest[name] for name in model.outputs]
+        u, y = (np.concatenate(x) for x in zip(*records, strict=True))
+        left = _static_residual(model, u, y)
+        assert np.max(np.abs(left) / smallest) == pytest.approx(1, rel=1e-6)
+        size = 1.01 * model.check.steady["y1"]
+        assert jb.detect(relations, u, y + [size, 0]).counts["FAULT"] == len(y)
+        jb.save_model(model, tmp_path / "static.toml")
+        assert jb.load_model(tmp_path / "static.toml") == model.replace()
+
+
+def _static_residual(model, u, y):
+    D, at_u, at_y = (np.array(x, float) for x in (model.D, model.offset["u"], model.offset["y"]))
+    return y - at_y - (u - at_u) @ D.T
+
+
 class TestRecordings:
     def test_missing_samples_and_seams_count_for_nothing(self, rng):
         u, y = run(rng)
@@ -422,7 +449,8 @@ class TestCautions:
 @pytest.mark.parametrize(
     "change, message",
     [
-        (dict(order=0), "order must be a whole number >= 1, or auto, not 0"),
+        (dict(order=-1), "order must be a whole number >= 0, or auto, not -1"),
+        (dict(order=0, method="filters"), "a static model, order 0, is fitted by least squares"),
         (dict(horizon=1), r"horizon must be a whole number above the order \(1\), not 1"),
         (
             dict(observer="joint", average=2),

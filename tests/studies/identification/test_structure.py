@@ -59,7 +59,7 @@ def test_inputs_before_a_gap_do_not_act_behind_it():
     "options, sentence",
     [
         (dict(delay=0), "delay must be a whole number >= 1, or auto, not 0"),
-        (dict(order="best"), "order must be a whole number >= 1, or auto, not 'best'"),
+        (dict(order="best"), "order must be a whole number >= 0, or auto, not 'best'"),
         (dict(delay=2, direct=True), "direct inputs act at once"),
         (dict(order="auto", horizon=1), "horizon must be a whole number above the order"),
     ],
