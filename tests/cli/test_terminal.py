@@ -165,7 +165,7 @@ def test_no_command_shows_the_help_on_stdout_and_asks_on_stderr(capsys):
     out, err = capsys.readouterr()
     assert (
         out.startswith("usage: jaxbound")
-        and all(f"\n    {name} " in out for name in main.commands())
+        and all(re.search(rf"\n    {name}\s", out) for name in main.commands())
         and err.count("\n") == 1
     )
 

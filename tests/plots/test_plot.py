@@ -108,6 +108,7 @@ def test_every_file_of_a_picture_is_registered_where_its_type_is_drawn():
         "Fitted": "fit",
         "Isolability": "signatures",
         "Observation": "observation",
+        "ParameterSet": "parameters",
         "Result": "result",
         "Signatures": "signatures",
         "StudyResult": "study",
