@@ -1,6 +1,7 @@
 """What reaches a terminal, a pipe, a page or a spreadsheet: whole, printable, and never a formula."""
 
 import os
+import re
 import shlex
 import subprocess
 import sys
