@@ -101,7 +101,7 @@ def test_the_exchange_search_too(rng):
     mon = Monitor(r)
     state, *first = stepped(mon, u[:100], y[:100], [70])
     state, verdict = mon.run(state, u[100:], y[100:])
-    assert_equal([np.concatenate(pair) for pair in zip(first, verdict, strict=True)], res)
+    assert_equal([np.concatenate(pair) for pair in zip(first, verdict[:2], strict=True)], res)
     assert {jb.Status.CONSISTENT, jb.Status.FAULT} < set(res.status.tolist())
 
 
