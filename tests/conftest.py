@@ -56,6 +56,22 @@ def easy_windows_first():
     interface.MANY = 1
 
 
+MAPPINGS = 40_000
+"""Of memory, from which on a process lets go of its compiled kernels: Linux allows 65 530, and XLA dies
+where it gets none.
+"""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def room_for_kernels():
+    """Let go of compiled kernels where the next module might find no memory to map."""
+    yield
+    mappings = Path("/proc/self/maps")
+    if mappings.exists() and mappings.read_bytes().count(b"\n") > MAPPINGS:
+        jax.clear_caches()
+        gc.collect()
+
+
 @pytest.fixture
 def kernels(monkeypatch):
     """Have processes that a test starts share the compiled kernels of this one."""
