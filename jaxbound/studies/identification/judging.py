@@ -105,17 +105,17 @@ class ObserverJudge(Judge):
 
     def needs(self, model: LinearSystem, parts: Records) -> list[np.ndarray]:
         """Return the factor of each recording, at all its samples."""
-        needs = []
+        watch, needs = observer(model, **self.options), []
+
+        def scaled(scale: float) -> SetObserver[Any]:
+            return watch.of(model.replace(noise=[scale * float(x) for x in model.noise]))
+
         for part in parts:
             need = np.full(len(part[1]), np.nan)
-            if len(need) >= self.least(model):
-                need[:] = observer_scale(lambda scale: self._of(model, scale), *part)
+            if len(need) > watch.horizon:
+                need[:] = observer_scale(scaled, *part)
             needs.append(need)
         return needs
-
-    def _of(self, model: LinearSystem, scale: float) -> SetObserver[Any]:
-        """Return the observer under bounds so many times as wide."""
-        return observer(model.replace(noise=[scale * float(x) for x in model.noise]), **self.options)
 
     def shares(self, model: LinearSystem, parts: Records) -> tuple[bool, list[np.ndarray]]:
         """Return (whether no sample is a FAULT, how far each is off, in units of what is allowed)."""

@@ -129,11 +129,12 @@ class _Trained:
     def blindness(self) -> float:
         """The sizes of errors that are seen, see `sizes.blindness`, by residuals; inf: too few samples."""
         scales, y = regression.scales_of(self.records), np.concatenate([y for _, y, _ in self.records])
-        theta = self._fitted(delayed(self.records, self.delay), scales)
+        records = delayed(self.records, self.delay)
+        theta = self._fitted(records, scales)
         if theta is None:
             return np.inf
         largest = [np.full(y.shape[1], 1e-9)]
-        for others, own in _left_out(delayed(self.records, self.delay), delayed(self.parts, self.delay)):
+        for others, own in _left_out(records, delayed(self.parts, self.delay)):
             trained = self._fitted(others, scales)
             windows = self._windows(own, scales)
             if trained is not None and len(windows.y):

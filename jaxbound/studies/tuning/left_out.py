@@ -5,6 +5,7 @@ be. n recordings that are like the next one promise no more than one in n + 1, w
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -22,12 +23,13 @@ def factors_left_out(
     relations: ParityRelation | UncertainRelations,
     moved: Moving,
     recordings: JoinedRecordings,
-    direction: Callable[[JoinedRecordings], np.ndarray],
+    direction: Callable[[int, JoinedRecordings], np.ndarray],
 ) -> tuple[float, ...]:
     """Return the factor of each recording, left out in turn; () of a single one.
 
     Args:
-        direction: of recordings, the values (b,) of the bounds that move, whose size does not matter.
+        direction: of (number of the recording that is left out, all others), the values (b,) of the bounds
+            that move, whose size does not matter.
 
     Returns:
         nan where a recording, or all others together, hold no window, or nothing but the bounds that stay is
@@ -39,7 +41,7 @@ def factors_left_out(
     found = []
     for number in range(count):
         own, others = recordings.split(number)
-        found.append(_factor(relations, moved, own, others, direction))
+        found.append(_factor(relations, moved, own, others, partial(direction, number, others)))
     return tuple(found)
 
 
@@ -48,12 +50,12 @@ def _factor(
     moved: Moving,
     own: JoinedRecordings,
     others: JoinedRecordings,
-    direction: Callable[[JoinedRecordings], np.ndarray],
+    direction: Callable[[], np.ndarray],
 ) -> float:
     """Return the factor that some recordings need on the smallest bounds of others."""
     if own.without(relations.horizon).all() or others.without(relations.horizon).all():
         return UNKNOWN
-    values = direction(others)
+    values = direction()
     try:
         _, high = smallest_scale(relations, moved, values, others)
     except ValueError:  # the bounds that stay explain the others alone

@@ -2,7 +2,6 @@
 says about other data.
 """
 
-import itertools
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -167,16 +166,14 @@ def tune(
 
     low, high = smallest_scale(relations, moved, search.best, good)
     smallest = np.nextafter(high * search.best, np.inf)
-    done = itertools.count()
 
-    def direction(others: JoinedRecordings) -> np.ndarray:
-        number, count = next(done), len(good.entries)
+    def direction(number: int, others: JoinedRecordings) -> np.ndarray:
         if search.stopped or not steps or alone:
             return search.best
         again = _Search(
             relations, moved, others, others.without(s), bad, safety, optimizer, steps, every, None
         )
-        again.run(lambda share: report(0.6 + 0.3 * (number + share) / count))
+        again.run(lambda share: report(0.6 + 0.3 * (number + share) / len(good.entries)))
         search.stopped = again.stopped
         return again.best
 
