@@ -14,7 +14,7 @@ from jaxbound.recordings.expressions import CLOCK, expression
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
 from jaxbound.text.units import without_unit
 
-__all__ = ["named_units", "plain_fit", "show_fit", "signal_columns"]
+__all__ = ["named_units", "plain_fit", "promise", "show_fit", "signal_columns"]
 
 Signal = str | tuple[str, str]  # a column of that name, or (name, column)
 MEMORY = 1.5  # times the window that a plant must remember before longer windows are spoken of
@@ -237,11 +237,18 @@ def _left_out(check: FitCheck, files: Sequence[Path]) -> list[tuple[str, str]]:
         if one.why:
             text = f"unknown: {one.why}"
         lines.append((f"left out: {name}", text))
-    promise = f"bounds are {check.factor:.3g} times the smallest for these"
-    count = sum(not one.why for one in check.left_out)
-    if len(files) > 1 and count:
-        promise += f"; of recordings like them one in {count + 1} may still ask for more"
-    return [*lines, ("promise", promise)]
+    count = 0
+    if len(files) > 1:
+        count = sum(not one.why for one in check.left_out)
+    return [*lines, ("promise", promise(check.factor, count))]
+
+
+def promise(factor: float, count: int) -> str:
+    """Return what bounds promise that hold for so many recordings, each left out in turn; 0: for none."""
+    text = f"bounds are {factor:.3g} times the smallest for these"
+    if not count:
+        return text
+    return f"{text}; of recordings like them one in {count + 1} may still ask for more"
 
 
 def _memory(model: Fitted) -> list[tuple[str, str]]:

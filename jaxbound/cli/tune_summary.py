@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
+from jaxbound.cli.fit_summary import promise
 from jaxbound.cli.terminal import show
 from jaxbound.models.modelfile import changed_text, number_text
 from jaxbound.studies.tuning.tuning import TuneResult
@@ -123,8 +124,7 @@ def show_tuning(
         rows.append((f"left out: {file}", text))
     known = int(np.isfinite(tuning.left_out).sum())
     if known:
-        promise = f"of recordings like them one in {known + 1} may still ask for more"
-        rows.append(("promise", f"bounds are {tuning.factor:.3g} times the smallest for these; {promise}"))
+        rows.append(("promise", promise(tuning.factor, known)))
     rows += [
         ("safety", safety),
         ("healthy", f"{_counts_text(tuning.counts)} {window}"),

@@ -10,6 +10,7 @@ from jaxbound.models.system import FOR_OBSERVER, LinearSystem
 from jaxbound.recordings.hints import recorded_step
 from jaxbound.studies.identification.judging import Judge
 from jaxbound.studies.identification.records import Records, measured
+from jaxbound.studies.tuning.widening import widened
 
 __all__ = ["Means", "rounded_up", "verified"]
 
@@ -64,8 +65,7 @@ def verified(
         exact = [Fraction(repr(x)) for x in bounds]
         rounds = [_below(r, x) for r, x in zip(rounds, exact, strict=True)]
         noise = [x - r for x, r in zip(exact, rounds, strict=True)]
-        widened = f"factor {factor:.3g} of what was left out, safety factor {safety:g}"
-        origin = {"model": source, "noise": f"{source}{meant}, {widened}"}
+        origin = {"model": source, "noise": f"{source}{meant}, {widened(factor, safety)}"}
         if any(rounds):
             origin["resolution"] = "as the recordings are rounded"
         averages = {}

@@ -13,7 +13,6 @@ too, of the same windows.
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from fractions import Fraction
 from functools import partial
 
 import numpy as np
@@ -36,6 +35,7 @@ from jaxbound.studies.identification.left_out import LeftOut, tried, widest
 from jaxbound.studies.identification.means import smallest_means
 from jaxbound.studies.identification.records import Records, input_ranges, parted, read_records
 from jaxbound.studies.identification.structure import DELAYS, ORDERS, structure
+from jaxbound.studies.tuning.widening import stated
 
 __all__ = ["fit"]
 
@@ -177,7 +177,7 @@ def fit(
     spec = chosen.spec | {"ranges": input_ranges(records, inputs)}
     factor = widest(left)
     if any(np.isfinite(one.factor) for one in left):
-        spec["left_out"] = Fraction(f"{factor:.4g}")
+        spec["left_out"] = stated(factor)
     model, used = verified(judge, spec, smallest, averaged, records, factor, safety)
     jump, steady = judge.sizes(model, problem.scales)
     check = FitCheck(

@@ -18,7 +18,7 @@ from jaxbound.relations.parity import ParityRelation
 from jaxbound.studies.tuning.parametrization import Moving, Tunable, model_with, tuned_model
 from jaxbound.studies.tuning.scaling import JoinedRecordings
 
-__all__ = ["Wider", "accepted", "stated_factor"]
+__all__ = ["Wider", "accepted", "stated", "stated_factor", "widened"]
 
 
 class Wider(NamedTuple):
@@ -36,12 +36,12 @@ class Wider(NamedTuple):
     @classmethod
     def of(cls, relations: Tunable, left: Sequence[float], safety: float) -> "Wider":
         """Return the factors that recordings which were left out ask for."""
-        stated = stated_factor(relations)
+        found = stated_factor(relations)
         own = [x for x in left if np.isfinite(x)]
         notes = []
-        if stated is not None:
+        if found is not None:
             notes.append(
-                f"the fit of the model left recordings out, and asked for bounds {stated:.3g} times the "
+                f"the fit of the model left recordings out, and asked for bounds {found:.3g} times the "
                 f"smallest: so wide they are"
             )
         elif not own:
@@ -54,23 +54,32 @@ class Wider(NamedTuple):
                 "a recording is left out of the bounds alone: the model may have been fitted to it, and then "
                 "another day asks for more than the factor says"
             )
-        factor = max([1.0, *own]) if stated is None else stated
-        return cls(factor, safety, bool(own) or stated is not None, tuple(notes))
+        factor = max([1.0, *own]) if found is None else found
+        return cls(factor, safety, bool(own) or found is not None, tuple(notes))
 
     @property
     def text(self) -> str:
         """The factors, for the provenance of bounds."""
-        safety = f"safety factor {self.safety:g}"
         if not self.known:
-            return safety
-        return f"factor {self.factor:.3g} of what was left out, {safety}"
+            return f"safety factor {self.safety:g}"
+        return widened(self.factor, self.safety)
 
     @property
     def left_out(self) -> Fraction | None:
         """The factor that a model states."""
         if not self.known:
             return None
-        return Fraction(f"{self.factor:.4g}")
+        return stated(self.factor)
+
+
+def widened(factor: float, safety: float) -> str:
+    """Return the factors on the smallest bounds as their provenance has them."""
+    return f"factor {factor:.3g} of what was left out, safety factor {safety:g}"
+
+
+def stated(factor: float) -> Fraction:
+    """Return a factor as a model states it."""
+    return Fraction(f"{factor:.4g}")
 
 
 def stated_factor(relations: Tunable) -> float | None:
