@@ -13,7 +13,7 @@ import numpy as np
 from jaxbound.certificates.interface import Judgement
 from jaxbound.consistency.drive import drive
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.sets.floats.status import Status
 
@@ -23,6 +23,8 @@ MOST, NEARLY_ALL = 0.5, 0.95
 """Share of FAULT windows that makes us look, share of CONSISTENT ones that makes us speak."""
 STRETCHES, LONG = 4, 64
 """Parts of the recording that are tested again, and their windows."""
+FEW = 16
+"""Windows by which a conversion is left out before all are tested: more than 5 % of these."""
 GROUPS = 40
 """Signals and groups of them that are tried at most."""
 
@@ -98,7 +100,7 @@ def unit_hints(result: Judgement) -> list[str]:
     if not judged.any():
         return []
     tries, converted = _tried(relations.model, np.concatenate([result.u, result.y], 1)[at], result.y.dtype)
-    share = _consistent(relations, converted)[:, judged].mean(1)
+    share = _shares(relations, converted, judged)
     best = _best(relations.model, tries, converted, share)
     if best is None:
         return []
@@ -130,12 +132,60 @@ def _tried(
     return tries, converted
 
 
-def _consistent(relations: ParityRelation, signals: np.ndarray) -> np.ndarray:
-    """Return which windows of signals (.., inputs and outputs) are CONSISTENT."""
-    model = relations.model
-    u, y = signals[..., : model.m], signals[..., model.m :]
-    again = Recording(u, y, np.zeros(0, np.int64), model.inputs, model.outputs)
-    return np.asarray(drive(relations.test("joint", signals.dtype), again).status == Status.CONSISTENT)
+def _shares(relations: ParityRelation, converted: np.ndarray, judged: np.ndarray) -> np.ndarray:
+    """Return the share of windows that each conversion makes CONSISTENT; 0 where it is not nearly all.
+
+    Args:
+        converted: (tries, stretches, length, inputs and outputs). judged: (stretches, length) bool, the
+            windows that count.
+    """
+    share = np.zeros(len(converted))
+    promising = np.flatnonzero(_promising(relations, converted, judged))
+    if len(promising):
+        share[promising] = _consistent(relations, converted[promising], judged)[:, judged].mean(1)
+    return np.where(share < NEARLY_ALL, 0.0, share)
+
+
+def _promising(relations: ParityRelation, converted: np.ndarray, judged: np.ndarray) -> np.ndarray:
+    """Return which conversions may still make nearly all windows CONSISTENT, by a few of them.
+
+    Of a wrong one all of the few are outside, which is more than nearly all leaves room for.
+    """
+    stretch, end = np.nonzero(judged)
+    room = (1 - NEARLY_ALL) * len(end)
+    few = np.unique(np.linspace(0, len(end) - 1, FEW).astype(int))
+    at = end[few, None] + np.arange(-relations.horizon, 1)
+    signals, m = converted[:, stretch[few, None], at], relations.model.m
+    u, y = np.split(signals, [m], -1)
+    again = Recording(u, y, NOWHERE, relations.model.inputs, relations.model.outputs)
+    status = drive(relations.test("joint", signals.dtype), again).status[..., -1]
+    outside: np.ndarray = np.count_nonzero(status != Status.CONSISTENT, axis=1)
+    return outside <= room
+
+
+def _consistent(relations: ParityRelation, signals: np.ndarray, judged: np.ndarray) -> np.ndarray:
+    """Return which windows of signals (tries, stretches, length, inputs and outputs) are CONSISTENT.
+
+    Args:
+        judged: (stretches, length) bool, the windows that count. No other is tested: one that lacks samples
+            would need a frame of its own, in fractions.
+    """
+    model, test = relations.model, relations.test("joint", signals.dtype)
+    found = np.zeros(signals.shape[:-1], bool)
+    for number, counts in enumerate(judged):
+        u, y = np.split(signals[:, number], [model.m], -1)
+        again = Recording(u, y, _seams(counts, relations.horizon), model.inputs, model.outputs)
+        found[:, number] = drive(test, again).status == Status.CONSISTENT
+    return found
+
+
+def _seams(counts: np.ndarray, horizon: int) -> np.ndarray:
+    """Return seams across which all windows lie that hold a sample of no window that counts."""
+    ahead = np.append(np.cumsum(counts), np.full(horizon, np.count_nonzero(counts)))
+    needed = ahead[horizon:] > ahead[: len(counts)] - counts
+    idle = np.flatnonzero(~needed)
+    both = np.unique([idle, idle + 1])
+    return both[(both > 0) & (both < len(counts))]
 
 
 def _best(
