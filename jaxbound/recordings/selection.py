@@ -88,10 +88,13 @@ class Wanted:
         """Names of the columns that hold numbers, the signals' first; a numeric time that only orders the
         samples is not among them.
         """
-        others: list[str] = []
+        needed: list[str] = []
+        for signal in self.inputs + self.outputs:
+            texts = signal.texts if isinstance(signal, Expression) else ()
+            needed += [c for c in source_columns(signal) if c not in texts]
         for e in self.computed:
-            others += [c for c in self.own(e) if c not in e.texts]
-        return list(dict.fromkeys(self.signals + others))
+            needed += [c for c in self.own(e) if c not in e.texts]
+        return list(dict.fromkeys(needed))
 
     @property
     def texts(self) -> list[str]:

@@ -371,3 +371,16 @@ class TestSignals:
         for args, sentence in ((([], [], ["a"]), "no recording"), ((["x.csv"], ["a"], []), "no output")):
             with pytest.raises(ValueError, match=sentence):
                 read_signals(*args)
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_a_signal_may_be_a_condition_on_text(tmp_path, suffix):
+    path = tmp_path / f"run.{suffix}"
+    columns = {"mode": ["heat", "cool", None, "heat"], "level": [1.0, 2.0, 3.0, 4.0]}
+    if suffix == "csv":
+        rows = zip(*columns.values(), strict=True)
+        path.write_text("mode,level\n" + "".join(f"{mode or ''},{level}\n" for mode, level in rows))
+    else:
+        pq.write_table(pa.table(columns), path)
+    (run,) = read_signals(path, [("heating", "= mode == 'heat'")], ["level"], dt=1.0)
+    np.testing.assert_array_equal(run.u[:, 0], [1, 0, np.nan, 1])
