@@ -244,7 +244,7 @@ def _left_out(check: FitCheck, files: Sequence[Path]) -> list[tuple[str, str]]:
 
 
 def promise(factor: float, count: int) -> str:
-    """Return what bounds promise that hold for so many recordings, each left out in turn; 0: for none."""
+    """Return the promise of bounds that hold for so many recordings, each left out in turn; 0: for none."""
     text = f"bounds are {factor:.3g} times the smallest for these"
     if not count:
         return text

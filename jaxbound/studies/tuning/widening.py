@@ -36,12 +36,12 @@ class Wider(NamedTuple):
     @classmethod
     def of(cls, relations: Tunable, left: Sequence[float], safety: float) -> "Wider":
         """Return the factors that recordings which were left out ask for."""
-        found = stated_factor(relations)
+        by_fit = stated_factor(relations)
         own = [x for x in left if np.isfinite(x)]
         notes = []
-        if found is not None:
+        if by_fit is not None:
             notes.append(
-                f"the fit of the model left recordings out, and asked for bounds {found:.3g} times the "
+                f"the fit of the model left recordings out, and asked for bounds {by_fit:.3g} times the "
                 f"smallest: so wide they are"
             )
         elif not own:
@@ -54,8 +54,8 @@ class Wider(NamedTuple):
                 "a recording is left out of the bounds alone: the model may have been fitted to it, and then "
                 "another day asks for more than the factor says"
             )
-        factor = max([1.0, *own]) if found is None else found
-        return cls(factor, safety, bool(own) or found is not None, tuple(notes))
+        factor = max([1.0, *own]) if by_fit is None else by_fit
+        return cls(factor, safety, bool(own) or by_fit is not None, tuple(notes))
 
     @property
     def text(self) -> str:
