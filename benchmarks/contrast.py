@@ -30,8 +30,9 @@ import numpy as np
 import jaxbound as jb
 from benchmarks import timing
 from jaxbound.recordings.read import read_signals
-from jaxbound.recordings.seams import crossing
 from jaxbound.sets.floats.status import Status
+from jaxbound.studies.assessment import peers
+from jaxbound.studies.assessment.peers import complete
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 SEEDS = range(5)
@@ -123,68 +124,33 @@ class Forest:
     """An isolation forest on windows."""
 
     def __init__(self, training, options, contamination, seed):
-        from sklearn.ensemble import IsolationForest
-
         self.horizon = options["horizon"]
-        seen = np.concatenate(
-            [self.windows(u, y)[tested(y, s, self.horizon)[self.horizon :]] for u, y, s in training]
-        )
-        self.forest = IsolationForest(contamination=contamination, random_state=seed).fit(seen)
-
-    def windows(self, u, y):
-        """Return (T - s, (s + 1)(m + p))."""
-        x, s = np.concatenate([u, y], 1), self.horizon
-        return np.stack([x[j : len(x) - s + j] for j in range(s + 1)], 1).reshape(len(x) - s, -1)
+        self.forest = peers.Forest([samples(*one) for one in training], self.horizon, contamination, seed)
 
     def alarms(self, u, y, starts=()):
         """Return (..., T) bool."""
         batch = y.reshape(-1, *y.shape[-2:])
-        rows = np.concatenate([self.windows(u, one) for one in batch])
-        known = np.isfinite(rows).all(1)
-        out = np.zeros(len(rows), bool)
-        out[known] = self.forest.predict(rows[known]) < 0
-        return np.pad(out.reshape(len(batch), -1), ((0, 0), (self.horizon, 0))).reshape(y.shape[:-1])
+        return np.stack([self.needs(u, one) > 1 for one in batch]).reshape(y.shape[:-1])
+
+    def needs(self, u, y):
+        """Return (T,): windows across gaps too, `complete` leaves them out."""
+        return self.forest.needs(samples(u, y, ()))
 
 
 class Threshold:
     """A fixed threshold on the one-step error of a least-squares ARX model with a constant."""
 
     def __init__(self, training, options, rule):
-        self.order, self.direct = options["order"], options["direct"]
-        parts = [
-            (self.regressors(u, y), y[self.order :], tested(y, s, self.order)[self.order :])
-            for u, y, s in training
-        ]
-        X, Y = (np.concatenate([part[i][part[2]] for part in parts]) for i in (0, 1))
-        self.theta = np.linalg.lstsq(X, Y, rcond=None)[0]
-        error = Y - X @ self.theta
-        self.limit = 3 * error.std(0) if rule == "3 sigma" else options["safety"] * abs(error).max(0)
-
-    def regressors(self, u, y):
-        """Return (T - order, .): the samples of y and u before each, and 1."""
-        n, k = len(y) - self.order, self.order
-        before = [y[k - j : k - j + n] for j in range(1, k + 1)] + [
-            u[k - j : k - j + n] for j in range(not self.direct, k + 1)
-        ]
-        return np.concatenate([*before, np.ones((n, 1))], 1)
+        self.errors = peers.OneStep([samples(*one) for one in training], options["order"], options["direct"])
+        self.limit = 3 * self.errors.sigma if rule == "3 sigma" else options["safety"] * self.errors.largest
 
     def alarms(self, u, y, starts=()):
         """Return (..., T) bool."""
-        batch = y.reshape(-1, *y.shape[-2:])
-        errors = np.stack([one[self.order :] - self.regressors(u, one) @ self.theta for one in batch])
-        out = (abs(errors) > self.limit).any(-1)
-        return np.pad(out, ((0, 0), (self.order, 0))).reshape(y.shape[:-1])
+        return (abs(self.errors.errors(u, y)) > self.limit).any(-1)
 
 
-def tested(y, starts, horizon):
-    """Return (T,) bool: True where a window of horizon + 1 samples ends that lies across no gap and has all
-    samples.
-    """
-    ends = np.arange(len(y)) >= horizon
-    ends &= ~crossing(np.asarray(starts, int), horizon, 0, len(y))
-    missing = np.cumsum(np.append(0, np.isnan(y).any(1)))
-    ends[horizon:] &= missing[horizon + 1 :] == missing[: len(y) - horizon]
-    return ends
+def samples(u, y, starts):
+    return peers.Samples(u, y, np.asarray(starts, int))
 
 
 def methods(training, options):
@@ -239,7 +205,7 @@ def table(header, rows):
 def main():
     figures, shown = {}, {}
     training, (u, y, starts), half = tclab()
-    ends = tested(y, starts, TCLAB["horizon"]) & (np.arange(len(y)) >= half + TCLAB["horizon"])
+    ends = complete(y, starts, TCLAB["horizon"]) & (np.arange(len(y)) >= half + TCLAB["horizon"])
     rows, found = [], {}
     for name, detectors in methods(training, TCLAB):
         f = getattr(detectors[0], "about", {}) | {
@@ -295,7 +261,7 @@ def main():
     for name, detectors in methods(training, AHU):
         f = dict(getattr(detectors[0], "about", {}))
         for day, (u, y, starts) in unseen.items():
-            ends = tested(y, starts, AHU["horizon"])
+            ends = complete(y, starts, AHU["horizon"])
             alarm = [d.alarms(u, y, starts) for d in detectors]
             f[day] = float(np.mean([a[ends].mean() for a in alarm]))
             first = [np.flatnonzero(a & ends) for a in alarm]

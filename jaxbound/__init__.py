@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from jaxbound.sets.paving.paving import pave
     from jaxbound.sets.zonotopes.facets import membership, strips
     from jaxbound.sets.zonotopes.zonotope import zonotope
+    from jaxbound.studies.assessment.assessment import assess
     from jaxbound.studies.identification.fitting import fit
     from jaxbound.studies.montecarlo.montecarlo import study
     from jaxbound.studies.tuning.tuning import tune
@@ -66,6 +67,7 @@ __all__ = [
     "Recording",
     "Status",
     "Uncertainty",
+    "assess",
     "compensation",
     "detect",
     "detect_dataset",
@@ -148,6 +150,7 @@ _HOMES = {
     "sets.paving.paving": "pave",
     "sets.zonotopes.facets": "membership strips",
     "sets.zonotopes.zonotope": "zonotope",
+    "studies.assessment.assessment": "assess",
     "studies.identification.fitting": "fit",
     "studies.montecarlo.montecarlo": "study",
     "studies.tuning.tuning": "tune",
@@ -158,7 +161,7 @@ _HOMES = {
     "relations": "Isolability ParityRelation Redundancy Residual Signatures UncertainRelations",
     "runs": "Digest",
     "sets": "Inclusion Interval Paving Solution Solvability Zonotope",
-    "studies": "FitCheck Fitted StudyResult TuneResult",
+    "studies": "Assessment FitCheck Fitted StudyResult TuneResult",
     "consistency": "",
 }
 

@@ -18,6 +18,7 @@ from jaxbound import __version__
 from jaxbound.cli import (
     demo,
     detect,
+    evaluate,
     examine,
     example,
     explain,
@@ -56,6 +57,7 @@ COMMANDS: tuple[Command, ...] = (
     tune,
     parameters,
     study,
+    evaluate,
     info,
     examine,
 )

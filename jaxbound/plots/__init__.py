@@ -3,6 +3,7 @@ draws.
 """
 
 from jaxbound.plots import (
+    assessment,
     bank,
     fit,
     observation,
@@ -16,6 +17,7 @@ from jaxbound.plots import (
 )
 
 __all__ = [
+    "assessment",
     "bank",
     "fit",
     "observation",

@@ -20,6 +20,7 @@ def plot(thing: object, time: object = None, alarms: object = None, ax: object =
         thing: a Result of one recording: the margin of every window over time with a ribbon of verdicts and
             the alarms. A BankResult: which relations are violated and which single faults remain, over time.
             Signatures or Isolability: the table as a heat map. A TuneResult: the search and the margins.
+            An Assessment: faulty against healthy windows in alarm, over factors on the bounds.
             A Fitted: the share of its bounds that each window needs. A StudyResult: what is detected against
                 the size of a fault.
             A Digest: as a Result. A Validation: the band of the true value of each output, and its faulty

@@ -1,7 +1,8 @@
-"""Many evaluations of the floors below: fitting, tuning, Monte-Carlo studies."""
+"""Many evaluations of the floors below: fitting, tuning, Monte-Carlo studies, assessments."""
 
+from jaxbound.studies.assessment.assessment import Assessment
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
 from jaxbound.studies.montecarlo.study_result import StudyResult
 from jaxbound.studies.tuning.tuning import TuneResult
 
-__all__ = ["FitCheck", "Fitted", "StudyResult", "TuneResult"]
+__all__ = ["Assessment", "FitCheck", "Fitted", "StudyResult", "TuneResult"]

@@ -102,6 +102,7 @@ def test_every_file_of_a_picture_is_registered_where_its_type_is_drawn():
         if kind.__module__ != "builtins"
     }
     assert drawn == {
+        "Assessment": "assessment",
         "BankResult": "bank",
         "ConstrainedZonotope": "sets",
         "Digest": "digest",

@@ -1,0 +1,231 @@
+"""Counts of right and wrong alarms on the terminal, as JSON and as files."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from jaxbound.cli.terminal import show
+from jaxbound.plots.assessment import plot_assessment
+from jaxbound.plots.canvas import to_png
+from jaxbound.recordings.columns import texts, to_arrow, write_columns
+from jaxbound.studies.assessment.assessment import Assessment, Case, Marks
+from jaxbound.studies.assessment.scores import Score
+from jaxbound.text.quantities import duration, percent
+
+__all__ = ["plain_assessment", "show_assessment", "write_assessment"]
+
+HEAD = ("detector", "factor", "alarm", "false alarms", "a day", "missed", "faults seen", "median delay")
+Named = Mapping[str, Assessment]
+"""{model file: Assessment}, the model of the command first."""
+
+
+def show_assessment(named: Named, files: Sequence[str], hints: Sequence[str]) -> None:
+    """Print the counts. files: names of new files."""
+    first = next(iter(named.values()))
+    rows = [
+        ("windows", f"{first.score.healthy} healthy, {first.score.faulty} faulty, tested by {_test(first)}")
+    ]
+    for model, one in named.items():
+        of_model = ""
+        if len(named) > 1:
+            of_model = f"{model}: "
+        for case in one.cases:
+            rows.append((f"{of_model}{case.name}", _case_text(case)))
+        if one.named:
+            rows.append((f"{of_model}isolation", _isolation(one)))
+    rows.append(("factors", f"on all bounds; {first.marks.note}"))
+    for peer in first.peers:
+        rows.append((peer.name, f"{peer.note}; factors are on its threshold"))
+    rows += [("hint", hint) for hint in hints]
+    rows += [("written", file) for file in files]
+    show(_headline(first.score), "bold", rows, table=[HEAD, *_table(named)])
+
+
+def plain_assessment(named: Named, out: Path | None, hints: Sequence[str]) -> dict[str, Any]:
+    """Return the counts as JSON has them. out: the folder of its files."""
+    models: dict[str, Any] = {}
+    for model, one in named.items():
+        models[model] = {
+            "scores": [_plain_score(score) for score in one.marks.scores],
+            "recordings": [_plain_case(case) for case in one.cases],
+            "isolation": _number(one.isolation),
+            "note": one.marks.note,
+        }
+    first = next(iter(named.values()))
+    peers = {}
+    for peer in first.peers:
+        peers[peer.name] = {"scores": [_plain_score(score) for score in peer.scores], "note": peer.note}
+    written = None
+    if out is not None:
+        written = str(out)
+    return {"models": models, "peers": peers, "hints": list(hints), "out": written}
+
+
+def write_assessment(work: Path, named: Named, plain: dict[str, Any]) -> None:
+    """Write the files into a folder. plain: as of `plain_assessment`."""
+    (work / "evaluation.json").write_text(json.dumps(plain, indent=1, allow_nan=False) + "\n")
+    curves = []
+    for model, marks in _all_marks(named):
+        for factor, false, caught in marks.curve.tolist():
+            curves.append((model or marks.name, factor, false, caught))
+    titles, *numbers = zip(*curves, strict=True)
+    columns = {"detector": texts(list(titles))}
+    for name, values in zip(("factor", "healthy_in_alarm", "faulty_in_alarm"), numbers, strict=True):
+        columns[name] = to_arrow(list(values))
+    write_columns(work / "curve.csv", columns)
+    (work / "roc.png").write_bytes(to_png(plot_assessment(_together(named))))
+
+
+def _together(named: Named) -> Assessment:
+    """Return one Assessment with the curves of all models."""
+    first, *others = named.values()
+    names = list(named)
+    beside = []
+    for name, other in zip(names[1:], others, strict=True):
+        beside.append(Marks(name, other.marks.note, other.marks.scores, other.marks.curve))
+    if not beside:
+        return first
+    own = Marks(names[0], first.marks.note, first.marks.scores, first.marks.curve)
+    return Assessment(own, first.cases, first.rules, (*beside, *first.peers), first.relations)
+
+
+def _all_marks(named: Named) -> list[tuple[str, Marks]]:
+    """Return (model file, Marks) of all models, and ("", Marks) of other detectors."""
+    marks = [(model, one.marks) for model, one in named.items()]
+    first = next(iter(named.values()))
+    for peer in first.peers:
+        marks.append(("", peer))
+    return marks
+
+
+def _headline(score: Score) -> str:
+    """Return the counts at the bounds as they are, in a sentence."""
+    parts = []
+    if score.healthy:
+        parts.append(
+            f"{score.false} of {score.healthy} healthy windows in alarm ({percent(score.false_share)})"
+        )
+    if score.faulty:
+        parts.append(f"{score.caught} of {score.faulty} faulty ones ({percent(score.caught_share)})")
+    if not parts:
+        return "No window counts: none is healthy throughout, none ends at a faulty sample."
+    return f"{'; '.join(parts)}."
+
+
+def _test(one: Assessment) -> str:
+    """Return how windows were tested."""
+    relations = one.relations
+    if relations is None:
+        return one.marks.name
+    if relations.remembers:
+        return "the observer, sample by sample"
+    return f"windows of {relations.horizon + 1} samples"
+
+
+def _table(named: Named) -> list[tuple[str, ...]]:
+    """Return the rows of the table: all factors by the first rule, other rules at factor 1."""
+    rows = []
+    first = next(iter(named.values()))
+    for model, marks in _all_marks(named):
+        for score in marks.scores:
+            is_main = (score.k, score.n) == first.rules[0]
+            is_model = bool(model)
+            if score.factor == 1 or (is_main and is_model):
+                title = marks.name
+                if is_model and len(named) > 1:
+                    title = model
+                rows.append((title, *_cells(score)))
+    return rows
+
+
+def _cells(score: Score) -> tuple[str, ...]:
+    seen = "-"
+    if score.episodes:
+        seen = f"{len(score.delays)} of {score.episodes}"
+    return (
+        f"{score.factor:g}",
+        f"{score.k}/{score.n}",
+        _percent(score.false_share),
+        _shown(score.alarms_a_day),
+        _percent(score.missed_share),
+        seen,
+        _delay(score.delay, score.dt),
+    )
+
+
+def _percent(share: float) -> str:
+    if math.isnan(share):
+        return "-"
+    return percent(share)
+
+
+def _shown(number: float) -> str:
+    if math.isnan(number):
+        return "-"
+    return f"{number:.3g}"
+
+
+def _delay(samples: float, dt: float | None) -> str:
+    if math.isnan(samples):
+        return "-"
+    if math.isinf(samples):
+        return "never"
+    if dt is None or samples == 0:
+        return f"{samples:g} samples"
+    return duration(samples * dt)
+
+
+def _case_text(case: Case) -> str:
+    """Return the outcome of one faulty recording in words."""
+    score = case.score
+    if not score.faulty:
+        return "no window ends at a faulty sample"
+    text = f"{percent(score.caught_share)} of {score.faulty} faulty windows in alarm"
+    if not score.delays:
+        return f"{text}; no fault of {score.episodes} is seen"
+    seen = f"{len(score.delays)} of {score.episodes} faults seen"
+    return f"{text}; {seen}, median delay {_delay(score.delay, score.dt)}"
+
+
+def _isolation(one: Assessment) -> str:
+    """Return how often the labelled signal is named."""
+    count = len(one.named)
+    first = sum(naming.first for naming in one.named)
+    among = sum(naming.among for naming in one.named)
+    return (
+        f"{first} of {count} faults have their signal as the most plausible candidate of the first alarm, "
+        f"{among} among its candidates"
+    )
+
+
+def _plain_score(score: Score) -> dict[str, Any]:
+    return {
+        "factor": score.factor,
+        "alarm": f"{score.k}/{score.n}",
+        "healthy_windows": score.healthy,
+        "healthy_in_alarm": score.false,
+        "false_alarms": score.alarms,
+        "false_alarms_a_day": _number(score.alarms_a_day),
+        "faulty_windows": score.faulty,
+        "faulty_in_alarm": score.caught,
+        "missed_share": _number(score.missed_share),
+        "faults": score.episodes,
+        "delays": list(score.delays),
+        "median_delay": _number(score.delay),
+    }
+
+
+def _plain_case(case: Case) -> dict[str, Any]:
+    named = []
+    for naming in case.named:
+        named.append({"signal": naming.signal, "candidates": list(naming.candidates)})
+    return {"recording": case.name, **_plain_score(case.score), "named": named}
+
+
+def _number(x: float) -> float | None:
+    """Return None for a number that is not finite: JSON has none."""
+    if math.isfinite(x):
+        return x
+    return None

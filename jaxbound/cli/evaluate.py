@@ -1,0 +1,254 @@
+"""The command `jaxbound evaluate`: right and wrong alarms on recordings whose truth is known."""
+
+import argparse
+import json
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from jaxbound.cli.command import swift_imports
+from jaxbound.cli.options import (
+    METHODS,
+    OBSERVER,
+    MethodOptions,
+    add_every,
+    add_json,
+    add_method,
+    add_observer,
+    add_windows,
+    path,
+    refuse_unknown_method,
+    some_of,
+)
+from jaxbound.cli.terminal import OK, Refused, door, progress_bars, usable_device, write
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from jaxbound.models.system import LinearSystem
+    from jaxbound.recordings.recording import Recording
+    from jaxbound.studies.assessment.assessment import Assessment
+
+NAME = "evaluate"
+HELP = "count false and missed alarms on recordings whose truth is known"
+EXAMPLES = (
+    (
+        "jaxbound evaluate plant.toml --healthy monday.csv --faulty leak.csv",
+        "false alarms, missed alarms and delays, over factors on the bounds; all of leak.csv is faulty",
+    ),
+    (
+        "jaxbound evaluate plant.toml --healthy monday.csv --faulty leak.csv --labels anomaly --alarm 1/1 "
+        "3/5 --out study/",
+        "labels in a column of leak.csv, two alarm rules, a picture of the curves",
+    ),
+    (
+        "jaxbound evaluate plant.toml --healthy monday.csv --faulty leak.csv --peers friday.csv --compare "
+        "other.toml",
+        "beside PCA, an isolation forest, a CUSUM and a threshold trained on friday.csv, and another model",
+    ),
+)
+CODES = (
+    "exit codes: 0 whatever is found, 2 bad input or usage, 70 internal error, 130 interrupted, 129 by "
+    "SIGHUP, 143 by SIGTERM (nothing is written)"
+)
+FILES = ("evaluation.json", "curve.csv", "roc.png")
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments and options."""
+    parser.add_argument("model", type=path, metavar="MODEL.toml", help="the plant and its bounds")
+    recordings: tuple[tuple[str, str], ...] = (
+        ("--healthy", "recordings without a fault that no bound was found from"),
+        ("--faulty", "recordings with faults"),
+    )
+    for option, about in recordings:
+        parser.add_argument(option, type=path, nargs="+", default=[], metavar="DATA", help=about)
+    parser.add_argument(
+        "--labels",
+        nargs="+",
+        default=[],
+        metavar="FILE|COLUMN",
+        help="which samples of --faulty are faulty: a CSV file of time (or sample) and label, one for all or "
+        "one each, a label holds until the next row; or a column of them. Labels: 0 for healthy, 1, or the "
+        "name of the faulty signal (default: all samples)",
+    )
+    parser.add_argument(
+        "--alarm",
+        type=some_of("k", "3/5"),
+        nargs="+",
+        default=[(1, 1)],
+        metavar="k/n",
+        help="alarm rules, k FAULT among n windows; the first one makes the curve (default: 1/1)",
+    )
+    parser.add_argument(
+        "--factors",
+        metavar="A,B",
+        help="factors on all bounds (default: 0.5,0.7,1,1.5,2,3; an observer is followed once for each)",
+    )
+    parser.add_argument(
+        "--compare", type=path, nargs="+", default=[], metavar="OTHER.toml", help="models beside this one"
+    )
+    parser.add_argument(
+        "--peers",
+        type=path,
+        nargs="+",
+        default=[],
+        metavar="TRAINING",
+        help="PCA, an isolation forest, a CUSUM and a threshold too, trained on these healthy recordings: "
+        "those that the model was fitted to (needs scikit-learn)",
+    )
+    parser.add_argument(
+        "--out", type=path, metavar="DIR", help="folder for evaluation.json, curve.csv and roc.png"
+    )
+    add_method(parser, "; observer carries everything since it began on")
+    add_every(parser)
+    add_windows(parser)
+    add_observer(parser)
+    add_json(parser)
+
+
+class _Read(NamedTuple):
+    """The recordings of a model: healthy and faulty ones, labels of the faulty ones, those for training."""
+
+    healthy: "list[Recording]"
+    faulty: "list[Recording]"
+    labels: "list[np.ndarray | None]"
+    training: "list[Recording]"
+
+
+def run(args: argparse.Namespace) -> int:
+    """Assess models on recordings, print and write what was counted; return the exit code."""
+    with swift_imports():
+        from jaxbound.cli.assessment_summary import plain_assessment, show_assessment, write_assessment
+        from jaxbound.runs.outputs import output_folder
+
+    factors = _factors(args.factors)
+    _refuse_incomplete(args)
+    models = [args.model, *args.compare]
+    inputs = [*models, *args.healthy, *args.faulty, *args.peers]
+    with ExitStack() as stack:
+        stack.enter_context(door())
+        folder = None
+        if args.out is not None:
+            folder = stack.enter_context(output_folder(args.out, FILES, inputs))
+        step = stack.enter_context(progress_bars(("read", "relations", "test")))
+        found, hints = [], []
+        for number, model in enumerate(models):
+            assessment, said = _assessed(args, model, factors, number == 0, step)
+            found.append(assessment)
+            hints += said
+        named = {str(model): one for model, one in zip(models, found, strict=True)}
+        hints = list(dict.fromkeys(hints))
+        plain = plain_assessment(named, args.out, hints)
+        if folder is not None:
+            with folder.work() as work:
+                write_assessment(work, named, plain)
+    if args.json:
+        write(json.dumps(plain, indent=1, allow_nan=False) + "\n")
+        return OK
+    files: list[str] = []
+    if args.out is not None:
+        files = [str(args.out / file) for file in FILES]
+    show_assessment(named, files, hints)
+    return OK
+
+
+def _factors(text: str | None) -> list[float] | None:
+    """Read numbers with commas."""
+    if text is None:
+        return None
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise Refused(f"--factors needs numbers with commas, like 0.5,1,2, not {text!r}") from None
+
+
+def _refuse_incomplete(args: argparse.Namespace) -> None:
+    """Raise Refused for options that do not go together."""
+    refuse_unknown_method(args.method, f"{METHODS}, {OBSERVER}")
+    if not args.healthy and not args.faulty:
+        raise Refused("there is no recording to evaluate by: give --healthy, --faulty, or both")
+    if args.labels and not args.faulty:
+        raise Refused("--labels are those of --faulty: give recordings with faults")
+    if len(args.labels) not in (0, 1, len(args.faulty)):
+        raise Refused(
+            f"--labels needs one file or column for all of --faulty, or one each: {len(args.labels)} for "
+            f"{len(args.faulty)}"
+        )
+    trained = {file.resolve() for file in args.peers}
+    for file in (*args.healthy, *args.faulty):
+        if file.resolve() in trained:
+            raise Refused(f"{file} is in --peers too: what detectors were trained on does not test them")
+
+
+def _assessed(
+    args: argparse.Namespace,
+    path: Path,
+    factors: Sequence[float] | None,
+    with_peers: bool,
+    step: Callable[[str, float], object],
+) -> "tuple[Assessment, list[str]]":
+    """Return (what a model is worth, hints)."""
+    from jaxbound.cli.window import stated_model, window_relations
+    from jaxbound.diagnosis.hints import outgrown
+    from jaxbound.studies.assessment.assessment import FACTORS, assess
+
+    stated = stated_model(path, args.every)
+    read = _read(args, stated, with_peers, lambda share: step("read", share))
+    usable_device()
+    recordings = [*read.healthy, *read.faulty]
+    longest = max(recording.samples for recording in recordings)
+    _, relations = window_relations(stated, MethodOptions.of(args), "every recording", longest, step)
+    assessment = assess(
+        relations,
+        read.healthy,
+        read.faulty,
+        read.labels,
+        rules=args.alarm,
+        factors=factors or FACTORS,
+        method=args.method,
+        training=read.training or None,
+        names=[str(file) for file in args.faulty],
+        progress=lambda share: step("test", share),
+    )
+    hints = [f"{path}: {hint}" for hint in outgrown(stated, relations)]
+    for file, recording in zip((*args.healthy, *args.faulty), recordings, strict=True):
+        hints += [f"{file}: {hint}" for hint in recording.hints]
+    return assessment, hints
+
+
+def _read(
+    args: argparse.Namespace, model: "LinearSystem", with_peers: bool, report: Callable[[float], object]
+) -> _Read:
+    """Return the recordings of a model."""
+    from jaxbound.recordings.read import read
+
+    training: list[Path] = []
+    if with_peers:
+        training = args.peers
+    files = [*args.healthy, *args.faulty, *training]
+    recordings = []
+    for number, file in enumerate(files):
+        recordings.append(read(file, model))
+        report((number + 1) / len(files))
+    healthy = recordings[: len(args.healthy)]
+    faulty = recordings[len(healthy) : len(healthy) + len(args.faulty)]
+    labels = []
+    for number, (file, recording) in enumerate(zip(args.faulty, faulty, strict=True)):
+        labels.append(_labels(args.labels, number, file, model, recording))
+    return _Read(healthy, faulty, labels, recordings[len(healthy) + len(faulty) :])
+
+
+def _labels(
+    stated: Sequence[str], number: int, file: Path, model: "LinearSystem", recording: "Recording"
+) -> "np.ndarray | None":
+    """Return the labels of one faulty recording; None: every sample is faulty."""
+    from jaxbound.studies.assessment.labels import column_labels, file_labels
+
+    if not stated:
+        return None
+    name = stated[min(number, len(stated) - 1)]
+    if Path(name).exists():
+        return file_labels(Path(name), model, recording)
+    return column_labels(file, model, name)

@@ -1,0 +1,54 @@
+"""The picture of an assessment: faulty windows in alarm against healthy ones in alarm, over factors on the
+bounds.
+"""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxbound.plots.canvas import FAULTY, GRID, INK, canvas, style
+from jaxbound.plots.plot import plot
+from jaxbound.studies.assessment.assessment import Assessment, Marks
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["plot_assessment"]
+
+LINES = ("#56b4e9", "#cc79a7", "#e69f00", "#0072b2", "#6fcfb0")
+
+
+@plot.register(Assessment)
+def plot_assessment(res: Assessment) -> "Figure":
+    """Draw an Assessment: its curve and those of other detectors, a mark at the bounds or thresholds as they
+    are.
+
+    Returns:
+        A matplotlib Figure. A curve needs healthy and faulty windows both; without them its chart is empty.
+    """
+    with style():
+        fig = canvas((6.4, 5.2))
+        ax = fig.subplots()
+        for number, peer in enumerate(res.peers):
+            _draw(ax, peer, LINES[number % len(LINES)], 1.2)
+        _draw(ax, res.marks, INK, 2.0)
+        k, n = res.rules[0]
+        ax.set_title(f"Alarms by the rule {k}/{n}; marks: bounds and thresholds as they are")
+        ax.set_xlabel("healthy windows in alarm")
+        ax.set_ylabel("faulty windows in alarm")
+        ax.set_xlim(-0.02, 1.02)
+        ax.set_ylim(-0.02, 1.02)
+        ax.grid(color=GRID, lw=0.6)
+        ax.legend(fontsize=8, loc="lower right")
+        fig.subplots_adjust(left=0.11, right=0.97, top=0.92, bottom=0.11)
+    return fig
+
+
+def _draw(ax: "Axes", marks: Marks, colour: str, width: float) -> None:
+    """Draw the curve of one detector and its own point."""
+    _, false, caught = np.transpose(marks.curve)
+    ax.plot(false, caught, color=colour, lw=width, label=marks.name)
+    own = marks.at(1.0)
+    edge = FAULTY if width > 1.5 else colour
+    ax.plot([own.false_share], [own.caught_share], "o", color=colour, mec=edge, ms=6)

@@ -1,0 +1,1 @@
+"""False alarms, missed ones and delays of a monitor on recordings whose truth is known."""

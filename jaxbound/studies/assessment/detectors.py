@@ -1,0 +1,129 @@
+"""Detectors that are compared: each says of a recording which windows it would call faulty at any factor on
+its bounds.
+"""
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from jaxbound.consistency.interface import EXACT, Relations
+from jaxbound.diagnosis.detection import detect
+from jaxbound.diagnosis.result import Result
+from jaxbound.estimation.set_observer import SetObserver
+from jaxbound.recordings.recording import Recording
+from jaxbound.sets.floats.status import Status
+from jaxbound.studies.tuning.parametrization import model_with, moving
+
+__all__ = ["Detector", "Flags", "Monitored", "Needs"]
+
+BY_MARGIN = ("joint", "box")
+"""Methods whose margins say at which factor on the bounds a window becomes consistent."""
+
+
+class Flags(Protocol):
+    """The windows of one recording that a detector calls faulty."""
+
+    def faults(self, factor: float) -> np.ndarray:
+        """Return (T,) bool, at a factor on the bounds."""
+
+    @property
+    def needs(self) -> np.ndarray | None:
+        """(T,), the factor up to which each window is called faulty, NaN for none; None: not known."""
+
+
+class Detector(Protocol):
+    """One of those that are compared."""
+
+    @property
+    def name(self) -> str:
+        """Its name in tables."""
+
+    @property
+    def note(self) -> str:
+        """How it was made, in a sentence."""
+
+    def flags(self, recording: Recording) -> Flags:
+        """Judge a recording."""
+
+    def factors(self, wanted: Sequence[float]) -> list[float]:
+        """Return those factors on its bounds that it can be asked for."""
+
+
+class Needs(NamedTuple):
+    """Flags by one number a window. Fields: needs, (T,), the factor at which it becomes quiet, or NaN."""
+
+    needs: np.ndarray
+
+    def faults(self, factor: float) -> np.ndarray:
+        """Return (T,) bool."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray(self.needs > factor)
+
+
+class Verdicts:
+    """Flags of a Result: FAULT at factor 1 as proved; elsewhere by its margins, or tested again.
+
+    Fields: result, tested: (T,) bool.
+    """
+
+    def __init__(self, result: Result, monitor: "Monitored", recording: Recording) -> None:
+        self.result, self.tested = result, result.status != Status.MISSING
+        self._monitor, self._recording = monitor, recording
+        self._again = cache(self._tested_again)
+
+    @property
+    def needs(self) -> np.ndarray | None:
+        """(T,), 1 - margin."""
+        if not self._monitor.by_margin:
+            return None
+        return np.asarray(1 - self.result.margin)
+
+    def faults(self, factor: float) -> np.ndarray:
+        """Return (T,) bool."""
+        if factor == 1:
+            return np.asarray(self.result.status == Status.FAULT)
+        needs = self.needs
+        if needs is not None:
+            return Needs(needs).faults(factor)
+        return self._again(factor)
+
+    def _tested_again(self, factor: float) -> np.ndarray:
+        again = detect(self._monitor.scaled(factor), self._recording)
+        return np.asarray(again.status == Status.FAULT)
+
+
+class Monitored:
+    """Relations, or an observer, of jaxbound."""
+
+    def __init__(self, relations: Relations, method: str, name: str) -> None:
+        self.relations, self.method, self.name = relations, method, name
+        self.by_margin = method in BY_MARGIN and not relations.remembers and bool(relations.bounds)
+
+    @property
+    def note(self) -> str:
+        """How factors on its bounds are evaluated."""
+        if self.by_margin:
+            return "at factors other than 1 by exact margins: as computed, not proved"
+        if isinstance(self.relations, SetObserver):
+            return "an observer follows each recording once a factor"
+        return "at the bounds as they are: its margins do not say what other bounds would give"
+
+    def factors(self, wanted: Sequence[float]) -> list[float]:
+        """Return those factors on its bounds that it can be asked for."""
+        if self.by_margin or isinstance(self.relations, SetObserver):
+            return list(wanted)
+        return [1.0]
+
+    def flags(self, recording: Recording) -> Verdicts:
+        """Judge a recording."""
+        result = detect(self.relations, recording, method=self.method, margins=EXACT)
+        return Verdicts(result, self, recording)
+
+    def scaled(self, factor: float) -> SetObserver[Any]:
+        """Return the observer with bounds so many times as wide."""
+        watch = self.relations
+        assert isinstance(watch, SetObserver)
+        moved = moving(watch)
+        return watch.of(model_with(watch, moved, moved.rounded_up(factor * moved.start), ""))
