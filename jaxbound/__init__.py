@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from jaxbound.diagnosis.detection import detect, margins
     from jaxbound.diagnosis.isolation import evaluate
     from jaxbound.diagnosis.memory import suggest_lags
+    from jaxbound.diagnosis.monitoring import monitor
     from jaxbound.estimation.observer import observe, observer
     from jaxbound.estimation.parameters import parameters
     from jaxbound.estimation.unknown_inputs import unknown_inputs
@@ -84,6 +85,7 @@ __all__ = [
     "load_model",
     "margins",
     "membership",
+    "monitor",
     "observe",
     "observer",
     "parameters",
@@ -120,6 +122,7 @@ _HOMES = {
     "diagnosis.detection": "detect margins",
     "diagnosis.isolation": "evaluate",
     "diagnosis.memory": "suggest_lags",
+    "diagnosis.monitoring": "monitor",
     "estimation.observer": "observe observer",
     "estimation.parameters": "parameters",
     "estimation.unknown_inputs": "unknown_inputs",
@@ -155,7 +158,7 @@ _HOMES = {
     "studies.montecarlo.montecarlo": "study",
     "studies.tuning.tuning": "tune",
     "certificates": "Certificate UncertainCertificate",
-    "diagnosis": "Alarm BankResult GuaranteedSize Result",
+    "diagnosis": "Alarm BankResult GuaranteedSize MonitorResult Result",
     "estimation": "Observation ParameterSet UnknownInputs Validation",
     "models": "IntervalSystem Trajectory",
     "relations": "Isolability ParityRelation Redundancy Residual Signatures UncertainRelations",

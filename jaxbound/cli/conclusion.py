@@ -11,7 +11,7 @@ import numpy as np
 from jaxbound.cli.evaluation import Evaluation
 from jaxbound.cli.terminal import show, write
 from jaxbound.diagnosis.region import Outside
-from jaxbound.runs.summary import OUTSIDE, Evidence, Summary, Window
+from jaxbound.runs.summary import OUTSIDE, Evidence, OfTest, Summary, Window
 from jaxbound.text.quantities import most_percent, percent, times
 
 __all__ = ["conclude"]
@@ -39,6 +39,8 @@ def conclude(evaluation: Evaluation, data: Path | str, out: Path, as_json: bool 
     is_explained = evidence.counts["FAULT"] and evidence.faulty is None and not evaluation.model.uncertainties
     explain = f"jaxbound explain {shlex.quote(str(out))} --at " if is_explained else ""
     rows = [_counts_row(evidence), _tested_row(evidence), _alarms_row(summary, evidence, explain)]
+    for name, test in (evidence.tests or {}).items():
+        rows.append((f"test {name}", _test_text(test)))
     if np.isfinite(summary.margin):
         rows.append(_worst_row(summary, evidence))
     if evidence.outside is not None:
@@ -59,6 +61,8 @@ def _counts_row(evidence: Evidence) -> tuple[str, str]:
 
 def _tested_row(evidence: Evidence) -> tuple[str, str]:
     """Return the share that was tested or decided, of a validation the sensors that are faulty."""
+    if evidence.tests is not None:
+        return "tested", f"{percent(evidence.tested)} of {evidence.windows} samples"
     if evidence.remembers:
         share = f"{percent(evidence.tested)} of {evidence.windows} samples"
         return "tested", f"{share}, by an observer of all samples before them"
@@ -81,6 +85,14 @@ def _alarms_row(summary: Summary, evidence: Evidence, explain: str) -> tuple[str
     return "alarms", text
 
 
+def _test_text(test: OfTest) -> str:
+    """Return the verdicts of one test of a monitor."""
+    counts = ", ".join(f"{test.counts[s]} {s}" for s in STATUSES if test.counts[s])
+    if np.isfinite(test.margin):
+        return f"{counts}; least margin {test.margin:.3g}"
+    return counts
+
+
 def _training_row(evidence: Evidence, outside: Outside) -> tuple[str, str]:
     """Return how many windows lie outside the region of training, and the input that leads most of them
     out.
@@ -92,7 +104,9 @@ def _worst_row(summary: Summary, evidence: Evidence) -> tuple[str, str]:
     """Return the window that comes nearest to a fault, or is the farthest in it."""
     margin = summary.margin
     is_outside = margin < 0
-    if evidence.remembers:
+    if evidence.tests is not None:
+        name, use = "worst", f"by test {evidence.test}"
+    elif evidence.remembers:
         name = "worst"
         use = f"{percent(1 - margin)} of it is used"
         if is_outside:

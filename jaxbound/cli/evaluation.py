@@ -12,7 +12,7 @@ from jaxbound.cli.engine import engine
 from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.share import opened
 from jaxbound.cli.terminal import door, usable_device
-from jaxbound.cli.window import stated_model, window_relations
+from jaxbound.cli.window import method_of, recorded, stated_model, window_relations
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import outgrown
 from jaxbound.diagnosis.result import Result
@@ -116,8 +116,10 @@ def evaluate_parts(
             reaches = outgrown(source.model, relations)
             hints = dict.fromkeys((*res.hints, *reaches, *ending_hints(res, res.alarms, sizes)))
             summary = summarised(res, res.alarms, res.label, min_coverage, hints, sizes, bool(reaches))
-            about = relations.model, Path(data), source.content, options.method, relations.horizon
-            close_all(sinks, Outcome(res.alarms, summary, *about, options.observer_options))
+            about = relations.model, Path(data), source.content, method_of(relations, options)
+            close_all(
+                sinks, Outcome(res.alarms, summary, *about, relations.horizon, options.observer_options)
+            )
             write_report(
                 work,
                 res,
@@ -163,7 +165,7 @@ def evaluate(
     seconds, start = {}, time.perf_counter()
     with door():
         stated = stated_model(model, options.every)
-        source = open_source(data, stated)
+        source = open_source(data, recorded(stated, options))
         content = source.content  # before it is read, so that what is written meanwhile does not pass for it
         recording = source.read(progress=lambda share: step("read", share))
         tested, relations = window_relations(stated, options, data, recording.samples, step)
@@ -194,7 +196,8 @@ def evaluate(
         reaches = outgrown(stated, relations)
         hints = dict.fromkeys((*res.hints, *reaches, *again_hints(res), *ending_hints(res, alarms, sizes)))
         summary = summarised(res, alarms, recording.label, min_coverage, hints, sizes, bool(reaches))
-        about = tested, Path(data), content, options.method, relations.horizon, options.observer_options
+        how = method_of(relations, options), relations.horizon, options.observer_options
+        about = tested, Path(data), content, *how
         sinks.close(Outcome(alarms, summary, *about))
         step("report", 0.1)
         write_report(

@@ -9,9 +9,10 @@ import numpy as np
 from jaxbound.certificates.interface import certify
 from jaxbound.cli.options import OBSERVER
 from jaxbound.cli.sample_axis import SampleAxis
-from jaxbound.consistency.interface import FAMILIES, Relations
+from jaxbound.consistency.interface import FAMILIES, MONITOR, Relations
 from jaxbound.models.region import Region
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.testmodels import with_tests
 from jaxbound.recordings.read import open_source
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.contradiction import refuted_again
@@ -57,7 +58,10 @@ def explain_window(directory: str | Path, at: str) -> Explained:
             f"certificate of a window only by other methods: jaxbound detect --method joint, to another "
             f"folder"
         )
-    source = open_source(data, model)
+    recorded = model
+    if method == MONITOR:
+        recorded = with_tests(model)
+    source = open_source(data, recorded)
     axis = SampleAxis(source)
     k = axis.find(at)
     if k < horizon:
@@ -66,7 +70,7 @@ def explain_window(directory: str | Path, at: str) -> Explained:
         )
     try:
         relations = relations_by(method, model, _asked_horizon(model, method, horizon), options=options)
-        if method == OBSERVER:
+        if method in (OBSERVER, MONITOR):
             certificate, part = refuted_again(relations, source, k)
         else:
             part = source.read(k - horizon, k + 1)
@@ -95,7 +99,7 @@ def _training(relations: Relations, part: Recording) -> str:
 
 def _asked_horizon(model: LinearSystem, method: str, horizon: int) -> int | None:
     """Return the horizon that makes the relations of a run anew, from the horizon that they had."""
-    if method == OBSERVER:
+    if method in (OBSERVER, MONITOR):
         return None  # its options have one where the user gave one
     if model.lags is not None and method not in FAMILIES:
         return None  # the lags of the model say how long a window is

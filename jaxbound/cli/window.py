@@ -1,19 +1,30 @@
-"""The windows that a command tests by, those that --horizon or --lags ask for, or its set observer."""
+"""The test of a command: the tests that the model states, the windows that --horizon or --lags ask for, or a
+set observer.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
 
 from jaxbound.cli.options import MethodOptions
-from jaxbound.consistency.interface import FAMILIES, Relations
+from jaxbound.consistency.interface import FAMILIES, METHODS, MONITOR, Relations
 from jaxbound.models.modelfile import load_model
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.testmodels import with_tests
 from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.means import EVERY
 from jaxbound.relations.parity import ParityRelation, parity_relations
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.runs.relations import relations_by
 
-__all__ = ["parity_windows", "stated_model", "window_relations", "windowed"]
+__all__ = [
+    "is_monitored",
+    "method_of",
+    "parity_windows",
+    "recorded",
+    "stated_model",
+    "window_relations",
+    "windowed",
+]
 
 
 def windowed(model: LinearSystem, horizon: int | None, lags: tuple[int, ...] | None) -> LinearSystem:
@@ -61,11 +72,32 @@ def window_relations(
         ValueError: a recording without a whole window, windows without a relation; no observer.
     """
     options.check()
+    if is_monitored(model, options):
+        return model, relations_by(MONITOR, model, progress=lambda share: step("relations", share))
     # Parity relations go their own way: lags and a horizon change the model that a report keeps, and a
     # recording that is too short is refused before minutes of elimination.
     if options.method in FAMILIES or options.observes:
         return model, relations_by(options.method, model, options.horizon, options=options.observer_options)
     return parity_windows(model, options, source, samples, step)
+
+
+def is_monitored(model: LinearSystem, options: MethodOptions) -> bool:
+    """Return whether a command judges by the tests of the model: it has some, and no other is asked for."""
+    return bool(model.tests) and options.method == METHODS[0] and not (options.horizon or options.lags)
+
+
+def recorded(model: LinearSystem, options: MethodOptions) -> LinearSystem:
+    """Return the model by which a command reads a recording: with all columns that its tests need.
+
+    Raises:
+        ValueError: tests that make no model.
+    """
+    return with_tests(model) if is_monitored(model, options) else model
+
+
+def method_of(relations: Relations, options: MethodOptions) -> str:
+    """Return the method of the test that a command makes."""
+    return MONITOR if relations.parts else options.method
 
 
 def parity_windows(

@@ -2,10 +2,13 @@
 
 from jaxbound.consistency.interface import Judged, Observer, Relations, Verdicts, WindowTest, family
 from jaxbound.consistency.monitor import Monitor, MonitorState, Verdict
+from jaxbound.consistency.monitorbank import BankVerdicts, MonitorBank
 
 __all__ = [
+    "BankVerdicts",
     "Judged",
     "Monitor",
+    "MonitorBank",
     "MonitorState",
     "Observer",
     "Relations",

@@ -36,6 +36,7 @@ __all__ = [
     "FAMILIES",
     "MARGINS",
     "METHODS",
+    "MONITOR",
     "OBSERVER",
     "Again",
     "Arrays",
@@ -69,6 +70,8 @@ __all__ = [
 
 METHODS = ("joint", "box", "paving", "linearized")
 OBSERVER = "observer"
+MONITOR = "monitor"
+"""The method of several tests behind one verdict."""
 MARGINS = AUTO, BOUNDS, EXACT = "auto", "bounds", "exact"
 """What margins of windows may be, see `detect`; those of a Result are one of the last two."""
 MANY = 2**17
@@ -218,9 +221,15 @@ class Relations:
             """Whether an observer begins anew behind a FAULT; else FAULT stays until a gap."""
             raise NotImplementedError
 
+        @property
+        def parts(self) -> "Mapping[str, Relations]":
+            """The tests of a monitor by their names; empty: this is one test."""
+            raise NotImplementedError
+
     else:
         bounds: Bounds = MappingProxyType({})
         made = lags = None
+        parts: Mapping[str, "Relations"] = MappingProxyType({})
         methods = METHODS[:1]
         count = 1
         notes = ()
@@ -639,6 +648,10 @@ class Observer(Relations, Generic[Carry]):
         """Return this observer, as of a `WindowTest`."""
         return self
 
+    def typed(self, dtype: DTypeLike) -> Self:
+        """Return the same observer for samples in a float dtype; most take every one as they are."""
+        return self
+
     def init(self) -> Carry:
         """Return the carry before the first sample."""
         raise NotImplementedError
@@ -711,7 +724,7 @@ def family(method: str) -> Callable[[Build], Build]:
     Raises:
         ValueError: a name that is taken.
     """
-    if method in (*METHODS, OBSERVER, *FAMILIES):
+    if method in (*METHODS, OBSERVER, MONITOR, *FAMILIES):
         raise ValueError(f"the method {method!r} is there already: give another name")
 
     def register(build: Build) -> Build:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from jaxbound.consistency.claims import CLAIMED, UNCLAIMED, refuse_outside, unclaimed
 from jaxbound.consistency.drive import windows
 from jaxbound.consistency.interface import (
+    EXACT,
     OBSERVER,
     Budget,
     Compensation,
@@ -25,6 +26,7 @@ from jaxbound.consistency.interface import (
     Relations,
     Starts,
     WindowTest,
+    margins_for,
     relations_of,
 )
 from jaxbound.models.region import Departure, Region
@@ -92,6 +94,7 @@ class Monitor:
             `detect`; or an Observer, whose carry is then the state, and what it judges, of one sample or of
             N, the verdict.
         method, budget, compensation, outside: as for `detect`.
+        margins: "exact", or "bounds", as for `detect`.
         dtype: of the samples, float64 or float32; None: as JAX is configured. Outputs of a wider type are
             rounded to it; a narrower type is refused, since more was rounded away than the verdicts would
             allow for.
@@ -130,6 +133,7 @@ class Monitor:
         budget: Budget = None,
         compensation: Compensation = 0.0,
         outside: str = CLAIMED,
+        margins: str = EXACT,
     ) -> None:
         refuse_outside(outside)
         self.outside = outside
@@ -141,14 +145,18 @@ class Monitor:
                 raise ValueError(
                     "outside is for windows: a Monitor hands on the verdicts of an Observer as they are"
                 )
-            self._observer = relations
+            self._observer = relations.measured()
+            if dtype is not None:
+                self._observer = self._observer.typed(dtype)
             return
         relations_of(relations, "a Monitor", "Monitor(parity_relations(model))")
         refuse_unusable()
         self.dtype = np.dtype(jax.dtypes.canonicalize_dtype(float if dtype is None else dtype))
         test = relations.test(method, self.dtype, budget, compensation)
         assert isinstance(test, WindowTest)
-        self._test = test.measured()
+        self._test = test
+        if margins_for(margins, 0) == EXACT:
+            self._test = test.measured()
         self.relations, self.method = test.relations, test.method
         self.region = Region.of(self.relations)
         dt = self.relations.model.dt
@@ -159,6 +167,13 @@ class Monitor:
 
     def _rows(self) -> dict[str, str]:
         return {} if self._observer is not None else {"samples": str(self.dtype)}
+
+    @property
+    def margins_are(self) -> str:
+        """The margins of windows, "exact" or "bounds"; of an Observer "exact"."""
+        if self._observer is not None:
+            return self._observer.margins_are
+        return self._test.margins_are
 
     def init(self) -> State:
         """Return the MonitorState before the first sample; of an Observer its first carry."""

@@ -4,6 +4,7 @@ from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detectability import GuaranteedSize
 from jaxbound.diagnosis.isolation import BankResult
 from jaxbound.diagnosis.memory import SuggestedLags
+from jaxbound.diagnosis.monitored import MonitorResult
 from jaxbound.diagnosis.observed import ObserverResult
 from jaxbound.diagnosis.region import Outside
 from jaxbound.diagnosis.result import Result
@@ -14,6 +15,7 @@ __all__ = [
     "BankResult",
     "Departure",
     "GuaranteedSize",
+    "MonitorResult",
     "ObserverResult",
     "Outside",
     "Result",

@@ -205,8 +205,15 @@ def _outside(
 def forgets_after(relations: Relations) -> int | None:
     """Return how many samples after an onset no window of relations holds it any more: their horizon.
 
-    Of an observer None, LATCHED where its FAULT stays until a gap.
+    Of an observer None, LATCHED where its FAULT stays until a gap; of a monitor as of its longest test.
     """
+    if relations.parts:
+        ends = [forgets_after(test) for test in relations.parts.values()]
+        if None in ends:
+            return None
+        if LATCHED in ends:
+            return LATCHED
+        return max(end for end in ends if end is not None)
     if relations.latched:
         return LATCHED
     if relations.remembers:

@@ -20,7 +20,7 @@ from jaxbound.consistency.interface import (
     with_margins,
 )
 from jaxbound.consistency.searched import judging_device
-from jaxbound.diagnosis import isolation, observed  # noqa: F401 (the Results of a bank and of an observer)
+from jaxbound.diagnosis import isolation, monitored, observed  # noqa: F401 (the Results of their kinds)
 from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.models.region import Region
 from jaxbound.recordings.table import Data
@@ -47,7 +47,8 @@ def detect(
     Args:
         relations: from `parity_relations` or `residual`; or a bank from `structured_relations` or
             `redundancy`, whose relations are tested one by one: the Result then knows .violated and the
-            .candidates, the single faults that can explain it.
+            .candidates, the single faults that can explain it; or a `jb.monitor` of several tests, whose
+            Result has .tests and .by, which of them speaks.
         u: (..., T, m) inputs, y: (..., T, p) outputs; arrays, or tables with the model's columns, see
             `Recording.of`. NaN marks a missing sample. u is None for a model without inputs. Leading axes are
             recordings of their own. y None: u is a table of both.

@@ -119,6 +119,13 @@ def outgrown(model: LinearSystem, relations: Relations | None = None, looks_back
         model, relations: as for `bound_hints`. looks_back: what looks back on all samples; "": an observer
             alone does.
     """
+    if relations is not None and relations.parts:
+        sentences = []
+        for name, test in relations.parts.items():
+            own = test.model
+            assert isinstance(own, LinearSystem), "a monitor has tests of models"
+            sentences += [f"test {name!r}: {sentence}" for sentence in outgrown(own, test)]
+        return sentences
     horizon, origins = model.horizon, " ".join(map(str, model.provenance.values()))
     if model.lags:
         horizon = model.lags[-1]

@@ -28,6 +28,7 @@ from jaxbound.models.filevalues import (
     in_list,
     known_fields,
 )
+from jaxbound.models.statedtests import stated_tests
 from jaxbound.models.system import LinearSystem, matrices_at_zero
 from jaxbound.models.uncertainty import Uncertainty
 
@@ -334,7 +335,7 @@ FIELDS = (
     Field("matrices", "D_v", MATRIX, Elsewhere(_unknown_on_outputs)),
     Field("matrices", "E", MATRIX, Elsewhere(_unwritten)),  # the model that is written is solved for x+
 )
-TABLES = ("inputs", "outputs", "disturbances", "uncertainty", "matrices", "provenance")
+TABLES = ("inputs", "outputs", "disturbances", "uncertainty", "matrices", "provenance", "test")
 
 
 def field_names(place: str) -> tuple[str, ...]:
@@ -400,7 +401,8 @@ def model_arguments(document: Table) -> dict[str, Any]:
         for field in FIELDS:
             if field.place == place:
                 field.home.collect(arguments, field.name, place, tables[place])
-    return arguments | _assembled(tables) | {"provenance": _read_provenance(document)}
+    arguments |= _assembled(tables) | {"provenance": _read_provenance(document)}
+    return arguments | {"tests": stated_tests(as_list("test", document.get("test", [])))}
 
 
 def _read_matrices(document: Table) -> Table:

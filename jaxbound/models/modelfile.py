@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from jaxbound.files.whole import whole
 from jaxbound.models.filevalues import TEXT, number_text
 from jaxbound.models.modelfields import LISTS, Entry, entries, model_arguments, value_texts
+from jaxbound.models.statedtests import lines_of
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.template import template
 
@@ -125,6 +126,8 @@ def model_text(model: LinearSystem) -> str:
     if model.provenance:
         lines += ["", "[provenance]"]
         lines += [f"{name} = {TEXT.spell(origin)}" for name, origin in model.provenance.items()]
+    for test in model.tests:
+        lines += ["", *lines_of(test)]
     return "\n".join(lines) + "\n"
 
 

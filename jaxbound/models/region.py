@@ -101,6 +101,9 @@ class Region:
         horizon = relations.horizon
         if relations.remembers:
             horizon = int(model.n > 0)
+        for part in getattr(relations, "parts", {}).values():  # of a monitor as far as its longest window
+            if not part.remembers:
+                horizon = max(horizon, part.horizon)
         units = tuple(map(model.unit, model.inputs))
         return cls(model.inputs, units, lo, hi, horizon, input_lags(model, horizon))
 

@@ -25,6 +25,7 @@ from jaxbound.models.signals import (
     sensors,
     words,
 )
+from jaxbound.models.statedtests import StatedTest, StatedTests, stated_tests
 from jaxbound.models.times import times_of
 from jaxbound.models.uncertainty import Uncertainty, centred
 from jaxbound.models.unknown import Bounded, Coupling, without_descriptor
@@ -121,6 +122,9 @@ class LinearSystem:
             matrices are those at the value 0 of every parameter; .A, .B, .C, .D are kept at the middle of
             their bounds.
         decouple: names of uncertainties whose bounds are not to be trusted: they become unknown inputs.
+        tests: of `jb.monitor`, one a mapping with the fields of a `[[test]]` table of a model file: {"name":
+            "slow", "lags": [0, 1, 2, 4], "factor": 1.2}. Kept as .tests; whatever tests by this model in
+            another way takes no notice.
         E: (r, n) of a descriptor system E x+ = A x + B u + ..., A, B, G, F (r, .) then. The model keeps the
             states that E determines; what no equation drives becomes unknown inputs. Not together with
             uncertainties.
@@ -149,6 +153,7 @@ class LinearSystem:
     lags: tuple[int, ...] | None
     averages: tuple[Average, ...]
     left_out: Fraction | None
+    tests: tuple[StatedTest, ...]
 
     A = _Of[Matrix]("plant")
     B = _Of[Matrix]("plant")
@@ -204,6 +209,7 @@ class LinearSystem:
         lags: Sequence[int] | None = None,
         averages: Averaged | None = None,
         left_out: Number | None = None,
+        tests: StatedTests | None = None,
     ) -> None:
         if E is not None:
             if np.size(np.asarray(uncertainties, object)):
@@ -233,6 +239,7 @@ class LinearSystem:
             lags=sparse,
             averages=_averages(averages, parts, measured, signals.outputs),
             left_out=_factor(left_out),
+            tests=stated_tests(tests),
         )
 
     def replace(self, **changes: Any) -> LinearSystem:
@@ -281,6 +288,7 @@ class LinearSystem:
             "lags": self.lags,
             "averages": self.averages,
             "left_out": self.left_out,
+            "tests": self.tests,
         }
 
     @property

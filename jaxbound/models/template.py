@@ -92,4 +92,13 @@ tolerance = "datasheet"
 noise = "datasheet"
 resolution = "assumed"
 disturbance = "assumed"
+
+# One [[test]] block per test of a monitor; a fault is proved where one of them proves it. jaxbound detect then judges by all of them.
+# [[test]]
+# name = "jumps"       # windows of the model
+# [[test]]
+# name = "drifts"
+# observer = "joint"   # or lags = [0, 1, 2, 4, 8, 16], or horizon = 60
+# factor = 1.5         # on all bounds
+# when = "pump > 40"   # optional: the test watches where this holds; "otherwise": where no other condition does
 """

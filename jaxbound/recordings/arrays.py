@@ -164,8 +164,8 @@ def _refuse_columns(model: Named, factor: Factor) -> None:
     others = [name for name in factor.expression.columns if name not in model.inputs]
     if others:
         raise ValueError(
-            f"the noise of {factor.output!r} is times {factor.text!r}, and arrays have no column "
-            f"{listed(others)}: give a table or a file, or u with the factors behind its inputs"
+            f"{factor.about}, and arrays have no column {listed(others)}: give a table or a file, or u with "
+            f"the factors behind its inputs"
         )
 
 

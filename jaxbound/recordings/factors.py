@@ -2,7 +2,7 @@
 
 A factor is known, as an input is, so it travels as one: behind the inputs, a column of u for each output that
 has a factor. The number is worked out once, in float64, and is exact from there on; a narrower type rounds it
-up.
+up. A condition, of which a monitor asks whether it holds, travels the same way: as 1, 0 or NaN.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,6 +19,7 @@ from jaxbound.recordings.expressions import Expression, expression
 from jaxbound.recordings.signals import Named
 
 __all__ = [
+    "Condition",
     "Factor",
     "by_name",
     "factors_of",
@@ -51,9 +52,41 @@ class Factor:
         return f"noise of {self.output} times {self.text}"
 
     @property
+    def about(self) -> str:
+        """The words for it in a sentence."""
+        return f"the noise of {self.output!r} is times {self.text!r}"
+
+    def numbers(self, values: np.ndarray) -> np.ndarray:
+        """Return the numbers (..., T) that travel, of the values of the expression."""
+        return values
+
+    @property
     def expression(self) -> Expression:
         """The expression, read."""
         return read_factor(self.text)
+
+
+@dataclass(frozen=True)
+class Condition(Factor):
+    """A condition that is asked for at each sample, of no output. Fields: text: the expression."""
+
+    number: int = -1
+    output: str = ""
+    text: str = ""
+
+    @property
+    def name(self) -> str:
+        """The name of its column behind the inputs."""
+        return f"whether {self.text}"
+
+    @property
+    def about(self) -> str:
+        """The words for it in a sentence."""
+        return f"the condition of a test is {self.text!r}"
+
+    def numbers(self, values: np.ndarray) -> np.ndarray:
+        """Return 1 where the condition holds, 0 where it does not, NaN where nobody knows."""
+        return np.where(np.isnan(values), np.nan, values != 0)
 
 
 read_factor = lru_cache(maxsize=256)(expression)
@@ -87,7 +120,8 @@ def with_factors(
         ValueError: a factor that is negative, or too large for a bound.
     """
     shape = np.broadcast_shapes(u.shape[:-1], *(x.shape for x in values))
-    columns = np.stack([np.broadcast_to(x, shape) for x in values], -1)
+    numbers = [factor.numbers(x) for factor, x in zip(factors_of(model), values, strict=True)]
+    columns = np.stack([np.broadcast_to(x, shape) for x in numbers], -1)
     _refuse(model, columns, first)
     inputs = np.broadcast_to(u, (*shape, u.shape[-1]))
     u = np.concatenate([inputs, raised(columns, u.dtype)], -1)
@@ -102,7 +136,8 @@ def masked(model: Named, u: np.ndarray, y: np.ndarray) -> np.ndarray:
     missing = xp.isnan(xp.asarray(u)[..., len(model.inputs) :])
     columns = np.full(y.shape[-1], missing.shape[-1])  # the last one: of outputs without a factor
     for j, factor in enumerate(factors_of(model)):
-        columns[factor.number] = j
+        if factor.number >= 0:
+            columns[factor.number] = j
     nothing = xp.zeros((*missing.shape[:-1], 1), bool)
     lacking = xp.take(xp.concatenate([missing, nothing], -1), columns, -1)
     if xp is np and not (lacking & ~np.isnan(np.asarray(y))).any():
@@ -124,8 +159,8 @@ def _refuse(model: Named, columns: np.ndarray, first: int) -> None:
         *_, k, j = np.argwhere(bad)[0].tolist()
         factor, value = factors_of(model)[j], columns[bad][0]
         raise ValueError(
-            f"the noise of {factor.output!r} is times {factor.text!r}, which must be >= 0 and is no bound "
-            f"beyond {LARGEST:.0e}: at sample {first + k} it is {value:g}"
+            f"{factor.about}, which must be >= 0 and is no bound beyond {LARGEST:.0e}: at sample {first + k} "
+            f"it is {value:g}"
         )
 
 

@@ -24,6 +24,9 @@ FEW = 8
 
 def looked_at(relations: Reach) -> str:
     """Say on which samples a verdict of relations, or of an observer, rests."""
+    tests = getattr(relations, "parts", {})
+    if tests:
+        return f"{len(tests)} tests: {', '.join(tests)}"
     if relations.remembers:
         return "everything since it began"
     return f"windows of {relations.horizon + 1} samples"

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.alarms import BEGAN_ANEW, GAP, NO_LONGER, ONSET_LEFT, Alarm
 from jaxbound.diagnosis.detectability import always_seen
 from jaxbound.diagnosis.memory import slowest
@@ -38,7 +39,21 @@ def sizes_seen(res: Result | Digest, alarms: Sequence[Alarm]) -> dict[str, float
     if not alarms:
         return None
     readings = res.near(alarms[0].worst).y if isinstance(res, Digest) else res.y
+    if isinstance(res.relations, MonitorBank):
+        return _least_sizes(res.relations, readings)
     return always_seen(res.relations, res.method, readings)
+
+
+def _least_sizes(monitor: MonitorBank, readings: np.ndarray) -> dict[str, float] | None:
+    """Return the sizes of the test that sees most, of those that always watch; None where none is known."""
+    least: dict[str, float] = {}
+    for watch in monitor.watches:
+        sizes = None
+        if watch.when is None:
+            sizes = always_seen(watch.relations, readings=readings)
+        for signal, size in (sizes or {}).items():
+            least[signal] = min(size, least.get(signal, np.inf))
+    return least or None
 
 
 def ending_hints(
@@ -58,7 +73,7 @@ def _longer(res: Result | Digest, sizes: Mapping[str, float] | None) -> str:
     """Return the advice where a plant remembers longer than its windows, which lasting errors hide behind."""
     relations = res.relations
     model = relations.model
-    if sizes is None or relations.lags is not None or not isinstance(model, LinearSystem):
+    if sizes is None or relations.parts or relations.lags is not None or not isinstance(model, LinearSystem):
         return ""
     if slowest(model) <= relations.horizon + 1:
         return ""
@@ -84,9 +99,11 @@ def _of_alarms(count: int, total: int) -> str:
 
 def sizes_text(res: Result | Digest, sizes: Mapping[str, float] | None) -> str:
     """Say from which size on windows are sure to show an error that lasts."""
-    if res.relations.latched:
+    if res.relations.parts and sizes is None:
+        return f"{looked_at(res.relations)} are sure of no size that lasts, as far as is known"
+    if res.relations.latched and not res.relations.parts:
         return "an observer is sure of no size that lasts"
-    if res.relations.remembers:
+    if res.relations.remembers and not res.relations.parts:
         advice = "--latched keeps FAULT on behind what was contradicted"
         return f"an observer is sure of no size that lasts; {advice}"
     these = looked_at(res.relations)

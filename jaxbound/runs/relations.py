@@ -3,7 +3,8 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from jaxbound.consistency.interface import FAMILIES, OBSERVER, Relations
+from jaxbound.consistency.interface import FAMILIES, MONITOR, OBSERVER, Relations
+from jaxbound.diagnosis.monitoring import monitor
 from jaxbound.estimation.observer import observer
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.times import refuse_factors
@@ -21,11 +22,12 @@ def relations_by(
     options: Mapping[str, Any] | None = None,
     progress: Callable[[float], object] | None = None,
 ) -> Relations:
-    """Return the relations of a model for a method: a registered family, an observer, or parity relations.
+    """Return the relations of a model for a method: a registered family, an observer, the monitor of its
+    tests, or parity relations.
 
     Args:
-        method: the name of a family, "observer", or a method of `detect`.
-        horizon, lags: as for `parity_relations`; an observer and a family take no lags.
+        method: the name of a family, "observer", "monitor", or a method of `detect`.
+        horizon, lags: as for `parity_relations`; an observer and a family take no lags, a monitor neither.
         options: more keywords of `observer`.
         progress: called with the share of the parity relations that are there.
 
@@ -35,6 +37,8 @@ def relations_by(
     if method in FAMILIES:
         refuse_factors(model)
         return FAMILIES[method](model, horizon)
+    if method == MONITOR:
+        return monitor(model, progress=progress)
     if method == OBSERVER:
         return observer(model, **{"horizon": horizon, **(options or {})})
     return parity_relations(model, horizon, lags=lags, progress=progress)

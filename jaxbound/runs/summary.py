@@ -11,6 +11,7 @@ import numpy as np
 from jaxbound.consistency.interface import EXACT, Relations
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.hints import never_seen, unfit
+from jaxbound.diagnosis.monitored import MonitorResult
 from jaxbound.diagnosis.region import Outside
 from jaxbound.diagnosis.result import Result
 from jaxbound.sets.floats.status import Status
@@ -22,6 +23,7 @@ __all__ = [
     "LAYOUT",
     "OUTSIDE",
     "Evidence",
+    "OfTest",
     "Summary",
     "Window",
     "evidence",
@@ -55,6 +57,24 @@ class Window(NamedTuple):
     margin: float
 
 
+class OfTest(NamedTuple):
+    """The verdicts of one test of a monitor.
+
+    Fields: counts: {status name: number of its samples}. first: sample of its first FAULT, None: it has none.
+    speaks: how many samples' verdict is its own. margin: its least, NaN: it has none.
+    """
+
+    counts: Mapping[str, int]
+    first: int | None
+    speaks: int
+    margin: float
+
+    def plain(self) -> Plain:
+        """Return it as JSON has it."""
+        about = {"first_fault": self.first, "speaks": self.speaks, "margin": finite(self.margin)}
+        return {"counts": dict(self.counts), **about}
+
+
 @readable
 @dataclass(frozen=True)
 class Evidence:
@@ -78,6 +98,7 @@ class Evidence:
             bound: the exact one is not below it.
         outside: the windows outside the region of training; None: the model states no ranges, or a validation
             judged.
+        tests: {name: OfTest} of a monitor; else None. test: the name of the one that speaks at `at`.
     """
 
     method: str
@@ -96,6 +117,8 @@ class Evidence:
     margins: str = EXACT
     bounded: bool = False
     outside: Outside | None = None
+    tests: Mapping[str, OfTest] | None = None
+    test: str = ""
 
     @property
     def windows(self) -> int:
@@ -185,6 +208,9 @@ class Summary:
         validated: Plain = {}
         if about.faulty is not None:
             validated = {"tested": about.tested, "faulty": about.faulty}
+        monitored: Plain = {}
+        if about.tests is not None:
+            monitored = {"tests": {name: test.plain() for name, test in about.tests.items()}}
         return {
             "layout": LAYOUT,
             "verdict": self.verdict,
@@ -208,18 +234,21 @@ class Summary:
             "always_seen": self._plain_sizes(),
             "margins": about.margins,
             "outside": about.outside and about.outside.plain(),
+            **monitored,
         }
 
     def _plain_worst(self) -> Plain | None:
         if self.worst is None:
             return None
         sample, time, margin = self.worst
+        test = {"test": self._evidence.test} if self._evidence.test else {}
         return {
             "sample": sample,
             "time": time,
             "margin": finite(margin),
             "factor": finite(1 - margin),
             "exact": not self._evidence.bounded,
+            **test,
         }
 
     def _plain_sizes(self) -> Plain | None:
@@ -277,6 +306,25 @@ def _(res: Result, alarms: Sequence[Alarm]) -> Evidence:
         margins=res.margins,
         outside=res.beyond,
     )
+
+
+@evidence.register(MonitorResult)
+def _(res: MonitorResult, alarms: Sequence[Alarm]) -> Evidence:
+    whole = evidence.dispatch(Result)(res, alarms)
+    tests = {}
+    for i, name in enumerate(res.names):
+        status = res.statuses[:, i]
+        counts = np.bincount(status, minlength=len(Status))
+        first = None
+        if counts[Status.FAULT]:
+            first = int(np.argmax(status == Status.FAULT))
+        speaks = int(np.count_nonzero(res.by == i))
+        least = float(np.fmin.reduce(res.test_margins[:, i], initial=np.nan))
+        tests[name] = OfTest({s.name: int(counts[s]) for s in Status}, first, speaks, least)
+    speaker = ""
+    if whole.at is not None:
+        speaker = res.test_at(whole.at)
+    return replace(whole, tests=tests, test=speaker)
 
 
 def summarised(
@@ -362,7 +410,10 @@ def _fault_sentence(found: Evidence, label: Label) -> str:
     """Return how much is FAULT, in how many alarms, and the sample to look at first."""
     faults, count = found.counts["FAULT"], found.windows
     share = f"({percent(faults / count)})"
-    if found.remembers:
+    if found.tests is not None:
+        many = f"{faults} of {count} samples {share} contradict {_spoken(found.tests)}"
+        where = _place_of_contradiction(found, label)
+    elif found.remembers:
         many = f"{faults} of {count} samples {share} contradict the model and the samples before them"
         where = _place_of_contradiction(found, label)
     elif found.faulty is not None:
@@ -372,6 +423,12 @@ def _fault_sentence(found: Evidence, label: Label) -> str:
         many = f"{faults} of {count} windows {share} cannot be explained by any behaviour inside the bounds"
         where = _place_of_fault(found, label)
     return f"{many}, {_grouped(found.alarms)}; {where}"
+
+
+def _spoken(tests: Mapping[str, OfTest]) -> str:
+    """Return the tests of a monitor that prove a fault, each with how often."""
+    proofs = {name: test.counts["FAULT"] for name, test in tests.items() if test.counts["FAULT"]}
+    return ", ".join(f"{name!r} ({count})" for name, count in proofs.items())
 
 
 def _grouped(alarms: int) -> str:
@@ -429,6 +486,11 @@ def _most_used(margin: float) -> str:
 def _healthy(found: Evidence, label: Label) -> str:
     """Return the sentence on a recording without a fault."""
     tested = round(found.tested * found.windows)
+    if found.tests is not None:
+        return (
+            f"No fault found: none of {tested} samples is proved to contradict one of {len(found.tests)} "
+            f"tests{_unclaimed(found)}."
+        )
     if found.remembers:
         return (
             f"No fault found: none of {tested} samples is proved to contradict the model and the samples "

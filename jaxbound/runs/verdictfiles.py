@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxbound.diagnosis.alarms import ENDINGS, Alarm
+from jaxbound.diagnosis.monitored import MonitorResult
 from jaxbound.diagnosis.result import Result, suspected
 from jaxbound.models.region import Departure
 from jaxbound.recordings.columns import texts, to_arrow, words, write_columns
@@ -85,6 +86,13 @@ def columns_of(result: Verdicts) -> Columns:
 def _(result: Result) -> Columns:
     """Return those of a Result: margins of FAULT windows are exact."""
     return _columns(result.status, result.reported, result.departure)
+
+
+@columns_of.register(MonitorResult)
+def _(result: MonitorResult) -> Columns:
+    """Return those of a monitor: test is the name of the test that speaks, blank where none does."""
+    columns = _columns(result.status, result.reported, result.departure)
+    return {**columns, "test": words(("", *result.names), result.by + 1)}
 
 
 def _columns(status: np.ndarray, margin: np.ndarray, departure: Departure | None) -> Columns:

@@ -1,0 +1,203 @@
+"""The result of a detection by a monitor: one verdict a sample, and the Result of each test behind it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxbound.certificates.interface import WindowCertificate
+from jaxbound.consistency.claims import CLAIMED, UNCLAIMED, unclaimed
+from jaxbound.consistency.interface import EXACT, Judged, Relations
+from jaxbound.consistency.monitorbank import BankVerdicts, MonitorBank, combined
+from jaxbound.diagnosis.result import Result, result_of
+from jaxbound.models.region import Region
+from jaxbound.recordings.recording import Recording
+from jaxbound.sets.floats.status import Status
+from jaxbound.text.objects import readable
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["MonitorResult"]
+
+
+@readable
+@dataclass(frozen=True, eq=False)
+class MonitorResult(Result):
+    """A Result of a monitor, `jb.monitor`: the verdict of all its tests together, and of each.
+
+    Fields beside those of Result: by: (..., T) int16, the number of the test that speaks, the name of which
+    is .names[by]: where a FAULT is proved, of the tests that prove it the one with the least margin, else of
+    all tests; -1 where none has a verdict. statuses (..., T, tests) int8, test_margins (..., T, tests): of
+    each test. Where the mode is not known a FAULT stands at a test only if every mode is refuted.
+    """
+
+    by: np.ndarray = field(kw_only=True)
+    statuses: np.ndarray = field(kw_only=True)
+    test_margins: np.ndarray = field(kw_only=True)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the tests, in the order of `by`."""
+        names: tuple[str, ...] = self.relations.names
+        return names
+
+    def _rows(self) -> dict[str, str]:
+        rows = super()._rows()
+        for i, name in enumerate(self.names):
+            counts = np.bincount(self.statuses[..., i].ravel(), minlength=len(Status))
+            rows[name] = ", ".join(f"{counts[s]} {s.name}" for s in Status if counts[s])
+        return rows
+
+    @cached_property
+    def tests(self) -> Mapping[str, Result]:
+        """The Result of each test by its name, with the samples as the test saw them: those at which its
+        condition fails are left out.
+        """
+        results = {name: self._result_of(i) for i, name in enumerate(self.names)}
+        return MappingProxyType(results)
+
+    def _result_of(self, number: int) -> Result:
+        """Return the Result of one test."""
+        bank: MonitorBank = self.relations
+        lead = self.status.shape[:-1]
+        us, ys, seams = [], [], [np.zeros(0, np.int64)]
+        for at in np.ndindex(*lead):
+            u = np.asarray(self.u)[at]
+            piece = Recording(u, np.asarray(self.y)[at], np.asarray(self.starts, np.int64))
+            seen = bank.seen_by(number, piece, bank.modes_of(u))
+            us.append(seen.u)
+            ys.append(seen.y)
+            seams.append(seen.starts)
+        u, y = (np.stack(x).reshape(*lead, *x[0].shape) for x in (us, ys))
+        starts = tuple(np.unique(np.concatenate(seams)).tolist())
+        relations = bank.watches[number].relations
+        test = relations.test("joint", y.dtype)
+        kind = EXACT
+        if self.margins != EXACT:
+            kind = test.margins_are
+        judged = Judged(self.statuses[..., number], self.test_margins[..., number])
+        return result_of(
+            relations,
+            judged,
+            test.method,
+            test.relations,
+            u,
+            y,
+            self.index,
+            starts,
+            recorded=self.recorded,
+            device=self.device,
+            margins=kind,
+            outside_is=self.outside_is,
+        )
+
+    def test_at(self, at: int | tuple[int, ...]) -> str:
+        """Return the name of the test that speaks at an index; "" where none does."""
+        return ("", *self.names)[int(self.by[at]) + 1]
+
+    def measured(self, where: np.ndarray) -> np.ndarray:
+        """Return the margins (..., T) with exact ones where (..., T) bool says."""
+        if self.margins == EXACT or not where.any():
+            return self.margin
+        margins = self.test_margins.copy()
+        for i, test in enumerate(self.tests.values()):
+            margins[..., i] = test.measured(where)
+        exact = np.empty_like(self.margin)
+        bank: MonitorBank = self.relations
+        for at in np.ndindex(*self.status.shape[:-1]):
+            about = bank.conditions_of, bank.modes_of(np.asarray(self.u)[at]), bank.complete
+            exact[at] = combined(self.statuses[at], margins[at], *about).margin
+        return np.where(where, exact, self.margin)
+
+    @cached_property
+    def worst(self) -> tuple[int, float] | None:
+        """The FAULT sample of the smallest margin, else the sample of the smallest: (its index in the flat
+        .margin, this margin, exact); None where no margin is known.
+        """
+        if self.margins == EXACT or (self.status == Status.FAULT).any():
+            return super().worst
+        found = [test.worst for test in self.tests.values() if test.worst is not None]
+        return min(found, key=lambda one: one[1], default=None)
+
+    def explain(self, at: int | tuple[int, ...]) -> WindowCertificate:
+        """Return the Certificate of the test that speaks at index `at`, `test_at`, as the Result of this test
+        gives it. Where the mode is not known it speaks of the mode of this test.
+
+        Raises:
+            ValueError: the sample is MISSING. NotImplementedError: as of the Result of this test.
+        """
+        if self.status[at] == Status.MISSING:
+            raise ValueError(f"window {at} is MISSING: there is nothing to explain")
+        return self.tests[self.test_at(at)].explain(at)
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """Return the DataFrame of a Result with the columns test, the name of the test that speaks (None
+        where none does), and "margin of NAME" of each test.
+
+        Raises:
+            ValueError: a batch of recordings.
+        """
+        import pandas as pd
+
+        frame = super().to_pandas()
+        frame["test"] = pd.Categorical.from_codes(self.by, list(self.names))
+        for i, name in enumerate(self.names):
+            frame[f"margin of {name}"] = self.test_margins[:, i]
+        return frame
+
+
+@result_of.register
+def _(
+    family: MonitorBank,
+    judged: BankVerdicts,
+    method: str,
+    relations: Relations,
+    u: np.ndarray,
+    y: np.ndarray,
+    index: object = None,
+    starts: tuple[int, ...] = (),
+    *,
+    aside: int = 0,
+    recorded: tuple[str, ...] | None = None,
+    device: str = "",
+    margins: str = EXACT,
+    outside_is: str = CLAIMED,
+) -> MonitorResult:
+    statuses = judged.statuses
+    if outside_is == UNCLAIMED:
+        statuses = _unclaimed(family, judged, u)
+    return MonitorResult(
+        judged.status,
+        judged.margin,
+        method,
+        relations,
+        u,
+        y,
+        index,
+        starts,
+        aside=aside,
+        recorded=recorded,
+        device=device,
+        margins=margins,
+        outside_is=outside_is,
+        by=judged.by,
+        statuses=statuses,
+        test_margins=judged.margins,
+    )
+
+
+def _unclaimed(bank: MonitorBank, judged: BankVerdicts, u: np.ndarray) -> np.ndarray:
+    """Return the statuses of all tests, UNDECIDED in place of FAULT outside the region of training."""
+    region = Region.of(bank)
+    if region is None:
+        return judged.statuses
+    statuses = judged.statuses.copy()
+    departure = region.departure(u, judged.status == Status.MISSING)
+    for i in range(statuses.shape[-1]):
+        one = Judged(statuses[..., i], judged.margins[..., i])
+        statuses[..., i] = unclaimed(one, departure).status
+    return statuses

@@ -1,0 +1,100 @@
+"""A monitor of a plant: the tests that its model file states, behind one verdict."""
+
+from collections.abc import Callable
+from os import PathLike
+
+from jaxbound.consistency.interface import Relations
+from jaxbound.consistency.monitorbank import MonitorBank, Watch
+from jaxbound.estimation.methods import OBSERVERS
+from jaxbound.estimation.observer import observer
+from jaxbound.models.modelfile import load_model
+from jaxbound.models.statedtests import StatedTest, StatedTests
+from jaxbound.models.system import LinearSystem
+from jaxbound.models.testmodels import model_of
+from jaxbound.relations.parity import parity_relations
+
+__all__ = ["monitor", "relations_of_test"]
+
+OF_METHODS = "window", "constraints"
+"""Options that some methods of observers have."""
+
+
+def monitor(
+    model: LinearSystem | str | PathLike[str],
+    tests: StatedTests | None = None,
+    progress: Callable[[float], object] | None = None,
+) -> MonitorBank:
+    """Return the monitor of a plant, for `detect`, `Monitor` and the shell: several tests, one verdict.
+
+    A sample is FAULT where any of the tests proves it. Each test has its own windows, lags or observer, its
+    own factor on the bounds, its own numbers where it states some, and a condition under which it holds.
+
+    Args:
+        model: a LinearSystem, or the path of its file. tests: as the `[[test]]` tables of the file have them,
+            [{"name": "short", "horizon": 15}, {"name": "slow", "observer": "joint", "factor": 1.2, "when":
+            "fan > 0"}]; None: those of the model.
+        progress: called with the share of the tests that are there.
+
+    Returns:
+        A MonitorBank. What `detect` returns has .tests, the Result of each test by its name, and .by, the
+        number of the test that speaks at each sample.
+
+    Raises:
+        OSError: no file. ValueError: no tests, or one that is none, see `LinearSystem`; numbers that make no
+            model; a model without a relation, or without an observer.
+
+    Encloses: FAULT is a proof. Where a condition has no value, it is claimed only where every condition that
+        may hold has a test that proves it, and one of the conditions is "otherwise".
+
+    Example:
+        >>> import jaxbound as jb
+        >>> m = jb.LinearSystem([[0.9]], [[1]], [[1]], noise=0.1)
+        >>> tests = [{"name": "jumps", "horizon": 1}, {"name": "drifts", "horizon": 4, "factor": 1.5}]
+        >>> res = jb.detect(jb.monitor(m, tests), [[0.0]] * 6, [[9], [8.1], [7.3], [6.6], [5.9], [5.9]])
+        >>> [jb.Status(s).name for s in res.status], res.test_at(5)
+        (['MISSING', 'CONSISTENT', 'CONSISTENT', 'CONSISTENT', 'CONSISTENT', 'FAULT'], 'jumps')
+    """
+    if not isinstance(model, LinearSystem):
+        model = load_model(model)
+    if tests is not None:
+        model = model.replace(tests=tests)
+    if not model.tests:
+        raise ValueError(
+            f"a monitor needs tests: {model.name!r} states none; write [[test]] tables in its file, or give "
+            f'tests=[{{"name": "short", "horizon": 15}}, ..]'
+        )
+    watches = []
+    for i, test in enumerate(model.tests):
+        try:
+            relations = relations_of_test(model, test)
+        except (ValueError, TypeError) as e:
+            raise ValueError(f"test {test.name!r}: {e}") from None
+        about = test.words(relations.horizon + 1)
+        watches.append(Watch(test.name, relations, test.when, about))
+        if progress is not None:
+            progress((i + 1) / len(model.tests))
+    return MonitorBank(model, watches)
+
+
+def relations_of_test(model: LinearSystem, test: StatedTest) -> Relations:
+    """Return the parity relations, or the observer, of one test of a model.
+
+    Raises:
+        ValueError: as `monitor`.
+    """
+    own = model_of(model, test)
+    if test.observer is None:
+        horizon = test.horizon
+        if test.lags is not None:
+            return parity_relations(own, lags=test.lags)
+        return parity_relations(own, horizon)
+    options = dict(test.options)
+    method = OBSERVERS.get(test.observer)
+    if method is not None:
+        for key in OF_METHODS:
+            if key in options and key not in [option.field for option in method.shell]:
+                raise ValueError(f"{key} is no option of the observer {test.observer!r}")
+    options["restart"] = not options.pop("latched", False)
+    if "weight" in options:
+        options["weight"] = [float(x) for x in options["weight"]]
+    return observer(own, test.observer, **options)

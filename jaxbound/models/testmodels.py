@@ -1,0 +1,118 @@
+"""The model that a test of a monitor rests on: that of the file, with what is stated for this test alone."""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any
+
+from jaxbound.models.filevalues import Table
+from jaxbound.models.modelfields import LISTS, model_arguments
+from jaxbound.models.modelfile import model_text
+from jaxbound.models.statedtests import StatedTest
+from jaxbound.models.system import LinearSystem
+from jaxbound.models.watched import watched
+
+__all__ = ["model_of", "with_tests"]
+
+MERGED = ("inputs", "outputs")
+"""Tables that are changed by the name of their signal; others stand in place of those of the file."""
+SAME = ("dt", "inputs", "outputs")
+READ_ONCE = ("every", "time", "where")
+"""Fields by which the recording is read, which is read once for all tests."""
+
+
+def model_of(model: LinearSystem, test: StatedTest) -> LinearSystem:
+    """Return the model that a test rests on, without tests of its own.
+
+    The fields of `test.changes` stand in place of those of the model (of signals by their names, matrices as
+    a whole), and the factor is on its tolerance, noise, averages and disturbances; the resolution, which the
+    recording itself rounds away, stays. Where a test states bounds, by a factor or by fields of its own, they
+    are taken to be found for its windows; else for those of the model.
+
+    Raises:
+        ValueError: fields that make no model, other signals or another dt than the model's, a tolerance that
+            the factor takes to 1.
+    """
+    own = model.replace(tests=None)
+    try:
+        if test.changes:
+            own = _changed(own, test.changes)
+        own = _widened(own, test.factor)
+    except (ValueError, TypeError) as e:
+        raise ValueError(f"the model of test {test.name!r}: {e}") from None
+    for field in SAME:
+        if getattr(own, field) != getattr(model, field):
+            raise ValueError(
+                f"the model of test {test.name!r} has {field} {getattr(own, field)!r}, the file "
+                f"{getattr(model, field)!r}: all tests of a monitor judge the same samples"
+            )
+    if test.lags is not None:
+        window: dict[str, Any] = {"lags": test.lags}
+    elif test.horizon is not None:
+        window = {"horizon": test.horizon}
+    else:
+        return own
+    if test.states_bounds or own.lags is not None or test.lags is not None:
+        return own.replace(**window)
+    return own
+
+
+def with_tests(model: LinearSystem) -> LinearSystem:
+    """Return a model by which recordings are read for its tests: with all columns that these need.
+
+    Raises:
+        ValueError: as `model_of`.
+    """
+    models = [model_of(model, test) for test in model.tests]
+    return watched(model, models, [test.when for test in model.tests])
+
+
+def _changed(model: LinearSystem, changes: Mapping[str, Any]) -> LinearSystem:
+    """Return a model with fields of a model file that stand in place of its own."""
+    document = tomllib.loads(model_text(model), parse_float=str)
+    for key, value in changes.items():
+        if key in READ_ONCE or key == "test":
+            raise ValueError(f"{key} is for the whole file: a recording is read once for all tests")
+        if key == "horizon" and "lags" in document:
+            del document["lags"]
+        if key == "lags" and "horizon" in document:
+            del document["horizon"]
+        if key in MERGED:
+            value = _by_name(key, document.get(key, []), value)
+        elif isinstance(value, dict) and key not in LISTS:
+            value = {**document.get(key, {}), **value}
+        document[key] = value
+    return LinearSystem(**model_arguments(document))
+
+
+def _by_name(place: str, tables: list[Table], changes: object) -> list[Table]:
+    """Return tables of signals with fields that stand in place of their own, found by their names."""
+    if not isinstance(changes, list):
+        raise ValueError(f"{place} must be tables with the name of a signal each")
+    changed = {table["name"]: dict(table) for table in tables}
+    for change in changes:
+        name = change.get("name")
+        if name not in changed:
+            raise ValueError(f"{place} has no {name!r}: it has {', '.join(changed)}")
+        changed[name] |= change
+    return list(changed.values())
+
+
+def _widened(model: LinearSystem, factor: Fraction) -> LinearSystem:
+    """Return a model whose bounds are so many times as wide; disturbances around their middle."""
+    if factor == 1:
+        return model
+    disturbance = []
+    for lo, hi in model.disturbance:
+        middle, radius = (lo + hi) / 2, (hi - lo) / 2
+        disturbance.append((middle - factor * radius, middle + factor * radius))
+    changes: dict[str, Any] = {}
+    if disturbance:
+        changes["disturbance"] = model.G, disturbance
+    return model.replace(
+        tolerance=[factor * x for x in model.tolerance],
+        noise=[factor * x for x in model.noise],
+        averages=[replace(average, bound=factor * average.bound) for average in model.averages],
+        **changes,
+    )

@@ -1,0 +1,100 @@
+"""Tests of a model file at the command line: detect, explain, JSON and files say which of them speaks."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+import jaxbound as jb
+from jaxbound.cli import main
+
+MODEL = """
+dt = 1
+[[inputs]]
+name = "pump"
+[[outputs]]
+name = "height"
+noise = 0.1
+[matrices]
+A = [[0.5]]
+B = [[1]]
+C = [[1]]
+[[test]]
+name = "jumps"
+horizon = 1
+when = "mode == 1"
+[[test]]
+name = "drifts"
+horizon = 2
+factor = 3
+"""
+
+
+@pytest.fixture
+def plant(tmp_path):
+    """Return (model file, recording) of a plant whose sensor jumps at sample 20, in mode 1, and at 40, in 2."""
+    u = np.tile([0.0, 1.0], 30)
+    x = np.zeros(60)
+    for k in range(59):
+        x[k + 1] = 0.5 * x[k] + u[k]
+    y = x.copy()
+    y[20] += 0.3
+    y[40] += 3
+    rows = ["time,pump,height,mode"]
+    rows += [f"{k},{u[k]},{y[k]:.9f},{1 if k < 30 else 2}" for k in range(60)]
+    model, data = tmp_path / "plant.toml", tmp_path / "run.csv"
+    model.write_text(MODEL)
+    data.write_text("\n".join(rows) + "\n")
+    return model, data
+
+
+def detect(plant, out, *more):
+    model, data = plant
+    return main.main(["detect", str(model), str(data), "--out", str(out), *more])
+
+
+def test_a_file_with_tests_is_judged_by_all_of_them(plant, tmp_path, capsys):
+    assert detect(plant, tmp_path / "r", "--json") == 1
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["method"] == "monitor"
+    assert summary["tests"]["jumps"]["first_fault"] == 20
+    assert summary["tests"]["drifts"]["first_fault"] == 40
+    assert summary["worst"]["test"] == "drifts"
+    with open(tmp_path / "r" / "verdicts.csv") as file:
+        rows = list(csv.DictReader(file))
+    assert rows[20]["status"] == "FAULT" and rows[20]["test"] == "jumps"
+    assert rows[40]["status"] == "FAULT" and rows[40]["test"] == "drifts"
+    assert rows[0]["test"] == ""
+
+
+def test_its_windows_are_explained_by_the_test_that_speaks(plant, tmp_path, capsys):
+    detect(plant, tmp_path / "r", "-q")
+    capsys.readouterr()
+    assert main.main(["explain", str(tmp_path / "r"), "--at", "20", "--json"]) == 0
+    of_jumps = json.loads(capsys.readouterr().out)
+    assert main.main(["explain", str(tmp_path / "r"), "--at", "40", "--json"]) == 0
+    of_drifts = json.loads(capsys.readouterr().out)
+    samples = [len(one["numbers"]["relation"]["h"]) for one in (of_jumps, of_drifts)]
+    assert samples == [2, 3], "the windows of jumps, and of drifts"
+
+
+def test_a_horizon_asks_for_windows_alone(plant, tmp_path, capsys):
+    assert detect(plant, tmp_path / "r", "--json", "--horizon", "1") == 1
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["method"] == "joint" and "tests" not in summary
+
+
+def test_a_condition_on_a_column_that_is_not_there_is_refused(plant, tmp_path, capsys):
+    model, data = plant
+    data.write_text(data.read_text().replace("mode", "state"))
+    assert detect(plant, tmp_path / "r") == 2
+    assert "has no column 'mode'" in capsys.readouterr().err
+    assert not (tmp_path / "r").exists()
+
+
+def test_alarms_of_a_monitor_are_those_of_its_verdicts(plant):
+    model, data = plant
+    bank = jb.monitor(model)
+    res = jb.detect(bank, jb.read(data, bank.model))
+    assert [(alarm.start, res.test_at(alarm.start)) for alarm in res.alarms()][0] == (20, "jumps")

@@ -1,0 +1,147 @@
+"""Tests that a model states: read, refused and written again, and the models that they rest on."""
+
+from fractions import Fraction
+
+import pytest
+
+import jaxbound as jb
+from jaxbound.models.modelfile import changed_text, load_model, model_text
+from jaxbound.models.testmodels import model_of
+
+PLANT = """
+dt = 0.5
+horizon = 4
+[[inputs]]
+name = "pump"
+[[outputs]]
+name = "height"
+noise = 0.1
+tolerance = 0.02
+[[disturbances]]
+bound = [0, 0.2]
+[matrices]
+A = [[0.9]]
+B = [[0.1]]
+C = [[1]]
+G = [[1]]
+"""
+TESTS = """
+[[test]]
+name = "short"
+[[test]]
+name = "slow"
+lags = [0, 1, 4]
+factor = 1.5
+when = "pump > 0.5"
+[[test]]
+name = "state"
+observer = "joint"
+latched = true
+window = 16
+when = "otherwise"
+[test.model.matrices]
+A = [["1/3"]]
+[[test.model.outputs]]
+name = "height"
+noise = 0.25
+"""
+
+
+@pytest.fixture
+def load(tmp_path):
+    """Return a function that loads a model from the text of a file."""
+
+    def loaded(text):
+        path = tmp_path / "m.toml"
+        path.write_text(text)
+        return load_model(path)
+
+    return loaded
+
+
+def test_tests_of_a_file_read_back_as_they_are_written(load):
+    model = load(PLANT + TESTS)
+    assert [test.name for test in model.tests] == ["short", "slow", "state"]
+    assert load(model_text(model)) == model
+    assert model != model.replace(tests=None)
+
+
+def test_other_bounds_keep_the_tests_of_a_file_and_its_comments():
+    text = PLANT + "# why\n" + TESTS
+    model = load_of(text)
+    changed = changed_text(text, model.replace(noise=0.2))
+    assert "# why" in changed
+    assert load_of(changed) == model.replace(noise=0.2)
+
+
+def load_of(text):
+    from jaxbound.models.modelfile import _parsed
+
+    return _parsed(text)
+
+
+def test_a_factor_widens_all_bounds_but_the_resolution(load):
+    model = load(PLANT.replace("noise = 0.1", "noise = 0.1\nresolution = 0.01") + TESTS)
+    wide = model_of(model, model.tests[1])
+    assert wide.noise == (Fraction("0.15"),)
+    assert wide.tolerance == (Fraction("0.03"),)
+    assert wide.disturbance == ((Fraction("-0.05"), Fraction("0.25")),)
+    assert wide.resolution == model.resolution
+    assert wide.lags == (0, 1, 4)
+
+
+def test_a_test_has_numbers_of_its_own_and_the_rest_of_the_file(load):
+    model = load(PLANT + TESTS)
+    own = model_of(model, model.tests[2])
+    assert own.A == ((Fraction(1, 3),),)
+    assert own.B == model.B
+    assert own.noise == (Fraction("0.25"),)
+    assert own.tolerance == model.tolerance
+    assert own.tests == ()
+
+
+@pytest.mark.parametrize(
+    ("tests", "sentence"),
+    [
+        ('[[test]]\nname = "a"\nhorzon = 3', "'horzon'; did you mean 'horizon'"),
+        ("[[test]]\nhorizon = 3", "number 1 of test needs a name"),
+        ('[[test]]\nname = "a"\n[[test]]\nname = "a"', "two tests are called 'a'"),
+        ('[[test]]\nname = "a"\nhorizon = 3\nlags = [0, 1]', "has horizon and lags"),
+        ('[[test]]\nname = "a"\nlags = [1, 2]', "0 among them"),
+        ('[[test]]\nname = "a"\nfactor = 0', "factor of test 'a' must be above 0"),
+        ('[[test]]\nname = "a"\nwindow = 8', "window of test 'a' is for an observer"),
+        ('[[test]]\nname = "a"\nwhen = "pump = 1"', "one = is no comparison"),
+        ('[[test]]\nname = "a"\nwhen = "otherwise"', "no other test has a condition"),
+        ("[[tets]]\nname = 3", "did you mean 'test'"),
+    ],
+)
+def test_what_is_no_test_is_refused_in_a_sentence(load, tests, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        load(PLANT + tests)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"dt": 2}, "has dt 2.0, the file 0.5"),
+        ({"outputs": [{"name": "level"}]}, "outputs has no 'level'"),
+        ({"where": "pump > 0"}, "where is for the whole file"),
+        ({"matrices": {"Z": [[1]]}}, "unknown field 'Z'"),
+    ],
+)
+def test_a_model_of_other_samples_is_refused(load, changes, sentence):
+    model = load(PLANT).replace(tests=[{"name": "a", "model": changes}])
+    with pytest.raises(ValueError, match=f"the model of test 'a'.*{sentence}|{sentence}"):
+        model_of(model, model.tests[0])
+
+
+def test_numbers_given_in_python_are_their_shortest_decimals(load):
+    stated = {"name": "a", "factor": 1.1, "model": {"outputs": [{"name": "height", "noise": 0.3}]}}
+    model = load(PLANT).replace(tests=[stated])
+    assert model_of(model, model.tests[0]).noise == (Fraction("0.33"),)
+    assert load_of(model_text(model)) == model
+
+
+def test_a_monitor_needs_tests():
+    with pytest.raises(ValueError, match="a monitor needs tests"):
+        jb.monitor(jb.LinearSystem([[0.5]], None, [[1]], noise=0.1))
