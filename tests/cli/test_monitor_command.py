@@ -33,7 +33,7 @@ factor = 3
 
 @pytest.fixture
 def plant(tmp_path):
-    """Return (model file, recording) of a plant whose sensor jumps at sample 20, in mode 1, and at 40, in 2."""
+    """Return (model file, recording): a sensor jumps at sample 20, in mode 1, and at 40, in mode 2."""
     u = np.tile([0.0, 1.0], 30)
     x = np.zeros(60)
     for k in range(59):
