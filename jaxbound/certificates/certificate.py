@@ -108,16 +108,23 @@ class Certificate(Witnessed, WindowCertificate):
         """
         if self.proves != Status.FAULT or self.window.constant:
             return ()
-        model = self.window.model
-        shares = []
-        for error in self.sensor_errors:
-            if error.size:
-                shares.append((error.size / self._widest(error.output), model.outputs[error.output]))
-        names = [name for _, name in sorted(shares)]
-        for i, name in enumerate(model.inputs):
+        names = list(self.sensor_candidates)
+        for i, name in enumerate(self.window.model.inputs):
             if self.window.without_input(i).solve().factor <= 1:
                 names.append(name)
         return tuple(names)
+
+    @property
+    def sensor_candidates(self) -> tuple[str, ...]:
+        """The outputs among the candidates: without the exact program of each input."""
+        if self.proves != Status.FAULT or self.window.constant:
+            return ()
+        shares = []
+        for error in self.sensor_errors:
+            if error.size:
+                name = self.window.model.outputs[error.output]
+                shares.append((error.size / self._widest(error.output), name))
+        return tuple(name for _, name in sorted(shares))
 
     def _widest(self, i: int) -> Fraction:
         """Return the largest width that bounds allow a reading of output i."""

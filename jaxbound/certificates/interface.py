@@ -78,6 +78,11 @@ class WindowCertificate:
         """The signals that alone could explain a FAULT window; empty where that is not known."""
         return ()
 
+    @property
+    def sensor_candidates(self) -> tuple[str, ...]:
+        """The sensors among the candidates, where these are known sooner."""
+        return self.candidates
+
     def _head(self) -> str:
         end: object = self.at
         if len(self.at) == 1:

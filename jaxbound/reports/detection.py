@@ -36,6 +36,8 @@ __all__ = ["write_report"]
 ROWS = 200  # alarms in the table
 LINES = 20  # relations in words
 PATIENCE = 1.0  # seconds for the exact certificates of the table
+ACTUATED = 256
+"""Readings times inputs from which on actuators are left to `explain`: an exact program each."""
 LARGE = 64  # readings from which on the errors of single sensors are left to `explain`: 122 take a minute
 
 
@@ -205,13 +207,19 @@ def _sensor_errors(certificate: Any) -> str:
     """Return the smallest single-sensor errors as text, the most plausible first, where they are known."""
     if len(certificate.window.y) > LARGE or not certificate.errors:
         return ""
-    unit, wrong = certificate.window.model.unit, []
-    for name in certificate.candidates:
+    model, wrong = certificate.window.model, []
+    is_asked = len(certificate.window.y) * model.m <= ACTUATED
+    names = certificate.sensor_candidates
+    if is_asked:
+        names = certificate.candidates
+    for name in names:
         size = "(actuator)"
         if name in certificate.errors:
-            size = f"{float(certificate.errors[name]):.3g} {unit(name)}".strip()
+            size = f"{float(certificate.errors[name]):.3g} {model.unit(name)}".strip()
         wrong.append(f"{name} {size}")
-    return ", ".join(wrong) or "none alone"
+    if is_asked:
+        return ", ".join(wrong) or "none alone"
+    return f"{', '.join(wrong) or 'no sensor alone'}; actuators: see explain"
 
 
 @singledispatch

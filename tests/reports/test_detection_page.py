@@ -188,3 +188,15 @@ def test_long_windows_leave_the_errors_of_single_sensors_to_explain():
         errors = property(lambda self: pytest.fail("this takes minutes"))
 
     assert detection._sensor_errors(Long()) == ""
+
+
+def test_long_windows_of_many_inputs_leave_actuators_to_explain():
+    """An exact program for each of 6 inputs over 61 samples takes some seconds: a report does not wait."""
+
+    class Wide:
+        window = SimpleNamespace(y=[0] * 61, model=SimpleNamespace(m=6, unit=lambda name: "kW"))
+        errors = {"heating": 2.5}
+        sensor_candidates = ("heating",)
+        candidates = property(lambda self: pytest.fail("this takes seconds"))
+
+    assert detection._sensor_errors(Wide()) == "heating 2.5 kW; actuators: see explain"
