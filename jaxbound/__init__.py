@@ -158,7 +158,7 @@ _HOMES = {
     "studies.montecarlo.montecarlo": "study",
     "studies.tuning.tuning": "tune",
     "certificates": "Certificate UncertainCertificate",
-    "diagnosis": "Alarm BankResult GuaranteedSize MonitorResult Result",
+    "diagnosis": "Alarm AlarmRule BankResult GuaranteedSize MonitorResult Result",
     "estimation": "Observation ParameterSet UnknownInputs Validation",
     "models": "IntervalSystem Trajectory",
     "relations": "Isolability ParityRelation Redundancy Residual Signatures UncertainRelations",

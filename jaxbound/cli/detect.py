@@ -18,6 +18,7 @@ from jaxbound.cli.options import (
     add_observer,
     add_outside,
     add_windows,
+    alarm_rule,
     named,
     path,
     refuse_unknown_method,
@@ -188,6 +189,10 @@ def _run_live(args: argparse.Namespace) -> int:
     options_of_files = {
         "--chunk": args.chunk is not None,
         "--alarm": args.alarm != (1, 1),
+        "--least": args.least is not None,
+        "--suspects": args.suspects,
+        "--merge-alarms": args.merge_alarms != 0,
+        "--latch": args.latch,
         "--part": args.part is not None,
         "--merge": args.merge,
         "--overlap": args.overlap is not None,
@@ -225,7 +230,7 @@ def _evaluate_parts(args: argparse.Namespace) -> "Evaluation":
             args.data,
             args.out,
             MethodOptions.of(args),
-            alarm=args.alarm,
+            alarm=alarm_rule(args),
             min_coverage=args.min_coverage,
             chunk=args.chunk,
             overlap=args.overlap,
@@ -253,7 +258,7 @@ def _evaluate_whole(args: argparse.Namespace) -> "Evaluation":
                 args.model,
                 args.data,
                 MethodOptions.of(args),
-                alarm=args.alarm,
+                alarm=alarm_rule(args),
                 min_coverage=args.min_coverage,
             )
         for name in (VERDICTS, *FORMER):

@@ -13,6 +13,7 @@ from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.share import opened
 from jaxbound.cli.terminal import door, usable_device
 from jaxbound.cli.window import method_of, recorded, stated_model, window_relations
+from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import outgrown
 from jaxbound.diagnosis.result import Result
@@ -72,7 +73,7 @@ def evaluate_parts(
     out: Path,
     options: MethodOptions,
     *,
-    alarm: tuple[int, int] = (1, 1),
+    alarm: AlarmRule = EVERY_FAULT,
     min_coverage: float = 0.5,
     chunk: int | None = None,
     overlap: int | None = None,
@@ -84,7 +85,7 @@ def evaluate_parts(
 
     Args:
         folder: of the report, at the path out. step: told of progress. model, data: paths.
-        options: of the test. alarm: (k, n), k FAULT among n windows.
+        options: of the test. alarm: the rule of alarms.
         min_coverage: least share of decided windows.
         chunk: samples in memory at once. overlap: of an observer, samples before each part. merge: the parts
         are there, judged before. scheduler, workers: of dask, which then do the work.
@@ -117,9 +118,8 @@ def evaluate_parts(
             hints = dict.fromkeys((*res.hints, *reaches, *ending_hints(res, res.alarms, sizes)))
             summary = summarised(res, res.alarms, res.label, min_coverage, hints, sizes, bool(reaches))
             about = relations.model, Path(data), source.content, method_of(relations, options)
-            close_all(
-                sinks, Outcome(res.alarms, summary, *about, relations.horizon, options.observer_options)
-            )
+            told = relations.horizon, options.observer_options, alarm.names
+            close_all(sinks, Outcome(res.alarms, summary, *about, *told))
             write_report(
                 work,
                 res,
@@ -151,7 +151,7 @@ def evaluate(
     data: Path | str,
     options: MethodOptions,
     *,
-    alarm: tuple[int, int] = (1, 1),
+    alarm: AlarmRule = EVERY_FAULT,
     min_coverage: float = 0.5,
     sections: Callable[[Result], Sequence[tuple[object, ...]]] | None = None,
 ) -> Evaluation:
@@ -159,7 +159,7 @@ def evaluate(
 
     Args:
         work: the folder. step: told of progress. model, data: paths. options: of the test.
-        alarm: (k, n), k FAULT among n windows. min_coverage: least share of decided windows.
+        alarm: the rule of alarms. min_coverage: least share of decided windows.
         sections: more sections of the report, made from the Result.
     """
     seconds, start = {}, time.perf_counter()
@@ -189,7 +189,7 @@ def evaluate(
             for _ in follow([recording], judge, [sinks]):
                 step("test", 1.0)
         res = judge.verdicts
-        alarms = res.alarms(*alarm)
+        alarms = res.alarms(rule=alarm)
         seconds["test"], start = time.perf_counter() - start, time.perf_counter()
         sizes = sizes_seen(res, alarms)
         # of the model as it is stated: --lags took away the horizon that the bounds were found for
@@ -198,7 +198,7 @@ def evaluate(
         summary = summarised(res, alarms, recording.label, min_coverage, hints, sizes, bool(reaches))
         how = method_of(relations, options), relations.horizon, options.observer_options
         about = tested, Path(data), content, *how
-        sinks.close(Outcome(alarms, summary, *about))
+        sinks.close(Outcome(alarms, summary, *about, alarm.names))
         step("report", 0.1)
         write_report(
             work,

@@ -16,6 +16,7 @@ from jaxbound.cli.options import (
     add_observer,
     add_outside,
     add_windows,
+    alarm_rule,
     path,
     refuse_unknown_method,
 )
@@ -95,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
         folder.remove(UNITS)  # pages of an earlier run
         try:
             with progress_bars(("units",)) as step, engine(args.scheduler, args.workers) as client:
-                how = args.method, args.horizon, args.alarm, args.min_coverage
+                how = args.method, args.horizon, alarm_rule(args), args.min_coverage
                 report, pages = lambda share: step("units", share), UnitPages(work)
                 test = partial(detect_fleet, margins=options.margins, outside=options.outside)
                 more = options.observer_options, client, args.state

@@ -9,10 +9,13 @@ from argparse import ArgumentTypeError
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jaxbound.cli.terminal import NORMAL, QUIET, VERBOSE, Refused
 from jaxbound.estimation.methods import OBSERVERS, shell_options
+
+if TYPE_CHECKING:
+    from jaxbound.diagnosis.alarmrule import AlarmRule
 
 __all__ = [
     "MARGINS",
@@ -32,12 +35,15 @@ __all__ = [
     "add_outside",
     "add_safety",
     "add_windows",
+    "alarm_rule",
+    "apart",
     "interval",
     "lags",
     "named",
     "path",
     "refuse_unknown_method",
     "share",
+    "sizes",
     "some_of",
     "whole_number",
 ]
@@ -241,11 +247,46 @@ def add_alarm(parser: argparse.ArgumentParser) -> None:
         help="an alarm needs k FAULT among n windows (default: 1/1)",
     )
     parser.add_argument(
+        "--least",
+        type=sizes,
+        metavar="T1=0.5",
+        help="FAULT windows that an error of this output below so many of its units explains make no alarm; "
+        "one number is for every output (default: any size)",
+    )
+    parser.add_argument(
+        "--suspects",
+        action="store_true",
+        help="name the signals that alone could be wrong; alarms of different suspects are different alarms; "
+        "--merge-alarms and --latch do it too",
+    )
+    parser.add_argument(
+        "--merge-alarms",
+        type=apart,
+        default=0,
+        metavar="10min",
+        help="alarms of one suspect at most so far apart are one: samples, or ms, s, min, h, d (default: 0)",
+    )
+    parser.add_argument(
+        "--latch",
+        action="store_true",
+        help="an alarm stays on until an opposite jump of its suspect speaks for a repair",
+    )
+    parser.add_argument(
         "--min-coverage",
         type=share,
         default=0.5,
         metavar="F",
         help="least share of decided windows (default: 0.5)",
+    )
+
+
+def alarm_rule(args: argparse.Namespace) -> "AlarmRule":
+    """Return the rule of alarms from the options of `add_alarm`."""
+    from jaxbound.diagnosis.alarmrule import AlarmRule
+
+    k, n = args.alarm
+    return AlarmRule(
+        k, n, merge=args.merge_alarms, latch=args.latch, least=args.least, suspects=args.suspects
     )
 
 
@@ -376,6 +417,31 @@ def interval(text: str) -> str:
     except ValueError as e:
         raise ArgumentTypeError(str(e).removeprefix("every ")) from None
     return text
+
+
+def apart(text: str) -> int | str:
+    """Return the distance of alarms in samples, or an interval of the clock as it is written."""
+    if text.isdecimal():
+        return whole_number(0)(text)
+    return interval(text)
+
+
+def sizes(text: str) -> "float | dict[str, float]":
+    """Return the least sizes of alarms: one number, or {output: size} of T1=0.5,T2=1."""
+    least: dict[str, float] = {}
+    for part in text.split(","):
+        name, equals, number = part.rpartition("=")
+        try:
+            size = float(number)
+        except ValueError:
+            size = 0.0
+        wrong = not 0 < size < float("inf") or name.strip() in least or bool(equals) != bool(name.strip())
+        if wrong or (not name and "," in text):
+            raise ArgumentTypeError(
+                f"needs a size > 0, like 0.5, or one for each output, like T1=0.5,T2=1: not {text[:60]!r}"
+            )
+        least[name.strip()] = size
+    return least.get("", least)
 
 
 def lags(text: str) -> tuple[int, ...]:

@@ -15,6 +15,7 @@ from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.terminal import door, usable_device
 from jaxbound.cli.window import stated_model
 from jaxbound.consistency.interface import Relations
+from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
 from jaxbound.diagnosis.alarms import Alarm, group_alarms
 from jaxbound.diagnosis.hints import bound_hints, judging_hints, outgrown
 from jaxbound.estimation.validation import Validation, least_horizon, validate
@@ -94,9 +95,13 @@ class Validated:
             return None
         return int(np.argmax(fault))
 
-    def alarms(self, k: int = 1, n: int = 1) -> list[Alarm]:
-        """Group FAULT windows. See `Result.alarms`."""
-        return group_alarms(self, k, n, 0, 1, 0)
+    def alarms(self, rule: AlarmRule = EVERY_FAULT) -> list[Alarm]:
+        """Group FAULT windows. See `Result.alarms`; a validation says which sensors are faulty itself."""
+        if rule.suspects or rule.least is not None:
+            raise ValueError(
+                "validation names the faulty sensors itself, and no sizes: leave out --suspects and --least"
+            )
+        return group_alarms(self, rule.fitted(self.model), 0)
 
     def explain(self, at: int) -> NoReturn:
         """Refuse: there is no certificate of a verdict that rests on all samples before it."""
@@ -175,7 +180,7 @@ def evaluate_validation(
     data: Path | str,
     options: MethodOptions,
     *,
-    alarm: tuple[int, int] = (1, 1),
+    alarm: AlarmRule = EVERY_FAULT,
     min_coverage: float = 0.5,
 ) -> Evaluation:
     """Read a recording, validate it and write everything into a folder, see `evaluate`."""
@@ -196,7 +201,7 @@ def evaluate_validation(
         for _ in follow([recording], judge, sinks):
             step("test", 1.0)
     res = judge.verdicts
-    alarms = res.alarms(*alarm)
+    alarms = res.alarms(alarm)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
     reaches = outgrown(plant, looks_back="validation")
     sure = (*judging_hints(remembers=True), *bound_hints(plant))

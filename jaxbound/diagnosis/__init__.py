@@ -1,5 +1,6 @@
 """Verdicts, alarms, isolation, what can be detected."""
 
+from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detectability import GuaranteedSize
 from jaxbound.diagnosis.isolation import BankResult
@@ -12,6 +13,7 @@ from jaxbound.models.region import Departure
 
 __all__ = [
     "Alarm",
+    "AlarmRule",
     "BankResult",
     "Departure",
     "GuaranteedSize",

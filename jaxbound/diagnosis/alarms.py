@@ -12,7 +12,10 @@ from numpy.typing import ArrayLike
 
 from jaxbound.certificates.interface import WindowCertificate
 from jaxbound.consistency.interface import Relations
+from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.region import farthest_of
+from jaxbound.diagnosis.suspects import Suspect, nameless, suspect_of
+from jaxbound.diagnosis.watch import ENDS, NO_DATA, NO_SAMPLE, OTHER, Event, Raised, Seen, Watch
 from jaxbound.models.region import Departure
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
@@ -26,11 +29,12 @@ __all__ = [
     "ONSET_LEFT",
     "OTHER",
     "Alarm",
-    "check_rule",
+    "alarm_of",
     "endings",
     "forgets_after",
     "follows",
     "group_alarms",
+    "over_of",
     "stretches",
 ]
 
@@ -45,7 +49,6 @@ ENDINGS = (
 ONSET_LEFT, NO_LONGER, BEGAN_ANEW, GAP = ENDINGS[2:]
 LATCHED = -1
 """In place of the horizon of windows: an observer whose FAULT stays until a gap."""
-NO_SAMPLE, NO_DATA, OTHER = range(3)  # what follows an alarm
 
 
 class Explained(Protocol):
@@ -87,8 +90,10 @@ class Alarm:
     Fields: start, end: first and last sample (inclusive); windows: how many are FAULT; depth: the worst
     margin (< 0), reached at sample `worst`; recording: index of the recording in a batch, () for a single
     one; result: what the alarm was found in; outside: how many of its FAULT windows lie outside the region of
-    training, None where there is none; outside_by: the farthest of them in words; ended: why it is over, of
-    which no verdict is a proof, one of
+    training, None where there is none; outside_by: the farthest of them in words; suspects: the signals that
+    alone could be wrong in its first window, the most plausible first, where the rule names them; size: the
+    smallest error of the first that explains this window, in its unit, NaN where it is none of a sensor;
+    ended: why it is over, of which no verdict is a proof, one of
 
     - "still on at the last sample", "no data after it";
     - "its onset may have left the window: repaired or lasting": every FAULT window reaches back to the first
@@ -98,7 +103,9 @@ class Alarm:
       the fault was seen while it lasted; now it is gone, or noise within the bounds hides it;
     - "the observer began anew behind it: repaired or lasting": an observer forgets what was contradicted, and
       may take what lasts for the state;
-    - "a gap ended it, FAULT stays until one: repaired or lasting": of an observer with restart=False.
+    - "a gap ended it, FAULT stays until one: repaired or lasting": of an observer with restart=False;
+    - "ended by an opposite jump of T1", "open at the end: nothing speaks for a repair", "acknowledged": of a
+      rule with latch.
     """
 
     start: int
@@ -111,6 +118,13 @@ class Alarm:
     ended: str = field(default="", repr=False)
     outside: int | None = field(default=None, repr=False)
     outside_by: str = field(default="", repr=False)
+    suspects: tuple[str, ...] = ()
+    size: float = field(default=math.nan, compare=False)
+
+    @property
+    def suspect(self) -> str:
+        """The most plausible of the suspects, "" where there is none, or the rule names none."""
+        return (*self.suspects, "")[0]
 
     @cached_property
     def certificate(self) -> WindowCertificate:
@@ -143,43 +157,41 @@ class Alarm:
         return self.certificate.candidates
 
 
-def check_rule(k: int, n: int, hold: int = 0, clear: int = 1) -> None:
-    """Raise ValueError if an alarm rule is none; see `Result.alarms`."""
-    for name, value, low in (("k", k, 1), ("n", n, 1), ("hold", hold, 0), ("clear", clear, 1)):
-        if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < low:
-            raise ValueError(f"{name} must be a whole number >= {low}, not {value!r}")
-    if k > n:
-        raise ValueError(f"k of n needs k <= n: {k} of {n}")
-
-
 def group_alarms(
     result: Grouped,
-    k: int,
-    n: int,
-    hold: int,
-    clear: int,
+    rule: AlarmRule,
     horizon: int | None,
     margin: np.ndarray | None = None,
+    counts: np.ndarray | None = None,
+    relations: Relations | None = None,
 ) -> list[Alarm]:
     """Group the FAULT windows of a Result: see `Result.alarms`. Array operations over time; the loop is over
     alarms.
 
     Args:
+        rule: that is `fitted`.
         horizon: of the windows; 0 where verdicts rest on all samples before, so that an onset leaves no
             window; of an observer None, or LATCHED.
         margin: (..., T), by which the worst window of an alarm is chosen; None: that of the result.
+        counts: (..., T) bool, the FAULT windows that the rule counts; None: all.
+        relations: that tell the suspects; None: nothing does.
     """
-    check_rule(k, n, hold, clear)
     *batch, T = result.status.shape
     recordings = math.prod(batch)
     if margin is None:
         margin = result.margin
     status, margin = result.status.reshape(recordings, T), margin.reshape(recordings, T)
     fault, missing = status == Status.FAULT, status == Status.MISSING
+    if counts is not None:
+        fault = counts.reshape(recordings, T)
     alarms = []
     for row in np.flatnonzero(fault.any(1)):
         recording = tuple(map(int, np.unravel_index(row, tuple(batch))))
-        *columns, first, last = stretches(fault[row], margin[row], k, n, hold, clear)
+        if rule.names:
+            about = result, recording, rule, horizon, relations
+            alarms += _by_suspect(*about, fault[row], margin[row], missing[row])
+            continue
+        *columns, first, last = stretches(fault[row], margin[row], rule.k, rule.n, rule.hold, rule.clear)
         codes = endings(first, last, follows(missing[row], columns[1]), horizon)
         outside = _outside(result, recording, fault[row], columns[0], columns[1])
         rows = zip(*map(np.ndarray.tolist, columns), codes.tolist(), *outside, strict=True)
@@ -187,6 +199,68 @@ def group_alarms(
             why = ENDINGS[code]
             alarms.append(Alarm(start, end, windows, depth, worst, recording, result, why, count, words))
     return alarms
+
+
+def _by_suspect(
+    result: Grouped,
+    recording: tuple[int, ...],
+    rule: AlarmRule,
+    horizon: int | None,
+    relations: Relations | None,
+    fault: np.ndarray,
+    margin: np.ndarray,
+    missing: np.ndarray,
+) -> list[Alarm]:
+    """Return the alarms of one recording by a rule that names suspects, in the order in which they begin."""
+
+    def blame(sample: int) -> Suspect:
+        at: Any = sample
+        if recording:
+            at = (*recording, sample)
+        return suspect_of(result.explain, at)
+
+    watch = Watch(rule)
+    if relations is not None and not nameless(relations):
+        watch.blame = blame
+    departure = result.departure
+    if departure is not None:
+        departure = departure.cut(recording)
+    over = [*watch.add(Seen.of(fault, margin, missing, departure)), *watch.finish()]
+    found = []
+    for raised in sorted(over_of(over), key=lambda alarm: alarm.number):
+        found.append(alarm_of(raised, horizon, departure, recording, result))
+    return found
+
+
+def over_of(events: Sequence[Event]) -> list[Raised]:
+    """Return the alarms that end among events."""
+    return [event.alarm for event in events if event.kind == ENDS]
+
+
+def alarm_of(
+    raised: Raised,
+    horizon: int | None,
+    departure: Departure | None = None,
+    recording: tuple[int, ...] = (),
+    result: Explained | None = None,
+) -> Alarm:
+    """Return the Alarm of one that is over.
+
+    Args:
+        horizon: as for `endings`. departure: of any windows of the recording; None: there is no region.
+    """
+    why = raised.ended
+    if not why:
+        why = ENDINGS[int(endings(raised.first, raised.last, np.array([raised.after]), horizon)[0])]
+    outside, words = None, ""
+    if departure is not None:
+        outside = raised.outside
+        share, by, reading = raised.farthest
+        if share > 0:
+            words = departure.region.words(by, reading)
+    about = raised.start, raised.end, raised.windows, raised.depth, raised.worst
+    suspect = raised.suspect
+    return Alarm(*about, recording, result, why, outside, words, suspect.names, suspect.size)
 
 
 def _outside(

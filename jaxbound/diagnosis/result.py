@@ -1,19 +1,22 @@
 """The result of a detection: verdicts of all windows, and what they are of."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial, singledispatch
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from jaxbound.certificates.interface import WindowCertificate, explain
 from jaxbound.consistency.claims import CLAIMED
 from jaxbound.consistency.interface import EXACT, Judged, Relations
+from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
 from jaxbound.diagnosis.alarms import Alarm, forgets_after, group_alarms
 from jaxbound.diagnosis.hints import bound_hints, device_hints, fit_hints
 from jaxbound.diagnosis.measuring import exact_margins, tightest
 from jaxbound.diagnosis.region import Excursions, Outside
+from jaxbound.diagnosis.severity import Severity
+from jaxbound.diagnosis.suspects import fitted
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.models.region import Departure, Region
 from jaxbound.models.system import LinearSystem
@@ -238,25 +241,52 @@ class Result:
             for hint in hints:
                 yield which + hint
 
-    def alarms(self, k: int = 1, n: int = 1, hold: int = 0, clear: int = 1) -> list[Alarm]:
+    def alarms(
+        self, k: int = 1, n: int = 1, hold: int = 0, clear: int = 1, rule: AlarmRule | None = None
+    ) -> list[Alarm]:
         """Group FAULT windows into alarms; the verdicts themselves stay as they are.
 
         An alarm starts where k of the last n windows are FAULT, stays on for `hold` samples after that
-        ceases, and ends once `clear` samples in a row are quiet.
+        ceases, and ends once `clear` samples in a row are quiet. An AlarmRule says more: alarms that latch,
+        that are merged, that begin from a size on, that name their suspect.
 
         Args:
             k, n: 1 <= k <= n. hold: >= 0. clear: >= 1. All in samples.
+            rule: in their place.
 
         Returns:
             A list of Alarm in order of time (of recording and time for a batch).
 
         Raises:
-            ValueError: numbers outside these ranges.
+            ValueError: numbers outside these ranges; a rule that names an output which is none, or asks of
+                windows for errors of single sensors that they do not tell.
         """
+        given = AlarmRule(k, n, hold, clear)
+        if rule is None:
+            rule = given
+        elif given != EVERY_FAULT:
+            raise ValueError("an alarm rule says k, n, hold and clear itself: give the rule alone")
         horizon: int | None = 0  # of residuals that a user worked out nothing is known
         if self.relations is not None:
             horizon = forgets_after(self.relations)
-        return group_alarms(self, k, n, hold, clear, horizon, self.reported)
+            rule = fitted(rule, self.relations)
+        elif rule.suspects or rule.least is not None:
+            raise ValueError(
+                "residuals that were computed elsewhere tell no errors of sensors: leave out suspects and "
+                "least"
+            )
+        counts = self._counted(rule)
+        return group_alarms(self, rule, horizon, self.reported, counts, self.relations)
+
+    def _counted(self, rule: AlarmRule) -> np.ndarray | None:
+        """Return the FAULT windows that a rule counts, (..., T) bool; None: all."""
+        if rule.least is None:
+            return None
+        counts: np.ndarray = self.status == Status.FAULT
+        severity = Severity(self.relations, self.method, cast(Mapping[str, float], rule.least))
+        for at in np.ndindex(counts.shape[:-1]):
+            counts[at] = severity.reached(self.u[at], self.y[at], counts[at])
+        return counts
 
     def explain(self, at: int | tuple[int, ...]) -> WindowCertificate:
         """Return the Certificate of the window that ends at index `at` (an int, or a tuple for a batch), in

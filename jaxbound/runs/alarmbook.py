@@ -1,12 +1,14 @@
 """Alarms of a recording whose verdicts come in parts."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from jaxbound.consistency.interface import Relations
+from jaxbound.diagnosis.alarmrule import RuleLike, rule_of
 from jaxbound.diagnosis.alarms import ENDINGS, Alarm, endings, follows, forgets_after, stretches
 from jaxbound.diagnosis.region import farthest_of
 from jaxbound.models.region import Departure, Region
@@ -51,9 +53,9 @@ class AlarmBook(Quiet):
     An alarm that reaches the end of its part is held until the next shows how it goes on.
 
     Args:
-        rule: (k, n) of `Result.alarms`. dt: sampling period in s. relations: that were tested. path: where to
-            write all of them, or None. mark: called with the samples at which alarms that are over are
-            deepest.
+        rule: of `Result.alarms`, of which k and n are obeyed here. dt: sampling period in s. relations: that
+            were tested. path: where to write all of them, or None. mark: called with the samples at which
+            alarms that are over are deepest.
 
     Fields: ended: {ending of an Alarm: number of alarms}; count: of all of them; first: the first; kept: the
     deepest.
@@ -61,13 +63,13 @@ class AlarmBook(Quiet):
 
     def __init__(
         self,
-        rule: tuple[int, int],
+        rule: RuleLike,
         dt: float,
         relations: Relations,
         path: Path | None,
         mark: Callable[[np.ndarray], object],
     ) -> None:
-        self.rule, self.dt, self.horizon, self.path = rule, dt, forgets_after(relations), path
+        self.rule, self.dt, self.horizon, self.path = rule_of(rule), dt, forgets_after(relations), path
         self.mark = mark
         self.ended: dict[str, int] = {}
         self.samples = self.count = 0
@@ -100,7 +102,7 @@ class AlarmBook(Quiet):
 
     def _alarms_in(self, piece: Recording, verdicts: Verdicts, missing: np.ndarray) -> Columns:
         """Return the alarms of a part by themselves."""
-        k, n = self.rule
+        k, n = self.rule.k, self.rule.n
         fault, time, first = verdicts.status == Status.FAULT, piece.time, self.samples
         written = piece.column
         start, end, windows, depth, worst, begun, last = stretches(
@@ -130,11 +132,16 @@ class AlarmBook(Quiet):
         }
 
     def _close(self, alarms: Columns) -> None:
-        """Count and write alarms that are over, and keep the deepest."""
+        """Say why alarms are over, and write them."""
+        codes = endings(alarms["begun"], alarms["last"], alarms["after"], self.horizon)
+        alarms["ended"] = np.array(ENDINGS, object)[codes]
+        self._write(alarms)
+
+    def _write(self, alarms: Columns) -> None:
+        """Count and write alarms that are over in words, and keep the deepest."""
         count = len(alarms["windows"])
-        alarms["ended"] = endings(alarms["begun"], alarms["last"], alarms["after"], self.horizon)
-        for code in alarms["ended"].tolist():
-            self.ended[ENDINGS[code]] = self.ended.get(ENDINGS[code], 0) + 1
+        for why in alarms["ended"].tolist():
+            self.ended[why] = self.ended.get(why, 0) + 1
         columns = self._in_words(alarms)
         if self.path is not None:
             write_columns(self.path, alarm_columns(columns, self.dt), append=self.count > 0)
@@ -147,8 +154,11 @@ class AlarmBook(Quiet):
             outside = [(int(columns["outside"][i]), columns["outside_by"][i]) for i in picked]
         rows = zip(*(alarms[name][picked].tolist() for name in FIELDS), outside, strict=True)
         for start, end, n, depth, worst, *times, why, (beyond, by) in rows:
-            alarm = Alarm(start, end, n, depth, worst, ended=ENDINGS[why], outside=beyond, outside_by=by)
+            alarm = Alarm(start, end, n, depth, worst, ended=why, outside=beyond, outside_by=by)
             fresh.append((alarm, times))
+        if "suspects" in alarms:
+            named = zip(fresh, picked, strict=True)
+            fresh = [(_named(alarm, alarms, i), times) for (alarm, times), i in named]
         self.first = self.first or fresh[:1]
         self.kept = sorted([*self.kept, *fresh], key=lambda pair: pair[0].depth)[:DEEPEST]
         self.mark(alarms["worst_sample"])
@@ -167,6 +177,11 @@ class AlarmBook(Quiet):
         for a, times in pairs.values():
             named |= dict(zip((a.start, a.end, a.worst), times, strict=True))
         return [pairs[start][0] for start in sorted(pairs)], named
+
+
+def _named(alarm: Alarm, alarms: Columns, i: int) -> Alarm:
+    """Return an alarm with its suspects, entry i of the columns."""
+    return replace(alarm, suspects=alarms["suspects"][i], size=float(alarms["size"][i]))
 
 
 def _far(farthest: Departure | None, count: int) -> Columns:

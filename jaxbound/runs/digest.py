@@ -12,12 +12,14 @@ import numpy as np
 
 from jaxbound.consistency.claims import CLAIMED, refuse_outside
 from jaxbound.consistency.interface import AUTO, BOUNDS, EXACT, Relations, with_margins
-from jaxbound.diagnosis.alarms import Alarm, check_rule
+from jaxbound.diagnosis.alarmrule import RuleLike, rule_of
+from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import bound_hints, unfit
 from jaxbound.diagnosis.region import Outside
 from jaxbound.diagnosis.result import Result
 from jaxbound.diagnosis.spot_checks import again_said
+from jaxbound.diagnosis.suspects import fitted
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.models.region import Region
 from jaxbound.plots.plot import plot
@@ -33,13 +35,13 @@ from jaxbound.recordings.signals import Named
 from jaxbound.recordings.stillness import signal_hints, windows_inside
 from jaxbound.recordings.timestamps import time_label
 from jaxbound.relations.sentence import looked_at
-from jaxbound.runs.alarmbook import AlarmBook
 from jaxbound.runs.contradiction import REACHES, refuted_again
 from jaxbound.runs.judges import as_judged
 from jaxbound.runs.loop import Quiet, Taker, follow
 from jaxbound.runs.outputs import output_folder, shared_folder
 from jaxbound.runs.partnotes import read_again, read_extremes, read_runs
 from jaxbound.runs.parts import forget_parts, part_files, verdicts_of
+from jaxbound.runs.rulebook import alarm_book
 from jaxbound.runs.shares import check_share, numbers_of
 from jaxbound.runs.sink import Sink, Verdicts
 from jaxbound.runs.streaming import CHUNK, Report, all_parts, part_count, publish, write_parts
@@ -205,7 +207,7 @@ def detect_dataset(
     out: str | PathLike[str],
     method: str = "joint",
     chunk: int = CHUNK,
-    alarm: tuple[int, int] = (1, 1),
+    alarm: RuleLike = (1, 1),
     progress: Report | None = None,
     part: tuple[int, int] | None = None,
     merge: bool = False,
@@ -224,7 +226,7 @@ def detect_dataset(
             in verdicts.csv. A call that was stopped is continued by the same call.
         method: see `detect`.
         chunk: samples in memory at once, at least 65 536; verdicts do not depend on it.
-        alarm: (k, n), an alarm needs k FAULT among n windows.
+        alarm: (k, n), an alarm needs k FAULT among n windows; or an AlarmRule.
         progress: called with the share of the work done.
         part: (i, n), test only the i-th of n shares of the recording; others may do theirs at the same time,
             on other machines too, where `out` is one folder for all or their files are brought together.
@@ -261,7 +263,7 @@ def detect_dataset(
             f"detect_dataset needs relations of a model, whose verdicts can be kept, not "
             f"{type(relations).__name__}"
         )
-    check_rule(*alarm)
+    rule = fitted(rule_of(alarm), relations)
     refuse_outside(outside)
     if part is not None:
         check_share(part)
@@ -286,7 +288,7 @@ def detect_dataset(
 
             more = method, chunk, most, None, client, overlap, margins, outside
             folder, _ = write_parts(relations, source, out, *more)
-        found = digest(relations, source, folder, method, alarm, margins=margins, outside=outside)
+        found = digest(relations, source, folder, method, rule, margins=margins, outside=outside)
         publish(place)
     report(1.0)
     return found
@@ -305,7 +307,7 @@ def digest(
     source: ParquetSource,
     folder: Path,
     method: str = "joint",
-    alarm: tuple[int, int] = (1, 1),
+    alarm: RuleLike = (1, 1),
     alarms_csv: Path | None = None,
     progress: Report | None = None,
     also: Sequence[Sink] = (),
@@ -317,7 +319,8 @@ def digest(
     Args:
         relations, method: as tested. source: the ParquetSource that was tested. folder: of the parts, as
             `write_parts` left it.
-        alarm: (k, n), an alarm needs k FAULT among n windows. alarms_csv: where to write all alarms, or None.
+        alarm: (k, n), an alarm needs k FAULT among n windows; or an AlarmRule. alarms_csv: where to write all
+            alarms, or None.
         progress: called with the share of the work done. also: sinks that take the verdicts too. margins,
             outside: as for `write_parts`.
 
@@ -330,7 +333,8 @@ def digest(
     times = _SampleTimes(source)
     drawing = _Drawing(Timeline(source.samples))
     ticking = _Ticking(source.dt, times)
-    book = AlarmBook(alarm, source.dt, relations, alarms_csv, drawing.line.mark)
+    rule = fitted(rule_of(alarm), relations)
+    book = alarm_book(rule, source, relations, method, alarms_csv, drawing.line.mark)
     sinks: list[Taker[Recording, Verdicts]] = [tally, ticking, drawing, book, *also]
     for _ in follow(verdicts_of(folder, source, region), as_judged, sinks):
         report(tally.samples / source.samples)

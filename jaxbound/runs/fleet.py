@@ -21,6 +21,7 @@ import numpy as np
 
 from jaxbound.consistency.claims import CLAIMED
 from jaxbound.consistency.interface import AUTO, Observer, Relations
+from jaxbound.diagnosis.alarmrule import AlarmRule, RuleLike, rule_of
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import outgrown
@@ -231,7 +232,7 @@ def detect_fleet(
     units: Sequence[Unit],
     method: str = "joint",
     horizon: int | None = None,
-    alarm: tuple[int, int] = (1, 1),
+    alarm: RuleLike = (1, 1),
     min_coverage: float = 0.5,
     progress: Progress | None = None,
     lags: Sequence[int] | None = None,
@@ -247,7 +248,7 @@ def detect_fleet(
     Args:
         units: a list of Unit, as `read_manifest` returns it. method: as for `detect`, or "observer". horizon,
             lags: as for `parity_relations`, or `observer`, which takes no lags. options: more for `observer`.
-        alarm: (k, n), an alarm needs k FAULT among n windows.
+        alarm: (k, n), an alarm needs k FAULT among n windows; or an AlarmRule.
         min_coverage: least share of decided windows; below it, a unit without FAULT has too little evidence.
         progress: called with the share of the units done.
         page: called with (unit, Result, Recording, alarms, Summary) of a tested unit; returns its `report`.
@@ -279,7 +280,7 @@ def detect_fleet(
         yield from _test_by_workers(client, _FleetJob(same), units, progress)
         return
     report = progress or (lambda share: None)
-    how = _How(method, horizon, lags, options, state, alarm, min_coverage, margins, outside)
+    how = _How(method, horizon, lags, options, state, rule_of(alarm), min_coverage, margins, outside)
     results, done = _Collected(page), 0
     try:
         for _ in follow(_read_groups(units, how), partial(_tested, how=how), [results]):
@@ -300,7 +301,7 @@ class _How(NamedTuple):
     lags: Sequence[int] | None
     options: Mapping[str, Any] | None
     state: str | PathLike[str] | None
-    alarm: tuple[int, int]
+    alarm: AlarmRule
     min_coverage: float
     margins: str
     outside: str
@@ -498,7 +499,7 @@ def _judge_unit(
         res, carry = test(relations, recording), None
     if data.kept is not None:
         data.kept.save(recording, carry)
-    alarms = res.alarms(*how.alarm)
+    alarms = res.alarms(rule=how.alarm)
     res, reaches = replace(res, recorded=recording.hints), outgrown(model, relations)
     hints = dict.fromkeys((*res.hints, *again_hints(res), *reaches, *ending_hints(res, alarms)))
     summary = summarised(res, alarms, recording.label, how.min_coverage, hints, outgrown=bool(reaches))

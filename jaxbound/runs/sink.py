@@ -45,7 +45,8 @@ class Outcome:
     """The outcome of the test of one recording.
 
     Fields: alarms: those that are kept; summary; model: that was tested; data: the path of the recording;
-    content: its digest, None where it is gone; method, horizon: of the test; options: of an observer.
+    content: its digest, None where it is gone; method, horizon: of the test; options: of an observer;
+    names_suspects: whether the alarms name their suspects.
     """
 
     alarms: Sequence[Alarm]
@@ -56,6 +57,7 @@ class Outcome:
     method: str
     horizon: int
     options: Mapping[str, object] = field(default_factory=dict)
+    names_suspects: bool = False
 
 
 class Sink(Quiet):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxbound.diagnosis.alarms import ENDINGS, Alarm
+from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.monitored import MonitorResult
 from jaxbound.diagnosis.result import Result, suspected
 from jaxbound.models.region import Departure
@@ -56,7 +56,7 @@ class AlarmTable(Sink):
         """Write the table."""
         found = outcome.summary.found
         has_region = found is not None and found.outside is not None
-        about = self.recording, outcome.model.dt, has_region
+        about = self.recording, outcome.model.dt, has_region, outcome.names_suspects
         write_alarms(self.folder / self.names[0], outcome.alarms, *about)
 
 
@@ -125,12 +125,14 @@ def write_alarms(
     recording: Recording,
     dt: float,
     has_region: bool = False,
+    names: bool = False,
 ) -> None:
     """Write one row an alarm: start and end (time of the recording), duration in s, FAULT windows, depth and
     when it was reached.
 
     `factor` is how many times wider the bounds would have to be; an alarm of a single sample lasts dt;
-    `ended`, `outside`, `outside_by`: see `Alarm`; the last two where there is a region of training.
+    `ended`, `suspect`, `size`, `outside`, `outside_by`: see `Alarm`; suspect and size where the rule of
+    alarms names suspects, the last two where there is a region of training.
     """
     written = recording.column
     starts = np.array([alarm.start for alarm in alarms], np.int64)
@@ -146,8 +148,11 @@ def write_alarms(
         "last_sample": ends,
         "windows": np.array([alarm.windows for alarm in alarms], np.int64),
         "depth": np.array([alarm.depth for alarm in alarms], np.float64),
-        "ended": np.array([ENDINGS.index(alarm.ended) for alarm in alarms], np.int64),
+        "ended": [alarm.ended for alarm in alarms],
     }
+    if names:
+        columns["suspect"] = [alarm.suspect for alarm in alarms]
+        columns["size"] = np.array([alarm.size for alarm in alarms], np.float64)
     if has_region:
         columns["outside"] = np.array([alarm.outside for alarm in alarms], np.int64)
         columns["outside_by"] = [alarm.outside_by for alarm in alarms]
@@ -159,9 +164,13 @@ def alarm_columns(alarms: Mapping[str, Any], dt: float) -> Columns:
 
     Args:
         alarms: {"start", "end", "worst": times as the recording has them (pyarrow), "from", "to": seconds,
-            "first_sample", "last_sample", "windows", "depth", "ended" (numbers of ENDINGS): NumPy}, one entry
-            an alarm; "outside", "outside_by" (a list of texts) where there is a region of training.
+            "first_sample", "last_sample", "windows", "depth": NumPy; "ended": texts}, one entry an alarm;
+            "suspect" (texts), "size" where they are named; "outside", "outside_by" (texts) where there is a
+            region of training.
     """
+    suspects = {}
+    if "suspect" in alarms:
+        suspects = {"suspect": texts(alarms["suspect"]), "size": to_arrow(alarms["size"])}
     outside = {}
     if "outside" in alarms:
         outside = {"outside": to_arrow(alarms["outside"]), "outside_by": texts(alarms["outside_by"])}
@@ -175,6 +184,7 @@ def alarm_columns(alarms: Mapping[str, Any], dt: float) -> Columns:
         "depth": to_arrow(alarms["depth"]),
         "factor": to_arrow(1 - alarms["depth"]),
         "worst": alarms["worst"],
-        "ended": words(ENDINGS, alarms["ended"]),
+        "ended": texts(alarms["ended"]),
+        **suspects,
         **outside,
     }

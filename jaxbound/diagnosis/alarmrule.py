@@ -1,0 +1,155 @@
+"""The rule by which FAULT windows become alarms: one value for recordings, Parquet, fleets and pipes."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from jaxbound.recordings.clockintervals import seconds_of
+from jaxbound.recordings.signals import SignalModel
+from jaxbound.text.names import listed
+from jaxbound.text.objects import readable
+
+__all__ = ["EVERY_FAULT", "AlarmRule", "RuleLike", "rule_of"]
+
+LOWEST = {"k": 1, "n": 1, "hold": 0, "clear": 1}
+Sizes: TypeAlias = "float | Mapping[str, float] | None"
+"""One size for all outputs, or {output: size}, in their units; None: any."""
+
+
+def _refuse_number(name: str, value: object, low: int) -> None:
+    """Raise ValueError for a value that is no whole number of at least `low`."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < low:
+        raise ValueError(f"{name} must be a whole number >= {low}, not {value!r}")
+
+
+@readable
+@dataclass(frozen=True)
+class AlarmRule:
+    """A rule by which FAULT windows become alarms. It never changes a verdict.
+
+    Args:
+        k, n: an alarm starts where k of the last n windows are FAULT. hold: it stays on for so many samples
+            after that ceases. clear: it ends once so many samples in a row are quiet.
+        merge: alarms of one suspect at most so far apart are one alarm: samples, or an interval of the clock
+            like "10min".
+        latch: an alarm stays on until an opposite jump of its suspect speaks for a repair, or until somebody
+            acknowledges it.
+        least: FAULT windows that an error of one output below this size explains do not count: one number, or
+            {output: size}, in units. It is proved of every window that counts, by the test itself under a
+            noise bound of that output which is wider by the size.
+        suspects: name the signals that alone could be wrong, the most plausible first; alarms of different
+            suspects are different alarms. merge and latch do it too.
+
+    Suspects are worked out in exact rationals at the first and the last FAULT window of an alarm, however
+    long it is. Of windows that do not tell them all alarms are of one component.
+
+    Raises:
+        ValueError: a number outside its range, an interval that is none.
+
+    Example:
+        >>> import jaxbound as jb
+        >>> m = jb.LinearSystem([[1.0]], None, [[1]], noise=0.1, outputs=["T1"])
+        >>> res = jb.detect(jb.parity_relations(m), None, [[0.0], [0.0], [3.0], [3.0], [3.0]])
+        >>> [(a.start, a.end, a.suspect, a.ended) for a in res.alarms(rule=jb.AlarmRule(latch=True))]
+        [(2, 4, 'T1', 'open at the end: nothing speaks for a repair')]
+    """
+
+    k: int = 1
+    n: int = 1
+    hold: int = 0
+    clear: int = 1
+    merge: int | str = 0
+    latch: bool = False
+    least: Sizes = None
+    suspects: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse numbers and intervals that make no rule."""
+        for name, low in LOWEST.items():
+            _refuse_number(name, getattr(self, name), low)
+        if self.k > self.n:
+            raise ValueError(f"k of n needs k <= n: {self.k} of {self.n}")
+        if isinstance(self.merge, str):
+            try:
+                seconds_of(self.merge)
+            except ValueError as e:
+                raise ValueError(f"merge: {str(e).removeprefix('every ')}") from None
+        else:
+            _refuse_number("merge", self.merge, 0)
+        for name, size in self._sizes().items():
+            if isinstance(size, bool) or not isinstance(size, int | float | np.number) or not 0 < size:
+                raise ValueError(f"a least size is a number > 0 in the unit of its output: {name} {size!r}")
+            if not math.isfinite(size):
+                raise ValueError(f"a least size is finite: {name} {size!r}")
+
+    def _sizes(self) -> Mapping[str, object]:
+        """Return the least sizes by name."""
+        if isinstance(self.least, Mapping):
+            return self.least
+        if self.least is None:
+            return {}
+        return {"least": self.least}
+
+    @property
+    def names(self) -> bool:
+        """Whether alarms name their suspects."""
+        return bool(self.suspects or self.latch or self.merge)
+
+    def fitted(self, model: SignalModel) -> "AlarmRule":
+        """Return the same rule with `merge` in samples and `least` as {output: size} of a model's signals.
+
+        Raises:
+            ValueError: an output that the model does not have; an interval of the clock for a model without a
+                sampling period.
+        """
+        merge, least = self.merge, self.least
+        if isinstance(merge, str):
+            if not model.dt:
+                raise ValueError(
+                    f"merge={merge!r} needs the sampling period, which this model does not state: give a "
+                    f"number of samples"
+                )
+            merge = round(seconds_of(merge) / float(model.dt))
+        if least is not None and not isinstance(least, Mapping):
+            least = dict.fromkeys(model.outputs, float(least))
+        for name in least or ():
+            if name not in model.outputs:
+                raise ValueError(
+                    f"a least size is one of an output: {name!r} is none of {listed(model.outputs)}"
+                )
+        return replace(self, merge=merge, least=least)
+
+    def plain(self) -> dict[str, Any]:
+        """Return the fields that differ from `EVERY_FAULT`, as JSON holds them."""
+        found = {}
+        for name, value in vars(self).items():
+            if value != getattr(EVERY_FAULT, name):
+                found[name] = value
+        if isinstance(self.least, Mapping):
+            found["least"] = dict(self.least)
+        return found
+
+
+EVERY_FAULT = AlarmRule()
+"""Each stretch of FAULT windows is an alarm."""
+RuleLike: TypeAlias = AlarmRule | tuple[int, int]
+"""A rule, or (k, n)."""
+
+
+def rule_of(alarm: RuleLike) -> AlarmRule:
+    """Return the rule that a user gives.
+
+    Raises:
+        ValueError: no rule.
+
+    Example:
+        >>> rule_of((3, 5)) == AlarmRule(3, 5)
+        True
+    """
+    if isinstance(alarm, AlarmRule):
+        return alarm
+    k, n = alarm
+    return AlarmRule(k, n)

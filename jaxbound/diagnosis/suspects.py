@@ -1,0 +1,130 @@
+"""The suspects of an alarm: the signals that alone could be wrong in a FAULT window, and the jump that the
+window shows of the first of them.
+
+Which signals these are, and the smallest error of each, is proved by the certificate. The sign of a jump is
+read off the relation h that proves the smallest error of a sensor: a step of it from sample t on moves the
+residual by the sum of h from t on, and the step that moves it most in the direction in which it is off is the
+one that is named. That is no proof; it speaks for a repair, and changes no verdict.
+"""
+
+import math
+from collections.abc import Callable
+from fractions import Fraction
+from functools import partial
+from itertools import accumulate
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from jaxbound.certificates.certificate import Certificate
+from jaxbound.certificates.interface import WindowCertificate, explain
+from jaxbound.consistency.interface import LinearRelations, Relations
+from jaxbound.diagnosis.alarmrule import AlarmRule
+from jaxbound.sets.floats.status import Status
+
+__all__ = ["UNKNOWN", "Suspect", "fitted", "nameless", "suspect_of", "suspect_of_window"]
+
+READINGS = 64  # in a window, from which on exact errors of single sensors take too long: 122 take a minute
+ALIKE = 2  # jumps are about as large if neither error is more than so many times the other
+
+
+class Suspect(NamedTuple):
+    """Fields: names: of the signals that alone could be wrong, the most plausible first; empty: none alone,
+    or not known. size: the smallest error of the first that explains the window, in its unit, NaN where it is
+    no sensor. jump: 1 up, -1 down, 0 not known.
+    """
+
+    names: tuple[str, ...] = ()
+    size: float = math.nan
+    jump: int = 0
+
+    @property
+    def first(self) -> str:
+        """The most plausible signal, "" where there is none."""
+        return (*self.names, "")[0]
+
+    def ends(self, other: "Suspect") -> bool:
+        """Whether this is the opposite jump of the same signal, about as large."""
+        if not self.names or self.first != other.first or self.jump * other.jump != -1:
+            return False
+        small, large = sorted((self.size, other.size))
+        return bool(large <= ALIKE * small)
+
+
+UNKNOWN = Suspect()
+
+
+def nameless(relations: Relations) -> str:
+    """Return why windows of these relations do not tell which sensor alone could be wrong; "": they do."""
+    if relations.remembers:
+        return "an observer's verdict rests on all samples before it"
+    if not isinstance(relations, LinearRelations):
+        return f"{type(relations).__name__} has no smallest errors of single sensors"
+    model = relations.model
+    if model.constant_tolerance:
+        return "constant_tolerance leaves no smallest errors of single sensors"
+    looks = relations.horizon + 1
+    if relations.lags is not None:
+        looks = len(relations.lags)
+    if looks * model.p > READINGS:
+        return f"a window has {looks * model.p} readings: the exact errors of more than {READINGS} take long"
+    return ""
+
+
+def fitted(rule: AlarmRule, relations: Relations) -> AlarmRule:
+    """Return a rule for alarms of relations, see `AlarmRule.fitted`.
+
+    Raises:
+        ValueError: as there; suspects are asked of windows that do not tell them.
+    """
+    why = nameless(relations)
+    if rule.suspects and why:
+        raise ValueError(f"these alarms name no suspects: {why}; leave out suspects")
+    return rule.fitted(relations.model)
+
+
+def suspect_of(explain: Callable[[Any], WindowCertificate], at: object) -> Suspect:
+    """Return the suspects of the FAULT window at an index, which `explain` certifies."""
+    try:
+        certificate = explain(at)
+    except NotImplementedError:  # no proof by one relation
+        return UNKNOWN
+    names = certificate.candidates
+    if not names:
+        return UNKNOWN
+    errors = certificate.errors
+    if names[0] not in errors:  # an actuator
+        return Suspect(names)
+    # it states errors of sensors
+    jump = _jump(cast(Certificate, certificate), list(errors).index(names[0]))
+    return Suspect(names, float(errors[names[0]]), jump)
+
+
+def suspect_of_window(relations: Relations, method: str, u: np.ndarray, y: np.ndarray) -> Suspect:
+    """Return the suspects of the FAULT window that samples u (s+1, m), y (s+1, p) are."""
+    status = np.full(len(y), int(Status.MISSING), np.int8)
+    status[-1] = Status.FAULT
+    window = _Window(status, np.full(len(y), np.nan), relations, method, u, y)
+    return suspect_of(partial(explain, window), len(y) - 1)
+
+
+class _Window(NamedTuple):
+    """One window as a `certificates.interface.Judgement`."""
+
+    status: np.ndarray
+    margin: np.ndarray
+    relations: Any
+    method: str
+    u: np.ndarray
+    y: np.ndarray
+
+
+def _jump(certificate: Certificate, i: int) -> int:
+    """Return the sign of the step of output i that the relation which proves its smallest error sees best."""
+    error, window = certificate.sensor_errors[i], certificate.window
+    _, residual, _ = window.relation(error.h)
+    own = error.h[i : len(window.y) : window.model.p]
+    behind: list[Fraction] = list(accumulate(reversed(own)))
+    largest = max(behind, key=abs)
+    moved = largest * residual
+    return int(moved > 0) - int(moved < 0)

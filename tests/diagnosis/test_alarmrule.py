@@ -1,0 +1,114 @@
+"""The rule of alarms: what it refuses, which windows count by size, which signal is suspect."""
+
+import numpy as np
+import pytest
+from systems import paper
+
+import jaxbound as jb
+from jaxbound.diagnosis.alarmrule import AlarmRule, rule_of
+from jaxbound.diagnosis.watch import LASTING, OPPOSITE
+from jaxbound.recordings.signals import Signals
+
+NOISE = 0.1
+
+
+def one():
+    """Return relations y[k-1] = 2 y[k]: off by r they need an error of (|r| - .3) / 3 of the sensor."""
+    model = jb.LinearSystem([[0.5]], None, [[1]], noise=NOISE, outputs=["T1"], dt=1)
+    return jb.parity_relations(model)
+
+
+def two():
+    """Return relations of two sensors of two plants that do not see each other."""
+    model = jb.LinearSystem(
+        [[0.5, 0], [0, 0.5]], None, [[1, 0], [0, 1]], noise=NOISE, outputs=["T1", "T2"], dt=1
+    )
+    return jb.parity_relations(model)
+
+
+@pytest.mark.parametrize(
+    "rule, message",
+    [
+        (dict(merge="10 parsecs"), "merge: needs a number and a unit"),
+        (dict(merge=-1), "merge must be a whole number >= 0, not -1"),
+        (dict(least=0), "a least size is a number > 0 in the unit of its output: least 0"),
+        (dict(least={"T1": "much"}), "T1 'much'"),
+        (dict(least=float("inf")), "a least size is finite"),
+        (dict(k=2), "k of n needs k <= n: 2 of 1"),
+    ],
+)
+def test_a_rule_that_makes_no_sense_is_refused(rule, message):
+    with pytest.raises(ValueError, match=message):
+        AlarmRule(**rule)
+
+
+def test_an_interval_of_the_clock_is_counted_in_samples():
+    assert AlarmRule(merge="10min").fitted(one().model).merge == 600
+    with pytest.raises(ValueError, match="needs the sampling period"):
+        AlarmRule(merge="10min").fitted(Signals((), ("T1",), {}, None))
+
+
+def test_one_number_is_the_least_size_of_all_outputs_and_a_wrong_name_is_refused():
+    assert AlarmRule(least=2).fitted(two().model).least == {"T1": 2, "T2": 2}
+    with pytest.raises(ValueError, match="'T3' is none of 'T1', 'T2'"):
+        AlarmRule(least={"T3": 1}).fitted(two().model)
+
+
+def test_k_of_n_is_a_rule_too_and_two_rules_are_one_too_many():
+    assert rule_of((3, 5)) == AlarmRule(3, 5) and rule_of(AlarmRule(latch=True)).latch
+    res = jb.detect(one(), None, [[1.0], [0.8]])
+    with pytest.raises(ValueError, match="give the rule alone"):
+        res.alarms(k=1, n=2, rule=AlarmRule())
+
+
+@pytest.mark.parametrize("size, counts", [(0.29, [1, 4]), (0.31, [4]), (0.69, [4]), (0.71, [])])
+def test_an_alarm_begins_where_the_smallest_error_reaches_the_size(size, counts):
+    """Off by 1.2 and by 2.4: errors of .3 and .7, by hand."""
+    y = [[2.0], [0.4], [0.2], [0.1], [-1.15]]  # 2 - .8 = 1.2; .4 - .4 = 0; .2 - .2 = 0; .1 + 2.3 = 2.4
+    res = jb.detect(one(), None, y)
+    assert np.flatnonzero(res.status == jb.Status.FAULT).tolist() == [1, 4]
+    assert [a.start for a in res.alarms(rule=AlarmRule(least=size))] == counts
+    assert np.flatnonzero(res.status == jb.Status.FAULT).tolist() == [1, 4]
+
+
+def test_windows_of_a_batch_and_beside_each_other_count_by_their_own_size(rng):
+    """The smallest errors of windows of one relation are known by hand, overlapping or not."""
+    y = np.cumsum(rng.normal(0, 1, (3, 40)), 1)
+    need = (np.abs(y[:, :-1] - 2 * y[:, 1:]) - 3 * NOISE) / 3
+    res = jb.detect(one(), None, y[..., None])
+    found = set()
+    for a in res.alarms(rule=AlarmRule(least=0.5)):
+        found |= {(a.recording[0], k) for k in range(a.start, a.end + 1)}
+    assert found == {(i, k + 1) for i, k in np.argwhere(need > 0.5)}
+
+
+def test_the_size_is_that_of_the_named_output_and_another_fault_counts_whatever_its_size():
+    res = jb.detect(two(), None, [[2.0, 2.0], [0.4, 1.0], [0.2, 0.5], [0.1, 0.85]])
+    assert np.flatnonzero(res.status == jb.Status.FAULT).tolist() == [1, 3]
+    found = res.alarms(rule=AlarmRule(least={"T1": 0.5}, suspects=True))
+    assert [(a.start, a.suspects) for a in found] == [(3, ("T2",))]
+    assert found[0].size == pytest.approx((1.2 - 0.3) / 3)
+
+
+def test_a_rule_of_sizes_or_suspects_is_refused_where_windows_do_not_tell_them():
+    residuals = jb.evaluate([[0.1], [3.0]], [1.0], [[1]])
+    with pytest.raises(ValueError, match="tell no errors of sensors"):
+        residuals.alarms(rule=AlarmRule(least=1))
+    observed = jb.detect(jb.observer(paper()), [[0.0], [0.0]], [[0.0, 0.0], [0.5, 0.0]])
+    for rule in (AlarmRule(least=1), AlarmRule(suspects=True)):
+        with pytest.raises(ValueError, match="observer|windows of a plant"):
+            observed.alarms(rule=rule)
+    (alarm,) = observed.alarms(rule=AlarmRule(latch=True))
+    assert alarm.suspects == () and alarm.start == 1
+
+
+@pytest.mark.parametrize("end, ended", [(20, LASTING), (10, f"{OPPOSITE} of T1")])
+def test_a_bias_that_begins_latches_until_its_end_is_seen(end, ended):
+    """A plant at rest, one sensor 3 too high from sample 5 on: windows of two samples see its jumps alone."""
+    model = jb.LinearSystem([[1.0]], None, [[1]], noise=NOISE, outputs=["T1"], dt=1)
+    y = np.zeros((20, 1))
+    y[5:end] = 3
+    res = jb.detect(jb.parity_relations(model), None, y)
+    (alarm,) = res.alarms(rule=AlarmRule(latch=True))
+    assert (alarm.start, alarm.end, alarm.ended, alarm.suspect) == (5, min(end, 19), ended, "T1")
+    assert alarm.windows == 2 - (end == 20)

@@ -1,0 +1,153 @@
+"""Alarms by a rule, as verdicts come: compared with a walk through the samples, one by one."""
+
+import json
+
+import numpy as np
+import pytest
+
+from jaxbound.diagnosis.alarmrule import AlarmRule
+from jaxbound.diagnosis.alarms import over_of
+from jaxbound.diagnosis.suspects import Suspect
+from jaxbound.diagnosis.watch import ACKNOWLEDGED, BEGINS, ENDS, LASTING, OPPOSITE, Seen, Watch
+
+UP, DOWN = Suspect(("T1",), 2.0, 1), Suspect(("T1",), 1.5, -1)
+OTHER = Suspect(("T2", "T1"), 1.0, 1)
+
+
+def seen(fault, margin=None):
+    fault = np.asarray(fault, bool)
+    if margin is None:
+        margin = np.where(fault, -1.0, 0.5)
+    return Seen.of(fault, np.asarray(margin, float), np.zeros(len(fault), bool))
+
+
+def flags(pattern):
+    return np.array([c != "." for c in pattern])
+
+
+def walked(fault, rule):
+    """Walk through the samples with counters; return (start, end, windows) of alarms, neighbours merged."""
+    spans, start, last = [], None, None
+    for i in range(len(fault)):
+        if sum(fault[max(0, i - rule.n + 1) : i + 1]) >= rule.k:
+            start = i if start is None else start
+            last = i
+        elif start is not None and i - last - rule.hold >= rule.clear:
+            spans.append((start, last + rule.hold))
+            start = None
+    if start is not None:
+        spans.append((start, min(last + rule.hold, len(fault) - 1)))
+    found = []
+    for a, b in spans:
+        windows = int(sum(fault[a : b + 1]))
+        if found and rule.merge and a - found[-1][1] <= rule.merge:
+            found[-1] = (found[-1][0], b, found[-1][2] + windows)
+        else:
+            found.append((a, b, windows))
+    return found
+
+
+def alarms(watch, pieces):
+    """Return the alarms that a Watch makes of pieces, in the order in which they begin; resumed between."""
+    events = []
+    for piece in pieces:
+        again = Watch(watch.rule, watch.blame)
+        again.resume(json.loads(json.dumps(watch.memory())))
+        watch = again
+        events += watch.add(piece)
+    events += watch.finish()
+    return sorted(over_of(events), key=lambda alarm: alarm.number), events
+
+
+def cut(rng, fault, margin):
+    edges = [0, *sorted(rng.integers(0, len(fault) + 1, rng.integers(0, 6))), len(fault)]
+    return [seen(fault[a:b], margin[a:b]) for a, b in zip(edges, edges[1:], strict=False)]
+
+
+def test_alarms_are_those_of_a_walk_through_the_samples_cut_anywhere(rng):
+    for _ in range(300):
+        fault = rng.random(60) < rng.choice([0.05, 0.2, 0.5, 0.9])
+        margin = np.where(fault, -rng.random(60), 0.5)
+        n = int(rng.integers(1, 6))
+        k, hold, clear, merge = int(rng.integers(1, n + 1)), *rng.integers([0, 1, 0], [5, 6, 9]).tolist()
+        rule = AlarmRule(k, n, hold, clear, merge)
+        found, events = alarms(Watch(rule), cut(rng, fault, margin))
+        assert [(a.start, a.end, a.windows) for a in found] == walked(fault.tolist(), rule), rule
+        for a in found:
+            inside = np.flatnonzero(fault[a.start : a.end + 1]) + a.start
+            if not merge:
+                assert (a.worst, a.depth) == (inside[np.argmin(margin[inside])], margin[inside].min())
+            assert a.last == inside[-1] and fault[a.first] and a.start - n < a.first <= a.start
+        assert [e.sample for e in events] == sorted(e.sample for e in events)
+        assert [e.sample for e in events if e.kind == BEGINS] == [a.start for a in found]
+
+
+def test_when_an_alarm_is_known_to_be_over_does_not_depend_on_the_pieces(rng):
+    for _ in range(100):
+        fault = rng.random(80) < 0.2
+        blames = {int(k): (UP, DOWN, OTHER)[rng.integers(3)] for k in np.flatnonzero(fault)}
+        rule = AlarmRule(1, 1, 0, 2, int(rng.integers(0, 6)), latch=bool(rng.random() < 0.5), suspects=True)
+        told = []
+        for pieces in (cut(rng, fault, fault - 0.5), [seen([x], [x - 0.5]) for x in fault]):
+            _, events = alarms(Watch(rule, blames.__getitem__), pieces)
+            told.append([(e.sample, e.kind, e.alarm.number, e.alarm.end, e.alarm.ended) for e in events])
+        assert told[0] == told[1]
+
+
+def test_alarms_of_different_suspects_overlap_and_are_two():
+    blame = {2: UP, 6: OTHER, 10: UP}
+    found, _ = alarms(Watch(AlarmRule(merge=9), blame.__getitem__), [seen(flags("..FF..F...F....."))])
+    spans = [(a.start, a.end, a.suspect.first, a.windows) for a in found]
+    assert spans == [(2, 10, "T1", 3), (6, 6, "T2", 1)]
+
+
+def test_a_latched_alarm_lasts_to_the_end_where_nothing_speaks_for_a_repair():
+    (alarm,), _ = alarms(Watch(AlarmRule(latch=True), lambda k: UP), [seen(flags("..F...F....."))])
+    assert (alarm.start, alarm.end, alarm.windows, alarm.ended) == (2, 11, 2, LASTING)
+
+
+def test_an_opposite_jump_of_the_same_signal_and_size_ends_a_latched_alarm():
+    blame = {2: UP, 6: DOWN, 9: UP}
+    found, events = alarms(Watch(AlarmRule(latch=True), blame.__getitem__), [seen(flags("..F...F..F.."))])
+    assert [(a.start, a.end, a.ended) for a in found] == [(2, 6, f"{OPPOSITE} of T1"), (9, 11, LASTING)]
+    assert [(e.sample, e.kind) for e in events] == [(2, BEGINS), (7, ENDS), (9, BEGINS), (11, ENDS)]
+
+
+@pytest.mark.parametrize(
+    "second", [UP, Suspect(("T1",), 0.9, -1), Suspect(("T1",), 4.1, -1), Suspect(("T1",), 2.0, 0), OTHER]
+)
+def test_no_other_jump_ends_a_latched_alarm(second):
+    blame = {2: UP, 6: second}
+    found, _ = alarms(Watch(AlarmRule(latch=True), blame.__getitem__), [seen(flags("..F...F....."))])
+    assert found[0].ended == LASTING and found[0].end == 11
+
+
+def test_a_jump_and_its_end_in_one_stretch_end_the_alarm():
+    blame = {2: UP, 5: DOWN}
+    (alarm,), _ = alarms(Watch(AlarmRule(latch=True), blame.__getitem__), [seen(flags("..FFFF......"))])
+    assert (alarm.end, alarm.ended) == (5, f"{OPPOSITE} of T1")
+
+
+def test_suspects_are_asked_for_at_the_first_and_last_fault_alone():
+    asked = []
+    watch = Watch(AlarmRule(latch=True), lambda k: asked.append(k) or UP)
+    watch.add(seen(np.ones(1000, bool)))
+    watch.add(seen(np.zeros(9, bool)))
+    assert asked == [0, 999]
+
+
+def test_acknowledged_alarms_are_over_and_fault_that_lasts_begins_another():
+    watch = Watch(AlarmRule(latch=True), lambda k: UP)
+    watch.add(seen(flags("..F.FF")))
+    (event,) = watch.acknowledge()
+    assert (event.alarm.start, event.alarm.end, event.alarm.ended) == (2, 5, ACKNOWLEDGED)
+    (begun,) = watch.add(seen(flags("F..")))
+    assert (begun.kind, begun.sample, begun.alarm.number) == (BEGINS, 6, 2)
+
+
+def test_pending_alarms_are_told_as_if_the_recording_ended_and_go_on():
+    watch = Watch(AlarmRule(latch=True), lambda k: UP)
+    watch.add(seen(flags("..F..")))
+    assert [(a.end, a.ended) for a in watch.pending()] == [(4, LASTING)]
+    watch.add(seen(flags("...")))
+    assert [a.end for a in watch.pending()] == [7]
