@@ -17,6 +17,7 @@ from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import outgrown
 from jaxbound.diagnosis.result import Result
+from jaxbound.diagnosis.severity import fitted
 from jaxbound.diagnosis.spot_checks import again_hints
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import refuse_short
@@ -91,6 +92,8 @@ def evaluate_parts(
         are there, judged before. scheduler, workers: of dask, which then do the work.
     """
     source, relations = opened(model, data, options, step)
+    with door():
+        alarm = fitted(alarm, relations)
     seconds: dict[str, float] = {}
     try:
         if merge:
@@ -170,6 +173,7 @@ def evaluate(
         recording = source.read(progress=lambda share: step("read", share))
         tested, relations = window_relations(stated, options, data, recording.samples, step)
         refuse_short(data, recording.samples, relations.horizon)
+        alarm = fitted(alarm, relations)
         seconds["read"], start = time.perf_counter() - start, time.perf_counter()
         usable_device()
 

@@ -201,7 +201,8 @@ def evaluate_validation(
         for _ in follow([recording], judge, sinks):
             step("test", 1.0)
     res = judge.verdicts
-    alarms = res.alarms(alarm)
+    with door():
+        alarms = res.alarms(alarm)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
     reaches = outgrown(plant, looks_back="validation")
     sure = (*judging_hints(remembers=True), *bound_hints(plant))

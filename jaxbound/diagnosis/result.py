@@ -15,8 +15,7 @@ from jaxbound.diagnosis.alarms import Alarm, forgets_after, group_alarms
 from jaxbound.diagnosis.hints import bound_hints, device_hints, fit_hints
 from jaxbound.diagnosis.measuring import exact_margins, tightest
 from jaxbound.diagnosis.region import Excursions, Outside
-from jaxbound.diagnosis.severity import Severity
-from jaxbound.diagnosis.suspects import fitted
+from jaxbound.diagnosis.severity import Severity, fitted
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.models.region import Departure, Region
 from jaxbound.models.system import LinearSystem

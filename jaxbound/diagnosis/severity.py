@@ -11,9 +11,11 @@ import numpy as np
 
 from jaxbound.consistency.drive import windows
 from jaxbound.consistency.interface import Relations, WindowTest
+from jaxbound.diagnosis.alarmrule import AlarmRule
+from jaxbound.diagnosis.suspects import nameless
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["Severity"]
+__all__ = ["Severity", "fitted"]
 
 
 class Severity:
@@ -63,6 +65,21 @@ class Severity:
             judged = windows(test, np.asarray(u)[samples], np.asarray(y)[samples], first[1:])
             counts[at] = judged.status[np.searchsorted(samples, at)] == Status.FAULT
         return counts
+
+
+def fitted(rule: AlarmRule, relations: Relations) -> AlarmRule:
+    """Return a rule for alarms of relations, see `AlarmRule.fitted`.
+
+    Raises:
+        ValueError: as there; suspects, or sizes, are asked of windows that do not tell them.
+    """
+    why = nameless(relations)
+    if rule.suspects and why:
+        raise ValueError(f"these alarms name no suspects: {why}; leave out suspects")
+    rule = rule.fitted(relations.model)
+    if isinstance(rule.least, Mapping):
+        Severity(relations, "joint", rule.least)
+    return rule
 
 
 def _around(at: np.ndarray, horizon: int) -> tuple[np.ndarray, np.ndarray]:

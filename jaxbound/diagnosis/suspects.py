@@ -19,10 +19,9 @@ import numpy as np
 from jaxbound.certificates.certificate import Certificate
 from jaxbound.certificates.interface import WindowCertificate, explain
 from jaxbound.consistency.interface import LinearRelations, Relations
-from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["UNKNOWN", "Suspect", "fitted", "nameless", "suspect_of", "suspect_of_window"]
+__all__ = ["UNKNOWN", "Suspect", "nameless", "suspect_of", "suspect_of_window"]
 
 READINGS = 64  # in a window, from which on exact errors of single sensors take too long: 122 take a minute
 ALIKE = 2  # jumps are about as large if neither error is more than so many times the other
@@ -69,18 +68,6 @@ def nameless(relations: Relations) -> str:
     if looks * model.p > READINGS:
         return f"a window has {looks * model.p} readings: the exact errors of more than {READINGS} take long"
     return ""
-
-
-def fitted(rule: AlarmRule, relations: Relations) -> AlarmRule:
-    """Return a rule for alarms of relations, see `AlarmRule.fitted`.
-
-    Raises:
-        ValueError: as there; suspects are asked of windows that do not tell them.
-    """
-    why = nameless(relations)
-    if rule.suspects and why:
-        raise ValueError(f"these alarms name no suspects: {why}; leave out suspects")
-    return rule.fitted(relations.model)
 
 
 def suspect_of(explain: Callable[[Any], WindowCertificate], at: object) -> Suspect:

@@ -18,8 +18,8 @@ from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import bound_hints, unfit
 from jaxbound.diagnosis.region import Outside
 from jaxbound.diagnosis.result import Result
+from jaxbound.diagnosis.severity import fitted
 from jaxbound.diagnosis.spot_checks import again_said
-from jaxbound.diagnosis.suspects import fitted
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.models.region import Region
 from jaxbound.plots.plot import plot

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.consistency.interface import Relations, relations_of
-from jaxbound.diagnosis.alarms import check_rule
+from jaxbound.diagnosis.alarmrule import rule_of
 from jaxbound.diagnosis.result import Result
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
@@ -230,7 +230,7 @@ def _checked(rules: Sequence[Rule], factors: Sequence[float]) -> list[float]:
     if not rules:
         raise ValueError("there is no alarm rule: give at least one, like (1, 1)")
     for k, n in rules:
-        check_rule(k, n)
+        rule_of((k, n))
     wanted = sorted({1.0, *map(float, factors)})
     if not (np.isfinite(wanted).all() and wanted[0] > 0):
         raise ValueError(f"factors on bounds are > 0 and finite: {', '.join(f'{f:g}' for f in factors)}")
