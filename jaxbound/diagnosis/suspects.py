@@ -56,7 +56,7 @@ UNKNOWN = Suspect()
 def nameless(relations: Relations) -> str:
     """Return why windows of these relations do not tell which sensor alone could be wrong; "": they do."""
     if relations.remembers:
-        return "an observer's verdict rests on all samples before it"
+        return "its verdicts rest on more than one window"
     if not isinstance(relations, LinearRelations):
         return f"{type(relations).__name__} has no smallest errors of single sensors"
     model = relations.model
