@@ -8,6 +8,7 @@ from typing import Any
 from jaxbound.cli.terminal import show
 from jaxbound.diagnosis.detectability import detectable
 from jaxbound.diagnosis.hints import bound_hints
+from jaxbound.models.statedtests import StatedTest
 from jaxbound.models.system import LinearSystem
 from jaxbound.plots.residuals import distinct_relations
 from jaxbound.relations.cost import elimination_seconds, relation_cost
@@ -42,6 +43,8 @@ def show_model(model: LinearSystem, relations: ParityRelation | UncertainRelatio
         is_signal = name in model.inputs + model.outputs
         rows.append((f"column of {name}" if is_signal else name, column))
     rows += _relations_rows(relations)
+    for test in model.tests:
+        rows.append((f"test {test.name}", _test_text(test)))
     rows += [("hint", hint) for hint in bound_hints(model)]
     distinct = distinct_relations(relations)
     if len(distinct) < relations.count:
@@ -51,6 +54,13 @@ def show_model(model: LinearSystem, relations: ParityRelation | UncertainRelatio
     if not model.uncertainties:
         text += f"\n\n{isolation_text(model, relations.horizon, relations.lags)}"
     show(model.name, "bold", rows, text=text)
+
+
+def _test_text(test: StatedTest) -> str:
+    """Return a test of the model's monitor, and when it watches."""
+    if test.when is None:
+        return test.words()
+    return f"{test.words()}, when {test.when}"
 
 
 def _signals_text(model: LinearSystem, names: Sequence[str]) -> str:
@@ -146,6 +156,7 @@ def plain_model(model: LinearSystem, relations: ParityRelation | UncertainRelati
         "parameters": parameters,
         "provenance": dict(model.provenance),
         "times": dict(model.times),
+        "tests": {test.name: _test_text(test) for test in model.tests},
         "relations": relations.text().splitlines(),
         "notes": list(relations.notes),
         "hints": bound_hints(model),

@@ -141,7 +141,7 @@ def judge_stream(
             work = folder.work()
         with work as place:
             stream = _stream(data, relations.model, _Complaints(), before and before["source"], whole)
-            lines = _PrintedLines(as_json, out is None, judge.region is not None)
+            lines = _PrintedLines(as_json, out is None, judge.region is not None, bool(relations.parts))
             run = opened.enter_context(_LiveRun(stated, stream, judge, journal, lines, out, place))
             run.resume()
             if folder is not None:
@@ -338,14 +338,15 @@ class _PrintedLines:
 
     Args:
         as_json: as JSON, else as CSV. alone: the verdicts are written nowhere else. has_region: whether they
-            say how they depart from the region of training.
+            say how they depart from the region of training. has_tests: whether they name the test of a
+            monitor that speaks.
 
     Fields: text: of the rows; alarms: an AlarmEnds in the same loop, before this sink.
     """
 
-    def __init__(self, as_json: bool, alone: bool, has_region: bool = False) -> None:
+    def __init__(self, as_json: bool, alone: bool, has_region: bool = False, has_tests: bool = False) -> None:
         self.json, self.alone = as_json, alone
-        self.text = RowText(has_region)
+        self.text = RowText(has_region, has_tests)
         self.alarms = AlarmEnds(None)
         self.header = b""
         if not as_json:
@@ -395,13 +396,18 @@ class _PrintedLines:
         if not self.json:
             return rows.replace(b",true\n", b"\n").replace(b",false\n", b"\n")
         on, lines = self.alarms.before, []
-        for when, status, margin, *outside, _ in csv.reader(io.StringIO(rows.decode())):
+        for cells in csv.reader(io.StringIO(rows.decode())):
+            row = dict(zip(self.text.names, cells, strict=False))
+            when, status, margin = row["time"], row["status"], row["margin"]
             on, ended = alarm_goes_on(on, Status[status], self.alarms.forgets)
             time = when if self.texts else _number(when)
             line = {"time": time, "status": status, "margin": _number(margin), "ended": ended}
-            if outside:
-                share, by, reading = outside
-                line |= {"outside": _number(share), "outside_by": by or None, "outside_at": _number(reading)}
+            if "outside" in row:
+                line["outside"] = _number(row["outside"])
+                line["outside_by"] = row["outside_by"] or None
+                line["outside_at"] = _number(row["outside_at"])
+            if "test" in row:
+                line["test"] = row["test"] or None
             lines.append(json.dumps(line) + "\n")
         return "".join(lines).encode()
 

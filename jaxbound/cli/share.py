@@ -11,7 +11,7 @@ from typing import Any
 
 from jaxbound.cli.options import OUTSIDE, MethodOptions
 from jaxbound.cli.terminal import OK, door, progress_bars, show, usable_device, write
-from jaxbound.cli.window import stated_model, window_relations
+from jaxbound.cli.window import recorded, stated_model, window_relations
 from jaxbound.consistency.interface import AUTO
 from jaxbound.recordings.parquet import PARTIAL
 from jaxbound.recordings.read import open_source
@@ -110,7 +110,7 @@ def opened(
     """Return (Source, relations) of what is to be tested chunk by chunk."""
     stated = stated_model(model, options.every)
     usable_device()
-    source = open_source(data, stated)
+    source = open_source(data, recorded(stated, options))
     return source, window_relations(stated, options, data, source.samples, step)[1]
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from jaxbound.cli.options import MethodOptions
-from jaxbound.consistency.interface import FAMILIES, METHODS, MONITOR, Relations
+from jaxbound.consistency.interface import FAMILIES, MONITOR, Relations
 from jaxbound.models.modelfile import load_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.testmodels import with_tests
@@ -14,10 +14,9 @@ from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.means import EVERY
 from jaxbound.relations.parity import ParityRelation, parity_relations
 from jaxbound.relations.uncertain import UncertainRelations
-from jaxbound.runs.relations import relations_by
+from jaxbound.runs.relations import is_monitored, relations_by
 
 __all__ = [
-    "is_monitored",
     "method_of",
     "parity_windows",
     "recorded",
@@ -72,7 +71,7 @@ def window_relations(
         ValueError: a recording without a whole window, windows without a relation; no observer.
     """
     options.check()
-    if is_monitored(model, options):
+    if is_monitored(model, options.method, options.horizon, options.lags):
         return model, relations_by(MONITOR, model, progress=lambda share: step("relations", share))
     # Parity relations go their own way: lags and a horizon change the model that a report keeps, and a
     # recording that is too short is refused before minutes of elimination.
@@ -81,23 +80,22 @@ def window_relations(
     return parity_windows(model, options, source, samples, step)
 
 
-def is_monitored(model: LinearSystem, options: MethodOptions) -> bool:
-    """Return whether a command judges by the tests of the model: it has some, and no other is asked for."""
-    return bool(model.tests) and options.method == METHODS[0] and not (options.horizon or options.lags)
-
-
 def recorded(model: LinearSystem, options: MethodOptions) -> LinearSystem:
     """Return the model by which a command reads a recording: with all columns that its tests need.
 
     Raises:
         ValueError: tests that make no model.
     """
-    return with_tests(model) if is_monitored(model, options) else model
+    if is_monitored(model, options.method, options.horizon, options.lags):
+        return with_tests(model)
+    return model
 
 
 def method_of(relations: Relations, options: MethodOptions) -> str:
     """Return the method of the test that a command makes."""
-    return MONITOR if relations.parts else options.method
+    if relations.parts:
+        return MONITOR
+    return options.method
 
 
 def parity_windows(

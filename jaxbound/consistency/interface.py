@@ -146,13 +146,16 @@ class Verdicts(Protocol):
 @readable
 class Judged(NamedTuple):
     """Verdicts (..., T): status, as int8; margin; words, of a bank the packed verdicts of its relations, else
-    None; departure: from the region of training, None: it is not known, or not asked for.
+    None; departure: from the region of training, None: it is not known, or not asked for. by: of a monitor
+    the numbers of the tests that speak, -1 where none does, and names of all its tests; else None.
     """
 
     status: np.ndarray
     margin: np.ndarray
     words: np.ndarray | None = None
     departure: Departure | None = None
+    by: np.ndarray | None = None
+    names: tuple[str, ...] = ()
 
 
 class Relations:

@@ -200,6 +200,8 @@ def _recorded_inputs(model: LinearSystem, u: object) -> tuple[Array, Array | Non
     shape = inputs.shape[:-1]
     given = _host(Recording.of(model, inputs, np.zeros((*shape, model.p), inputs.dtype)).u)
     refuse_infinite("u", given, known(model))
+    if any(factor.number < 0 for factor in model.factors):
+        raise ValueError("simulate draws samples of one mode: give it the model, and not that of its monitor")
     factors = np.ones((*shape, model.p), given.dtype)
     for column, factor in enumerate(model.factors, model.m):
         factors[..., factor.number] = given[..., column]

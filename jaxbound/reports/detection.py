@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxbound.consistency.interface import BOUNDS, LinearRelations
 from jaxbound.diagnosis.alarms import Alarm
+from jaxbound.diagnosis.monitored import MonitorResult
 from jaxbound.diagnosis.observed import ObserverResult
 from jaxbound.diagnosis.result import Result
 from jaxbound.estimation.set_observer import SetObserver
@@ -24,6 +25,7 @@ from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.reports.chart import picture_of
 from jaxbound.reports.chartdata import charts
 from jaxbound.reports.clock import shown_time
+from jaxbound.reports.monitored import monitor_sections
 from jaxbound.reports.page import TITLE, render
 from jaxbound.reports.parts import computed, model_values
 from jaxbound.runs.digest import Digest
@@ -73,6 +75,8 @@ def write_report(
     worst = summary.worst.sample if summary.worst else None
     chosen = sorted(range(len(alarms)), key=lambda i: _depth(alarms[i]))[:ROWS]
     why = _certified(res, alarms, chosen)
+    if isinstance(res, MonitorResult):
+        extra = [*monitor_sections(res, recording.label), *extra]
     drawn = charts(res, recording, alarms, chosen, why, worst)
     if progress:
         progress(0.5)

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import numpy as np
 
 from jaxbound.consistency.claims import CLAIMED
-from jaxbound.consistency.interface import AUTO, Observer, Relations
+from jaxbound.consistency.interface import AUTO, MONITOR, Observer, Relations
 from jaxbound.diagnosis.alarmrule import AlarmRule, RuleLike, rule_of
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detection import detect
@@ -30,6 +30,7 @@ from jaxbound.diagnosis.spot_checks import again_hints
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.modelfile import load_model
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.testmodels import with_tests
 from jaxbound.recordings.csvlines import is_open, split_lines
 from jaxbound.recordings.csvtext import UNCLOSED, cells_of, delimiter_of
 from jaxbound.recordings.expressions import missing_column
@@ -40,7 +41,7 @@ from jaxbound.recordings.source import Progress
 from jaxbound.runs.continuation import Continuation, Joined, carry_of, followed, joined_carries
 from jaxbound.runs.endings import ending_hints
 from jaxbound.runs.loop import Quiet, follow
-from jaxbound.runs.relations import relations_by
+from jaxbound.runs.relations import is_monitored, relations_by
 from jaxbound.runs.summary import CODES, OUTSIDE, Summary, summarised
 from jaxbound.text.objects import readable
 from jaxbound.workers.engine import in_order, stretches_for
@@ -398,7 +399,15 @@ class _Reader:
             model, relations = self.models[unit.model]
         else:
             model = load_model(unit.model)
-        source = open_source(unit.recording, model)
+        method, recorded = how.method, model
+        if is_monitored(model, how.method, how.horizon, how.lags):
+            if how.state is not None:
+                raise ValueError(
+                    f"{unit.model}: a state keeps the end of one test, and this model states "
+                    f"{len(model.tests)}: ask for one by a horizon, lags or an observer"
+                )
+            method, recorded = MONITOR, with_tests(model)
+        source = open_source(unit.recording, recorded)
         content = None
         if how.state is not None:
             content = source.content  # before it is read, so that a later change is seen
@@ -406,7 +415,7 @@ class _Reader:
         if how.state is None:
             self._refuse_short(unit, recording, model)
         if relations is None:
-            relations = relations_by(how.method, model, how.horizon, lags=how.lags, options=how.options)
+            relations = relations_by(method, model, how.horizon, lags=how.lags, options=how.options)
         if self.shared[unit.model] > 1:
             self.models[unit.model] = model, relations
         if how.state is None:

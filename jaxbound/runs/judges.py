@@ -10,7 +10,9 @@ import numpy as np
 
 from jaxbound.consistency.claims import CLAIMED, UNCLAIMED, unclaimed
 from jaxbound.consistency.interface import AUTO, Judged, Observer, Relations
+from jaxbound.consistency.interface import Verdicts as OfObserver
 from jaxbound.consistency.monitor import Monitor
+from jaxbound.consistency.monitorbank import BankVerdicts
 from jaxbound.consistency.searched import NOT_REFUTED, judging_device
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.spot_checks import COUNT, decided_again, judged_elsewhere
@@ -97,7 +99,7 @@ class Carried(Generic[State]):
             the first piece; None: it goes on with the carry. outside: as of `detect`.
     """
 
-    overlap = 1
+    overlap: int = 1
 
     def __init__(
         self,
@@ -113,6 +115,9 @@ class Carried(Generic[State]):
         self.begins = max(warm or 0, self.overlap)
         self.again: dict[str, int] = {}  # none are decided again: they rest on all samples before
         self.laps, self.outside, self.region = laps, outside, Region.of(observer)
+        if self.region is not None:
+            self.overlap = max(self.overlap, self.region.horizon)
+            self.begins = max(self.begins, self.overlap)
 
     def __call__(self, piece: Numbered) -> Iterator[tuple[Recording, Verdicts]]:
         """Judge the samples that are new in a piece, those of each part by themselves."""
@@ -129,8 +134,8 @@ class Carried(Generic[State]):
         for begin, end in itertools.pairwise(edges):
             self.carry, found = self.observer.followed(self.carry, given.cut(begin - first, end - first))
             self.done = end
-            verdicts = Judged(np.asarray(found.status), np.asarray(found.margin))
-            before = max(begin - first - 1, 0)  # the step to the first sample begins at the one before
+            verdicts = _judged(self.observer, found)
+            before = max(begin - first - self.overlap, 0)  # windows of the first sample reach back so far
             u = np.asarray(recording.u)[before : end - first]
             verdicts = _placed(verdicts, self.region, u, self.outside)
             yield recording.cut(begin - first, end - first), verdicts
@@ -138,6 +143,14 @@ class Carried(Generic[State]):
     def memory(self) -> Memory:
         """Return the carry behind the last sample."""
         return as_texts(self.carry)
+
+
+def _judged(relations: Relations, verdicts: OfObserver) -> Judged:
+    """Return the verdicts of an observer, of a monitor with the tests that speak."""
+    status, margin = np.asarray(verdicts.status), np.asarray(verdicts.margin)
+    if isinstance(verdicts, BankVerdicts):
+        return Judged(status, margin, by=np.asarray(verdicts.by), names=tuple(relations.parts))
+    return Judged(status, margin)
 
 
 def _placed(judged: Judged, region: Region | None, u: np.ndarray, outside: str) -> Judged:
@@ -162,14 +175,17 @@ class Live:
     Args:
         outside: of a Monitor of an observer, as of `detect`; that of windows has its own.
 
-    Fields: last: (1, m) the inputs of the last sample, of an observer; NaN before there is one.
+    Fields: last: (k, m) the inputs of the last samples, of an observer; NaN before there are some.
     """
 
     def __init__(self, monitor: Monitor, outside: str = CLAIMED) -> None:
         self.monitor, self.outside = monitor, outside
         self.state = monitor.init()
-        self.last = np.full((1, len(known(monitor.relations.model))), np.nan)
         self.region = Region.of(monitor.relations)
+        back = 1
+        if self.region is not None:
+            back = max(back, self.region.horizon)
+        self.last = np.full((back, len(known(monitor.relations.model))), np.nan)
 
     def __call__(self, piece: Numbered) -> Iterator[tuple[Recording, Verdicts]]:
         """Judge the samples of a piece."""
@@ -180,13 +196,16 @@ class Live:
             )
             if self.monitor.relations.remembers:
                 u = np.concatenate([self.last, recording.u])
-                judged = Judged(np.asarray(verdicts.status), np.asarray(verdicts.margin))
-                verdicts, self.last = _placed(judged, self.region, u, self.outside), u[-1:]
+                judged = _judged(self.monitor.relations, verdicts)
+                verdicts = _placed(judged, self.region, u, self.outside)
+                self.last = u[-len(self.last) :]
             yield recording, verdicts
 
     def compile(self) -> None:
         """Judge samples of zeros and forget them, so that no sample waits for a compiler."""
-        model, window = self.monitor.relations.model, self.monitor.relations.horizon + 1
+        relations = self.monitor.relations
+        windows = [test.horizon for test in relations.parts.values()]
+        model, window = relations.model, max([relations.horizon, *windows]) + 1
         u, y = np.zeros((window, len(known(model)))), np.zeros((window, model.p))
         self.monitor.run(self.monitor.init(), u, y)
 

@@ -21,7 +21,7 @@ from jaxbound.diagnosis.result import suspected
 from jaxbound.files.checkpoint import refuse_other
 from jaxbound.files.whole import UNFINISHED, whole
 from jaxbound.models.region import Departure, Region
-from jaxbound.recordings.columns import categories, from_arrow, to_arrow
+from jaxbound.recordings.columns import categories, from_arrow, to_arrow, words
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.parquetfiles import Damage
 from jaxbound.recordings.recording import Recording
@@ -64,20 +64,26 @@ class Carrier(Protocol):
 
 
 class _Waiting(NamedTuple):
-    """Samples that wait for their part: times as written, verdicts, signals (n, k), and departures."""
+    """Samples that wait for their part: times as written, verdicts, signals (n, k), departures, and the
+    numbers of the tests that speak, of a monitor.
+    """
 
     written: "pa.Array"
     status: np.ndarray
     margin: np.ndarray
     signals: np.ndarray
     departure: Departure | None
+    by: np.ndarray | None = None
 
     def cut(self, first: int, stop: int) -> "_Waiting":
         """Return the rows first .. stop - 1."""
         here = slice(first, stop)
         departure = self.departure and self.departure.cut(here)
         numbers = self.status[here], self.margin[here], self.signals[here]
-        return _Waiting(self.written[here], *numbers, departure)
+        by = None
+        if self.by is not None:
+            by = self.by[here]
+        return _Waiting(self.written[here], *numbers, departure, by)
 
 
 class Parts(Quiet):
@@ -102,19 +108,25 @@ class Parts(Quiet):
         self.folder, self.notes, self.size, self.end = folder, notes, size, end
         self.done, self.about, self.judge = first, about, judge
         self.waiting: list[_Waiting] = []
+        self.tests: tuple[str, ...] = ()
 
     def add(self, piece: Recording, verdicts: Verdicts) -> None:
         """Take the next samples; write the parts that they complete, and at the end the part that is left."""
         import pyarrow as pa
 
         numbers = verdicts.status, verdicts.margin, _signals_and_where(piece)
-        self.waiting.append(_Waiting(piece.column, *numbers, verdicts.departure))
+        by = getattr(verdicts, "by", None)
+        self.tests = getattr(verdicts, "names", ())
+        self.waiting.append(_Waiting(piece.column, *numbers, verdicts.departure, by))
         while rows := sum(len(waiting.status) for waiting in self.waiting):
             if rows < self.size and self.done + rows < self.end:
                 return
-            times, status, margin, signals, departures = zip(*self.waiting, strict=True)
+            times, status, margin, signals, departures, speaking = zip(*self.waiting, strict=True)
             numbers = np.concatenate(status), np.concatenate(margin), np.concatenate(signals)
-            together = _Waiting(pa.concat_arrays(times), *numbers, _end_to_end(departures))
+            whole_by = None
+            if speaking[0] is not None:
+                whole_by = np.concatenate(speaking)
+            together = _Waiting(pa.concat_arrays(times), *numbers, _end_to_end(departures), whole_by)
             self._write(together.cut(0, self.size))
             self.waiting = [together.cut(self.size, rows)]
 
@@ -123,11 +135,15 @@ class Parts(Quiet):
         import pyarrow as pa
         import pyarrow.parquet as pq
 
+        test = {}
+        if rows.by is not None:
+            test["test"] = words(("", *self.tests), rows.by + 1)
         columns = {
             "time": rows.written,
             "status": categories([x.name for x in Status], rows.status),
             "margin": to_arrow(rows.margin),
             **outside_columns(rows.departure),
+            **test,
             "suspect": to_arrow(suspected(rows.status, rows.margin)),
         }
         number = self.done // self.size
@@ -138,7 +154,9 @@ class Parts(Quiet):
             refuse_other_part(path, self.notes[number])
         with whole(path, links=False) as f:
             table = pa.table(columns).replace_schema_metadata(about)
-            pq.write_table(table, f, use_dictionary=["status", "outside_by"], write_page_checksum=True)
+            pq.write_table(
+                table, f, use_dictionary=["status", "outside_by", "test"], write_page_checksum=True
+            )
         self.done += len(rows.status)
 
     def _metadata(self, number: int, signals: np.ndarray) -> dict[bytes, str]:

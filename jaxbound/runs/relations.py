@@ -3,14 +3,25 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from jaxbound.consistency.interface import FAMILIES, MONITOR, OBSERVER, Relations
+from jaxbound.consistency.interface import FAMILIES, METHODS, MONITOR, OBSERVER, Relations
 from jaxbound.diagnosis.monitoring import monitor
 from jaxbound.estimation.observer import observer
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.times import refuse_factors
 from jaxbound.relations.parity import parity_relations
 
-__all__ = ["relations_by"]
+__all__ = ["is_monitored", "relations_by"]
+
+
+def is_monitored(
+    model: LinearSystem, method: str, horizon: int | None = None, lags: Sequence[int] | None = None
+) -> bool:
+    """Return whether a run judges by the tests of a model: it has some, and no other test is asked for.
+
+    Args:
+        method, horizon, lags: as for `relations_by`.
+    """
+    return bool(model.tests) and method == METHODS[0] and horizon is None and lags is None
 
 
 def relations_by(

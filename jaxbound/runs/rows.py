@@ -23,6 +23,7 @@ __all__ = ["VERDICTS", "RowFile", "RowText", "number_text"]
 VERDICTS = "verdicts.csv"
 PLAIN = "time", "status", "margin"
 REGION = "outside", "outside_by", "outside_at"  # of models that state ranges, before suspect
+TEST = "test"  # of a monitor
 QUOTED = set(',"\r\n')  # in a cell
 NAMES, FAULT = [status.name for status in Status], int(Status.FAULT)
 RECOGNISED = 80  # last bytes of verdicts.csv by which it is known again
@@ -33,15 +34,18 @@ class RowText:
     """The rows of the last verdicts, made once for all that write them.
 
     Args:
-        has_region: whether verdicts say how they depart from the region of training.
+        has_region: whether verdicts say how they depart from the region of training. has_tests: whether they
+            name the test of a monitor that speaks.
 
     Fields: names: of the columns before the last one, which is suspect.
     """
 
-    def __init__(self, has_region: bool = False) -> None:
+    def __init__(self, has_region: bool = False, has_tests: bool = False) -> None:
         self.names: tuple[str, ...] = PLAIN
         if has_region:
-            self.names = *PLAIN, *REGION
+            self.names = *self.names, *REGION
+        if has_tests:
+            self.names = *self.names, TEST
         self.verdicts: Verdicts | None = None
         self.text = b""
 
@@ -161,6 +165,8 @@ def _row_text(written: "pa.Array", verdicts: Verdicts) -> bytes:
 
 def _plainly_named(verdicts: Verdicts) -> bool:
     """Return whether no name of an input needs quotes in a CSV file."""
+    if getattr(verdicts, "by", None) is not None:
+        return False
     if verdicts.departure is None:
         return True
     return QUOTED.isdisjoint("".join(verdicts.departure.names))

@@ -79,7 +79,8 @@ def columns_of(result: Verdicts) -> Columns:
     """Return the columns of a result beside the time: status, margin (blank where there is none), those of
     `outside_columns`, suspect.
     """
-    return _columns(result.status, result.margin, result.departure)
+    by, names = getattr(result, "by", None), getattr(result, "names", ())
+    return _columns(result.status, result.margin, result.departure, by, names)
 
 
 @columns_of.register(Result)
@@ -91,15 +92,24 @@ def _(result: Result) -> Columns:
 @columns_of.register(MonitorResult)
 def _(result: MonitorResult) -> Columns:
     """Return those of a monitor: test is the name of the test that speaks, blank where none does."""
-    columns = _columns(result.status, result.reported, result.departure)
-    return {**columns, "test": words(("", *result.names), result.by + 1)}
+    return _columns(result.status, result.reported, result.departure, result.by, result.names)
 
 
-def _columns(status: np.ndarray, margin: np.ndarray, departure: Departure | None) -> Columns:
+def _columns(
+    status: np.ndarray,
+    margin: np.ndarray,
+    departure: Departure | None,
+    by: np.ndarray | None = None,
+    names: Sequence[str] = (),
+) -> Columns:
+    test = {}
+    if by is not None:
+        test["test"] = words(("", *names), by + 1)
     return {
         "status": words([x.name for x in Status], status),
         "margin": to_arrow(margin),
         **outside_columns(departure),
+        **test,
         "suspect": to_arrow(suspected(status, margin)),
     }
 

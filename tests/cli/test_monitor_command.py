@@ -4,10 +4,14 @@ import csv
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import jaxbound as jb
 from jaxbound.cli import main
+from jaxbound.cli.options import MethodOptions
+from jaxbound.cli.pipe import judge_stream
+from jaxbound.runs.fleet import Unit, detect_fleet
 
 MODEL = """
 dt = 1
@@ -66,6 +70,8 @@ def test_a_file_with_tests_is_judged_by_all_of_them(plant, tmp_path, capsys):
     assert rows[20]["status"] == "FAULT" and rows[20]["test"] == "jumps"
     assert rows[40]["status"] == "FAULT" and rows[40]["test"] == "drifts"
     assert rows[0]["test"] == ""
+    page = (tmp_path / "r" / "report.html").read_text()
+    assert "Who watched when" in page and "mode == 1 does not hold" in page
 
 
 def test_its_windows_are_explained_by_the_test_that_speaks(plant, tmp_path, capsys):
@@ -98,3 +104,45 @@ def test_alarms_of_a_monitor_are_those_of_its_verdicts(plant):
     bank = jb.monitor(model)
     res = jb.detect(bank, jb.read(data, bank.model))
     assert [(alarm.start, res.test_at(alarm.start)) for alarm in res.alarms()][0] == (20, "jumps")
+
+
+def test_a_pipe_names_the_test_that_speaks_in_each_line(plant, tmp_path, capsysbinary):
+    model, data = plant
+    code = judge_stream(model, [data.read_bytes()], options=MethodOptions(), as_json=True)
+    lines = [json.loads(line) for line in capsysbinary.readouterr().out.splitlines()]
+    assert code == 1
+    faults = [(k, line["test"]) for k, line in enumerate(lines) if line["status"] == "FAULT"]
+    assert faults[0] == (20, "jumps")
+    assert lines[40]["status"] == "FAULT" and lines[40]["test"] == "drifts"
+    assert lines[0]["test"] is None
+
+
+def test_a_parquet_recording_is_judged_as_one_in_memory(plant, tmp_path, capsys):
+    model, data = plant
+    pd.read_csv(data).to_parquet(tmp_path / "run.parquet")
+    assert detect((model, tmp_path / "run.parquet"), tmp_path / "r", "-q") == 1
+    table = pd.read_parquet(tmp_path / "r" / "verdicts.parquet")
+    bank = jb.monitor(model)
+    res = jb.detect(bank, jb.read(data, bank.model))
+    assert table["status"].tolist() == [jb.Status(s).name for s in res.status]
+    assert [name or "" for name in table["test"]] == [res.test_at(k) for k in range(60)]
+
+
+def test_a_fleet_judges_by_the_tests_of_each_model(plant):
+    (result,) = detect_fleet([Unit("a", *plant)])
+    assert result.summary.found.tests["jumps"].first == 20
+
+
+@pytest.mark.parametrize("command", ["tune", "study"])
+def test_what_takes_one_test_refuses_several(command, plant, tmp_path, capsys):
+    model, data = plant
+    out = ["--out", str(tmp_path / "out.toml")]
+    more = {"tune": [str(data), *out], "study": ["--faults", "height", *out]}
+    assert main.main([command, str(model), *more[command]]) == 2
+    assert "this is a monitor of 2" in capsys.readouterr().err
+
+
+def test_info_lists_the_tests(plant, capsys):
+    assert main.main(["info", str(plant[0])]) == 0
+    text = capsys.readouterr().out
+    assert "test drifts" in text and "when mode == 1" in text

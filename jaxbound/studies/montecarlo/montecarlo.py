@@ -294,6 +294,11 @@ def _check_study(
 ) -> None:
     """Raise TypeError or ValueError for what `study` does not take."""
     relations_of(relations, "a study", "study(model, .., relations=parity_relations(model))")
+    if relations.parts:
+        raise ValueError(
+            f"a study counts what one test sees, and this is a monitor of {len(relations.parts)}: ask for "
+            f"one by --horizon, --lags or --method, or give it one of monitor.parts"
+        )
     if method == "linearized":
         raise ValueError(
             "method 'linearized' neglects terms and proves no FAULT, which is what a study counts: use "

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.result import Result
 from jaxbound.estimation.set_observer import SetObserver
@@ -425,6 +426,12 @@ def _check(
     every: int,
 ) -> None:
     """Raise TypeError or ValueError for what `tune` does not take."""
+    if isinstance(relations, Relations) and relations.parts:
+        raise ValueError(
+            f"tune finds the bounds of one test, and this is a monitor of {len(relations.parts)}: ask for "
+            f"one by --horizon, --lags or --method, or give it one of monitor.parts; all tests keep their "
+            f"factors"
+        )
     if isinstance(relations, SetObserver):
         if not isinstance(relations.model, LinearSystem):
             raise TypeError(
