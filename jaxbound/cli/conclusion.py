@@ -10,8 +10,10 @@ import numpy as np
 
 from jaxbound.cli.evaluation import Evaluation
 from jaxbound.cli.terminal import show, write
+from jaxbound.diagnosis.observed import shown_name
 from jaxbound.diagnosis.region import Outside
 from jaxbound.runs.summary import OUTSIDE, Evidence, OfTest, Summary, Window
+from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import most_percent, percent, times
 
 __all__ = ["conclude"]
@@ -55,7 +57,10 @@ def conclude(evaluation: Evaluation, data: Path | str, out: Path, as_json: bool 
 
 
 def _counts_row(evidence: Evidence) -> tuple[str, str]:
-    counts = [f"{evidence.counts[s]} {s}" for s in STATUSES if evidence.counts[s]]
+    counts = []
+    for name in STATUSES:
+        if evidence.counts[name]:
+            counts.append(f"{evidence.counts[name]} {shown_name(Status[name], evidence.remembers)}")
     return "samples" if evidence.remembers else "windows", ", ".join(counts)
 
 

@@ -12,10 +12,26 @@ from jaxbound.consistency.interface import Judged
 from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.estimation.set_observer import Observation, SetObserver
 from jaxbound.recordings.recording import Recording
+from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.objects import readable
 
-__all__ = ["ObserverResult"]
+__all__ = ["NOT_REFUTED", "ObserverResult", "shown_name"]
+
+NOT_REFUTED = "UNDECIDED (not refuted)"
+"""UNDECIDED for readers, where it is what a healthy sample is."""
+
+
+def shown_name(status: Status, remembers: bool) -> str:
+    """Return the name of a verdict for readers. remembers: whether an observer says it.
+
+    Example:
+        >>> shown_name(Status.UNDECIDED, True), shown_name(Status.FAULT, True)
+        ('UNDECIDED (not refuted)', 'FAULT')
+    """
+    if remembers and status == Status.UNDECIDED:
+        return NOT_REFUTED
+    return status.name
 
 
 @readable

@@ -46,6 +46,8 @@ COLOURS = {
 }
 INK, ENVELOPE, GRID, FAULTY = "#16324f", "#56b4e9", "#e3e6ea", COLOURS[Status.FAULT]
 PALE = "#eef1f4"
+CALM = "#d3e9f8"
+"""In place of UNDECIDED where that is what a healthy sample is: as pages have it."""
 SAMPLES, BINS, PANELS = 5000, 1200, 12
 BOTTOM = 0.55  # inches below the lowest axes
 STYLE: "dict[RcKeyType, object]" = {

@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jaxbound.consistency.interface import OBSERVER
+from jaxbound.diagnosis.observed import shown_name
 from jaxbound.plots.canvas import (
+    CALM,
     COLOURS,
     ENVELOPE,
     FAULTY,
@@ -88,7 +91,7 @@ def plot_timeline(
     with style():
         fig, (margin, ribbon) = stacked(2, (11, 4.3), [12, 1])
         _chart(margin, line, at, name, method, alarms)
-        _ribbon(ribbon, at, line.status)
+        _ribbon(ribbon, at, line.status, method)
         finish(fig, [margin, ribbon], at, label, dates)
     return fig
 
@@ -177,21 +180,24 @@ def _mark_alarms(ax: "Axes", x: np.ndarray, count: int) -> None:
     ax.text(1.0, 1.055, text, ha="right", transform=ax.transAxes, fontsize=9.5, color=FAULTY)
 
 
-def _ribbon(ax: "Axes", x: np.ndarray, status: np.ndarray) -> None:
+def _ribbon(ax: "Axes", x: np.ndarray, status: np.ndarray, method: str) -> None:
     """Draw a strip in the colour of the worst verdict of each bin, with a legend of the verdicts that
     occur.
     """
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
 
+    colours, names = dict(COLOURS), {s: s.name for s in Status}
+    if method == OBSERVER:  # of a healthy sample: nothing to warn of
+        colours[Status.UNDECIDED] = CALM
+        names[Status.UNDECIDED] = shown_name(Status.UNDECIDED, remembers=True)
     edges = np.concatenate([x[:1], x[1:] - (x[1:] - x[:-1]) / 2, x[-1:]])
-    ax.pcolormesh(
-        edges, [0, 1], status[None, :], cmap=ListedColormap([COLOURS[s] for s in Status]), vmin=-0.5, vmax=3.5
-    )
+    shades = ListedColormap([colours[s] for s in Status])
+    ax.pcolormesh(edges, [0, 1], status[None, :], cmap=shades, vmin=-0.5, vmax=3.5)
     ax.set_yticks([])
     ax.set_ylabel("verdict", rotation=0, ha="right", va="center")
     present = [s for s in Status if (status == s).any()]
-    handles = [Patch(color=COLOURS[s], label=s.name) for s in present]
+    handles = [Patch(color=colours[s], label=names[s]) for s in present]
     ax.figure.legend(handles=handles, loc="lower left", ncols=4, fontsize=9, bbox_to_anchor=(0.066, 0.0))
 
 

@@ -55,7 +55,7 @@ const boxes = (u, piece, on, name) => {
 const untrained = (u, lo, hi) => { // where an input was not in training
   const { left, top, width, height } = u.bbox, foot = top + height;
   const at = (v) => Math.min(Math.max(u.valToPos(v, "y", true), top), foot);
-  u.ctx.fillStyle = `${colour("UNDECIDED")}40`;
+  u.ctx.fillStyle = `${colour("UNTRAINED")}40`;
   u.ctx.fillRect(left, top, width, at(hi) - top);
   u.ctx.fillRect(left, at(lo), width, foot - at(lo));
 };

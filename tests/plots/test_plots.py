@@ -5,6 +5,7 @@ import re
 import jax
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
 from result_case import CONSISTENT, FAULT, MISSING, UNDECIDED, biased, synthetic
 from systems import paper
 
@@ -146,3 +147,15 @@ class TestPaper:
         axes = figure_2(t, jb.detect(jb.parity_relations(paper()), t.u, t.y), faults).axes
         assert [t.get_text() for t in axes[1].get_legend().texts] == ["x1 + x2 (true)", "y2 (measured)"]
         assert axes[0].texts[0].get_text().strip() == "A: bias of y1"
+
+
+def test_undecided_of_an_observer_has_a_name_and_a_colour_that_do_not_warn():
+    model = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1)
+    y = [[1.0], [0.5], [0.25], [0.125]]
+    observed, windows = jb.observer(model), jb.parity_relations(model, 2)
+    (legend,) = jb.plot(jb.detect(observed, None, y)).legends
+    assert [text.get_text() for text in legend.get_texts()][-1] == "UNDECIDED (not refuted)"
+    assert to_hex(legend.get_patches()[-1].get_facecolor()) == "#d3e9f8"
+    box = jb.detect(windows, None, y, method="box")
+    (legend,) = jb.plot(box).legends
+    assert [text.get_text() for text in legend.get_texts()][-1] == "UNDECIDED"
