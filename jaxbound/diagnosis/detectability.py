@@ -134,7 +134,7 @@ def detectable(
         (0.4, 0, 'y1[k] - y2[k] = 0')
     """
     if method == SetObserver.method or isinstance(model, SetObserver):
-        return _observed(model, fault, (horizon, operating_range, lags))
+        return _observed(model, fault, (horizon, operating_range, lags), factors)
     if method != "joint":
         raise ValueError(
             f"method must be joint or {SetObserver.method}, not {method!r}: sizes of others are counted by "
@@ -195,7 +195,10 @@ def _constant_fault(model: LinearSystem, fault: str | Fault) -> str:
 
 
 def _observed(
-    model: ModelLike | SetObserver[Any], fault: str | Fault, of_windows: Sequence[object]
+    model: ModelLike | SetObserver[Any],
+    fault: str | Fault,
+    of_windows: Sequence[object],
+    factors: Mapping[str, Number] | None,
 ) -> GuaranteedSize:
     """Return the GuaranteedSize of a set observer. of_windows: options that it does not take."""
     if any(x is not None for x in of_windows):
@@ -204,7 +207,9 @@ def _observed(
         )
     watch = model
     if not isinstance(watch, SetObserver):
-        watch = observer(as_model(watch))
+        watch = observer(at_factors(as_model(watch, factors=True), factors))
+    elif isinstance(watch.model, LinearSystem) and (watch.model.times or factors):
+        watch = watch.of(at_factors(watch.model, factors))
     if not isinstance(fault, Fault):
         fault = Fault(fault)
     names = watch.model.outputs + watch.model.inputs

@@ -14,6 +14,8 @@ from jaxbound.estimation.zonotope_steps import Numbers, Start
 from jaxbound.models.intervals import IntervalSystem, as_intervals
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.unknown_directions import Directions, unknown_directions, with_direct_states
+from jaxbound.recordings.factors import raised
+from jaxbound.sets.floats import rounding
 
 __all__ = ["ObservedModel", "ObservedPlant", "observed_plant"]
 
@@ -57,6 +59,21 @@ class ObservedPlant:
         placed: tuple[Numbers, Start | None] = jax.device_put((self.numbers, self.start))
         return placed
 
+    def noise_of(self, factors: np.ndarray) -> np.ndarray:
+        """Return the bounds (..., T, p) of errors of samples, rounded up to the dtype, NaN where a factor is.
+
+        Args:
+            factors: (..., T, q) on the noise of the outputs that have one; a resolution stays as it is.
+        """
+        assert isinstance(self.model, LinearSystem), "others have no factors"
+        bounds = np.broadcast_to(self.system.noise, (*factors.shape[:-1], self.system.p)).copy()
+        for column, factor in enumerate(self.model.factors):
+            noise = rounding.round_up(self.model.noise[factor.number])
+            resolution = rounding.round_up(self.model.resolution[factor.number])
+            scaled = np.nextafter(noise * factors[..., column].astype(np.float64), np.inf)
+            bounds[..., factor.number] = np.nextafter(scaled + resolution, np.inf)
+        return raised(bounds, self.dtype)
+
     def __getstate__(self) -> dict[str, Any]:
         # another process may have other devices
         return {name: value for name, value in vars(self).items() if name != "placed"}
@@ -76,7 +93,7 @@ def observed_plant(model: ObservedModel, horizon: int | None, has_first: bool) -
     linear = None
     if isinstance(model, LinearSystem):
         linear = with_direct_states(model) if model.d else model
-    system = as_intervals(model if linear is None else linear, unknown_inputs=True)
+    system = as_intervals(model if linear is None else linear, unknown_inputs=True, factors=True)
     unknown = None
     if isinstance(model, LinearSystem) and linear is not None and model.d:
         unknown = unknown_directions(linear)

@@ -95,7 +95,8 @@ class Piece(NamedTuple):
     """Samples of N recordings side by side, as kernels take them.
 
     Fields: u, y, slip (T, ., N): inputs, outputs, and the error of recorded inputs; fresh (T, N): whether a
-    sample does not follow the one before; rounded (): the unit roundoff of the type in which y was recorded.
+    sample does not follow the one before; rounded (): the unit roundoff of the type in which y was recorded;
+    noise (T, p, N): bounds of errors, or None: those of the model at every sample.
     """
 
     u: np.ndarray
@@ -103,10 +104,15 @@ class Piece(NamedTuple):
     slip: np.ndarray
     fresh: np.ndarray
     rounded: np.ndarray
+    noise: np.ndarray | None = None
 
     def mapped(self, change: Callable[[np.ndarray], np.ndarray]) -> "Piece":
         """Return the piece with another choice of its samples or recordings."""
-        return Piece(change(self.u), change(self.y), change(self.slip), change(self.fresh), self.rounded)
+        noise = None
+        if self.noise is not None:
+            noise = change(self.noise)
+        columns = change(self.u), change(self.y), change(self.slip), change(self.fresh)
+        return Piece(*columns, self.rounded, noise)
 
     def of_recordings(self, lanes: np.ndarray) -> "Piece":
         """Return some of the recordings."""
@@ -298,6 +304,7 @@ class SetObserver(Observer[State], Generic[State]):
         """Return (leading shape, samples) of a piece."""
         piece.finite()
         u, y = np.asarray(piece.u), np.asarray(piece.y)
+        u, factors = u[..., : self.plant.system.m], u[..., self.plant.system.m :]
         *lead, T, p = y.shape
         count = int(np.prod(lead))
         followed = carry.carry.c.shape[-1] // len(self.weights)
@@ -315,7 +322,10 @@ class SetObserver(Observer[State], Generic[State]):
             fresh |= piece.excluded[:, None]
         rounded = max(float(rounding.unit(y.dtype)), float(rounding.unit(self.plant.dtype)))
         columns = time_first(u), time_first(y), time_first(input_slip(u))
-        return tuple(lead), Piece(*columns, fresh, np.asarray(rounded, self.plant.dtype))
+        noise = None
+        if factors.shape[-1]:
+            noise = time_first(self.plant.noise_of(factors))
+        return tuple(lead), Piece(*columns, fresh, np.asarray(rounded, self.plant.dtype), noise)
 
     def _followed(
         self, carry: steps.ZonotopeCarry, samples: Piece

@@ -19,6 +19,8 @@ LONGEST, SHORT, CLEARLY = 512, 8, 1 + 1e-6
 """Steps of the longest window that a certificate speaks of, of the longest of parity relations, and the
 factor it must be beyond.
 """
+FACTORED = 64
+"""Steps of the longest window where noise is times a factor, which parity relations alone know."""
 
 WindowProof: TypeAlias = tuple[Any, np.ndarray, np.ndarray]
 """(relations of a window, u, y): a stretch, or parity relations."""
@@ -103,21 +105,25 @@ def _window_proof(
     model: LinearSystem, h: int, u: np.ndarray, y: np.ndarray, first_box: np.ndarray | None
 ) -> WindowProof | None:
     """Return the proof by the h + 1 samples u, y, if there is one. first_box: bounds of their first state."""
-    if model.uncertainties:
+    if model.factors and h <= FACTORED:
         return _parity_proof(model, h, u, y)
+    if model.factors:
+        return None
+    if model.uncertainties and h <= SHORT:
+        return _parity_proof(model, h, u, y)
+    if model.uncertainties:
+        return None
     about = stretch(model, h, None if first_box is None else list(first_box))
     if exceeds(about, u, y) <= CLEARLY:
         return None
     shown = None
-    if first_box is None:  # parity relations know no bounds of a state
+    if first_box is None and h <= SHORT:  # parity relations know no bounds of a state
         shown = _parity_proof(model, h, u, y)
     return shown or (about, u, y)
 
 
 def _parity_proof(model: LinearSystem, h: int, u: np.ndarray, y: np.ndarray) -> WindowProof | None:
-    """Return the proof by parity relations, if the window is short and FAULT by them."""
-    if h > SHORT:
-        return None
+    """Return the proof by parity relations, if the window is FAULT by them."""
     try:
         relations = parity_relations(model, h)
     except ValueError:  # without a relation yet

@@ -225,19 +225,29 @@ def unknown(sizes: tuple[int, int, int, int, int], weight: np.ndarray) -> Zonoto
 
 @kernel
 def read(
-    plant: Numbers, u: jax.Array, y: jax.Array, slip: jax.Array, fresh: jax.Array, rounded: jax.Array
+    plant: Numbers,
+    u: jax.Array,
+    y: jax.Array,
+    slip: jax.Array,
+    fresh: jax.Array,
+    rounded: jax.Array,
+    bounds: jax.Array | None = None,
 ) -> Read:
     """Return samples u, slip (T, m, N), y (T, p, N) as the kernels read them.
 
     Args:
-        rounded: the unit roundoff of the type in which y was recorded.
+        rounded: the unit roundoff of the type in which y was recorded. bounds (T, p, N): the noise of each
+            sample, in place of the plant's; None: that.
     """
     mid, rad = [], []
     gamma, floor = rounding.residual_error(8, y.dtype)
     for i in range(y.shape[1]):
         recorded = y[:, i]
         size = jnp.where(jnp.isnan(recorded), 0, jnp.abs(recorded))
-        noise = plant.noise[i] + RECORDER_ULPS * rounded * (size + plant.noise[i])
+        bound = plant.noise[i]
+        if bounds is not None:
+            bound = jnp.nan_to_num(bounds[:, i])  # NaN only where y is
+        noise = bound + RECORDER_ULPS * rounded * (size + bound)
         (middle,), (radius,), (scale,) = true_value(
             [recorded], plant.tolerance[i], noise, jnp.zeros_like(noise), plant.y0[i], size
         )

@@ -222,12 +222,15 @@ def _outward(lo: object, hi: object) -> Interval:
     return interval(rounding.round_down(np.array(lo, object)), rounding.round_up(np.array(hi, object)))
 
 
-def as_intervals(model: LinearSystem | IntervalSystem, unknown_inputs: bool = False) -> IntervalSystem:
+def as_intervals(
+    model: LinearSystem | IntervalSystem, unknown_inputs: bool = False, factors: bool = False
+) -> IntervalSystem:
     """Return a model as an IntervalSystem: uncertain parameters become the interval hulls of the matrices
     they act on.
 
     Args:
-        unknown_inputs: whether there may be some; they are left out.
+        unknown_inputs: whether there may be some; they are left out. factors: whether the caller knows
+            factors on the noise; they are left out.
 
     Raises:
         ValueError: unknown inputs, a model without states. TypeError: no model.
@@ -242,8 +245,8 @@ def as_intervals(model: LinearSystem | IntervalSystem, unknown_inputs: bool = Fa
         raise ValueError("observers and validate take models with states: use jb.detect for others")
     if model.d and not unknown_inputs:
         raise ValueError("validate takes no unknown inputs: use jb.observe, jb.unknown_inputs or jb.detect")
-
-    refuse_factors(model)
+    if not factors:
+        refuse_factors(model)
     left = _combinations(model)
     moves = None
     if left is not None:

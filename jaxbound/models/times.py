@@ -2,7 +2,7 @@
 sample from recorded columns.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from jaxbound.models.signals import ModelSignals, Sensors, Words, words
 from jaxbound.recordings.expressions import expression, is_expression
@@ -10,7 +10,7 @@ from jaxbound.recordings.factors import factors_of, read_factor
 from jaxbound.recordings.signals import Named
 from jaxbound.text.names import listed
 
-__all__ = ["refuse_factors", "times_of"]
+__all__ = ["inputs_for_factors", "refuse_factors", "times_of"]
 
 
 def refuse_factors(model: Named) -> None:
@@ -21,9 +21,9 @@ def refuse_factors(model: Named) -> None:
     named = [factor.output for factor in factors_of(model)]
     if named:
         raise ValueError(
-            f"the noise of {listed(named)} is times a factor, which only windows of samples know, "
-            f"detect(parity_relations(model), ..): give a model with times=None, and noise that holds "
-            f"throughout"
+            f"the noise of {listed(named)} is times a factor, which only windows of samples and observers "
+            f"know, detect(parity_relations(model), ..) and detect(observer(model), ..): give a model with "
+            f"times=None, and noise that holds throughout"
         )
 
 
@@ -50,16 +50,41 @@ def times_of(
             f"drawn anew"
         )
     columns = dict(signals.columns)
-    measured_in: dict[str, str] = {}  # column: the output that is recorded there
-    for output in signals.outputs:
-        measured_in |= dict.fromkeys(_sources(output, columns), output)
     for output, text in times:
         for name in read_factor(text).columns:
-            sources = {name.strip()}
-            if name in signals.inputs:
-                sources = _sources(name, columns)
-            _refuse_outputs(output, text, sorted(measured_in[x] for x in sources if x in measured_in))
+            used = _outputs_behind(name, signals.inputs, signals.outputs, columns)
+            _refuse_outputs(output, text, used)
     return tuple((output, read_factor(text).text) for output, text in times)
+
+
+def inputs_for_factors(
+    inputs: Sequence[str], outputs: Sequence[str], columns: Mapping[str, str]
+) -> tuple[str, ...]:
+    """Return the inputs that a factor may use: those that rest on no output."""
+    return tuple(name for name in inputs if not _outputs_behind(name, inputs, outputs, columns))
+
+
+def _outputs_behind(
+    name: str, inputs: Sequence[str], outputs: Sequence[str], columns: Mapping[str, str]
+) -> list[str]:
+    """Return the outputs on which a column, or an input by its name, rests.
+
+    An output that is computed from several columns has those for its own that are no inputs by themselves:
+    the model takes an input as known, whatever else is computed from it.
+    """
+    sources = {name.strip()}
+    if name in inputs:
+        sources = _sources(name, columns)
+    known = {columns.get(x, x).strip() for x in inputs}
+    resting = []
+    for output in outputs:
+        measured_in = _sources(output, columns)
+        own = measured_in - known
+        if len(own) < 2:  # its name alone
+            own = measured_in
+        if sources & own:
+            resting.append(output)
+    return resting
 
 
 def _sources(signal: str, columns: Mapping[str, str]) -> set[str]:

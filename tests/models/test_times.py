@@ -37,6 +37,13 @@ def test_an_output_cannot_widen_its_own_bound(columns, text, used):
         plant(columns=columns, times={"T": text})
 
 
+def test_an_input_from_which_an_output_is_computed_stays_an_input():
+    columns = {"T": "= Fan*(Hot - Cold)", "fan": "Fan"}
+    assert plant(columns=columns, times={"T": "1 + fan"}).times == {"T": "1 + fan"}
+    with pytest.raises(ValueError, match="rests on the output T"):
+        plant(columns=columns, times={"T": "1 + Hot"})
+
+
 @pytest.mark.parametrize(
     "changes, sentence",
     [
@@ -88,8 +95,6 @@ def test_a_model_file_has_the_factor_beside_its_bound(tmp_path):
 
 
 CALLS = {
-    "observer": lambda m, u, y: jb.observer(m),
-    "observe": lambda m, u, y: jb.observe(m, u, y),
     "validate": lambda m, u, y: jb.validate(m, u, y),
     "MultiModel": lambda m, u, y: jb.MultiModel([m, m], lambda u: u),
     "unknown_inputs": lambda m, u, y: jb.unknown_inputs(m, u, y),
@@ -99,14 +104,13 @@ CALLS = {
     "suggest_lags": lambda m, u, y: jb.suggest_lags(m),
     "study": lambda m, u, y: jb.study(m, [jb.Fault("T", "bias", 1.0, 4)], 2, 0, samples=8),
     "detect by paving": lambda m, u, y: jb.detect(jb.parity_relations(m), u, y, method="paving"),
-    "detect by an observer": lambda m, u, y: jb.detect(relations_by("observer", m), u, y),
-    "detectable by an observer": lambda m, u, y: jb.detectable(m, "T", method="observer"),
 }
 KNOWN = """
     parity_relations detect margins Monitor detect_dataset tune detectable save_model load_model plot read
-    LinearSystem Recording simulate with_faults
+    LinearSystem Recording simulate with_faults observer observe
 """.split()
-"""Public names that know factors; their tests are here and in consistency/test_windows_times.py."""
+"""Public names that know factors; their tests are here and in consistency/test_windows_times.py,
+estimation/test_observer_times.py."""
 WITHOUT_A_MODEL = """
     Fault Status Uncertainty compensation evaluate fit from_control from_scipy inclusion
     interval interval_system linearize membership parameters pave residual sets signatures solve_interval
