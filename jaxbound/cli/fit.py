@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -49,6 +50,19 @@ def whole_or_auto(least: int) -> Callable[[str], int | str]:
         return number(text)
 
     return read
+
+
+def weight_or_auto(text: str) -> float | str:
+    """Return a number >= 0, or auto."""
+    if text == "auto":
+        return text
+    try:
+        number = float(text)
+    except ValueError:
+        number = -1.0
+    if not 0 <= number < math.inf:
+        raise argparse.ArgumentTypeError(f"needs a number >= 0, or auto, not {text!r}")
+    return number
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -127,6 +141,14 @@ def options(parser: argparse.ArgumentParser) -> None:
         help="bound the mean of N errors in a row too: lasting errors show smaller",
     )
     parser.add_argument(
+        "--follow",
+        type=weight_or_auto,
+        default=0.0,
+        metavar="W",
+        help="bounds follow the operating point: times sqrt(1 + W * squared distance of the inputs from "
+        "training); auto: 0, .1 or .3, by recordings that are left out (default: 0)",
+    )
+    parser.add_argument(
         "--out", type=path, required=True, metavar="MODEL.toml", help="the model file to write"
     )
     parser.add_argument("--name", metavar="NAME", help="of the plant (default: that of the model file)")
@@ -179,6 +201,7 @@ def run(args: argparse.Namespace) -> int:
             method=args.method,
             average=args.average,
             observer=args.observer,
+            follow=args.follow,
             name=args.name or args.out.stem,
             progress=lambda share: step("fit", share),
             units=units,

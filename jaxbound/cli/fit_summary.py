@@ -123,6 +123,7 @@ def plain_fit(
         "left_out": left_out,
         "held_out": held_out,
         "average": average,
+        "follow": check.follows._asdict(),
         "means": {a.signal: float(a.bound) for a in model.averages},
         "smallest_mean": check.smallest_mean,
         "recordings": recordings,
@@ -165,6 +166,7 @@ def show_fit(
     for file, numbers in zip(files, check.recordings, strict=True):
         rows.append((str(file), _recording_text(numbers, what)))
     rows += _left_out(check, files)
+    rows += _follows(check)
     rows += _memory(model)
     rows.append(("safety", f"{check.safety:g} times these bounds"))
     means = []
@@ -241,6 +243,18 @@ def _left_out(check: FitCheck, files: Sequence[Path]) -> list[tuple[str, str]]:
     if len(files) > 1:
         count = sum(not one.why for one in check.left_out)
     return [*lines, ("promise", promise(check.factor, count))]
+
+
+def _follows(check: FitCheck) -> list[tuple[str, str]]:
+    """Return a line on bounds that follow the operating point."""
+    weight, mean, most = check.follows
+    if not weight:
+        return []
+    text = (
+        f"the operating point, weight {weight:g}: in training bounds are 1 to {most:.3g} times those below, "
+        f"{mean:.3g} on average; errors that are seen at {most:.3g} times"
+    )
+    return [("bounds follow", text)]
 
 
 def promise(factor: float, count: int) -> str:

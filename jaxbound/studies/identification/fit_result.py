@@ -8,7 +8,18 @@ import numpy as np
 from jaxbound.models.system import LinearSystem
 from jaxbound.text.objects import readable
 
-__all__ = ["FitCheck", "Fitted", "PartLeftOut"]
+__all__ = ["FitCheck", "Fitted", "Follows", "PartLeftOut"]
+
+
+class Follows(NamedTuple):
+    """How the bounds of a fitted model follow the operating point.
+
+    Fields: weight: of phi' P phi; 0: not at all. mean, most: of the factor on the bounds in training.
+    """
+
+    weight: float = 0.0
+    mean: float = 1.0
+    most: float = 1.0
 
 
 class PartLeftOut(NamedTuple):
@@ -44,6 +55,8 @@ class FitCheck:
         steady: the same for an error that fills the window; inf if the model can follow it.
         used, held_out_used: one array (T,) a recording, the share of the bounds that each window needs (nan
             where there is none): of the final model, and of the fits to all others.
+        follows: how the bounds follow the operating point, see `fit`; jump and steady are sizes under the
+            largest factor on them in training.
         sentences: what the user should know, above all why the data may not carry a monitor.
     """
 
@@ -62,6 +75,7 @@ class FitCheck:
     held_out_used: tuple[np.ndarray, ...] = field(repr=False)
     sentences: tuple[str, ...] = ()
     smallest_mean: dict[str, float] = field(default_factory=dict)
+    follows: Follows = Follows()
 
 
 class Fitted(LinearSystem):

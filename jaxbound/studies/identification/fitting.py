@@ -30,6 +30,7 @@ from jaxbound.studies.identification.candidates import (
     FitProblem,
 )
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted, PartLeftOut
+from jaxbound.studies.identification.following import followed, refuse_follow, sizes_in_training
 from jaxbound.studies.identification.judging import Judge, ObserverJudge, WindowJudge, explains
 from jaxbound.studies.identification.left_out import LeftOut, tried, widest
 from jaxbound.studies.identification.means import smallest_means
@@ -64,6 +65,7 @@ def fit(
     method: str = "auto",
     average: int | None = None,
     observer: str | ObserverMethod | None = None,
+    follow: float | str = 0,
     name: str = "fitted",
     units: Mapping[str, str] | None = None,
     columns: Mapping[str, str] | None = None,
@@ -107,6 +109,10 @@ def fit(
         observer: the method of a set observer ("zonotope", "joint", ..), see `jb.observer`: the bounds are
             those at which it follows every recording, instead of those of windows; horizon is then that of
             the windows which `method` looks at. Not with lags or average.
+        follow: how strongly bounds grow with the distance of the inputs from their training: a weight, which
+            writes `times`, an expression of the inputs, to the bounds of all outputs; "auto": .1, .3 or 0,
+            whichever sees the smallest errors at the bounds that recordings which are left out ask for. 0:
+            bounds are constant. Not with average or every.
         name, units, columns: as of a LinearSystem; tables are read by these columns too. progress: called
             with the share of the work done.
 
@@ -137,6 +143,7 @@ def fit(
     report = progress or _silent
     inputs, outputs, dt, records = read_records(recordings, inputs, outputs, columns, dt)
     about = dict(dt=dt, inputs=inputs, outputs=outputs, units=units, columns=columns, name=name)
+    refuse_follow(follow, about, average)
     judge: Judge = WindowJudge()
     if observer is not None:
         judge = ObserverJudge({"method": observer})
@@ -159,6 +166,8 @@ def fit(
         trials.append(tried(problem, kind, records, parts))
         report(0.05 + 0.75 * (number + 1) / len(kinds))
     best = min(trials, key=lambda trial: trial.blindness)  # the first one of equals
+    best, follows, constant = followed(problem, best, records, parts, follow, average)
+    sentences += constant
     chosen, smallest, left = best.candidate, best.bound, best.left
     means: np.ndarray | None = None
     averaged: Means = {}
@@ -179,7 +188,7 @@ def fit(
     if any(np.isfinite(one.factor) for one in left):
         spec["left_out"] = stated(factor)
     model, used = verified(judge, spec, smallest, averaged, records, factor, safety)
-    jump, steady = judge.sizes(model, problem.scales)
+    jump, steady = sizes_in_training(judge, model, problem.scales, follows.most)
     check = FitCheck(
         method=chosen.kind,
         order=order,
@@ -195,6 +204,7 @@ def fit(
         held_out_used=tuple(one.need / (factor * safety) for one in left),
         jump=jump,
         steady=steady,
+        follows=follows,
     )
     sentences += advice.limits(model, check, held_out, problem.spans)
     report(1.0)
