@@ -3,26 +3,38 @@ fresh days.
 
     python -m benchmarks.tomorrow        about ten minutes of one core; writes tomorrow.json, prints tables
     python -m benchmarks.tomorrow --repeats 3
+    python -m benchmarks.tomorrow --repeats 0       the curves of detection alone, and their picture
 
 Four plants are simulated, each day at another operating point: a first order with dead time, two tanks (not
 linear), an oscillator, and four states whose sensors drift. `jb.fit` sees 2, 3 or 5 days; its factor is set
 beside what FRESH days need of the smallest bounds: how many need more than the factor (1 / (n + 1) is what n
 days promise at best), and more than the factor times the safety of 1.25. Then a sensor's bias begins at noon:
-the share of days in which it is seen, by windows and by three statistics whose thresholds are set on the
+the share of days in which it is seen, by windows and by four statistics whose thresholds are set on the
 fresh days themselves, so that they raise an alarm on as many of them as the windows do.
 """
 
 from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 import jaxbound as jb
 from benchmarks import timing
+from jaxbound.plots.canvas import GRID, canvas, style
 
 T, FRESH, HORIZON = 240, 200, 15
 DAYS = 2, 3, 5
-SIZES = 1, 2, 4, 8
+SIZES = 0.5, 1, 1.5, 2, 3, 4, 6, 8
 """Biases, in units of the smallest bound."""
+LINES = {
+    "windows": ("#16324f", "o-"),
+    "Kalman filter": ("#b33c00", "s--"),
+    "chi-square of 16 errors": ("#e69f00", "^--"),
+    "CUSUM": ("#56b4e9", "v--"),
+    "isolation forest": ("#8a8f98", "x--"),
+}
+"""Colour and line of each curve of the picture."""
 Day = tuple[np.ndarray, np.ndarray]
 
 
@@ -170,6 +182,55 @@ def forest(trained: Day, fresh: Day) -> np.ndarray:
     return np.pad(score, ((0, 0), (2, 0)), constant_values=score.min())
 
 
+RATIOS = 10.0 ** np.arange(-7, 3)
+"""Variances of what moves each state, in units of those of the outputs, of which the likeliest is taken."""
+
+
+def innovations(model: jb.LinearSystem, ratio: float, fresh: Day) -> tuple[np.ndarray, np.ndarray]:
+    """Return errors (count, T, p) one step ahead of a Kalman filter of the model, each over its standard
+    deviation and apart from the others, and the logarithms (T,) of what these deviations multiply to.
+
+    Outputs have variances of 1 in units of their bounds; those of states are `ratio` in the same units.
+    """
+    A, B, C, D = (np.array(getattr(model, name), float) for name in "ABCD")
+    unit = np.array([model.check.smallest[name] for name in model.outputs])
+    C, D = C / unit[:, None], D.reshape(model.p, model.m) / unit[:, None]
+    y = (fresh[1] - np.array(model.offset["y"], float)) / unit
+    u = fresh[0] - np.array(model.offset["u"], float)
+    # a state moves by as much as shows in an output
+    Q = ratio * np.diag(1 / np.maximum((C**2).sum(0), 1e-12).clip(min=(C**2).sum(0).max() * 1e-6))
+    x, P = np.zeros((len(u), model.n)), 1e6 * Q / ratio
+    errors, logs = np.zeros(y.shape), np.zeros(T)
+    for k in range(T):
+        S = C @ P @ C.T + np.eye(model.p)
+        root = np.linalg.cholesky(S)
+        e = y[:, k] - x @ C.T - u[:, k] @ D.T
+        errors[:, k] = np.linalg.solve(root, e.T).T
+        logs[k] = np.log(np.diag(root)).sum()
+        gain = np.linalg.solve(S, C @ P).T
+        x, P = x + e @ gain.T, P - gain @ C @ P
+        x, P = x @ A.T + u[:, k] @ B.T, A @ P @ A.T + Q
+    return errors, logs
+
+
+def kalman(model: jb.LinearSystem, trained: Day, fresh: Day) -> np.ndarray:
+    """Return (count, T): squares of innovations of a Kalman filter, summed over a window. It has the model of
+    the windows, and the variances with which the training days are likeliest.
+    """
+
+    def unlikely(ratio: float) -> float:
+        errors, logs = innovations(model, ratio, trained)
+        errors, logs = errors[:, HORIZON:], logs[HORIZON:]
+        level = (errors**2).mean()  # the likeliest variance of outputs
+        return float(0.5 * np.log(level) * model.p + logs.mean())
+
+    errors, _ = innovations(model, min(RATIOS, key=unlikely), fresh)
+    squares = (errors**2).sum(2)
+    squares[:, :HORIZON] = 0  # it has not settled
+    total = np.cumsum(np.pad(squares, ((0, 0), (HORIZON + 1, 0))), 1)
+    return total[:, HORIZON + 1 :] - total[:, : -HORIZON - 1]
+
+
 STATISTICS = {"chi-square of 16 errors": chi_square, "CUSUM": cusum, "isolation forest": forest}
 
 
@@ -187,10 +248,38 @@ def power(plant: str, count: int, seed: int) -> dict[str, list[float]]:
         faulty.append((fresh[0], wrong))
     windows = [(jb.detect(relations, *each).status == jb.Status.FAULT).any(1) for each in faulty]
     seen = {"false alarms, of days": [allowed / FRESH], "windows": [float(x.mean()) for x in windows]}
-    for name, statistic in STATISTICS.items():
+    statistics = {"Kalman filter": partial(kalman, model)} | STATISTICS
+    for name, statistic in statistics.items():
         limit = np.sort(statistic(trained, fresh).max(1))[-allowed]
         seen[name] = [float((statistic(trained, each).max(1) > limit).mean()) for each in faulty]
     return seen
+
+
+def draw(curves: dict[str, dict[str, list[float]]], path: Path) -> None:
+    """Draw the shares of days in which a bias is seen against its size, a panel for each plant."""
+    fig = canvas((9.5, 6.2))
+    with style():
+        panels = fig.subplots(2, 2, sharex=True, sharey=True).ravel()
+        for axes, (plant, seen) in zip(panels, curves.items(), strict=True):
+            for name, (colour, line) in LINES.items():
+                share = 100 * np.array(seen[name])
+                axes.plot(SIZES, share, line, color=colour, lw=2 if name == "windows" else 1.3, label=name)
+            alarms = 100 * seen["false alarms, of days"][0]
+            axes.set_title(f"{plant}: alarms on {alarms:g} % of healthy days")
+            axes.set_xscale("log", base=2)
+            axes.set_xticks(SIZES, [f"{size:g}" for size in SIZES])
+            axes.minorticks_off()
+            axes.grid(color=GRID)
+            axes.set_ylim(-3, 103)
+        for axes in panels[2:]:
+            axes.set_xlabel("bias from noon on, in units of the smallest bound")
+        for axes in panels[::2]:
+            axes.set_ylabel("fresh days on which it is seen, %")
+        fig.legend(
+            *panels[0].get_legend_handles_labels(), loc="upper center", ncols=len(LINES), frameon=False
+        )
+        fig.subplots_adjust(left=0.07, right=0.985, top=0.9, bottom=0.08, hspace=0.2, wspace=0.06)
+        fig.savefig(path, dpi=110)
 
 
 def rank_correlation(x: np.ndarray, y: np.ndarray) -> float:
@@ -204,7 +293,7 @@ def main() -> None:
     repeats = timing.option("--repeats", 10)
     rows: dict[str, dict[str, list[dict[str, float]]]] = {}
     print("| plant | days | factor | needed (quantile) | days beyond it | promise | with 1.25 | 1.25 alone |")
-    for plant in PLANTS:
+    for plant in PLANTS if repeats else ():
         for count in DAYS:
             trials = [trial(plant, count, 100 * count + r) for r in range(repeats)]
             rows.setdefault(plant, {})[str(count)] = trials
@@ -214,19 +303,20 @@ def main() -> None:
                 f"{1 / (count + 1):.3f} | {mean['with safety']:.4f} | {mean['blind']:.4f} |",
                 flush=True,
             )
-    every = [t for plant in rows.values() for trials in plant.values() for t in trials]
-    both = [np.array([t[name] for t in every]) for name in ("factor", "needed")]
-    correlation = rank_correlation(*both)
-    print(f"rank correlation of factor and need, {len(every)} fits: {correlation:.2f}")
-    found = {plant: trial(plant, 5, 7, order="auto", delay="auto") for plant in PLANTS}
-    for plant, one in found.items():
-        print(f"order and delay of {plant}: {one['order']}, {one['delay']}")
+    if repeats:
+        every = [t for plant in rows.values() for trials in plant.values() for t in trials]
+        both = [np.array([t[name] for t in every]) for name in ("factor", "needed")]
+        correlation = rank_correlation(*both)
+        print(f"rank correlation of factor and need, {len(every)} fits: {correlation:.2f}")
+        found = {plant: trial(plant, 5, 7, order="auto", delay="auto") for plant in PLANTS}
+        for plant, one in found.items():
+            print(f"order and delay of {plant}: {one['order']}, {one['delay']}")
+        timing.save("tomorrow", {"trials": rows, "rank correlation": correlation, "structure": found})
     curves = {plant: power(plant, 5, 11) for plant in PLANTS}
     for plant, seen in curves.items():
         print(plant, {name: np.round(x, 3).tolist() for name, x in seen.items()}, flush=True)
-    timing.save(
-        "tomorrow", {"trials": rows, "rank correlation": correlation, "structure": found, "power": curves}
-    )
+    timing.save("tomorrow_curves", {"sizes": SIZES, "power": curves})
+    draw(curves, Path(__file__).parent / "figures" / "tomorrow.png")
 
 
 if __name__ == "__main__":
