@@ -102,15 +102,16 @@ CALLS = {
     "structured_relations": lambda m, u, y: jb.structured_relations(m),
     "isolability": lambda m, u, y: jb.isolability(m),
     "suggest_lags": lambda m, u, y: jb.suggest_lags(m),
-    "study": lambda m, u, y: jb.study(m, [jb.Fault("T", "bias", 1.0, 4)], 2, 0, samples=8),
     "detect by paving": lambda m, u, y: jb.detect(jb.parity_relations(m), u, y, method="paving"),
 }
 KNOWN = """
     parity_relations detect margins Monitor detect_dataset tune detectable save_model load_model plot read
     LinearSystem Recording simulate with_faults observer observe
+    study assess monitor
 """.split()
 """Public names that know factors; their tests are here and in consistency/test_windows_times.py,
-estimation/test_observer_times.py."""
+estimation/test_observer_times.py,
+studies/montecarlo/test_study_times.py."""
 WITHOUT_A_MODEL = """
     Fault Status Uncertainty compensation evaluate fit from_control from_scipy inclusion
     interval interval_system linearize membership parameters pave residual sets signatures solve_interval

@@ -33,6 +33,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.random.keys import key_of
 from jaxbound.random.threefry import Array
 from jaxbound.recordings.arrays import inputs_of, refuse_infinite
+from jaxbound.recordings.factors import factors_of
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import parity_relations
 from jaxbound.relations.residual import Residual
@@ -95,7 +96,8 @@ def study(
     sizes. What is counted: `StudyResult`.
 
     Args:
-        model: a LinearSystem, the plant as it is.
+        model: a LinearSystem, the plant as it is. Factors on its noise, `times`, follow the inputs of each
+            scenario, and rest on inputs alone.
         faults: texts "signal:kind" (kinds as in `Fault`), Fault objects, or one of these; () for healthy
             scenarios only.
         n: scenarios, spread evenly over the faults.
@@ -141,7 +143,7 @@ def study(
         >>> found.false_alarms[0], found.tallies[0].detected[1]
         (0, np.int64(1000))
     """
-    model = as_model(model)
+    model = as_model(model, factors=True)
     relations = parity_relations(model) if relations is None else _named_like(relations, model)
     if isinstance(relations, SetObserver) and method == "joint":
         method = SetObserver.method
@@ -367,14 +369,15 @@ def _engine(setup: _Setup) -> tuple[Engine, int]:
     model, relations = setup.model, setup.relations
     by = relations.test(setup.method, setup.dtype)  # refuses here what it would refuse in every block
     certain = isinstance(by, StripsTest | ExchangeTest)
-    plain = recursion.fits(model, setup.room) and bool(np.isfinite(setup.room).all())
+    factored = factors_of(model) or factors_of(relations.model)
+    plain = not factored and recursion.fits(model, setup.room) and bool(np.isfinite(setup.room).all())
     plant = recursion.plant_of(model, setup.room, setup.dtype) if plain else None
     if setup.at == "adversarial":
         if plant is None or not certain:
             raise NotImplementedError(
                 "an adversary needs a test by strips, down whose margin it goes: a certain model without "
-                "averages, noise on every output, parity relations, method 'joint' or 'box'; use "
-                "at='vertices' instead"
+                "averages or factors on noise, noise on every output, parity relations, method 'joint' or "
+                "'box'; use at='vertices' instead"
             )
         return _attacking(setup, plant), min(ATTACKED, records.recording_block(setup.course))
     circuits = len(relations.circuits) if isinstance(relations, LinearRelations) else 0

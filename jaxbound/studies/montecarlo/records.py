@@ -14,6 +14,7 @@ from jaxbound.diagnosis.detection import detect
 from jaxbound.models.simulate import simulate
 from jaxbound.models.system import LinearSystem
 from jaxbound.random.threefry import Array
+from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.montecarlo import kernel, scenarios
 
@@ -119,6 +120,9 @@ def simulate_block(
         return values.at[..., i].set(jnp.where(on, changed, value))
 
     applied = faulty(jnp.asarray(recorded), act.input, 0.0)
+    if model.factors:  # they follow what was recorded, whatever an actuator does
+        factors = Recording.of(model, recorded, np.zeros((*recorded.shape[:-1], model.p))).u[..., model.m :]
+        applied = jnp.concatenate([applied, factors.astype(applied.dtype)], -1)
     run = simulate(model, applied, k_run, at="vertices" if course.vertices else "uniform")
     y = faulty(run.y, act.output, jnp.nan)
     if act.kind == "tolerance":

@@ -14,10 +14,11 @@ from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.detectability import detectable
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.faults import KINDS, Fault, refuse_unknown_signal
+from jaxbound.models.operating_point import at_factors
 from jaxbound.models.system import LinearSystem
 from jaxbound.random.threefry import Array
 from jaxbound.relations.bounds import model_bounds
-from jaxbound.relations.parity import ParityRelation
+from jaxbound.relations.parity import ParityRelation, parity_relations
 from jaxbound.studies.montecarlo import recursion
 
 __all__ = ["Act", "Trial", "act_of", "changed", "largest_input", "trials"]
@@ -272,7 +273,7 @@ def guaranteed_size(
     if fault.kind != "bias" or not isinstance(relations, ParityRelation):
         return np.nan
     monitor, own = relations.model, model_bounds(relations.model)
-    if monitor.constant_tolerance or model.d:
+    if monitor.constant_tolerance or model.d or monitor.factors or model.factors:
         return np.nan
     if any(not np.array_equal(relations.bounds[name], own[name]) for name in own):
         return np.nan
@@ -305,7 +306,7 @@ def _usual_sizes(
     """Return sizes around the one that is guaranteed to be seen as a bias, or around what the bounds
     allow.
     """
-    bias = Fault(fault.signal)
+    bias, relations, model = Fault(fault.signal), _unfactored(relations), _at_one(model)
     base = guaranteed_size(model, bias, relations, highest, samples, 0.0)
     if isinstance(relations, SetObserver):
         with suppress(NotImplementedError):
@@ -329,6 +330,23 @@ def _usual_sizes(
     if not np.isfinite(base) or base <= 0:
         raise ValueError(f"no usual size is known for {fault.signal}:{fault.kind}: give sizes")
     return _rounded(base * GRID)
+
+
+def _unfactored(relations: Relations) -> Relations:
+    """Return relations, or an observer, of the model where its factors are 1."""
+    model = relations.model
+    if not isinstance(model, LinearSystem) or not model.factors:
+        return relations
+    if isinstance(relations, ParityRelation):
+        return parity_relations(_at_one(model), **relations.window)
+    if isinstance(relations, SetObserver):
+        return relations.of(_at_one(model))
+    return relations
+
+
+def _at_one(model: LinearSystem) -> LinearSystem:
+    """Return a model where its factors are 1."""
+    return at_factors(model, dict.fromkeys(model.times, 1))
 
 
 def _rounded(sizes: np.ndarray) -> np.ndarray:
