@@ -25,7 +25,7 @@ def show_assessment(named: Named, files: Sequence[str], hints: Sequence[str]) ->
     """Print the counts. files: names of new files."""
     first = next(iter(named.values()))
     rows = [
-        ("windows", f"{first.score.healthy} healthy, {first.score.faulty} faulty, tested by {_test(first)}")
+        ("windows", f"{first.score.healthy} healthy, {first.score.faulty} faulty, tested {_test(first)}")
     ]
     for model, one in named.items():
         of_model = ""
@@ -118,10 +118,10 @@ def _test(one: Assessment) -> str:
     """Return how windows were tested."""
     relations = one.relations
     if relations is None:
-        return one.marks.name
+        return f"by {one.marks.name}"
     if relations.remembers:
-        return "the observer, sample by sample"
-    return f"windows of {relations.horizon + 1} samples"
+        return "sample by sample, each against those before it"
+    return f"in windows of {relations.horizon + 1} samples"
 
 
 def _table(named: Named) -> list[tuple[str, ...]]:
