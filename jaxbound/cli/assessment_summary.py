@@ -24,9 +24,7 @@ Named = Mapping[str, Assessment]
 def show_assessment(named: Named, files: Sequence[str], hints: Sequence[str]) -> None:
     """Print the counts. files: names of new files."""
     first = next(iter(named.values()))
-    rows = [
-        ("windows", f"{first.score.healthy} healthy, {first.score.faulty} faulty, tested {_test(first)}")
-    ]
+    rows = [("windows", f"{first.score.healthy} healthy, {first.score.faulty} faulty, tested {_test(first)}")]
     for model, one in named.items():
         of_model = ""
         if len(named) > 1:
