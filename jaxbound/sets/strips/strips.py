@@ -34,6 +34,7 @@ __all__ = ["Strips", "status_of", "strip_margin", "strip_verdict", "strips_of"]
 RowValues: TypeAlias = Sequence[jax.Array] | jax.Array
 """Numbers (N,) of each row: a list of them, or an array (rows, N)."""
 UNROLLED = 8  # up to here circuits are unrolled: above, compiling takes longer than a scan loses
+FEW = 64  # up to here known values are unrolled in a scan: 366 of them compile for minutes
 
 
 @jax.tree_util.register_dataclass
@@ -167,10 +168,32 @@ def _one(strip, mid, rad, scale, known, known_scale):
         residual += h[a] * mid[i]
         width += size * rad[i]
         magnitude += size * scale[i] if scale is not None else 0
+    if k.shape[0] > FEW and isinstance(known, jax.Array):
+        driven, driven_size = _driven(k, known, known_scale)
+        return residual - driven, width, magnitude + driven_size
     for b in range(k.shape[0]):  # a missing value counts only where it is used
         residual -= jnp.where(k[b] == 0, 0, k[b] * known[b])
         magnitude += jnp.where(k[b] == 0, 0, jnp.abs(k[b]) * known_scale[b]) if known_scale is not None else 0
     return residual, width, magnitude
+
+
+def _driven(k, known, known_scale):
+    """Return the sum of k_b known_b and that of their magnitudes, or 0, by a loop that compiles once."""
+
+    def used(b, x):
+        return jnp.where(k[b] == 0, 0, x)
+
+    def add(b, total):
+        return total + used(b, k[b] * known[b])
+
+    def add_size(b, total):
+        return total + used(b, jnp.abs(k[b]) * known_scale[b])
+
+    none = jnp.zeros_like(known[0])
+    driven = jax.lax.fori_loop(0, len(k), add, none)
+    if known_scale is None:
+        return driven, 0
+    return driven, jax.lax.fori_loop(0, len(k), add_size, none)
 
 
 def _indexable(strips, *rows):

@@ -1,0 +1,38 @@
+"""Strips of a few circuits: many known values are summed in a loop, with the same result."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.sets.strips.strips import Strips, strip_margin
+
+CIRCUITS, ROWS, WINDOWS = 9, 3, 5
+
+
+def strips(rng, known):
+    h, k = rng.normal(size=(CIRCUITS, ROWS)), rng.normal(size=(CIRCUITS, known))
+    return Strips(np.tile(np.arange(ROWS), (CIRCUITS, 1)), h, k, None)
+
+
+def box(rng, known):
+    return (jnp.asarray(rng.normal(size=(count, WINDOWS))) for count in (ROWS, ROWS, known))
+
+
+def test_many_known_values_count_as_in_the_formula(rng):
+    given = strips(rng, 100)
+    mid, rad, known = box(rng, 100)
+    rad, known = abs(rad) + 0.1, known.at[7, 2].set(jnp.nan)
+    for k, missing in ((given.k, [2]), (np.where(np.arange(100) == 7, 0, given.k), [])):
+        own = Strips(given.rows, given.h, k, None)
+        used = np.where((k != 0)[:, :, None], k[:, :, None] * np.asarray(known)[None], 0).sum(1)
+        gauge = (abs(given.h @ np.asarray(mid) - used) / (abs(given.h) @ np.asarray(rad))).max(0)
+        found = strip_margin(own, mid, rad, known)
+        assert np.flatnonzero(np.isnan(found)).tolist() == missing
+        np.testing.assert_allclose(found, 1 - gauge, rtol=1e-12, atol=1e-12)
+
+
+def test_the_program_does_not_grow_with_the_number_of_known_values(rng):
+    sizes = []
+    for known in (70, 280):
+        sizes.append(len(str(jax.make_jaxpr(strip_margin)(strips(rng, known), *box(rng, known)))))
+    assert sizes[1] < 1.1 * sizes[0]
