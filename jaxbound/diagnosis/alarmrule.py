@@ -35,8 +35,8 @@ class AlarmRule:
             after that ceases. clear: it ends once so many samples in a row are quiet.
         merge: alarms of one suspect at most so far apart are one alarm: samples, or an interval of the clock
             like "10min".
-        latch: an alarm stays on until an opposite jump of its suspect speaks for a repair, or until somebody
-            acknowledges it.
+        latch: an alarm stays on until an opposite jump of its suspect speaks for a repair, else to the end of
+            the recording.
         least: FAULT windows that an error of one output below this size explains do not count: one number, or
             {output: size}, in units. It is proved of every window that counts, by the test itself under a
             noise bound of that output which is wider by the size.

@@ -104,8 +104,7 @@ class Alarm:
     - "the observer began anew behind it: repaired or lasting": an observer forgets what was contradicted, and
       may take what lasts for the state;
     - "a gap ended it, FAULT stays until one: repaired or lasting": of an observer with restart=False;
-    - "ended by an opposite jump of T1", "open at the end: nothing speaks for a repair", "acknowledged": of a
-      rule with latch.
+    - "ended by an opposite jump of T1", "open at the end: nothing speaks for a repair": of a rule with latch.
     """
 
     start: int

@@ -18,7 +18,6 @@ from jaxbound.diagnosis.suspects import UNKNOWN, Suspect
 from jaxbound.models.region import Departure
 
 __all__ = [
-    "ACKNOWLEDGED",
     "BEGINS",
     "ENDS",
     "LASTING",
@@ -34,7 +33,6 @@ __all__ = [
 
 OPPOSITE = "ended by an opposite jump"
 LASTING = "open at the end: nothing speaks for a repair"
-ACKNOWLEDGED = "acknowledged"
 BEGINS, ENDS = "begins", "ends"
 NO_SAMPLE, NO_DATA, OTHER = range(3)  # what follows an alarm
 Labels = Callable[[int], object]
@@ -233,19 +231,6 @@ class Watch:
         other = Watch(self.rule, None)
         vars(other).update(twin, blame=self.blame)
         return [event.alarm for event in other.finish()]
-
-    def acknowledge(self) -> list[Event]:
-        """End all alarms that are on; FAULT that lasts begins others."""
-        last = self.samples - 1
-        if self.stretch is not None:
-            self._close(self.tail, self.until + 1, last, self._labels())
-        for alarm in list(self.alarms.values()):
-            alarm.ended = ACKNOWLEDGED
-            self._up_to_now(alarm)
-            self._end(alarm, last)
-        self._keep_flags(self.tail.fault)
-        self.tail, self.times = NOTHING, []
-        return self._said()
 
     def memory(self) -> dict[str, Any]:
         """Return the state, as JSON holds it."""

@@ -8,7 +8,7 @@ import pytest
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.alarms import over_of
 from jaxbound.diagnosis.suspects import Suspect
-from jaxbound.diagnosis.watch import ACKNOWLEDGED, BEGINS, ENDS, LASTING, OPPOSITE, Seen, Watch
+from jaxbound.diagnosis.watch import BEGINS, ENDS, LASTING, OPPOSITE, Seen, Watch
 
 UP, DOWN = Suspect(("T1",), 2.0, 1), Suspect(("T1",), 1.5, -1)
 OTHER = Suspect(("T2", "T1"), 1.0, 1)
@@ -134,15 +134,6 @@ def test_suspects_are_asked_for_at_the_first_and_last_fault_alone():
     watch.add(seen(np.ones(1000, bool)))
     watch.add(seen(np.zeros(9, bool)))
     assert asked == [0, 999]
-
-
-def test_acknowledged_alarms_are_over_and_fault_that_lasts_begins_another():
-    watch = Watch(AlarmRule(latch=True), lambda k: UP)
-    watch.add(seen(flags("..F.FF")))
-    (event,) = watch.acknowledge()
-    assert (event.alarm.start, event.alarm.end, event.alarm.ended) == (2, 5, ACKNOWLEDGED)
-    (begun,) = watch.add(seen(flags("F..")))
-    assert (begun.kind, begun.sample, begun.alarm.number) == (BEGINS, 6, 2)
 
 
 def test_pending_alarms_are_told_as_if_the_recording_ended_and_go_on():
