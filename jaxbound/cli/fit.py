@@ -149,6 +149,13 @@ def options(parser: argparse.ArgumentParser) -> None:
         "training); auto: 0, .1 or .3, by recordings that are left out (default: 0)",
     )
     parser.add_argument(
+        "--test",
+        choices=("auto", "bank"),
+        help="auto: choose the windows, too, in place of --horizon, --lags and --average: 16, 31 or 61 "
+        "samples, means, lags, by recordings that are left out; bank: all of them that see what others "
+        "miss, as [[test]] tables of one monitor",
+    )
+    parser.add_argument(
         "--out", type=path, required=True, metavar="MODEL.toml", help="the model file to write"
     )
     parser.add_argument("--name", metavar="NAME", help="of the plant (default: that of the model file)")
@@ -200,6 +207,7 @@ def run(args: argparse.Namespace) -> int:
             held_out=args.held_out,
             method=args.method,
             average=args.average,
+            test=args.test,
             observer=args.observer,
             follow=args.follow,
             name=args.name or args.out.stem,

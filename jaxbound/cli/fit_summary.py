@@ -12,6 +12,7 @@ from jaxbound.cli.terminal import show
 from jaxbound.diagnosis.memory import slowest, suggest_lags
 from jaxbound.recordings.expressions import CLOCK, expression
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
+from jaxbound.studies.identification.window_tests import JudgedTest, best_test
 from jaxbound.text.units import without_unit
 
 __all__ = ["named_units", "plain_fit", "promise", "show_fit", "signal_columns"]
@@ -122,8 +123,9 @@ def plain_fit(
         "factor": check.factor,
         "left_out": left_out,
         "held_out": held_out,
-        "average": average,
         "follow": check.follows._asdict(),
+        "average": average or _chosen_average(check),
+        "tests": [_plain_test(test, check) for test in check.tests],
         "means": {a.signal: float(a.bound) for a in model.averages},
         "smallest_mean": check.smallest_mean,
         "recordings": recordings,
@@ -132,6 +134,41 @@ def plain_fit(
         "warnings": list(check.sentences),
         "hints": list(hints),
     }
+
+
+def _chosen_average(check: FitCheck) -> int | None:
+    """Return of how many errors in a row the test that was chosen bounds the mean; None: it does not."""
+    if not check.tests:
+        return None
+    return best_test(check.tests).window.average
+
+
+def _plain_test(test: JudgedTest, check: FitCheck) -> dict[str, Any]:
+    """Return a test that was tried, as JSON has it."""
+    return {
+        "horizon": test.window.horizon,
+        "lags": test.window.lags,
+        "average": test.window.average,
+        "method": test.method,
+        "factor": test.factor,
+        "smallest": test.smallest,
+        "smallest_mean": test.smallest_mean,
+        "jump": _all_finite(test.jump),
+        "steady": _all_finite(test.steady),
+        "chosen": test is best_test(check.tests),
+    }
+
+
+def _tried_tests(model: Fitted) -> list[tuple[str, str]]:
+    """Return a line on each test that was tried: the factor it needs, and what it then sees."""
+    rows = []
+    for test in model.check.tests:
+        jump, steady = _each_size(model, test.jump), _each_size(model, test.steady)
+        text = f"needs {test.factor:.3g} times; by {test.method}; jumps from {jump}, lasting from {steady}"
+        if test is best_test(model.check.tests):
+            text = f"chosen: {text}"
+        rows.append((f"test: {test.window.text}", text))
+    return rows
 
 
 def _by_output(model: Fitted, bounds: Iterable[SupportsFloat]) -> dict[str, float]:
@@ -165,6 +202,7 @@ def show_fit(
     what = "sample" if model.horizon is None else "window"
     for file, numbers in zip(files, check.recordings, strict=True):
         rows.append((str(file), _recording_text(numbers, what)))
+    rows += _tried_tests(model)
     rows += _left_out(check, files)
     rows += _follows(check)
     rows += _memory(model)
@@ -200,6 +238,13 @@ def _bounds_table(model: Fitted) -> list[tuple[str, ...]]:
         sizes = [_size(model, each, name) for each in (check.jump, check.steady) if each]
         table.append((name, f"{check.smallest[name]:.4g}", f"{float(noise + resolution):.4g}", *sizes))
     return table
+
+
+def _each_size(model: Fitted, sizes: Mapping[str, float]) -> str:
+    parts = []
+    for name in model.outputs:
+        parts.append(f"{name} {_size(model, sizes, name)}")
+    return ", ".join(parts)
 
 
 def _size(model: Fitted, sizes: Mapping[str, float], name: str) -> str:

@@ -20,7 +20,7 @@ from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.cost import relation_cost
 
-__all__ = ["SuggestedLags", "slowest", "suggest_lags"]
+__all__ = ["SuggestedLags", "slowest", "spread_lags", "suggest_lags"]
 
 SHORTEST, LONGEST = 8, 512
 """Spans that are tried, in samples; each is half of the one before."""
@@ -104,7 +104,7 @@ def suggest_lags(
     sizes: dict[tuple[int, ...], dict[str, float]] = {}
     while top >= least:
         if relation_cost(model, top)[0] < SECONDS:
-            lags = _spread(top, int(count))
+            lags = spread_lags(top, int(count))
             sizes.setdefault(lags, _sizes(model, lags, reach))
         top //= 2
     chosen = SuggestedLags(_chosen(sizes))
@@ -145,7 +145,7 @@ def _span_of(model: LinearSystem) -> int:
     return min(max(math.ceil(memory), 2 * model.n + 1, SHORTEST), LONGEST)
 
 
-def _spread(span: int, count: int) -> tuple[int, ...]:
+def spread_lags(span: int, count: int) -> tuple[int, ...]:
     """Return lags up to span, all of them or at most `count`, each farther back by about the same factor."""
     if span < count:
         return tuple(range(span + 1))

@@ -1,7 +1,8 @@
 """Candidate models of a fit: one a kind of regression."""
 
+import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ from jaxbound.studies.identification.structure import chained, delayed
 __all__ = ["KINDS", "Candidate", "FitProblem", "candidate", "largest_need"]
 
 KINDS = ("least squares", "windows", "filters")
+WINDOW = ("horizon", "lags")
+"""Arguments of a LinearSystem that say which windows its bounds are for."""
 EXACT, LEAST = 1e-14, 1e-3
 """The least noise, as a share of the largest sample, and of what is needed of it: for a plant that fits
 exactly.
@@ -32,7 +35,7 @@ class FitProblem:
         order, delay, direct: see `fit`. horizon: of the windows that a regression looks at.
         about: arguments of a LinearSystem beside its matrices. judge: the test that bounds are found for.
         room: windows that every candidate's arrays hold, so that a fit to a part of the recordings compiles
-            nothing new.
+            nothing new. fits: those that `fitted` found, by kind and by the number that was left out.
     """
 
     scales: Scales
@@ -44,6 +47,24 @@ class FitProblem:
     about: dict[str, Any]
     judge: Judge
     room: int
+    fits: "dict[tuple[str, int | None], Candidate]" = field(default_factory=dict)
+
+    def under(self, judge: Judge, about: dict[str, Any]) -> "FitProblem":
+        """Return the problem of another test of windows that are as long: fits are the same."""
+        return dataclasses.replace(self, judge=judge, about=about)
+
+    def fitted(self, records: Records, kind: str, left: int | None = None) -> "Candidate":
+        """Return the Candidate of one of KINDS, fitted once. left: the number of the part that the recordings
+        lack, None: none.
+        """
+        if (kind, left) not in self.fits:
+            self.fits[kind, left] = candidate(self, records, kind)
+        known = self.fits[kind, left]
+        spec = known.spec | self.about
+        for name in WINDOW:
+            if name not in self.about:
+                spec.pop(name, None)
+        return dataclasses.replace(known, spec=spec)
 
     @classmethod
     def of(

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxbound.models.system import LinearSystem
+from jaxbound.studies.identification.window_tests import JudgedTest
 from jaxbound.text.objects import readable
 
 __all__ = ["FitCheck", "Fitted", "Follows", "PartLeftOut"]
@@ -57,6 +58,7 @@ class FitCheck:
             where there is none): of the final model, and of the fits to all others.
         follows: how the bounds follow the operating point, see `fit`; jump and steady are sizes under the
             largest factor on them in training.
+        tests: a `JudgedTest` for each of the windows that a choice was made of; () where there was none.
         sentences: what the user should know, above all why the data may not carry a monitor.
     """
 
@@ -76,6 +78,7 @@ class FitCheck:
     sentences: tuple[str, ...] = ()
     smallest_mean: dict[str, float] = field(default_factory=dict)
     follows: Follows = Follows()
+    tests: tuple[JudgedTest, ...] = ()
 
 
 class Fitted(LinearSystem):

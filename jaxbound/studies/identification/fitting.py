@@ -14,6 +14,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -24,11 +25,13 @@ from jaxbound.models.system import LinearSystem, whole_lags
 from jaxbound.recordings.means import with_every
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.studies.identification import advice
+from jaxbound.studies.identification.bank import fitted_bank
 from jaxbound.studies.identification.bounds import Means, verified
 from jaxbound.studies.identification.candidates import (
     KINDS,
     FitProblem,
 )
+from jaxbound.studies.identification.closed_loop import closed_loops
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted, PartLeftOut
 from jaxbound.studies.identification.following import followed, refuse_follow, sizes_in_training
 from jaxbound.studies.identification.judging import Judge, ObserverJudge, WindowJudge, explains
@@ -36,15 +39,21 @@ from jaxbound.studies.identification.left_out import LeftOut, tried, widest
 from jaxbound.studies.identification.means import smallest_means
 from jaxbound.studies.identification.records import Records, input_ranges, parted, read_records
 from jaxbound.studies.identification.structure import DELAYS, ORDERS, structure
+from jaxbound.studies.identification.window_tests import (
+    AVERAGES,
+    JudgedTest,
+    best_kind,
+    best_test,
+    judged_tests,
+    searched_means,
+)
 from jaxbound.studies.tuning.widening import stated
 
 __all__ = ["fit"]
 
-AUTO = "auto"
+AUTO, BANK = "auto", "bank"
 HORIZON = 15
 """Of the windows where neither a horizon nor lags are asked for."""
-AVERAGES = 0.95
-"""Share of the bound of a sample from which on that of a mean says nothing."""
 
 
 @where_proofs_hold()
@@ -64,6 +73,7 @@ def fit(
     held_out: float = 0.3,
     method: str = "auto",
     average: int | None = None,
+    test: str | None = None,
     observer: str | ObserverMethod | None = None,
     follow: float | str = 0,
     name: str = "fitted",
@@ -106,6 +116,11 @@ def fit(
             as recordings that are left out ask for.
         average: of so many errors in a row, at most horizon + 1, the mean gets a bound too: an average of the
             model. Lasting errors show smaller where errors do average out. None: none.
+        test: "auto": windows are chosen, too, in place of horizon, lags and average: whichever of 16, 31, 61
+            samples, means of 8 and 16, and lags of 61 sees the smallest errors, each at the bounds that
+            recordings which are left out ask of it; `.check.tests` has them all. "bank": as many of them as
+            see clearly smaller errors than the others: the model states them as its `tests`, each with
+            coefficients and bounds of its own, and `jb.monitor` is all of them. None: as those say.
         observer: the method of a set observer ("zonotope", "joint", ..), see `jb.observer`: the bounds are
             those at which it follows every recording, instead of those of windows; horizon is then that of
             the windows which `method` looks at. Not with lags or average.
@@ -135,6 +150,18 @@ def fit(
         observer = _observer(observer, lags, average)
     if order == 0:
         direct = True
+    if test is not None:
+        chosen_by_it = {"horizon": horizon, "lags": lags, "average": average, "observer": observer}
+        _refuse_beside_test(test, order, chosen_by_it, follow)
+    if test == BANK:
+        same: dict[str, Any] = dict(inputs=inputs, outputs=outputs, dt=dt, every=every, direct=direct)
+        same |= dict(safety=safety, held_out=held_out, name=name, units=units, columns=columns)
+        first = dict(order=order, delay=delay, method=method, test=AUTO)
+
+        def fit_one(own: Mapping[str, Any], report: Callable[[float], object]) -> Fitted:
+            return fit(recordings, **{**same, **own}, progress=report)
+
+        return fitted_bank(fit_one, first, progress or _silent)
     horizon, lags = _window(horizon, lags, order)
     _check_options(order, delay, horizon, safety, held_out, method, average)
     if direct and delay != 1:
@@ -144,6 +171,18 @@ def fit(
     inputs, outputs, dt, records = read_records(recordings, inputs, outputs, columns, dt)
     about = dict(dt=dt, inputs=inputs, outputs=outputs, units=units, columns=columns, name=name)
     refuse_follow(follow, about, average)
+    resting = advice.inputs_at_rest(records, inputs, outputs, horizon)
+    tests: tuple[JudgedTest, ...] = ()
+    if test is not None:
+        parts = parted(records, held_out, horizon + 1)
+        order, delay = _structure(records, parts, horizon, order, delay, direct)
+        kinds = _kinds(method, order, parts, inputs)
+        tests = judged_tests(
+            records, (order, delay, direct), about, kinds, held_out, safety, lambda x: report(0.6 * x)
+        )
+        picked = best_test(tests)
+        horizon, lags, average = picked.window
+        method = picked.method
     judge: Judge = WindowJudge()
     if observer is not None:
         judge = ObserverJudge({"method": observer})
@@ -152,9 +191,10 @@ def fit(
     else:
         about["lags"] = lags
     sentences = [
-        *advice.inputs_at_rest(records, inputs, outputs, horizon),
+        *resting,
         *advice.inputs_together(records, inputs),
         *advice.apart(records, inputs, outputs),
+        *closed_loops(records, inputs, outputs),
     ]
     parts, trials = parted(records, held_out, horizon + 1), []
     order, delay = _structure(records, parts, horizon, order, delay, direct)
@@ -162,6 +202,8 @@ def fit(
     report(0.05)
 
     kinds = _kinds(method, order, parts, inputs)
+    if observer is None and not follow:  # the proved test for the best of them alone
+        kinds = [best_kind(problem, kinds, records, parts)]
     for number, kind in enumerate(kinds):
         trials.append(tried(problem, kind, records, parts))
         report(0.05 + 0.75 * (number + 1) / len(kinds))
@@ -174,7 +216,10 @@ def fit(
     if average is not None:
         explained = partial(explains, parts=records)
         model = LinearSystem(**chosen.spec)
-        means = smallest_means(model, smallest, average, explained, lambda share: report(0.8 + 0.1 * share))
+        guess = searched_means(problem, best, average, records)
+        means = smallest_means(
+            model, smallest, average, explained, lambda share: report(0.8 + 0.1 * share), guess
+        )
         averaged = {i: (average, x) for i, x in enumerate(means) if x < AVERAGES * smallest[i]}
         sentences += [advice.no_average(x, average) for i, x in enumerate(outputs) if i not in averaged]
         lowered = {outputs[i]: {average: float(x)} for i, (_, x) in averaged.items()}
@@ -205,6 +250,7 @@ def fit(
         jump=jump,
         steady=steady,
         follows=follows,
+        tests=tests,
     )
     sentences += advice.limits(model, check, held_out, problem.spans)
     report(1.0)
@@ -228,6 +274,21 @@ def _observer(
         return observer_method(observer)
     except ValueError as e:
         raise ValueError(f"observer: {e}") from None
+
+
+def _refuse_beside_test(
+    test: str, order: int | str, windows: Mapping[str, object], follow: float | str
+) -> None:
+    """Raise ValueError for another word than auto or bank, or where windows are not to be chosen."""
+    if test not in (AUTO, BANK):
+        raise ValueError(f"test must be auto or bank, or left out for windows as horizon says, not {test!r}")
+    for name, value in windows.items():
+        if value is not None:
+            raise ValueError(f"test = {test!r} chooses windows: leave {name} out, or test")
+    if follow:
+        raise ValueError(f"test = {test!r} compares constant bounds: leave follow out, or test")
+    if order == 0:
+        raise ValueError("a static model, order 0, is tested sample by sample: leave test out")
 
 
 def _window(

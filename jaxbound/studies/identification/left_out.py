@@ -20,7 +20,6 @@ from jaxbound.studies.identification import regression
 from jaxbound.studies.identification.candidates import (
     Candidate,
     FitProblem,
-    candidate,
     largest_need,
 )
 from jaxbound.studies.identification.judging import Judge
@@ -82,7 +81,7 @@ def left_out(
     if _excited(problem, others, parts) < EXCITED:
         return LeftOut(None, unknown, "the others do not move all that it moves")
     try:
-        fitted = candidate(problem, others, kind)
+        fitted = problem.fitted(others, kind, number)
     except ValueError:  # too few samples for the coefficients
         return LeftOut(None, unknown, "the others are too short")
     return LeftOut(fitted.spec, unknown).under(problem.judge, noise, {}, own)
@@ -124,7 +123,7 @@ class Trial:
 
 def tried(problem: FitProblem, kind: str, records: Records, parts: Records) -> Trial:
     """Return the Trial of one of KINDS. parts: of the recordings, which are left out in turn."""
-    full, judge = candidate(problem, records, kind), problem.judge
+    full, judge = problem.fitted(records, kind), problem.judge
     model = full.model(full.spread)
     bound = largest_need(judge.needs(model, records)) * full.spread
     left, least = [], judge.least(model)

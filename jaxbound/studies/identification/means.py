@@ -14,7 +14,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.relations.parity import ParityRelation, parity_relations
 from jaxbound.relations.uncertain import UncertainRelations
 
-__all__ = ["smallest_means"]
+__all__ = ["LOOSE", "lowered", "smallest_means"]
 
 LEAST, STEPS = 1e-3, 10
 """The least share of the bound of a sample that is tried, and halvings of the logarithm from there to 1: to
@@ -30,17 +30,38 @@ def smallest_means(
     samples: int,
     explained: Callable[[ParityRelation | UncertainRelations], bool],
     step: Callable[[float], object],
+    guess: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return the smallest bound of the mean of so many consecutive errors of each output (p,), that of a
     sample where it says nothing.
 
     Args:
         model: without averages. noise: (p,), bounds of single samples. samples: >= 2. explained: whether all
-            windows are. step: called with the share of the work done.
+            windows are. step: called with the share of the work done. guess: (p,), bounds
+            that a search in floats found for means: the smallest, if they explain all.
     """
-    noise, p = np.asarray(noise) * LOOSE, model.p
+    noise = np.asarray(noise) * LOOSE
     means = {name: {samples: float(b)} for name, b in zip(model.outputs, noise, strict=True)}
     relations = parity_relations(model.replace(noise=noise.tolist(), averages=means))
+
+    def under(bounds: np.ndarray) -> bool:
+        return explained(relations.with_bounds({"average": bounds}))
+
+    if guess is not None and under(guess * LOOSE):
+        return guess
+    return lowered(noise, under, step)
+
+
+def lowered(
+    noise: np.ndarray, explained: Callable[[np.ndarray], bool], step: Callable[[float], object]
+) -> np.ndarray:
+    """Return the smallest bounds (p,) of means that explain all windows.
+
+    Args:
+        noise: (p,), bounds of single samples, where the search begins. explained: whether all windows are, of
+            bounds (p,) of means. step: as of `smallest_means`.
+    """
+    p = len(noise)
     share = np.ones(p)
     groups = [list(range(p))]
     if p > 1:
@@ -50,11 +71,11 @@ def smallest_means(
         def explains(logarithm: float, group: list[int] = group) -> bool:
             trial = share.copy()
             trial[group] = np.exp(logarithm)
-            return explained(relations.with_bounds({"average": trial * noise}))
+            return explained(trial * noise)
 
         share[group] = np.exp(_bisected(explains, np.log(LEAST), np.log(share[group[0]])))
         step((number + 1) / len(groups))
-    return share * noise
+    return np.asarray(share * noise)
 
 
 def _bisected(holds: Callable[[float], bool], low: float, high: float) -> float:

@@ -27,6 +27,7 @@ __all__ = [
     "Scales",
     "CompleteWindows",
     "coefficients",
+    "complete_windows",
     "growth",
     "information",
     "least_squares",
@@ -93,7 +94,7 @@ def windows_of(recordings: Records, scales: Scales, horizon: int, most: int | No
     """
     numbers, firsts = [np.zeros(0, int)], [np.zeros(0, int)]
     for number, (u, y, starts) in enumerate(recordings):
-        first = _complete(u, y, starts, horizon)
+        first = complete_windows(u, y, starts, horizon)
         numbers.append(np.full(len(first), number))
         firsts.append(first)
     recording, begin = np.concatenate(numbers), np.concatenate(firsts)
@@ -108,7 +109,7 @@ def windows_of(recordings: Records, scales: Scales, horizon: int, most: int | No
     return CompleteWindows(np.concatenate(us), np.concatenate(ys), recording)
 
 
-def _complete(u: np.ndarray, y: np.ndarray, starts: np.ndarray, horizon: int) -> np.ndarray:
+def complete_windows(u: np.ndarray, y: np.ndarray, starts: np.ndarray, horizon: int) -> np.ndarray:
     """Return the first samples of the windows of a recording that are complete and cross no seam."""
     if len(y) <= horizon:
         return np.zeros(0, int)
@@ -240,6 +241,9 @@ def refined(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (theta, spread): coefficients that minimise the window residuals, each output weighed by its own
     spread (p,).
+
+    Outputs of a window are simulated from its best first state on, without those that were measured: an
+    output error method over s + 1 samples.
 
     Args:
         theta: where to begin, from `least_squares`. windows: of s + 1 samples. room: at least so many

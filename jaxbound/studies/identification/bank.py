@@ -1,0 +1,124 @@
+"""Several tests from one fit: a monitor whose tests see what the others miss.
+
+The test that sees the smallest errors comes first, see `window_tests`. Each further one earns its place: it
+sees a jump or a lasting error of some output from clearly smaller sizes on than all tests before it, under
+bounds as wide as recordings that are left out ask of it. An observer, which carries everything since it
+began, is looked at last. Each test has the coefficients and the bounds of a fit of its own.
+"""
+
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+from jaxbound.models.modelfile import model_text
+from jaxbound.models.statedtests import StatedTest, stated_tests
+from jaxbound.models.system import LinearSystem
+from jaxbound.models.testmodels import MERGED, model_of
+from jaxbound.studies.identification.fit_result import Fitted
+from jaxbound.studies.identification.window_tests import JudgedTest, best_test
+
+__all__ = ["FitOne", "earned", "fitted_bank", "test_as_fitted"]
+
+GAIN = 0.8
+"""A test earns its place where it sees an error from this share of the size on that the others need."""
+ABSENT: Mapping[str, object] = {"averages": [], "noise": "0", "resolution": "0", "offset": "0"}
+"""Fields of a signal that a test states where the file has them and its own model has not."""
+ONCE = ("test", "name")
+"""Fields that a test does not repeat."""
+
+
+FitOne = Callable[[Mapping[str, Any], Callable[[float], object]], Fitted]
+"""fit_one(test, report) fits the same recordings by the arguments of `fit` that differ between tests."""
+
+
+def fitted_bank(fit_one: FitOne, first: Mapping[str, Any], report: Callable[[float], object]) -> Fitted:
+    """Return a Fitted for the best windows, whose `tests` are those that earn their places.
+
+    Args:
+        fit_one: see `FitOne`. first: of the fit that tries all windows. report: called with the share of the
+            work done.
+    """
+    base = fit_one(first, partial(_part, report, 0.0, 0.5))
+    check = base.check
+    picked = earned(check.tests)
+    tests = [StatedTest(picked[0].window.text)]
+    share = 0.5 / len(picked)
+    for number, judged in enumerate(picked[1:]):
+        own = {"order": check.order, "delay": check.delay, "method": judged.method}
+        own |= judged.window.about | {"average": judged.window.average}
+        fitted = fit_one(own, partial(_part, report, 0.5 + number * share, share))
+        tests.append(test_as_fitted(base, fitted, judged.window.text))
+    report(1.0)
+    return Fitted(base.replace(tests=tests), check)
+
+
+def _part(report: Callable[[float], object], begun: float, share: float, done: float) -> None:
+    """Report the share of a part of the work that is done."""
+    report(begun + share * done)
+
+
+def earned(tests: Sequence[JudgedTest]) -> tuple[JudgedTest, ...]:
+    """Return the best test, and behind it those that see clearly smaller errors than all before them."""
+    chosen = [best_test(tests)]
+    sizes = dict(_sizes(chosen[0]))
+    while True:
+        best = min(tests, key=lambda test: _share(test, sizes))
+        if not _share(best, sizes) < GAIN:
+            return tuple(chosen)
+        chosen.append(best)
+        for error, size in _sizes(best):
+            sizes[error] = min(sizes[error], size)
+
+
+def _share(test: JudgedTest, sizes: Mapping[tuple[str, str], float]) -> float:
+    """Return the least share of these sizes from which on the test sees an error."""
+    return min(size / sizes[error] for error, size in _sizes(test))
+
+
+def _sizes(test: JudgedTest) -> Iterator[tuple[tuple[str, str], float]]:
+    """Yield ((kind, output), size) of the errors that a test sees; beyond any size where it sees none."""
+    for kind, sizes in (("jump", test.jump), ("steady", test.steady)):
+        for output, size in sizes.items():
+            yield (kind, output), min(size, 1e300)
+
+
+def test_as_fitted(base: LinearSystem, fitted: LinearSystem, name: str) -> StatedTest:
+    """Return the test of a model that states a fit of its own: what differs from the base.
+
+    Args:
+        base: the model of the file. fitted: for the windows of the test, of the same signals.
+    """
+    mine, theirs = (tomllib.loads(model_text(x.replace(tests=None)), parse_float=str) for x in (base, fitted))
+    (test,) = stated_tests([StatedTest(name, changes=_changes(mine, theirs))])
+    own = model_of(base, test)
+    # a field that one of them lacks would be lost silently
+    assert model_text(own.replace(name=base.name)) == model_text(fitted.replace(name=base.name)), name
+    return test
+
+
+def _changes(mine: dict[str, Any], theirs: dict[str, Any]) -> dict[str, Any]:
+    """Return the fields of a model file that differ from those of another."""
+    changes: dict[str, Any] = {}
+    for key, value in theirs.items():
+        if key in ONCE or mine.get(key) == value:
+            continue
+        if key in MERGED:
+            changes[key] = list(_changed_signals(mine[key], value))
+        elif isinstance(value, dict):
+            own = mine.get(key, {})
+            changes[key] = {field: x for field, x in value.items() if own.get(field) != x}
+        else:
+            changes[key] = value
+    return changes
+
+
+def _changed_signals(mine: list[dict[str, Any]], theirs: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Yield for each signal whose fields differ its name and those fields."""
+    for before, after in zip(mine, theirs, strict=True):
+        changed = {field: x for field, x in after.items() if before.get(field) != x}
+        for field, nothing in ABSENT.items():
+            if field in before and field not in after:
+                changed[field] = nothing
+        if changed:
+            yield {"name": after["name"], **changed}

@@ -1,0 +1,263 @@
+"""The factor on all bounds that explains a window, in floats: what `WindowJudge` proves, searched without its
+proof and without relations.
+
+Errors of a certain plant whose sensors alone err are known up to the first state x of the window,
+
+    v = r - O x,    r: outputs less what the inputs do to them,
+
+so the least factor t with |v_i| <= t b_i, and |mean of v| <= t a where means have bounds, is the best
+approximation in the maximum norm of r by the columns of O, each row over its bound: a linear program with few
+unknowns. An interior point method solves it for many windows at once. Where only the largest factor counts,
+most windows need no program: with the residual e of least squares, orthogonal to O,
+
+    |e|_2^2 / |e|_1 <= t <= |e|_inf
+
+Source: Mehrotra 1992 (steps); Cheney 1966 (duality of approximation in the maximum norm).
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxbound.models.system import LinearSystem
+from jaxbound.studies.identification.judging import Judge, Sizes
+from jaxbound.studies.identification.records import Record, Records
+from jaxbound.studies.identification.regression import Scales, complete_windows
+
+__all__ = ["GaugeJudge", "best_approximations", "gauge_of"]
+
+CHUNK, BATCH = 2_048, 64
+"""Windows whose residuals are looked at together; whose programs are solved together."""
+RANK = 1e-11
+"""Share of the largest singular value below which a direction of the first state shows nowhere."""
+STEPS, CLOSED, BOUNDARY = 60, 1e-10, 0.99
+"""Steps of the interior point method at most, the relative gap that ends it, and how near to the boundary a
+step may go."""
+
+
+class Gauge(NamedTuple):
+    """Windows of a model whose sensors alone err.
+
+    Fields: over (R, (s + 1) p): errors of a window on its rows, each over its bound. free (R, r): orthonormal
+    columns that span what the first state does to these rows.
+    """
+
+    model: LinearSystem
+    horizon: int
+    over: np.ndarray
+    free: np.ndarray
+
+    def rows(self, record: Record, first: np.ndarray) -> np.ndarray:
+        """Return the rows (N, R) of windows that begin at samples first (N,), without what the first state
+        explains of their squares.
+        """
+        u, y, _ = record
+        at = first[:, None] + np.arange(self.horizon + 1)
+        left = y[at] - np.array(self.model.offset["y"], float) - self._driven(u[at])
+        rows = left.reshape(len(first), -1) @ self.over.T
+        return np.asarray(rows - (rows @ self.free) @ self.free.T)
+
+    def _driven(self, u: np.ndarray) -> np.ndarray:
+        """Return the outputs (N, s + 1, p) of windows whose first state is 0, by inputs (N, s + 1, m)."""
+        A, B, C, D = (np.array(x, float) for x in _matrices(self.model))
+        u = u - np.array(self.model.offset["u"], float)
+        x, out = np.zeros((len(u), len(A))), np.zeros((*u.shape[:2], self.model.p))
+        for k in range(u.shape[1]):
+            out[:, k] = x @ C.T + u[:, k] @ D.T
+            x = x @ A.T + u[:, k] @ B.T
+        return out
+
+    def largest(self, record: Record) -> np.ndarray:
+        """Return (T,): of each complete window a lower bound on its factor, of the one that needs most its
+        factor; nan elsewhere.
+        """
+        u, y, starts = record
+        first = complete_windows(u, y, starts, self.horizon)
+        need = np.full(len(y), np.nan)
+        least, most = np.zeros(len(first)), np.zeros(len(first))
+        for begin in range(0, len(first), CHUNK):
+            part = slice(begin, begin + CHUNK)
+            least[part], most[part] = _bracket(self.rows(record, first[part]))
+        order = np.argsort(-most)
+        for begin in range(0, len(order), BATCH):
+            some = order[begin : begin + BATCH]
+            some = some[most[some] > least.max()]
+            if not len(some):
+                break
+            least[some] = best_approximations(self.rows(record, first[some]), self.free)
+        need[first + self.horizon] = least
+        return need
+
+
+def gauge_of(model: LinearSystem) -> Gauge:
+    """Return the Gauge of the windows of a model: its horizon or lags, noise and averages of outputs."""
+    assert model.horizon is not None, "a model that is fitted for windows has one"
+    horizon, seen = model.horizon, list(range(model.horizon + 1))
+    if model.lags is not None:
+        seen = [horizon - lag for lag in reversed(model.lags)]
+    over = _over_bounds(model, horizon + 1, seen)
+    A, _, C, _ = _matrices(model)
+    blocks = [np.array(C, float)]
+    for _ in range(horizon):
+        blocks.append(blocks[-1] @ np.array(A, float))
+    free = over @ np.concatenate(blocks)
+    if not free.size:
+        return Gauge(model, horizon, over, np.zeros((len(over), 0)))
+    free = free / np.maximum(np.abs(free).max(0), 1e-300)  # of states that grow out of reach
+    left, singular, _ = np.linalg.svd(free, full_matrices=False)
+    return Gauge(model, horizon, over, left[:, singular > RANK * singular[0]])
+
+
+def _matrices(model: LinearSystem) -> list[np.ndarray]:
+    """Return A (n, n), B (n, m), C (p, n), D (p, m) in floats."""
+    shapes = (model.n, model.n), (model.n, model.m), (model.p, model.n), (model.p, model.m)
+    given = model.A, model.B, model.C, model.D
+    return [np.array(x, float).reshape(shape) for x, shape in zip(given, shapes, strict=True)]
+
+
+def _over_bounds(model: LinearSystem, count: int, seen: Sequence[int]) -> np.ndarray:
+    """Return the rows of windows: each error that is looked at over its bound, and each run of an average."""
+    p, rows = model.p, []
+    for sample in seen:
+        for i, (noise, rounded) in enumerate(zip(model.noise, model.resolution, strict=True)):
+            row = np.zeros((count, p))
+            row[sample, i] = 1 / float(noise + rounded)
+            rows.append(row)
+    for average in model.averages:
+        _, i = average.place(model.outputs)
+        weights = np.array([float(x) for x in average.weights])
+        bound = float(average.bound) + float(model.resolution[i]) * np.abs(weights).sum()
+        for first in range(count - len(weights) + 1):
+            row = np.zeros((count, p))
+            row[first : first + len(weights), i] = weights / bound
+            rows.append(row)
+    return np.stack(rows).reshape(len(rows), -1)
+
+
+def _bracket(e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (lower, upper) bounds (N,) on the best approximation, of least squares residuals (N, R)."""
+    size = np.abs(e)
+    total = np.maximum(size.sum(1), 1e-300)
+    return np.square(e).sum(1) / total, size.max(1)
+
+
+def best_approximations(r: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """Return min over x of max_i |r_i - (free x)_i| for each of the rows of r (N, R); free (R, n)
+    orthonormal.
+
+    Every step keeps both sides of the program feasible:
+
+        minimise t: t -+ (r - free x) >= 0;    maximise r'(h - l): free'(h - l) = 0, sum(h + l) = 1, h, l >= 0
+    """
+    r = r - (r @ free) @ free.T
+    size = np.maximum(np.abs(r).max(1), 1e-300)
+    r = r / size[:, None]
+    best = np.abs(r).max(1)
+    if free.shape[1]:
+        best = np.minimum(best, _interior(r, free))
+    return np.asarray(best * size)
+
+
+def _interior(r: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """Return the same of rows of size 1, by the interior point method."""
+    count, (R, n) = len(r), free.shape
+    pairs = (free[:, :, None] * free[:, None, :]).reshape(R, n * n)
+    x, t = np.zeros((count, n)), np.full(count, 1.1)
+    prices = np.full((2, count, R), 1 / (2 * R))  # of r - free x <= t and of free x - r <= t
+    best, opened = np.abs(r).max(1), np.arange(count)
+    for _ in range(STEPS):
+        left = r[opened] - x @ free.T
+        best[opened] = np.minimum(best[opened], np.abs(left).max(1))
+        slack = np.stack([t[:, None] - left, t[:, None] + left])
+        gap = (prices * slack).sum((0, 2))
+        on = gap > CLOSED * t
+        if not on.any():
+            break
+        opened, x, t, gap, prices, slack = opened[on], x[on], t[on], gap[on], prices[:, on], slack[:, on]
+        weight = prices / slack
+        normal = _normal(weight, pairs, free, n)
+        # the affine step says how far the gap can close, the second one aims there
+        move, change = _step(normal, free, prices, slack, weight, np.zeros_like(prices))
+        moved = _on_slack(move, free)
+        onward, priced = _reach(slack, moved), _reach(prices, change)
+        after = (prices + priced[:, None] * change) * (slack + onward[:, None] * moved)
+        centring = gap / (2 * R) * np.clip(after.sum((0, 2)) / gap, 0, 1) ** 3
+        move, change = _step(normal, free, prices, slack, weight, centring[:, None] - change * moved)
+        onward = BOUNDARY * _reach(slack, _on_slack(move, free))
+        priced = BOUNDARY * _reach(prices, change)
+        x, t = x + onward[:, None] * move[:, :n], t + onward * move[:, n]
+        prices = prices + priced[:, None] * change
+    return np.asarray(best)
+
+
+def _normal(weight: np.ndarray, pairs: np.ndarray, free: np.ndarray, n: int) -> np.ndarray:
+    """Return the matrices (N, n + 1, n + 1) of the steps in (x, t)."""
+    both, apart = weight[0] + weight[1], weight[0] - weight[1]
+    normal = np.empty((len(both), n + 1, n + 1))
+    normal[:, :n, :n] = (both @ pairs).reshape(-1, n, n)
+    normal[:, :n, n] = normal[:, n, :n] = apart @ free
+    normal[:, n, n] = both.sum(1)
+    least = 1e-14 * np.trace(normal, axis1=1, axis2=2)
+    return np.asarray(normal + least[:, None, None] * np.eye(n + 1))
+
+
+def _step(
+    normal: np.ndarray,
+    free: np.ndarray,
+    prices: np.ndarray,
+    slack: np.ndarray,
+    weight: np.ndarray,
+    aim: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the step (N, n + 1) in (x, t) and that in prices (2, N, R), towards prices * slack = aim."""
+    toward = aim / slack - prices
+    right = np.concatenate([(toward[0] - toward[1]) @ free, toward.sum((0, 2))[:, None]], 1)
+    move = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+    return move, toward - weight * _on_slack(move, free)
+
+
+def _on_slack(move: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """Return how slacks (2, N, R) change by a step in (x, t)."""
+    turned = move[:, :-1] @ free.T
+    return np.stack([move[:, -1:] + turned, move[:, -1:] - turned])
+
+
+def _reach(values: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Return the largest share (N,) of a step, at most 1, that leaves values (2, N, R) at 0 or above."""
+    shrinking = np.where(change < 0, -values / np.minimum(change, -1e-300), np.inf)
+    return np.asarray(np.minimum(shrinking.min((0, 2)), 1.0))
+
+
+class GaugeJudge(Judge):
+    """Windows as a search in floats sees them: to choose by, not to prove. Incomplete windows do not count,
+    and of all but the tightest a need is a lower bound.
+    """
+
+    def least(self, model: LinearSystem) -> int:
+        """Return the samples of a window."""
+        return gauge_of(model).horizon + 1
+
+    def needs(self, model: LinearSystem, parts: Records) -> list[np.ndarray]:
+        """Return the need of the tightest window of each recording, and lower bounds on the others."""
+        gauge = gauge_of(model)
+        return [gauge.largest(part) for part in parts]
+
+    def shares(self, model: LinearSystem, parts: Records) -> tuple[bool, list[np.ndarray]]:
+        """Return (whether every window is explained, as far as floats say, what `needs` returns)."""
+        needs = self.needs(model, parts)
+        return not any((need > 1).any() for need in needs), needs
+
+    def sizes(self, model: LinearSystem, scales: Scales) -> tuple[Sizes, Sizes]:
+        """Return (jump, steady) as `WindowJudge` does."""
+        gauge = gauge_of(model)
+        count, p = gauge.horizon + 1, model.p
+        samples = np.arange(count)
+        acts = np.stack([samples >= count // 2, samples >= 0])
+        wrong = acts[:, None, :, None] * np.diag(scales.y_spread)[None, :, None]  # (2, p, s + 1, p)
+        rows = wrong.reshape(2 * p, -1) @ gauge.over.T
+        need = best_approximations(rows, gauge.free).reshape(2, p)
+        with np.errstate(divide="ignore"):  # healthy noise takes 1 of a need
+            sizes = np.where(need > 1e-9, 2 * scales.y_spread / need, np.inf)
+        jump, steady = (dict(zip(model.outputs, row, strict=True)) for row in sizes.tolist())
+        return jump, steady

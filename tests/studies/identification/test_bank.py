@@ -1,0 +1,83 @@
+"""Several tests from one fit: each earns its place, and each is the fit that it would be alone."""
+
+import jax
+import numpy as np
+import pytest
+
+import jaxbound as jb
+from jaxbound.models.testmodels import model_of
+from jaxbound.studies.identification.bank import earned
+from jaxbound.studies.identification.window_tests import JudgedTest, WindowChoice
+
+
+def judged(horizon, jump, steady, blindness):
+    sizes = {"y1": jump}, {"y1": steady}
+    return JudgedTest(WindowChoice(horizon), "windows", 1.0, {}, {}, *sizes, blindness)
+
+
+def test_a_test_that_sees_clearly_smaller_errors_earns_its_place():
+    short, long = judged(15, 1.0, 9.0, 2.0), judged(60, 3.0, 7.0, 1.0)
+    assert earned([short, long]) == (long, short)
+
+
+def test_a_test_that_sees_hardly_smaller_errors_does_not():
+    best, other = judged(15, 1.0, 9.0, 1.0), judged(60, 0.81, 7.3, 2.0)
+    assert earned([best, other]) == (best,)
+
+
+def test_a_test_that_sees_what_no_other_sees_earns_its_place():
+    blind, seeing = judged(15, 1.0, np.inf, 1.0), judged(60, 4.0, 1e6, 2.0)
+    assert earned([blind, seeing]) == (blind, seeing)
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    """Return three recordings of a slow plant, by steps of an input that acts less where it is large: a model
+    of it errs more, the longer it looks.
+    """
+    plant = jb.LinearSystem([[0.97]], [[0.05]], [[1]], noise=0.1)
+    made = []
+    for number in range(3):
+        key, other = jax.random.split(jax.random.key(number))
+        u = np.repeat(np.asarray(jax.random.uniform(key, (12, 1))) * 8, 20, 0)
+        made.append((u, np.asarray(jb.simulate(plant, u - 0.09 * u**2, other).y)))
+    return made
+
+
+@pytest.fixture(scope="module")
+def fitted(recordings):
+    return jb.fit(recordings, order=1, test="bank", method="least squares", safety=1.25)
+
+
+def test_a_fit_for_a_bank_states_the_tests_of_its_monitor(fitted, recordings, tmp_path):
+    jb.save_model(fitted, tmp_path / "plant.toml")
+    bank = jb.monitor(tmp_path / "plant.toml")
+    assert len(bank.names) > 1
+    assert set(bank.names) <= {test.window.text for test in fitted.check.tests}
+    for u, y in recordings:
+        assert jb.detect(bank, u, y).counts["FAULT"] == 0
+
+
+def test_each_test_of_the_bank_is_the_fit_for_its_windows(fitted, recordings):
+    by_name = {test.window.text: test for test in fitted.check.tests}
+    for test in fitted.tests[1:]:
+        window = by_name[test.name].window
+        about = window.about | {"average": window.average}
+        alone = jb.fit(recordings, order=1, method=by_name[test.name].method, **about)
+        own = model_of(fitted, test)
+        assert (own.A, own.B, own.noise, own.averages) == (alone.A, alone.B, alone.noise, alone.averages)
+        assert (own.horizon, own.lags, own.left_out) == (alone.horizon, alone.lags, alone.left_out)
+
+
+@pytest.mark.parametrize(
+    "more, words",
+    [
+        ({"horizon": 20}, "chooses windows: leave horizon out"),
+        ({"observer": "joint"}, "chooses windows: leave observer out"),
+        ({"follow": "auto"}, "compares constant bounds: leave follow out"),
+        ({"order": 0}, "a static model"),
+    ],
+)
+def test_what_does_not_go_with_a_bank_is_refused(recordings, more, words):
+    with pytest.raises(ValueError, match=words):
+        jb.fit(recordings, test="bank", **more)

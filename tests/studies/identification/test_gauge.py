@@ -1,0 +1,82 @@
+"""Factors in floats: those of linear programs."""
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+import jaxbound as jb
+from jaxbound.studies.identification.gauge import GaugeJudge, best_approximations, gauge_of
+
+A, B, C, D = [[0.7, 0.3], [-0.2, 0.8]], [[1.0], [0.5]], [[1.0, 0], [0.4, 1]], [[0.2], [0]]
+NOISE, OFFSET = np.array([0.1, 0.3]), {"y": [1.0, -2], "u": [0.5]}
+
+
+def by_program(r, columns):
+    """Return min over x of max_i |r_i - (columns x)_i|."""
+    ones = np.ones((len(r), 1))
+    upper = np.block([[columns, -ones], [-columns, -ones]])
+    free = [(None, None)] * columns.shape[1] + [(0, None)]
+    cost = np.append(np.zeros(columns.shape[1]), 1.0)
+    return linprog(cost, upper, np.concatenate([r, -r]), bounds=free, method="highs").fun
+
+
+@pytest.mark.parametrize("unknown", [1, 3, 6])
+def test_the_best_approximation_is_that_of_a_linear_program(unknown, rng):
+    free, _ = np.linalg.qr(rng.normal(size=(20, unknown)))
+    free[:4, -1] = 0  # a direction that few samples show
+    free, _ = np.linalg.qr(free)
+    r = rng.normal(size=(10, 20)) * 10.0 ** rng.integers(-6, 6, 10)[:, None]
+    expected = [by_program(row, free) for row in r]
+    np.testing.assert_allclose(best_approximations(r, free), expected, rtol=1e-7)
+
+
+def test_what_the_first_state_explains_needs_nothing():
+    free = np.eye(3)[:, :2]
+    np.testing.assert_array_equal(best_approximations(np.array([[3.0, -1, 0], [0, 0, -2]]), free), [0, 2])
+
+
+@pytest.mark.parametrize(
+    "window, mean", [(dict(horizon=7), 4), (dict(lags=[0, 1, 3, 7]), None)], ids=["means", "lags"]
+)
+def test_the_largest_factor_is_that_of_a_linear_program(window, mean, rng):
+    averages = {"y2": {mean: 0.05}} if mean else {}
+    model = jb.LinearSystem(A, B, C, D, noise=NOISE.tolist(), offset=OFFSET, averages=averages, **window)
+    u, y = rng.normal(size=(25, 1)), rng.normal(size=(25, 2))
+    y[20, 0] = np.nan
+    looked = range(8) if mean else [0, 4, 6, 7]
+    on_state = np.concatenate([np.array(C) @ np.linalg.matrix_power(np.array(A), k) for k in range(8)])
+    factors = []
+    for first in range(12):  # windows that no missing sample or seam touches
+        x, r = np.zeros(2), np.zeros((8, 2))
+        for k in range(8):
+            du = u[first + k] - OFFSET["u"]
+            r[k] = y[first + k] - OFFSET["y"] - np.array(C) @ x - np.array(D) @ du
+            x = np.array(A) @ x + np.array(B) @ du
+        rows = [(2 * k + i, 1 / NOISE[i]) for k in looked for i in range(2)]
+        weights = np.zeros((len(rows), 16))
+        for number, (at, weight) in enumerate(rows):
+            weights[number, at] = weight
+        for begin in range(5) if mean else ():
+            run = np.zeros(16)
+            run[[2 * (begin + j) + 1 for j in range(4)]] = 1 / 4 / 0.05
+            weights = np.vstack([weights, run])
+        if first + 7 < 15 or first >= 15:
+            factors.append(by_program(weights @ r.ravel(), weights @ on_state))
+    need = gauge_of(model).largest((u, y, np.array([15])))
+    counted = np.flatnonzero(np.isfinite(need))
+    assert counted.tolist() == list(range(7, 15))
+    assert np.nanmax(need) == pytest.approx(max(factors), rel=1e-7)
+    assert np.nanargmax(need) == 7 + np.argmax(factors)
+    assert (need[counted] <= np.array(factors) * (1 + 1e-9)).all()
+
+
+def test_sizes_are_those_of_the_proved_test(rng):
+    from jaxbound.studies.identification.judging import WindowJudge
+    from jaxbound.studies.identification.regression import Scales
+
+    model = jb.LinearSystem(A, B, C, D, noise=NOISE.tolist(), offset=OFFSET, horizon=5)
+    scales = Scales(np.zeros(1), np.ones(1), np.zeros(2), np.array([0.7, 2.0]))
+    for found, proved in zip(
+        GaugeJudge().sizes(model, scales), WindowJudge().sizes(model, scales), strict=True
+    ):
+        assert found == pytest.approx(proved, rel=1e-6)
