@@ -135,6 +135,18 @@ def options(parser: argparse.ArgumentParser) -> None:
         help=f"bounds for a set observer, in place of windows: {', '.join(OBSERVERS)}",
     )
     parser.add_argument(
+        "--disturbances",
+        choices=("auto",),
+        help="auto: bound process noise and offsets that drift, too: those under which the smallest fault is "
+        "seen",
+    )
+    parser.add_argument(
+        "--see",
+        metavar="F,F",
+        help="faults that --disturbances is chosen for, like T1:bias:2,T2:drift:0.05 (size; drift a sample; "
+        "default: biases of each output)",
+    )
+    parser.add_argument(
         "--average",
         type=whole_number(2),
         metavar="N",
@@ -170,6 +182,7 @@ def run(args: argparse.Namespace) -> int:
     """Fit a model to recordings, write and describe it; return the exit code."""
     with swift_imports():
         from jaxbound.cli.fit_summary import named_units, plain_fit, show_fit, signal_columns
+        from jaxbound.cli.tradeoff_table import wanted
         from jaxbound.files.whole import whole
         from jaxbound.models.modelfile import model_text
         from jaxbound.plots.canvas import to_png
@@ -183,6 +196,7 @@ def run(args: argparse.Namespace) -> int:
         inputs = signal_columns("--inputs", args.inputs)
         outputs = signal_columns("--outputs", args.outputs)
         inputs, outputs, units = named_units(inputs, outputs)
+        see = wanted(args.see or "")
         about = {}
         if args.time:
             about["time"] = args.time
@@ -210,6 +224,8 @@ def run(args: argparse.Namespace) -> int:
             test=args.test,
             observer=args.observer,
             follow=args.follow,
+            disturbances=args.disturbances,
+            see=see,
             name=args.name or args.out.stem,
             progress=lambda share: step("fit", share),
             units=units,

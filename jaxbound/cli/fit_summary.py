@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxbound.cli.names import parted, unquoted
 from jaxbound.cli.terminal import show
+from jaxbound.cli.tradeoff_table import disturbance_rows, plain_tradeoff
 from jaxbound.diagnosis.memory import slowest, suggest_lags
 from jaxbound.recordings.expressions import CLOCK, expression
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
@@ -128,6 +129,8 @@ def plain_fit(
         "tests": [_plain_test(test, check) for test in check.tests],
         "means": {a.signal: float(a.bound) for a in model.averages},
         "smallest_mean": check.smallest_mean,
+        "disturbance": [float(high) for _, high in model.disturbance],
+        "tradeoff": plain_tradeoff(model),
         "recordings": recordings,
         "jump": _all_finite(check.jump),
         "steady": _all_finite(check.steady),
@@ -205,6 +208,7 @@ def show_fit(
     rows += _tried_tests(model)
     rows += _left_out(check, files)
     rows += _follows(check)
+    rows += disturbance_rows(model)
     rows += _memory(model)
     rows.append(("safety", f"{check.safety:g} times these bounds"))
     means = []

@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxbound.plots.canvas import COLOURS, FAULTY, GRID, INK, canvas, style
 from jaxbound.plots.plot import plot
+from jaxbound.plots.tradeoff import draw_tradeoff
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.identification.fit_result import Fitted
 
@@ -18,7 +19,7 @@ __all__ = ["plot_fit"]
 @plot.register(Fitted)
 def plot_fit(model: Fitted) -> "Figure":
     """Draw a Fitted: the share of the bounds that each window needs, in the recordings and, by fits
-    to all others, in those that were left out.
+    to all others, in those that were left out; with disturbances, the trade-off between bounds and faults.
     """
     check, what, apart = model.check, "a window needs", "each left out"
     if model.horizon is None:  # an observer: one factor a recording
@@ -27,10 +28,13 @@ def plot_fit(model: Fitted) -> "Figure":
     if check.held_out is not None:
         alone = f"{what}: {apart}, by a fit to the others"
         rows.append((alone, check.held_out_used, COLOURS[Status.UNDECIDED]))
+    panels = len(rows)
+    if check.tradeoff:
+        panels += 1
     with style():
-        fig = canvas((11, 0.6 + 2.1 * len(rows)))
-        axes = fig.subplots(len(rows), 2, squeeze=False, width_ratios=(3, 1))
-        for (title, parts, colour), (line, bars) in zip(rows, axes, strict=True):
+        fig = canvas((11, 0.6 + 2.1 * panels))
+        axes = fig.subplots(panels, 2, squeeze=False, width_ratios=(3, 1))
+        for (title, parts, colour), (line, bars) in zip(rows, axes[: len(rows)], strict=True):
             edges = np.cumsum([0, *map(len, parts)])
             every = np.concatenate(parts)
             bins = np.unique(np.linspace(0, len(every), min(len(every), 4000), endpoint=False).astype(int))
@@ -45,13 +49,17 @@ def plot_fit(model: Fitted) -> "Figure":
             for ax in (line, bars):
                 ax.grid(axis="y", color=GRID)
                 ax.set_ylim(bottom=0)
-        axes[-1][0].set_xlabel("sample, recordings one after the other")
-        axes[-1][1].set_xlabel("share, > 1: FAULT")
+        axes[len(rows) - 1][0].set_xlabel("sample, recordings one after the other")
+        axes[len(rows) - 1][1].set_xlabel("share, > 1: FAULT")
+        spacing = 0.45
+        if check.tradeoff:
+            draw_tradeoff(axes[-1][0], axes[-1][1], check)
+            spacing = 0.65
         fig.subplots_adjust(
             left=0.05,
             right=0.98,
             top=1 - 0.3 / fig.get_figheight(),
             bottom=0.5 / fig.get_figheight(),
-            hspace=0.45,
+            hspace=spacing,
         )
     return fig

@@ -196,3 +196,24 @@ def test_bounds_for_an_observer(place, capsys):
     capsys.readouterr()
     assert main.main([*command, "--force", "--average", "3"]) == 2
     assert "average is for windows" in capsys.readouterr().err
+
+
+def test_fit_with_disturbances_says_what_is_seen_under_which_bounds(place, capsys):
+    options = ["--disturbances", "auto", "--see", "lift:drift:1", "--method", "least squares"]
+    assert main.main([*FIT, *options, "--plot", "fit.png", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    model = jb.load_model("tank.toml")
+    assert said["disturbance"] == [float(high) for _, high in model.disturbance]
+    assert [row["chosen"] for row in said["tradeoff"]].count(True) == 1
+    assert "lift:drift" in said["tradeoff"][0]["sizes"]
+    assert (place / "fit.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("see", "sentence"),
+    [("lift:bias", "signal:kind:size"), ("lift:bend:1", "kind of fault"), ("flow:bias:1", "'flow'")],
+)
+def test_a_fault_to_see_that_is_none_is_refused(place, capsys, see, sentence):
+    assert main.main([*FIT, "--disturbances", "auto", "--see", see]) == 2
+    assert sentence in capsys.readouterr().err
+    assert not (place / "tank.toml").exists()

@@ -12,10 +12,13 @@ from jaxbound.studies.identification.judging import Judge
 from jaxbound.studies.identification.records import Records, measured
 from jaxbound.studies.tuning.widening import widened
 
-__all__ = ["Means", "rounded_up", "verified"]
+__all__ = ["Means", "Walks", "rounded_up", "verified"]
 
 Means = dict[int, tuple[int, float]]
 """{number of an output: (samples, smallest bound of the mean of so many errors)}."""
+
+Walks = tuple[np.ndarray, np.ndarray]
+"""(G (n, g), smallest bounds (g,)) of disturbances."""
 
 ATTEMPTS = 20
 """Times that bounds are widened where rounding left a window undecided."""
@@ -41,6 +44,7 @@ def verified(
     records: Records,
     factor: float,
     safety: float,
+    walks: Walks | None = None,
 ) -> tuple[LinearSystem, list[np.ndarray]]:
     """Return (model, used): the model that no window contradicts by the proved test, and the share of its
     bounds that each window uses.
@@ -50,7 +54,8 @@ def verified(
 
     Args:
         spec: arguments of a LinearSystem. smallest: (p,), the smallest bounds; means: those of means. factor,
-            safety: by which they are wider, as a recording that is left out asks for, and on top.
+            safety: by which they are wider, as a recording that is left out asks for, and on top. walks: of
+            disturbances.
     """
     wider = factor * safety
     bounds = [rounded_up(x * wider) for x in smallest]
@@ -61,6 +66,9 @@ def verified(
     if "horizon" not in spec and "lags" not in spec:
         meant = f" {FOR_OBSERVER}"
     lowered = {i: rounded_up(x * wider) for i, (_, x) in means.items()}
+    disturbance, pushes = None, []
+    if walks is not None:
+        pushes = [rounded_up(x * wider) for x in walks[1]]
     for _ in range(ATTEMPTS):
         exact = [Fraction(repr(x)) for x in bounds]
         rounds = [_below(r, x) for r, x in zip(rounds, exact, strict=True)]
@@ -68,15 +76,26 @@ def verified(
         origin = {"model": source, "noise": f"{source}{meant}, {widened(factor, safety)}"}
         if any(rounds):
             origin["resolution"] = "as the recordings are rounded"
+        if walks is not None and pushes:
+            disturbance = (walks[0], pushes)
+            origin["disturbance"] = f"{source}, {widened(factor, safety)}"
         averages = {}
         for i, (samples, _) in means.items():
             rest = max(Fraction(repr(lowered[i])) - rounds[i], Fraction(0))
             averages[spec["outputs"][i]] = {samples: rest}
-        model = LinearSystem(**spec, noise=noise, resolution=rounds, provenance=origin, averages=averages)
+        model = LinearSystem(
+            **spec,
+            noise=noise,
+            resolution=rounds,
+            disturbance=disturbance,
+            provenance=origin,
+            averages=averages,
+        )
         holds, used = judge.shares(model, records)
         if holds:
             break
         bounds = [rounded_up(WIDER * x) for x in bounds]
+        pushes = [rounded_up(WIDER * x) for x in pushes]
         lowered = {i: rounded_up(WIDER * x) for i, x in lowered.items()}
     return model, used
 

@@ -9,7 +9,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.studies.identification.window_tests import JudgedTest
 from jaxbound.text.objects import readable
 
-__all__ = ["FitCheck", "Fitted", "Follows", "PartLeftOut"]
+__all__ = ["FitCheck", "Fitted", "Follows", "PartLeftOut", "Tradeoff"]
 
 
 class Follows(NamedTuple):
@@ -33,6 +33,25 @@ class PartLeftOut(NamedTuple):
     windows: int
     factor: float
     why: str
+
+
+class Tradeoff(NamedTuple):
+    """Disturbances that a fit looked at, and what would be seen under their bounds.
+
+    Fields: method: of the coefficients. process, drift: bounds of process noise, and of how far an offset
+        moves a sample, in shares of the noise of the sensors. noise: {output: bound}, with the factor and the
+        safety. factor: that recordings ask for which are left out. sizes: {"T1:bias": size} from which on a
+        fault, added to the longest recording, is seen by its end; inf: never. chosen: whether the model has
+        them.
+    """
+
+    method: str
+    process: float
+    drift: float
+    noise: dict[str, float]
+    factor: float
+    sizes: dict[str, float]
+    chosen: bool
 
 
 @readable
@@ -59,6 +78,8 @@ class FitCheck:
         follows: how the bounds follow the operating point, see `fit`; jump and steady are sizes under the
             largest factor on them in training.
         tests: a `JudgedTest` for each of the windows that a choice was made of; () where there was none.
+        tradeoff: of a fit with disturbances, those that were looked at; a setting that cannot see more than
+            the best is left out.
         sentences: what the user should know, above all why the data may not carry a monitor.
     """
 
@@ -79,6 +100,7 @@ class FitCheck:
     smallest_mean: dict[str, float] = field(default_factory=dict)
     follows: Follows = Follows()
     tests: tuple[JudgedTest, ...] = ()
+    tradeoff: tuple[Tradeoff, ...] = ()
 
 
 class Fitted(LinearSystem):

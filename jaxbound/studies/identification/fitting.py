@@ -20,19 +20,25 @@ import numpy as np
 
 from jaxbound.estimation.method import ObserverMethod
 from jaxbound.estimation.methods import observer_method
+from jaxbound.models.faults import Fault
 from jaxbound.models.numbers import is_whole
 from jaxbound.models.system import LinearSystem, whole_lags
 from jaxbound.recordings.means import with_every
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.studies.identification import advice
 from jaxbound.studies.identification.bank import fitted_bank
-from jaxbound.studies.identification.bounds import Means, verified
+from jaxbound.studies.identification.bounds import Means, Walks, verified
 from jaxbound.studies.identification.candidates import (
     KINDS,
     FitProblem,
 )
 from jaxbound.studies.identification.closed_loop import closed_loops
-from jaxbound.studies.identification.fit_result import FitCheck, Fitted, PartLeftOut
+from jaxbound.studies.identification.disturbances import (
+    chosen_disturbances,
+    refuse_unseen,
+    wanted_faults,
+)
+from jaxbound.studies.identification.fit_result import FitCheck, Fitted, Follows, PartLeftOut, Tradeoff
 from jaxbound.studies.identification.following import followed, refuse_follow, sizes_in_training
 from jaxbound.studies.identification.judging import Judge, ObserverJudge, WindowJudge, explains
 from jaxbound.studies.identification.left_out import LeftOut, tried, widest
@@ -76,6 +82,8 @@ def fit(
     test: str | None = None,
     observer: str | ObserverMethod | None = None,
     follow: float | str = 0,
+    disturbances: str | None = None,
+    see: Fault | Sequence[Fault] = (),
     name: str = "fitted",
     units: Mapping[str, str] | None = None,
     columns: Mapping[str, str] | None = None,
@@ -128,6 +136,13 @@ def fit(
             writes `times`, an expression of the inputs, to the bounds of all outputs; "auto": .1, .3 or 0,
             whichever sees the smallest errors at the bounds that recordings which are left out ask for. 0:
             bounds are constant. Not with average or every.
+        disturbances: "auto": process noise and offsets that drift get bounds beside the noise of the sensors,
+            those of a trajectory that explains each recording from start to end, so that they hold for
+            windows and observers alike; which of them, by the smallest fault that is then seen in the longest
+            recording. Not with average, follow or test. None: none.
+        see: a bias or a drift of a signal, or several, of the size that is wanted: disturbances are chosen
+            for these, and bounds are as much wider than `safety` as these still allow. (): biases of each
+            output.
         name, units, columns: as of a LinearSystem; tables are read by these columns too. progress: called
             with the share of the work done.
 
@@ -150,6 +165,7 @@ def fit(
         observer = _observer(observer, lags, average)
     if order == 0:
         direct = True
+    wanted = wanted_faults(disturbances, see, average, follow, test)
     if test is not None:
         chosen_by_it = {"horizon": horizon, "lags": lags, "average": average, "observer": observer}
         _refuse_beside_test(test, order, chosen_by_it, follow)
@@ -202,14 +218,26 @@ def fit(
     report(0.05)
 
     kinds = _kinds(method, order, parts, inputs)
-    if observer is None and not follow:  # the proved test for the best of them alone
-        kinds = [best_kind(problem, kinds, records, parts)]
-    for number, kind in enumerate(kinds):
-        trials.append(tried(problem, kind, records, parts))
-        report(0.05 + 0.75 * (number + 1) / len(kinds))
-    best = min(trials, key=lambda trial: trial.blindness)  # the first one of equals
-    best, follows, constant = followed(problem, best, records, parts, follow, average)
-    sentences += constant
+    walks: Walks | None = None
+    tradeoff: tuple[Tradeoff, ...] = ()
+    follows = Follows()
+    if disturbances is not None:
+        refuse_unseen(wanted, inputs, outputs)
+        disturbed = chosen_disturbances(
+            problem, kinds, records, held_out, safety, wanted, lambda share: report(0.05 + 0.75 * share)
+        )
+        best, walks, tradeoff = disturbed.trial, (disturbed.G, disturbed.walks), disturbed.rows
+        sentences += disturbed.sentences
+        safety = disturbed.safety
+    else:
+        if observer is None and not follow:  # the proved test for the best of them alone
+            kinds = [best_kind(problem, kinds, records, parts)]
+        for number, kind in enumerate(kinds):
+            trials.append(tried(problem, kind, records, parts))
+            report(0.05 + 0.75 * (number + 1) / len(kinds))
+        best = min(trials, key=lambda trial: trial.blindness)  # the first one of equals
+        best, follows, constant = followed(problem, best, records, parts, follow, average)
+        sentences += constant
     chosen, smallest, left = best.candidate, best.bound, best.left
     means: np.ndarray | None = None
     averaged: Means = {}
@@ -232,7 +260,7 @@ def fit(
     factor = widest(left)
     if any(np.isfinite(one.factor) for one in left):
         spec["left_out"] = stated(factor)
-    model, used = verified(judge, spec, smallest, averaged, records, factor, safety)
+    model, used = verified(judge, spec, smallest, averaged, records, factor, safety, walks)
     jump, steady = sizes_in_training(judge, model, problem.scales, follows.most)
     check = FitCheck(
         method=chosen.kind,
@@ -251,6 +279,7 @@ def fit(
         steady=steady,
         follows=follows,
         tests=tests,
+        tradeoff=tradeoff,
     )
     sentences += advice.limits(model, check, held_out, problem.spans)
     report(1.0)

@@ -27,7 +27,7 @@ from jaxbound.studies.identification.records import Records
 from jaxbound.studies.identification.sizes import blindness
 from jaxbound.studies.identification.structure import delayed
 
-__all__ = ["LeftOut", "Trial", "left_out", "tried", "widest"]
+__all__ = ["EXCITED", "LeftOut", "Trial", "excited", "left_out", "tried", "widest"]
 
 EXCITED = 0.02
 """The least share of what all recordings say of a direction that the others must say of it: of recordings
@@ -78,7 +78,7 @@ def left_out(
     unknown = np.full(len(own[0][1]), np.nan)
     if len(unknown) < least:
         return LeftOut(None, unknown, "it holds no window")
-    if _excited(problem, others, parts) < EXCITED:
+    if excited(problem, others, parts) < EXCITED:
         return LeftOut(None, unknown, "the others do not move all that it moves")
     try:
         fitted = problem.fitted(others, kind, number)
@@ -87,7 +87,7 @@ def left_out(
     return LeftOut(fitted.spec, unknown).under(problem.judge, noise, {}, own)
 
 
-def _excited(problem: FitProblem, others: Records, parts: Records) -> float:
+def excited(problem: FitProblem, others: Records, parts: Records) -> float:
     """Return the least share of what all parts say of a direction of the regressors that the others say."""
     about = problem.scales, problem.order, problem.direct
     others, parts = delayed(others, problem.delay), delayed(parts, problem.delay)

@@ -1,0 +1,77 @@
+"""The faults of --see, and the trade-off between bounds and faults that are seen, as table and JSON."""
+
+import math
+from typing import Any
+
+from jaxbound.cli.names import parted, unquoted
+from jaxbound.models.faults import Fault
+from jaxbound.studies.identification.fit_result import Fitted
+
+__all__ = ["disturbance_rows", "plain_tradeoff", "wanted"]
+
+
+def wanted(text: str) -> tuple[Fault, ...]:
+    """Return the faults of --see.
+
+    Raises:
+        ValueError: an entry that is not signal:kind:size.
+
+    Example:
+        >>> wanted("T1:bias:2, `flow, cold`:drift:0.05")[1].signal
+        'flow, cold'
+    """
+    faults = []
+    for entry in parted(text):
+        if not entry:
+            continue
+        parts = entry.rsplit(":", 2)
+        try:
+            signal, kind, size = parts
+            faults.append(Fault(unquoted(signal), kind, float(size)))
+        except ValueError as e:
+            why = "needs signal:kind:size, like T1:bias:2"
+            if str(e).startswith(("kind of", "size of")):
+                why = str(e)
+            raise ValueError(f"--see {entry}: {why}") from None
+    return tuple(faults)
+
+
+def disturbance_rows(model: Fitted) -> list[tuple[str, str]]:
+    """Return lines on the disturbances of a fit and on those that it looked at, the chosen one marked."""
+    rows = []
+    for choice in model.check.tradeoff:
+        star = ""
+        if choice.chosen:
+            star = "* "
+        sizes = []
+        for fault, size in choice.sizes.items():
+            sizes.append(f"{fault} {_size(size)}")
+        noise = [f"{name} {bound:.3g}" for name, bound in choice.noise.items()]
+        rows.append(
+            (
+                f"{star}process {choice.process:g}, drift {choice.drift:g}",
+                f"{choice.method}: factor {choice.factor:.3g}, noise {', '.join(noise)}; "
+                f"sees {', '.join(sizes)}",
+            )
+        )
+    if rows:
+        bounds = [f"w{j + 1} {float(high):.3g}" for j, (_, high) in enumerate(model.disturbance)]
+        rows.insert(
+            0, ("disturbances", f"{', '.join(bounds) or 'none'} a sample; shares of the noise below:")
+        )
+    return rows
+
+
+def plain_tradeoff(model: Fitted) -> list[dict[str, Any]]:
+    """Return the settings that a fit looked at, as JSON has them."""
+    rows = []
+    for choice in model.check.tradeoff:
+        sizes = {fault: size if math.isfinite(size) else None for fault, size in choice.sizes.items()}
+        rows.append(choice._asdict() | {"sizes": sizes})
+    return rows
+
+
+def _size(size: float) -> str:
+    if math.isinf(size):
+        return "never"
+    return f"from {size:.3g}"

@@ -1,0 +1,41 @@
+"""Bounds against the smallest fault that is seen, for the disturbances that a fit looked at."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxbound.plots.canvas import COLOURS, ENVELOPE, FAULTY, GRID, INK
+from jaxbound.sets.floats.status import Status
+from jaxbound.studies.identification.fit_result import FitCheck
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["draw_tradeoff"]
+
+LINES = (INK, ENVELOPE, COLOURS[Status.UNDECIDED], COLOURS[Status.CONSISTENT])
+
+
+def draw_tradeoff(ax: "Axes", legend: "Axes", check: FitCheck) -> None:
+    """Draw the size of each fault from which on it is seen over the bound of the first output, as wide as a
+    recording asks for that is left out; what the model has is marked.
+    """
+    name = next(iter(check.smallest))
+    rows = sorted(check.tradeoff, key=lambda row: row.noise[name])
+    bounds = np.array([row.noise[name] for row in rows])
+    handles = []
+    for number, fault in enumerate(rows[0].sizes):
+        sizes = np.array([row.sizes[fault] for row in rows])
+        sizes[~np.isfinite(sizes)] = np.nan
+        colour, dashed = LINES[number % len(LINES)], (0, (2, 1 + number // len(LINES)))
+        style = "-" if number < len(LINES) else dashed
+        (line,) = ax.plot(bounds, sizes, color=colour, ls=style, marker="o", ms=4, label=fault)
+        handles.append(line)
+    chosen = next(row.noise[name] for row in rows if row.chosen)
+    handles.append(ax.axvline(chosen, color=FAULTY, lw=1, label="chosen"))
+    ax.set_title("Smallest fault seen in the longest recording, of each choice of disturbances")
+    ax.set_xlabel(f"bound on the noise of {name}, with factor and safety")
+    ax.set_ylim(bottom=0)
+    ax.grid(axis="y", color=GRID)
+    legend.axis("off")
+    legend.legend(handles=handles, loc="center left")
