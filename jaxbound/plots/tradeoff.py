@@ -27,8 +27,9 @@ def draw_tradeoff(ax: "Axes", legend: "Axes", check: FitCheck) -> None:
     for number, fault in enumerate(rows[0].sizes):
         sizes = np.array([row.sizes[fault] for row in rows])
         sizes[~np.isfinite(sizes)] = np.nan
-        colour, dashed = LINES[number % len(LINES)], (0, (2, 1 + number // len(LINES)))
-        style = "-" if number < len(LINES) else dashed
+        colour, style = LINES[number % len(LINES)], "-"
+        if number >= len(LINES):
+            style = "--"
         (line,) = ax.plot(bounds, sizes, color=colour, ls=style, marker="o", ms=4, label=fault)
         handles.append(line)
     chosen = next(row.noise[name] for row in rows if row.chosen)
