@@ -13,12 +13,13 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_tradeoff"]
 
-LINES = (INK, ENVELOPE, COLOURS[Status.UNDECIDED], COLOURS[Status.CONSISTENT])
+COLOURED = (INK, ENVELOPE, COLOURS[Status.UNDECIDED], COLOURS[Status.CONSISTENT])
 
 
 def draw_tradeoff(ax: "Axes", legend: "Axes", check: FitCheck) -> None:
     """Draw the size of each fault from which on it is seen over the bound of the first output, as wide as a
-    recording asks for that is left out; what the model has is marked.
+    recording asks for that is left out; the choice is marked. Neighbours differ in more than their bounds:
+    no line joins them.
     """
     name = next(iter(check.smallest))
     rows = sorted(check.tradeoff, key=lambda row: row.noise[name])
@@ -27,15 +28,14 @@ def draw_tradeoff(ax: "Axes", legend: "Axes", check: FitCheck) -> None:
     for number, fault in enumerate(rows[0].sizes):
         sizes = np.array([row.sizes[fault] for row in rows])
         sizes[~np.isfinite(sizes)] = np.nan
-        colour, style = LINES[number % len(LINES)], "-"
-        if number >= len(LINES):
-            style = "--"
-        (line,) = ax.plot(bounds, sizes, color=colour, ls=style, marker="o", ms=4, label=fault)
+        colour = COLOURED[number % len(COLOURED)]
+        size = 8 - 2 * (number % 3)  # of outputs that share an offset the sizes are often the same
+        (line,) = ax.plot(bounds, sizes, ls="none", color=colour, marker="o", ms=size, label=fault)
         handles.append(line)
     chosen = next(row.noise[name] for row in rows if row.chosen)
     handles.append(ax.axvline(chosen, color=FAULTY, lw=1, label="chosen"))
     ax.set_title("Smallest fault seen in the longest recording, of each choice of disturbances")
-    ax.set_xlabel(f"bound on the noise of {name}, with factor and safety")
+    ax.set_xlabel(f"bound on the noise of {name}, as left-out recordings and safety ask for")
     ax.set_ylim(bottom=0)
     ax.grid(axis="y", color=GRID)
     legend.axis("off")
