@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from jaxbound.models.linearize import linearize
     from jaxbound.models.modelfile import load_model, save_model
     from jaxbound.models.multimodel import MultiModel
+    from jaxbound.models.named_faults import NamedFault
     from jaxbound.models.simulate import simulate
     from jaxbound.models.system import LinearSystem
     from jaxbound.models.uncertainty import Uncertainty
@@ -65,6 +66,7 @@ __all__ = [
     "LinearSystem",
     "Monitor",
     "MultiModel",
+    "NamedFault",
     "Recording",
     "Status",
     "Uncertainty",
@@ -134,6 +136,7 @@ _HOMES = {
     "models.linearize": "linearize",
     "models.modelfile": "load_model save_model",
     "models.multimodel": "MultiModel",
+    "models.named_faults": "NamedFault",
     "models.simulate": "simulate",
     "models.system": "LinearSystem",
     "models.uncertainty": "Uncertainty",
@@ -157,7 +160,7 @@ _HOMES = {
     "studies.identification.fitting": "fit",
     "studies.montecarlo.montecarlo": "study",
     "studies.tuning.tuning": "tune",
-    "certificates": "Certificate UncertainCertificate",
+    "certificates": "Certificate Diagnosis UncertainCertificate",
     "diagnosis": "Alarm AlarmRule BankResult GuaranteedSize MonitorResult Result",
     "estimation": "Observation ParameterSet UnknownInputs Validation",
     "models": "IntervalSystem Trajectory",

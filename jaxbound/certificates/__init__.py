@@ -3,6 +3,7 @@ proves.
 """
 
 from jaxbound.certificates.certificate import Certificate
+from jaxbound.certificates.diagnosis import Diagnosis
 from jaxbound.certificates.interface import WindowCertificate, certify
 from jaxbound.certificates.long_window import LongCertificate
 from jaxbound.certificates.residual_certificate import ResidualCertificate
@@ -11,6 +12,7 @@ from jaxbound.certificates.verification import verify
 
 __all__ = [
     "Certificate",
+    "Diagnosis",
     "LongCertificate",
     "ResidualCertificate",
     "UncertainCertificate",

@@ -18,10 +18,12 @@ import numpy as np
 
 from jaxbound.certificates.blame import SensorError, rounded_witness, smallest_error
 from jaxbound.certificates.constant_window import ConstantWindow
+from jaxbound.certificates.diagnosis import Diagnosis, diagnose_window
 from jaxbound.certificates.exact_window import ExactWindow, Explanation, exact_window
 from jaxbound.certificates.interface import Index, Sample, WindowCertificate, certify, nothing_to_explain
 from jaxbound.certificates.witness import Numbers, Witnessed, rows_of
 from jaxbound.exact.linalg import Vector
+from jaxbound.models.named_faults import NamedFault
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy
 from jaxbound.relations.sentence import main_terms, relation_text
@@ -125,6 +127,18 @@ class Certificate(Witnessed, WindowCertificate):
                 name = self.window.model.outputs[error.output]
                 shares.append((error.size / self._widest(error.output), name))
         return tuple(name for _, name in sorted(shares))
+
+    def diagnose(self, faults: Sequence[NamedFault] | None = None) -> Diagnosis:
+        """Return the Diagnosis of a FAULT window: see `WindowCertificate.diagnose`."""
+        if self.proves != Status.FAULT:
+            raise ValueError(
+                f"window {self.at[-1]} is explained without a fault: there is nothing to diagnose"
+            )
+        if self.window.constant:
+            raise NotImplementedError(
+                "named faults are not weighed beside constant_tolerance: give the tolerance as noise"
+            )
+        return diagnose_window(self.window, self.explanation, self.at[-1], faults)
 
     def _widest(self, i: int) -> Fraction:
         """Return the largest width that bounds allow a reading of output i."""

@@ -113,6 +113,10 @@ class ExactWindow:
         error[i] = e
         return replace(self, error=tuple(error))
 
+    def moved(self, push: Vector) -> Self:
+        """Return the window with (Y, w) = E z + K U + push: what a fault that is supposed adds."""
+        return replace(self, drive=linalg.add_multiple(self.drive, 1, push))
+
     def without_input(self, i: int) -> Self:
         """Return the window with every sample of input i missing: whatever the actuator did."""
         u = list(self.u)

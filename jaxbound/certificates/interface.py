@@ -11,7 +11,9 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 
 from jaxbound.certificates.checker.formats import smt2, vipr
+from jaxbound.certificates.diagnosis import Diagnosis
 from jaxbound.consistency.interface import Relations
+from jaxbound.models.named_faults import NamedFault
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["Index", "Judgement", "WindowCertificate", "certify", "evidence", "explain", "nothing_to_explain"]
@@ -82,6 +84,29 @@ class WindowCertificate:
     def sensor_candidates(self) -> tuple[str, ...]:
         """The sensors among the candidates, where these are known sooner."""
         return self.candidates
+
+    def diagnose(self, faults: Sequence[NamedFault] | None = None) -> Diagnosis:
+        """Return the Diagnosis of a FAULT window: which named faults alone explain it, with the smallest size
+        that does, and of which it is proved that they do not. Exact.
+
+        Args:
+            faults: a list of NamedFault; None: those of the model, or a bias of every sensor and an offset
+                of every actuator where it names none.
+
+        Raises:
+            ValueError: the window is no FAULT, or a fault names a signal that the model does
+                not have. NotImplementedError: relations of which that is not known.
+
+        Example:
+            >>> import jaxbound as jb
+            >>> m = jb.LinearSystem([[0.5]], None, [[1]], noise="1/10", outputs=["T1"])
+            >>> print(jb.detect(jb.parity_relations(m), None, [[1.0], [0.8]]).explain(1).diagnose())
+            bias of T1: +0.15 of T1 explains it (the smallest)
+        """
+        raise NotImplementedError(
+            f"named faults are weighed on windows of models without uncertain parameters, not by a "
+            f"{type(self).__name__}: decouple the parameters, or give them as a disturbance"
+        )
 
     def _head(self) -> str:
         end: object = self.at

@@ -24,12 +24,14 @@ import numpy as np
 
 from jaxbound.certificates.blame import SensorError
 from jaxbound.certificates.certificate import Certificate
+from jaxbound.certificates.diagnosis import Diagnosis
 from jaxbound.certificates.exact_window import Ends, ExactWindow, Explanation, exact_samples, known_inputs
 from jaxbound.certificates.interface import Index, Sample, certify
 from jaxbound.certificates.witness import Numbers
 from jaxbound.consistency.interface import Bounds
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector, add_multiple, dot, multiply, transpose
+from jaxbound.models.named_faults import NamedFault
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.unknown_directions import Way, unknown_directions, with_direct_states
 from jaxbound.relations.bounds import model_bounds
@@ -377,6 +379,13 @@ class LongCertificate(Certificate):
     def candidates(self) -> tuple[str, ...]:
         """Empty: not worked out."""
         return ()
+
+    def diagnose(self, faults: Sequence[NamedFault] | None = None) -> Diagnosis:
+        """Raise NotImplementedError: not worked out."""
+        raise NotImplementedError(
+            "named faults are weighed on windows, and an observer's verdict rests on all samples since it "
+            "began: detect with a horizon or lags for a diagnosis"
+        )
 
     def _relation_dict(self, h: Vector, window: ExactWindow) -> Numbers:
         numbers = super()._relation_dict(h, window)

@@ -21,6 +21,10 @@ EXAMPLES = (
         "jaxbound explain report/ --at '2026-03-01 12:00:07' --all",
         "by its time, with every coefficient and every sample",
     ),
+    (
+        "jaxbound explain report/ --at 60 --cause --faults plant.toml",
+        "which of the faults named in plant.toml alone explain it, and how large they are at least",
+    ),
 )
 CODES = "exit codes: 0, or 2 bad input"
 
@@ -38,6 +42,19 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--all", action="store_true", help="every coefficient, and a row for each sample (-v does the same)"
     )
+    parser.add_argument(
+        "--faults",
+        type=path,
+        metavar="MODEL.toml",
+        help="weigh the faults that this model file names ([[fault]]); default: those of the tested model, "
+        "or a bias of every sensor and an offset of every actuator",
+    )
+    parser.add_argument(
+        "--cause",
+        action="store_true",
+        help="the faults that alone explain a FAULT window and those that are excluded, nothing else; with "
+        "--json as JSON",
+    )
     parser.add_argument("--json", action="store_true", help="the certificate as JSON on stdout, nothing else")
 
 
@@ -47,6 +64,7 @@ def run(args: argparse.Namespace) -> int:
     With --json, that JSON is printed and nothing is written.
     """
     with swift_imports():
+        from jaxbound.cli.cause import cause_of, cause_text, show_cause
         from jaxbound.cli.certificate_text import certificate_text
         from jaxbound.cli.explanation import explain_window
         from jaxbound.relations.sentence import main_terms
@@ -55,6 +73,9 @@ def run(args: argparse.Namespace) -> int:
     with door():
         explained = explain_window(args.report, args.at)
         certificate, k, labels = explained.certificate, explained.sample, explained.labels
+        if args.cause:
+            show_cause(cause_of(certificate, k, args.faults), labels, args.json)
+            return OK
         text = certificate.to_json(labels, k)
     if args.json:
         write(text + "\n")
@@ -71,6 +92,8 @@ def run(args: argparse.Namespace) -> int:
         rows = [(name, main_terms(text)) for name, text in rows]
         rest = f"--all: every coefficient, and what the {len(labels)} samples say, {len(table) - 1} rows"
         rows.append(("all of it", rest))
+    with door():
+        rows = [*cause_text(certificate, k, args.faults), *rows]
     if explained.training:
         rows.append(("training", explained.training))
     if explained.ambiguity:

@@ -10,12 +10,16 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxbound.certificates.diagnosis import Diagnosis
 from jaxbound.certificates.interface import WindowCertificate
 from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.region import farthest_of
 from jaxbound.diagnosis.suspects import Suspect, nameless, suspect_of
 from jaxbound.diagnosis.watch import ENDS, NO_DATA, NO_SAMPLE, OTHER, Event, Raised, Seen, Watch
+from jaxbound.diagnosis.causes import Judged, diagnose
+from jaxbound.diagnosis.region import farthest_of
+from jaxbound.models.named_faults import NamedFault
 from jaxbound.models.region import Departure
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
@@ -136,6 +140,14 @@ class Alarm:
         if self.recording:
             at = (*self.recording, self.worst)
         return self.result.explain(at)
+
+    def diagnose(self, faults: Sequence[NamedFault] | None = None) -> Diagnosis:
+        """Return the Diagnosis of the alarm: which named faults alone explain it, see `Result.diagnose`; of an
+        alarm that came from a file in pieces, of its worst window.
+        """
+        if isinstance(self.result, Judged):
+            return diagnose(self.result, self.start, self.end, faults, self.recording)
+        return self.certificate.diagnose(faults)
 
     @property
     def errors(self) -> Mapping[str, Fraction | float]:

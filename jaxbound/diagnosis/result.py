@@ -1,22 +1,25 @@
 """The result of a detection: verdicts of all windows, and what they are of."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial, singledispatch
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from jaxbound.certificates.diagnosis import Diagnosis
 from jaxbound.certificates.interface import WindowCertificate, explain
 from jaxbound.consistency.claims import CLAIMED
 from jaxbound.consistency.interface import EXACT, Judged, Relations
 from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
 from jaxbound.diagnosis.alarms import Alarm, forgets_after, group_alarms
+from jaxbound.diagnosis.causes import diagnose
 from jaxbound.diagnosis.hints import bound_hints, device_hints, fit_hints
 from jaxbound.diagnosis.measuring import exact_margins, tightest
 from jaxbound.diagnosis.region import Excursions, Outside
 from jaxbound.diagnosis.severity import Severity, fitted
 from jaxbound.diagnosis.units import unit_hints
+from jaxbound.models.named_faults import NamedFault
 from jaxbound.models.region import Departure, Region
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import missing_hints, rounding_hints
@@ -308,6 +311,39 @@ class Result:
             y1[k-1] - 2 y1[k] = 0 cannot hold: it would need bounds 2 times as wide
         """
         return explain(self, at)
+
+    def diagnose(
+        self,
+        start: int,
+        end: int | None = None,
+        faults: Sequence[NamedFault] | None = None,
+        recording: tuple[int, ...] = (),
+    ) -> Diagnosis:
+        """Return the Diagnosis of an alarm: which named faults alone explain its windows, and of which it is
+        proved that they do not.
+
+        Looked at are the window of the smallest margin and four more that are spread over the alarm; a fault
+        has to explain each of them, beginning at any sample of it. One that does not is excluded by proof;
+        that one explains the windows in between as well is not looked at.
+
+        Args:
+            start, end: the samples at which the first and the last window end, as of an Alarm; end None: one
+                window. faults: a list of NamedFault; None: those of the model, or a bias of every sensor and
+                an offset of every actuator. recording: of a batch, its index.
+
+        Raises:
+            ValueError: no FAULT among them. NotImplementedError: as `WindowCertificate.diagnose`.
+
+        Example:
+            >>> import jaxbound as jb
+            >>> m = jb.LinearSystem([[0.5]], [[1]], [[1], [1]], noise=0.1, outputs=["T1", "T2"])
+            >>> y = [[1.0, 1.0], [0.5, 1.0], [0.25, 0.75]]
+            >>> print(jb.detect(jb.parity_relations(m, 1), [[0.0]] * 3, y).diagnose(1, 2))
+            bias of T2: +0.35 of T2 explains it (the smallest); excluded: bias of T1, offset of u1
+        """
+        if end is None:
+            end = start
+        return diagnose(self, start, end, faults, recording)
 
     def to_pandas(self) -> "pd.DataFrame":
         """Return a DataFrame with the columns status (names), margin and suspect, one row a sample; and

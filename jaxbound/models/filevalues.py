@@ -23,6 +23,7 @@ __all__ = [
     "NOISE",
     "NUMBER",
     "RANGE",
+    "SHARES",
     "TEXT",
     "TRUTH",
     "Table",
@@ -246,10 +247,25 @@ def _spelled_averages(averages: Iterable[Average]) -> str:
     return in_list(entries)
 
 
+def _read_shares(field: str, where: str, value: object) -> dict[str, int | str]:
+    """Return {state: share} of a table of them, or of a list of names."""
+    name = _named(field, where)
+    if isinstance(value, list):
+        return {_read_text(field, where, state): 1 for state in value}
+    if not isinstance(value, dict):
+        raise ValueError(f'{name} must be a list of names, or a table like {{"tank1" = -1, "tank2" = 1}}')
+    return {state: _read_number(name, "", share) for state, share in value.items()}
+
+
+def _spelled_shares(shares: Iterable[tuple[str, Fraction]]) -> str:
+    return f"{{{', '.join(f'{_quoted(state)} = {_spelled(share)}' for state, share in shares)}}}"
+
+
 TEXT = ValueKind(_read_text, _quoted)
 NUMBER = ValueKind(_read_number, _spelled)
 TRUTH = ValueKind(_read_truth, json.dumps)
 RANGE = ValueKind(_read_range, _spelled_range)
+SHARES = ValueKind(_read_shares, _spelled_shares)
 BOUND = ValueKind(_read_bound, _spelled_bound)
 NOISE = ValueKind(_read_noise, _spelled_noise)
 MATRIX = ValueKind(_read_matrix, _spelled_matrix)

@@ -19,6 +19,7 @@ from jaxbound.models.filevalues import (
     NOISE,
     NUMBER,
     RANGE,
+    SHARES,
     TEXT,
     TRUTH,
     Table,
@@ -29,12 +30,13 @@ from jaxbound.models.filevalues import (
     known_fields,
 )
 from jaxbound.models.statedtests import stated_tests
+from jaxbound.models.named_faults import NamedFault
 from jaxbound.models.system import LinearSystem, matrices_at_zero
 from jaxbound.models.uncertainty import Uncertainty
 
 __all__ = ["FIELDS", "LISTS", "Entry", "Field", "entries", "field_names", "model_arguments", "value_texts"]
 
-LISTS = ("inputs", "outputs", "disturbances", "uncertainty")
+LISTS = ("inputs", "outputs", "disturbances", "uncertainty", "fault")
 """Places of which a file has several, each a table of its own."""
 PROVENANCE = ("model", "tolerance", "noise", "resolution", "disturbance")
 
@@ -263,6 +265,21 @@ def _parameter(name: str, unwritten: object = None) -> Elsewhere:
     return Elsewhere(value)
 
 
+def _named_fault(name: str) -> Elsewhere:
+    """Return the home of a field of a named fault."""
+
+    def value(model: LinearSystem, entry: Entry) -> object:
+        fault = model.faults[entry.number]
+        if name == "kind" and fault.kind == fault.usual_kind:
+            return None
+        if name == "states" and not fault.states:
+            return None
+        stated: object = getattr(fault, name)
+        return stated
+
+    return Elsewhere(value)
+
+
 def _matrix(letter: str) -> Elsewhere:
     """Return the home of a matrix: in a file it is that at the value 0 of every parameter."""
 
@@ -329,13 +346,23 @@ FIELDS = (
     Field("uncertainty", "varying", TRUTH, _parameter("varying", unwritten=True)),
     Field("uncertainty", "between", RANGE, _parameter("between", unwritten=(-1, 1))),
     *(Field("uncertainty", letter, MATRIX, _parameter(letter)) for letter in "ABCD"),
+    Field("fault", "name", TEXT, _named_fault("name")),
+    Field("fault", "output", TEXT, _named_fault("output")),
+    Field("fault", "input", TEXT, _named_fault("input")),
+    Field("fault", "states", SHARES, _named_fault("states")),
+    Field("fault", "kind", TEXT, _named_fault("kind")),
+    Field("fault", "times", TEXT, _named_fault("times")),
+    Field("fault", "sign", TEXT, _named_fault("sign")),
+    Field("fault", "least", NUMBER, _named_fault("least")),
+    Field("fault", "most", NUMBER, _named_fault("most")),
+    Field("fault", "unit", TEXT, _named_fault("unit")),
     *(Field("matrices", letter, MATRIX, _matrix(letter)) for letter in "ABCD"),
     Field("matrices", "G", MATRIX, Elsewhere(_state_disturbances)),
     Field("matrices", "F", MATRIX, Elsewhere(_unknown_on_states)),
     Field("matrices", "D_v", MATRIX, Elsewhere(_unknown_on_outputs)),
     Field("matrices", "E", MATRIX, Elsewhere(_unwritten)),  # the model that is written is solved for x+
 )
-TABLES = ("inputs", "outputs", "disturbances", "uncertainty", "matrices", "provenance", "test")
+TABLES = (*LISTS, "matrices", "provenance", "test")
 
 
 def field_names(place: str) -> tuple[str, ...]:
@@ -356,6 +383,7 @@ def entries(model: LinearSystem) -> Iterator[Entry]:
         "outputs": model.p,
         "disturbances": model.g,
         "uncertainty": len(model.uncertainties),
+        "fault": len(model.faults),
     }
     for place, count in counts.items():
         for number in range(count):
@@ -475,6 +503,7 @@ def _assembled(tables: Mapping[str, list[Table]]) -> dict[str, Any]:
     elif "F" in matrices:
         arguments["unknown_inputs"] = matrices["F"]
     arguments["uncertainties"] = [Uncertainty(**table) for table in tables["uncertainty"]]
+    arguments["faults"] = [NamedFault(**table) for table in tables["fault"]]
     averages = {table["name"]: table["averages"] for table in tables["outputs"] if "averages" in table}
     for i, table in enumerate(tables["disturbances"]):
         if "averages" in table:

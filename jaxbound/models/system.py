@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxbound.exact.linalg import Matrix, MatrixLike, Number, Vector
 from jaxbound.models.average import Average, Averaged, averages_of
+from jaxbound.models.named_faults import NamedFault, named_faults
 from jaxbound.models.numbers import is_whole, number
 from jaxbound.models.plant import Plant, plant
 from jaxbound.models.signals import (
@@ -125,6 +126,9 @@ class LinearSystem:
         tests: of `jb.monitor`, one a mapping with the fields of a `[[test]]` table of a model file: {"name":
             "slow", "lags": [0, 1, 2, 4], "factor": 1.2}. Kept as .tests; whatever tests by this model in
             another way takes no notice.
+        faults: a sequence of `NamedFault`: what may break, in the words of whoever reads an alarm. No verdict
+            depends on them: they are the candidates of a `Diagnosis`. None named: a bias of every sensor, an
+            offset of every actuator.
         E: (r, n) of a descriptor system E x+ = A x + B u + ..., A, B, G, F (r, .) then. The model keeps the
             states that E determines; what no equation drives becomes unknown inputs. Not together with
             uncertainties.
@@ -154,6 +158,7 @@ class LinearSystem:
     averages: tuple[Average, ...]
     left_out: Fraction | None
     tests: tuple[StatedTest, ...]
+    faults: tuple[NamedFault, ...]
 
     A = _Of[Matrix]("plant")
     B = _Of[Matrix]("plant")
@@ -210,6 +215,7 @@ class LinearSystem:
         averages: Averaged | None = None,
         left_out: Number | None = None,
         tests: StatedTests | None = None,
+        faults: Sequence[NamedFault] = (),
     ) -> None:
         if E is not None:
             if np.size(np.asarray(uncertainties, object)):
@@ -240,6 +246,7 @@ class LinearSystem:
             averages=_averages(averages, parts, measured, signals.outputs),
             left_out=_factor(left_out),
             tests=stated_tests(tests),
+            faults=named_faults(faults, signals.inputs, signals.outputs, signals.states),
         )
 
     def replace(self, **changes: Any) -> LinearSystem:
@@ -289,6 +296,7 @@ class LinearSystem:
             "averages": self.averages,
             "left_out": self.left_out,
             "tests": self.tests,
+            "faults": self.faults,
         }
 
     @property

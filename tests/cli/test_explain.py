@@ -130,6 +130,28 @@ def test_json_goes_to_stdout_and_nothing_is_written(place, capsys):
     check_certificate.confirm(document)
 
 
+def test_the_cause_of_a_fault_comes_first(place, capsys):
+    code, out, _ = explain(place, "31", capsys=capsys)
+    assert code == 0 and out.splitlines()[1].startswith("cause")
+    assert "bias of y1: +" in out and " bar of y1 explains it (the smallest)" in out
+    code, out, err = explain(place, "31", "--cause", "--json", capsys=capsys)
+    found = json.loads(out)
+    assert (code, err, found["windows"], found["not_weighed"]) == (0, "", [31], {})
+    assert [entry["fault"] for entry in found["explains"]][0] == "bias of y1"
+    assert 0 < found["explains"][0]["size"] <= 1  # the bias that was put in is 1
+
+
+def test_faults_are_named_by_another_file(place, capsys):
+    save_model(paper(faults=[jb.NamedFault("y2 is off", output="y2", sign="+")]), place / "named.toml")
+    code, out, _ = explain(place, "31", "--cause", "--faults", str(place / "named.toml"), capsys=capsys)
+    assert code == 0 and out.startswith("none of the named faults explains this\n") and "y2 is off" in out
+    save_model(paper(), place / "named.toml")
+    code, out, err = explain(place, "31", "--cause", "--faults", str(place / "named.toml"), capsys=capsys)
+    assert (code, out) == (2, "") and "names no fault: write [[fault]] above each of them" in err
+    code, out, err = explain(place, "10", "--cause", capsys=capsys)
+    assert (code, out) == (2, "") and "there is nothing to diagnose" in err
+
+
 def test_every_window_has_the_verdict_of_the_report(place):
     header, rows = table()
     data = np.array(rows, dtype=float)

@@ -1,0 +1,245 @@
+"""The cause of an alarm among named faults: which of them alone explain it, with the smallest size that does,
+and of which it is proved that they do not.
+
+A fault may begin at any sample of a window and keeps its size from there on; before it there is none. What
+explains a window is ranked by its size beside a usual one: `most` of the fault, the range of its actuator in
+training, the span of its sensor's readings in the window.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+from jaxbound.certificates.exact_window import ExactWindow, Explanation
+from jaxbound.certificates.fault_size import FaultSize, Scale
+from jaxbound.models.named_faults import NamedFault, default_faults, named_faults
+from jaxbound.models.system import LinearSystem
+from jaxbound.text.names import listed
+from jaxbound.text.objects import readable
+
+__all__ = ["Diagnosis", "candidates_of", "diagnose_window", "size_text", "why_excluded"]
+
+Sizes = Mapping[str, Fraction | None]
+
+
+@readable
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """The named faults that alone explain FAULT windows, and those that do not.
+
+    Fields:
+        model. windows: the samples at which the windows end that each candidate has to explain.
+        of: so many FAULT windows the alarm has.
+        explains: a FaultSize for each fault that alone explains every window, the most plausible first; of
+            several windows that of the largest size.
+        excluded: a FaultSize for each that does not, a proof. shares: {fault: its size beside a usual one},
+            of those whose usual size is known.
+        unweighed: {fault: why it was not weighed}.
+    """
+
+    model: LinearSystem
+    windows: tuple[int, ...]
+    of: int
+    explains: tuple[FaultSize, ...]
+    excluded: tuple[FaultSize, ...]
+    shares: Mapping[str, Fraction]
+    unweighed: Mapping[str, str]
+
+    @property
+    def sizes(self) -> Sizes:
+        """{fault: the smallest size of it alone that explains, None where it is excluded}, exact."""
+        return {weighed.fault.name: weighed.size for weighed in (*self.explains, *self.excluded)}
+
+    @property
+    def first(self) -> str:
+        """The most plausible candidate and its size in words; "none of the named faults" where none is."""
+        if not self.explains:
+            return "none of the named faults"
+        return f"{self.explains[0].fault.name}: {size_text(self.model, self.explains[0])}"
+
+    def __str__(self) -> str:
+        """Return the answer in a sentence or two."""
+        if not self.explains:
+            return f"none of the named faults explains this{self._left_over()}"
+        answer = f"{self.first} explains it (the smallest)"
+        others = []
+        for weighed in self.explains[1:]:
+            others.append(f"{weighed.fault.name} ({size_text(self.model, weighed)})")
+        if others:
+            answer += f"; so would {listed(others, str)}"
+        if self.excluded:
+            answer += f"; excluded: {listed((weighed.fault.name for weighed in self.excluded), str)}"
+        return answer + self._left_over()
+
+    def _left_over(self) -> str:
+        if not self.unweighed:
+            return ""
+        return f"; not weighed: {listed((f'{name} ({why})' for name, why in self.unweighed.items()), str)}"
+
+    def _head(self) -> str:
+        return f"{type(self).__name__} of {len(self.windows)} of {self.of} windows"
+
+    def _rows(self) -> dict[str, str]:
+        rows = {}
+        for weighed in self.explains:
+            rows[weighed.fault.name] = size_text(self.model, weighed)
+        for weighed in self.excluded:
+            rows[weighed.fault.name] = why_excluded(self.model, weighed)
+        return rows | dict(self.unweighed)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the diagnosis ready for JSON; sizes as floats, `sizes` has them exactly."""
+        explains, excluded = [], []
+        for weighed in self.explains:
+            entry: dict[str, Any] = {"fault": weighed.fault.name, "size": float(weighed.size or 0)}
+            entry |= {"words": size_text(self.model, weighed), "share": None}
+            if weighed.fault.name in self.shares:
+                entry["share"] = float(self.shares[weighed.fault.name])
+            explains.append(entry)
+        for weighed in self.excluded:
+            excluded.append({"fault": weighed.fault.name, "why": why_excluded(self.model, weighed)})
+        return {
+            "answer": str(self),
+            "windows": list(self.windows),
+            "of": self.of,
+            "explains": explains,
+            "excluded": excluded,
+            "not_weighed": dict(self.unweighed),
+        }
+
+    def and_of(self, other: "Diagnosis") -> "Diagnosis":
+        """Return the Diagnosis of the windows of both: a fault has to explain each of them, of one sign."""
+        explains, excluded = [], {weighed.fault.name: weighed for weighed in self.excluded}
+        excluded |= {weighed.fault.name: weighed for weighed in other.excluded}
+        theirs = {weighed.fault.name: weighed for weighed in other.explains}
+        unweighed = {**self.unweighed, **other.unweighed}
+        for weighed in self.explains:
+            name = weighed.fault.name
+            if name not in theirs:
+                continue
+            one, two = weighed.size or Fraction(0), theirs[name].size or Fraction(0)
+            if one * two < 0:
+                excluded[name] = FaultSize(weighed.fault, None)
+            elif abs(two) > abs(one):
+                explains.append(theirs[name])
+            else:
+                explains.append(weighed)
+        shares = {}
+        for name in (weighed.fault.name for weighed in explains):
+            known = [each.shares[name] for each in (self, other) if name in each.shares]
+            if known:
+                shares[name] = max(known)
+        kept = tuple(w for name, w in excluded.items() if name not in unweighed)
+        explains = [weighed for weighed in explains if weighed.fault.name not in unweighed]
+        windows = tuple(sorted({*self.windows, *other.windows}))
+        ranked = _ranked(explains, shares)
+        return Diagnosis(self.model, windows, max(self.of, other.of), ranked, kept, shares, unweighed)
+
+
+def candidates_of(model: LinearSystem) -> tuple[NamedFault, ...]:
+    """Return the faults that a model names; a bias of every sensor and an offset of every actuator where it
+    names none.
+    """
+    return model.faults or default_faults(model.inputs, model.outputs)
+
+
+def diagnose_window(
+    window: ExactWindow, explanation: Explanation, at: int, faults: Sequence[NamedFault] | None = None
+) -> Diagnosis:
+    """Return the Diagnosis of one FAULT window.
+
+    Args:
+        window: of a certain model. explanation: of it without a fault. at: the sample at which it ends.
+        faults: as of `WindowCertificate.diagnose`.
+
+    Raises:
+        ValueError: a fault names a signal that the model does not have.
+    """
+    model = window.model
+    candidates = candidates_of(model)
+    if faults is not None:
+        candidates = named_faults(faults, model.inputs, model.outputs, model.states)
+    scale = Scale(window, explanation)
+    explains, excluded = [], []
+    shares, unweighed = {}, {}
+    for fault in candidates:
+        try:
+            weighed = scale.weigh(fault, range(window.horizon + 1))
+        except NotImplementedError as e:
+            unweighed[fault.name] = str(e)
+            continue
+        if weighed.size is None:
+            excluded.append(weighed)
+            continue
+        explains.append(weighed)
+        usual = _usual(fault, window)
+        if usual:
+            shares[fault.name] = abs(weighed.size) / usual
+    ranked = _ranked(explains, shares)
+    return Diagnosis(model, (at,), 1, ranked, tuple(excluded), shares, unweighed)
+
+
+def _ranked(explains: Sequence[FaultSize], shares: Mapping[str, Fraction]) -> tuple[FaultSize, ...]:
+    """Return faults by their shares; behind them those without one, in the order of the model."""
+
+    def place(weighed: FaultSize) -> tuple[bool, Fraction]:
+        share = shares.get(weighed.fault.name)
+        return share is None, share or Fraction(0)
+
+    return tuple(sorted(explains, key=place))
+
+
+def _usual(fault: NamedFault, window: ExactWindow) -> Fraction | None:
+    """Return the size that a size of a fault is compared with; None or 0: there is none."""
+    model = window.model
+    if fault.most is not None:
+        return fault.most
+    if fault.kind == "gain":
+        return Fraction(1)
+    span: Fraction | None = None
+    if fault.output is not None:
+        i = model.outputs.index(fault.output)
+        readings = [y for y in window.whole[i :: model.p] if y is not None]
+        if readings:
+            span = max(readings) - min(readings)
+    elif fault.input is not None and fault.input in model.ranges:
+        low, high = model.ranges[fault.input]
+        span = high - low
+    if span and fault.times is not None:
+        recorded = window.u[model.inputs.index(fault.times) :: model.m]
+        largest = max((abs(x) for x in recorded if x is not None), default=Fraction(0))
+        if not largest:
+            return None
+        span /= largest
+    return span
+
+
+def size_text(model: LinearSystem, weighed: FaultSize) -> str:
+    """Return the size of a fault that explains a window, with its unit and its signal."""
+    fault, size = weighed.fault, weighed.size
+    assert size is not None
+    return _amount(model, fault, size)
+
+
+def _amount(model: LinearSystem, fault: NamedFault, size: Fraction) -> str:
+    if fault.kind == "gain":
+        return f"{100 * float(size):+.3g} % of {fault.signal}"
+    unit = fault.unit
+    if unit is None:
+        unit = model.unit(fault.signal)
+    amount = f"{float(size):+.3g} {unit}".rstrip()
+    if fault.states:
+        amount += " a sample"
+    text = f"{amount} of {fault.signal}"
+    if fault.times is not None:
+        text += f", times {fault.times}"
+    return text
+
+
+def why_excluded(model: LinearSystem, weighed: FaultSize) -> str:
+    """Return why a fault does not explain a window, in words."""
+    if weighed.beyond is not None:
+        needed = _amount(model, weighed.fault, weighed.beyond)
+        return f"excluded: it would take {needed}, which is beyond what is stated of it"
+    return "excluded: no size of it, from no sample on, explains this"

@@ -1,0 +1,233 @@
+"""The smallest size of one named fault alone that explains a window, exactly, or the proof that no size does.
+
+A fault of an unknown x adds x push to the rows of a window (`supposed`). A relation h with h E = 0 that is r
+-+ width without the fault is r - x h push -+ width with it, so it leaves an interval of x. Relations are
+collected: where those that are there leave an x, the window with the x nearest to 0 is solved exactly, and
+what is violated there is one more relation, for all faults and all onsets of this window. The end is an x
+that explains the window while no smaller one does, or two relations that leave no x: a proof. There are
+finitely many relations that a window can violate most, so there is an end.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from fractions import Fraction
+
+from jaxbound.certificates.blame import rounded_witness
+from jaxbound.certificates.exact_window import ExactWindow, Explanation
+from jaxbound.certificates.supposed import push_of, size_at, unknown_at
+from jaxbound.exact import linalg
+from jaxbound.exact.linalg import Vector
+from jaxbound.models.named_faults import NamedFault
+
+__all__ = ["FaultSize", "Scale"]
+
+ZERO, ONE = Fraction(0), Fraction(1)
+MOST_GAIN = 10**6
+"""The largest gain error of a sensor that is looked at: at an infinite one nothing of the reading is left."""
+
+
+@dataclass(frozen=True, eq=False)
+class FaultSize:
+    """A named fault, and whether it alone explains a window.
+
+    Fields: fault; size: the smallest that does, signed, exact; None: none does, proved; since: the sample of
+    the window from which on it is constant, None for an excluded one: from none; beyond: of an excluded one,
+    the smallest size that would explain the window although its sign or bounds rule it out, None where none
+    does; proof: the relations h, ((h, h), ..), two or one for each onset, that leave no smaller size;
+    z: unknowns that explain the window with it.
+    """
+
+    fault: NamedFault
+    size: Fraction | None
+    since: int | None = None
+    beyond: Fraction | None = None
+    proof: tuple[tuple[Vector, ...], ...] = ()
+    z: Vector | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Cut:
+    """A relation of a window without a fault. Fields: h; places, weights: where it is not 0, and its numbers
+    there; residual, width.
+    """
+
+    h: Vector
+    places: tuple[int, ...]
+    weights: tuple[Fraction, ...]
+    residual: Fraction
+    width: Fraction
+
+    def leaves(self, push: Vector) -> tuple[Fraction, Fraction] | None:
+        """Return the (lowest, highest) x that the relation leaves, None for none; equal signs of infinity do
+        not occur: a relation that x does not touch leaves all or none.
+        """
+        share = linalg.dot(self.weights, [push[j] for j in self.places])
+        if not share:
+            return None
+        ends = (self.residual - self.width) / share, (self.residual + self.width) / share
+        return min(ends), max(ends)
+
+    def touched_by(self, push: Vector) -> bool:
+        """Return whether an x changes the relation."""
+        return bool(linalg.dot(self.weights, [push[j] for j in self.places]))
+
+
+@dataclass(eq=False)
+class Range:
+    """The x that relations leave. Fields: low, high: its ends, None: without end; by_low, by_high: the
+    relations that set them, None where the sign or bounds of the size do; empty: no x is left.
+    """
+
+    low: Fraction | None
+    high: Fraction | None
+    by_low: Cut | None = None
+    by_high: Cut | None = None
+
+    @property
+    def empty(self) -> bool:
+        """Whether no x is left."""
+        return self.low is not None and self.high is not None and self.low > self.high
+
+    @property
+    def nearest(self) -> Fraction:
+        """The x nearest to 0."""
+        if self.low is not None and self.low > 0:
+            return self.low
+        if self.high is not None and self.high < 0:
+            return self.high
+        return ZERO
+
+    def meet(self, ends: tuple[Fraction, Fraction], by: Cut) -> None:
+        """Keep the x that a relation leaves too."""
+        low, high = ends
+        if self.low is None or low > self.low:
+            self.low, self.by_low = low, by
+        if self.high is None or high < self.high:
+            self.high, self.by_high = high, by
+
+    @property
+    def proof(self) -> tuple[Vector, ...]:
+        """The relations that set its ends."""
+        return tuple(cut.h for cut in (self.by_low, self.by_high) if cut is not None)
+
+
+@dataclass(eq=False)
+class Scale:
+    """The sizes of named faults of one window, and the relations that were collected for them.
+
+    Fields: window; explanation: of the window without a fault; cuts: of relations that faults violate.
+    """
+
+    window: ExactWindow
+    explanation: Explanation
+    cuts: list[Cut] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._add(self.explanation.h)
+
+    def weigh(self, fault: NamedFault, onsets: Iterable[int] = (0,)) -> FaultSize:
+        """Return the FaultSize of a fault: of all onsets that of the smallest size.
+
+        Args:
+            fault: of the model of the window. onsets: samples of the window from one of which on it is
+                constant; before that there is none.
+
+        Raises:
+            NotImplementedError: as `push_of`.
+        """
+        best: tuple[Fraction, Fraction, int, Vector] | None = None
+        beyond: Fraction | None = None
+        proofs = []
+        for since in onsets:
+            push = push_of(fault, self.window, since)
+            for ends in _ranges(fault):
+                left, z = self._least(push, ends)
+                if z is None:
+                    proofs.append(left.proof)
+                    continue
+                size = size_at(fault, left.nearest)
+                if best is None or abs(size) < best[0]:
+                    best = abs(size), left.nearest, since, z
+            if best is None and _is_bounded(fault):
+                free, z = self._least(push, Range(*_widest(fault)))
+                size = size_at(fault, free.nearest)
+                if z is not None and (beyond is None or abs(size) < abs(beyond)):
+                    beyond = size
+        if best is None:
+            return FaultSize(fault, None, None, beyond, tuple(proofs))
+        _, x, since, z = best
+        here = self.window.moved(linalg.scale(push_of(fault, self.window, since), x))
+        return FaultSize(fault, size_at(fault, x), since, None, tuple(proofs), rounded_witness(here, z))
+
+    def _least(self, push: Vector, left: Range) -> tuple[Range, Vector | None]:
+        """Return (the x that relations leave, unknowns that explain the window with the one nearest to 0, or
+        None).
+        """
+        for cut in self.cuts:
+            if not _keeps(cut, push, left):
+                return left, None
+        while not left.empty:
+            best = self.window.moved(linalg.scale(push, left.nearest)).solve(self.explanation.reference)
+            if best.factor <= 1:
+                return left, best.z
+            if not _keeps(self._add(best.h), push, left):
+                break
+        return left, None
+
+    def _add(self, h: Vector) -> Cut:
+        """Collect one more relation."""
+        _, residual, width = self.window.relation(h)
+        places = tuple(j for j, x in enumerate(h) if x)
+        cut = Cut(h, places, tuple(h[j] for j in places), residual, width)
+        self.cuts.append(cut)
+        return cut
+
+
+def _keeps(cut: Cut, push: Vector, left: Range) -> bool:
+    """Return whether a relation leaves some of the x that are left; they become fewer."""
+    ends = cut.leaves(push)
+    if ends is not None:
+        left.meet(ends, cut)
+        return not left.empty
+    if abs(cut.residual) <= cut.width:
+        return True
+    left.low, left.high, left.by_low, left.by_high = ONE, ZERO, cut, None  # violated whatever x is
+    return False
+
+
+def _is_bounded(fault: NamedFault) -> bool:
+    return fault.sign is not None or fault.least is not None or fault.most is not None
+
+
+def _widest(fault: NamedFault) -> tuple[Fraction | None, Fraction | None]:
+    """Return the ends of x where nothing is stated of the size."""
+    if fault.kind == "gain" and fault.output is not None:
+        return unknown_at(fault, Fraction(MOST_GAIN)), None
+    return None, None
+
+
+def _ranges(fault: NamedFault) -> list[Range]:
+    """Return the x that the sign and the bounds of a size leave: one range, or one on each side of 0."""
+    if not _is_bounded(fault):
+        return [Range(*_widest(fault))]
+    least = fault.least or ZERO
+    signs = [1, -1]
+    if fault.sign is not None:
+        signs = [1 - 2 * (fault.sign == "-")]
+    ranges = []
+    for sign in signs:
+        ends: list[Fraction | None] = [unknown_at(fault, sign * least), None]
+        if fault.most is not None:
+            ends[1] = unknown_at(fault, sign * fault.most)
+        elif fault.kind == "gain" and fault.output is not None and sign > 0:
+            ends[1] = unknown_at(fault, Fraction(MOST_GAIN))
+        if (sign < 0) == _reversing(fault):
+            ranges.append(Range(ends[0], ends[1]))
+        else:
+            ranges.append(Range(ends[1], ends[0]))
+    return ranges
+
+
+def _reversing(fault: NamedFault) -> bool:
+    """Return whether x falls where the size grows."""
+    return fault.kind == "gain" and fault.output is not None

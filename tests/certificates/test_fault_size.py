@@ -1,0 +1,234 @@
+"""Sizes of named faults against linear programs by HiGHS, written out state by state, and numbers by hand."""
+
+from fractions import Fraction
+
+import highspy
+import numpy as np
+import pytest
+from linear_programs import solver
+
+import jaxbound as jb
+from jaxbound.certificates.fault_size import Scale
+from jaxbound.certificates.interface import certify
+from jaxbound.models.named_faults import NamedFault
+from jaxbound.sets.floats.status import Status
+
+PLANT = dict(
+    A=[[0.8, 0.1], [0, 0.5]],
+    B=[[0.5, 0], [0.1, 1]],
+    C=[[1, 0], [1, 1]],
+    D=[[0, 0.2], [0, 0]],
+    noise=[0.1, 0.2],
+    inputs=["heat", "cool"],
+    states=["a", "b"],
+)
+FAULTS = (
+    NamedFault("bias", output="y1"),
+    NamedFault("sensor gain", output="y2", kind="gain"),
+    NamedFault("offset", input="cool"),
+    NamedFault("heat gain", input="heat", kind="gain"),
+    NamedFault("leak", states={"a": -1, "b": "1/2"}),
+    NamedFault("leak with the heat", states=["b"], times="heat"),
+)
+VARIANTS = {
+    "plain": {},
+    "disturbed": dict(disturbance=([[1], [0.3]], [[-0.02, 0.05]])),
+    "means": dict(averages={"y1": {3: 0.04}}),
+    "unknown input": dict(unknown_inputs=[[0], [1]]),
+}
+
+
+def smallest(model, u, y, fault, since):
+    """Return the least |size| of a fault from a sample on that explains (u, y), or None: on either side of 0
+    one linear program each, whose unknowns are all states, noises, disturbances, unknown inputs and x.
+    """
+    sizes = []
+    for side in (1, -1):
+        x = program_of(model, u, y, fault, since, side)
+        if x is not None:
+            sizes.append(1 / (1 + x) - 1 if fault.name == "sensor gain" else x)
+    return min(sizes, key=abs, default=None)
+
+
+def program_of(model, u, y, fault, since, side):
+    """Return the x of least magnitude on one side, or None."""
+    A, B, C, D, G, F = ([[float(v) for v in row] for row in getattr(model, k)] for k in "ABCDGF")
+    s, n, p = len(y) - 1, 2, 2
+    h = solver()
+    infinite = highspy.kHighsInf
+    add = lambda lo=-infinite, hi=infinite: (h.addVar(lo, hi), h.getNumCol() - 1)[1]
+    lowest = -0.999999 if fault.name == "sensor gain" else -infinite
+    x = add(0, infinite) if side > 0 else add(lowest, 0)
+    states = [[add() for _ in range(n)] for _ in range(s + 1)]
+    noise = [[add(-float(b), float(b)) for b in model.noise] for _ in range(s + 1)]
+    w = [[add(float(lo), float(hi)) for lo, hi in model.disturbance] for _ in range(s)]
+    v = [[add() for _ in range(model.d)] for _ in range(s)]
+    j = model.inputs.index(fault.input) if fault.input else None
+
+    def share(k):
+        if k < since:
+            return 0.0
+        if fault.name == "heat gain" or fault.times:
+            return u[k][0]
+        return 1.0
+
+    def row(terms, value):
+        terms = {i: c for i, c in terms.items() if c}
+        h.addRow(value, value, len(terms), np.array(list(terms), np.int32), np.array(list(terms.values())))
+
+    for k in range(s):
+        for i in range(n):
+            terms = {states[k + 1][i]: 1.0, x: 0.0}
+            for a in range(n):
+                terms[states[k][a]] = terms.get(states[k][a], 0) - A[i][a]
+            for a, wa in enumerate(w[k]):
+                terms[wa] = -G[i][a]
+            for a, va in enumerate(v[k]):
+                terms[va] = -F[i][a]
+            if j is not None:
+                terms[x] -= B[i][j] * share(k)
+            terms[x] -= float(dict(fault.states).get("ab"[i], 0)) * share(k)
+            row(terms, B[i][0] * u[k][0] + B[i][1] * u[k][1])
+    for k in range(s + 1):
+        for i in range(p):
+            if np.isnan(y[k][i]):
+                continue
+            terms = {states[k][0]: C[i][0], states[k][1]: C[i][1], noise[k][i]: 1.0, x: 0.0}
+            if j is not None:
+                terms[x] += D[i][j] * share(k)
+            if fault.output == model.outputs[i]:
+                terms[x] += -y[k][i] * (k >= since) if fault.kind == "gain" else share(k)
+            row(terms, y[k][i] - D[i][0] * u[k][0] - D[i][1] * u[k][1])
+    for average in model.averages:
+        length = len(average.weights)
+        for first in range(s + 2 - length):
+            if not np.isnan(y[first : first + length, 0]).any():
+                run = np.array([noise[k][0] for k in range(first, first + length)], np.int32)
+                bound = float(average.bound)
+                h.addRow(-bound, bound, length, run, np.full(length, 1 / length))
+    h.changeColCost(x, float(side))
+    h.run()
+    if h.getModelStatus() == highspy.HighsModelStatus.kInfeasible:
+        return None
+    assert h.getModelStatus() == highspy.HighsModelStatus.kOptimal
+    return h.getSolution().col_value[x]
+
+
+def case(variant, rng, s=5, lost=False):
+    """Return a model of a variant and samples of a window in which one of its faults begins."""
+    model = jb.LinearSystem(**PLANT, **VARIANTS[variant], faults=FAULTS)
+    u = rng.uniform(0.5, 2, (s + 1, 2)).round(3)
+    fault, since = FAULTS[rng.integers(len(FAULTS))], rng.choice([0, 3])
+    size = rng.choice([-1, 1]) * rng.uniform(0.7, 1.5)
+    A, B, C, D = (np.array(PLANT[letter], float) for letter in "ABCD")
+    x, y = rng.normal(size=2), np.zeros((s + 1, 2))
+    for k in range(s + 1):
+        on = size * (k >= since)
+        done = u[k] + on * np.array([u[k, 0] * (fault.kind == "gain"), fault.kind == "offset"])
+        y[k] = C @ x + D @ (done if fault.input else u[k]) + on * np.array([fault.kind == "bias", 0])
+        y[k, 1] *= 1 + on * (fault.name == "sensor gain")
+        leak = on * np.array([float(dict(fault.states).get(name, 0)) for name in "ab"])
+        x = A @ x + B @ (done if fault.input else u[k]) + leak * (u[k, 0] if fault.times else 1)
+    y += 0.02 * rng.uniform(-1, 1, y.shape)
+    if lost:
+        y[2, 1] = np.nan
+    return model, u, y.round(3)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_smallest_sizes_are_those_of_linear_programs(variant, rng):
+    weighed = excluded = 0
+    for trial in range(8):
+        model, u, y = case(variant, rng, lost=trial == 3)
+        certificate = certify(jb.parity_relations(model, 5), u, y)
+        if certificate.proves != Status.FAULT:
+            continue
+        scale = Scale(certificate.window, certificate.explanation)
+        for fault in FAULTS:
+            for since in (0, 3):
+                size, exact = smallest(model, u, y, fault, since), scale.weigh(fault, (since,)).size
+                assert (size is None) == (exact is None), (fault.name, since, size, exact)
+                if size is None:
+                    excluded += 1
+                else:
+                    weighed += 1
+                    assert float(exact) == pytest.approx(size, rel=1e-5, abs=1e-6)
+    assert weighed > 2 and excluded > 2
+
+
+def test_an_exclusion_is_proved_by_relations_that_leave_no_size(rng):
+    found = 0
+    for _ in range(4):
+        model, u, y = case("disturbed", rng)
+        certificate = certify(jb.parity_relations(model, 5), u, y)
+        if certificate.proves != Status.FAULT:
+            continue
+        window = certificate.window
+        for fault in FAULTS[:1]:
+            weighed = Scale(window, certificate.explanation).weigh(fault, (0,))
+            if weighed.size is not None:
+                continue
+            found += 1
+            E = window.unknown_columns()
+            intervals = []
+            for h in weighed.proof[0]:
+                assert not any(sum(a * row[j] for a, row in zip(h, E, strict=True)) for j in range(len(E[0])))
+                # h (Y, w) - k U lies between these ends, and y1 wrong by x moves it by x times its weights
+                low = sum(min(a * e for e in ends) for a, ends in zip(h, window.limits, strict=True) if a)
+                high = sum(max(a * e for e in ends) for a, ends in zip(h, window.limits, strict=True) if a)
+                drive = sum(a * b for a, b in zip(h, window.drive, strict=True))
+                weight = sum(h[:12:2])
+                if weight:
+                    intervals.append(sorted([(low - drive) / weight, (high - drive) / weight]))
+                else:
+                    assert not low <= drive <= high
+                    intervals.append([Fraction(1), Fraction(0)])
+            assert max(low for low, _ in intervals) > min(high for _, high in intervals)
+    assert found
+
+
+STATIC = dict(A=None, B=None, C=None, D=[[1]], noise="1/10", inputs=["u"])
+
+
+def weighed(fault, u=0.5, y=1.0, **model):
+    m = jb.LinearSystem(**{**STATIC, **model}, faults=[fault])
+    c = certify(jb.parity_relations(m, 0), np.array([[u]]), np.array([[y]]))
+    return Scale(c.window, c.explanation).weigh(fault)
+
+
+@pytest.mark.parametrize(
+    "fault, size",
+    [
+        (NamedFault("b", output="y1"), Fraction(2, 5)),
+        (NamedFault("o", input="u"), Fraction(2, 5)),
+        (NamedFault("g", input="u", kind="gain"), Fraction(4, 5)),
+        (NamedFault("s", output="y1", kind="gain"), Fraction(2, 3)),
+        (NamedFault("t", output="y1", times="u"), Fraction(4, 5)),
+        (NamedFault("m", input="u", most=0.5), Fraction(2, 5)),
+        (NamedFault("l", input="u", sign="+", least=0.45), Fraction(9, 20)),
+        (NamedFault("d", input="u", sign="+", least=0.3), Fraction(2, 5)),
+    ],
+)
+def test_sizes_by_hand(fault, size):
+    assert abs(weighed(fault).size - size) < Fraction(1, 10**12)
+
+
+@pytest.mark.parametrize("stated", [dict(sign="-"), dict(most=0.3), dict(least=0.7)])
+def test_a_size_beyond_its_sign_or_bounds_is_excluded_and_told(stated):
+    found = weighed(NamedFault("o", input="u", **stated))
+    assert found.size is None and abs(found.beyond - Fraction(2, 5)) < Fraction(1, 10**12)
+
+
+def test_the_gain_of_a_sensor_stated_too_small_is_excluded():
+    gain = lambda **stated: weighed(NamedFault("s", output="y1", kind="gain", **stated)).size
+    assert gain(most=0.6) is None and gain(sign="-") is None
+    assert abs(gain(most=0.7, sign="+") - Fraction(2, 3)) < Fraction(1, 10**12)
+
+
+def test_what_cannot_be_weighed_says_why():
+    with pytest.raises(NotImplementedError, match="the gain of y1 and its tolerance are one number"):
+        weighed(NamedFault("s", output="y1", kind="gain"), tolerance=0.01)
+    m = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1, inputs=["u"])
+    c = certify(jb.parity_relations(m, 1), np.ones((2, 1)), np.array([[1.0], [9]]))
+    with pytest.raises(NotImplementedError, match="a sample of u is missing"):
+        Scale(c.window, c.explanation).weigh(NamedFault("t", output="y1", times="u"))
