@@ -142,8 +142,8 @@ class Alarm:
         return self.result.explain(at)
 
     def diagnose(self, faults: Sequence[NamedFault] | None = None) -> Diagnosis:
-        """Return the Diagnosis of the alarm: which named faults alone explain it, see `Result.diagnose`; of an
-        alarm that came from a file in pieces, of its worst window.
+        """Return the Diagnosis of the alarm: see `Result.diagnose`. Of an alarm that was found in pieces of a
+        file it is that of its worst window.
         """
         if isinstance(self.result, Judged):
             return diagnose(self.result, self.start, self.end, faults, self.recording)
