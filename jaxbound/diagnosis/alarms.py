@@ -14,11 +14,10 @@ from jaxbound.certificates.diagnosis import Diagnosis
 from jaxbound.certificates.interface import WindowCertificate
 from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarmrule import AlarmRule
+from jaxbound.diagnosis.causes import Judged, diagnose
 from jaxbound.diagnosis.region import farthest_of
 from jaxbound.diagnosis.suspects import Suspect, nameless, suspect_of
 from jaxbound.diagnosis.watch import ENDS, NO_DATA, NO_SAMPLE, OTHER, Event, Raised, Seen, Watch
-from jaxbound.diagnosis.causes import Judged, diagnose
-from jaxbound.diagnosis.region import farthest_of
 from jaxbound.models.named_faults import NamedFault
 from jaxbound.models.region import Departure
 from jaxbound.sets.floats.status import Status

@@ -29,8 +29,8 @@ from jaxbound.models.filevalues import (
     in_list,
     known_fields,
 )
-from jaxbound.models.statedtests import stated_tests
 from jaxbound.models.named_faults import NamedFault
+from jaxbound.models.statedtests import stated_tests
 from jaxbound.models.system import LinearSystem, matrices_at_zero
 from jaxbound.models.uncertainty import Uncertainty
 
