@@ -18,9 +18,10 @@ from jaxbound.certificates.plain import (
     plain_samples,
 )
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.testmodels import model_of
 from jaxbound.recordings.recording import Recording
 
-__all__ = ["verify", "window_of"]
+__all__ = ["of_test", "verify", "window_of"]
 
 
 def verify(
@@ -32,7 +33,8 @@ def verify(
     witness are used; all else that it shows must be what model and recording say.
 
     Args:
-        document: what `to_dict` of a certificate returned, or JSON of it. model: the plant with its bounds.
+        document: what `to_dict` of a certificate returned, or JSON of it. model: the plant with its bounds;
+            of a certificate of a monitor with its tests, of which it names one.
         u, y: the recording, as `detect` takes it. x0: bounds of the first state, as an observer took them;
             None: none.
         begin: number of the first sample in u and y, where they are cut out of a longer recording.
@@ -50,6 +52,7 @@ def verify(
         Traceback (most recent call last):
         ValueError: the certificate is about something else: numbers.y[1][0] is 0.8, model and data say 1/2
     """
+    document, model = of_test(document, model)
     sample, last, count = window_of(document)
     recording = Recording.of(model, u, y)
     place: tuple[int, ...] = ()
@@ -83,6 +86,23 @@ def verify(
     if document["names"]["times"] is not None:
         times = [recording.label(j) for j in range(start, stop)]
     confirm(document, plain_names(model, sample, times), claim)
+
+
+def of_test(document: dict[str, Any], model: LinearSystem) -> tuple[dict[str, Any], LinearSystem]:
+    """Return (a certificate without the name of its test, the model of this test); both as they are where it
+    names none.
+
+    Raises:
+        ValueError: the model states no such test.
+    """
+    if "test" not in document:
+        return document, model
+    certificate = dict(document)
+    name = certificate.pop("test")
+    for test in model.tests:
+        if test.name == name:
+            return certificate, model_of(model, test)
+    raise ValueError(f"the certificate is of test {name!r}, which the model does not state")
 
 
 def _bounds_of_state(x0: Any) -> Matrix:  # an Interval of any kind, from a user

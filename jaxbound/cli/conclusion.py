@@ -60,13 +60,13 @@ def _counts_row(evidence: Evidence) -> tuple[str, str]:
     counts = []
     for name in STATUSES:
         if evidence.counts[name]:
-            counts.append(f"{evidence.counts[name]} {shown_name(Status[name], evidence.remembers)}")
+            counts.append(f"{evidence.counts[name]} {shown_name(Status[name], evidence.observes)}")
     return "samples" if evidence.remembers else "windows", ", ".join(counts)
 
 
 def _tested_row(evidence: Evidence) -> tuple[str, str]:
     """Return the share that was tested or decided, of a validation the sensors that are faulty."""
-    if evidence.tests is not None:
+    if evidence.covered is not None:
         return "tested", f"{percent(evidence.tested)} of {evidence.windows} samples"
     if evidence.remembers:
         share = f"{percent(evidence.tested)} of {evidence.windows} samples"
@@ -92,7 +92,8 @@ def _alarms_row(summary: Summary, evidence: Evidence, explain: str) -> tuple[str
 
 def _test_text(test: OfTest) -> str:
     """Return the verdicts of one test of a monitor."""
-    counts = ", ".join(f"{test.counts[s]} {s}" for s in STATUSES if test.counts[s])
+    some = [name for name in STATUSES if test.counts[name]]
+    counts = ", ".join(f"{test.counts[name]} {shown_name(Status[name], test.observes)}" for name in some)
     if np.isfinite(test.margin):
         return f"{counts}; least margin {test.margin:.3g}"
     return counts

@@ -30,6 +30,7 @@ class Explained:
         certificate: that `certify` gives. sample: the last of the window. labels: the times of its samples.
         outgrown: its bounds were found from data for shorter windows, so that a FAULT proves no fault.
         training: whether its inputs lie in the region of training, in words; "": the model states no ranges.
+        test: of a monitor the name of the test that the certificate is of, else "".
         ambiguity: a sentence, or "", where the number that was asked for could be meant as a time.
     """
 
@@ -39,6 +40,7 @@ class Explained:
     outgrown: bool
     training: str
     ambiguity: str
+    test: str
 
 
 def explain_window(directory: str | Path, at: str) -> Explained:
@@ -68,10 +70,11 @@ def explain_window(directory: str | Path, at: str) -> Explained:
         raise ValueError(
             f"sample {k} is too early: the first window ends at sample {horizon}, {axis.label(horizon)}"
         )
+    test = ""
     try:
         relations = relations_by(method, model, _asked_horizon(model, method, horizon), options=options)
         if method in (OBSERVER, MONITOR):
-            certificate, part = refuted_again(relations, source, k)
+            certificate, part, test = refuted_again(relations, source, k)
         else:
             part = source.read(k - horizon, k + 1)
             if part.across(horizon)[horizon]:
@@ -81,7 +84,7 @@ def explain_window(directory: str | Path, at: str) -> Explained:
         raise ValueError(f"{axis.label(k)} (sample {k}): {e}") from None
     first = part.samples - certificate.window.horizon - 1
     labels = [part.label(j) for j in range(first, part.samples)]
-    about = is_outgrown(Path(directory)), _training(relations, part), axis.also_a_time(at)
+    about = is_outgrown(Path(directory)), _training(relations, part), axis.also_a_time(at), test
     return Explained(certificate, k, labels, *about)
 
 

@@ -46,7 +46,7 @@ from jaxbound.runs.refusals import Refused
 from jaxbound.runs.rows import VERDICTS, RowFile, RowText
 from jaxbound.runs.sink import Outcome, Sink, Verdicts
 from jaxbound.runs.sinks import close_all, file_names, open_sinks
-from jaxbound.runs.summary import Evidence, Summary, Window, finite, said, unsaid
+from jaxbound.runs.summary import Evidence, Summary, Window, covered_by, finite, said, unsaid
 from jaxbound.runs.tally import AlarmEnds, Tally, alarm_goes_on
 from jaxbound.sets.floats.status import Status
 
@@ -305,6 +305,8 @@ class _LiveRun:
             remembers=observes,
             outgrown=self.outgrown,
             outside=outside,
+            observes=relations.observes,
+            covered=covered_by(relations, counts),
         )
         verdict, sentence = said(numbers, self.stream.label, min_coverage)
         hints = unsaid([hint for hint in self._hints(numbers) if hint], sentence)

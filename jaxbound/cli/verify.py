@@ -50,15 +50,16 @@ def run(args: argparse.Namespace) -> int:
     """
     with swift_imports():
         from jaxbound.certificates.checker.script import CONFIRMED, NOT_CONFIRMED, REFUSED, load
-        from jaxbound.certificates.verification import verify, window_of
+        from jaxbound.certificates.verification import of_test, verify, window_of
         from jaxbound.cli.window import stated_model
         from jaxbound.recordings.read import open_source
 
     with door():
         model = stated_model(args.model, args.every)
-        source = open_source(args.data, model)
     try:
-        document = load(args.certificate)
+        document, model = of_test(load(args.certificate), model)
+        with door():
+            source = open_source(args.data, model)
         _, last, count = window_of(document)
         begin = last + 1 - count
         if begin < 0 or (source.samples is not None and last >= source.samples):

@@ -167,6 +167,13 @@ class Relations:
     remembers: ClassVar[bool] = False
     """Whether verdicts rest on all samples before, as those of an observer."""
 
+    @property
+    def observes(self) -> bool:
+        """Whether UNDECIDED is what healthy samples are: of an observer, and of a monitor with one."""
+        if self.parts:
+            return any(test.observes for test in self.parts.values())
+        return self.remembers
+
     # Read-only for whoever asks. At run time they are plain defaults, since a property here would be in the
     # way of the field of a frozen dataclass, which needs `= field()` in place of such a default.
     if TYPE_CHECKING:

@@ -96,7 +96,8 @@ class Alarm:
     training, None where there is none; outside_by: the farthest of them in words; suspects: the signals that
     alone could be wrong in its first window, the most plausible first, where the rule names them; size: the
     smallest error of the first that explains this window, in its unit, NaN where it is none of a sensor;
-    ended: why it is over, of which no verdict is a proof, one of
+    test: of a monitor the name of the test that speaks at sample `worst`, else ""; ended: why it is over, of
+    which no verdict is a proof, one of
 
     - "still on at the last sample", "no data after it";
     - "its onset may have left the window: repaired or lasting": every FAULT window reaches back to the first
@@ -122,6 +123,7 @@ class Alarm:
     outside_by: str = field(default="", repr=False)
     suspects: tuple[str, ...] = ()
     size: float = field(default=math.nan, compare=False)
+    test: str = ""
 
     @property
     def suspect(self) -> str:

@@ -1,7 +1,7 @@
 """The result of a detection by a monitor: one verdict a sample, and the Result of each test behind it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -12,6 +12,8 @@ from jaxbound.certificates.interface import WindowCertificate
 from jaxbound.consistency.claims import CLAIMED, UNCLAIMED, unclaimed
 from jaxbound.consistency.interface import EXACT, Judged, Relations
 from jaxbound.consistency.monitorbank import BankVerdicts, MonitorBank, combined
+from jaxbound.diagnosis.alarmrule import AlarmRule
+from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.models.region import Region
 from jaxbound.recordings.recording import Recording
@@ -98,6 +100,19 @@ class MonitorResult(Result):
     def test_at(self, at: int | tuple[int, ...]) -> str:
         """Return the name of the test that speaks at an index; "" where none does."""
         return ("", *self.names)[int(self.by[at]) + 1]
+
+    def alarms(
+        self, k: int = 1, n: int = 1, hold: int = 0, clear: int = 1, rule: AlarmRule | None = None
+    ) -> list[Alarm]:
+        """Group FAULT samples into alarms, as a Result does; `test` of each is the name of the test that
+        speaks at its worst sample.
+
+        Args, Returns, Raises: as `Result.alarms`.
+        """
+        named = []
+        for alarm in super().alarms(k, n, hold, clear, rule):
+            named.append(replace(alarm, test=self.test_at((*alarm.recording, alarm.worst))))
+        return named
 
     def measured(self, where: np.ndarray) -> np.ndarray:
         """Return the margins (..., T) with exact ones where (..., T) bool says."""

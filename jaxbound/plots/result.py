@@ -48,4 +48,7 @@ def plot_result(
     line = Timeline(len(x))
     line.add(0, x, res.status, drawn_margins(res))
     line.mark([a.worst for a in alarms])
-    return plot_timeline(line, res.relations.model.name, res.method, len(alarms), ax, draws_bounds(res))
+    observes = res.relations.observes
+    return plot_timeline(
+        line, res.relations.model.name, res.method, len(alarms), ax, draws_bounds(res), observes
+    )

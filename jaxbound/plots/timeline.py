@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxbound.consistency.interface import OBSERVER
 from jaxbound.diagnosis.observed import shown_name
 from jaxbound.plots.canvas import (
     CALM,
@@ -75,10 +74,17 @@ class Timeline:
 
 
 def plot_timeline(
-    line: Timeline, name: str, method: str, alarms: int, ax: "Axes | None" = None, bounded: bool = False
+    line: Timeline,
+    name: str,
+    method: str,
+    alarms: int,
+    ax: "Axes | None" = None,
+    bounded: bool = False,
+    observes: bool = False,
 ) -> "Figure | Axes":
     """Draw a complete Timeline of a model of that name, judged by `method`; `alarms` is how many there are;
-    into `ax` the margin alone; `bounded`: margins of CONSISTENT windows are bounds, which the title says.
+    into `ax` the margin alone; `bounded`: margins of CONSISTENT windows are bounds, which the title says;
+    `observes`: UNDECIDED is what healthy samples are.
     """
     if bounded:
         name = f"{name}, above 0 a lower bound"
@@ -91,7 +97,7 @@ def plot_timeline(
     with style():
         fig, (margin, ribbon) = stacked(2, (11, 4.3), [12, 1])
         _chart(margin, line, at, name, method, alarms)
-        _ribbon(ribbon, at, line.status, method)
+        _ribbon(ribbon, at, line.status, observes)
         finish(fig, [margin, ribbon], at, label, dates)
     return fig
 
@@ -180,7 +186,7 @@ def _mark_alarms(ax: "Axes", x: np.ndarray, count: int) -> None:
     ax.text(1.0, 1.055, text, ha="right", transform=ax.transAxes, fontsize=9.5, color=FAULTY)
 
 
-def _ribbon(ax: "Axes", x: np.ndarray, status: np.ndarray, method: str) -> None:
+def _ribbon(ax: "Axes", x: np.ndarray, status: np.ndarray, observes: bool) -> None:
     """Draw a strip in the colour of the worst verdict of each bin, with a legend of the verdicts that
     occur.
     """
@@ -188,7 +194,7 @@ def _ribbon(ax: "Axes", x: np.ndarray, status: np.ndarray, method: str) -> None:
     from matplotlib.patches import Patch
 
     colours, names = dict(COLOURS), {s: s.name for s in Status}
-    if method == OBSERVER:  # of a healthy sample: nothing to warn of
+    if observes:  # of a healthy sample: nothing to warn of
         colours[Status.UNDECIDED] = CALM
         names[Status.UNDECIDED] = shown_name(Status.UNDECIDED, remembers=True)
     edges = np.concatenate([x[:1], x[1:] - (x[1:] - x[:-1]) / 2, x[-1:]])

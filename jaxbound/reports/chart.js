@@ -148,7 +148,7 @@ const created = (parent, tag, name, text = "") => {
 };
 const ends = (low, high) => (low === high ? short(low) : `${short(low)} to ${short(high)}`);
 const valueOf = (row, piece, [x, least, most, low, high], i) => {
-  if (row.kind === "verdicts") return `${VERDICTS[piece.status[i]] ?? "no sample"} at ${time(x[i])}`;
+  if (row.kind === "verdicts") return `${spoken(VERDICTS[piece.status[i]]) ?? "no sample"} at ${time(x[i])}`;
   const shown = low[i] === null ? "no value" : ends(low[i], high[i]);
   return least[i] === null ? shown : `${shown}, expected ${ends(least[i], most[i])}`;
 };

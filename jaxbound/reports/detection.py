@@ -11,9 +11,10 @@ from typing import Any, cast
 import numpy as np
 
 from jaxbound.consistency.interface import BOUNDS, LinearRelations
+from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.monitored import MonitorResult
-from jaxbound.diagnosis.observed import ObserverResult
+from jaxbound.diagnosis.observed import ObserverResult, shown_name
 from jaxbound.diagnosis.result import Result
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.system import LinearSystem
@@ -31,6 +32,7 @@ from jaxbound.reports.parts import computed, model_values
 from jaxbound.runs.digest import Digest
 from jaxbound.runs.endings import sizes_text
 from jaxbound.runs.summary import Evidence, Summary
+from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import duration, factor
 
 __all__ = ["write_report"]
@@ -109,6 +111,8 @@ def write_report(
         part=part,
         method=res.method,
         model=model_values(model, cast(Mapping[str, np.ndarray], relations.bounds)),
+        shown={status.name: shown_name(status, relations.observes) for status in Status},
+        observes=relations.observes,
         **about(relations),
         computed=computed(res.method, looked_at(relations), dtype, seconds or {}),
     )
@@ -167,6 +171,7 @@ def _alarm_rows(
                 a.ended,
                 since,
                 _outside(a),
+                a.test,
             )
         )
     return rows
@@ -237,6 +242,11 @@ def _(observer: SetObserver[Any]) -> str:
     return "observation.html"
 
 
+@template.register(MonitorBank)
+def _(bank: MonitorBank) -> str:
+    return "monitor.html"
+
+
 @singledispatch
 def about(relations: Any) -> dict[str, object]:
     """Return the values of the template that describe relations: their number and text, how they are
@@ -252,6 +262,12 @@ def about(relations: Any) -> dict[str, object]:
         "lines": shown,
         "tested_how": _tested(relations),
     }
+
+
+@about.register(MonitorBank)
+def _(bank: MonitorBank) -> dict[str, object]:
+    """Return those of a monitor: its tests."""
+    return {"relations": bank.count, "lines": bank.text().splitlines()}
 
 
 @about.register(SetObserver)

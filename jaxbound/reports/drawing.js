@@ -6,8 +6,10 @@ let printing = false;
 // Print has a palette of its own, which the style sheet does not yet apply while the browser asks for the picture.
 const paper = [...document.styleSheets].flatMap((sheet) => [...sheet.cssRules])
   .filter((rule) => rule.media?.mediaText === "print").flatMap((rule) => [...rule.cssRules])
-  .find((rule) => rule.selectorText === ":root").style;
-const colour = (name) => (printing ? paper : getComputedStyle(document.documentElement)).getPropertyValue(`--${name}`).trim();
+  .filter((rule) => rule.selectorText === ":root").map((rule) => rule.style).reverse();
+const printed = (name) => paper.map((style) => style.getPropertyValue(name)).find(Boolean) ?? "";
+const onScreen = (name) => getComputedStyle(document.documentElement).getPropertyValue(name);
+const colour = (name) => (printing ? printed : onScreen)(`--${name}`).trim();
 
 const short = (v) => String(Number(v.toPrecision(6)));
 const widthOf = (plot) => (printing ? PRINTED : Math.max(plot.clientWidth, 120));

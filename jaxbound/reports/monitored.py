@@ -38,6 +38,8 @@ def monitor_sections(res: MonitorResult, label: Label) -> list[Section]:
         "A sample is FAULT where any test proves it. The test that speaks is the one with the least margin, "
         "of those that prove a FAULT, else of all."
     )
+    if bank.observes:
+        text += " UNDECIDED of an observer is not refuted, which is what a healthy sample is."
     return [("Tests", None, text, rows), _coverage(res, bank, label)]
 
 
@@ -67,7 +69,8 @@ def _coverage(res: MonitorResult, bank: MonitorBank, label: Label) -> Section:
         share = percent((stop - first) / max(samples, 1))
         rows.append(("nobody watched", label(first), label(stop - 1), stop - first, share))
     count = int(np.count_nonzero(missing))
-    text = f"No test has a verdict at {count} of {samples} samples, in {len(edges)} stretches."
+    stretches = f"{len(edges)} stretch{'es' * (len(edges) != 1)}"
+    text = f"No test has a verdict at {count} of {samples} samples, in {stretches}."
     if len(edges) > STRETCHES:
         text += f" The {STRETCHES} longest are in the table."
     return "Who watched when", None, text, rows

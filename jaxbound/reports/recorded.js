@@ -2,6 +2,7 @@
 const page = JSON.parse(document.getElementById("numbers").textContent);
 const { tokens, base, digits, before, unit } = page.clock;
 const VERDICTS = ["MISSING", "CONSISTENT", "UNDECIDED", "FAULT"];
+const spoken = (name) => document.querySelector(`.legend .${name}`)?.parentNode.textContent ?? name; // as readers know it
 const GAP = 2.5; // usual steps between two samples that are not joined
 const LARGEST = 3e38; // that is drawn
 

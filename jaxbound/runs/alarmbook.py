@@ -22,14 +22,14 @@ from jaxbound.sets.floats.status import Status
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = ["AlarmBook"]
+__all__ = ["AlarmBook", "speakers"]
 
 Column: TypeAlias = "np.ndarray | pa.Array"
 Columns = dict[str, Any]
 """{name: array}, an entry an alarm; times as their owner wrote them are arrays of pyarrow."""
 OLDER = frozenset({"start", "from", "first_sample", "begun"})
 """What an alarm over two parts has from the first of them."""
-WORST = frozenset({"worst", "at", "worst_sample", "depth"})
+WORST = frozenset({"worst", "at", "worst_sample", "depth", "test"})
 """What it has from the deeper of them."""
 FARTHEST = frozenset({"share", "by", "reading"})
 """What it has from the part of which a FAULT window lies farther outside the region of training."""
@@ -44,6 +44,7 @@ FIELDS = (
     "to",
     "at",
     "ended",
+    "test",
 )  # of an Alarm, and their seconds
 
 
@@ -73,7 +74,7 @@ class AlarmBook(Quiet):
         self.mark = mark
         self.ended: dict[str, int] = {}
         self.samples = self.count = 0
-        self.region = Region.of(relations)
+        self.region, self.has_tests = Region.of(relations), bool(relations.parts)
         self.before = np.zeros(0, bool)
         self.open: Columns | None = None
         self.kept: list[tuple[Alarm, list[float]]] = []
@@ -129,6 +130,7 @@ class AlarmBook(Quiet):
             "begun": begun + first,
             "last": last + first,
             "after": follows(missing, end),
+            "test": speakers(verdicts)[worst],
         }
 
     def _close(self, alarms: Columns) -> None:
@@ -153,8 +155,8 @@ class AlarmBook(Quiet):
         if self.region is not None:
             outside = [(int(columns["outside"][i]), columns["outside_by"][i]) for i in picked]
         rows = zip(*(alarms[name][picked].tolist() for name in FIELDS), outside, strict=True)
-        for start, end, n, depth, worst, *times, why, (beyond, by) in rows:
-            alarm = Alarm(start, end, n, depth, worst, ended=why, outside=beyond, outside_by=by)
+        for start, end, n, depth, worst, *times, why, test, (beyond, by) in rows:
+            alarm = Alarm(start, end, n, depth, worst, ended=why, outside=beyond, outside_by=by, test=test)
             fresh.append((alarm, times))
         if "suspects" in alarms:
             named = zip(fresh, picked, strict=True)
@@ -164,9 +166,17 @@ class AlarmBook(Quiet):
         self.mark(alarms["worst_sample"])
 
     def _in_words(self, alarms: Columns) -> Columns:
-        """Return alarms with words on the farthest FAULT window of each; without a region nothing of it."""
+        """Return alarms with words on the farthest FAULT window of each; without a region nothing of it, of
+        one test no name.
+        """
+        unsaid = set()
+        if not self.has_tests:
+            unsaid.add("test")
         if self.region is None:
-            return {name: x for name, x in alarms.items() if name != "outside"}
+            unsaid.add("outside")
+        alarms = {name: x for name, x in alarms.items() if name not in unsaid}
+        if self.region is None:
+            return alarms
         farthest = Departure(alarms["share"], alarms["by"], alarms["reading"], self.region)
         return alarms | {"outside_by": farthest.words()}
 
@@ -177,6 +187,14 @@ class AlarmBook(Quiet):
         for a, times in pairs.values():
             named |= dict(zip((a.start, a.end, a.worst), times, strict=True))
         return [pairs[start][0] for start in sorted(pairs)], named
+
+
+def speakers(verdicts: Verdicts) -> np.ndarray:
+    """Return the name of the test that speaks at each sample, of a monitor; else ""."""
+    by, names = getattr(verdicts, "by", None), getattr(verdicts, "names", ())
+    if by is None:
+        return np.full(len(verdicts.status), "", object)
+    return np.asarray(np.array(["", *names], object)[by + 1])
 
 
 def _named(alarm: Alarm, alarms: Columns, i: int) -> Alarm:

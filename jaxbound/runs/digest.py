@@ -45,7 +45,7 @@ from jaxbound.runs.rulebook import alarm_book
 from jaxbound.runs.shares import check_share, numbers_of
 from jaxbound.runs.sink import Sink, Verdicts
 from jaxbound.runs.streaming import CHUNK, Report, all_parts, part_count, publish, write_parts
-from jaxbound.runs.summary import Evidence, evidence
+from jaxbound.runs.summary import Evidence, covered_by, evidence
 from jaxbound.runs.tally import Tally
 from jaxbound.sets.floats.probe import refuse_unusable
 from jaxbound.text.objects import readable
@@ -165,7 +165,7 @@ class Digest:
         `refuted_again`.
         """
         if self.relations.remembers:
-            return refuted_again(self.relations, self.data, k)[0]
+            return refuted_again(self.relations, self.data, k).certificate
         first = max(k - self._before, 0)
         r = self.data.read(first, k + 1)
         return detect(self.relations, r.u, r.y, method=self.method, starts=r.starts).explain(k - first)
@@ -175,7 +175,8 @@ class Digest:
 def plot_digest(found: Digest, ax: "Axes | None" = None) -> "Figure | Axes":
     """Draw the whole recording as a Result of its verdicts would be drawn."""
     name, bounded = found.relations.model.name, found.margins == BOUNDS
-    return plot_timeline(found.line, name, found.method, found.alarm_count, ax, bounded)
+    observes = found.relations.observes
+    return plot_timeline(found.line, name, found.method, found.alarm_count, ax, bounded, observes)
 
 
 @evidence.register(Digest)
@@ -198,6 +199,8 @@ def _(res: Digest, alarms: Sequence[Alarm]) -> Evidence:
         margins=res.margins,
         bounded=res.bounded,
         outside=res.beyond,
+        observes=res.relations.observes,
+        covered=covered_by(res.relations, res.counts),
     )
 
 

@@ -100,13 +100,15 @@ def _of_alarms(count: int, total: int) -> str:
 def sizes_text(res: Result | Digest, sizes: Mapping[str, float] | None) -> str:
     """Say from which size on windows are sure to show an error that lasts."""
     if res.relations.parts and sizes is None:
-        return f"{looked_at(res.relations)} are sure of no size that lasts, as far as is known"
+        return "the tests are sure of no size that lasts, as far as is known"
     if res.relations.latched and not res.relations.parts:
         return "an observer is sure of no size that lasts"
     if res.relations.remembers and not res.relations.parts:
         advice = "--latched keeps FAULT on behind what was contradicted"
         return f"an observer is sure of no size that lasts; {advice}"
     these = looked_at(res.relations)
+    if res.relations.parts:
+        these = "the tests"
     if sizes is None:
         return f"{these} alone cannot tell"
     unit = res.relations.model.unit

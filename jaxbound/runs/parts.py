@@ -295,7 +295,21 @@ def _read_part(part: Path, region: Region | None) -> tuple["pa.Array", Judged]:
     departure = None
     if region is not None:
         departure = _departure_from(table, region)
-    return written, Judged(picked, from_arrow(margin), departure=departure)
+    by: np.ndarray | None = None
+    names: tuple[str, ...] = ()
+    if "test" in table.column_names:
+        by, names = _speakers_from(table)
+    return written, Judged(picked, from_arrow(margin), departure=departure, by=by, names=names)
+
+
+def _speakers_from(table: "pa.Table") -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return (number of the test that speaks at each sample, -1: none; names) of a monitor."""
+    test = table.column("test").combine_chunks()
+    if hasattr(test, "dictionary_decode"):
+        test = test.dictionary_decode()
+    written = np.array([name or "" for name in test.to_pylist()], object)
+    names, by = np.unique(np.append("", written).astype(str), return_inverse=True)
+    return by[1:].astype(np.int16) - 1, tuple(names[1:].tolist())
 
 
 def _departure_from(table: "pa.Table", region: Region) -> Departure:

@@ -12,7 +12,7 @@ from jaxbound.diagnosis.alarms import alarm_of, over_of
 from jaxbound.diagnosis.watch import Event, Raised
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.recording import Recording
-from jaxbound.runs.alarmbook import AlarmBook
+from jaxbound.runs.alarmbook import AlarmBook, speakers
 from jaxbound.runs.sink import Verdicts
 from jaxbound.runs.watching import Watching
 
@@ -50,8 +50,10 @@ class RuleBook(AlarmBook):
         """Take the next part."""
         self.nothing = piece.column.slice(0, 0)
 
-        def label(k: int) -> tuple[Any, float]:
-            return piece.column.slice(k, 1), float(piece.time[k])
+        tests = speakers(verdicts)
+
+        def label(k: int) -> tuple[Any, float, str]:
+            return piece.column.slice(k, 1), float(piece.time[k]), tests[k]
 
         self._take(self.watching.add(verdicts, label))
 
@@ -78,24 +80,25 @@ class RuleBook(AlarmBook):
         for name, moment in (("start", "from"), ("end", "to"), ("worst", "at")):
             written, seconds = [self.nothing], []
             for raised in self.over:
-                text, second = raised.labels[name]
+                text, second, _ = raised.labels[name]
                 written.append(text)
                 seconds.append(second)
             columns[name], columns[moment] = pa.concat_arrays(written), np.array(seconds, float)
         rows: list[tuple[Any, ...]] = []
-        ended, suspects = [], []
+        ended, suspects, tests = [], [], []
         for raised in self.over:
             alarm = alarm_of(raised, self.horizon)
             numbers = alarm.start, alarm.end, alarm.worst, alarm.windows, raised.outside
             rows.append((*numbers, alarm.depth, alarm.size, *raised.farthest))
             ended.append(alarm.ended)
             suspects.append(alarm.suspects)
+            tests.append(raised.labels["worst"][2])
         values = np.array(rows, float).reshape(len(rows), len(NUMBERS)).T
         for name, column in zip(NUMBERS, values, strict=True):
             columns[name] = column
         for name in WHOLE:
             columns[name] = columns[name].astype(np.int64)
-        columns["ended"] = np.array(ended, object)
+        columns["ended"], columns["test"] = np.array(ended, object), np.array(tests, object)
         if self.rule.names:
             first = [(*names, "")[0] for names in suspects]
             columns |= {"suspect": np.array(first, object), "suspects": suspects}

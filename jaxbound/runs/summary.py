@@ -26,6 +26,7 @@ __all__ = [
     "OfTest",
     "Summary",
     "Window",
+    "covered_by",
     "evidence",
     "finite",
     "said",
@@ -61,13 +62,15 @@ class OfTest(NamedTuple):
     """The verdicts of one test of a monitor.
 
     Fields: counts: {status name: number of its samples}. first: sample of its first FAULT, None: it has none.
-    speaks: how many samples' verdict is its own. margin: its least, NaN: it has none.
+    speaks: how many samples' verdict is its own. margin: its least, NaN: it has none. observes: whether it is
+    an observer.
     """
 
     counts: Mapping[str, int]
     first: int | None
     speaks: int
     margin: float
+    observes: bool = False
 
     def plain(self) -> Plain:
         """Return it as JSON has it."""
@@ -98,7 +101,9 @@ class Evidence:
             bound: the exact one is not below it.
         outside: the windows outside the region of training; None: the model states no ranges, or a validation
             judged.
+        observes: whether UNDECIDED is what healthy samples are: of an observer, or a monitor with one.
         tests: {name: OfTest} of a monitor; else None. test: the name of the one that speaks at `at`.
+        covered: of a monitor how many samples count as decided; None: another test judged.
     """
 
     method: str
@@ -119,6 +124,8 @@ class Evidence:
     outside: Outside | None = None
     tests: Mapping[str, OfTest] | None = None
     test: str = ""
+    observes: bool = False
+    covered: int | None = None
 
     @property
     def windows(self) -> int:
@@ -127,9 +134,11 @@ class Evidence:
 
     @property
     def decided(self) -> float:
-        """The share of windows that are proved one way or the other."""
+        """The share of windows that are proved one way or the other; of a monitor `covered` of them."""
         if not self.windows:
             return 0.0
+        if self.covered is not None:
+            return self.covered / self.windows
         return (self.counts["CONSISTENT"] + self.counts["FAULT"]) / self.windows
 
     @property
@@ -305,12 +314,17 @@ def _(res: Result, alarms: Sequence[Alarm]) -> Evidence:
         remembers=res.relations.remembers,
         margins=res.margins,
         outside=res.beyond,
+        observes=res.relations.observes,
     )
 
 
 @evidence.register(MonitorResult)
 def _(res: MonitorResult, alarms: Sequence[Alarm]) -> Evidence:
     whole = evidence.dispatch(Result)(res, alarms)
+    proved = (res.statuses == Status.CONSISTENT) | (res.statuses == Status.FAULT)
+    # UNDECIDED is what healthy samples are to an observer: it counts where it has data
+    observes = [test.observes for test in res.relations.parts.values()]
+    counts_so = np.where(observes, res.statuses != Status.MISSING, proved).any(1)
     tests = {}
     for i, name in enumerate(res.names):
         status = res.statuses[:, i]
@@ -320,11 +334,28 @@ def _(res: MonitorResult, alarms: Sequence[Alarm]) -> Evidence:
             first = int(np.argmax(status == Status.FAULT))
         speaks = int(np.count_nonzero(res.by == i))
         least = float(np.fmin.reduce(res.test_margins[:, i], initial=np.nan))
-        tests[name] = OfTest({s.name: int(counts[s]) for s in Status}, first, speaks, least)
+        verdicts = {s.name: int(counts[s]) for s in Status}
+        tests[name] = OfTest(verdicts, first, speaks, least, observes[i])
     speaker = ""
     if whole.at is not None:
         speaker = res.test_at(whole.at)
-    return replace(whole, tests=tests, test=speaker)
+    return replace(whole, tests=tests, test=speaker, covered=int(np.count_nonzero(counts_so)))
+
+
+def covered_by(relations: Relations, counts: Mapping[str, int]) -> int | None:
+    """Return how many samples of a monitor count as decided, where only its own verdicts are known: those
+    with data where an observer is among its tests, else those that all tests decide. None: of other
+    relations.
+
+    Args:
+        counts: {status name: number of samples}.
+    """
+    if not relations.parts:
+        return None
+    decided = counts["CONSISTENT"] + counts["FAULT"]
+    if relations.observes:
+        decided += counts["UNDECIDED"]
+    return decided
 
 
 def summarised(
@@ -367,7 +398,7 @@ def said(found: Evidence, label: Label, min_coverage: float = 0.5) -> tuple[str,
         return _proved_fault(found, label)
     # UNDECIDED is what healthy samples are to an observer: there data are all one can ask for
     share, deed = found.tested, "have data"
-    if found.faulty is None and not found.remembers:
+    if found.faulty is None and (found.covered is not None or not found.remembers):
         share, deed = found.decided, "could be decided"
     if share < min_coverage:
         return "too little evidence", _too_little(found, share, deed, min_coverage)
@@ -412,6 +443,9 @@ def _fault_sentence(found: Evidence, label: Label) -> str:
     share = f"({percent(faults / count)})"
     if found.tests is not None:
         many = f"{faults} of {count} samples {share} contradict {_spoken(found.tests)}"
+        where = _place_of_contradiction(found, label)
+    elif found.covered is not None:
+        many = f"{faults} of {count} samples {share} contradict a test of the monitor"
         where = _place_of_contradiction(found, label)
     elif found.remembers:
         many = f"{faults} of {count} samples {share} contradict the model and the samples before them"
@@ -490,6 +524,11 @@ def _healthy(found: Evidence, label: Label) -> str:
         return (
             f"No fault found: none of {tested} samples is proved to contradict one of {len(found.tests)} "
             f"tests{_unclaimed(found)}."
+        )
+    if found.covered is not None:
+        return (
+            f"No fault found: none of {tested} samples is proved to contradict a test of the "
+            f"monitor{_unclaimed(found)}."
         )
     if found.remembers:
         return (

@@ -56,7 +56,8 @@ class AlarmTable(Sink):
         """Write the table."""
         found = outcome.summary.found
         has_region = found is not None and found.outside is not None
-        about = self.recording, outcome.model.dt, has_region, outcome.names_suspects
+        has_tests = found is not None and found.tests is not None
+        about = self.recording, outcome.model.dt, has_region, outcome.names_suspects, has_tests
         write_alarms(self.folder / self.names[0], outcome.alarms, *about)
 
 
@@ -136,13 +137,15 @@ def write_alarms(
     dt: float,
     has_region: bool = False,
     names: bool = False,
+    has_tests: bool = False,
 ) -> None:
     """Write one row an alarm: start and end (time of the recording), duration in s, FAULT windows, depth and
     when it was reached.
 
     `factor` is how many times wider the bounds would have to be; an alarm of a single sample lasts dt;
-    `ended`, `suspect`, `size`, `outside`, `outside_by`: see `Alarm`; suspect and size where the rule of
-    alarms names suspects, the last two where there is a region of training.
+    `ended`, `test`, `suspect`, `size`, `outside`, `outside_by`: see `Alarm`; test where a monitor judged,
+    suspect and size where the rule of alarms names suspects, the last two where there is a region of
+    training.
     """
     written = recording.column
     starts = np.array([alarm.start for alarm in alarms], np.int64)
@@ -160,6 +163,8 @@ def write_alarms(
         "depth": np.array([alarm.depth for alarm in alarms], np.float64),
         "ended": [alarm.ended for alarm in alarms],
     }
+    if has_tests:
+        columns["test"] = [alarm.test for alarm in alarms]
     if names:
         columns["suspect"] = [alarm.suspect for alarm in alarms]
         columns["size"] = np.array([alarm.size for alarm in alarms], np.float64)
@@ -175,10 +180,12 @@ def alarm_columns(alarms: Mapping[str, Any], dt: float) -> Columns:
     Args:
         alarms: {"start", "end", "worst": times as the recording has them (pyarrow), "from", "to": seconds,
             "first_sample", "last_sample", "windows", "depth": NumPy; "ended": texts}, one entry an alarm;
-            "suspect" (texts), "size" where they are named; "outside", "outside_by" (texts) where there is a
-            region of training.
+            "test" (texts) of a monitor; "suspect" (texts), "size" where they are named; "outside",
+            "outside_by" (texts) where there is a region of training.
     """
-    suspects = {}
+    tests, suspects = {}, {}
+    if "test" in alarms:
+        tests = {"test": texts(alarms["test"])}
     if "suspect" in alarms:
         suspects = {"suspect": texts(alarms["suspect"]), "size": to_arrow(alarms["size"])}
     outside = {}
@@ -195,6 +202,7 @@ def alarm_columns(alarms: Mapping[str, Any], dt: float) -> Columns:
         "factor": to_arrow(1 - alarms["depth"]),
         "worst": alarms["worst"],
         "ended": texts(alarms["ended"]),
+        **tests,
         **suspects,
         **outside,
     }

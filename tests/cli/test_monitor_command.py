@@ -2,16 +2,20 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import jaxbound as jb
+from jaxbound.certificates.checker.script import main as checker
 from jaxbound.cli import main
 from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.pipe import judge_stream
+from jaxbound.runs import streaming
 from jaxbound.runs.fleet import Unit, detect_fleet
+from jaxbound.runs.summary import summarised
 
 MODEL = """
 dt = 1
@@ -70,6 +74,8 @@ def test_a_file_with_tests_is_judged_by_all_of_them(plant, tmp_path, capsys):
     assert rows[20]["status"] == "FAULT" and rows[20]["test"] == "jumps"
     assert rows[40]["status"] == "FAULT" and rows[40]["test"] == "drifts"
     assert rows[0]["test"] == ""
+    with open(tmp_path / "r" / "alarms.csv") as file:
+        assert [row["test"] for row in csv.DictReader(file)] == ["jumps", "drifts"]
     page = (tmp_path / "r" / "report.html").read_text()
     assert "Who watched when" in page and "mode == 1 does not hold" in page
 
@@ -83,6 +89,76 @@ def test_its_windows_are_explained_by_the_test_that_speaks(plant, tmp_path, caps
     of_drifts = json.loads(capsys.readouterr().out)
     samples = [len(one["numbers"]["relation"]["h"]) for one in (of_jumps, of_drifts)]
     assert samples == [2, 3], "the windows of jumps, and of drifts"
+    assert [of_jumps["test"], of_drifts["test"]] == ["jumps", "drifts"]
+
+
+def test_a_certificate_is_verified_by_the_bounds_of_the_test_that_it_names(plant, tmp_path, capsys):
+    model, data = plant
+    detect(plant, tmp_path / "r", "-q")
+    assert main.main(["explain", str(tmp_path / "r"), "--at", "40"]) == 0
+    assert "drifts" in capsys.readouterr().out
+    file = tmp_path / "r" / "certificate-40.json"
+    verify = ["verify", str(file), "--model", str(model), "--data", str(data)]
+    assert main.main(verify) == 0
+    for other, why in (("jumps", "about something else"), ("rest", "does not state")):
+        changed = json.loads(file.read_text()) | {"test": other}
+        file.write_text(json.dumps(changed))
+        assert main.main(verify) == 1
+        assert why in capsys.readouterr().err
+
+
+def test_the_checker_beside_jaxbound_takes_a_test_with_the_bounds_of_the_file_alone(plant, tmp_path, capsys):
+    model, data = plant
+    detect(plant, tmp_path / "r", "-q")
+    codes = []
+    for k in (20, 40):
+        main.main(["explain", str(tmp_path / "r"), "--at", str(k)])
+        file = str(tmp_path / "r" / f"certificate-{k}.json")
+        codes.append(checker([file, "--model", str(model), "--data", str(data), "--time", "time"]))
+    assert codes == [0, 1]
+    assert "factor of a test is more than this script reads" in capsys.readouterr().err
+
+
+@pytest.fixture
+def observed(plant):
+    """Return (model file, recording) with an observer among the tests, without faults up to sample 20."""
+    model, data = plant
+    model.write_text(MODEL + '[[test]]\nname = "slow"\nobserver = "zonotope"\n')
+    data.write_text("\n".join(data.read_text().splitlines()[:20]) + "\n")
+    return model, data
+
+
+def test_a_healthy_day_of_an_observer_among_the_tests_is_evidence_enough(observed, tmp_path, capsys):
+    assert detect(observed, tmp_path / "r", "--json", "--min-coverage", "0.9") == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["verdict"] == "no fault" and summary["decided"] > 0.9
+    assert summary["counts"]["CONSISTENT"] < 3, "the verdict of its samples is UNDECIDED"
+    page = (tmp_path / "r" / "report.html").read_text()
+    assert '<i class="UNDECIDED"></i>UNDECIDED (not refuted)</span>' in page
+    assert ":root { --UNDECIDED: var(--allowed)" in page
+
+
+def test_samples_that_no_test_decides_are_too_little_evidence(plant):
+    model, data = plant
+    bank = jb.monitor(model)
+    recording = jb.read(data, bank.model)
+    res = jb.detect(bank, recording)
+    healthy = np.where(res.statuses == jb.Status.MISSING, res.statuses, np.int8(jb.Status.UNDECIDED))
+    open_ = np.where(res.status == jb.Status.MISSING, res.status, np.int8(jb.Status.UNDECIDED))
+    one = healthy.copy()
+    one[2:, 1] = jb.Status.CONSISTENT
+    verdicts = []
+    for statuses in (healthy, one):
+        changed = replace(res, status=open_, statuses=statuses)
+        verdicts.append(summarised(changed, [], recording.label).verdict)
+    assert verdicts == ["too little evidence", "no fault"]
+
+
+def test_a_page_of_windows_alone_warns_of_what_is_undecided(plant, tmp_path):
+    detect(plant, tmp_path / "r", "-q")
+    page = (tmp_path / "r" / "report.html").read_text()
+    assert "not refuted" not in page and "--UNDECIDED: var(--allowed)" not in page
+    assert "<p>test: jumps</p>" in page
 
 
 def test_a_horizon_asks_for_windows_alone(plant, tmp_path, capsys):
@@ -126,6 +202,17 @@ def test_a_parquet_recording_is_judged_as_one_in_memory(plant, tmp_path, capsys)
     res = jb.detect(bank, jb.read(data, bank.model))
     assert table["status"].tolist() == [jb.Status(s).name for s in res.status]
     assert [name or "" for name in table["test"]] == [res.test_at(k) for k in range(60)]
+
+
+@pytest.mark.parametrize(("rule", "tests"), [((), ["jumps", "drifts"]), (("--latch",), ["drifts"])])
+def test_alarms_of_a_parquet_recording_name_their_test(rule, tests, plant, tmp_path, monkeypatch):
+    model, data = plant
+    pd.read_csv(data).to_parquet(tmp_path / "run.parquet")
+    monkeypatch.setattr(streaming, "PART", 41)  # the second alarm goes over the end of a part
+    assert detect((model, tmp_path / "run.parquet"), tmp_path / "r", "-q", *rule) == 1
+    assert detect(plant, tmp_path / "whole", "-q", *rule) == 1
+    of_parts, of_whole = (pd.read_csv(tmp_path / name / "alarms.csv") for name in ("r", "whole"))
+    assert of_parts["test"].tolist() == of_whole["test"].tolist() == tests
 
 
 def test_a_fleet_judges_by_the_tests_of_each_model(plant):

@@ -17,7 +17,7 @@ from pathlib import Path
 from jaxbound.certificates.checker.claim import DOUBLE
 from jaxbound.certificates.checker.words import Document, Ends, Matrix, Samples, Vector, insist
 
-__all__ = ["read_model", "read_samples"]
+__all__ = ["insist_plain_test", "read_model", "read_samples"]
 
 ZERO = F(0)
 LATE = F(1, 2)
@@ -89,6 +89,18 @@ def _shapes(matrices: Document, disturbances: int) -> dict[str, tuple[int, int]]
         "F": (n, d),
         "D_v": (p, d),
     }
+
+
+def insist_plain_test(path: Path, name: object) -> None:
+    """Raise ValueError unless a model file states a test of this name, by the numbers of the file itself."""
+    table = tomllib.loads(path.read_text(encoding="utf-8-sig"), parse_float=str)
+    found = [test for test in table.get("test", []) if test["name"] == name]
+    insist(len(found) == 1, f"the certificate is of test {name!r}, which the model does not state")
+    for field in ("factor", "lags", "model"):
+        insist(
+            field not in found[0],
+            f"{path}: {field} of a test is more than this script reads; jaxbound verify reads it",
+        )
 
 
 def _names(table: Document, n: int, m: int, p: int) -> Document:

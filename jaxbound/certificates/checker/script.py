@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from jaxbound.certificates.checker.claim import DOUBLE, SINGLE, claimed
-from jaxbound.certificates.checker.files import read_model, read_samples
+from jaxbound.certificates.checker.files import insist_plain_test, read_model, read_samples
 from jaxbound.certificates.checker.proof import confirm
 from jaxbound.certificates.checker.words import Document, insist
 
@@ -114,6 +114,9 @@ def _check(document: Document, args: argparse.Namespace) -> None:
         "a certificate of a window is checked against --model and --data",
     )
     model, names, columns, stated_time, dt = read_model(args.model)
+    if "test" in document:
+        insist_plain_test(args.model, document["test"])
+        document = {name: value for name, value in document.items() if name != "test"}
     sample, shown = document["names"]["sample"], document["names"]["times"]
     last = sample
     if isinstance(sample, list) and len(sample) == 1:
