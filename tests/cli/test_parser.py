@@ -67,7 +67,7 @@ def completed(line, folder):
 def test_completion_yields_commands_options_choices_and_files(tmp_path):
     (tmp_path / "plant.toml").touch()
     assert completed("jaxbound de", tmp_path) == {"demo", "detect"}
-    assert completed("jaxbound detect --me", tmp_path) == {"--merge", "--method"}
+    assert completed("jaxbound detect --me", tmp_path) == {"--merge", "--merge-alarms", "--method"}
     assert completed("jaxbound detect --observer ", tmp_path) == set(methods.OBSERVERS)
     assert completed("jaxbound info pl", tmp_path) == {"plant.toml"}
 

@@ -70,6 +70,8 @@ CHANGES = dict(
     lags=(0, 1, 3),
     left_out="1.3",
     averages={"w1": {2: 0.005}},
+    tests=[{"name": "slow", "horizon": 5, "factor": 1.2}],
+    faults=[jb.NamedFault("valve leaks", input="u", kind="offset", sign="+")],
 )
 WITHOUT = ("E", "averages", "times")
 FIELDS = [name for name in inspect.signature(jb.LinearSystem.__init__).parameters if name != "self"]
