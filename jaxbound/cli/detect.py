@@ -93,7 +93,7 @@ def options(parser: argparse.ArgumentParser) -> None:
         type=path,
         metavar="DIR",
         help="folder for verdicts, alarms.csv and report.html; with -, if given, for verdicts.csv and "
-        "monitor.sqlite",
+        "monitor.sqlite, with an option of alarms also for alarms.csv",
     )
     parser.add_argument(
         "--state",
@@ -188,11 +188,6 @@ def _run_live(args: argparse.Namespace) -> int:
         raise Refused(f"{VALIDATION} reads a recording as a whole: give a file instead of {args.data}")
     options_of_files = {
         "--chunk": args.chunk is not None,
-        "--alarm": args.alarm != (1, 1),
-        "--least": args.least is not None,
-        "--suspects": args.suspects,
-        "--merge-alarms": args.merge_alarms != 0,
-        "--latch": args.latch,
         "--part": args.part is not None,
         "--merge": args.merge,
         "--overlap": args.overlap is not None,
@@ -202,6 +197,10 @@ def _run_live(args: argparse.Namespace) -> int:
             raise Refused(f"{option} is for recordings: give a file instead of {args.data}")
     with swift_imports():
         from jaxbound.cli.pipe import judge_input
+        from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
+    alarm: AlarmRule | None = alarm_rule(args)
+    if alarm == EVERY_FAULT and args.alarm is None:
+        alarm = None  # no option asks for alarms
     return judge_input(
         args.model,
         args.data,
@@ -210,6 +209,7 @@ def _run_live(args: argparse.Namespace) -> int:
         state=args.state,
         min_coverage=args.min_coverage,
         as_json=args.json,
+        alarm=alarm,
     )
 
 

@@ -242,7 +242,6 @@ def add_alarm(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--alarm",
         type=some_of("k", "3/5"),
-        default=(1, 1),
         metavar="k/n",
         help="an alarm needs k FAULT among n windows (default: 1/1)",
     )
@@ -284,7 +283,7 @@ def alarm_rule(args: argparse.Namespace) -> "AlarmRule":
     """Return the rule of alarms from the options of `add_alarm`."""
     from jaxbound.diagnosis.alarmrule import AlarmRule
 
-    k, n = args.alarm
+    k, n = args.alarm or (1, 1)
     return AlarmRule(
         k, n, merge=args.merge_alarms, latch=args.latch, least=args.least, suspects=args.suspects
     )

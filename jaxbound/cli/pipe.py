@@ -12,7 +12,7 @@ import os
 import stat
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, cast
@@ -26,8 +26,10 @@ from jaxbound.cli.terminal import door, nobody_reads, say, system_trouble, usabl
 from jaxbound.cli.window import stated_model, window_relations
 from jaxbound.consistency.interface import Relations
 from jaxbound.consistency.monitor import Monitor
+from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.alarms import forgets_after
 from jaxbound.diagnosis.hints import bound_hints, judging_hints, outgrown, unfit
+from jaxbound.diagnosis.severity import fitted
 from jaxbound.files.locks import refuse_link
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.live import LiveSource
@@ -40,6 +42,7 @@ from jaxbound.relations.identity import identity
 from jaxbound.runs.endings import endings_said
 from jaxbound.runs.journal import STATE, Journal, LiveCheckpoint, refuse_former_state
 from jaxbound.runs.judges import Live
+from jaxbound.runs.livealarms import ALARMS, LiveAlarms, Notice
 from jaxbound.runs.loop import Memory, follow
 from jaxbound.runs.outputs import OutputFolder, output_folder, refuse_targets
 from jaxbound.runs.refusals import Refused
@@ -53,6 +56,8 @@ from jaxbound.sets.floats.status import Status
 __all__ = ["judge_input", "judge_stream"]
 
 STDIN = "-"
+RULE = "rule of alarms"
+OTHER_RULE = f"{{}} is of a {RULE}: give it again, choose another place, or delete it to begin anew"
 TALKATIVE, QUIET = 20, 60.0  # sentences of a kind at first, then one in so many seconds
 
 
@@ -65,6 +70,7 @@ def judge_input(
     state: Path | None = None,
     min_coverage: float = 0.5,
     as_json: bool = False,
+    alarm: AlarmRule | None = None,
 ) -> int:
     """Judge samples from standard input, or from a live source, until a signal or its end.
 
@@ -85,6 +91,7 @@ def judge_input(
             state=state,
             min_coverage=min_coverage,
             as_json=as_json,
+            alarm=alarm,
         )
 
 
@@ -99,6 +106,7 @@ def judge_stream(
     state: Path | None = None,
     min_coverage: float = 0.5,
     as_json: bool = False,
+    alarm: AlarmRule | None = None,
 ) -> int:
     """Judge samples as they come; return the exit code.
 
@@ -108,7 +116,7 @@ def judge_stream(
             line is complete without a line end, as in a file; in a pipe half of a number may be.
         options: of the test. data: "-", or the name of a live source. out: folder of the verdicts; state:
             file to go on from; None: none. min_coverage: least share of decided windows. as_json: verdicts as
-            JSON, else as CSV.
+            JSON, else as CSV. alarm: the rule by which alarms are told; None: none are.
 
     Raises:
         Refused: a model, a header, a sampling period or a state that does not fit, a method without a
@@ -116,9 +124,17 @@ def judge_stream(
     """
     options = options or MethodOptions()
     with door(), ExitStack() as opened:
-        folder = opened.enter_context(_folder(Path(model), out, state))
+        files = [VERDICTS, STATE]
+        if alarm is not None:
+            files.append(ALARMS)
+        folder = opened.enter_context(_folder(Path(model), out, state, files))
         stated = stated_model(model, options.every)
         tested, relations = window_relations(stated, options, model, None, lambda stage, share: None)
+        how = {"method": options.method, "word outside training": options.outside}
+        alarms = None
+        if alarm is not None:
+            alarm = fitted(alarm, relations)
+            how[RULE] = json.dumps(alarm.plain(), sort_keys=True)
         if not relations.searched:  # strips: sooner done than handed to another thread
             # jax states no types of this function
             jax.config.update("jax_cpu_enable_async_dispatch", False)  # type: ignore[no-untyped-call]
@@ -129,30 +145,33 @@ def judge_stream(
         if path is not None:
             if state is None:
                 refuse_link(path)
-            how = {"method": options.method, "word outside training": options.outside}
             journal = opened.enter_context(Journal(path, identity(relations, **how)))
         before = None if journal is None else journal.before
+        if before is not None and alarm is None and "rule" in before["sinks"]:
+            raise Refused(OTHER_RULE.format(path))
         work: Any = nullcontext()
         if folder is not None:
             if state is None:
                 refuse_former_state(folder.path)
             # a state tells whether the verdicts are its own
-            folder.check((VERDICTS, STATE), foreign=before is None)
+            folder.check(files, foreign=before is None)
             work = folder.work()
         with work as place:
             stream = _stream(data, relations.model, _Complaints(), before and before["source"], whole)
+            if alarm is not None:
+                alarms = LiveAlarms(alarm, relations, options.method, stream.dt)
             lines = _PrintedLines(as_json, out is None, judge.region is not None, bool(relations.parts))
-            run = opened.enter_context(_LiveRun(stated, stream, judge, journal, lines, out, place))
+            run = opened.enter_context(_LiveRun(stated, stream, judge, journal, lines, out, place, alarms))
             run.resume()
             if folder is not None:
-                folder.claim(VERDICTS, STATE)
+                folder.claim(*files)
             summary = run.to_the_end(chunks(stream) if callable(chunks) else chunks, min_coverage)
             about = tested, Path(data), None, options.method, relations.horizon, options.observer_options
             close_all(run.outputs, Outcome([], summary, *about))
         if journal is not None:
             journal.close()
         if folder is not None:
-            folder.settle(VERDICTS, STATE)
+            folder.settle(*files)
     return summary.exit_code
 
 
@@ -188,8 +207,12 @@ def _state_path(out: Path | None, state: Path | None) -> Path | None:
 
 
 @contextmanager
-def _folder(model: Path, out: Path | None, state: Path | None) -> Iterator[OutputFolder | None]:
-    """Make --out a folder that this command may write into; refuse to write over anything that is read."""
+def _folder(
+    model: Path, out: Path | None, state: Path | None, files: Sequence[str]
+) -> Iterator[OutputFolder | None]:
+    """Make --out a folder that this command may write files into; refuse to write over anything that is
+    read.
+    """
     inputs = [model]
     if _is_file():
         inputs.append(Path("/dev/stdin"))
@@ -201,9 +224,10 @@ def _folder(model: Path, out: Path | None, state: Path | None) -> Iterator[Outpu
             refuse_targets({"--state": Path(state)}, inputs, force=True)
         if out is not None:
             path = out / STATE if state is None else Path(state)
-            if os.path.realpath(path) == os.path.realpath(out / VERDICTS):
-                raise Refused(f"--state {path} is where the verdicts are written: give another name")
-            folder.check((VERDICTS, STATE), foreign=False)
+            for name, what in ((VERDICTS, "verdicts"), (ALARMS, "alarms")):
+                if name in files and os.path.realpath(path) == os.path.realpath(out / name):
+                    raise Refused(f"--state {path} is where the {what} are written: give another name")
+            folder.check(files, foreign=False)
         yield folder
 
 
@@ -219,6 +243,7 @@ class _LiveRun:
         lines: "_PrintedLines",
         out: Path | None,
         place: Path | None,
+        rule: LiveAlarms | None = None,
     ) -> None:
         """Begin with nothing judged."""
         self.stream, self.judge, self.lines = stream, judge, lines
@@ -227,10 +252,13 @@ class _LiveRun:
         self.outgrown = bool(outgrown(stated, relations))
         self.tally = Tally(stream.when, relations.horizon, region=judge.region)
         self.alarms = AlarmEnds(forgets_after(relations))
-        lines.alarms = self.alarms
-        self.file = None
+        lines.alarms, lines.rule = self.alarms, rule
+        self.rule = rule
+        self.file = self.alarm_file = None
         if out is not None and journal is not None:  # a folder has a state
             self.file = RowFile(out / VERDICTS, lines.text, journal.path)
+            if rule is not None:
+                self.alarm_file = RowFile(out / ALARMS, rule, journal.path)
         self.outputs: list[Sink] = [] if place is None else open_sinks(place, whole=False)
         self.sinks = self._named_sinks()
         self.checkpoint = None
@@ -243,8 +271,12 @@ class _LiveRun:
     def _named_sinks(self) -> Mapping[str, Any]:
         """Return {name in the checkpoint: sink}, in the order in which they hand on: a file before stdout."""
         named: dict[str, Any] = {"counts": self.tally, "alarms": self.alarms}
+        if self.rule is not None:
+            named["rule"] = self.rule
         if self.file is not None:
             named["file"] = self.file
+        if self.alarm_file is not None:
+            named["alarm file"] = self.alarm_file
         named["lines"] = self.lines
         for sink in self.outputs:
             named[f"{type(sink).__module__}.{type(sink).__qualname__}"] = sink
@@ -254,8 +286,9 @@ class _LiveRun:
         return self
 
     def __exit__(self, *error: object) -> None:
-        if self.file is not None:
-            self.file.close()
+        for file in (self.file, self.alarm_file):
+            if file is not None:
+                file.close()
 
     def resume(self) -> None:
         """Go on from the checkpoint, if there is one; refuse verdicts that are not those it speaks of."""
@@ -277,10 +310,16 @@ class _LiveRun:
 
     def conclude(self, min_coverage: float) -> Summary:
         """Say the conclusion in words and return its Summary."""
-        if self.file is not None:
-            self.file.force()
+        for file in (self.file, self.alarm_file):
+            if file is not None:
+                file.force()
         if self.checkpoint is not None:
             self.checkpoint.finish()
+        alarms, endings = self.alarms.alarms, self.alarms.endings
+        if self.rule is not None:
+            alarms, endings = self.rule.counted()
+            if self.alarm_file is not None:
+                self.alarm_file.end_with(self.rule.written(self.rule.pending()))
         tally, clock = self.tally, self.stream.clock
         relations = self.judge.monitor.relations
         observes = relations.remembers
@@ -300,8 +339,8 @@ class _LiveRun:
             at,
             margin,
             None,
-            self.alarms.alarms,
-            self.alarms.endings,
+            alarms,
+            endings,
             remembers=observes,
             outgrown=self.outgrown,
             outside=outside,
@@ -332,7 +371,7 @@ class _LiveRun:
                 hints += unfit(found.counts, np.nan, "samples", found.outside)
             else:
                 hints += unfit(found.counts, found.margin, "windows", found.outside)
-        return [*hints, *endings_said(self.alarms.endings, self.alarms.alarms)]
+        return [*hints, *endings_said(found.ended or {}, found.alarms)]
 
 
 class _PrintedLines:
@@ -343,13 +382,17 @@ class _PrintedLines:
             say how they depart from the region of training. has_tests: whether they name the test of a
             monitor that speaks.
 
-    Fields: text: of the rows; alarms: an AlarmEnds in the same loop, before this sink.
+    Fields: text: of the rows; alarms: an AlarmEnds in the same loop, before this sink; rule: alarms by a
+    rule, in the same loop before this sink, which are told behind the sample at which they are known; None:
+    there is no rule.
     """
 
     def __init__(self, as_json: bool, alone: bool, has_region: bool = False, has_tests: bool = False) -> None:
         self.json, self.alone = as_json, alone
         self.text = RowText(has_region, has_tests)
         self.alarms = AlarmEnds(None)
+        self.rule: LiveAlarms | None = None
+        self.notices: list[Notice] = []
         self.header = b""
         if not as_json:
             self.header = f"{','.join(self.text.names)}\n".encode()
@@ -361,14 +404,20 @@ class _PrintedLines:
         self.fresh = self.text.of(piece, verdicts)
         if self.json:
             self.texts = _is_text(piece)
+        if self.rule is not None:
+            self.notices = self.rule.notices
 
     def memory(self) -> Memory:
-        """Return the rows that may not be printed yet."""
-        return {"rows": self.fresh.decode("latin-1"), "texts": self.texts}
+        """Return the rows and notices that may not be printed yet."""
+        rows = {"rows": self.fresh.decode("latin-1"), "texts": self.texts}
+        if self.rule is None:
+            return rows
+        return rows | {"notices": self.notices}
 
     def resume(self, memory: Any) -> None:
         """Take the rows of a process that was killed before it printed them for sure."""
         self.fresh, self.texts = memory["rows"].encode("latin-1"), memory["texts"]
+        self.notices = memory.get("notices", [])
 
     def flush(self) -> None:
         """Print the rows, with the header before the first.
@@ -378,7 +427,7 @@ class _PrintedLines:
         if not self.fresh:
             return
         data, self.fresh = self.fresh, b""
-        data, self.header = self.header + self._printed(data), b""
+        data, self.header = self.header + self._with_notices(self._printed(data)), b""
         try:
             if sys.stdout is None:
                 raise BrokenPipeError("closed from the start")
@@ -393,6 +442,27 @@ class _PrintedLines:
             if self.alone:
                 raise KeyboardInterrupt("nobody reads the verdicts any more: stopped") from None
 
+    def _with_notices(self, printed: bytes) -> bytes:
+        """Return lines with each notice behind the line of the sample at which it is known."""
+        if not self.notices:
+            return printed
+        lines = printed.split(b"\n")[:-1]
+        for row, notice in self.notices:
+            lines[row] += b"\n" + self._notice(notice).encode()
+        self.notices = []
+        return b"\n".join([*lines, b""])
+
+    def _notice(self, notice: dict[str, Any]) -> str:
+        """Return the line of the begin or the end of an alarm."""
+        if not self.json:
+            return _in_a_sentence(notice)
+        line = dict(notice)
+        if not self.texts:
+            line["time"] = _number(line["time"])
+        if "depth" in line:
+            line["depth"] = finite(line["depth"])
+        return json.dumps(line)
+
     def _printed(self, rows: bytes) -> bytes:
         """Return rows of verdicts.csv as they go to stdout."""
         if not self.json:
@@ -403,6 +473,8 @@ class _PrintedLines:
             when, status, margin = row["time"], row["status"], row["margin"]
             on, ended = alarm_goes_on(on, Status[status], self.alarms.forgets)
             time = when if self.texts else _number(when)
+            if self.rule is not None:  # a line of its own says it
+                ended = None
             line = {"time": time, "status": status, "margin": _number(margin), "ended": ended}
             if "outside" in row:
                 line["outside"] = _number(row["outside"])
@@ -412,6 +484,17 @@ class _PrintedLines:
                 line["test"] = row["test"] or None
             lines.append(json.dumps(line) + "\n")
         return "".join(lines).encode()
+
+
+def _in_a_sentence(notice: dict[str, Any]) -> str:
+    """Return a notice as a line between rows of CSV, which a reader of CSV takes for a comment."""
+    words = f"# alarm {notice['number']} {notice['alarm']}s at {notice['time']}"
+    for kind in ("suspect", "test"):
+        if notice.get(kind):
+            words += f", {kind} {notice[kind]}"
+    if "ended" in notice:
+        words += f": {notice['ended']}"
+    return words
 
 
 def _number(text: str) -> float | None:

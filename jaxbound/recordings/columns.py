@@ -4,7 +4,7 @@ longer than parsing a file.
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
 from typing import IO, TYPE_CHECKING
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 __all__ = [
     "categories",
     "from_arrow",
+    "header_line",
     "is_plain",
     "texts",
     "to_arrow",
@@ -125,10 +126,15 @@ def write_columns(path: str | PathLike[str], columns: Mapping[str, "pa.Array"], 
     mode = "ab" if append else "wb"
     with open(path, mode) as f:
         if not append:
-            names = io.StringIO()
-            csv.writer(names, lineterminator="\n").writerow(map(cell, columns))
-            f.write(names.getvalue().encode("utf-8", "backslashreplace"))
+            f.write(header_line(columns))
         write_rows(f, columns)
+
+
+def header_line(names: Iterable[str]) -> bytes:
+    """Return the first line of a CSV file."""
+    line = io.StringIO()
+    csv.writer(line, lineterminator="\n").writerow(map(cell, names))
+    return line.getvalue().encode("utf-8", "backslashreplace")
 
 
 def write_rows(sink: IO[bytes], columns: Mapping[str, "pa.Array"]) -> None:

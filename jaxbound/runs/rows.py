@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, Protocol
 
 from jaxbound.files.disk import sync, sync_folder
 from jaxbound.files.locks import lock
@@ -30,6 +30,18 @@ RECOGNISED = 80  # last bytes of verdicts.csv by which it is known again
 UNFORCED = 1 << 13  # bytes that wait in the checkpoint before verdicts.csv is forced to the disk
 
 
+class Text(Protocol):
+    """The text of a table that grows.
+
+    Fields: header: its first line.
+    """
+
+    header: bytes
+
+    def of(self, piece: Recording, verdicts: Verdicts, /) -> bytes:
+        """Return the rows of the last piece."""
+
+
 class RowText:
     """The rows of the last verdicts, made once for all that write them.
 
@@ -37,7 +49,7 @@ class RowText:
         has_region: whether verdicts say how they depart from the region of training. has_tests: whether they
             name the test of a monitor that speaks.
 
-    Fields: names: of the columns before the last one, which is suspect.
+    Fields: names: of the columns before the last one, which is suspect. header: the line of all names.
     """
 
     def __init__(self, has_region: bool = False, has_tests: bool = False) -> None:
@@ -46,6 +58,7 @@ class RowText:
             self.names = *self.names, *REGION
         if has_tests:
             self.names = *self.names, TEST
+        self.header = ",".join((*self.names, "suspect\n")).encode()
         self.verdicts: Verdicts | None = None
         self.text = b""
 
@@ -57,7 +70,7 @@ class RowText:
 
 
 class RowFile:
-    """verdicts.csv as samples come, a sink. Each row is there once, whenever a process dies.
+    """verdicts.csv, or alarms.csv, as samples come, a sink. Each row is there once, whenever a process dies.
 
     Rows wait in the checkpoint until they are forced to the disk. So after a power cut, too, the next process
     cuts the file back to where it was on the disk for sure and writes what comes behind.
@@ -69,7 +82,7 @@ class RowFile:
         Refused: another process is writing it, or it does not hold what the memory speaks of.
     """
 
-    def __init__(self, path: Path, text: RowText, state: Path) -> None:
+    def __init__(self, path: Path, text: Text, state: Path) -> None:
         self.path, self.text, self.state = path, text, state
         self.file: IO[bytes] | None = None  # made when there is something to write
         self.forced, self.end = 0, b""  # bytes of the file that are on the disk, and the last of them
@@ -126,6 +139,12 @@ class RowFile:
         self.end = (self.end + self.written[-RECOGNISED:])[-RECOGNISED:]
         self.written = b""
 
+    def end_with(self, rows: bytes) -> None:
+        """Write rows that stand until another process goes on: no checkpoint speaks of them."""
+        self.fresh += rows
+        self.flush()
+        self.force()
+
     def close(self) -> None:
         """Close the file."""
         if self.file is not None:
@@ -135,9 +154,8 @@ class RowFile:
         """Begin the file anew."""
         self.file = self._opened()
         self.file.truncate(0)
-        header = ",".join((*self.text.names, "suspect\n")).encode()
-        _write_all(self.file, header)
-        self.written = header
+        _write_all(self.file, self.text.header)
+        self.written = self.text.header
         self.force()
         sync_folder(self.path.parent)
 

@@ -314,7 +314,6 @@ class TestTroubles:
         [
             (["--method", "validation"], "validation reads a recording as a whole"),
             (["--chunk", "9"], "--chunk is for recordings"),
-            (["--alarm", "2/3"], "--alarm is for recordings"),
             (["--method", "exact"], "method must be one of"),
         ],
     )
