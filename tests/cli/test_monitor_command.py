@@ -12,6 +12,7 @@ import jaxbound as jb
 from jaxbound.certificates.checker.script import main as checker
 from jaxbound.cli import main
 from jaxbound.cli.options import MethodOptions
+from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.cli.pipe import judge_stream
 from jaxbound.runs import streaming
 from jaxbound.runs.fleet import Unit, detect_fleet
@@ -191,6 +192,14 @@ def test_a_pipe_names_the_test_that_speaks_in_each_line(plant, tmp_path, capsysb
     assert faults[0] == (20, "jumps")
     assert lines[40]["status"] == "FAULT" and lines[40]["test"] == "drifts"
     assert lines[0]["test"] is None
+
+
+def test_a_pipe_names_the_test_by_which_an_alarm_begins(plant, capsysbinary):
+    model, data = plant
+    judge_stream(model, [data.read_bytes()], options=MethodOptions(), as_json=True, alarm=AlarmRule())
+    lines = [json.loads(line) for line in capsysbinary.readouterr().out.splitlines()]
+    begun = [(line["sample"], line["test"]) for line in lines if line.get("alarm") == "begin"]
+    assert begun == [(20, "jumps"), (40, "drifts")]
 
 
 def test_a_parquet_recording_is_judged_as_one_in_memory(plant, tmp_path, capsys):
