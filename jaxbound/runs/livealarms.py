@@ -18,6 +18,7 @@ from jaxbound.models.region import Departure, Region
 from jaxbound.recordings.columns import header_line, texts, write_rows
 from jaxbound.recordings.factors import known
 from jaxbound.recordings.recording import Recording
+from jaxbound.runs.alarmbook import speakers
 from jaxbound.runs.loop import Memory, Quiet
 from jaxbound.runs.sink import Verdicts
 from jaxbound.runs.verdictfiles import alarm_columns
@@ -27,7 +28,7 @@ __all__ = ["ALARMS", "LiveAlarms", "Notice"]
 
 ALARMS = "alarms.csv"
 COLUMNS = (
-    *("start", "from", "end", "to", "worst", "at"),
+    *("start", "from", "end", "to", "worst", "at", "test"),
     *("first_sample", "last_sample", "windows", "depth", "size", "outside"),
     *("ended", "suspect", "outside_by"),
 )
@@ -67,8 +68,10 @@ class LiveAlarms(Quiet):
         """Follow the alarms through the next samples."""
         import pyarrow as pa
 
-        def label(k: int) -> tuple[str, float]:
-            return piece.column.slice(k, 1).cast(pa.string())[0].as_py(), float(piece.time[k])
+        tests = speakers(verdicts)
+
+        def label(k: int) -> tuple[str, float, str]:
+            return piece.column.slice(k, 1).cast(pa.string())[0].as_py(), float(piece.time[k]), tests[k]
 
         begin = self.watching.watch.samples
         if self.keep:
@@ -159,12 +162,14 @@ class LiveAlarms(Quiet):
         """Return the columns of alarms.csv."""
         rows = []
         for raised, alarm in zip(over, self._in_words(over), strict=True):
-            times = (*raised.labels["start"], *raised.labels["end"], *raised.labels["worst"])
+            times = (*raised.labels["start"][:2], *raised.labels["end"][:2], *raised.labels["worst"])
             numbers = alarm.start, alarm.end, alarm.windows, alarm.depth, alarm.size, alarm.outside
             rows.append((*times, *numbers, alarm.ended, alarm.suspect, alarm.outside_by))
         columns: dict[str, Any] = dict.fromkeys(COLUMNS, ())
         columns |= zip(COLUMNS, zip(*rows, strict=True), strict=False)
         left_out = []
+        if not self.relations.parts:
+            left_out.append("test")
         if not self.rule.names:
             left_out += ["suspect", "size"]
         if self.region is None:

@@ -12,8 +12,8 @@ import jaxbound as jb
 from jaxbound.certificates.checker.script import main as checker
 from jaxbound.cli import main
 from jaxbound.cli.options import MethodOptions
-from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.cli.pipe import judge_stream
+from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.runs import streaming
 from jaxbound.runs.fleet import Unit, detect_fleet
 from jaxbound.runs.summary import summarised
