@@ -2,8 +2,8 @@
 
 The test that sees the smallest errors comes first, see `window_tests`. Each further one earns its place: it
 sees a jump or a lasting error of some output from clearly smaller sizes on than all tests before it, under
-bounds as wide as recordings that are left out ask of it. An observer, which carries everything since it
-began, is looked at last. Each test has the coefficients and the bounds of a fit of its own.
+bounds as wide as recordings that are left out ask of it. All are windows; an observer is not among them. Each
+test has the coefficients and the bounds of a fit of its own.
 """
 
 import tomllib
