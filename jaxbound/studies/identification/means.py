@@ -37,8 +37,8 @@ def smallest_means(
 
     Args:
         model: without averages. noise: (p,), bounds of single samples. samples: >= 2. explained: whether all
-            windows are. step: called with the share of the work done. guess: (p,), bounds that a search in floats
-            found for means: the smallest, if they explain all.
+            windows are. step: called with the share of the work done. guess: (p,), bounds that a search in
+            floats found for means: the smallest, if they explain all.
     """
     noise = np.asarray(noise) * LOOSE
     means = {name: {samples: float(b)} for name, b in zip(model.outputs, noise, strict=True)}
