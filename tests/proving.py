@@ -38,6 +38,8 @@ def doors():
     return {
         "detect": lambda: jb.detect(r, None, y),
         "detect_dataset": lambda: dataset(r),
+        "assess": lambda: jb.assess(r, [(None, y)]),
+        "monitor": lambda: jb.monitor(MODEL, [{"name": "slow", "observer": "zonotope"}]),
         "Monitor": monitor,
         "compensation": lambda: jb.compensation(unsure, None, y),
         "observer": lambda: jb.observer(MODEL),
@@ -87,6 +89,7 @@ OF_SETS = {
 EXACT_OR_UNPROVED = {
     # values; their methods speak of what was proved already, or in exact rationals
     "Fault",
+    "NamedFault",
     "LinearSystem",
     "MultiModel",
     "Recording",
