@@ -95,13 +95,14 @@ SAID = {
 }
 
 
-def shell(path, frames, output, inputs="u"):
+def shell(path, frames, output, inputs="u", *options):
     """Return the exit code of a fit to these recordings."""
     files = []
     for name, frame in zip("ab", frames, strict=False):
         frame.to_csv(path / f"{name}.csv", index=False)
         files.append(str(path / f"{name}.csv"))
-    return main.main(["fit", *files, "--inputs", inputs, "--outputs", output, "--out", str(path / "m.toml")])
+    ways = ["--inputs", inputs, "--outputs", output, "--out", str(path / "m.toml")]
+    return main.main(["fit", *files, *ways, *options])
 
 
 @pytest.mark.parametrize("case", REFUSED)
@@ -125,8 +126,8 @@ def test_python_refuses_in_one_sentence(case):
 def test_what_little_a_fit_means_is_said(tmp_path, capsys, case):
     frames, sentence = SAID[case]
     inputs = [name for name in ("u", "v") if name in frames[0]]
-    model = jb.fit(frames, inputs=inputs, outputs="y")
+    model = jb.fit(frames, inputs=inputs, outputs="y", horizon=4)
     assert re.search(sentence, " ".join(model.check.sentences))
-    assert shell(tmp_path, frames, "y", ",".join(inputs)) == 0
+    assert shell(tmp_path, frames, "y", ",".join(inputs), "--horizon", "4") == 0
     out, err = capsys.readouterr()
     assert re.search(sentence, re.sub(r"\s+", " ", out)) and not err
