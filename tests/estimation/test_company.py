@@ -12,7 +12,7 @@ from jaxbound.recordings.recording import Recording
 
 METHODS = {"zonotope": {}, "strips": {}, "constrained": {}, "joint": {"window": 8, "order": 6}}
 """The plant and the sizes of the other tests of observers, which compile them too."""
-COUNT, LENGTH = 35, 44
+COUNT, LENGTH = 35, 24
 """More recordings than a block has."""
 
 
@@ -26,7 +26,7 @@ def recordings():
     found = jb.simulate(PLANT, u, jax.random.key(26), x0=rng.normal(size=(COUNT, 2)), at="vertices")
     y = np.array(found.y)
     for i in range(COUNT):
-        y[i, 10 + i % 25 :, 0] += (0, 0.1, 0.15, 0.3, 0.6, 3)[i % 6]
+        y[i, 10 + i % 11 :, 0] += (0, 0.1, 0.15, 0.3, 0.6, 3)[i % 6]
     y[rng.random(y.shape) < 0.02] = np.nan
     return np.array(found.u), y
 

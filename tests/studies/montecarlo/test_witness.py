@@ -12,7 +12,7 @@ MODEL = {
     "tolerances": PAPER,
     "disturbed": PAPER | dict(disturbance=([[0], [1]], [(-0.02, 0.05)]), offset={"u": [2], "y": [10, -3]}),
 }
-S, T = 12, 60
+S, T = 9, 40
 
 
 @pytest.mark.parametrize("at", ["uniform", "vertices"])
@@ -30,10 +30,10 @@ def test_counts_are_those_without_a_witness(name, at, monkeypatch):
 
     def studied(faults):
         searched.clear()
-        res = jb.study(model, faults, 200, 5, relations, samples=T, at=at)
+        res = jb.study(model, faults, 60, 5, relations, samples=T, at=at)
         return [{key: x.tolist() for key, x in t.arrays().items()} for t in res.tallies], sum(searched)
 
-    fault = jb.Fault("y1", "bias", 0.5, 45)
+    fault = jb.Fault("y1", "bias", 0.5, 25)
     with_truth = [studied(faults) for faults in ((), fault)]
     monkeypatch.setattr(records, "explained_by", lambda *_: None)
     without = [studied(faults) for faults in ((), fault)]
