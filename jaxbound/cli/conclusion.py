@@ -9,6 +9,7 @@ from typing import cast
 import numpy as np
 
 from jaxbound.cli.evaluation import Evaluation
+from jaxbound.cli.options import WINDOWS
 from jaxbound.cli.terminal import show, write
 from jaxbound.diagnosis.observed import shown_name
 from jaxbound.diagnosis.region import Outside
@@ -58,9 +59,10 @@ def conclude(evaluation: Evaluation, data: Path | str, out: Path, as_json: bool 
 
 def _counts_row(evidence: Evidence) -> tuple[str, str]:
     counts = []
+    is_healthy = evidence.observes or evidence.faulty is not None  # UNDECIDED: what healthy samples are
     for name in STATUSES:
         if evidence.counts[name]:
-            counts.append(f"{evidence.counts[name]} {shown_name(Status[name], evidence.observes)}")
+            counts.append(f"{evidence.counts[name]} {shown_name(Status[name], is_healthy)}")
     return "samples" if evidence.remembers else "windows", ", ".join(counts)
 
 
@@ -72,8 +74,10 @@ def _tested_row(evidence: Evidence) -> tuple[str, str]:
         share = f"{percent(evidence.tested)} of {evidence.windows} samples"
         return "tested", f"{share}, by an observer of all samples before them"
     if evidence.faulty is None:
-        by = f"by the {evidence.method} test over {evidence.horizon + 1} samples each"
-        return "decided", f"{percent(evidence.decided)} of {evidence.windows} windows, {by}"
+        each = f"{evidence.horizon + 1} samples each"
+        if evidence.method != WINDOWS[1]:
+            each = f"by the {evidence.method} test over {each}"
+        return "decided", f"{percent(evidence.decided)} of {evidence.windows} windows, {each}"
     sensors = ", ".join(f"{name} in {n} samples" for name, n in evidence.faulty.items())
     return "faulty", sensors or "no sensor"
 

@@ -57,7 +57,7 @@ def explain_window(directory: str | Path, at: str) -> Explained:
     if method == VALIDATION:
         raise ValueError(
             f"{directory} was validated, where a verdict rests on all samples before it: there is a "
-            f"certificate of a window only by other methods: jaxbound detect --method joint, to another "
+            f"certificate of a window only by other methods: jaxbound detect --method windows, to another "
             f"folder"
         )
     recorded = model

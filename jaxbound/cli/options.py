@@ -22,6 +22,7 @@ __all__ = [
     "METHODS",
     "OBSERVER",
     "OUTSIDE",
+    "WINDOWS",
     "MethodOptions",
     "add_alarm",
     "add_engine",
@@ -39,6 +40,7 @@ __all__ = [
     "apart",
     "interval",
     "lags",
+    "method_name",
     "named",
     "path",
     "refuse_unknown_method",
@@ -51,16 +53,31 @@ __all__ = [
 OBSERVER = "observer"
 # A text of its own, because the home of these methods imports jax, for which a help does not wait. A test
 # compares it with `consistency.interface.METHODS`.
-METHODS = "joint, box, paving, linearized"
+METHODS = "windows, box, paving, linearized"
+WINDOWS = "windows", "joint"
+"""The exact test of windows: as the command line calls it, and as the library does."""
 MARGINS = "auto", "bounds", "exact"  # likewise
 OUTSIDE = "fault", "undecided"  # likewise, of `consistency.claims`
 LARGEST = 10**15
 DIGITS = 20  # a number of so many digits is not even converted
 
 
+def method_name(text: str) -> str:
+    """Return the name that the library has for a method of the command line.
+
+    Example:
+        >>> method_name("windows"), method_name("box")
+        ('joint', 'box')
+    """
+    called, name = WINDOWS
+    if text == called:
+        return name
+    return text
+
+
 def refuse_unknown_method(method: str, known: str) -> None:
     """Raise Refused for a method that is neither among `known`, with commas, nor registered as a family."""
-    if method in known.split(", "):
+    if method in (*known.split(", "), *WINDOWS):
         return
     from jaxbound.consistency.interface import FAMILIES  # only now: a help is to be there at once
 
@@ -162,8 +179,8 @@ class MethodOptions:
 
 def add_method(parser: argparse.ArgumentParser, more: str = "") -> None:
     """Add --method of a command that tests recordings. more: the end of its help."""
-    about = f"{METHODS} (default: joint, the exact test){more}"
-    parser.add_argument("--method", default="joint", help=about)
+    about = f"{METHODS} (default: windows, all their relations together){more}"
+    parser.add_argument("--method", type=method_name, default=WINDOWS[1], metavar="METHOD", help=about)
 
 
 def add_margins(parser: argparse.ArgumentParser) -> None:

@@ -13,6 +13,7 @@ from jaxbound.cli.options import (
     add_json,
     add_observer,
     add_windows,
+    method_name,
     path,
     whole_number,
 )
@@ -88,7 +89,11 @@ def options(parser: argparse.ArgumentParser) -> None:
     )
     add_windows(parser)
     parser.add_argument(
-        "--method", default="joint", help=f"of the monitor: {METHODS} (default: joint), or observer"
+        "--method",
+        type=method_name,
+        default="joint",
+        metavar="METHOD",
+        help=f"of the monitor: {METHODS} (default: windows), or observer",
     )
     add_observer(parser)
     parser.add_argument(

@@ -14,6 +14,7 @@ from jaxbound.cli.options import (
     add_observer,
     add_safety,
     add_windows,
+    method_name,
     path,
     share,
     whole_number,
@@ -68,10 +69,12 @@ def options(parser: argparse.ArgumentParser) -> None:
     add_windows(parser)
     parser.add_argument(
         "--method",
+        type=method_name,
         choices=("joint", OBSERVER),
         default="joint",
-        help="joint, windows; observer: all bounds by one factor, at which it follows each recording to its "
-        "end (default: joint)",
+        metavar="METHOD",
+        help="windows; observer: all bounds by one factor, at which it follows each recording to its "
+        "end (default: windows)",
     )
     add_observer(parser)
     parser.add_argument(

@@ -64,6 +64,8 @@ def _coverage(res: MonitorResult, bank: MonitorBank, label: Label) -> Section:
     for c, condition in enumerate(bank.conditions):
         for value, words in ((YES, "holds"), (NO, "does not hold"), (UNKNOWN, "is unknown")):
             count = int(np.count_nonzero(modes[:, c] == value))
+            if not count:
+                continue
             rows.append((f"{condition} {words}", "", "", count, percent(count / max(samples, 1))))
     for first, stop in longest[np.argsort(longest[:, 0])].tolist():
         share = percent((stop - first) / max(samples, 1))

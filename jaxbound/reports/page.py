@@ -5,6 +5,7 @@ import functools
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from jaxbound.relations.sentence import main_terms
 from jaxbound.text.characters import printable
 from jaxbound.text.quantities import factor, percent
 
@@ -48,7 +49,8 @@ def _environment() -> "Environment":
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"after": _after, "base64": _base64, "factor": factor, "percent": percent}
+    environment.filters |= {"after": _after, "base64": _base64}
+    environment.filters |= {"factor": factor, "main_terms": main_terms, "percent": percent}
     environment.globals |= {"TITLE": TITLE, "source": _source}
     return environment
 

@@ -9,6 +9,7 @@ from typing import Protocol, cast
 import numpy as np
 from jax.typing import ArrayLike
 
+from jaxbound.diagnosis.observed import shown_name
 from jaxbound.plots.validation import ValidatedRecording
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.sentence import looked_at
@@ -17,6 +18,7 @@ from jaxbound.reports.clock import axis_of, shown_time
 from jaxbound.reports.page import TITLE, render
 from jaxbound.reports.parts import computed, model_values
 from jaxbound.runs.summary import Evidence, Summary
+from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import duration
 
 __all__ = ["charts", "write_page"]
@@ -72,6 +74,7 @@ def write_page(
         recording=recording,
         samples=len(res.y),
         counts=summary.counts,
+        shown={status.name: shown_name(status, True) for status in Status},
         warm_up=res.horizon,
         share=cast(Evidence, summary.found).tested,
         hints=summary.hints,

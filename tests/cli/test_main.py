@@ -481,8 +481,9 @@ print(*sys.modules, file=sys.stderr)
         )
         heavy = {"jax", "numpy", "pandas", "matplotlib", "scipy", "pyarrow", "rich", "jinja2", "optax"}
         assert heavy & {name.partition(".")[0] for name in done.stderr.split()} == set()
-        assert f"{', '.join(interface.METHODS)} (default: joint" in " ".join(done.stdout.split())
-        assert f"; {VALIDATION} bounds states" in " ".join(done.stdout.split())
+        shown = " ".join(done.stdout.split())
+        assert f"windows, {', '.join(interface.METHODS[1:])} (default: windows" in shown
+        assert f"; {VALIDATION} bounds states" in shown
 
     def test_no_command_waits_for_an_import_that_it_can_do_without(self, place):
         code = """

@@ -99,7 +99,7 @@ def test_nobody_builds_a_namespace_by_hand():
 
 
 def test_methods_are_those_of_the_tests_of_windows():
-    assert tuple(options.METHODS.split(", ")) == METHODS
+    assert tuple(map(options.method_name, options.METHODS.split(", "))) == METHODS
 
 
 def test_an_observer_lists_its_own_options_for_every_command_that_observes():

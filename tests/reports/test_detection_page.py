@@ -12,6 +12,7 @@ from result_case import CONSISTENT, FAULT, MISSING, UNDECIDED, biased, recording
 import jaxbound as jb
 from jaxbound.recordings.recording import Recording
 from jaxbound.reports import detection
+from jaxbound.reports import page as pages
 from jaxbound.reports.detection import write_report
 from jaxbound.runs.summary import summarised
 
@@ -178,6 +179,17 @@ class TestReport:
         write(tmp_path, res, recording_of(res), [])
         text = " ".join(Reader((tmp_path / "report.html").read_text()).text.split())
         assert "yk = D uk, one sample every 1 s; numbers" in text and "D = 1 2" in text and "A =" not in text
+
+
+def test_a_long_relation_is_shown_by_its_largest_terms_and_whole_at_a_click():
+    shown = pages._environment().from_string(
+        "{% import 'templates/parts.html' as parts %}{{ parts.relation(text) }}"
+    )
+    long = "9 a + 8 b + 7 c + 6 d + 5 e + 4 f + 3 g = 0"
+    text = shown.render(text=long)
+    assert "<code>9 a + 8 b + 7 c + 6 d + 5 e + 4 f + ... = 0</code>" in text
+    assert text.count(f"<code>{long}</code>") == 1 and "<summary>" in text
+    assert "<summary>" not in shown.render(text="a - b = 0")
 
 
 def test_long_windows_leave_the_errors_of_single_sensors_to_explain():

@@ -6,6 +6,7 @@ import hashlib
 import re
 import shlex
 import tomllib
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
@@ -191,6 +192,15 @@ def test_a_fleet_leads_to_the_reports_of_its_units_and_tells_what_it_is_sorted_b
 
 
 @every_page
+def test_a_healthy_unit_of_observers_has_a_bar_that_does_not_warn():
+    def unit(observes):
+        found = Evidence("observer", 0, 10, {"MISSING": 1, "CONSISTENT": 0, "UNDECIDED": 9, "FAULT": 0})
+        summary = Summary("no fault", "all is well", replace(found, observes=observes))
+        return fleet_page([UnitResult(Unit("a", Path("m"), Path("r")), summary)], ("no fault", 0, "one"), "f")
+
+    assert 'class="calm"' in unit(True) and 'class="calm"' not in unit(False)
+
+
 def test_a_page_is_one_file_that_asks_nobody(make, tmp_path):
     text = make(tmp_path)
     assert foreign(text) == []

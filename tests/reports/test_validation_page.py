@@ -32,6 +32,7 @@ def test_it_shows_each_output_and_each_stretch(tmp_path):
     assert names == ["report.html"] and page.count('"kind": "enclosed"') == 2 and "two &amp; two" in page
     assert '<noscript><img alt="measured outputs' in page
     assert re.search(">y1<.*>20 s<.*>22 s<.*>3 s<.*>3<.*>4 bar<.*>0.75 to 1.25 bar<", page)
+    assert "UNDECIDED (not refuted)" in page, "what a healthy sample is"
     assert "<code>hint</code>" in page and "nobody can promise more" in page
 
 
