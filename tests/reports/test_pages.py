@@ -191,7 +191,6 @@ def test_a_fleet_leads_to_the_reports_of_its_units_and_tells_what_it_is_sorted_b
     assert 'id="filter" hidden' in page and "<option>fault</option>" in page
 
 
-@every_page
 def test_a_healthy_unit_of_observers_has_a_bar_that_does_not_warn():
     def unit(observes):
         found = Evidence("observer", 0, 10, {"MISSING": 1, "CONSISTENT": 0, "UNDECIDED": 9, "FAULT": 0})
@@ -201,6 +200,7 @@ def test_a_healthy_unit_of_observers_has_a_bar_that_does_not_warn():
     assert 'class="calm"' in unit(True) and 'class="calm"' not in unit(False)
 
 
+@every_page
 def test_a_page_is_one_file_that_asks_nobody(make, tmp_path):
     text = make(tmp_path)
     assert foreign(text) == []
