@@ -302,7 +302,7 @@ BAD_USAGE = {
     ),
     "alarm 3/2": ([*DETECT, "--alarm", "3/2"], "--alarm needs k/n with 1 <= k <= n, like 3/5, not '3/2'"),
     "alarm without n": ([*DETECT, "--alarm", "3"], "--alarm needs k/n"),
-    "unknown method": ([*DETECT, "--method", "best"], "--method must be one of joint, box, paving"),
+    "unknown method": ([*DETECT, "--method", "best"], "--method must be one of windows, box, paving"),
     "a method for other models": (
         [*DETECT, "--method", "linearized"],
         "'linearized' is for models with uncertain parameters",
