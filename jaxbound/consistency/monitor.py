@@ -239,13 +239,15 @@ class Monitor:
         seams, last = self._seams(own, time, state)
         if len(seams):
             begun = np.concatenate([begun, seams])
-        all_u, all_y = np.concatenate([state.u, own.u]), np.concatenate([state.y, own.y])
+        all_u, all_y, first = own.u, own.y, 0
+        if state.follows or count < s:  # else no window of these samples reaches back
+            all_u, all_y, first = np.concatenate([state.u, own.u]), np.concatenate([state.y, own.y]), s
         verdict = self._judged(all_u[:0], Judged(np.zeros(0, np.int8), np.zeros(0, self.dtype)))
         if count:
-            broken = begun + s  # counted in all samples
-            if state.follows < s:
+            broken = begun + first  # counted in all samples
+            if state.follows < first:
                 broken = np.concatenate([[s - int(state.follows)], broken])
-            verdict = self._judge(all_u, all_y, broken)
+            verdict = self._judge(all_u, all_y, broken, first)
         follows = self._follows(own, begun, state)
         keep = len(all_y) - s
         u, y = all_u[keep:].copy(), all_y[keep:].copy()
@@ -328,13 +330,13 @@ class Monitor:
         follows = count - begun.max() if len(begun) else count + state.follows
         return int(min(follows, self._test.horizon))
 
-    def _judge(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Verdict:
-        """Return the verdicts of all windows in samples that begin with the s before the first of them."""
-        s, size = self._test.horizon, None
-        if len(y) - s <= BURST * self._test.short:
+    def _judge(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray, first: int) -> Verdict:
+        """Return the verdicts of all samples from the first on; those before it are known already."""
+        size = None
+        if len(y) - first <= BURST * self._test.short:
             size = self._test.short
         judged = windows(self._test, u, y, starts, size=size)
-        return self._judged(u, judged, s)
+        return self._judged(u, judged, first)
 
     def _judged(self, u: np.ndarray, judged: Judged, first: int = 0) -> Verdict:
         """Return the verdicts from a sample on, with how far they lie outside the region of training."""

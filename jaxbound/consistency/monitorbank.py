@@ -270,9 +270,9 @@ class MonitorBank(Observer[BankState]):
             statuses.append(status)
             margins.append(margin)
         last = modes[-1] if len(modes) else carry.modes
-        together = combined(
-            np.stack(statuses, -1), np.stack(margins, -1), self.conditions_of, modes, self.complete
-        )
+        # columns that lie together: all that is made of them is made test by test
+        columns = np.stack(statuses).T, np.stack(margins).T
+        together = combined(*columns, self.conditions_of, modes, self.complete)
         return BankState(tuple(states), last), together
 
     @property
@@ -346,16 +346,21 @@ def combined(
             its condition fails. complete: whether one of them holds at each sample.
     """
     statuses = _claimed(statuses, conditions, modes, complete)
-    speaks, fault = statuses != Status.MISSING, statuses == Status.FAULT
-    status = np.full(len(statuses), Status.CONSISTENT, np.int8)
-    status[((statuses == Status.UNDECIDED) & speaks).any(1)] = Status.UNDECIDED
-    status[fault.any(1)] = Status.FAULT
-    status[~speaks.any(1)] = Status.MISSING
+    tests = range(len(conditions))
+    # the order of Status: a FAULT of any test is that of all, MISSING is where no test speaks
+    status = np.full(len(statuses), Status.MISSING, np.int8)
+    for i in tests:
+        np.maximum(status, statuses[:, i], out=status)
+    free = status != Status.FAULT
+    largest = np.finfo(margins.dtype).max
+    least, by = np.full(len(status), np.inf, margins.dtype), np.full(len(status), -1, np.int16)
+    for i in tests:
+        own = statuses[:, i]
+        eligible = (own == Status.FAULT) | (free & (own != Status.MISSING))
+        rank = np.where(eligible, np.fmin(margins[:, i], largest), np.inf)
+        less = rank < least
+        by[less], least = i, np.minimum(rank, least)
     counting = _counting(margins, conditions, modes, complete)
-    eligible = np.where(fault.any(1, keepdims=True), fault, speaks)
-    ranked = np.where(np.isnan(margins), np.inf, margins)
-    ranked = np.where(eligible, np.minimum(ranked, np.finfo(ranked.dtype).max), np.inf)
-    by = np.where(speaks.any(1), ranked.argmin(1), -1).astype(np.int16)
     return BankVerdicts(status, _least(counting), by, statuses, margins)
 
 
@@ -404,5 +409,7 @@ def _counting(
 
 def _least(margins: np.ndarray) -> np.ndarray:
     """Return the least margin (T,) of (T, k), NaN where there is none."""
-    least = np.fmin.reduce(margins, axis=1, initial=np.nan)
-    return np.asarray(least)
+    least = np.full(len(margins), np.nan, margins.dtype)
+    for column in margins.T:
+        np.fmin(least, column, out=least)
+    return least
