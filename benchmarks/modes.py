@@ -6,9 +6,9 @@ mode has matrices of its own, and noise of its own width. A run begins with the 
 mode at random; half of its errors are at their bounds. The log says the mode, but for stretches of a third of
 the samples, within which the mode stays the same, as docs/monitor.md has it.
 
-Then other runs, a tenth as many, get a bias of the room's sensor from a random sample on. Unknown modes are also asked
-of linear programs: each window of each mode that may hold has one, its states and errors the unknowns. And
-the log says another mode than the one that holds: what conditions that are wrong cost.
+And the log says another mode than the one that holds: what wrong conditions cost. Other runs, a tenth as
+many, get a bias of the room's sensor from a random sample on. Unknown modes are then asked of linear
+programs, too: each window of each mode that may hold has one, its states and errors the unknowns.
 
 python -m benchmarks.modes [--samples 1000000] [--programs 1000] [--seed 0]
 """
@@ -52,9 +52,7 @@ def tests():
         for horizon in HORIZONS:
             own = {"matrices": {"A": A, "B": B}}
             name = f"{when}, {horizon + 1} samples"
-            stated.append(
-                {"name": name, "horizon": horizon, "factor": factor, "when": when, "model": own}
-            )
+            stated.append({"name": name, "horizon": horizon, "factor": factor, "when": when, "model": own})
     return stated
 
 
@@ -113,7 +111,7 @@ def logged(u, y, mode, known):
 
 
 def biased(rng, y, size):
-    """Return (y, onset (runs,)) with a bias of the room's sensor, in bounds of its noise, from a sample on."""
+    """Return (y, onset (runs,)) with a bias of the room's sensor, as a multiple of its bound."""
     onset = rng.integers(STARTING, y.shape[1] // 2, len(y))
     late = np.arange(y.shape[1]) >= onset[:, None]
     wrong = y.copy()
