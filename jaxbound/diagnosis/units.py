@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxbound.certificates.interface import Judgement
 from jaxbound.consistency.drive import drive
+from jaxbound.consistency.interface import AUTO, EXACT, WindowTest, margins_for, window_count
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.relations.parity import ParityRelation
@@ -158,7 +159,7 @@ def _promising(relations: ParityRelation, converted: np.ndarray, judged: np.ndar
     signals, m = converted[:, stretch[few, None], at], relations.model.m
     u, y = np.split(signals, [m], -1)
     again = Recording(u, y, NOWHERE, relations.model.inputs, relations.model.outputs)
-    status = drive(relations.test("joint", signals.dtype), again).status[..., -1]
+    status = drive(_test(relations, again), again).status[..., -1]
     outside: np.ndarray = np.count_nonzero(status != Status.CONSISTENT, axis=1)
     return outside <= room
 
@@ -170,13 +171,22 @@ def _consistent(relations: ParityRelation, signals: np.ndarray, judged: np.ndarr
         judged: (stretches, length) bool, the windows that count. No other is tested: one that lacks samples
             would need a frame of its own, in fractions.
     """
-    model, test = relations.model, relations.test("joint", signals.dtype)
+    model = relations.model
     found = np.zeros(signals.shape[:-1], bool)
     for number, counts in enumerate(judged):
         u, y = np.split(signals[:, number], [model.m], -1)
         again = Recording(u, y, _seams(counts, relations.horizon), model.inputs, model.outputs)
-        found[:, number] = drive(test, again).status == Status.CONSISTENT
+        found[:, number] = drive(_test(relations, again), again).status == Status.CONSISTENT
     return found
+
+
+def _test(relations: ParityRelation, given: Recording) -> WindowTest:
+    """Return the test by which `detect` would judge samples, so that nothing is compiled for a hint alone."""
+    test = relations.test("joint", given.y.dtype)
+    count = window_count(given.y.shape[:-1], test.horizon)
+    if margins_for(AUTO, count) == EXACT:
+        return test.measured()
+    return test
 
 
 def _seams(counts: np.ndarray, horizon: int) -> np.ndarray:

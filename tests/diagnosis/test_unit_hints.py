@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import jaxbound as jb
-from jaxbound.consistency import exchange
+from jaxbound.consistency import exchange, interface
 from jaxbound.diagnosis import units
 
 HORIZON, NIGHT = 40, 60
@@ -50,6 +50,16 @@ def test_windows_without_a_sample_are_not_tested_again(relations, rng, monkeypat
     monkeypatch.setattr(exchange, "reframe", none)
     (hint,) = units.unit_hints(result)
     assert "T1 and T2 look like kelvin where the model has degC" in hint
+
+
+def test_a_hint_compiles_nothing_that_the_verdicts_did_not_need(relations, rng, monkeypatch):
+    def none(*about):
+        raise AssertionError("easy windows have kernels of their own")
+
+    monkeypatch.setattr(interface, "MANY", 2**17)  # tests have it lower
+    monkeypatch.setattr(exchange, "easy_by", none)
+    result = jb.detect(relations, *day(rng, relations, 273.15), starts=[NIGHT])
+    assert len(units.unit_hints(result)) == 1
 
 
 def test_a_wrong_conversion_costs_a_few_windows(relations, rng, monkeypatch):
