@@ -97,7 +97,7 @@ def demo_run(key: jax.Array, runs: int | None = None) -> Trajectory:
 def detection_rates(
     runs: int, key: jax.Array, progress: Callable[[float], object] | None = None
 ) -> tuple[dict[str, tuple[float, ...]], tuple[int, int]]:
-    """Count how often each fault is detected, by the joint test and by testing each residual alone.
+    """Count how often each fault is detected, by all residuals together and by each of them alone.
 
     Args:
         runs: how many simulated runs. key: a jax.random key. progress: called with the share of the work
@@ -130,7 +130,9 @@ def detection_rates(
 def rate_table(rates: dict[str, tuple[float, ...]]) -> list[tuple[str, ...]]:
     """Return the rates beside the reference as rows of text, the header first."""
     about = {"A": "A: tolerance of y2 16 %", "B": "B: noise of y1 0.35", "C": "C: bias of y1 0.2"}
-    rows: list[tuple[str, ...]] = [("fault", "joint test", "reference", "each residual alone", "reference")]
+    rows: list[tuple[str, ...]] = [
+        ("fault", "all residuals together", "reference", "each residual alone", "reference")
+    ]
     for name, (joint, box) in rates.items():
         rows.append(
             (
@@ -183,7 +185,7 @@ def sections(
             "How often are these faults seen?",
             None,
             f"Share of windows wholly inside each fault that are proved faulty, over {runs} simulated runs, "
-            f"beside the rates of an independent program over 5000 runs. False alarms of the joint test: "
+            f"beside the rates of an independent program over 5000 runs. False alarms of all together: "
             f"{false_alarms} in {clean} windows without a fault.",
             rate_table(rates),
         ),
