@@ -13,7 +13,7 @@ from typing import TypeAlias
 from jaxbound.certificates.exact_window import ExactWindow, Explanation, stretched
 from jaxbound.exact.linalg import Vector
 
-__all__ = ["SensorError", "rounded_witness", "smallest_error"]
+__all__ = ["SensorError", "rounded_up", "rounded_witness", "smallest_error"]
 
 DIGITS = (4, 8, 12, 17)
 ZERO = Fraction(0)
@@ -48,7 +48,7 @@ def smallest_error(window: ExactWindow, i: int, explanation: Explanation) -> Sen
         best = window.with_error(i, size).solve(best.reference)
     if not size:
         return SensorError(i, size, h)
-    enough = _rounded_up(size)
+    enough = rounded_up(size)
     wider = window.with_error(i, enough)
     return SensorError(i, size, h, enough, rounded_witness(wider, wider.solve(best.reference).z))
 
@@ -115,7 +115,7 @@ def _slopes(window: ExactWindow, h: Vector, i: int) -> tuple[Slopes, Fraction]:
     return terms, steady
 
 
-def _rounded_up(x: Fraction, digits: int = 4) -> Fraction:
+def rounded_up(x: Fraction, digits: int = 4) -> Fraction:
     """Return a number of few digits that is not below x > 0."""
     unit = Fraction(10) ** (len(str(x.numerator)) - len(str(x.denominator)) - digits)
     return -(-x // unit) * unit

@@ -7,7 +7,7 @@ training, the span of its sensor's readings in the window.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
 
@@ -18,7 +18,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.text.names import listed
 from jaxbound.text.objects import readable
 
-__all__ = ["Diagnosis", "candidates_of", "diagnose_window", "size_text", "why_excluded"]
+__all__ = ["Diagnosis", "amount", "candidates_of", "diagnose_window", "size_text", "why_excluded"]
 
 Sizes = Mapping[str, Fraction | None]
 
@@ -36,6 +36,9 @@ class Diagnosis:
         excluded: a FaultSize for each that does not, a proof. shares: {fault: its size beside a usual one},
             of those whose usual size is known.
         unweighed: {fault: why it was not weighed}.
+        partly: where none explains every window, {fault: the windows that it alone explains}.
+        outside: of windows that read inputs outside the region of training the farthest, in words; "": none
+            does, or there is no region. Sizes and proofs then rest on a model that is extrapolated.
     """
 
     model: LinearSystem
@@ -45,6 +48,8 @@ class Diagnosis:
     excluded: tuple[FaultSize, ...]
     shares: Mapping[str, Fraction]
     unweighed: Mapping[str, str]
+    partly: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    outside: str = ""
 
     @property
     def sizes(self) -> Sizes:
@@ -61,7 +66,7 @@ class Diagnosis:
     def __str__(self) -> str:
         """Return the answer in a sentence or two."""
         if not self.explains:
-            return f"none of the named faults explains this{self._left_over()}"
+            return f"none of the named faults explains this{self._partly()}{self._left_over()}"
         answer = f"{self.first} explains it (the smallest)"
         others = []
         for weighed in self.explains[1:]:
@@ -72,10 +77,22 @@ class Diagnosis:
             answer += f"; excluded: {listed((weighed.fault.name for weighed in self.excluded), str)}"
         return answer + self._left_over()
 
-    def _left_over(self) -> str:
-        if not self.unweighed:
+    def _partly(self) -> str:
+        counts = []
+        for name, windows in self.partly.items():
+            counts.append(f"{name} {len(windows)}")
+        if not counts:
             return ""
-        return f"; not weighed: {listed((f'{name} ({why})' for name, why in self.unweighed.items()), str)}"
+        return f" in all {len(self.windows)} windows that were looked at; of these {listed(counts, str)}"
+
+    def _left_over(self) -> str:
+        rest = ""
+        if self.unweighed:
+            whys = [f"{name} ({why})" for name, why in self.unweighed.items()]
+            rest = f"; not weighed: {listed(whys, str)}"
+        if self.outside:
+            rest += f"; sizes and exclusions rest on extrapolation, {self.outside}"
+        return rest
 
     def _head(self) -> str:
         return f"{type(self).__name__} of {len(self.windows)} of {self.of} windows"
@@ -106,6 +123,8 @@ class Diagnosis:
             "explains": explains,
             "excluded": excluded,
             "not_weighed": dict(self.unweighed),
+            "partly": {name: list(windows) for name, windows in self.partly.items()},
+            "outside": self.outside,
         }
 
     def and_of(self, other: "Diagnosis") -> "Diagnosis":
@@ -134,7 +153,8 @@ class Diagnosis:
         explains = [weighed for weighed in explains if weighed.fault.name not in unweighed]
         windows = tuple(sorted({*self.windows, *other.windows}))
         ranked = _ranked(explains, shares)
-        return Diagnosis(self.model, windows, max(self.of, other.of), ranked, kept, shares, unweighed)
+        of, outside = max(self.of, other.of), self.outside or other.outside
+        return Diagnosis(self.model, windows, of, ranked, kept, shares, unweighed, outside=outside)
 
 
 def candidates_of(model: LinearSystem) -> tuple[NamedFault, ...]:
@@ -219,19 +239,20 @@ def size_text(model: LinearSystem, weighed: FaultSize) -> str:
     """Return the size of a fault that explains a window, with its unit and its signal."""
     fault, size = weighed.fault, weighed.size
     assert size is not None
-    return _amount(model, fault, size)
+    return amount(model, fault, size)
 
 
-def _amount(model: LinearSystem, fault: NamedFault, size: Fraction) -> str:
+def amount(model: LinearSystem, fault: NamedFault, size: Fraction) -> str:
+    """Return a size of a fault in words, with its unit and its signal."""
     if fault.kind == "gain":
         return f"{100 * float(size):+.3g} % of {fault.signal}"
     unit = fault.unit
     if unit is None:
         unit = model.unit(fault.signal)
-    amount = f"{float(size):+.3g} {unit}".rstrip()
+    text = f"{float(size):+.3g} {unit}".rstrip()
     if fault.states:
-        amount += " a sample"
-    text = f"{amount} of {fault.signal}"
+        text += " a sample"
+    text += f" of {fault.signal}"
     if fault.times is not None:
         text += f", times {fault.times}"
     return text
@@ -240,6 +261,6 @@ def _amount(model: LinearSystem, fault: NamedFault, size: Fraction) -> str:
 def why_excluded(model: LinearSystem, weighed: FaultSize) -> str:
     """Return why a fault does not explain a window, in words."""
     if weighed.beyond is not None:
-        needed = _amount(model, weighed.fault, weighed.beyond)
+        needed = amount(model, weighed.fault, weighed.beyond)
         return f"excluded: it would take {needed}, which is beyond what is stated of it"
     return "excluded: no size of it, from no sample on, explains this"

@@ -6,15 +6,20 @@ collected: where those that are there leave an x, the window with the x nearest 
 what is violated there is one more relation, for all faults and all onsets of this window. The end is an x
 that explains the window while no smaller one does, or two relations that leave no x: a proof. There are
 finitely many relations that a window can violate most, so there is an end.
+
+Where a square of x moves the window (`cool` and `cool2`), x goes away from 0 on either side, over whatever a
+relation rules out: r - x h first - x^2 h second leaves x up to a root, and from another on. Roots are rounded
+away from 0 in the last of 12 digits, so such a size explains, and none smaller by more than that does.
 """
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from fractions import Fraction
+from math import isqrt
 
-from jaxbound.certificates.blame import rounded_witness
+from jaxbound.certificates.blame import rounded_up, rounded_witness
 from jaxbound.certificates.exact_window import ExactWindow, Explanation
-from jaxbound.certificates.supposed import push_of, size_at, unknown_at
+from jaxbound.certificates.supposed import Push, limits_of, push_of, size_at, unknown_at
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Vector
 from jaxbound.models.named_faults import NamedFault
@@ -24,6 +29,8 @@ __all__ = ["FaultSize", "Scale"]
 ZERO, ONE = Fraction(0), Fraction(1)
 MOST_GAIN = 10**6
 """The largest gain error of a sensor that is looked at: at an infinite one nothing of the reading is left."""
+DIGITS = 12
+"""Of a root that is no fraction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,19 +64,19 @@ class Cut:
     residual: Fraction
     width: Fraction
 
+    def share(self, push: Vector) -> Fraction:
+        """Return h push."""
+        return linalg.dot(self.weights, [push[j] for j in self.places])
+
     def leaves(self, push: Vector) -> tuple[Fraction, Fraction] | None:
-        """Return the (lowest, highest) x that the relation leaves, None for none; equal signs of infinity do
-        not occur: a relation that x does not touch leaves all or none.
+        """Return the (lowest, highest) x that the relation leaves, None where x does not touch it: it then
+        leaves all or none.
         """
-        share = linalg.dot(self.weights, [push[j] for j in self.places])
+        share = self.share(push)
         if not share:
             return None
         ends = (self.residual - self.width) / share, (self.residual + self.width) / share
         return min(ends), max(ends)
-
-    def touched_by(self, push: Vector) -> bool:
-        """Return whether an x changes the relation."""
-        return bool(linalg.dot(self.weights, [push[j] for j in self.places]))
 
 
 @dataclass(eq=False)
@@ -97,18 +104,46 @@ class Range:
             return self.high
         return ZERO
 
-    def meet(self, ends: tuple[Fraction, Fraction], by: Cut) -> None:
-        """Keep the x that a relation leaves too."""
-        low, high = ends
-        if self.low is None or low > self.low:
+    def meet(self, low: Fraction | None, high: Fraction | None, by: Cut | None) -> None:
+        """Keep the x between two ends too, those that a relation leaves; None: those that are stated."""
+        if low is not None and (self.low is None or low > self.low):
             self.low, self.by_low = low, by
-        if self.high is None or high < self.high:
+        if high is not None and (self.high is None or high < self.high):
             self.high, self.by_high = high, by
+
+    def side(self, sign: int) -> "Range":
+        """Return the part of it with x of one sign."""
+        part = Range(self.low, self.high)
+        if sign > 0:
+            part.meet(ZERO, None, None)
+        else:
+            part.meet(None, ZERO, None)
+        return part
+
+    def farthest(self, sign: int) -> Fraction | None:
+        """Return the magnitude of its far end on one side of 0; None: without end."""
+        end = self.high
+        if sign < 0:
+            end = self.low
+        if end is None:
+            return None
+        return abs(end)
 
     @property
     def proof(self) -> tuple[Vector, ...]:
         """The relations that set its ends."""
         return tuple(cut.h for cut in (self.by_low, self.by_high) if cut is not None)
+
+
+@dataclass(frozen=True, eq=False)
+class Least:
+    """The x nearest to 0 that explains a window. Fields: x; z: unknowns with it, None where none explains;
+    proof: relations that leave none.
+    """
+
+    x: Fraction
+    z: Vector | None
+    proof: tuple[Vector, ...] = ()
 
 
 @dataclass(eq=False)
@@ -140,39 +175,70 @@ class Scale:
         proofs = []
         for since in onsets:
             push = push_of(fault, self.window, since)
+            limits = limits_of(fault, self.window, since)
             for ends in _ranges(fault):
-                left, z = self._least(push, ends)
-                if z is None:
-                    proofs.append(left.proof)
+                ends.meet(*limits, None)
+                least = self._least(push, ends)
+                if least.z is None:
+                    proofs.append(least.proof)
                     continue
-                size = size_at(fault, left.nearest)
+                size = size_at(fault, least.x)
                 if best is None or abs(size) < best[0]:
-                    best = abs(size), left.nearest, since, z
+                    best = abs(size), least.x, since, least.z
             if best is None and _is_bounded(fault):
-                free, z = self._least(push, Range(*_widest(fault)))
-                size = size_at(fault, free.nearest)
-                if z is not None and (beyond is None or abs(size) < abs(beyond)):
+                free = self._least(push, Range(*_widest(fault)))
+                size = size_at(fault, free.x)
+                if free.z is not None and (beyond is None or abs(size) < abs(beyond)):
                     beyond = size
         if best is None:
             return FaultSize(fault, None, None, beyond, tuple(proofs))
         _, x, since, z = best
-        here = self.window.moved(linalg.scale(push_of(fault, self.window, since), x))
+        here = self.window.moved(push_of(fault, self.window, since).at(x))
         return FaultSize(fault, size_at(fault, x), since, None, tuple(proofs), rounded_witness(here, z))
 
-    def _least(self, push: Vector, left: Range) -> tuple[Range, Vector | None]:
-        """Return (the x that relations leave, unknowns that explain the window with the one nearest to 0, or
-        None).
-        """
+    def _least(self, push: Push, ends: Range) -> "Least":
+        """Return the x nearest to 0 of a range that explains the window."""
+        if push.second:
+            sides = []
+            for sign in (1, -1):
+                side = ends.side(sign)
+                if not side.empty:
+                    sides.append(self._curved(push, side, sign))
+            explaining = [side for side in sides if side.z is not None]
+            if explaining:
+                return min(explaining, key=lambda least: abs(least.x))
+            return Least(ZERO, None, tuple(h for side in sides for h in side.proof))
+        left = ends
         for cut in self.cuts:
-            if not _keeps(cut, push, left):
-                return left, None
+            if not _keeps(cut, push.first, left):
+                return Least(ZERO, None, left.proof)
         while not left.empty:
-            best = self.window.moved(linalg.scale(push, left.nearest)).solve(self.explanation.reference)
+            best = self.window.moved(push.at(left.nearest)).solve(self.explanation.reference)
             if best.factor <= 1:
-                return left, best.z
-            if not _keeps(self._add(best.h), push, left):
+                return Least(left.nearest, best.z)
+            if not _keeps(self._add(best.h), push.first, left):
                 break
-        return left, None
+        return Least(ZERO, None, left.proof)
+
+    def _curved(self, push: Push, side: Range, sign: int) -> "Least":
+        """Return the same on one side of 0, where x is squared, going away from 0."""
+        size, most = abs(side.nearest), side.farthest(sign)
+        used: dict[int, Vector] = {}
+        while True:
+            here = size
+            for i, cut in enumerate(self.cuts):
+                farther = _next_left(cut, push, sign, size)
+                if farther != size:
+                    used[i] = cut.h
+                if farther is None or (most is not None and farther > most):
+                    return Least(ZERO, None, tuple(used.values()))
+                size = farther
+            if size > here:
+                continue
+            best = self.window.moved(push.at(sign * size)).solve(self.explanation.reference)
+            if best.factor <= 1:
+                return Least(sign * size, best.z)
+            self._add(best.h)
 
     def _add(self, h: Vector) -> Cut:
         """Collect one more relation."""
@@ -187,7 +253,7 @@ def _keeps(cut: Cut, push: Vector, left: Range) -> bool:
     """Return whether a relation leaves some of the x that are left; they become fewer."""
     ends = cut.leaves(push)
     if ends is not None:
-        left.meet(ends, cut)
+        left.meet(*ends, cut)
         return not left.empty
     if abs(cut.residual) <= cut.width:
         return True
@@ -195,8 +261,46 @@ def _keeps(cut: Cut, push: Vector, left: Range) -> bool:
     return False
 
 
+def _next_left(cut: Cut, push: Push, sign: int, size: Fraction) -> Fraction | None:
+    """Return the first |x| from a size on, on one side of 0, that a relation leaves; None: there is none."""
+    slope, bend = sign * cut.share(push.first), cut.share(push.second)
+    off = cut.residual - slope * size - bend * size * size
+    if abs(off) <= cut.width:
+        return size
+    # the residual has to come to the end of the width that is nearer
+    end = cut.residual - cut.width
+    if off < 0:
+        end = cut.residual + cut.width
+    return _root_above(bend, slope, -end, size)
+
+
+def _root_above(a: Fraction, b: Fraction, c: Fraction, low: Fraction) -> Fraction | None:
+    """Return the first root of a s^2 + b s + c above low >= 0, rounded up; None where there is none."""
+    if not a:
+        if not b or -c / b <= low:
+            return None
+        return -c / b
+    square = b * b - 4 * a * c
+    if square < 0:
+        return None
+    # sqrt(p / q) = sqrt(p q) / q, of which isqrt gives the whole part
+    fine = 10 ** (2 * DIGITS)
+    whole = isqrt(square.numerator * square.denominator * fine * fine)
+    roots = []
+    for sign in (1, -1):
+        ends = []
+        for sqrt in (whole, whole + 1):
+            ends.append((sign * Fraction(sqrt, square.denominator * fine) - b) / (2 * a))
+        roots.append(max(ends))
+    above = [root for root in roots if root > low]
+    if not above:
+        return None
+    return rounded_up(min(above), DIGITS)
+
+
 def _is_bounded(fault: NamedFault) -> bool:
-    return fault.sign is not None or fault.least is not None or fault.most is not None
+    stated = (fault.sign, fault.least, fault.most, fault.between)
+    return any(value is not None for value in stated)
 
 
 def _widest(fault: NamedFault) -> tuple[Fraction | None, Fraction | None]:
@@ -208,7 +312,7 @@ def _widest(fault: NamedFault) -> tuple[Fraction | None, Fraction | None]:
 
 def _ranges(fault: NamedFault) -> list[Range]:
     """Return the x that the sign and the bounds of a size leave: one range, or one on each side of 0."""
-    if not _is_bounded(fault):
+    if fault.sign is None and fault.least is None and fault.most is None:
         return [Range(*_widest(fault))]
     least = fault.least or ZERO
     signs = [1, -1]

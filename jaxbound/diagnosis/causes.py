@@ -9,6 +9,7 @@ import numpy as np
 from jaxbound.certificates.diagnosis import Diagnosis
 from jaxbound.certificates.interface import WindowCertificate
 from jaxbound.models.named_faults import NamedFault
+from jaxbound.models.region import Departure
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["Judged", "diagnose"]
@@ -28,6 +29,10 @@ class Judged(Protocol):
     @property
     def margin(self) -> np.ndarray:
         """(..., T)."""
+
+    @property
+    def departure(self) -> Departure | None:
+        """(..., T), from the region of training; None: it is not known."""
 
     def explain(self, at: int | tuple[int, ...]) -> WindowCertificate:
         """Return the certificate of the window that ends at a sample; of a batch `at` is a tuple."""
@@ -54,18 +59,33 @@ def diagnose(
     for k in fault[spread].tolist():
         if k not in chosen and len(chosen) < MOST:
             chosen.append(k)
-    found: Diagnosis | None = None
-    left = faults
-    for k in chosen:
+
+    def one(k: int, candidates: Sequence[NamedFault] | None) -> Diagnosis:
         at: int | tuple[int, ...] = k
         if recording:
             at = (*recording, k)
-        one = result.explain(at).diagnose(left)
-        if found is not None:
-            one = found.and_of(one)
-        found = one
-        left = [weighed.fault for weighed in found.explains]
-        if not left:
+        return result.explain(at).diagnose(candidates)
+
+    found = one(chosen[0], faults)
+    for k in chosen[1:]:
+        if not found.explains:
             break
-    assert found is not None
-    return replace(found, of=len(fault))
+        found = found.and_of(one(k, [weighed.fault for weighed in found.explains]))
+    found = replace(found, of=len(fault), outside=_outside(result.departure, recording, chosen))
+    if found.explains or len(chosen) == 1:
+        return found
+    partly: dict[str, tuple[int, ...]] = {}
+    for k in sorted(chosen):
+        for weighed in one(k, faults).explains:
+            partly[weighed.fault.name] = (*partly.get(weighed.fault.name, ()), k)
+    most = sorted(partly, key=lambda name: -len(partly[name]))
+    return replace(found, windows=tuple(sorted(chosen)), partly={name: partly[name] for name in most})
+
+
+def _outside(departure: Departure | None, recording: tuple[int, ...], chosen: Sequence[int]) -> str:
+    """Return the words on the window that lies farthest outside the region of training; "" for none."""
+    if departure is None:
+        return ""
+    windows = departure.cut(recording).cut(np.array(chosen))
+    share = np.nan_to_num(windows.share, nan=0.0, posinf=np.inf)
+    return windows.words()[int(np.argmax(share))]

@@ -355,6 +355,7 @@ FIELDS = (
     Field("fault", "sign", TEXT, _named_fault("sign")),
     Field("fault", "least", NUMBER, _named_fault("least")),
     Field("fault", "most", NUMBER, _named_fault("most")),
+    Field("fault", "between", RANGE, _named_fault("between")),
     Field("fault", "unit", TEXT, _named_fault("unit")),
     *(Field("matrices", letter, MATRIX, _matrix(letter)) for letter in "ABCD"),
     Field("matrices", "G", MATRIX, Elsewhere(_state_disturbances)),

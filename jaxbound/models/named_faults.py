@@ -42,11 +42,13 @@ class NamedFault:
             entry of B that is another (states={"x1": 1}, times="heat").
         sign: "+" or "-": the size has this sign only. None: either.
         least, most: the magnitude lies between these, in the unit of the size; None: 0, and without end.
+        between: (lo, hi), of an actuator: what it does lies between these at each sample, whatever the size:
+            a valve is never less than shut.
         unit: of the size, for reports; None: that of the signal.
 
     Raises:
         ValueError: no place or several, a kind that the place does not have, a sign that is none, numbers
-            that are not 0 <= least <= most.
+            that are not 0 <= least <= most or lo <= hi.
 
     Example:
         >>> NamedFault("heating valve leaks", input="heat", sign="+").kind
@@ -62,6 +64,7 @@ class NamedFault:
     sign: str | None
     least: Fraction | None
     most: Fraction | None
+    between: tuple[Fraction, Fraction] | None
     unit: str | None
 
     def __init__(
@@ -76,6 +79,7 @@ class NamedFault:
         sign: str | None = None,
         least: Number | None = None,
         most: Number | None = None,
+        between: Sequence[Number] | None = None,
         unit: str | None = None,
     ) -> None:
         if not isinstance(name, str) or not name.strip():
@@ -98,6 +102,8 @@ class NamedFault:
         smallest, largest = _magnitude(f"least of {about}", least), _magnitude(f"most of {about}", most)
         if smallest is not None and largest is not None and smallest > largest:
             raise ValueError(f"{about} needs least <= most, not {float(smallest):g} and {float(largest):g}")
+        if between is not None and input is None:
+            raise ValueError(f"between of {about} is of an actuator: give it with input")
         vars(self).update(
             name=name,
             output=output,
@@ -108,6 +114,7 @@ class NamedFault:
             sign=sign,
             least=smallest,
             most=largest,
+            between=_ends(f"between of {about}", between),
             unit=unit,
         )
 
@@ -149,6 +156,18 @@ def _magnitude(field: str, stated: Number | None) -> Fraction | None:
     if bound < 0:
         raise ValueError(f"{field} must be >= 0, a magnitude, not {stated!r}")
     return bound
+
+
+def _ends(field: str, stated: Sequence[Number] | None) -> tuple[Fraction, Fraction] | None:
+    """Return the ends of what an actuator does exactly, None where nothing is stated."""
+    if stated is None:
+        return None
+    if isinstance(stated, str) or len(stated) != 2:
+        raise ValueError(f"{field} needs two numbers, lo <= hi, not {stated!r}")
+    lo, hi = number(field, stated[0]), number(field, stated[1])
+    if lo > hi:
+        raise ValueError(f"{field} needs lo <= hi, not {float(lo):g} and {float(hi):g}")
+    return lo, hi
 
 
 def named_faults(

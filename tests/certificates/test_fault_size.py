@@ -232,3 +232,79 @@ def test_what_cannot_be_weighed_says_why():
     c = certify(jb.parity_relations(m, 1), np.ones((2, 1)), np.array([[1.0], [9]]))
     with pytest.raises(NotImplementedError, match="a sample of u is missing"):
         Scale(c.window, c.explanation).weigh(NamedFault("t", output="y1", times="u"))
+
+
+SQUARE = dict(D=[[1, 1]], inputs=["cool", "cool2"], columns={"cool2": "= cool*cool"})
+
+
+def of_square(u=0.5, y=1.5, **stated):
+    m = jb.LinearSystem(**{**STATIC, **SQUARE})
+    c = certify(jb.parity_relations(m, 0), np.array([[u, u * u]]), np.array([[y]]))
+    return Scale(c.window, c.explanation).weigh(NamedFault("o", input="cool", **stated))
+
+
+def test_an_actuator_moves_what_is_computed_from_its_column():
+    # f + (0.5 + f)^2 - 0.5^2 = 2 f + f^2 has to reach 1.5 - 0.75 - 0.1, from above or from below
+    assert abs(float(of_square().size) - (1.65**0.5 - 1)) < 1e-11
+    assert abs(float(of_square(sign="-").size) + 1.65**0.5 + 1) < 1e-11
+    assert of_square(y=-0.4).size is None  # 2 f + f^2 is not below -1
+
+
+def test_what_an_actuator_can_do_excludes_a_size():
+    assert of_square(between=[0, 0.7]).size is None
+    assert abs(float(of_square(between=[0, 0.7]).beyond) - (1.65**0.5 - 1)) < 1e-11
+    assert of_square(between=[-3, 0.7]).size < -2  # the other side of the square
+
+
+def test_an_output_that_is_computed_from_the_column_was_recorded_wrong():
+    # q = fan T = 2, fan = 0.5: 2 + 4 f beside 2 (0.5 + f), within 0.1
+    found = weighed(NamedFault("o", input="u"), u=0.5, y=2.0, D=[[2]], columns={"y1": "= u*T"})
+    assert abs(found.size + Fraction(9, 20)) < Fraction(1, 10**12)
+
+
+@pytest.mark.parametrize("column", ["= sqrt(u)", "= u**3", "= u*T + 1"])
+def test_a_column_that_is_not_followed_is_refused(column):
+    with pytest.raises(NotImplementedError, match="y1 is computed from the same column"):
+        weighed(NamedFault("o", input="u"), columns={"y1": column})
+
+
+def explained(A, u, y, noise, x, since):
+    """Return whether a first state explains y with the column c + x from a sample on: x+ = A x + c + c^2 / 2,
+    each reading leaves an interval of first states.
+    """
+    low, high, drive, power = None, None, Fraction(0), Fraction(1)
+    for k, reading in enumerate(y):
+        ends = (reading - noise - drive) / power, (reading + noise - drive) / power
+        low = ends[0] if low is None else max(low, ends[0])
+        high = ends[1] if high is None else min(high, ends[1])
+        c = u[k] + x * (k >= since)
+        drive, power = A * drive + c + c * c / 2, power * A
+    return low <= high
+
+
+def test_sizes_that_are_squared_are_those_of_fractions(rng):
+    weighed = excluded = 0
+    model = jb.LinearSystem([["1/2"]], [[1, "1/2"]], [[1]], noise="1/10", **SQUARE | {"D": None})
+    relations = jb.parity_relations(model, 4)
+    for _ in range(6):
+        u = rng.integers(0, 16, 5) / 8
+        since, f, x, y = int(rng.integers(0, 3)), rng.uniform(-1, 1), rng.normal(), []
+        for k in range(5):
+            y.append(round(x + rng.uniform(-0.05, 0.05) + (k == 4) * rng.choice([0, 0, 0.5]), 3))
+            c = u[k] + f * (k >= since)
+            x = x / 2 + c + c * c / 2
+        certificate = certify(relations, np.stack([u, u * u], 1), np.array(y)[:, None])
+        if certificate.proves != Status.FAULT:
+            continue
+        scale = Scale(certificate.window, certificate.explanation)
+        size = scale.weigh(NamedFault("o", input="cool"), (since,)).size
+        case = Fraction(1, 2), list(map(Fraction, u)), list(map(Fraction, y)), Fraction(1, 10)
+        if size is None:
+            excluded += 1
+            tried = [Fraction(i, 50) for i in range(-200, 201)]
+        else:
+            weighed += 1
+            assert explained(*case[:3], Fraction("0.1000000001"), size, since)
+            tried = [size * i / 50 * sign for i in range(50) for sign in (1, -1)]
+        assert not any(explained(*case, x, since) for x in tried)
+    assert weighed and excluded

@@ -10,6 +10,7 @@ FAULTS = (
     jb.NamedFault("heating valve leaks", input="heat", sign="+", most="1/3"),
     jb.NamedFault("leak", states={"in tank": "-1/3"}, times="heat", unit="kg"),
     jb.NamedFault("scale of T", output="T", kind="gain", least=0.1),
+    jb.NamedFault("valve sticks", input="heat", between=[0, "1/3"]),
 )
 
 
@@ -53,6 +54,8 @@ def test_states_may_be_a_list_of_names(tmp_path):
         ('input = "heat"\nleast = 2\nmost = 1', "fault 'x' needs least <= most, not 2 and 1"),
         ('input = "heat"\nmost = -1', "most of fault 'x' must be >= 0"),
         ('input = "heat"\nkind = "gain"\ntimes = "heat"', "a gain multiplies its own signal"),
+        ('output = "T"\nbetween = [0, 1]', "between of fault 'x' is of an actuator: give it with input"),
+        ('input = "heat"\nbetween = [1, 0]', "between of fault 'x' needs lo <= hi, not 1 and 0"),
         ('states = {"in tank" = 0}', "the share of 'in tank' is 0"),
     ],
 )

@@ -1,0 +1,34 @@
+"""The cause of an alarm: faults that explain each of its windows, or only some; extrapolation is said."""
+
+import numpy as np
+import pytest
+
+import jaxbound as jb
+
+FAULTS = jb.NamedFault("u is off", input="u"), jb.NamedFault("y2 is off", output="y2")
+
+
+@pytest.fixture(scope="module")
+def two_faults():
+    """Return a Result of one alarm: first u is off by 1, which y1 and y2 show, then y2 alone by 2."""
+    model = jb.LinearSystem(
+        None, None, None, [[1], [1]], noise=0.1, inputs=["u"], faults=FAULTS, ranges={"u": [0, 1]}
+    )
+    u = np.array([[0.5], [0.5], [0.5], [3.0], [0.5]])
+    y = np.array([[0.5, 0.5], [1.5, 1.5], [1.5, 1.5], [3.0, 5.0], [0.5, 2.5]])
+    return jb.detect(jb.parity_relations(model, 0), u, y)
+
+
+def test_faults_that_explain_some_of_the_windows_are_counted(two_faults):
+    found = two_faults.diagnose(1, 4)
+    assert not found.explains and found.windows == (1, 2, 3, 4)
+    assert found.partly == {"u is off": (1, 2), "y2 is off": (3, 4)}
+    said = "none of the named faults explains this in all 4 windows that were looked at; of these u is off 2"
+    assert str(found).startswith(said)
+
+
+def test_a_cause_that_rests_on_extrapolation_says_so(two_faults):
+    assert two_faults.diagnose(1, 2).outside == ""
+    found = two_faults.diagnose(3, 4)
+    assert found.first == "y2 is off: +1.9 of y2"
+    assert str(found).endswith("rest on extrapolation, u at 3, training up to 1")
