@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from jaxbound.diagnosis.compensation import compensation
     from jaxbound.diagnosis.detectability import detectable
     from jaxbound.diagnosis.detection import detect, margins
+    from jaxbound.diagnosis.isolability import isolability
     from jaxbound.diagnosis.isolation import evaluate
     from jaxbound.diagnosis.memory import suggest_lags
     from jaxbound.diagnosis.monitoring import monitor
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
     from jaxbound.plots.plot import plot
     from jaxbound.recordings.read import read
     from jaxbound.recordings.recording import Recording
-    from jaxbound.relations.decoupling import isolability, signatures, structured_relations
+    from jaxbound.relations.decoupling import signatures, structured_relations
     from jaxbound.relations.parity import parity_relations
     from jaxbound.relations.redundancy import redundancy
     from jaxbound.relations.residual import residual
@@ -122,6 +123,7 @@ _HOMES = {
     "diagnosis.compensation": "compensation",
     "diagnosis.detectability": "detectable",
     "diagnosis.detection": "detect margins",
+    "diagnosis.isolability": "isolability",
     "diagnosis.isolation": "evaluate",
     "diagnosis.memory": "suggest_lags",
     "diagnosis.monitoring": "monitor",
@@ -143,7 +145,7 @@ _HOMES = {
     "plots.plot": "plot",
     "recordings.read": "read",
     "recordings.recording": "Recording",
-    "relations.decoupling": "isolability signatures structured_relations",
+    "relations.decoupling": "signatures structured_relations",
     "relations.parity": "parity_relations",
     "relations.redundancy": "redundancy",
     "relations.residual": "residual",

@@ -8,11 +8,12 @@ from typing import Any
 from jaxbound.cli.terminal import show
 from jaxbound.diagnosis.detectability import detectable
 from jaxbound.diagnosis.hints import bound_hints
+from jaxbound.diagnosis.isolability import FaultIsolability, isolability
 from jaxbound.models.statedtests import StatedTest
 from jaxbound.models.system import LinearSystem
 from jaxbound.plots.residuals import distinct_relations
 from jaxbound.relations.cost import elimination_seconds, relation_cost
-from jaxbound.relations.decoupling import isolability, signatures, structured_relations
+from jaxbound.relations.decoupling import signatures, structured_relations
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import redundancy
 from jaxbound.relations.sentence import main_terms
@@ -24,6 +25,8 @@ __all__ = ["isolation_text", "plain_model", "show_model"]
 SENSOR_BOUNDS = ("tolerance", "noise", "resolution")
 SIGNALS = 12
 """Up to here relations of minimal support are looked for and every pair of faults is listed."""
+PAIRS = 4000
+"""Readings of a window, times pairs of named faults, up to which these are told apart: seconds."""
 PATIENCE = 60.0
 """Seconds, roughly, beyond which tables are left to whoever asks for them."""
 
@@ -53,7 +56,32 @@ def show_model(model: LinearSystem, relations: ParityRelation | UncertainRelatio
     text = "\n".join(main_terms(lines[j]) for j in distinct)
     if not model.uncertainties:
         text += f"\n\n{isolation_text(model, relations.horizon, relations.lags)}"
+    if model.faults:
+        text += f"\n\n{_named_text(model, relations)}"
     show(model.name, "bold", rows, text=text)
+
+
+def _named(model: LinearSystem, relations: ParityRelation | UncertainRelations) -> FaultIsolability | str:
+    """Return which of the named faults can be told apart by windows, or why that is not worked out."""
+    readings = model.p * len(relations.lags or range(relations.horizon + 1))
+    if readings * len(model.faults) ** 2 > PAIRS:
+        return "that would take long; jb.isolability(model, model.faults) does it"
+    window: dict[str, Any] = {"lags": relations.lags}
+    if relations.lags is None:
+        window = {"horizon": relations.horizon}
+    try:
+        return isolability(model, model.faults, **window)
+    except NotImplementedError as e:
+        return str(e)
+
+
+def _named_text(model: LinearSystem, relations: ParityRelation | UncertainRelations) -> str:
+    """Return a paragraph on the named faults."""
+    apart = _named(model, relations)
+    if isinstance(apart, str):
+        return f"(which named faults can be told apart is not worked out: {apart})"
+    about = "named faults that fill a window, and which other one alone may explain them:"
+    return f"{about}\n{apart.text()}"
 
 
 def _test_text(test: StatedTest) -> str:
@@ -165,6 +193,11 @@ def plain_model(model: LinearSystem, relations: ParityRelation | UncertainRelati
     if is_known and _seconds(model, relations.horizon) <= PATIENCE:
         sizes = _guaranteed(model, relations.horizon, relations.lags)
         plain["guaranteed"] = {n: None if math.isinf(size) else float(size) for n, size in sizes.items()}
+    if model.faults:
+        apart = _named(model, relations)
+        plain["named_faults"] = None
+        if not isinstance(apart, str):
+            plain["named_faults"] = apart.to_dict()
     return plain
 
 

@@ -46,7 +46,9 @@ from jaxbound.relations.redundancy import Redundancy
 from jaxbound.relations.sentence import relation_text
 from jaxbound.text.names import listed
 
-__all__ = ["GuaranteedSize", "always_seen", "detectable", "operating_reach", "visible_sizes", "window_shift"]
+__all__ = """
+    GuaranteedSize always_seen detectable operating_reach row_widths visible_sizes window_shift
+""".split()
 
 ZERO = Fraction(0)
 ROUNDING = RECORDER_ULPS + 256
@@ -352,7 +354,7 @@ def window_shift(
     fault adds to that.
     """
     rows = window.window_rows(model, s)
-    widths = _widths(model, rows, reach)
+    widths = row_widths(model, rows, reach)
     if signal not in model.outputs:
         K = window.unknowns(model, s)[1]
         driven = model.inputs.index(signal)
@@ -366,7 +368,7 @@ def window_shift(
     return shift, widths, [model.tolerance[i] * x for x in shift]
 
 
-def _widths(model: LinearSystem, rows: WindowRows, reach: Sequence[Fraction]) -> list[Fraction]:
+def row_widths(model: LinearSystem, rows: WindowRows, reach: Sequence[Fraction]) -> list[Fraction]:
     """Return twice the half-width of each row at the end of the operating range."""
     floor = Fraction(float(np.finfo(np.float64).tiny))
     rounded, of_output = [], []
