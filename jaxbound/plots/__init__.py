@@ -5,6 +5,7 @@ draws.
 from jaxbound.plots import (
     assessment,
     bank,
+    diagnosis,
     fit,
     observation,
     parameters,
@@ -19,6 +20,7 @@ from jaxbound.plots import (
 __all__ = [
     "assessment",
     "bank",
+    "diagnosis",
     "fit",
     "observation",
     "parameters",

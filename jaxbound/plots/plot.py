@@ -20,6 +20,7 @@ def plot(thing: object, time: object = None, alarms: object = None, ax: object =
         thing: a Result of one recording: the margin of every window over time with a ribbon of verdicts and
             the alarms. A BankResult: which relations are violated and which single faults remain, over time.
             Signatures or Isolability: the table as a heat map. A TuneResult: the search and the margins.
+            A Diagnosis: the smallest size of each named fault that alone explains an alarm.
             An Assessment: faulty against healthy windows in alarm, over factors on the bounds.
             A Fitted: the share of its bounds that each window needs. A StudyResult: what is detected against
                 the size of a fault.
@@ -32,9 +33,9 @@ def plot(thing: object, time: object = None, alarms: object = None, ax: object =
             of the DataFrame, or sample numbers times dt.
         alarms: a list of Alarm for a Result; None: its own.
         y: (T, p), of a Validation or Observation: what the sensors showed, if it is to be drawn too.
-        ax: matplotlib Axes of one's own to draw into: of what is one chart (sets, Signatures, Isolability),
-            and of a Result or Digest the margin with its alarms. What has several charts makes a figure of
-            its own and takes none.
+        ax: matplotlib Axes of one's own to draw into: of what is one chart (sets, Signatures, Isolability, a
+            Diagnosis), and of a Result or Digest the margin with its alarms. What has several charts makes a
+            figure of its own and takes none.
 
     Returns:
         A matplotlib Figure, which is not pyplot's: fig.savefig("margin.png"), or the last line of a

@@ -23,6 +23,7 @@ from jaxbound.plots.result import draws_bounds
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.sentence import looked_at
 from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.reports.causes import Cause, causes_of
 from jaxbound.reports.chart import picture_of
 from jaxbound.reports.chartdata import charts
 from jaxbound.reports.clock import shown_time
@@ -77,6 +78,7 @@ def write_report(
     worst = summary.worst.sample if summary.worst else None
     chosen = sorted(range(len(alarms)), key=lambda i: _depth(alarms[i]))[:ROWS]
     why = _certified(res, alarms, chosen)
+    causes = causes_of(model, alarms, chosen)
     if isinstance(res, MonitorResult):
         extra = [*monitor_sections(res, recording.label), *extra]
     drawn = charts(res, recording, alarms, chosen, why, worst)
@@ -104,7 +106,8 @@ def write_report(
         relations_alone=isinstance(relations, UncertainRelations),
         bands=_has_bands(drawn.near[0]["series"]),
         bands_of_all=_has_bands(drawn.whole.low),
-        alarms=_alarm_rows(res, recording, alarms, chosen, why),
+        alarms=_alarm_rows(res, recording, alarms, chosen, why, causes),
+        caused=bool(causes),
         alarm_total=summary.alarms,
         most=ROWS,
         sizes=sizes_text(res, summary.sizes),
@@ -144,6 +147,7 @@ def _alarm_rows(
     alarms: Sequence[Alarm],
     chosen: Sequence[int],
     why: Mapping[int, Any],
+    causes: Mapping[int, Cause],
 ) -> list[tuple[object, ...]]:
     """Return the rows of the deepest alarms in order of time."""
     rows: list[tuple[object, ...]] = []
@@ -172,6 +176,7 @@ def _alarm_rows(
                 since,
                 _outside(a),
                 a.test,
+                causes.get(i),
             )
         )
     return rows

@@ -48,6 +48,19 @@ def test_info_lists_relations_signatures_and_sizes(tmp_path, capsys):
     )
 
 
+def test_info_says_which_named_faults_windows_tell_apart(tmp_path, capsys):
+    faults = jb.NamedFault("valve is off", input="u"), jb.NamedFault("y1 is off", output="y1")
+    static = jb.LinearSystem(None, None, None, [[1], [1]], noise=0.1, inputs=["u"], faults=faults)
+    jb.save_model(static, tmp_path / "plant.toml")
+    assert main.main(["info", str(tmp_path / "plant.toml")]) == 0
+    text = capsys.readouterr().out
+    assert "valve is off: seen from +0.2 of u on; at 2 times that taken for: no other" in text
+    assert "y1 is off: seen from +0.2 of y1 on; at 2 times that taken for: valve is off (+0.2 of u)" in text
+    assert main.main(["info", str(tmp_path / "plant.toml"), "--json"]) == 0
+    one, two = json.loads(capsys.readouterr().out)["named_faults"]
+    assert one["taken_for"] == {} and list(two["taken_for"]) == ["valve is off"]
+
+
 def test_sizes_that_nothing_guarantees_and_tolerances_are_named():
     alone = jb.LinearSystem([["1/2", 0], [0, 1]], [[1], [0]], [[1, 0], [0, 1]], noise=0.1)
     assert "y2: never guaranteed" in isolation_text(alone, 1)

@@ -105,6 +105,7 @@ def test_every_file_of_a_picture_is_registered_where_its_type_is_drawn():
         "Assessment": "assessment",
         "BankResult": "bank",
         "ConstrainedZonotope": "sets",
+        "Diagnosis": "diagnosis",
         "Digest": "digest",
         "Fitted": "fit",
         "Isolability": "signatures",
@@ -161,3 +162,14 @@ def test_a_validation_of_other_samples_or_of_a_batch_is_refused(validated):
             jb.plot(found, **options)
     with pytest.raises(ValueError, match="a plot shows one recording"):
         jb.plot(jax.tree.map(lambda x: x[None], found))
+
+
+def test_a_diagnosis_has_a_bar_for_each_fault_that_explains_and_words_for_the_others():
+    faults = jb.NamedFault("valve leaks", input="u", most=2), jb.NamedFault("y1 is off", output="y1")
+    model = jb.LinearSystem(None, None, None, [[1], [1]], noise=0.1, inputs=["u"], faults=faults)
+    found = jb.detect(jb.parity_relations(model, 0), [[0.5]], [[1.5, 1.5]]).diagnose(0)
+    (axes,) = jb.plot(found).axes
+    assert [tick.get_text() for tick in axes.get_yticklabels()] == ["valve leaks", "y1 is off"]
+    (bar,) = axes.patches
+    assert bar.get_width() == pytest.approx(0.45)  # 0.9 of 2
+    assert [text.get_text().split(":")[0] for text in axes.texts] == ["+0.9 of u", "excluded"]

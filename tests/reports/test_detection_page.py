@@ -212,3 +212,18 @@ def test_long_windows_of_many_inputs_leave_actuators_to_explain():
         candidates = property(lambda self: pytest.fail("this takes seconds"))
 
     assert detection._sensor_errors(Wide()) == "heating 2.5 kW; actuators: see explain"
+
+
+def test_an_alarm_names_its_cause_where_the_model_names_faults(tmp_path):
+    faults = (
+        jb.NamedFault("valve <leaks>", input="u", sign="+"),
+        jb.NamedFault("y1 is off", output="y1"),
+        jb.NamedFault("both at once", input="u", sign="-"),
+    )
+    model = jb.LinearSystem(None, None, None, [[1], [1]], noise=0.1, inputs=["u"], faults=faults)
+    res = jb.detect(jb.parity_relations(model, 0), [[0.5]] * 3, [[0.5, 0.5], [1.5, 1.5], [1.5, 1.6]])
+    write(tmp_path, res, recording_of(res), res.alarms())
+    reader = Reader((tmp_path / "report.html").read_text())
+    assert "cause: valve <leaks>: +1 of u" in reader.text
+    assert "y1 is off: excluded: no size of it, from no sample on, explains this" in reader.text
+    assert "both at once: excluded" in reader.text and "Cause: the named faults" in reader.text

@@ -1,0 +1,74 @@
+"""The picture of a diagnosis: how large each named fault is at least, if it alone is the cause."""
+
+from typing import TYPE_CHECKING
+
+from jaxbound.certificates.diagnosis import Diagnosis, size_text, why_excluded
+from jaxbound.plots.canvas import FAULTY, GRID, INK, canvas, style
+from jaxbound.plots.plot import plot
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["plot_diagnosis"]
+
+INCHES = 0.42  # of a row
+
+
+@plot.register(Diagnosis)
+def plot_diagnosis(found: Diagnosis, ax: "Axes | None" = None) -> "Figure | Axes":
+    """Draw a bar for each named fault that alone explains the windows, its size beside a usual one; the
+    others say why they do not.
+    """
+    title = "No named fault explains this"
+    if found.explains:
+        title = f"Smallest size that explains it: {found.first}"
+    if ax is not None:
+        _draw(ax, found)
+        ax.set_title(title)
+        return ax
+    rows = len(found.explains) + len(found.excluded) + len(found.unweighed)
+    with style():
+        fig = canvas((8.4, 1.3 + INCHES * max(rows, 1)))
+        ax = fig.subplots()
+        _draw(ax, found)
+        fig.suptitle(title, x=0.02, ha="left", fontsize=10.5, color=INK)
+        height = fig.get_figheight()
+        longest = max((len(label.get_text()) for label in ax.get_yticklabels()), default=0)
+        left = min(0.5, 0.03 + 0.0105 * longest)
+        fig.subplots_adjust(left=left, right=0.97, top=1 - 0.45 / height, bottom=0.6 / height)
+    return fig
+
+
+def _draw(ax: "Axes", found: Diagnosis) -> None:
+    """Draw the rows of a diagnosis, the most plausible fault on top."""
+    names: list[str] = []
+    lengths = [float(share) for share in found.shares.values()]
+    longest = max(lengths, default=1.0)
+    for weighed in found.explains:
+        length = 0.0
+        if weighed.fault.name in found.shares:
+            length = float(found.shares[weighed.fault.name])
+        colour = INK
+        if not names:
+            colour = FAULTY
+        ax.barh(len(names), length, color=colour, height=0.55)
+        _said(ax, (length, len(names)), size_text(found.model, weighed), INK)
+        names.append(weighed.fault.name)
+    for weighed in found.excluded:
+        _said(ax, (0, len(names)), why_excluded(found.model, weighed))
+        names.append(weighed.fault.name)
+    for name, why in found.unweighed.items():
+        _said(ax, (0, len(names)), f"not weighed: {why}")
+        names.append(name)
+    ax.set_yticks(range(len(names)), names)
+    ax.set_ylim(max(len(names), 1) - 0.4, -0.6)
+    ax.set_xlim(0, 1.6 * longest)
+    ax.set_xlabel("size beside a usual one: the range of its actuator in training, the span of its readings")
+    ax.grid(axis="x", color=GRID)
+    ax.set_axisbelow(True)
+
+
+def _said(ax: "Axes", at: tuple[float, int], words: str, colour: str = "#777") -> None:
+    """Write words behind a bar, or in its place."""
+    ax.annotate(words, at, (5, 0), textcoords="offset points", va="center", fontsize=8.5, color=colour)

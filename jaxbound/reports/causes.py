@@ -1,0 +1,75 @@
+"""The causes of alarms on a page: the named faults that alone explain each, with their sizes as bars."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from jaxbound.certificates.diagnosis import Diagnosis, size_text, why_excluded
+from jaxbound.diagnosis.alarms import Alarm
+from jaxbound.models.system import LinearSystem
+
+__all__ = ["Cause", "causes_of"]
+
+PATIENCE = 3.0
+"""Seconds for the causes of a page; those of the other alarms are left to `explain`."""
+LEAST = 0.02
+"""Share of its place that the shortest bar takes."""
+Bar = tuple[str, str, float | None]
+"""(fault, its size or why it is excluded, length of its bar or None)."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """The cause of an alarm in words. Fields: answer: the most plausible fault and its size; bars: a Bar for
+    each named fault: the size beside a usual one, the longest of them 1.
+    """
+
+    answer: str
+    bars: tuple[Bar, ...]
+
+
+def causes_of(model: object, alarms: Sequence[Alarm], chosen: Sequence[int]) -> dict[int, Cause]:
+    """Return {number of an alarm: its Cause}, of as many alarms as patience allows; none where the model
+    names no faults.
+
+    Args:
+        chosen: numbers of alarms, the deepest first.
+    """
+    causes: dict[int, Cause] = {}
+    if not isinstance(model, LinearSystem) or not model.faults:
+        return causes
+    stop = time.perf_counter() + PATIENCE
+    for i in chosen:
+        if time.perf_counter() >= stop:
+            break
+        try:
+            causes[i] = cause_of(alarms[i].diagnose())
+        except NotImplementedError:  # as of observers
+            break
+    return causes
+
+
+def cause_of(found: Diagnosis) -> Cause:
+    """Return a Diagnosis for a page."""
+    largest: Any = max(found.shares.values(), default=0)
+    bars: list[Bar] = []
+    for weighed in found.explains:
+        length = 0.0
+        if largest and weighed.fault.name in found.shares:
+            length = max(LEAST, float(found.shares[weighed.fault.name] / largest))
+        bars.append((weighed.fault.name, size_text(found.model, weighed), length))
+    for weighed in found.excluded:
+        words = why_excluded(found.model, weighed)
+        if weighed.fault.name in found.partly:
+            windows = len(found.partly[weighed.fault.name])
+            words = f"explains {windows} of the {len(found.windows)} windows that were looked at"
+        bars.append((weighed.fault.name, words, None))
+    for name, why in found.unweighed.items():
+        bars.append((name, f"not weighed: {why}", None))
+    answer = found.first
+    if not found.explains:
+        answer = "none of the named faults explains this"
+    if found.outside:
+        answer += f"; sizes and exclusions rest on extrapolation, {found.outside}"
+    return Cause(answer, tuple(bars))
