@@ -3,7 +3,7 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from fractions import Fraction
 
 from jaxbound.certificates.diagnosis import Diagnosis, size_text, why_excluded
 from jaxbound.diagnosis.alarms import Alarm
@@ -52,7 +52,7 @@ def causes_of(model: object, alarms: Sequence[Alarm], chosen: Sequence[int]) -> 
 
 def cause_of(found: Diagnosis) -> Cause:
     """Return a Diagnosis for a page."""
-    largest: Any = max(found.shares.values(), default=0)
+    largest = max(found.shares.values(), default=Fraction(0))
     bars: list[Bar] = []
     for weighed in found.explains:
         length = 0.0
