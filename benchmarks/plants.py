@@ -4,6 +4,8 @@
               unseen: its second half, as it is and with biases and ramps of one sensor from several onsets on
     ahu       an air-handling unit in occupied hours: trained on two healthy days; unseen: a third one, as it
               is and with a bias of the supply air temperature, and a day on which the heating valve leaks
+    engine    42 residuals of a turbocharged engine in 8 modes, with the published structure of which fault
+              moves which residual: bounds are 1.25 times the hull of the first half of the healthy samples
     skab      the Skoltech Anomaly Benchmark: trained on its folder anomaly-free; unseen: all other files
 
 Bounds are those that `fit` writes, without `tune`, as in docs/bounds.md; a delay counts from the onset of a
@@ -12,7 +14,11 @@ skab also F1, the false alarm rate FAR and the missed alarm rate MAR over the ro
 column `anomaly`: FAR = FP/(FP + TN), MAR = FN/(FN + TP), F1 = 2 TP/(2 TP + FP + FN). A row is an alarm where
 its window is a FAULT; one that no verdict covers is none.
 
-python -m benchmarks.plants heater|ahu [--data FOLDER]
+Of the engine each sample is judged by its residuals alone. A fault is a candidate where every residual that
+is violated has it in its row ("violated"), or where those that are violated are its column, no more and no
+less ("signature"): isolated right with the true one alone, ambiguous with others, wrong without it.
+
+python -m benchmarks.plants heater|ahu|engine [--data FOLDER]
 python -m benchmarks.plants skab --data FOLDER [--inputs A,B] [--outputs C,D] [--every 5s] [--order 2]
     [--horizon 15]
 """
@@ -35,6 +41,7 @@ import jaxbound as jb
 from benchmarks import timing
 from benchmarks.contrast import SHARED, percent, table
 from jaxbound.cli import main as command_line
+from jaxbound.sets.floats.status import Status
 
 HALF = 101  # samples of the heater's second recording that are seen
 ONSETS = range(20, 81, 10)  # of faults in those that are not
@@ -57,6 +64,9 @@ UNIT = (
     *("--where", f"`{OCCUPIED}`==1 and `AHU: Supply Air Fan Status`==1"),
 )
 
+ENGINE_SAFETY = 1.25
+KINDS = "right", "ambiguous", "wrong"
+ENGINE_HEADER = ("mode", "samples", "FAULT", *KINDS, *(f"{kind}, signature" for kind in KINDS))
 HEADER = "recording", "alarms", "of windows", "faults seen", "median delay, samples"
 
 
@@ -160,6 +170,41 @@ def ahu(way, data):
     return [unseen, *(faulty_row(name, [case]) for name, case in zip(faulty, cases, strict=True))]
 
 
+def engine(data):
+    """Return the rows of the table of isolation."""
+    stored = np.load(data / "residuals.npz", allow_pickle=True)
+    residuals, names = stored["res"], [str(name) for name in stored["modes"]]
+    mode, structure = stored["mode"], stored["fsm"][:, 1:].astype(bool)
+    healthy = np.flatnonzero(mode == 0)
+    train, unseen = np.split(healthy, [len(healthy) // 2])
+    low, high = residuals[train].min(0), residuals[train].max(0)
+    half = ENGINE_SAFETY * (high - low) / 2
+    hull = np.stack([(low + high) / 2 - half, (low + high) / 2 + half], 1)
+    res = jb.evaluate(residuals, hull, pd.DataFrame(structure.astype(int), columns=names[1:]))
+    outside = (residuals < hull[:, 0]) | (residuals > hull[:, 1])
+    signature = (outside[:, :, None] == structure).all(1)
+    rows = []
+    for number, name in enumerate(names):
+        here = unseen if number == 0 else np.flatnonzero(mode == number)
+        fault = res.status[here] == Status.FAULT
+        row = [name, len(here), percent(fault.mean())]
+        for candidates in (res.candidates[here], signature[here]):
+            row += isolated(candidates[fault], number - 1, len(here))
+        rows.append(tuple(row))
+    return rows
+
+
+def isolated(candidates, true, count):
+    """Return the shares of samples, of a mode with so many, that are isolated right, ambiguously and wrongly;
+    true: number of the fault, -1: none, of which nothing is right.
+    """
+    if true < 0:
+        return ["", "", percent(candidates.any(1).sum() / count)]
+    named, alone = candidates[:, true], candidates.sum(1) == 1
+    parts = named & alone, named & ~alone, ~named
+    return [percent(part.sum() / count) for part in parts]
+
+
 def skab(way, data, options):
     """Return (rows of the table, F1, FAR and MAR). options: of `fit`."""
     training = sorted(data.rglob("anomaly-free/*.csv"))
@@ -200,7 +245,7 @@ def outlier_scores(truth, alarms):
 
 def arguments(words):
     parser = argparse.ArgumentParser("python -m benchmarks.plants", description=__doc__.split("\n")[0])
-    parser.add_argument("plant", choices=("heater", "ahu", "skab"), nargs="?", default="heater")
+    parser.add_argument("plant", choices=("heater", "ahu", "engine", "skab"), nargs="?", default="heater")
     parser.add_argument("--data", type=Path, help="its folder (default: that of the shared recordings)")
     of_skab = parser.add_argument_group("skab, as of jaxbound fit")
     of_skab.add_argument("--inputs", default="Voltage,Temperature", help="default: %(default)s")
@@ -217,7 +262,7 @@ def arguments(words):
 
 def main(words=None):
     """Measure one plant, save the figures and print the table."""
-    args, scores = arguments(words), {}
+    args, scores, header = arguments(words), {}, HEADER
     with tempfile.TemporaryDirectory() as folder:
         way = Way(folder)
         if args.plant == "skab":
@@ -226,14 +271,16 @@ def main(words=None):
             rows, scores = skab(way, args.data, options)
         elif args.plant == "heater":
             rows = heater(way, args.data or SHARED / "tclab")
+        elif args.plant == "engine":
+            rows, header = engine(args.data or SHARED / "engine"), ENGINE_HEADER
         else:
             rows = ahu(way, args.data or SHARED / "ahu")
     seconds = {name: [round(x, 1) for x in spent] for name, spent in way.seconds.items()}
     figures = {"plant": args.plant, "seconds, processor": seconds, **scores}
-    figures["rows"] = [dict(zip(HEADER, row, strict=True)) for row in rows]
+    figures["rows"] = [dict(zip(header, row, strict=True)) for row in rows]
     timing.save("plants", figures)
     print()
-    table(HEADER, rows)
+    table(header, rows)
     for name, score in scores.items():
         print(f"{name} {score:.3f}" if name == "F1" else f"{name} {percent(score)}")
 

@@ -75,3 +75,17 @@ def test_the_heater_has_no_false_alarm_and_every_large_bias_is_seen(measured, sh
     rows = {row["recording"]: row for row in figures["rows"]}
     assert rows["second half, healthy"]["alarms"] == "0 %"
     assert rows["T1 + 3 degC"]["faults seen"] == rows["T2 + 3 degC"]["faults seen"] == "7 of 7"
+
+
+def test_the_engine_is_judged_as_its_own_study_has_it(measured, shared):
+    figures = measured("engine", "--data", shared("data/engine/residuals.npz").parent)
+    rows = {row["mode"]: row for row in figures["rows"]}
+    assert rows["NF"]["FAULT"] == "0.649 %"
+    assert rows["fp_af"]["FAULT"] == "6.19 %"
+    assert rows["fw_th"]["ambiguous"] == "17.9 %"
+
+
+def test_a_fault_is_isolated_where_it_is_the_only_candidate():
+    candidates = np.array([[1, 0], [1, 1], [0, 1], [0, 0]], bool)
+    assert plants.isolated(candidates, 0, 8) == ["12.5 %", "12.5 %", "25 %"]
+    assert plants.isolated(candidates, -1, 8) == ["", "", "37.5 %"]
