@@ -424,3 +424,12 @@ def test_every_file_and_script_that_the_design_names_is_there():
     paths += [ROOT / name for name in files if name.startswith("tests/")]
     paths += [ROOT / f"{script.replace('.', '/')}.py" for script in scripts]
     assert len(paths) > 20 and not [path for path in paths if not path.exists()]
+
+
+def test_pictures_of_the_first_pages_are_as_their_script_draws_them():
+    pictures = importlib.import_module("benchmarks.pictures")
+    for name in ("which", "sizes"):
+        assert (pictures.PICTURES / f"{name}.svg").read_text() == getattr(pictures, name)()
+    assert (pictures.PICTURES / "report.png").stat().st_size < pictures.LARGEST
+    for page in ("README.md", "docs/start.md"):
+        assert "pictures/report.png" in (ROOT / page).read_text()
