@@ -85,6 +85,12 @@ def options(parser: argparse.ArgumentParser) -> None:
         "--outputs", required=True, metavar="C,D", help="as --inputs: what the model is to explain"
     )
     parser.add_argument(
+        "--signals",
+        choices=("auto",),
+        help="auto: choose inputs by recordings that are left out: drop one, add a square or a product of "
+        "two, computed from the columns",
+    )
+    parser.add_argument(
         "--order",
         type=whole_or_auto(0),
         default=2,
@@ -190,6 +196,7 @@ def run(args: argparse.Namespace) -> int:
         from jaxbound.recordings.read import read_signals
         from jaxbound.runs.outputs import refuse_targets
         from jaxbound.studies.identification.fitting import fit
+        from jaxbound.studies.identification.signal_choice import products
 
     refuse_targets({"--out": args.out, "--plot": args.plot}, args.data, args.force)
     with door(), progress_bars(("read", "fit")) as step:
@@ -204,16 +211,22 @@ def run(args: argparse.Namespace) -> int:
             about["where"] = args.where
         if args.every:
             about["every"] = args.every
-        recordings = read_signals(
-            args.data, inputs, outputs, about, args.dt, lambda share: step("read", share)
-        )
+        named = {}
+        for signal in inputs + outputs:
+            if not isinstance(signal, str):
+                named[signal[0]] = signal[1]
+        names = [signal if isinstance(signal, str) else signal[0] for signal in inputs]
+        read = list(inputs)
+        if args.signals:
+            read += products(names, named).items()
+        recordings = read_signals(args.data, read, outputs, about, args.dt, lambda share: step("read", share))
         some_device()
         model = fit(
             recordings,
             args.order,
             args.horizon,
             lags=args.lags,
-            inputs=[signal if isinstance(signal, str) else signal[0] for signal in inputs],
+            inputs=names,
             outputs=[signal if isinstance(signal, str) else signal[0] for signal in outputs],
             delay=args.delay,
             direct=args.direct,
@@ -226,10 +239,11 @@ def run(args: argparse.Namespace) -> int:
             follow=args.follow,
             disturbances=args.disturbances,
             see=see,
+            signals=args.signals,
             name=args.name or args.out.stem,
             progress=lambda share: step("fit", share),
             units=units,
-            columns=about | dict(signal for signal in inputs + outputs if not isinstance(signal, str)),
+            columns=about | named,
         )
         with whole(args.out) as f:
             f.write(model_text(model).encode())

@@ -13,6 +13,7 @@ from jaxbound.cli.tradeoff_table import disturbance_rows, plain_tradeoff
 from jaxbound.diagnosis.memory import slowest, suggest_lags
 from jaxbound.recordings.expressions import CLOCK, expression
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
+from jaxbound.studies.identification.signal_choice import GIVEN, TriedSignals
 from jaxbound.studies.identification.window_tests import JudgedTest, best_test
 from jaxbound.text.units import without_unit
 
@@ -20,6 +21,8 @@ __all__ = ["named_units", "plain_fit", "promise", "show_fit", "signal_columns"]
 
 Signal = str | tuple[str, str]  # a column of that name, or (name, column)
 MEMORY = 1.5  # times the window that a plant must remember before longer windows are spoken of
+SHOWN = 4
+"""Sets of inputs that were not taken and are shown."""
 ASSIGNED = re.compile(r"\s*([^=<>!`'\"]+?)\s*=(?!=)\s*(.+?)\s*")
 
 
@@ -126,6 +129,8 @@ def plain_fit(
         "held_out": held_out,
         "follow": check.follows._asdict(),
         "average": average or _chosen_average(check),
+        "inputs": list(model.inputs),
+        "signals": [_plain_signals(one) for one in check.signals],
         "tests": [_plain_test(test, check) for test in check.tests],
         "means": {a.signal: float(a.bound) for a in model.averages},
         "smallest_mean": check.smallest_mean,
@@ -160,6 +165,32 @@ def _plain_test(test: JudgedTest, check: FitCheck) -> dict[str, Any]:
         "steady": _all_finite(test.steady),
         "chosen": test is best_test(check.tests),
     }
+
+
+def _plain_signals(one: TriedSignals) -> dict[str, Any]:
+    """Return a set of inputs that was tried, as JSON has it."""
+    sizes = {"jump": _all_finite(one.jump), "steady": _all_finite(one.steady)}
+    return one._asdict() | sizes | _all_finite({"blindness": one.blindness})
+
+
+def _tried_signals(model: Fitted) -> list[tuple[str, str]]:
+    """Return a line on each set of inputs that was taken, and on the best few of the others."""
+    tried = model.check.signals
+    if not tried:
+        return []
+    others = sorted((one for one in tried if not one.taken), key=lambda one: one.blindness)
+    rows = []
+    for one in [*(one for one in tried if one.taken), *others[:SHOWN]]:
+        jump, steady = _each_size(model, one.jump), _each_size(model, one.steady)
+        text = f"needs {one.factor:.3g} times; jumps from {jump}, lasting from {steady}"
+        if not np.isfinite(one.blindness):
+            text = "fewer recordings can be left out"
+        elif one.taken and one.change != GIVEN:
+            text = f"taken: {text}"
+        rows.append((f"signals: {one.change}", text))
+    if len(others) > SHOWN:
+        rows.append(("signals", f"{len(others) - SHOWN} more were tried, none better"))
+    return rows
 
 
 def _tried_tests(model: Fitted) -> list[tuple[str, str]]:
@@ -205,6 +236,7 @@ def show_fit(
     what = "sample" if model.horizon is None else "window"
     for file, numbers in zip(files, check.recordings, strict=True):
         rows.append((str(file), _recording_text(numbers, what)))
+    rows += _tried_signals(model)
     rows += _tried_tests(model)
     rows += _left_out(check, files)
     rows += _follows(check)

@@ -9,12 +9,11 @@ import numpy as np
 from jaxbound.models.system import LinearSystem
 from jaxbound.studies.identification.fit_result import FitCheck
 from jaxbound.studies.identification.records import Records, measured
+from jaxbound.studies.identification.signal_choice import TOGETHER
 from jaxbound.text.names import listed
 
 __all__ = ["apart", "inputs_at_rest", "inputs_together", "limits", "no_average"]
 
-TOGETHER = 0.995
-"""Correlation of two inputs above which nobody can tell them apart."""
 WIDE, CONTRADICTION, FEW = 1.5, 3.0, 10
 """Above this factor that a recording asks for that is left out, this factor between the bounds of two
 recordings, below this number of windows that do not overlap, the user is told that the data do not carry the

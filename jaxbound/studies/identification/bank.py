@@ -18,7 +18,7 @@ from jaxbound.models.testmodels import MERGED, model_of
 from jaxbound.studies.identification.fit_result import Fitted
 from jaxbound.studies.identification.window_tests import JudgedTest, best_test
 
-__all__ = ["FitOne", "earned", "fitted_bank", "test_as_fitted"]
+__all__ = ["FitOne", "earned", "fitted_bank", "in_part", "test_as_fitted"]
 
 GAIN = 0.8
 """A test earns its place where it sees an error from this share of the size on that the others need."""
@@ -39,7 +39,7 @@ def fitted_bank(fit_one: FitOne, first: Mapping[str, Any], report: Callable[[flo
         fit_one: see `FitOne`. first: of the fit that tries all windows. report: called with the share of the
             work done.
     """
-    base = fit_one(first, partial(_part, report, 0.0, 0.5))
+    base = fit_one(first, partial(in_part, report, 0.0, 0.5))
     check = base.check
     picked = earned(check.tests)
     tests = [StatedTest(picked[0].window.text)]
@@ -47,13 +47,13 @@ def fitted_bank(fit_one: FitOne, first: Mapping[str, Any], report: Callable[[flo
     for number, judged in enumerate(picked[1:]):
         own = {"order": check.order, "delay": check.delay, "method": judged.method}
         own |= judged.window.about | {"average": judged.window.average}
-        fitted = fit_one(own, partial(_part, report, 0.5 + number * share, share))
+        fitted = fit_one(own, partial(in_part, report, 0.5 + number * share, share))
         tests.append(test_as_fitted(base, fitted, judged.window.text))
     report(1.0)
     return Fitted(base.replace(tests=tests), check)
 
 
-def _part(report: Callable[[float], object], begun: float, share: float, done: float) -> None:
+def in_part(report: Callable[[float], object], begun: float, share: float, done: float) -> None:
     """Report the share of a part of the work that is done."""
     report(begun + share * done)
 

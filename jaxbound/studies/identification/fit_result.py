@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxbound.models.system import LinearSystem
+from jaxbound.studies.identification.signal_choice import TriedSignals
 from jaxbound.studies.identification.window_tests import JudgedTest
 from jaxbound.text.objects import readable
 
@@ -78,6 +79,8 @@ class FitCheck:
         follows: how the bounds follow the operating point, see `fit`; jump and steady are sizes under the
             largest factor on them in training.
         tests: a `JudgedTest` for each of the windows that a choice was made of; () where there was none.
+        signals: a `TriedSignals` for each set of inputs that a choice was made of, round by round; () where
+            there was none.
         tradeoff: of a fit with disturbances, those that were looked at; a setting that cannot see more than
             the best is left out.
         sentences: what the user should know, above all why the data may not carry a monitor.
@@ -100,6 +103,7 @@ class FitCheck:
     smallest_mean: dict[str, float] = field(default_factory=dict)
     follows: Follows = Follows()
     tests: tuple[JudgedTest, ...] = ()
+    signals: tuple[TriedSignals, ...] = ()
     tradeoff: tuple[Tradeoff, ...] = ()
 
 

@@ -26,7 +26,7 @@ from jaxbound.models.system import LinearSystem, whole_lags
 from jaxbound.recordings.means import with_every
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.studies.identification import advice
-from jaxbound.studies.identification.bank import fitted_bank
+from jaxbound.studies.identification.bank import fitted_bank, in_part
 from jaxbound.studies.identification.bounds import Means, Walks, verified
 from jaxbound.studies.identification.candidates import (
     KINDS,
@@ -44,6 +44,13 @@ from jaxbound.studies.identification.judging import Judge, ObserverJudge, Window
 from jaxbound.studies.identification.left_out import LeftOut, tried, widest
 from jaxbound.studies.identification.means import smallest_means
 from jaxbound.studies.identification.records import Records, input_ranges, parted, read_records
+from jaxbound.studies.identification.signal_choice import (
+    SignalProblem,
+    TriedSignals,
+    chosen_signals,
+    products,
+    refuse_unnamed,
+)
 from jaxbound.studies.identification.structure import DELAYS, ORDERS, structure
 from jaxbound.studies.identification.window_tests import (
     AVERAGES,
@@ -84,6 +91,7 @@ def fit(
     follow: float | str = 0,
     disturbances: str | None = None,
     see: Fault | Sequence[Fault] = (),
+    signals: str | None = None,
     name: str = "fitted",
     units: Mapping[str, str] | None = None,
     columns: Mapping[str, str] | None = None,
@@ -143,6 +151,10 @@ def fit(
         see: a bias or a drift of a signal, or several, of the size that is wanted: disturbances are chosen
             for these, and bounds are as much wider than `safety` as these still allow. (): biases of each
             output.
+        signals: "auto": inputs are chosen, too: one is dropped, or a square or a product of two joins them,
+            wherever clearly smaller errors are then seen at the bounds that recordings which are left out ask
+            for; `.check.signals` has all that were tried. A product is an input whose column is an
+            expression, like "= `fan` * `lift`", so recordings must be tables. None: inputs are as given.
         name, units, columns: as of a LinearSystem; tables are read by these columns too. progress: called
             with the share of the work done.
 
@@ -169,6 +181,22 @@ def fit(
     if test is not None:
         chosen_by_it = {"horizon": horizon, "lags": lags, "average": average, "observer": observer}
         _refuse_beside_test(test, order, chosen_by_it, follow)
+    horizon, lags = _window(horizon, lags, order)
+    _check_options(order, delay, horizon, safety, held_out, method, average)
+    if direct and delay != 1:
+        raise ValueError("direct inputs act at once: leave delay at 1, or direct out")
+    columns, dt = with_every(columns, dt, every)
+    report = progress or _silent
+    found: tuple[TriedSignals, ...] = ()
+    if signals is not None:
+        _refuse_signals(signals, inputs)
+        pool = products(_listed(inputs), columns)
+        refuse_unnamed(recordings, pool)
+        begun = dict(order=order, delay=delay, direct=direct, horizon=horizon, held_out=held_out)
+        reading = dict(inputs=_listed(inputs), outputs=outputs, columns=columns, dt=dt, lags=lags)
+        found = _tried_signals(recordings, pool, begun, reading, partial(in_part, report, 0.0, 0.4))
+        inputs, columns, units = _as_chosen(found, pool, columns, units)
+        report = partial(in_part, report, 0.4, 0.6)
     if test == BANK:
         same: dict[str, Any] = dict(inputs=inputs, outputs=outputs, dt=dt, every=every, direct=direct)
         same |= dict(safety=safety, held_out=held_out, name=name, units=units, columns=columns)
@@ -177,13 +205,8 @@ def fit(
         def fit_one(own: Mapping[str, Any], report: Callable[[float], object]) -> Fitted:
             return fit(recordings, **{**same, **own}, progress=report)
 
-        return fitted_bank(fit_one, first, progress or _silent)
-    horizon, lags = _window(horizon, lags, order)
-    _check_options(order, delay, horizon, safety, held_out, method, average)
-    if direct and delay != 1:
-        raise ValueError("direct inputs act at once: leave delay at 1, or direct out")
-    columns, dt = with_every(columns, dt, every)
-    report = progress or _silent
+        bank = fitted_bank(fit_one, first, report)
+        return Fitted(bank, dataclasses.replace(bank.check, signals=found))
     inputs, outputs, dt, records = read_records(recordings, inputs, outputs, columns, dt)
     about = dict(dt=dt, inputs=inputs, outputs=outputs, units=units, columns=columns, name=name)
     refuse_follow(follow, about, average)
@@ -279,11 +302,71 @@ def fit(
         steady=steady,
         follows=follows,
         tests=tests,
+        signals=found,
         tradeoff=tradeoff,
     )
     sentences += advice.limits(model, check, held_out, problem.spans)
     report(1.0)
     return Fitted(model, dataclasses.replace(check, sentences=tuple(sentences)))
+
+
+def _refuse_signals(signals: str, inputs: str | Sequence[str] | None) -> None:
+    """Raise ValueError for another word than auto, or where there is no input to begin with."""
+    if signals != AUTO:
+        raise ValueError(f"signals must be auto, or left out for inputs as given, not {signals!r}")
+    if not inputs:
+        raise ValueError(
+            "signals = 'auto' chooses among inputs and their products: name the inputs to begin with"
+        )
+
+
+def _listed(names: str | Sequence[str] | None) -> tuple[str, ...]:
+    """Return names as a tuple."""
+    if isinstance(names, str):
+        return (names,)
+    return tuple(names or ())
+
+
+def _tried_signals(
+    recordings: object,
+    pool: Mapping[str, str],
+    begun: Mapping[str, Any],
+    stated: Mapping[str, Any],
+    report: Callable[[float], object],
+) -> tuple[TriedSignals, ...]:
+    """Return the sets of inputs that were tried on recordings.
+
+    Args:
+        pool: columns of products by their names. begun: order, delay, direct, horizon and held_out. stated:
+            the arguments of `fit` that say how recordings are read, and lags.
+    """
+    given, columns = stated["inputs"], {**stated["columns"], **pool}
+    every = (*given, *pool)
+    _, outputs, dt, records = read_records(recordings, every, stated["outputs"], columns, stated["dt"])
+    horizon, direct = begun["horizon"], begun["direct"]
+    own = [(u[:, : len(given)], y, starts) for u, y, starts in records]
+    advice.inputs_at_rest(own, given, outputs, horizon)
+    parts = parted(own, begun["held_out"], horizon + 1)
+    order, delay = _structure(own, parts, horizon, begun["order"], begun["delay"], direct)
+    about: dict[str, Any] = dict(dt=dt, outputs=outputs, lags=stated["lags"])
+    if stated["lags"] is None:
+        about["horizon"] = horizon
+    problem = SignalProblem(every, records, (order, delay, direct), horizon, begun["held_out"], about)
+    return chosen_signals(problem, given, report)
+
+
+def _as_chosen(
+    found: Sequence[TriedSignals],
+    pool: Mapping[str, str],
+    columns: Mapping[str, str],
+    units: Mapping[str, str] | None,
+) -> tuple[tuple[str, ...], dict[str, str], dict[str, str]]:
+    """Return (inputs, columns, units) of the choice."""
+    inputs = [one for one in found if one.taken][-1].inputs
+    dropped = set(found[0].inputs) - set(inputs)
+    named = {name: column for name, column in columns.items() if name not in dropped}
+    named |= {name: pool[name] for name in inputs if name in pool}
+    return inputs, named, {name: unit for name, unit in (units or {}).items() if name not in dropped}
 
 
 def _silent(share: float) -> None:

@@ -33,6 +33,7 @@ __all__ = [
     "least_squares",
     "refined",
     "scales_of",
+    "step_error",
     "window_residuals",
     "windows_of",
 ]
@@ -130,6 +131,13 @@ def least_squares(windows: CompleteWindows, order: int, direct: bool) -> tuple[n
         _regressors(windows, order, direct), windows.y[:, order], rcond=1e-9
     )
     return theta, singular
+
+
+def step_error(windows: CompleteWindows, order: int, direct: bool) -> float:
+    """Return the sum of the squares that `least_squares` leaves of windows of order + 1 samples."""
+    theta, _ = least_squares(windows, order, direct)
+    left = windows.y[:, order] - _regressors(windows, order, direct) @ theta
+    return float(np.square(left).sum())
 
 
 def _regressors(windows: CompleteWindows, order: int, direct: bool) -> np.ndarray:
