@@ -187,15 +187,15 @@ def fit(
         raise ValueError("direct inputs act at once: leave delay at 1, or direct out")
     columns, dt = with_every(columns, dt, every)
     report = progress or _silent
-    found: tuple[TriedSignals, ...] = ()
+    tried_sets: tuple[TriedSignals, ...] = ()
     if signals is not None:
         _refuse_signals(signals, inputs)
         pool = products(_listed(inputs), columns)
         refuse_unnamed(recordings, pool)
         begun = dict(order=order, delay=delay, direct=direct, horizon=horizon, held_out=held_out)
         reading = dict(inputs=_listed(inputs), outputs=outputs, columns=columns, dt=dt, lags=lags)
-        found = _tried_signals(recordings, pool, begun, reading, partial(in_part, report, 0.0, 0.4))
-        inputs, columns, units = _as_chosen(found, pool, columns, units)
+        tried_sets = _tried_signals(recordings, pool, begun, reading, partial(in_part, report, 0.0, 0.4))
+        inputs, columns, units = _as_chosen(tried_sets, pool, columns, units)
         report = partial(in_part, report, 0.4, 0.6)
     if test == BANK:
         same: dict[str, Any] = dict(inputs=inputs, outputs=outputs, dt=dt, every=every, direct=direct)
@@ -206,7 +206,7 @@ def fit(
             return fit(recordings, **{**same, **own}, progress=report)
 
         bank = fitted_bank(fit_one, first, report)
-        return Fitted(bank, dataclasses.replace(bank.check, signals=found))
+        return Fitted(bank, dataclasses.replace(bank.check, signals=tried_sets))
     inputs, outputs, dt, records = read_records(recordings, inputs, outputs, columns, dt)
     about = dict(dt=dt, inputs=inputs, outputs=outputs, units=units, columns=columns, name=name)
     refuse_follow(follow, about, average)
@@ -302,7 +302,7 @@ def fit(
         steady=steady,
         follows=follows,
         tests=tests,
-        signals=found,
+        signals=tried_sets,
         tradeoff=tradeoff,
     )
     sentences += advice.limits(model, check, held_out, problem.spans)
@@ -340,30 +340,30 @@ def _tried_signals(
         pool: columns of products by their names. begun: order, delay, direct, horizon and held_out. stated:
             the arguments of `fit` that say how recordings are read, and lags.
     """
-    given, columns = stated["inputs"], {**stated["columns"], **pool}
-    every = (*given, *pool)
+    inputs, columns = stated["inputs"], {**stated["columns"], **pool}
+    every = (*inputs, *pool)
     _, outputs, dt, records = read_records(recordings, every, stated["outputs"], columns, stated["dt"])
     horizon, direct = begun["horizon"], begun["direct"]
-    own = [(u[:, : len(given)], y, starts) for u, y, starts in records]
-    advice.inputs_at_rest(own, given, outputs, horizon)
+    own = [(u[:, : len(inputs)], y, starts) for u, y, starts in records]
+    advice.inputs_at_rest(own, inputs, outputs, horizon)
     parts = parted(own, begun["held_out"], horizon + 1)
     order, delay = _structure(own, parts, horizon, begun["order"], begun["delay"], direct)
     about: dict[str, Any] = dict(dt=dt, outputs=outputs, lags=stated["lags"])
     if stated["lags"] is None:
         about["horizon"] = horizon
     problem = SignalProblem(every, records, (order, delay, direct), horizon, begun["held_out"], about)
-    return chosen_signals(problem, given, report)
+    return chosen_signals(problem, inputs, report)
 
 
 def _as_chosen(
-    found: Sequence[TriedSignals],
+    tried_sets: Sequence[TriedSignals],
     pool: Mapping[str, str],
     columns: Mapping[str, str],
     units: Mapping[str, str] | None,
 ) -> tuple[tuple[str, ...], dict[str, str], dict[str, str]]:
     """Return (inputs, columns, units) of the choice."""
-    inputs = [one for one in found if one.taken][-1].inputs
-    dropped = set(found[0].inputs) - set(inputs)
+    inputs = [one for one in tried_sets if one.taken][-1].inputs
+    dropped = set(tried_sets[0].inputs) - set(inputs)
     named = {name: column for name, column in columns.items() if name not in dropped}
     named |= {name: pool[name] for name in inputs if name in pool}
     return inputs, named, {name: unit for name, unit in (units or {}).items() if name not in dropped}

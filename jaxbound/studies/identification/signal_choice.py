@@ -192,7 +192,7 @@ def chosen_signals(
     """
     begin, least = problem.judged(GIVEN, inputs, 0)
     best = begin._replace(taken=True)
-    found = [best]
+    every_try = [best]
     for number in range(ROUNDS):
         changes = {f"without {name}": _without(best.inputs, name) for name in _droppable(best.inputs)}
         changes |= {f"with {name}": (*best.inputs, name) for name in problem.asked(best.inputs)}
@@ -205,10 +205,10 @@ def chosen_signals(
                 continue
         tries.sort(key=_blindness)
         if not tries or tries[0].blindness * ENOUGH > best.blindness:
-            return (*found, *tries)
+            return (*every_try, *tries)
         best = tries[0]._replace(taken=True)
-        found += [best, *tries[1:]]
-    return tuple(found)
+        every_try += [best, *tries[1:]]
+    return tuple(every_try)
 
 
 def _droppable(inputs: Sequence[str]) -> Sequence[str]:
