@@ -33,6 +33,8 @@ from jaxbound.diagnosis.severity import fitted
 from jaxbound.files.locks import refuse_link
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.live import LiveSource
+from jaxbound.recordings.means import every_of, recorded_model
+from jaxbound.recordings.meanstream import MeansStream
 from jaxbound.recordings.pipetext import PipeText
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import irregular, seam_hints
@@ -192,6 +194,9 @@ def _stream(
     data: str, model: SignalModel, complaints: "_Complaints", memory: dict[str, Any] | None, whole: bool
 ) -> Stream:
     """Return the Stream of the data."""
+    if every_of(model) is not None:
+        before = memory and memory["reading"]
+        return MeansStream(_stream(data, recorded_model(model), complaints, before, whole), model, memory)
     if LiveSource.takes(data):
         return LiveSource(data, model).stream(complaints, memory)
     return PipeText(model, complaints, memory, whole)
@@ -299,8 +304,10 @@ class _LiveRun:
         """Judge everything that comes; return the Summary."""
         self.judge.compile()
         if self.resumed:
-            last = self.stream.label(cast("str | float", self.tally.last))  # a state has one
-            say(f"going on after {self.stream.clock.samples} samples, the last at {last}")
+            behind = ""
+            if self.tally.last is not None:
+                behind = f", the last at {self.stream.label(cast('str | float', self.tally.last))}"
+            say(f"going on after {self.stream.clock.samples} samples{behind}")
             self.lines.flush()
         for _ in follow(
             self.stream.pieces(iter(chunks)), self.judge, [*self.sinks.values()], self.checkpoint

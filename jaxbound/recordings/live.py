@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 
 from jaxbound.recordings.expressions import TIME_SINCE_START, expression, is_expression
-from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.means import refuse_every
+from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import around, check_period, tick
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import Progress, Source
@@ -147,10 +148,16 @@ class Readings(Stream):
             piece, time = self._behind(piece, time)
             if not piece.samples:
                 return piece
-        check_period(time, self.dt)
         known = self.clock.samples
-        self.clock, seams = tick(self.clock, time)
-        starts = np.union1d(np.union1d(piece.starts, seams - known), around(piece.excluded))
+        starts = NOWHERE
+        if self.regular:
+            check_period(time, self.dt)
+            self.clock, seams = tick(self.clock, time)
+            starts = np.union1d(np.union1d(piece.starts, seams - known), around(piece.excluded))
+        elif counted:
+            raise ValueError("a reading has no times: means over intervals need a column of times")
+        else:
+            self.clock = replace(self.clock, samples=known + len(time), last=float(time[-1]))
         if self.resumed and counted:
             self.complain("replay", "no time says whether samples were lost between: windows begin anew")
             starts = np.union1d(starts, [0])
@@ -187,6 +194,7 @@ def _names_used(model: SignalModel) -> set[str]:
 
 def joined(model: SignalModel, readings: Iterable[Any]) -> Recording:
     """Return the readings of a stream that ends as one Recording."""
+    refuse_every(model, "readings that are joined")
     stream = Readings(model, readings)
     whole: Recording | None = None
     seams: list[np.ndarray] = []

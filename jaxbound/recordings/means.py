@@ -3,24 +3,32 @@
 A sample is the mean of what was recorded from the beginning of an interval, which is its time, up to the end.
 It is missing unless all is there that the recorder usually writes: a step of more than 1.5 usual ones is a
 hole, and the intervals of the samples that it lacks are missing. So is each in which a sample is missing or
-left out. The usual step is one that 19 of 20 steps do not exceed. Intervals count from the midnight of the
-first sample, or from 0 s. One in which nothing was recorded is a missing sample, too; more than 100 of them
-in a row are a gap. The first and the last interval count only where they are whole.
+left out. The usual step is one that 19 of 20 of the first hundred steps do not exceed; of a recorder that
+skips a sample now and then, the longer one that 99 of 100 do not exceed, where an interval holds at least two
+of these. Intervals count from the midnight of the first sample, or from 0 s. One in which nothing was
+recorded is a missing sample, too; more than 100 of them in a row are a gap. The first and the last interval
+count only where they are whole.
 """
 
 from collections.abc import Iterable, Mapping
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
 from jaxbound.recordings.clockintervals import nanoseconds, next_interval, seconds_of
-from jaxbound.recordings.seams import MANY, TOLERATED_DT, TOLERATED_STEP, USUAL
+from jaxbound.recordings.columns import texts
+from jaxbound.recordings.seams import TOLERATED_DT, TOLERATED_STEP, USUAL
 from jaxbound.recordings.signals import Named, SignalModel, Signals
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 __all__ = [
     "EVERY",
+    "FIRST",
     "Grid",
     "every_of",
+    "finished",
     "grid_of",
     "instants",
     "is_period",
@@ -30,10 +38,14 @@ __all__ = [
     "refuse_every",
     "usual_step",
     "with_every",
+    "written_stamps",
 ]
 
 EVERY = "every"
 """Key of `columns` that holds the interval."""
+FIRST = 100  # samples that show the usual step: a stream waits for them
+RARE = 0.99  # share of steps that a recorder does not exceed which skips a sample now and then
+SKIPPED = 2.5  # median steps: a longer one skips more than one sample
 HOLE = 1.5  # usual steps: a longer one lacks a sample
 EMPTY = 100  # intervals without a sample that are missing samples, and no gap
 
@@ -133,17 +145,75 @@ def midnight_of(stamps: np.ndarray | None) -> np.datetime64 | None:
     return day
 
 
-def usual_step(instant: np.ndarray) -> int:
-    """Return the step in ns that 19 of 20 steps of the first samples do not exceed.
+def usual_step(instant: np.ndarray, every: str) -> int:
+    """Return the step in ns that 19 of 20 steps of the first samples do not exceed, or 99 of 100 where that
+    is a single sample that is skipped, and the interval holds two such steps.
 
     Raises:
         ValueError: fewer than two samples, or time that stands still or runs backwards.
     """
-    steps = np.diff(instant[:MANY])
+    steps = np.diff(instant[:FIRST])
     steps = np.sort(steps[steps > 0])
     if not len(steps):
         raise ValueError("its times do not go on, so nothing can be averaged: a recording needs two at least")
-    return int(steps[int(np.ceil(USUAL * len(steps))) - 1])
+    median, usual, rare = (int(steps[int(np.ceil(share * len(steps))) - 1]) for share in (0.5, USUAL, RARE))
+    if rare <= SKIPPED * median and 2 * rare <= nanoseconds(every):
+        return rare
+    return usual
+
+
+def _length(every: str, usual: int) -> int:
+    """Return an interval in ns; refuse one that is shorter than the usual step."""
+    length = nanoseconds(every)
+    if length < (1 - TOLERATED_STEP) * usual:
+        longer = next_interval(usual / 1e9)
+        raise ValueError(
+            f"every = {every!r} is shorter than the steps of the recording, up to {usual / 1e9:.3g} s: "
+            f"nothing would lie in most intervals; every = {longer!r} holds one at least"
+        )
+    return length
+
+
+def finished(
+    instant: np.ndarray,
+    broken: np.ndarray,
+    every: str,
+    usual: int,
+    origin: np.datetime64 | None,
+    has_before: bool,
+    begun: bool,
+) -> tuple[Grid, int]:
+    """Return (intervals of a stream that are over, number of the first row of the one that is not).
+
+    Args:
+        instant: (N,) ns, of the rows that are kept. broken: (N,) bool, rows before which something was lost.
+        every, usual, origin: as of `grid_of`. has_before: whether the first row is the last one of an
+            interval that was over before. begun: whether that interval, or one before, counted.
+
+    Raises:
+        ValueError: an interval that is shorter than the usual step.
+    """
+    length = _length(every, usual)
+    number, step = instant // length, np.diff(instant)
+    first = np.append(0, np.flatnonzero((np.diff(number) != 0) | (step < 0)) + 1)
+    odd = _beside_holes(instant, number, step, usual, length)
+    lost = np.flatnonzero(broken)
+    odd += [lost, lost[lost > 0] - 1]
+    if not has_before and (instant[0] - usual) // length >= number[0]:
+        odd.append(np.zeros(1, np.int64))
+    whole = np.ones(len(first), bool)
+    whole[np.searchsorted(first, np.concatenate(odd), "right") - 1] = False
+    grid = Grid(number[first], first, np.append(first[1:], len(instant)), whole, length, origin)
+    last = len(first) - 1
+    if begun:  # behind the one before, from which empty intervals are counted
+        spread = _with_empty(grid.part(0, last))
+        return spread.part(1, len(spread.number)), int(first[last])
+    # a recording begins with an interval that is whole, or with the second one
+    ahead = int(has_before or not whole[0])
+    over = grid.part(ahead, last)
+    if len(over.number):
+        over = _with_empty(over)
+    return over, int(first[last])
 
 
 def grid_of(
@@ -158,13 +228,7 @@ def grid_of(
     Raises:
         ValueError: an interval that is shorter than the usual step, or no interval that is whole.
     """
-    length = nanoseconds(every)
-    if length < (1 - TOLERATED_STEP) * usual:
-        longer = next_interval(usual / 1e9)
-        raise ValueError(
-            f"every = {every!r} is shorter than the steps of the recording, up to {usual / 1e9:.3g} s: "
-            f"nothing would lie in most intervals; every = {longer!r} holds one at least"
-        )
+    length = _length(every, usual)
     firsts: list[np.ndarray] = []
     numbers: list[np.ndarray] = []
     odd: list[np.ndarray] = []  # rows in whose interval a sample is lacking
@@ -275,3 +339,11 @@ def is_period(dt: float | None, every: str) -> bool:
     """Return whether samples dt apart, in s, have the step of the interval already."""
     seconds = seconds_of(every)
     return dt is not None and abs(float(dt) - seconds) <= TOLERATED_DT * seconds
+
+
+def written_stamps(stamps: np.ndarray, every: int) -> "pa.Array":
+    """Return the beginnings of intervals of so many ns as a column of texts."""
+    unit: Literal["s", "ms"] = "s"
+    if every % 1_000_000_000:
+        unit = "ms"
+    return texts([text.replace("T", " ") for text in np.datetime_as_string(stamps, unit).tolist()])

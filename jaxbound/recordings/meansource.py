@@ -8,11 +8,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from jaxbound.recordings.columns import from_arrow, texts
+from jaxbound.recordings.clockintervals import nanoseconds
+from jaxbound.recordings.columns import from_arrow
 from jaxbound.recordings.means import (
     Grid,
     every_of,
@@ -22,6 +23,7 @@ from jaxbound.recordings.means import (
     midnight_of,
     recorded_model,
     usual_step,
+    written_stamps,
 )
 from jaxbound.recordings.parquet import PROBE, ParquetSource
 from jaxbound.recordings.recording import Recording
@@ -68,16 +70,8 @@ class MeansSource(Source):
         """Return the Recording of all means."""
         means = self.raw.whole(progress).averaged(self.every)
         if means.stamps is not None:
-            means = replace(means, written=_written(means.stamps))
+            means = replace(means, written=written_stamps(means.stamps, nanoseconds(self.every)))
         return with_hints(self.model, means, "sample {}".format, self.model.columns.get("where", ""))
-
-
-def _written(stamps: np.ndarray) -> "pa.Array":
-    """Return dates as a column of texts."""
-    unit: Literal["s", "ms"] = "s"
-    if (stamps != stamps.astype("datetime64[s]")).any():
-        unit = "ms"
-    return texts([text.replace("T", " ") for text in np.datetime_as_string(stamps, unit).tolist()])
 
 
 class PartMeans(MeansSource):
@@ -124,7 +118,7 @@ class PartMeans(MeansSource):
             raise ValueError(f"{raw.path}: every = {self.every!r} needs a column of times: there is none")
         time, stamps = raw.first_times()
         origin = midnight_of(stamps)
-        usual = usual_step(instants(time, stamps, origin))
+        usual = usual_step(instants(time, stamps, origin), self.every)
         chunks = (instants(*times, origin) for times in raw.clock(ROWS, raw.samples))
         try:
             return grid_of(chunks, self.every, usual, origin)

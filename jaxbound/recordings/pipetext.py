@@ -41,7 +41,7 @@ class _LineSamples(NamedTuple):
     """The samples of some lines, before they are a Recording.
 
     Fields: time (N,) in s; written, the time as it stands there, numbers or a pyarrow array of texts; u, y;
-    starts, excluded: as of a Recording.
+    starts, excluded, stamps: as of a Recording; stamps where steps may differ.
     """
 
     time: np.ndarray
@@ -50,14 +50,18 @@ class _LineSamples(NamedTuple):
     y: np.ndarray
     starts: np.ndarray
     excluded: np.ndarray | None
+    stamps: np.ndarray | None = None
 
     def behind(self, first: int) -> "_LineSamples":
         """Return the samples from number `first` on."""
         excluded = self.excluded
         if excluded is not None:
             excluded = excluded[first:]
+        stamps = self.stamps
+        if stamps is not None:
+            stamps = stamps[first:]
         time, written, u, y = self.time[first:], self.written[first:], self.u[first:], self.y[first:]
-        return _LineSamples(time, written, u, y, self.starts, excluded)
+        return _LineSamples(time, written, u, y, self.starts, excluded, stamps)
 
 
 class _LineTimes(NamedTuple):
@@ -110,6 +114,8 @@ class PipeText(Stream):
         self.returns = 0  # carriage returns at the end, which may be the first half of a line end
         self.after: float | None = None
         self.shown: list[float] | None = []
+        if not self.regular:
+            self.shown = None
         if memory is not None:
             self._resume_from(memory)
 
@@ -238,6 +244,7 @@ class PipeText(Stream):
             samples.excluded,
             time=samples.time,
             dt=self.dt,
+            stamps=samples.stamps,
             written=written,
             source=SOURCE,
         )
@@ -328,6 +335,8 @@ class PipeText(Stream):
                 self._lose(f"line {number} {e}")
                 del self.begun[at]
                 continue
+            if not self.regular and reader.plan.time is None:
+                raise ValueError(f"{SOURCE} has no column of times: means over intervals need one")
             self.reader = reader
             rows, self.begun = self.begun[header + 1 :], []
             return [row for row in rows if row[0] >= number or not reader.layout.is_blank(row[1])]
@@ -358,7 +367,7 @@ class PipeText(Stream):
         return self.reader
 
     def _is_next(self, line: bytes) -> bool:
-        """Return whether a line of data is of the sample dt after the last one."""
+        """Return whether a line is of the sample dt after the last one; where steps differ, of a later."""
         reader = self._known_reader
         if reader.plan.time is None or not self.clock.samples:
             return False
@@ -366,6 +375,8 @@ class PipeText(Stream):
             step = self._step_to(reader.stamp(line))
         except ValueError:
             return False
+        if not self.regular:
+            return step > 0
         return abs(step - self.dt) <= TOLERATED_STEP * self.dt
 
     def _step_to(self, cell: str) -> float:
@@ -484,7 +495,10 @@ class PipeText(Stream):
         if self.origin is not None and self.scale is None:  # numbers that are seconds
             since = since - self.origin
         u, y, excluded = plan.samples(columns, count, (since, times.stamps))
-        samples = _LineSamples(times.time, times.written, u, y, np.zeros(0, np.int64), excluded)
+        stamps = None
+        if not self.regular:
+            stamps = times.stamps
+        samples = _LineSamples(times.time, times.written, u, y, np.zeros(0, np.int64), excluded, stamps)
         if self.after is not None:
             samples, rows = self._behind(samples, rows, times.before)
             if not rows:
@@ -524,9 +538,11 @@ class PipeText(Stream):
         """Return samples that are taken, with their seams."""
         known, time = self.clock.samples, samples.time
         # one sample that is on time, as most are: sooner said than by `tick`
-        if len(time) == 1 and known and abs(time[0] - before - self.dt) <= TOLERATED_STEP * self.dt:
+        starts = np.zeros(0, np.int64)
+        if not self.regular:
+            self.clock = replace(self.clock, samples=known + len(time), last=float(time[-1]))
+        elif len(time) == 1 and known and abs(time[0] - before - self.dt) <= TOLERATED_STEP * self.dt:
             self.clock = replace(self.clock, samples=known + 1, last=float(time[0]))
-            starts = np.zeros(0, np.int64)
         else:
             self.clock, seams = tick(replace(self.clock, last=before), time)
             starts = seams - known
@@ -541,7 +557,7 @@ class PipeText(Stream):
         if self.broken:
             starts, self.broken = np.union1d(starts, [0]), False
         excluded = samples.excluded
-        if excluded is not None:
+        if excluded is not None and self.regular:
             edges = np.flatnonzero(np.diff(excluded.astype(np.int8), prepend=np.int8(self.aside)))
             starts, self.aside = np.union1d(starts, edges), bool(excluded[-1])
         return samples._replace(starts=starts)
@@ -574,7 +590,10 @@ class PipeText(Stream):
         if cells.null_count:
             raise ValueError("has no time")
         every = pa.concat_arrays([pa.array(before, pa.string()), cells])
-        time, stamps, hint = parse_stamps(every, self.dt, lambda k: "")
+        period = None
+        if self.regular:
+            period = self.dt
+        time, stamps, hint = parse_stamps(every, period, lambda k: "")
         if not before:
             if hint:
                 self.complain("hint", hint)
@@ -598,12 +617,16 @@ def _in_one(pieces: list[_LineSamples]) -> _LineSamples:
     for piece in pieces:
         starts.append(piece.starts + first)
         first += len(piece.time)
-    times, writtens, inputs, outputs, _, sets_aside = zip(*pieces, strict=True)
+    times, writtens, inputs, outputs, _, sets_aside, dates = zip(*pieces, strict=True)
     join: Callable[[Any], Any] = np.concatenate
     if isinstance(writtens[0], pa.Array):
         join = pa.concat_arrays
     excluded = None
     if sets_aside[0] is not None:
         excluded = np.concatenate(sets_aside)
+    stamps = None
+    if dates[0] is not None:
+        stamps = np.concatenate(dates)
     signals = np.concatenate(inputs), np.concatenate(outputs)
-    return _LineSamples(np.concatenate(times), join(writtens), *signals, np.concatenate(starts), excluded)
+    seams = np.concatenate(starts)
+    return _LineSamples(np.concatenate(times), join(writtens), *signals, seams, excluded, stamps)

@@ -273,7 +273,7 @@ class Recording:
             stamps = from_epoch(self.origin + self.time, 1.0)
         origin = midnight_of(stamps)
         instant = instants(self.time, stamps, origin)
-        grid = grid_of([instant], every, usual_step(instant), origin)
+        grid = grid_of([instant], every, usual_step(instant, every), origin)
         return self.on_grid(grid, int(grid.number[0]), means_of(grid, 0, self.u, self.y, self.excluded))
 
     def on_grid(self, grid: Grid, zero: int, samples: Samples) -> "Recording":

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from jaxbound.recordings.factors import known
-from jaxbound.recordings.means import refuse_every
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import Clock, Seam
 from jaxbound.recordings.signals import SignalModel
@@ -29,17 +28,18 @@ class Stream:
         model: whose signals are wanted. complain: see `Complain`.
 
     Fields: raw: where they come from, an iterator, or the number of an open file; dt: sampling period in s;
-    clock: of all samples so far; lost: samples, or lines, that could not be read; replaying: whether the
-    sender has begun again, and all that it sends was taken before.
+    regular: whether samples have to be dt apart; else no step is a seam; clock: of all samples so far; lost:
+    samples, or lines, that could not be read; replaying: whether the sender has begun again, and all that it
+    sends was taken before.
     """
 
     raw: Any = ()
     replaying = False
 
     def __init__(self, model: SignalModel, complain: Complain) -> None:
-        refuse_every(model, "samples that are judged as they come")
         self.model, self.complain = model, complain
         self.dt = model.dt or 1.0
+        self.regular: bool = getattr(model, "regular", True)
         self.clock = Clock(self.dt)
         self.lost = 0
 

@@ -1,5 +1,7 @@
 """Means over intervals of the clock: pandas says which, every door gives the same, pieces are the whole."""
 
+import functools
+import itertools
 import json
 from fractions import Fraction
 
@@ -13,6 +15,9 @@ import jaxbound as jb
 from jaxbound.cli import main
 from jaxbound.recordings import meansource
 from jaxbound.recordings.clockintervals import every_text, seconds_of
+from jaxbound.recordings.means import recorded_model
+from jaxbound.recordings.meanstream import MeansStream
+from jaxbound.recordings.pipetext import PipeText
 from jaxbound.recordings.read import open_source
 
 MODEL = jb.LinearSystem(
@@ -292,10 +297,67 @@ def test_without_times_there_are_no_means(tmp_path, kind):
         jb.fit((np.ones((99, 1)), np.ones((99, 1))), every="15min")
 
 
-def test_a_stream_is_refused_in_a_sentence(tmp_path, capsys, monkeypatch):
-    jb.save_model(PLAIN, tmp_path / "m.toml")
+def test_readings_that_are_joined_are_refused_in_a_sentence():
     with pytest.raises(ValueError, match="the model's samples are means over 15min"):
         jb.read(iter([minutes()]), PLAIN)
+
+
+def streamed(text, cuts, kill=False):
+    """Return the means of CSV that comes in pieces, one Recording of all; kill: another process takes over
+    behind each piece, from what JSON keeps.
+    """
+    complain = lambda kind, sentence: None
+    raw = recorded_model(MODEL)
+    stream, pieces, firsts, starts = MeansStream(PipeText(raw, complain, whole=False), MODEL), [], [], []
+    for begin, end in itertools.pairwise([0, *cuts, len(text)]):
+        arrivals = [text[begin:end], None]  # a signal behind it
+        for first, piece in stream.pieces(iter(arrivals)):
+            if piece.samples:
+                firsts.append(first)
+                pieces.append(piece)
+                starts += (piece.starts + first).tolist()
+        memory = stream.memory()
+        if kill and memory is not None:
+            memory = json.loads(json.dumps(memory))
+            reading = PipeText(raw, complain, memory["reading"], whole=False)
+            stream = MeansStream(reading, MODEL, memory)
+    assert firsts == [0, *np.cumsum([piece.samples for piece in pieces])[:-1]]
+    return functools.reduce(lambda one, other: one.followed(other), pieces), starts
+
+
+@pytest.mark.parametrize("kill", [False, True])
+def test_a_pipe_gives_the_means_of_the_file_as_intervals_end(tmp_path, rng, kill):
+    frame = minutes()
+    whole = jb.read(written(frame, tmp_path, "csv"), MODEL)
+    text = frame.to_csv(index=False).encode()
+    cuts = np.sort(rng.choice(np.arange(1, len(text)), 40, replace=False)).tolist()
+    means, starts = streamed(text, cuts, kill)
+    assert means.samples == whole.samples  # the rows behind the last whole interval begin another one
+    for name in ("u", "y", "excluded", "time", "stamps"):
+        np.testing.assert_array_equal(getattr(means, name), getattr(whole, name))
+    assert means.written.to_pylist() == whole.written.to_pylist()
+    assert starts == whole.starts.tolist()
+
+
+def test_an_interval_comes_when_the_next_one_begins():
+    frame = minutes(200, "2024-03-01 08:00").drop(columns="fan").assign(fan=1.0)
+    lines = frame.to_csv(index=False).encode().splitlines(keepends=True)
+    stream = MeansStream(PipeText(recorded_model(MODEL), print, whole=False), MODEL)
+    came = [(n, p.samples) for n, (_, p) in enumerate(stream.pieces(iter(lines))) if p.samples]
+    assert came[0] == (100, 6)  # a hundred rows: 90 minutes are over
+    assert came[1:] == [(minute + 1, 1) for minute in range(105, 200, 15)]
+
+
+def test_a_recorder_that_skips_a_sample_now_and_then_loses_no_interval():
+    """Steps of 1 s, one in twenty-five of 2 s, as test benches write them; 5 s are a hole all the same."""
+    steps = np.where(np.arange(2000) % 25 == 7, 2.0, 1.0)
+    steps[1204] = 5.0
+    t = np.cumsum(steps)
+    table = pd.DataFrame({"u1": np.sin(t), "y1": np.cos(t)}, index=pd.to_timedelta(t, "s"))
+    model = PLAIN.replace(columns={"every": "10s"}, dt=10)
+    r = jb.Recording.of(model, table)
+    assert np.isnan(r.y[:, 0]).sum() == 1
+    assert len(r.starts) == 0 and r.samples >= 206
 
 
 @hypothesis.given(st.integers(1, 10**6), st.sampled_from([0.001, 1, 60, 3600, 86400]))

@@ -1,0 +1,218 @@
+"""Streams whose samples are means over the intervals of a clock: those of the same recording as a whole.
+
+An interval is judged when the next one begins. The first hundred samples show the usual step, see `means`, so
+the means of the first intervals come together behind them. Samples of the interval that is not over are kept,
+so that another process goes on with them.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from jaxbound.recordings.factors import known
+from jaxbound.recordings.means import (
+    FIRST,
+    Grid,
+    every_of,
+    finished,
+    instants,
+    means_of,
+    midnight_of,
+    usual_step,
+    written_stamps,
+)
+from jaxbound.recordings.recording import NOWHERE, Recording
+from jaxbound.recordings.seams import tick
+from jaxbound.recordings.signals import SignalModel
+from jaxbound.recordings.stream import Stream
+from jaxbound.recordings.timestamps import from_epoch, time_label
+
+__all__ = ["MeansStream"]
+
+SINCE_1970 = 1e9  # a time in seconds that large is counted from 1970
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Samples as recorded: instant (N,) ns, u (N, m), y (N, p), excluded (N,) bool, and broken (N,) bool:
+    something before it was lost.
+    """
+
+    instant: np.ndarray
+    u: np.ndarray
+    y: np.ndarray
+    excluded: np.ndarray
+    broken: np.ndarray
+
+    def followed(self, other: "_Rows") -> "_Rows":
+        """Return these samples and those behind them."""
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return _Rows(*(np.concatenate(pair) for pair in pairs))
+
+    def behind(self, first: int) -> "_Rows":
+        """Return the samples from number `first` on."""
+        return _Rows(*(x[first:] for x in vars(self).values()))
+
+    def plain(self) -> dict[str, Any]:
+        """Return the samples as JSON holds them."""
+        return {name: x.tolist() for name, x in vars(self).items()}
+
+
+class MeansStream(Stream):
+    """The means of another stream.
+
+    Args:
+        reading: the samples as they are recorded, of `means.recorded_model`. model: with the interval.
+        memory: from `.memory()` of another MeansStream, to go on where that ended; None: a new stream.
+    """
+
+    def __init__(self, reading: Stream, model: SignalModel, memory: dict[str, Any] | None = None) -> None:
+        super().__init__(model, reading.complain)
+        self.reading, self.raw = reading, reading.raw
+        self.every = every_of(model) or ""
+        self.rows: _Rows | None = None  # from the last one of the interval before on
+        self.usual: int | None = None  # step in ns
+        self.origin: np.datetime64 | None = None
+        self.zero: int | None = None  # number of the first interval that counts
+        self.has_before = self.aside = False
+        if memory is not None:
+            self._resume_from(memory)
+
+    @property
+    def replaying(self) -> bool:  # type: ignore[override]
+        """Whether the sender has begun again, and all that it sends was taken before."""
+        return self.reading.replaying
+
+    def _resume_from(self, memory: dict[str, Any]) -> None:
+        """Go on from a memory."""
+        self._resume_clock(memory)
+        if memory["rows"] is not None:
+            self.rows = self._rows_of(memory["rows"])
+        self.usual, self.zero = memory["usual"], memory["zero"]
+        self.has_before, self.aside = memory["has_before"], memory["aside"]
+        if memory["origin"] is not None:
+            self.origin = np.datetime64(memory["origin"], "ns")
+
+    def _rows_of(self, rows: dict[str, Any]) -> _Rows:
+        """Return samples from JSON."""
+        return _Rows(
+            np.array(rows["instant"], np.int64),
+            np.array(rows["u"], float).reshape(-1, len(known(self.model))),
+            np.array(rows["y"], float).reshape(-1, len(self.model.outputs)),
+            np.array(rows["excluded"], bool),
+            np.array(rows["broken"], bool),
+        )
+
+    def memory(self) -> dict[str, Any] | None:
+        """Return the state from which another process goes on; None before the first sample."""
+        reading = self.reading.memory()
+        if reading is None:
+            return None
+        rows = None
+        if self.rows is not None:
+            rows = self.rows.plain()
+        origin = None
+        if self.origin is not None:
+            origin = int(self.origin.astype(np.int64))
+        return {
+            "reading": reading,
+            **self._clock_memory(),
+            "rows": rows,
+            "usual": self.usual,
+            "origin": origin,
+            "zero": self.zero,
+            "has_before": self.has_before,
+            "aside": self.aside,
+        }
+
+    def pieces(self, arrivals: Iterator[Any]) -> Iterator[tuple[int, Recording]]:
+        """Yield (number of its first sample, Recording) of the means that samples complete, as they come.
+
+        Raises:
+            ValueError: as the samples themselves, or an interval that is shorter than their step.
+        """
+        for _, piece in self.reading.pieces(arrivals):
+            self.lost = self.reading.lost
+            if piece.samples:
+                self._take(piece)
+            means = self._means()
+            if means is None:
+                yield self.nothing()
+            else:
+                yield self.clock.samples - means.samples, means
+        if self.usual is None:
+            self.complain(
+                "means", f"of {FIRST} samples that show the usual step some did not come: none is judged"
+            )
+
+    def when(self, piece: Recording, k: int) -> str | float:
+        """Return the time of a sample: its text, or seconds."""
+        when: str | float = piece.column[k].as_py()
+        return when
+
+    def label(self, when: str | float) -> str:
+        """Return a time from `when` as a reader would write it."""
+        if isinstance(when, str):
+            return when
+        return time_label(when, None, self.dt)
+
+    def _take(self, piece: Recording) -> None:
+        """Keep the samples of a piece."""
+        assert piece.time is not None, "a piece of a stream has times"
+        stamps = piece.stamps
+        if stamps is None and float(piece.time[0]) > SINCE_1970:
+            stamps = from_epoch(piece.time, 1.0)
+        if self.rows is None:
+            self.origin = midnight_of(stamps)
+        excluded = piece.excluded
+        if excluded is None:
+            excluded = np.zeros(piece.samples, bool)
+        broken = np.zeros(piece.samples, bool)
+        broken[piece.starts] = True
+        instant = instants(piece.time, stamps, self.origin)
+        rows = _Rows(instant, np.asarray(piece.u, float), np.asarray(piece.y, float), excluded, broken)
+        if self.rows is not None:
+            rows = self.rows.followed(rows)
+        self.rows = rows
+
+    def _means(self) -> Recording | None:
+        """Return the means of the intervals that are over; None where there is none."""
+        rows = self.rows
+        if rows is None:
+            return None
+        if self.usual is None:
+            if len(rows.instant) < FIRST:
+                return None
+            self.usual = usual_step(rows.instant, self.every)
+        begun = self.zero is not None
+        done, rest = finished(
+            rows.instant, rows.broken, self.every, self.usual, self.origin, self.has_before, begun
+        )
+        if rest:
+            self.rows, self.has_before = rows.behind(rest - 1), True
+        if not len(done.number):
+            return None
+        if self.zero is None:
+            self.zero = int(done.number[0])
+        excluded = None
+        if "where" in self.model.columns:
+            excluded = rows.excluded
+        return self._seamed(done, means_of(done, 0, rows.u, rows.y, excluded))
+
+    def _seamed(self, grid: Grid, samples: tuple[np.ndarray, np.ndarray, np.ndarray | None]) -> Recording:
+        """Return means as a Recording with its seams."""
+        assert self.zero is not None, "an interval is over"
+        like = Recording(*samples[:2], NOWHERE, known(self.model), self.model.outputs)
+        means = like.on_grid(grid, self.zero, samples)
+        if means.stamps is not None:
+            means = replace(means, written=written_stamps(means.stamps, grid.every))
+        before = self.clock.samples
+        self.clock, seams = tick(self.clock, means.time)
+        starts = seams - before
+        if means.excluded is not None:
+            edges = np.diff(means.excluded.astype(np.int8), prepend=np.int8(self.aside))
+            starts = np.union1d(starts, np.flatnonzero(edges))
+            self.aside = bool(means.excluded[-1])
+        return replace(means, starts=starts.astype(np.int64))
