@@ -19,7 +19,7 @@ from jaxbound.cli.options import (
     share,
     whole_number,
 )
-from jaxbound.cli.terminal import INTERRUPTED, OK, door, progress_bars, say, some_device, write
+from jaxbound.cli.terminal import INTERRUPTED, OK, Refused, door, progress_bars, say, some_device, write
 
 if TYPE_CHECKING:
     from jaxbound.studies.tuning.parametrization import Tunable
@@ -39,7 +39,13 @@ EXAMPLES = (
         "jaxbound tune plant.toml a.csv b.csv --method observer --observer joint --latched --out tuned.toml",
         "one factor on all bounds, for `detect` with the same observer",
     ),
+    (
+        "jaxbound tune monitor.toml a.csv b.csv --out tuned.toml",
+        "of a model with [[test]] tables: one factor a test",
+    ),
 )
+STEPS = 300
+"""Of the search where none are asked for."""
 CODES = (
     "exit codes: 0, 2 bad input, 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM (the best "
     "bounds until then are written; the same command goes on)"
@@ -73,19 +79,18 @@ def options(parser: argparse.ArgumentParser) -> None:
         choices=("joint", OBSERVER),
         default="joint",
         metavar="METHOD",
-        help="windows; observer: all bounds by one factor, at which it follows each recording to its "
-        "end (default: windows)",
+        help="windows, or the tests that the model states, one factor each; observer: all bounds by one "
+        "factor, at which it follows each recording to its end (default: windows)",
     )
     add_observer(parser)
     parser.add_argument(
         "--steps",
         type=whole_number(0, 10**7),
-        default=300,
         metavar="N",
-        help="gradient steps (default: 300; 0: one factor on all bounds)",
+        help=f"gradient steps (default: {STEPS}; 0: one factor on all bounds)",
     )
     parser.add_argument(
-        "--optimizer", default="adam", metavar="NAME", help="of optax: adam (default), sgd, lion, ..."
+        "--optimizer", metavar="NAME", help="of optax: adam (default), sgd, lion, ..."
     )
     parser.add_argument(
         "--bounds", metavar="A,B", help="which move: noise, tolerance, disturbance, parameters (default: all)"
@@ -111,17 +116,20 @@ def run(args: argparse.Namespace) -> int:
         from jaxbound.cli.tune_summary import (
             is_unfinished,
             optimizer,
+            plain_factors,
             plain_tuning,
+            show_factors,
             show_tuning,
             tuned_text,
         )
-        from jaxbound.cli.window import stated_model, window_relations
+        from jaxbound.cli.window import recorded, stated_model, window_relations
+        from jaxbound.consistency.monitorbank import MonitorBank
         from jaxbound.files.whole import whole
         from jaxbound.plots.canvas import to_png
         from jaxbound.plots.tune import plot_tuning
         from jaxbound.recordings.read import read
         from jaxbound.runs.outputs import refuse_targets
-        from jaxbound.studies.tuning.tuning import tune
+        from jaxbound.studies.tuning.tuning import MonitorTuneResult, TuneResult, tune
 
     state = args.out.with_name(args.out.name + ".state.npz")
     files = [*args.healthy, *args.faulty]
@@ -132,34 +140,59 @@ def run(args: argparse.Namespace) -> int:
     chosen = None
     if args.bounds is not None:
         chosen = [name.strip() for name in args.bounds.split(",")]
+    options = MethodOptions.of(args)
+    steps = args.steps
+    if steps is None:
+        steps = STEPS
     with door(), progress_bars(("read", "relations", "tune")) as step:
         model = stated_model(args.model, args.every)
+        columns = recorded(model, options)
         text = args.model.read_text(encoding="utf-8-sig")
         recordings = []
         for i, file in enumerate(files):
-            recordings.append(read(file, model, lambda share, i=i: step("read", (i + share) / len(files))))
+            recordings.append(read(file, columns, lambda share, i=i: step("read", (i + share) / len(files))))
         some_device()
         longest = int(np.argmax([recording.samples for recording in recordings]))
         samples = recordings[longest].samples
-        model, relations = window_relations(model, MethodOptions.of(args), files[longest], samples, step)
-        tuning = tune(
-            cast("Tunable", relations),  # --method names no other kind
-            recordings[: len(args.healthy)],
-            recordings[len(args.healthy) :] or None,
-            optimizer(args.optimizer, args.steps),
-            args.steps,
-            bounds=chosen,
-            safety=args.safety,
-            calibrate=args.calibrate,
-            progress=lambda share: step("tune", share),
-            state=state,
-        )
+        model, relations = window_relations(model, options, files[longest], samples, step)
+        healthy = recordings[: len(args.healthy)]
+        faulty = recordings[len(args.healthy) :] or None
+        tuning: TuneResult | MonitorTuneResult
+        if isinstance(relations, MonitorBank):
+            _refuse_search(args)
+            tuning = tune(
+                relations,
+                healthy,
+                faulty,
+                safety=args.safety,
+                calibrate=args.calibrate,
+                progress=lambda share: step("tune", share),
+            )
+        else:
+            tuning = tune(
+                cast("Tunable", relations),  # --method names no other kind
+                healthy,
+                faulty,
+                optimizer(args.optimizer or "adam", steps),
+                steps,
+                bounds=chosen,
+                safety=args.safety,
+                calibrate=args.calibrate,
+                progress=lambda share: step("tune", share),
+                state=state,
+            )
         with whole(args.out) as f:
             f.write(tuned_text(tuning, text))
-        if args.plot:
+        if args.plot and isinstance(tuning, TuneResult):
             with whole(args.plot) as f:
                 f.write(to_png(plot_tuning(tuning)))
     hints = [f"{file}: {hint}" for file, r in zip(files, recordings, strict=True) for hint in r.hints]
+    if isinstance(tuning, MonitorTuneResult):
+        if args.json:
+            write(json.dumps(plain_factors(tuning, args.out, hints), indent=1) + "\n")
+        else:
+            show_factors(tuning, [str(args.out)], hints)
+        return OK
     if args.json:
         write(json.dumps(plain_tuning(tuning, args.out, hints), indent=1) + "\n")
     else:
@@ -169,9 +202,29 @@ def run(args: argparse.Namespace) -> int:
         show_tuning(tuning, args.healthy, written, hints)
     if tuning.stopped:
         say(
-            f"stopped after {tuning.steps} of {args.steps} steps: {args.out} has the best bounds until then; "
+            f"stopped after {tuning.steps} of {steps} steps: {args.out} has the best bounds until then; "
             f"the same command goes on"
         )
         return INTERRUPTED
     state.unlink(missing_ok=True)
     return OK
+
+
+def _refuse_search(args: argparse.Namespace) -> None:
+    """Refuse options of a search for several bounds: a test of a monitor has one factor.
+
+    Raises:
+        Refused: one of them is asked for.
+    """
+    asked = {
+        "--steps": args.steps,
+        "--optimizer": args.optimizer,
+        "--bounds": args.bounds,
+        "--plot": args.plot,
+    }
+    for option, value in asked.items():
+        if value:
+            raise Refused(
+                f"{option} is for one test: the model states tests, and each gets one factor; ask for one test "
+                f"by --horizon, --lags or --method, or leave {option} out"
+            )

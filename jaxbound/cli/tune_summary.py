@@ -12,25 +12,25 @@ import numpy as np
 from jaxbound.cli.fit_summary import promise
 from jaxbound.cli.terminal import show
 from jaxbound.models.modelfile import changed_text, number_text
-from jaxbound.studies.tuning.tuning import TuneResult
+from jaxbound.studies.tuning.tuning import MonitorTuneResult, TuneResult
 
 if TYPE_CHECKING:
     from optax import GradientTransformation
 
-__all__ = ["OPTIMIZERS", "is_unfinished", "optimizer", "plain_tuning", "show_tuning", "tuned_text"]
+__all__ = ["OPTIMIZERS", "is_unfinished", "optimizer", "plain_factors", "plain_tuning", "show_factors", "show_tuning", "tuned_text"]
 
 OPTIMIZERS = ("adam", "adabelief", "adagrad", "lion", "nadam", "rmsprop", "sgd", "yogi")
 MARK = b"# The search was interrupted: the same command goes on and replaces this file. %s\n"
 RATE = 0.1  # of the first step, on the logarithms of the bounds
 
 
-def tuned_text(tuning: TuneResult, text: str) -> bytes:
+def tuned_text(tuning: TuneResult | MonitorTuneResult, text: str) -> bytes:
     """Return the text of a model file with the bounds that were found; its comments stay.
 
     That of an interrupted search begins with a line by which the next call knows that nobody has changed it.
     """
     tuned = changed_text(text, tuning.model).encode()
-    if tuning.stopped:
+    if isinstance(tuning, TuneResult) and tuning.stopped:
         return _mark(tuned) + tuned
     return tuned
 
@@ -94,6 +94,49 @@ def plain_tuning(tuning: TuneResult, out: Path, hints: Sequence[str]) -> dict[st
         "notes": list(tuning.notes),
         "hints": list(hints),
     }
+
+
+def plain_factors(tuning: MonitorTuneResult, out: Path, hints: Sequence[str]) -> dict[str, Any]:
+    """Return the factors of a monitor's tests as JSON has them."""
+    tests: dict[str, dict[str, Any]] = {}
+    for name, factor in tuning.factors.items():
+        tests[name] = {"start": float(tuning.start[name]), "factor": float(factor)}
+        one = tuning.tests.get(name)
+        if one is not None:
+            tests[name] |= {"scale": one.scale, "left_out": _plain_factors(one.left_out), "healthy": one.counts}
+            tests[name] |= {"faulty": one.faulty_counts, "caught": one.caught, "text": one.statement}
+    return {
+        "out": str(out),
+        "tests": tests,
+        "healthy": tuning.counts,
+        "faulty": tuning.faulty_counts,
+        "caught": tuning.caught,
+        "notes": list(tuning.notes),
+        "hints": list(hints),
+    }
+
+
+def show_factors(tuning: MonitorTuneResult, written: Sequence[str], hints: Sequence[str]) -> None:
+    """Print the factors of a monitor's tests. written: names of new files."""
+    table = [("test", "factor", "smallest", "left out", "written", "healthy", "caught")]
+    for name, factor in tuning.factors.items():
+        one = tuning.tests.get(name)
+        start, new = f"{float(tuning.start[name]):.6g}", number_text(factor)
+        if one is None:
+            table.append((name, start, "", "", new, "it watches nothing", ""))
+            continue
+        smallest = f"{one.scale * float(tuning.start[name]):.6g}"
+        caught = ""
+        if one.caught is not None:
+            caught = f"{one.caught:.1%}"
+        table.append((name, start, smallest, f"{one.factor:.3g}", new, _counts_text(one.counts), caught))
+    rows = [("healthy", f"{_counts_text(tuning.counts)} samples, by the monitor")]
+    if tuning.faulty_counts:
+        rows.append(("faulty", f"{_counts_text(tuning.faulty_counts)}: {tuning.caught:.1%} proved faulty"))
+    rows.append(("written", " and ".join(written)))
+    rows += [("note", note) for note in tuning.notes]
+    rows += [("hint", hint) for hint in hints]
+    show(f"{tuning.model.name}: one factor a test", "bold", rows, table=table)
 
 
 def _plain_factors(factors: Sequence[float]) -> list[float | None]:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxbound.files.whole import whole
-from jaxbound.models.filevalues import TEXT, number_text
+from jaxbound.models.filevalues import NUMBER, TEXT, number_text
 from jaxbound.models.modelfields import LISTS, Entry, entries, model_arguments, value_texts
 from jaxbound.models.statedtests import lines_of
 from jaxbound.models.system import LinearSystem
@@ -163,6 +163,9 @@ def _change(document: TOMLDocument, before: LinearSystem, after: LinearSystem) -
         for name in dict.fromkeys((*old, *new)):
             if old.get(name) != new.get(name):
                 _set(table, name, new.get(name))
+    for number, (was, test) in enumerate(zip(before.tests, after.tests, strict=True)):
+        if was.factor != test.factor:  # other changes of tests are written anew
+            _set(document["test"][number], "factor", NUMBER.spell(test.factor))
     if dict(before.provenance) != dict(after.provenance):
         if "provenance" not in document:
             document["provenance"] = {}

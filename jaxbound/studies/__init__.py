@@ -3,6 +3,6 @@
 from jaxbound.studies.assessment.assessment import Assessment
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
 from jaxbound.studies.montecarlo.study_result import StudyResult
-from jaxbound.studies.tuning.tuning import TuneResult
+from jaxbound.studies.tuning.tuning import MonitorTuneResult, TuneResult
 
-__all__ = ["Assessment", "FitCheck", "Fitted", "StudyResult", "TuneResult"]
+__all__ = ["Assessment", "FitCheck", "Fitted", "MonitorTuneResult", "StudyResult", "TuneResult"]

@@ -5,14 +5,15 @@ says about other data.
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, TypeAlias
+from functools import partial
+from typing import TYPE_CHECKING, TypeAlias, overload
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.consistency.interface import Relations
+from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.result import Result
 from jaxbound.estimation.set_observer import SetObserver
@@ -29,6 +30,7 @@ from jaxbound.sets.floats.sizes import power
 from jaxbound.studies.tuning.confidence import blocks_of, held_out, risk_of, touched
 from jaxbound.studies.tuning.descent import BLOCK, RATE, Faulty, default_optimizer, descend, objective_of
 from jaxbound.studies.tuning.left_out import factors_left_out
+from jaxbound.studies.tuning.monitor_tuning import MonitorTuneResult, tuned_monitor
 from jaxbound.studies.tuning.observer_tuning import tuned_observer
 from jaxbound.studies.tuning.parametrization import Moving, Tunable, moving
 from jaxbound.studies.tuning.scaling import (
@@ -45,7 +47,7 @@ from jaxbound.studies.tuning.widening import Wider, accepted, stated_factor
 if TYPE_CHECKING:
     import optax
 
-__all__ = ["TuneResult", "tune"]
+__all__ = ["MonitorTuneResult", "TuneResult", "tune"]
 
 Windows: TypeAlias = ParityRelation | UncertainRelations
 Carry: TypeAlias = "tuple[jax.Array, optax.OptState]"
@@ -62,9 +64,43 @@ UNTUNED = {
 NEAR = 0.01  # bounds this close to the smallest are close enough between steps
 
 
-@where_proofs_hold()
+@overload
 def tune(
     relations: Tunable,
+    healthy: object,
+    faulty: object = ...,
+    optimizer: "optax.GradientTransformation | None" = ...,
+    steps: int = ...,
+    *,
+    bounds: str | Iterable[str] | None = ...,
+    weights: Mapping[str, ArrayLike] | None = ...,
+    safety: float = ...,
+    calibrate: float = ...,
+    block: int | None = ...,
+    confidence: float = ...,
+    every: int = ...,
+    progress: Callable[[float], object] | None = ...,
+    state: str | os.PathLike[str] | None = ...,
+) -> TuneResult: ...
+
+
+@overload
+def tune(
+    relations: MonitorBank,
+    healthy: object,
+    faulty: object = ...,
+    *,
+    safety: float = ...,
+    calibrate: float = ...,
+    block: int | None = ...,
+    confidence: float = ...,
+    progress: Callable[[float], object] | None = ...,
+) -> MonitorTuneResult: ...
+
+
+@where_proofs_hold()
+def tune(
+    relations: Tunable | MonitorBank,
     healthy: object,
     faulty: object = None,
     optimizer: "optax.GradientTransformation | None" = None,
@@ -79,7 +115,7 @@ def tune(
     every: int = 10,
     progress: Callable[[float], object] | None = None,
     state: str | os.PathLike[str] | None = None,
-) -> TuneResult:
+) -> TuneResult | MonitorTuneResult:
     """Find the smallest bounds under which healthy data are consistent; with faulty data, those that leave
     most of these outside.
 
@@ -93,7 +129,8 @@ def tune(
         relations: from `parity_relations`; their bounds are the start. Those at 0 stay 0. What the joint test
             explains, "box", "paving" and a bank do not refute either: bounds tuned by it hold for them too.
             Or a set observer of a LinearSystem: one factor on all bounds, by bisection, at which no sample is
-            FAULT.
+            FAULT. Or a `jb.monitor`: one factor a test on the bounds that it scales, found as for this test
+            alone; it takes neither optimizer, bounds, weights nor state, and makes no steps.
         healthy: (u, y), arrays (..., T, m) and (..., T, p) or DataFrames, or a list of such tuples, one a
             recording that is left out in turn; (u, y, starts) where samples do not follow the one before, as
             for `detect`. NaN marks a missing sample.
@@ -117,7 +154,7 @@ def tune(
             the search, not the call.
 
     Returns:
-        A TuneResult.
+        A TuneResult; of a monitor a MonitorTuneResult.
 
     Raises:
         ValueError: no healthy window, bounds that cannot explain the healthy data, an unknown bound, faulty
@@ -142,6 +179,17 @@ def tune(
         every=every,
     )
     report = progress or _silent
+    if isinstance(relations, MonitorBank):
+        for name, given in (
+            ("optimizer", optimizer),
+            ("bounds", bounds),
+            ("weights", weights),
+            ("state", state),
+        ):
+            if given is not None:
+                raise ValueError(f"tune finds one factor a test of a monitor: {name} belongs to one test alone")
+        one = partial(tune, steps=0, safety=safety, calibrate=calibrate, block=block, confidence=confidence)
+        return tuned_monitor(relations, healthy, faulty, one, report)
     if isinstance(relations, SetObserver):
         return tuned_observer(relations, healthy, faulty, bounds, safety, confidence, report)
     model, s = relations.model, relations.horizon
@@ -426,18 +474,12 @@ def _check(
     every: int,
 ) -> None:
     """Raise TypeError or ValueError for what `tune` does not take."""
-    if isinstance(relations, Relations) and relations.parts:
-        raise ValueError(
-            f"tune finds the bounds of one test, and this is a monitor of {len(relations.parts)}: ask for "
-            f"one by --horizon, --lags or --method, or give it one of monitor.parts; all tests keep their "
-            f"factors"
-        )
     if isinstance(relations, SetObserver):
         if not isinstance(relations.model, LinearSystem):
             raise TypeError(
                 "tune needs the observer of a LinearSystem: an interval_system has no bounds to scale"
             )
-    elif not isinstance(relations, ParityRelation | UncertainRelations):
+    elif not isinstance(relations, ParityRelation | UncertainRelations | MonitorBank):
         why = next((text for kind, text in UNTUNED.items() if isinstance(relations, kind)), "")
         raise TypeError(f"tune needs relations from parity_relations, not {type(relations).__name__}{why}")
     _refuse_below("steps", steps, 0)

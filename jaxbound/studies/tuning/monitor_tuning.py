@@ -1,0 +1,246 @@
+"""Tuning a monitor: one factor on the bounds of each of its tests, found as for this test alone, on the samples
+at which it watches.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from decimal import ROUND_CEILING, Context, Decimal
+from fractions import Fraction
+from functools import partial
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from jaxbound.consistency.monitorbank import NO, UNKNOWN, MonitorBank
+from jaxbound.diagnosis.detection import detect
+from jaxbound.diagnosis.monitoring import monitor, relations_of_test
+from jaxbound.models.statedtests import StatedTest
+from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.factors import known
+from jaxbound.recordings.recording import Recording
+from jaxbound.studies.tuning.parametrization import Tunable, tuned_model
+from jaxbound.studies.tuning.scaling import JoinedRecordings, joined_recordings, refuse_same
+from jaxbound.studies.tuning.tune_result import TuneResult
+from jaxbound.text.objects import readable
+
+__all__ = ["MonitorTuneResult", "tuned_monitor"]
+
+DIGITS = 4
+"""Of a factor in a model file."""
+UNSCALED = "parameters"
+"""Bounds that the factor of a test leaves as they are."""
+Samples: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""(u, y, starts)."""
+TuneOne: TypeAlias = Callable[..., TuneResult]
+
+
+@readable
+@dataclass(frozen=True, eq=False)
+class MonitorTuneResult:
+    """The factors of a monitor's tests that were tuned, and what is known of them.
+
+    Fields:
+        tests: {name: TuneResult} of each test as it is tuned alone, on the samples at which it watches.
+        factors: {name: Fraction} on the bounds of the model, as .model states them: smallest times factor
+            times safety, rounded up to four digits. start: the same, before.
+        counts: {status name: healthy samples} of the monitor under .model; FAULT is 0. faulty_counts: the
+            same of the faulty samples, or None.
+        model: the LinearSystem with these factors, for `save_model`. relations: its monitor, for `detect`.
+        notes: sentences on what did not move.
+    """
+
+    tests: Mapping[str, TuneResult]
+    factors: Mapping[str, Fraction]
+    start: Mapping[str, Fraction]
+    counts: dict[str, int]
+    faulty_counts: dict[str, int] | None
+    model: LinearSystem
+    relations: MonitorBank
+    notes: tuple[str, ...]
+
+    @property
+    def caught(self) -> float | None:
+        """The share of faulty samples with a verdict that are FAULT, or None."""
+        counts = self.faulty_counts
+        if counts is None:
+            return None
+        return counts["FAULT"] / max(sum(counts.values()) - counts["MISSING"], 1)
+
+
+class _Seen(NamedTuple):
+    """Recordings as a monitor sees them. Fields: joined; each: the entries, one a recording."""
+
+    joined: JoinedRecordings
+    each: list[Recording]
+
+
+def tuned_monitor(
+    bank: MonitorBank,
+    healthy: object,
+    faulty: object,
+    tune_one: TuneOne,
+    report: Callable[[float], object],
+) -> MonitorTuneResult:
+    """Return the factors of a monitor's tests.
+
+    Args:
+        healthy, faulty: as of `tune`. tune_one: tunes one test, tune_one(relations, healthy, faulty,
+            bounds=.., progress=..).
+
+    Raises:
+        ValueError: as `tune` of each test; a test whose factor does not scale its bounds around 0; healthy
+            samples of an unknown mode that every mode refutes.
+    """
+    stated = {test.name: test for test in bank.model.tests}
+    if tuple(stated) != bank.names:
+        raise ValueError("tune needs a monitor of tests that its model states, from jb.monitor")
+    good = _seen(bank, healthy, "healthy")
+    bad = None
+    if faulty is not None:
+        bad = _seen(bank, faulty, "faulty")
+        refuse_same(good.joined, bad.joined)
+    start = {name: test.factor for name, test in stated.items()}
+    found: dict[str, TuneResult] = {}
+    notes: list[str] = []
+    factors = dict(start)
+    for number, (name, test) in enumerate(stated.items()):
+        watched = _watched(bank, number, good)
+        if not watched:
+            notes.append(f"test {name!r} watches no healthy sample: its factor stays {float(test.factor):g}")
+            continue
+        faults = None
+        if bad is not None:
+            faults = _watched(bank, number, bad) or None
+        relations = _scalable(bank, test)
+        progress = partial(_part, report, number, len(stated))
+        try:
+            one = tune_one(relations, watched, faults, bounds=_scaled(relations), progress=progress)
+        except ValueError as e:
+            raise ValueError(f"test {name!r}: {e}") from None
+        found[name] = one
+        factors[name] = _short(test.factor * _grown(one))
+        notes += one.notes
+    if not found:
+        raise ValueError("no test of this monitor watches a sample of the healthy data")
+    model, tuned = _accepted(bank, stated, factors, good.joined)
+    return MonitorTuneResult(
+        tests=found,
+        factors={test.name: test.factor for test in model.tests},
+        start=start,
+        counts=_counts(tuned, good.joined),
+        faulty_counts=None if bad is None else _counts(tuned, bad.joined),
+        model=model,
+        relations=tuned,
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+def _part(report: Callable[[float], object], number: int, count: int, share: float) -> None:
+    """Report the share of one test of several."""
+    report((number + share) / count)
+
+
+def _seen(bank: MonitorBank, given: object, what: str) -> _Seen:
+    """Return recordings with all columns that the tests read."""
+    joined = joined_recordings(bank.model, bank.horizon, given, what)
+    each = []
+    for number in range(len(joined.entries)):
+        own, _ = joined.split(number)
+        each.append(_recording(bank, own))
+    return _Seen(joined, each)
+
+
+def _recording(bank: MonitorBank, joined: JoinedRecordings) -> Recording:
+    """Return recordings laid end to end as one."""
+    return Recording(joined.u, joined.y, joined.starts, known(bank.model), tuple(bank.model.outputs))
+
+
+def _watched(bank: MonitorBank, number: int, given: _Seen) -> list[Samples]:
+    """Return the recordings as a test sees them, without those of which it sees nothing.
+
+    Where its condition is not known it proves nothing by itself: nothing has to be explained there.
+    """
+    horizon = bank.watches[number].relations.horizon
+    seen: list[Samples] = []
+    for recording in given.each:
+        modes = bank.modes_of(recording.u)
+        own = bank.seen_by(number, recording, np.where(modes == UNKNOWN, NO, modes))
+        windows = JoinedRecordings(own.u, own.y, own.starts, np.zeros(1, np.int64), np.zeros(1, np.int64))
+        if not windows.without(horizon).all():
+            seen.append((own.u, own.y, own.starts))
+    return seen
+
+
+def _scalable(bank: MonitorBank, test: StatedTest) -> Tunable:
+    """Return the relations of a test, whose bounds its factor scales.
+
+    Raises:
+        ValueError: a disturbance that does not lie around 0.
+    """
+    relations: Tunable = relations_of_test(bank.model, test)  # type: ignore[assignment]  # there are no others
+    for lo, hi in tuned_model(relations).disturbance:
+        if lo + hi != 0:
+            raise ValueError(
+                f"test {test.name!r}: its factor widens the disturbance from {float(lo):g} to {float(hi):g} "
+                f"around its middle, which is not 0: state it as an offset and a disturbance around 0"
+            )
+    return relations
+
+
+def _scaled(relations: Tunable) -> tuple[str, ...]:
+    """Return the names of the bounds that the factor of a test scales."""
+    return tuple(name for name in relations.bounds if name != UNSCALED)
+
+
+def _grown(one: TuneResult) -> Fraction:
+    """Return how many times as wide as the starting bounds those that were found are."""
+    ratios = []
+    for name, smallest in one.smallest.items():
+        begun, least = np.ravel(one.start[name]), np.ravel(smallest)
+        moved = (begun != 0) & (least != begun)
+        ratios.extend((least[moved] / begun[moved]).tolist())
+    return Fraction(max(ratios, default=1.0)) * Fraction(one.factor * one.safety)
+
+
+def _short(factor: Fraction) -> Fraction:
+    """Return a factor that is not smaller, as a short decimal.
+
+    Example:
+        >>> _short(Fraction(4, 3))
+        Fraction(667, 500)
+    """
+    up = Context(prec=DIGITS, rounding=ROUND_CEILING)
+    return Fraction(up.divide(Decimal(factor.numerator), Decimal(factor.denominator)))
+
+
+def _accepted(
+    bank: MonitorBank,
+    stated: Mapping[str, StatedTest],
+    factors: Mapping[str, Fraction],
+    good: JoinedRecordings,
+) -> tuple[LinearSystem, MonitorBank]:
+    """Return the model with these factors and its monitor, which finds no FAULT in healthy samples; a little
+    wider where rounding, or a set that does not grow with its bounds, asks for it.
+    """
+    extra = Fraction(1)
+    while extra <= 2:
+        tests = []
+        for name, test in stated.items():
+            factor = factors[name]
+            if factor != test.factor:
+                factor = _short(factor * extra)
+            tests.append(replace(test, factor=factor))
+        model = bank.model.replace(tests=tests)
+        tuned = monitor(model)
+        if not _counts(tuned, good)["FAULT"]:
+            return model, tuned
+        extra *= Fraction(1001, 1000)
+    raise ValueError(
+        "the monitor refutes a healthy sample whose mode is not known, whatever the mode: give recordings "
+        "with values of all that the conditions read"
+    )
+
+
+def _counts(bank: MonitorBank, joined: JoinedRecordings) -> dict[str, int]:
+    """Return the counts of statuses of a monitor."""
+    return dict(detect(bank, _recording(bank, joined)).counts)
