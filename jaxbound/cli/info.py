@@ -30,8 +30,10 @@ def run(args: argparse.Namespace) -> int:
     with swift_imports():
         from jaxbound.cli.model_summary import plain_model, show_model
         from jaxbound.cli.window import parity_windows
+        from jaxbound.diagnosis.monitoring import monitor
         from jaxbound.models.modelfile import load_model
         from jaxbound.models.template import template
+        from jaxbound.runs.relations import is_monitored
 
     if args.template == (args.model is not None):
         raise Refused("jaxbound info needs either a model file or --template")
@@ -40,10 +42,13 @@ def run(args: argparse.Namespace) -> int:
         return OK
     with door(), progress_bars(("relations",)) as step:
         model = load_model(args.model)
+        bank = None
+        if is_monitored(model, "joint", args.horizon, args.lags):
+            bank = monitor(model)
         model, relations = parity_windows(model, MethodOptions.of(args), args.model, None, step)
     if args.json:
-        text = json.dumps(plain_model(model, relations), indent=1, allow_nan=False, ensure_ascii=False)
+        text = json.dumps(plain_model(model, relations, bank), indent=1, allow_nan=False, ensure_ascii=False)
         write(text + "\n")
         return OK
-    show_model(model, relations)
+    show_model(model, relations, bank)
     return OK

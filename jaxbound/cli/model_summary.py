@@ -6,7 +6,8 @@ from fractions import Fraction
 from typing import Any
 
 from jaxbound.cli.terminal import show
-from jaxbound.diagnosis.detectability import detectable
+from jaxbound.consistency.monitorbank import MonitorBank
+from jaxbound.diagnosis.detectability import GuaranteedSize, detectable
 from jaxbound.diagnosis.hints import bound_hints
 from jaxbound.diagnosis.isolability import FaultIsolability, isolability
 from jaxbound.models.statedtests import StatedTest
@@ -31,8 +32,16 @@ PATIENCE = 60.0
 """Seconds, roughly, beyond which tables are left to whoever asks for them."""
 
 
-def show_model(model: LinearSystem, relations: ParityRelation | UncertainRelations) -> None:
-    """Print a model, its relations, and the faults that they see and tell apart."""
+def show_model(
+    model: LinearSystem,
+    relations: ParityRelation | UncertainRelations,
+    bank: MonitorBank | None = None,
+) -> None:
+    """Print a model, its relations, and the faults that they see and tell apart.
+
+    Args:
+        bank: the monitor of its tests; None: it states none, or other windows are asked for.
+    """
     rows = [
         ("states", f"{model.n}: {', '.join(model.states)}"),
         ("inputs", f"{model.m}: {_signals_text(model, model.inputs)}"),
@@ -58,6 +67,8 @@ def show_model(model: LinearSystem, relations: ParityRelation | UncertainRelatio
         text += f"\n\n{isolation_text(model, relations.horizon, relations.lags)}"
     if model.faults:
         text += f"\n\n{_named_text(model, relations)}"
+    if bank is not None:
+        text += f"\n\n{_sizes_by_tests(bank)}"
     show(model.name, "bold", rows, text=text)
 
 
@@ -82,6 +93,39 @@ def _named_text(model: LinearSystem, relations: ParityRelation | UncertainRelati
         return f"(which named faults can be told apart is not worked out: {apart})"
     about = "named faults that fill a window, and which other one alone may explain them:"
     return f"{about}\n{apart.text()}"
+
+
+def _sizes_by_tests(bank: MonitorBank) -> str:
+    """Return lines on the guaranteed sizes of a monitor, and of each of its tests."""
+    try:
+        sizes = _guaranteed_by_tests(bank)
+    except (ValueError, NotImplementedError) as e:
+        return f"(no guaranteed sizes of the monitor: {e})"
+    if not sizes:
+        return "(guaranteed sizes of the monitor take long: jb.detectable(monitor, signal) works them out)"
+    lines = ["its tests together detect a constant fault, whatever else happens, from this size on:"]
+    for name, size in sizes.items():
+        amount = "never guaranteed"
+        if math.isfinite(size):
+            amount = f"{float(size):.4g} {bank.model.unit(name)}".rstrip() + f", by {size.test}"
+        others = ", ".join(f"{test} {own:.4g}" for test, own in size.tests.items())
+        lines.append(f"{name}: {amount} ({others})")
+    return "\n".join(lines)
+
+
+def _guaranteed_by_tests(bank: MonitorBank) -> dict[str, GuaranteedSize]:
+    """Return {signal: size} of the constant faults that a monitor detects; {} where that takes long.
+
+    Raises:
+        ValueError, NotImplementedError: as `detectable`.
+    """
+    seconds = 0.0
+    for watch in bank.watches:
+        if isinstance(watch.relations, ParityRelation):
+            seconds += _seconds(watch.relations.model, watch.relations.horizon)
+    if seconds > PATIENCE:
+        return {}
+    return {name: detectable(bank, name) for name in bank.model.outputs + bank.model.inputs}
 
 
 def _test_text(test: StatedTest) -> str:
@@ -166,8 +210,14 @@ def _tested_text(relations: ParityRelation | UncertainRelations) -> str:
     return "combinations too many to list, the worst is searched for"
 
 
-def plain_model(model: LinearSystem, relations: ParityRelation | UncertainRelations) -> dict[str, Any]:
-    """Return a model, its relations and the sizes that are guaranteed, as JSON has them."""
+def plain_model(
+    model: LinearSystem,
+    relations: ParityRelation | UncertainRelations,
+    bank: MonitorBank | None = None,
+) -> dict[str, Any]:
+    """Return a model, its relations and the sizes that are guaranteed, as JSON has them; bank: as of
+    `show_model`.
+    """
     parameters = []
     for parameter in model.uncertainties:
         low, high = map(float, parameter.between)
@@ -192,12 +242,34 @@ def plain_model(model: LinearSystem, relations: ParityRelation | UncertainRelati
     is_known = not model.uncertainties and not any(model.tolerance) and not model.factors
     if is_known and _seconds(model, relations.horizon) <= PATIENCE:
         sizes = _guaranteed(model, relations.horizon, relations.lags)
-        plain["guaranteed"] = {n: None if math.isinf(size) else float(size) for n, size in sizes.items()}
+        plain["guaranteed"] = {name: _plain_size(size) for name, size in sizes.items()}
     if model.faults:
         apart = _named(model, relations)
         plain["named_faults"] = None
         if not isinstance(apart, str):
             plain["named_faults"] = apart.to_dict()
+    if bank is not None:
+        plain["guaranteed_by_tests"] = _plain_by_tests(bank)
+    return plain
+
+
+def _plain_size(size: float) -> float | None:
+    """Return a size as JSON has it: None where no size is guaranteed."""
+    if math.isinf(size):
+        return None
+    return float(size)
+
+
+def _plain_by_tests(bank: MonitorBank) -> dict[str, Any]:
+    """Return {signal: {"size", "test", "tests"}} of a monitor; {} where its sizes are not known."""
+    try:
+        sizes = _guaranteed_by_tests(bank)
+    except (ValueError, NotImplementedError):
+        return {}
+    plain = {}
+    for name, size in sizes.items():
+        tests = {test: _plain_size(own) for test, own in size.tests.items()}
+        plain[name] = {"size": _plain_size(size), "test": size.test or None, "tests": tests}
     return plain
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxbound.cli.terminal import show, write
 from jaxbound.recordings.columns import texts, to_arrow, write_columns
-from jaxbound.reports.study import COLUMNS, HEAD, sentence, study_page, study_rows
+from jaxbound.reports.study import COLUMNS, sentence, study_head, study_page, study_rows
 from jaxbound.studies.montecarlo.study_result import StudyResult, delay_table, study_table
 from jaxbound.text.characters import cell
 
@@ -59,7 +59,7 @@ def conclude_study(result: StudyResult, out: Path, seconds: float, as_json: bool
         ("seconds", f"{seconds:.1f}, {speed:.3g} million samples a second {where}"),
         ("report", page),
     ]
-    show(result.model.name, "bold", rows, table=[HEAD, *study_rows(result)])
+    show(result.model.name, "bold", rows, table=[study_head(result), *study_rows(result)])
 
 
 def _plain_study(result: StudyResult, page: str) -> dict[str, Any]:

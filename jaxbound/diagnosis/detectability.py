@@ -18,12 +18,14 @@ widened by e sigma f / 2 on the rows of the faulty sensor. The size is then enou
 import math
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
+from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.consistency.interface import Relations
+from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.observer_sizes import least_seen
 from jaxbound.estimation.observer import observer
 from jaxbound.estimation.set_observer import SetObserver
@@ -73,12 +75,15 @@ class GuaranteedSize(float):
     """A size of a fault, in the unit of its signal; inf where no size is guaranteed to be seen.
 
     Attributes: horizon: of the window that sees it; relation: as text, the one that sees it best; sizes:
-    {horizon: size} of all that were tried.
+    {horizon: size} of all that were tried. Of a monitor: test: the name of the test that sees it, tests:
+    {name: size} of each whose size is known, where it watches.
     """
 
     horizon: int
     relation: str
     sizes: dict[int, float]
+    test: str = ""
+    tests: Mapping[str, float] = MappingProxyType({})
 
 
 def _guaranteed(size: float, horizon: int, relation: str, sizes: dict[int, float]) -> GuaranteedSize:
@@ -88,7 +93,7 @@ def _guaranteed(size: float, horizon: int, relation: str, sizes: dict[int, float
 
 
 def detectable(
-    model: ModelLike | SetObserver[Any],
+    model: ModelLike | SetObserver[Any] | MonitorBank,
     fault: str | Fault,
     horizon: int | None = None,
     operating_range: OperatingRange = None,
@@ -99,7 +104,9 @@ def detectable(
     """Return the smallest size of a constant fault that is guaranteed to be detected.
 
     Args:
-        model: a LinearSystem; with method "observer" also an `observer`, whose settings then count.
+        model: a LinearSystem; with method "observer" also an `observer`, whose settings then count; or a
+            `jb.monitor`, which sees what any of its tests sees: a test with a condition where it watches, and
+            where every mode has one, of which the largest size counts.
         fault: the name of an output or input, or a Fault of kind "bias"; its size and times do not matter.
         horizon: of the window, which the fault must fill; None: that of the model, or its lags, or up to
             where longer windows see no smaller faults.
@@ -126,7 +133,8 @@ def detectable(
     Raises:
         ValueError: a signal that the model does not have, an operating range that is missing or not positive,
             factors that are missing or negative.
-        NotImplementedError: another kind of fault, an uncertain model; with "observer" one with tolerances.
+        NotImplementedError: another kind of fault, an uncertain model; with "observer" one with tolerances; a
+            monitor of such tests alone.
 
     Example:
         >>> from jaxbound import LinearSystem
@@ -135,6 +143,10 @@ def detectable(
         >>> round(size, 6), size.horizon, size.relation
         (0.4, 0, 'y1[k] - y2[k] = 0')
     """
+    if isinstance(model, MonitorBank):
+        if horizon is not None or lags is not None or method != "joint":
+            raise ValueError("horizon, lags and method are for one test: a monitor has tests of its own")
+        return _by_tests(model, fault, operating_range, factors)
     if method == SetObserver.method or isinstance(model, SetObserver):
         return _observed(model, fault, (horizon, operating_range, lags), factors)
     if method != "joint":
@@ -224,6 +236,73 @@ def _observed(
         if best[k] > 0 and (k == 0 or best[k] > best[k - 1]):  # later samples that see less say nothing
             sizes[k] = 2 / float(best[k])
     return _guaranteed(size, delay, "", sizes)
+
+
+def _by_tests(
+    bank: MonitorBank,
+    fault: str | Fault,
+    operating_range: OperatingRange,
+    factors: Mapping[str, Number] | None,
+) -> GuaranteedSize:
+    """Return the smallest GuaranteedSize of the tests of a monitor."""
+    if factors and not any(getattr(watch.relations.model, "factors", ()) for watch in bank.watches):
+        at_factors(bank.model.replace(tests=None), factors)  # refuses them
+    sizes: dict[str, GuaranteedSize] = {}
+    unknown: NotImplementedError | None = None
+    for watch in bank.watches:
+        try:
+            sizes[watch.name] = _of_test(watch.relations, fault, operating_range, factors)
+        except NotImplementedError as e:
+            unknown = e
+        except ValueError as e:
+            raise ValueError(f"test {watch.name!r}: {e}") from None
+    if not sizes and unknown is not None:
+        raise unknown
+    best: GuaranteedSize | None = None
+    modes: list[GuaranteedSize | None] = []
+    for condition in (None, *bank.conditions):
+        least: GuaranteedSize | None = None
+        for watch in bank.watches:
+            own = sizes.get(watch.name)
+            if watch.when == condition and own is not None and (least is None or own < least):
+                least = own
+        if condition is None:
+            best = least
+        else:
+            modes.append(least)
+    known = [size for size in modes if size is not None]
+    if bank.complete and len(known) == len(modes):  # whatever the mode, one of its tests sees it
+        worst = max(known)
+        if best is None or worst < best:
+            best = worst
+    if best is None:
+        best = _guaranteed(math.inf, bank.reach, "", {})
+    best.tests = MappingProxyType({name: float(size) for name, size in sizes.items()})
+    for name, size in sizes.items():
+        if size is best:
+            best.test = name
+    return best
+
+
+def _of_test(
+    relations: Relations,
+    fault: str | Fault,
+    operating_range: OperatingRange,
+    factors: Mapping[str, Number] | None,
+) -> GuaranteedSize:
+    """Return the GuaranteedSize of one test of a monitor."""
+    model = relations.model
+    if not getattr(model, "factors", ()):
+        factors = None  # those of other tests
+    if isinstance(relations, SetObserver):
+        return detectable(relations, fault, factors=factors)
+    if not isinstance(relations, ParityRelation):
+        raise NotImplementedError(
+            f"what {type(relations).__name__} see is counted by jb.study, not worked out: guaranteed sizes are "
+            f"known of windows of certain models, and of observers"
+        )
+    window = dict(relations.window)
+    return detectable(model, fault, operating_range=operating_range, factors=factors, **window)
 
 
 def always_seen(

@@ -15,7 +15,7 @@ from jaxbound.studies.montecarlo.study_result import StudyResult, study_table
 from jaxbound.studies.montecarlo.tally import TrialTally
 from jaxbound.text.quantities import percent
 
-__all__ = ["COLUMNS", "HEAD", "sentence", "study_page", "study_rows"]
+__all__ = ["COLUMNS", "sentence", "study_head", "study_page", "study_rows"]
 
 Chart: TypeAlias = dict[str, object]
 """A chart, or a curve in one, as the page's script takes it."""
@@ -36,7 +36,7 @@ COLUMNS = (
     "detected: share of scenarios with a FAULT; FAULT windows: share of the windows wholly inside the fault; "
     "delays in samples; "
     "size and guaranteed in the unit of the signal, of a drift per sample, of a gain or a tolerance as a "
-    "share"
+    "share; by ..: of a monitor, the share of scenarios in which this test has a FAULT"
 )
 """What the columns of HEAD are."""
 FAULTS, CURVES = 8, 4
@@ -58,7 +58,7 @@ def study_page(res: StudyResult, seed: int, seconds: float) -> str:
         charts=list(_charts(res)),
         picture=picture_of(res),
         others=max(len(res.trials) - FAULTS, 0),
-        head=HEAD,
+        head=study_head(res),
         columns=COLUMNS,
         rows=study_rows(res),
         settings=list(_settings(res, seed)),
@@ -158,12 +158,19 @@ def _delays(trial: Trial, tally: TrialTally) -> Chart:
     }
 
 
+def study_head(res: StudyResult) -> tuple[str, ...]:
+    """Return the names of the columns of `study_rows`: HEAD, and of a monitor the share of each test."""
+    return (*HEAD, *(f"by {name}" for name in res.by_test))
+
+
 def study_rows(res: StudyResult) -> list[tuple[str, ...]]:
-    """Return the table of a study as texts, a tuple a row, as HEAD names them."""
+    """Return the table of a study as texts, a tuple a row, as `study_head` names them."""
     table = study_table(res)
     rows = []
     for cells in zip(*table.values(), strict=True):
-        rows.append(_row(SimpleNamespace(**dict(zip(table, cells, strict=True)))))
+        row = dict(zip(table, cells, strict=True))
+        shares = [percent(row.pop(f"share of {name}")) for name in res.by_test]
+        rows.append((*_row(SimpleNamespace(**row)), *shares))
     return rows
 
 

@@ -3,11 +3,14 @@ why.
 """
 
 import functools
+from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import jaxbound as jb
+from jaxbound.studies.montecarlo.records import count_recordings
 
 PLAIN = jb.LinearSystem([["0.5"]], None, [[1]], noise="0.1", tolerance="0.02")
 EXACT = PLAIN.replace(tolerance=["0"])
@@ -128,3 +131,47 @@ def test_what_cannot_be_tuned_says_why_and_what_to_do(relations, says):
 def test_a_gradient_of_constant_gains_is_refused_with_its_reason():
     with pytest.raises(NotImplementedError, match="no derivative: tune with steps=0"):
         jb.tune(jb.parity_relations(STEADY), (None, [[1.0], [0.8], [0.3]]), steps=2)
+
+
+SEVERAL = ({"name": "quick", "horizon": 1}, {"name": "slow", "horizon": 2, "factor": 2})
+
+
+@pytest.mark.slow
+def test_a_monitor_sees_a_scenario_when_the_first_of_its_tests_does(tmp_path):
+    """Each test alone is counted by the kernel of studies, the monitor by recordings."""
+    about = dict(faults="y1:drift", n=60, key=3, sizes=[0.0, 0.03, 0.1], samples=40, onset=20)
+    bank = jb.monitor(EXACT, SEVERAL)
+    together = jb.study(EXACT, relations=bank, out=tmp_path / "all", rows=True, **about)
+    delays = {"all": rows_of(tmp_path / "all").delay}
+    for name, test in bank.parts.items():
+        alone = jb.study(EXACT, relations=test, out=tmp_path / name, rows=True, **about)
+        delays[name] = rows_of(tmp_path / name).delay
+        assert together.by_test[name][0].detected.tolist() == alone.tallies[0].detected.tolist()
+        assert together.by_test[name][0].delays.tolist() == alone.tallies[0].delays.tolist()
+    first = np.fmin(delays["quick"], delays["slow"])
+    np.testing.assert_array_equal(delays["all"], first)
+    assert together.tallies[0].detected.tolist() == [0, *together.tallies[0].detected[1:].tolist()]
+    assert (first != delays["quick"]).any() and (first != delays["slow"]).any()
+    assert "share of slow" in together.to_pandas().columns
+
+
+def rows_of(folder):
+    return pd.concat([pd.read_parquet(file) for file in sorted((folder / "scenarios").iterdir())])
+
+
+def test_a_test_with_a_condition_counts_where_it_watches():
+    """A level that stays jumps by 10 rho at sample 5, in two scenarios of different modes."""
+    level = jb.LinearSystem([[1]], [[0]], [[1]], noise="0.1")
+    tests = ({"name": "on", "horizon": 1, "when": "u1 > 0"}, {"name": "off", "horizon": 2, "when": "otherwise"})
+    u = np.stack([np.ones((10, 1)), np.zeros((10, 1))])
+    y = np.repeat((np.arange(10.0) >= 5)[None, :, None], 2, 0)
+    act, onset = SimpleNamespace(length=10), np.array([5, 5])
+    hits, false, delay = count_recordings(jb.monitor(level, tests), act, u, y, onset)
+    assert hits.tolist() == [[1, 1, 0], [2, 0, 2]], "the jump lies in one window of two samples, two of three"
+    assert delay.tolist() == [[0, 0, -1], [0, -1, 0]] and not false.any()
+
+
+def test_a_condition_on_a_column_that_no_scenario_has_is_refused():
+    bank = jb.monitor(EXACT, [{"name": "cooling", "horizon": 1, "when": "valve > 0"}])
+    with pytest.raises(ValueError, match="a study draws inputs alone, and test 'cooling'"):
+        jb.study(EXACT, "y1:bias", 4, 0, bank, sizes=[1.0], samples=40)

@@ -22,17 +22,27 @@ from numpy.typing import ArrayLike
 
 from jaxbound.consistency.devices import everywhere, on_devices
 from jaxbound.consistency.exchange import ExchangeTest
-from jaxbound.consistency.interface import AUTO, LinearRelations, Relations, margins_for, relations_of
+from jaxbound.consistency.interface import (
+    AUTO,
+    MONITOR,
+    LinearRelations,
+    Relations,
+    margins_for,
+    relations_of,
+)
+from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.consistency.strips import StripsTest
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.faults import Fault
 from jaxbound.models.fingerprint import fingerprint
 from jaxbound.models.numbers import is_whole
+from jaxbound.models.statedtests import OTHERWISE
 from jaxbound.models.system import LinearSystem
 from jaxbound.random.keys import key_of
 from jaxbound.random.threefry import Array
 from jaxbound.recordings.arrays import inputs_of, refuse_infinite
+from jaxbound.recordings.expressions import expression
 from jaxbound.recordings.factors import factors_of
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import parity_relations
@@ -46,6 +56,7 @@ from jaxbound.studies.montecarlo.recursion import FloatPlant
 from jaxbound.studies.montecarlo.scenarios import Act, Trial
 from jaxbound.studies.montecarlo.study_result import StudyResult
 from jaxbound.studies.montecarlo.tally import TrialTally
+from jaxbound.text.names import listed
 from jaxbound.workers.engine import in_order
 
 if TYPE_CHECKING:
@@ -56,7 +67,9 @@ __all__ = ["study"]
 Task: TypeAlias = tuple[int, int]
 """(number of a fault, its first scenario)."""
 Counts: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""hits, false, delay and onset of each scenario, as `kernel.count_block` has them."""
+"""hits, false, delay and onset of each scenario, as `kernel.count_block` has them; of a monitor the first three
+have a column for itself and one for each test.
+"""
 Engine: TypeAlias = Callable[[Act, np.ndarray, np.ndarray], Counts]
 """(act, key, numbers of the scenarios) -> their counts."""
 
@@ -103,7 +116,8 @@ def study(
         n: scenarios, spread evenly over the faults.
         key: a jax.random key, or a whole number.
         relations: of the monitor, whatever `detect` takes, a bank, a residual or an `observer` too (then
-            windows are samples, those behind the onset faulty); None: `parity_relations(model)`. Those of
+            windows are samples, those behind the onset faulty), or a `jb.monitor`, whose conditions rest on
+            inputs: it is counted as an observer is, by itself and by test; None: `parity_relations(model)`. Those of
             another model with the same signals show what happens when its bounds are not the plant's.
         samples: of a scenario. sizes: of the faults, in the unit of the signal (relative for gain and
             tolerance): a sequence for all, or {"signal:kind": sequence}; None: a Fault's own, else twelve
@@ -147,12 +161,14 @@ def study(
     relations = parity_relations(model) if relations is None else _named_like(relations, model)
     if isinstance(relations, SetObserver) and method == "joint":
         method = SetObserver.method
+    if isinstance(relations, MonitorBank) and method == "joint":
+        method = MONITOR
     _check_study(model, relations, n, samples, hold, at, method, confidence)
     dtype = jax.dtypes.canonicalize_dtype(np.float64)
     u, limits, highest = _study_inputs(model, inputs, input_range, dtype)
     samples = samples if u is None else len(u)
     trials = scenarios.trials(model, faults, sizes, onset, samples, relations, highest)
-    if method != "joint":  # what is guaranteed is guaranteed of the joint test
+    if method not in ("joint", MONITOR):  # what is guaranteed is guaranteed of the joint test
         trials = [dataclasses.replace(t, guaranteed=np.nan) for t in trials]
     if n < len(trials):
         raise ValueError(f"n must be at least the number of faults, {len(trials)}, not {n}")
@@ -178,11 +194,12 @@ def study(
         "engine": run.__name__,
         "faults": [[t.label, t.sizes.tolist(), t.onset, t.length] for t in trials],
     }
-    tallies = [TrialTally(len(t.sizes), samples) for t in trials]
+    names = tuple(relations.parts)
+    columns = [_empty_tallies(trials, samples) for _ in ("all", *names)]
     keeper = None
     if out is not None:
         mark = identity(relations, plant=model, rows=rows, block=block, **settings)
-        keeper = Keeper(out, mark, tallies, rows)
+        keeper = Keeper(out, mark, [tally for column in columns for tally in column], rows)
     tasks = [(i, first) for i, count in enumerate(counts) for first in range(0, count, block)]
     acts = [scenarios.act_of(t, model, dtype) for t in trials]
 
@@ -194,14 +211,32 @@ def study(
         scenario = np.arange(first, stop)
         which = scenario % len(trial.sizes)
         windows, clean = trial.spans(begun, samples, relations)
-        tallies[i].add(which, hits, false, delay, windows, clean)
+        hits, false, delay = (x.reshape(len(x), -1) for x in (hits, false, delay))
+        for number, column in enumerate(columns):
+            counted = hits[:, number], false[:, number], delay[:, number]
+            column[i].add(which, *counted, windows, clean)
         if keeper is not None:
-            keeper.add_rows(trial.label, trial.sizes[which], scenario, begun, hits, false, delay)
+            of_all = hits[:, 0], false[:, 0], delay[:, 0]
+            keeper.add_rows(trial.label, trial.sizes[which], scenario, begun, *of_all)
 
     _work_off(client, _Scenarios(setup, acts, words, block), tasks, collect, keeper, progress)
+    tallies, *by_test = columns
     return StudyResult(
-        model, relations.horizon, tuple(trials), tuple(tallies), at, samples, confidence, settings
+        model,
+        relations.horizon,
+        tuple(trials),
+        tuple(tallies),
+        at,
+        samples,
+        confidence,
+        settings,
+        dict(zip(names, map(tuple, by_test), strict=True)),
     )
+
+
+def _empty_tallies(trials: Sequence[Trial], samples: int) -> list[TrialTally]:
+    """Return a TrialTally of each trial, at zero."""
+    return [TrialTally(len(trial.sizes), samples) for trial in trials]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -296,11 +331,10 @@ def _check_study(
 ) -> None:
     """Raise TypeError or ValueError for what `study` does not take."""
     relations_of(relations, "a study", "study(model, .., relations=parity_relations(model))")
-    if relations.parts:
-        raise ValueError(
-            f"a study counts what one test sees, and this is a monitor of {len(relations.parts)}: ask for "
-            f"one by --horizon, --lags or --method, or give it one of monitor.parts"
-        )
+    if relations.parts and method != MONITOR:
+        raise ValueError(f"method is for one test, and a monitor has tests of its own: leave out {method!r}")
+    if isinstance(relations, MonitorBank):
+        _refuse_columns(relations)
     if method == "linearized":
         raise ValueError(
             "method 'linearized' neglects terms and proves no FAULT, which is what a study counts: use "
@@ -321,6 +355,19 @@ def _check_study(
         raise ValueError(f"at must be one of {', '.join(AT)}, not {at!r}")
     if not 0 < confidence < 1:
         raise ValueError(f"confidence must be between 0 and 1, not {confidence!r}")
+
+
+def _refuse_columns(bank: MonitorBank) -> None:
+    """Raise ValueError for a condition on anything else than inputs, which scenarios do not have."""
+    for watch in bank.watches:
+        if watch.when in (None, OTHERWISE):
+            continue
+        columns = expression(watch.when).columns
+        if not set(columns) <= set(bank.model.inputs):
+            raise ValueError(
+                f"a study draws inputs alone, and test {watch.name!r} watches when {watch.when!r}: give a "
+                f"monitor whose conditions rest on {listed(bank.model.inputs) or 'no input'}"
+            )
 
 
 def _study_inputs(
@@ -369,7 +416,8 @@ def _engine(setup: _Setup) -> tuple[Engine, int]:
     model, relations = setup.model, setup.relations
     by = relations.test(setup.method, setup.dtype)  # refuses here what it would refuse in every block
     certain = isinstance(by, StripsTest | ExchangeTest)
-    factored = factors_of(model) or factors_of(relations.model)
+    tests = relations.parts or {"": relations}
+    factored = factors_of(model) or any(factors_of(test.model) for test in tests.values())
     plain = not factored and recursion.fits(model, setup.room) and bool(np.isfinite(setup.room).all())
     plant = recursion.plant_of(model, setup.room, setup.dtype) if plain else None
     if setup.at == "adversarial":

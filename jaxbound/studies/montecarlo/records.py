@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency.interface import AUTO, Relations
+from jaxbound.consistency.monitorbank import MonitorBank, combined
 from jaxbound.consistency.witness import explained_by
 from jaxbound.diagnosis.detection import detect
 from jaxbound.models.simulate import simulate
@@ -40,10 +41,24 @@ def count_recordings(
     truth: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return (hits, false, delay) as `kernel.count_block` does, of recordings u (N, T, m), y (N, T, p) with
-    onsets (N,). margins: as of `detect`. truth: (N, T, p + g), see `kernel.replay_block`.
+    onsets (N,). margins: as of `detect`. truth: (N, T, p + g), see `kernel.replay_block`. Of a monitor all
+    are (N, 1 + tests): of itself, then of each of its tests.
     """
-    s, end = relations.horizon, np.arange(y.shape[1])[None]
-    fault = _faulty(relations, u, y, method, margins, truth)
+    if not isinstance(relations, MonitorBank):
+        fault = _faulty(relations, u, y, method, margins, truth)
+        return _counted(relations, act, fault, onset)
+    columns = []
+    for fault in _faulty_by_test(relations, u, y, margins, truth):
+        columns.append(_counted(relations, act, fault, onset))
+    hits, false, delay = (np.stack(each, 1) for each in zip(*columns, strict=True))
+    return hits, false, delay
+
+
+def _counted(
+    relations: Relations, act: scenarios.Act, fault: np.ndarray, onset: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return (hits, false, delay), (N,) each, of windows (N, T) that are FAULT."""
+    s, end = relations.horizon, np.arange(fault.shape[1])[None]
     start, length = np.asarray(onset)[:, None], int(act.length)
     touched = (end >= start) & (end - s < start + length)
     if relations.remembers:  # each sample behind the onset rests on faulty ones
@@ -52,6 +67,36 @@ def count_recordings(
     seen = fault & touched
     delay = np.where(seen.any(1), seen.argmax(1) - start[:, 0], -1)
     return hits.astype(np.int32), (fault & ~touched).sum(1).astype(np.int32), delay.astype(np.int32)
+
+
+def _faulty_by_test(
+    bank: MonitorBank, u: np.ndarray, y: np.ndarray, margins: str, truth: np.ndarray | None
+) -> list[np.ndarray]:
+    """Return which samples (N, T) are FAULT: of a monitor, then of each of its tests."""
+    given = Recording.of(bank.model, u, y)
+    shape = y.shape[:-1]
+    samples = shape[0] * shape[1]
+    flat = Recording(
+        np.asarray(given.u).reshape(samples, given.u.shape[-1]),
+        np.asarray(given.y).reshape(samples, y.shape[-1]),
+        np.arange(1, shape[0]) * shape[1],
+        given.inputs,
+        given.outputs,
+    )
+    modes, statuses = bank.modes_of(flat.u), []
+    for number, watch in enumerate(bank.watches):
+        own = bank.seen_by(number, flat, modes)
+        if watch.when is None:
+            u_own, y_own = own.u.reshape(*shape, own.u.shape[-1]), own.y.reshape(y.shape)
+            fault = _faulty(watch.relations, u_own, y_own, "joint", margins, truth).ravel()
+        else:  # each scenario has modes of its own, so that they lie end to end
+            res = detect(watch.relations, own.u, own.y, margins=margins, starts=own.starts)
+            fault = (res.status == Status.FAULT) & ~np.asarray(own.excluded)
+        statuses.append(np.where(fault, np.int8(Status.FAULT), np.int8(Status.UNDECIDED)))
+    every = np.stack(statuses, -1)
+    found = combined(every, np.zeros(every.shape), bank.conditions_of, modes, bank.complete)
+    together = [found.status, *np.moveaxis(found.statuses, -1, 0)]
+    return [(status == Status.FAULT).reshape(shape) for status in together]
 
 
 def _faulty(

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency.interface import Relations
+from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.detectability import detectable
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.faults import KINDS, Fault, refuse_unknown_signal
@@ -270,6 +271,12 @@ def guaranteed_size(
 
     The operating range is what the readings of this study can come to, with a fault of that size.
     """
+    if isinstance(relations, MonitorBank):
+        sizes = [np.nan]
+        for watch in relations.watches:
+            if watch.when is None:  # others may not watch while the fault acts
+                sizes.append(guaranteed_size(model, fault, watch.relations, highest, samples, largest))
+        return float(np.fmin.reduce(sizes))
     if fault.kind != "bias" or not isinstance(relations, ParityRelation):
         return np.nan
     monitor, own = relations.model, model_bounds(relations.model)
@@ -306,11 +313,11 @@ def _usual_sizes(
     """Return sizes around the one that is guaranteed to be seen as a bias, or around what the bounds
     allow.
     """
-    bias, relations, model = Fault(fault.signal), _unfactored(relations), _at_one(model)
-    base = guaranteed_size(model, bias, relations, highest, samples, 0.0)
-    if isinstance(relations, SetObserver):
-        with suppress(NotImplementedError):
-            base = float(detectable(relations, bias))
+    bias, plant = Fault(fault.signal), _at_one(model)
+    bases = [np.nan]
+    for test in (relations.parts or {"": relations}).values():
+        bases.append(_seen_by_test(plant, bias, _unfactored(test), highest, samples))
+    base, model = float(np.fmin.reduce(bases)), plant
     if fault.signal in model.outputs:
         i = model.outputs.index(fault.signal)
         _, readings = recursion.reach(model, np.asarray(highest, float), samples)
@@ -330,6 +337,16 @@ def _usual_sizes(
     if not np.isfinite(base) or base <= 0:
         raise ValueError(f"no usual size is known for {fault.signal}:{fault.kind}: give sizes")
     return _rounded(base * GRID)
+
+
+def _seen_by_test(
+    model: LinearSystem, bias: Fault, relations: Relations, highest: np.ndarray, samples: int
+) -> float:
+    """Return the size from which on one test sees a bias, nan where nothing is known."""
+    if isinstance(relations, SetObserver):
+        with suppress(NotImplementedError):
+            return float(detectable(relations, bias))
+    return guaranteed_size(model, bias, relations, highest, samples, 0.0)
 
 
 def _unfactored(relations: Relations) -> Relations:

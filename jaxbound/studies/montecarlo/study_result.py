@@ -1,10 +1,12 @@
 """The result of a Monte-Carlo study."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jaxbound.consistency.interface import MONITOR, OBSERVER
 from jaxbound.models.system import LinearSystem
 from jaxbound.studies.montecarlo.proportions import proportion_interval
 from jaxbound.studies.montecarlo.scenarios import Trial
@@ -28,6 +30,7 @@ class StudyResult:
             nothing is known). tallies: the counts of each.
         at: "uniform", "vertices" or "adversarial". samples: of a scenario. confidence: of the intervals.
         settings: what else the scenarios depend on, as plain values, for reports.
+        by_test: of a monitor, {name: the counts of one of its tests for each trial}.
     """
 
     model: LinearSystem
@@ -38,13 +41,14 @@ class StudyResult:
     samples: int
     confidence: float
     settings: dict[str, object]
+    by_test: Mapping[str, tuple[TrialTally, ...]] = field(default_factory=dict)
 
     @property
     def remembers(self) -> bool:
-        """Whether an observer was studied: windows are samples then, and horizon those that it takes to
+        """Whether an observer or a monitor was studied: windows are samples then, and horizon those that it takes to
         begin.
         """
-        return self.settings["method"] == "observer"
+        return self.settings["method"] in (OBSERVER, MONITOR)
 
     @property
     def scenarios(self) -> int:
@@ -71,7 +75,7 @@ class StudyResult:
         (Clopper-Pearson); windows, rate with rate_lo, rate_hi: FAULT windows among those wholly inside the
         fault (over scenarios, normal); delay_median, delay_90: samples from the onset to the end of the first
         FAULT window, among all scenarios (inf: not detected by then); never: not detected; false_alarms,
-        clean_windows; guaranteed.
+        clean_windows; guaranteed; of a monitor "share of NAME", of scenarios that this test detects.
         """
         import pandas as pd
 
@@ -100,9 +104,12 @@ def study_table(res: StudyResult) -> dict[str, np.ndarray]:
     """Return the columns of `StudyResult.to_pandas` as {name: array}, without pandas, which takes longer to
     import than a small study.
     """
-    parts = [
-        _columns(trial, tally, res.confidence) for trial, tally in zip(res.trials, res.tallies, strict=True)
-    ]
+    parts = []
+    for i, (trial, tally) in enumerate(zip(res.trials, res.tallies, strict=True)):
+        columns = _columns(trial, tally, res.confidence)
+        for name, tallies in res.by_test.items():
+            columns[f"share of {name}"], _, _ = tallies[i].share(res.confidence)
+        parts.append(columns)
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
