@@ -15,9 +15,10 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.models.testmodels import with_tests
 from jaxbound.recordings.read import open_source
 from jaxbound.recordings.recording import Recording
-from jaxbound.runs.contradiction import refuted_again
+from jaxbound.runs.contradiction import NOBODY, refuted_again
 from jaxbound.runs.relations import relations_by
 from jaxbound.runs.runfile import VALIDATION, is_outgrown, load_run
+from jaxbound.runs.verdictfiles import spoken_of
 
 __all__ = ["Explained", "explain_window"]
 
@@ -74,7 +75,10 @@ def explain_window(directory: str | Path, at: str) -> Explained:
     try:
         relations = relations_by(method, model, _asked_horizon(model, method, horizon), options=options)
         if method in (OBSERVER, MONITOR):
-            certificate, part, test = refuted_again(relations, source, k)
+            spoken = NOBODY
+            if method == MONITOR:
+                spoken = spoken_of(Path(directory), k)
+            certificate, part, test = refuted_again(relations, source, k, spoken)
         else:
             part = source.read(k - horizon, k + 1)
             if part.across(horizon)[horizon]:

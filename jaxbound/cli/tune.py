@@ -89,9 +89,7 @@ def options(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help=f"gradient steps (default: {STEPS}; 0: one factor on all bounds)",
     )
-    parser.add_argument(
-        "--optimizer", metavar="NAME", help="of optax: adam (default), sgd, lion, ..."
-    )
+    parser.add_argument("--optimizer", metavar="NAME", help="of optax: adam (default), sgd, lion, ...")
     parser.add_argument(
         "--bounds", metavar="A,B", help="which move: noise, tolerance, disturbance, parameters (default: all)"
     )
@@ -225,6 +223,6 @@ def _refuse_search(args: argparse.Namespace) -> None:
     for option, value in asked.items():
         if value:
             raise Refused(
-                f"{option} is for one test: the model states tests, and each gets one factor; ask for one test "
-                f"by --horizon, --lags or --method, or leave {option} out"
+                f"{option} is for one test: the model states tests, and each gets one factor; ask for one "
+                f"test by --horizon, --lags or --method, or leave {option} out"
             )

@@ -17,7 +17,16 @@ from jaxbound.studies.tuning.tuning import MonitorTuneResult, TuneResult
 if TYPE_CHECKING:
     from optax import GradientTransformation
 
-__all__ = ["OPTIMIZERS", "is_unfinished", "optimizer", "plain_factors", "plain_tuning", "show_factors", "show_tuning", "tuned_text"]
+__all__ = [
+    "OPTIMIZERS",
+    "is_unfinished",
+    "optimizer",
+    "plain_factors",
+    "plain_tuning",
+    "show_factors",
+    "show_tuning",
+    "tuned_text",
+]
 
 OPTIMIZERS = ("adam", "adabelief", "adagrad", "lion", "nadam", "rmsprop", "sgd", "yogi")
 MARK = b"# The search was interrupted: the same command goes on and replaces this file. %s\n"
@@ -103,7 +112,11 @@ def plain_factors(tuning: MonitorTuneResult, out: Path, hints: Sequence[str]) ->
         tests[name] = {"start": float(tuning.start[name]), "factor": float(factor)}
         one = tuning.tests.get(name)
         if one is not None:
-            tests[name] |= {"scale": one.scale, "left_out": _plain_factors(one.left_out), "healthy": one.counts}
+            tests[name] |= {
+                "scale": one.scale,
+                "left_out": _plain_factors(one.left_out),
+                "healthy": one.counts,
+            }
             tests[name] |= {"faulty": one.faulty_counts, "caught": one.caught, "text": one.statement}
     return {
         "out": str(out),

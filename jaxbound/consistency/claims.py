@@ -1,14 +1,17 @@
 """The claim of FAULT where a window reads inputs outside the region of training: a fault, or nothing."""
 
+from typing import Any, TypeVar
+
 import numpy as np
 
 from jaxbound.consistency.bank import HIGH
-from jaxbound.consistency.interface import Judged
 from jaxbound.models.region import Departure
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["CLAIMED", "UNCLAIMED", "refuse_outside", "unclaimed"]
 
+Claims = TypeVar("Claims", bound=Any)
+"""The type of verdicts: a Judged, or those of a monitor with `statuses`."""
 OUTSIDE = CLAIMED, UNCLAIMED = "fault", "undecided"
 """What FAULT outside the region of training is called."""
 
@@ -19,14 +22,23 @@ def refuse_outside(outside: str) -> None:
         raise ValueError(f"outside must be one of {', '.join(OUTSIDE)}, not {outside!r}")
 
 
-def unclaimed(judged: Judged, departure: Departure) -> Judged:
-    """Return verdicts with UNDECIDED in place of FAULT outside the region, of each relation of a bank too."""
+def unclaimed(judged: Claims, departure: Departure) -> Claims:
+    """Return verdicts with UNDECIDED in place of FAULT outside the region: of each relation of a bank, and of
+    each test of a monitor, too.
+    """
     out = departure.share > 0
-    fault = out & (judged.status == Status.FAULT)
+    changed: dict[str, Any] = {"status": _undecided(judged.status, out)}
     words = judged.words
     if words is not None:
-        words = np.where(out, _without_fault(words), words)
-    return judged._replace(status=np.where(fault, np.int8(Status.UNDECIDED), judged.status), words=words)
+        changed["words"] = np.where(out, _without_fault(words), words)
+    if hasattr(judged, "statuses"):  # of a monitor
+        changed["statuses"] = _undecided(judged.statuses, out[..., None])
+    return judged._replace(**changed)
+
+
+def _undecided(status: np.ndarray, out: np.ndarray) -> np.ndarray:
+    """Return statuses, UNDECIDED in place of FAULT where `out` says."""
+    return np.where(out & (status == Status.FAULT), np.int8(Status.UNDECIDED), status)
 
 
 def _without_fault(words: np.ndarray) -> np.ndarray:

@@ -39,7 +39,7 @@ from jaxbound.sets.floats.probe import refuse_unusable
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 
-__all__ = ["Monitor", "MonitorState", "Verdict"]
+__all__ = ["Monitor", "MonitorState", "PlacedState", "Verdict"]
 
 BURST = 8  # short blocks; more windows than in these are judged in long blocks
 State: TypeAlias = Any
@@ -61,6 +61,17 @@ class MonitorState(NamedTuple):
     follows: np.int64
     samples: np.int64
     time: np.float64
+
+
+@readable
+class PlacedState(NamedTuple):
+    """The memory of a Monitor of several tests that claims no FAULT outside the region of training.
+
+    Fields: carry: of the tests. u: (k, m) the last inputs, NaN before there are some.
+    """
+
+    carry: Any
+    u: np.ndarray
 
 
 @readable
@@ -107,7 +118,7 @@ class Monitor:
 
     Raises:
         TypeError: no relations. ValueError: a method, budget or compensation that they cannot be tested by;
-            outside="undecided" of an Observer, whose verdicts are its own.
+            outside="undecided" of an Observer that is no `jb.monitor`: its verdicts are its own.
         RuntimeError: on a device where rounding has not been verified, see `detect`.
 
     Encloses: FAULT and CONSISTENT are proofs, as those of `detect`.
@@ -141,13 +152,16 @@ class Monitor:
         self.method = OBSERVER
         self._observer: Observer[Any] | None = None
         if isinstance(relations, Observer):
-            if outside != CLAIMED:
+            if outside != CLAIMED and not relations.parts:
                 raise ValueError(
                     "outside is for windows: a Monitor hands on the verdicts of an Observer as they are"
                 )
             self._observer = relations.measured()
             if dtype is not None:
                 self._observer = self._observer.typed(dtype)
+            self.region = None
+            if outside == UNCLAIMED:
+                self.region = Region.of(relations)
             return
         relations_of(relations, "a Monitor", "Monitor(parity_relations(model))")
         refuse_unusable()
@@ -177,6 +191,9 @@ class Monitor:
 
     def init(self) -> State:
         """Return the MonitorState before the first sample; of an Observer its first carry."""
+        if self._observer is not None and self.region is not None:
+            back = self.region.horizon, len(known(self.relations.model))
+            return PlacedState(self._observer.init(), np.full(back, np.nan))
         if self._observer is not None:
             return self._observer.init()
         s, model = self.relations.horizon, self.relations.model
@@ -208,7 +225,13 @@ class Monitor:
         if type(judged) is Verdict:
             departure = judged.departure and judged.departure.cut(0)
             return state, Verdict(judged.status[0], judged.margin[0], departure)
-        return state, jax.tree.map(lambda x: x[0], judged)  # of an Observer
+        departure = getattr(judged, "departure", None)
+        if departure is not None:  # which holds a region, no array
+            judged = judged._replace(departure=None)
+        one = jax.tree.map(lambda x: x[0], judged)  # of an Observer
+        if departure is not None:
+            one = one._replace(departure=departure.cut(0))
+        return state, one
 
     def run(
         self, state: State, u: object, y: object = None, *, starts: Starts = (), time: ArrayLike | None = None
@@ -233,6 +256,8 @@ class Monitor:
                     "other"
                 )
             piece = Recording.of(self._observer.signals, u, y, starts, narrow=False)
+            if self.region is not None:
+                return self._placed(self._observer, self.region, state, piece)
             return self._observer.followed(state, piece)
         own, s = self._piece(u, y, starts), self._test.horizon
         count, begun = len(own.y), own.starts
@@ -253,6 +278,17 @@ class Monitor:
         u, y = all_u[keep:].copy(), all_y[keep:].copy()
         after = MonitorState(u, y, np.int64(follows), state.samples + count, np.float64(last))
         return after, verdict
+
+    def _placed(
+        self, tests: Observer[Any], region: Region, state: PlacedState, piece: Recording
+    ) -> tuple[PlacedState, Any]:
+        """Return (state, verdicts of a monitor's tests), which claim no FAULT outside the region."""
+        carry, judged = tests.followed(state.carry, piece)
+        before, u = len(state.u), np.concatenate([state.u, np.asarray(piece.u, np.float64)])
+        missing = np.concatenate([np.zeros(before, bool), judged.status == Status.MISSING])
+        departure = region.departure(u, missing).cut(slice(before, None))
+        verdicts: Any = unclaimed(judged, departure)
+        return PlacedState(carry, u[len(u) - before :].copy()), verdicts._replace(departure=departure)
 
     def _piece(self, u: object, y: object, starts: Starts) -> "_Piece":
         """Return samples in our dtype, with all that a table tells beside, or refuse them."""

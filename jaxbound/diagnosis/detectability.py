@@ -298,8 +298,8 @@ def _of_test(
         return detectable(relations, fault, factors=factors)
     if not isinstance(relations, ParityRelation):
         raise NotImplementedError(
-            f"what {type(relations).__name__} see is counted by jb.study, not worked out: guaranteed sizes are "
-            f"known of windows of certain models, and of observers"
+            f"what {type(relations).__name__} see is counted by jb.study, not worked out: guaranteed sizes "
+            f"are known of windows of certain models, and of observers"
         )
     window = dict(relations.window)
     return detectable(model, fault, operating_range=operating_range, factors=factors, **window)

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxbound.certificates.interface import WindowCertificate
-from jaxbound.consistency.claims import CLAIMED, UNCLAIMED, unclaimed
+from jaxbound.consistency.claims import CLAIMED
 from jaxbound.consistency.interface import EXACT, Judged, Relations
 from jaxbound.consistency.monitorbank import BankVerdicts, MonitorBank, combined
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.result import Result, result_of
-from jaxbound.models.region import Region
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
@@ -182,9 +181,6 @@ def _(
     margins: str = EXACT,
     outside_is: str = CLAIMED,
 ) -> MonitorResult:
-    statuses = judged.statuses
-    if outside_is == UNCLAIMED:
-        statuses = _unclaimed(family, judged, u)
     return MonitorResult(
         judged.status,
         judged.margin,
@@ -200,19 +196,6 @@ def _(
         margins=margins,
         outside_is=outside_is,
         by=judged.by,
-        statuses=statuses,
+        statuses=judged.statuses,
         test_margins=judged.margins,
     )
-
-
-def _unclaimed(bank: MonitorBank, judged: BankVerdicts, u: np.ndarray) -> np.ndarray:
-    """Return the statuses of all tests, UNDECIDED in place of FAULT outside the region of training."""
-    region = Region.of(bank)
-    if region is None:
-        return judged.statuses
-    statuses = judged.statuses.copy()
-    departure = region.departure(u, judged.status == Status.MISSING)
-    for i in range(statuses.shape[-1]):
-        one = Judged(statuses[..., i], judged.margins[..., i])
-        statuses[..., i] = unclaimed(one, departure).status
-    return statuses

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from functools import singledispatch
 from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +13,9 @@ from jaxbound.diagnosis.monitored import MonitorResult
 from jaxbound.diagnosis.result import Result, suspected
 from jaxbound.models.region import Departure
 from jaxbound.recordings.columns import texts, to_arrow, words, write_columns
+from jaxbound.recordings.parquet import VERDICTS
 from jaxbound.recordings.recording import Recording
+from jaxbound.runs.contradiction import Spoken
 from jaxbound.runs.sink import Outcome, Sink, Verdicts
 from jaxbound.sets.floats.status import Status
 
@@ -25,6 +28,7 @@ __all__ = [
     "alarm_columns",
     "columns_of",
     "outside_columns",
+    "spoken_of",
     "write_alarms",
     "write_verdicts",
 ]
@@ -73,6 +77,27 @@ def write_verdicts(path: str | PathLike[str], result: Verdicts, recording: Recor
     else:
         time = recording.column
     write_columns(path, {"time": time, **columns_of(result)})
+
+
+def spoken_of(folder: Path, k: int) -> Spoken:
+    """Return what the files of a run in a folder say of sample k; nothing of what is not there any more."""
+    import pyarrow.csv
+    import pyarrow.dataset
+
+    wanted = ["status", "test"]
+    table, parts = folder / VerdictTable.names[0], folder / VERDICTS
+    if table.is_file():
+        options = pyarrow.csv.ConvertOptions(strings_can_be_null=False)
+        rows = pyarrow.csv.read_csv(table, convert_options=options).slice(k, 1)
+    elif parts.exists():
+        files = pyarrow.dataset.dataset(parts)
+        rows = files.take([k], columns=[name for name in wanted if name in files.schema.names])
+    else:
+        return Spoken()
+    said = rows.to_pylist()
+    if not said:
+        return Spoken()
+    return Spoken(*(str(said[0].get(name) or "") for name in wanted))
 
 
 @singledispatch

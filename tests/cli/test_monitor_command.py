@@ -14,7 +14,9 @@ from jaxbound.cli import main
 from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.pipe import judge_stream
 from jaxbound.diagnosis.alarmrule import AlarmRule
+from jaxbound.recordings.read import open_source
 from jaxbound.runs import streaming
+from jaxbound.runs.contradiction import refuted_again
 from jaxbound.runs.fleet import Unit, detect_fleet
 from jaxbound.runs.summary import summarised
 
@@ -242,3 +244,40 @@ def test_info_lists_the_tests(plant, capsys):
     assert main.main(["info", str(plant[0])]) == 0
     text = capsys.readouterr().out
     assert "test drifts" in text and "when mode == 1" in text
+
+
+LEVEL = """
+dt = 1
+[[outputs]]
+name = "level"
+noise = 0.1
+[matrices]
+A = [[1]]
+C = [[1]]
+[[test]]
+name = "jumps"
+horizon = 1
+factor = 0.5
+[[test]]
+name = "state"
+observer = "zonotope"
+"""
+
+
+def test_the_test_that_a_run_names_is_the_one_that_is_explained(tmp_path, capsys):
+    """A level creeps for 190 samples, then jumps: who remembers all of it is off by more than a window, who
+    begins 64 samples earlier by less.
+    """
+    y = 0.001 * np.arange(192.0)
+    y[191] = 0.35
+    model, data = tmp_path / "level.toml", tmp_path / "run.csv"
+    model.write_text(LEVEL)
+    pd.DataFrame({"level": y}).to_csv(data, index_label="time")
+    assert detect((model, data), tmp_path / "r", "-q") == 1
+    with open(tmp_path / "r" / "verdicts.csv") as file:
+        last = list(csv.DictReader(file))[191]
+    capsys.readouterr()
+    assert main.main(["explain", str(tmp_path / "r"), "--at", "191", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["test"] == last["test"] == "state"
+    bank = jb.monitor(model)
+    assert refuted_again(bank, open_source(data, bank.model), 191).test == "jumps", "the case bites"

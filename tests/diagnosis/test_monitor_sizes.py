@@ -1,5 +1,5 @@
-"""Sizes that a monitor is sure to see: of two sensors of one state, y1 - y2 of a sample alone shows a bias from
-twice both noises on, 0.4 times the factor of the test.
+"""Sizes that a monitor is sure to see: of two sensors of one state, y1 - y2 of a sample alone shows a bias
+from twice both noises on, 0.4 times the factor of the test.
 """
 
 import json

@@ -167,6 +167,29 @@ def test_the_relations_of_a_bank_claim_nothing_outside_either():
         np.testing.assert_array_equal(other.of(i)[held], res.of(i)[held])
 
 
+def test_the_tests_of_a_monitor_claim_nothing_outside_either():
+    u, y = case()
+    tests = [{"name": "short", "horizon": 1}, {"name": "long", "horizon": 5}]
+    bank = jb.monitor(paper(ranges=SEEN), tests)
+    res, other = (jb.detect(bank, u, y, outside=word) for word in ("fault", "undecided"))
+    gone = (res.status == FAULT) & (res.outside > 0)
+    assert 0 < gone.sum() < (res.status == FAULT).sum()
+    np.testing.assert_array_equal(other.status, np.where(gone, jb.Status.UNDECIDED, res.status))
+    claimed = (res.statuses == FAULT) & ~(res.outside > 0)[:, None]
+    np.testing.assert_array_equal(other.statuses == FAULT, claimed)
+    mon = Monitor(bank, outside="undecided")
+    state, found = mon.init(), []
+    for a, b in ((0, 3), (3, 200), (200, 400)):
+        state, verdict = mon.run(state, u[a:b], y[a:b])
+        found.append((verdict.status, verdict.statuses, verdict.departure.share))
+    for one, whole in zip(
+        zip(*found, strict=True), (other.status, other.statuses, other.outside), strict=True
+    ):
+        np.testing.assert_array_equal(np.concatenate(one), whole)
+    _, one = mon.step(mon.init(), u[0], y[0])
+    assert one.status == MISSING and np.isnan(one.departure.share)
+
+
 def test_words_that_it_cannot_be_are_refused():
     u, y = case()
     relations = jb.parity_relations(paper(), 5)

@@ -162,7 +162,10 @@ def rows_of(folder):
 def test_a_test_with_a_condition_counts_where_it_watches():
     """A level that stays jumps by 10 rho at sample 5, in two scenarios of different modes."""
     level = jb.LinearSystem([[1]], [[0]], [[1]], noise="0.1")
-    tests = ({"name": "on", "horizon": 1, "when": "u1 > 0"}, {"name": "off", "horizon": 2, "when": "otherwise"})
+    tests = (
+        {"name": "on", "horizon": 1, "when": "u1 > 0"},
+        {"name": "off", "horizon": 2, "when": "otherwise"},
+    )
     u = np.stack([np.ones((10, 1)), np.zeros((10, 1))])
     y = np.repeat((np.arange(10.0) >= 5)[None, :, None], 2, 0)
     act, onset = SimpleNamespace(length=10), np.array([5, 5])

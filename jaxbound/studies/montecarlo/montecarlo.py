@@ -67,8 +67,8 @@ __all__ = ["study"]
 Task: TypeAlias = tuple[int, int]
 """(number of a fault, its first scenario)."""
 Counts: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""hits, false, delay and onset of each scenario, as `kernel.count_block` has them; of a monitor the first three
-have a column for itself and one for each test.
+"""hits, false, delay and onset of each scenario, as `kernel.count_block` has them; of a monitor the first
+three have a column for itself and one for each test.
 """
 Engine: TypeAlias = Callable[[Act, np.ndarray, np.ndarray], Counts]
 """(act, key, numbers of the scenarios) -> their counts."""
@@ -117,8 +117,9 @@ def study(
         key: a jax.random key, or a whole number.
         relations: of the monitor, whatever `detect` takes, a bank, a residual or an `observer` too (then
             windows are samples, those behind the onset faulty), or a `jb.monitor`, whose conditions rest on
-            inputs: it is counted as an observer is, by itself and by test; None: `parity_relations(model)`. Those of
-            another model with the same signals show what happens when its bounds are not the plant's.
+            inputs: it is counted as an observer is, by itself and by test; None: `parity_relations(model)`.
+            Those of another model with the same signals show what happens when its bounds are not the
+            plant's.
         samples: of a scenario. sizes: of the faults, in the unit of the signal (relative for gain and
             tolerance): a sequence for all, or {"signal:kind": sequence}; None: a Fault's own, else twelve
             around the guaranteed size.

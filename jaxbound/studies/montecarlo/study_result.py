@@ -45,8 +45,8 @@ class StudyResult:
 
     @property
     def remembers(self) -> bool:
-        """Whether an observer or a monitor was studied: windows are samples then, and horizon those that it takes to
-        begin.
+        """Whether an observer or a monitor was studied: windows are samples then, and horizon those that
+        it takes to begin.
         """
         return self.settings["method"] in (OBSERVER, MONITOR)
 

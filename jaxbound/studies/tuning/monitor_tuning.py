@@ -1,5 +1,5 @@
-"""Tuning a monitor: one factor on the bounds of each of its tests, found as for this test alone, on the samples
-at which it watches.
+"""Tuning a monitor: one factor on the bounds of each of its tests, found as for this test alone, on the
+samples at which it watches.
 """
 
 from collections.abc import Callable, Mapping

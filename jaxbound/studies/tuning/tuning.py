@@ -187,7 +187,9 @@ def tune(
             ("state", state),
         ):
             if given is not None:
-                raise ValueError(f"tune finds one factor a test of a monitor: {name} belongs to one test alone")
+                raise ValueError(
+                    f"tune finds one factor a test of a monitor: {name} belongs to one test alone"
+                )
         one = partial(tune, steps=0, safety=safety, calibrate=calibrate, block=block, confidence=confidence)
         return tuned_monitor(relations, healthy, faulty, one, report)
     if isinstance(relations, SetObserver):
