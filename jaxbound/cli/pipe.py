@@ -26,6 +26,7 @@ from jaxbound.cli.terminal import door, nobody_reads, say, system_trouble, usabl
 from jaxbound.cli.window import stated_model, window_relations
 from jaxbound.consistency.interface import Relations
 from jaxbound.consistency.monitor import Monitor
+from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.alarms import forgets_after
 from jaxbound.diagnosis.hints import bound_hints, judging_hints, outgrown, unfit
@@ -51,8 +52,9 @@ from jaxbound.runs.refusals import Refused
 from jaxbound.runs.rows import VERDICTS, RowFile, RowText
 from jaxbound.runs.sink import Outcome, Sink, Verdicts
 from jaxbound.runs.sinks import close_all, file_names, open_sinks
-from jaxbound.runs.summary import Evidence, Summary, Window, covered_by, finite, said, unsaid
+from jaxbound.runs.summary import Evidence, Summary, Window, finite, said, unsaid
 from jaxbound.runs.tally import AlarmEnds, Tally, alarm_goes_on
+from jaxbound.runs.testcounts import CountsByTest
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["judge_input", "judge_stream"]
@@ -258,6 +260,9 @@ class _LiveRun:
         self.tally = Tally(stream.when, relations.horizon, region=judge.region)
         self.alarms = AlarmEnds(forgets_after(relations))
         lines.alarms, lines.rule = self.alarms, rule
+        self.by_test = None
+        if isinstance(relations, MonitorBank):
+            self.by_test = CountsByTest(relations)
         self.rule = rule
         self.file = self.alarm_file = None
         if out is not None and journal is not None:  # a folder has a state
@@ -276,6 +281,8 @@ class _LiveRun:
     def _named_sinks(self) -> Mapping[str, Any]:
         """Return {name in the checkpoint: sink}, in the order in which they hand on: a file before stdout."""
         named: dict[str, Any] = {"counts": self.tally, "alarms": self.alarms}
+        if self.by_test is not None:
+            named["tests"] = self.by_test
         if self.rule is not None:
             named["rule"] = self.rule
         if self.file is not None:
@@ -337,6 +344,9 @@ class _LiveRun:
             at, margin = tally.worst.when, tally.worst.margin
             worst = Window(tally.worst.sample, self.stream.label(at), margin)
         counts, outside = tally.named(), tally.outside(self.judge.outside)
+        tests = covered = None
+        if self.by_test is not None:
+            tests, covered = self.by_test.tests(), self.by_test.covered
         numbers = Evidence(
             self.judge.monitor.method,
             relations.horizon,
@@ -352,7 +362,8 @@ class _LiveRun:
             outgrown=self.outgrown,
             outside=outside,
             observes=relations.observes,
-            covered=covered_by(relations, counts),
+            tests=tests,
+            covered=covered,
         )
         verdict, sentence = said(numbers, self.stream.label, min_coverage)
         hints = unsaid([hint for hint in self._hints(numbers) if hint], sentence)
@@ -362,6 +373,8 @@ class _LiveRun:
             say(f"training: {outside.shown(clock.samples - counts['MISSING'], observes)}")
         some = ", ".join(f"{n} {name}" for name, n in counts.items() if n)
         say(f"{sentence} {clock.samples} samples: {some}")
+        for name, test in (tests or {}).items():
+            say(f"test {name}: {', '.join(f'{n} {status}' for status, n in test.counts.items() if n)}")
         return Summary(verdict, sentence, numbers, worst, hints=hints, model=relations.model.name)
 
     def _hints(self, found: Evidence) -> list[str]:

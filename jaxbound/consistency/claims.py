@@ -31,7 +31,7 @@ def unclaimed(judged: Claims, departure: Departure) -> Claims:
     words = judged.words
     if words is not None:
         changed["words"] = np.where(out, _without_fault(words), words)
-    if hasattr(judged, "statuses"):  # of a monitor
+    if getattr(judged, "statuses", None) is not None:  # of a monitor
         changed["statuses"] = _undecided(judged.statuses, out[..., None])
     return judged._replace(**changed)
 

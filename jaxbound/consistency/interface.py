@@ -147,7 +147,8 @@ class Verdicts(Protocol):
 class Judged(NamedTuple):
     """Verdicts (..., T): status, as int8; margin; words, of a bank the packed verdicts of its relations, else
     None; departure: from the region of training, None: it is not known, or not asked for. by: of a monitor
-    the numbers of the tests that speak, -1 where none does, and names of all its tests; else None.
+    the numbers of the tests that speak, -1 where none does, and names of all its tests; statuses,
+    test_margins: (T, tests) of each of them; else None.
     """
 
     status: np.ndarray
@@ -156,6 +157,8 @@ class Judged(NamedTuple):
     departure: Departure | None = None
     by: np.ndarray | None = None
     names: tuple[str, ...] = ()
+    statuses: np.ndarray | None = None
+    test_margins: np.ndarray | None = None
 
 
 class Relations:

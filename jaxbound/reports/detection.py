@@ -13,7 +13,6 @@ import numpy as np
 from jaxbound.consistency.interface import BOUNDS, LinearRelations
 from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.alarms import Alarm
-from jaxbound.diagnosis.monitored import MonitorResult
 from jaxbound.diagnosis.observed import ObserverResult, shown_name
 from jaxbound.diagnosis.result import Result
 from jaxbound.estimation.set_observer import SetObserver
@@ -79,8 +78,7 @@ def write_report(
     chosen = sorted(range(len(alarms)), key=lambda i: _depth(alarms[i]))[:ROWS]
     why = _certified(res, alarms, chosen)
     causes = causes_of(model, alarms, chosen)
-    if isinstance(res, MonitorResult):
-        extra = [*monitor_sections(res, recording.label), *extra]
+    extra = [*monitor_sections(res, recording.label), *extra]
     drawn = charts(res, recording, alarms, chosen, why, worst)
     if progress:
         progress(0.5)

@@ -1,19 +1,19 @@
 """Sections of the page of a monitor: its tests beside each other, and who watched when."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxbound.consistency.monitorbank import NO, UNKNOWN, YES, MonitorBank
 from jaxbound.diagnosis.monitored import MonitorResult
-from jaxbound.runs.summary import OfTest, evidence
-from jaxbound.sets.floats.status import Status
+from jaxbound.diagnosis.result import Result
+from jaxbound.runs.digest import Digest
+from jaxbound.runs.testcounts import STRETCHES, CountsByTest, OfTest, Unwatched
 from jaxbound.text.quantities import percent
 
 __all__ = ["monitor_sections"]
 
-STRETCHES = 10
-"""Stretches that nobody watched, of which the page shows the longest."""
 ORDER = ("FAULT", "CONSISTENT", "UNDECIDED", "MISSING")
 Label = Callable[[int], str]
 """The function that writes the time of a sample, from its number."""
@@ -21,14 +21,28 @@ Section = tuple[str, None, str, list[tuple[object, ...]]]
 """(title, no picture, text, rows of a table, the first of them its head)."""
 
 
-def monitor_sections(res: MonitorResult, label: Label) -> list[Section]:
-    """Return the sections on the tests of a monitor, and on the samples that none of them watched.
+class _Watched(NamedTuple):
+    """The counts of a monitor over a recording.
+
+    Fields: by_test: of each test. unwatched: the stretches without a verdict.
+    """
+
+    by_test: CountsByTest
+    unwatched: Unwatched
+
+
+def monitor_sections(res: Result | Digest, label: Label) -> list[Section]:
+    """Return the sections on the tests of a monitor, and on the samples that none of them watched; none where
+    another test judged.
 
     Args:
         res: of one recording. label: number of a sample -> text of its time.
     """
-    tests = evidence(res, ()).tests or {}
-    bank: MonitorBank = res.relations
+    watched = _watched(res)
+    if watched is None:
+        return []
+    bank: MonitorBank = res.relations  # type: ignore[assignment]  # it was watched
+    tests: Mapping[str, OfTest] = watched.by_test.tests()
     rows: list[tuple[object, ...]] = [
         ("test", "looks back over", "watches", *ORDER, "speaks", "first FAULT", "least margin")
     ]
@@ -40,7 +54,19 @@ def monitor_sections(res: MonitorResult, label: Label) -> list[Section]:
     )
     if bank.observes:
         text += " UNDECIDED of an observer is not refuted, which is what a healthy sample is."
-    return [("Tests", None, text, rows), _coverage(res, bank, label)]
+    return [("Tests", None, text, rows), _coverage(watched, bank, label)]
+
+
+def _watched(res: Result | Digest) -> _Watched | None:
+    """Return the counts of a monitor; None where another test judged."""
+    if isinstance(res, MonitorResult):
+        counted, unwatched = CountsByTest(res.relations), Unwatched()
+        counted.take(np.asarray(res.u), res.statuses, res.test_margins, res.by)
+        unwatched.add(None, res)
+        return _Watched(counted, unwatched.finish())
+    if isinstance(res, Digest) and res.by_test is not None and res.unwatched is not None:
+        return _Watched(res.by_test, res.unwatched)
+    return None
 
 
 def _cells(test: OfTest, label: Label) -> list[object]:
@@ -54,25 +80,22 @@ def _cells(test: OfTest, label: Label) -> list[object]:
     return [*counts, test.speaks, first, margin]
 
 
-def _coverage(res: MonitorResult, bank: MonitorBank, label: Label) -> Section:
+def _coverage(watched: _Watched, bank: MonitorBank, label: Label) -> Section:
     """Return the section on modes, and on the stretches in which no test has a verdict."""
-    samples, modes = len(res.status), bank.modes_of(np.asarray(res.u))
-    missing = res.status == Status.MISSING
-    edges = np.flatnonzero(np.diff(missing, prepend=False, append=False)).reshape(-1, 2)
-    longest = edges[np.argsort(edges[:, 0] - edges[:, 1], kind="stable")[:STRETCHES]]
+    unwatched, modes = watched.unwatched, watched.by_test.modes
+    samples = unwatched.samples
     rows: list[tuple[object, ...]] = [("", "from", "to", "samples", "share")]
     for c, condition in enumerate(bank.conditions):
         for value, words in ((YES, "holds"), (NO, "does not hold"), (UNKNOWN, "is unknown")):
-            count = int(np.count_nonzero(modes[:, c] == value))
+            count = int(modes[c, value])
             if not count:
                 continue
             rows.append((f"{condition} {words}", "", "", count, percent(count / max(samples, 1))))
-    for first, stop in longest[np.argsort(longest[:, 0])].tolist():
+    for first, stop in unwatched.longest.tolist():
         share = percent((stop - first) / max(samples, 1))
         rows.append(("nobody watched", label(first), label(stop - 1), stop - first, share))
-    count = int(np.count_nonzero(missing))
-    stretches = f"{len(edges)} stretch{'es' * (len(edges) != 1)}"
-    text = f"No test has a verdict at {count} of {samples} samples, in {stretches}."
-    if len(edges) > STRETCHES:
+    stretches = f"{unwatched.count} stretch{'es' * (unwatched.count != 1)}"
+    text = f"No test has a verdict at {unwatched.missing} of {samples} samples, in {stretches}."
+    if unwatched.count > STRETCHES:
         text += f" The {STRETCHES} longest are in the table."
     return "Who watched when", None, text, rows

@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxbound.consistency.claims import CLAIMED, refuse_outside
 from jaxbound.consistency.interface import AUTO, BOUNDS, EXACT, Relations, with_margins
+from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.alarmrule import RuleLike, rule_of
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detection import detect
@@ -39,14 +40,15 @@ from jaxbound.runs.contradiction import REACHES, refuted_again
 from jaxbound.runs.judges import as_judged
 from jaxbound.runs.loop import Quiet, Taker, follow
 from jaxbound.runs.outputs import output_folder, shared_folder
-from jaxbound.runs.partnotes import read_again, read_extremes, read_runs
+from jaxbound.runs.partnotes import read_again, read_by_test, read_extremes, read_runs
 from jaxbound.runs.parts import forget_parts, part_files, verdicts_of
 from jaxbound.runs.rulebook import alarm_book
 from jaxbound.runs.shares import check_share, numbers_of
 from jaxbound.runs.sink import Sink, Verdicts
 from jaxbound.runs.streaming import CHUNK, Report, all_parts, part_count, publish, write_parts
-from jaxbound.runs.summary import Evidence, covered_by, evidence
+from jaxbound.runs.summary import Evidence, evidence
 from jaxbound.runs.tally import Tally
+from jaxbound.runs.testcounts import CountsByTest, Unwatched
 from jaxbound.sets.floats.probe import refuse_unusable
 from jaxbound.text.objects import readable
 
@@ -80,6 +82,8 @@ class Digest:
             outputs before inputs; or None.
         beyond: the windows outside the region of training, counted; None: the model states no ranges.
             outside_is: see `Result`.
+        by_test, unwatched: of a monitor the counts of its tests, and the stretches without a verdict; else
+            None.
     """
 
     relations: Relations
@@ -99,6 +103,8 @@ class Digest:
     margins: str = EXACT
     beyond: Outside | None = None
     outside_is: str = CLAIMED
+    by_test: CountsByTest | None = None
+    unwatched: Unwatched | None = None
 
     @property
     def bounded(self) -> bool:
@@ -184,6 +190,9 @@ def _(res: Digest, alarms: Sequence[Alarm]) -> Evidence:
     at, margin = None, np.nan
     if res.worst is not None:
         at, margin = res.worst
+    tests = covered = None
+    if res.by_test is not None:
+        tests, covered = res.by_test.tests(), res.by_test.covered
     return Evidence(
         res.method,
         res.relations.horizon,
@@ -200,7 +209,8 @@ def _(res: Digest, alarms: Sequence[Alarm]) -> Evidence:
         bounded=res.bounded,
         outside=res.beyond,
         observes=res.relations.observes,
-        covered=covered_by(res.relations, res.counts),
+        tests=tests,
+        covered=covered,
     )
 
 
@@ -338,10 +348,17 @@ def digest(
     ticking = _Ticking(source.dt, times)
     rule = fitted(rule_of(alarm), relations)
     book = alarm_book(rule, source, relations, method, alarms_csv, drawing.line.mark)
+    by_test = unwatched = None
     sinks: list[Taker[Recording, Verdicts]] = [tally, ticking, drawing, book, *also]
+    if isinstance(relations, MonitorBank):
+        unwatched = Unwatched()
+        sinks.append(unwatched)
     for _ in follow(verdicts_of(folder, source, region), as_judged, sinks):
         report(tally.samples / source.samples)
     book.close()
+    if isinstance(relations, MonitorBank) and unwatched is not None:
+        by_test = read_by_test(part_files(folder), relations)
+        unwatched.finish()
     alarms, named = book.alarms()
     times |= named
     worst = None
@@ -368,6 +385,8 @@ def digest(
         margins=test.margins_are,
         beyond=tally.outside(outside),
         outside_is=outside,
+        by_test=by_test,
+        unwatched=unwatched,
     )
     sentence = irregular(ticking.clock, digested.label, source.row, source.probe().time)
     if sentence:

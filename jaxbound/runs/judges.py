@@ -149,7 +149,14 @@ def _judged(relations: Relations, verdicts: OfObserver) -> Judged:
     """Return the verdicts of an observer, of a monitor with the tests that speak."""
     status, margin = np.asarray(verdicts.status), np.asarray(verdicts.margin)
     if isinstance(verdicts, BankVerdicts):
-        return Judged(status, margin, by=np.asarray(verdicts.by), names=tuple(relations.parts))
+        return Judged(
+            status,
+            margin,
+            by=np.asarray(verdicts.by),
+            names=tuple(relations.parts),
+            statuses=verdicts.statuses,
+            test_margins=verdicts.margins,
+        )
     return Judged(status, margin)
 
 

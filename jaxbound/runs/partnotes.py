@@ -11,15 +11,27 @@ from typing import Any
 
 import numpy as np
 
+from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.plots.canvas import PANELS, bins, inside
 from jaxbound.recordings.factors import known
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stillness import Run, Runs, follow_runs, joined_runs
+from jaxbound.runs.testcounts import CountsByTest
 
-__all__ = ["AGAIN", "EXTREMES", "RUNS", "Noted", "read_again", "read_extremes", "read_runs"]
+__all__ = [
+    "AGAIN",
+    "EXTREMES",
+    "RUNS",
+    "TESTS",
+    "Noted",
+    "read_again",
+    "read_by_test",
+    "read_extremes",
+    "read_runs",
+]
 
 NONE = '{"bin": 0, "low": [], "high": []}'  # an earlier jaxbound noted no extremes
-RUNS, EXTREMES, AGAIN = b"runs", b"extremes", b"again"
+RUNS, EXTREMES, AGAIN, TESTS = b"runs", b"extremes", b"again", b"tests"
 Written = tuple[int, int, float]
 """A Run as JSON holds it."""
 
@@ -124,6 +136,14 @@ def read_again(parts: Iterable[Path]) -> dict[str, int]:
     for metadata in map(_metadata, parts):
         counts.update(json.loads(metadata.get(AGAIN, "{}")))
     return dict(counts)
+
+
+def read_by_test(parts: Iterable[Path], bank: MonitorBank) -> CountsByTest:
+    """Return the counts of each test of a monitor in all parts, in order."""
+    counted = CountsByTest(bank)
+    for metadata in map(_metadata, parts):
+        counted.join(json.loads(metadata[TESTS]))
+    return counted
 
 
 def _metadata(part: Path) -> dict[bytes, bytes]:

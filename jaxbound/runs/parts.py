@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 
 from jaxbound.consistency.interface import Judged
+from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.result import suspected
 from jaxbound.files.checkpoint import refuse_other
 from jaxbound.files.whole import UNFINISHED, whole
@@ -26,8 +27,9 @@ from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.parquetfiles import Damage
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.loop import Memory, Quiet
-from jaxbound.runs.partnotes import AGAIN, RUNS, Noted
+from jaxbound.runs.partnotes import AGAIN, RUNS, TESTS, Noted
 from jaxbound.runs.sink import Verdicts
+from jaxbound.runs.testcounts import CountsByTest
 from jaxbound.runs.verdictfiles import outside_columns
 from jaxbound.sets.floats.status import Status
 
@@ -93,6 +95,7 @@ class Parts(Quiet):
         folder: of the parts. notes: {number of a part: its identity}. size: of a part, in samples. first,
             end: the samples of the stretch; it begins where a part does. about: the signals of the recording.
             judge: of the samples; verdicts of one that carries something end where a part does.
+        bank: of which each test is counted; None: other relations judge.
     """
 
     def __init__(
@@ -104,11 +107,15 @@ class Parts(Quiet):
         end: int,
         about: Noted,
         judge: Carrier,
+        bank: MonitorBank | None = None,
     ) -> None:
         self.folder, self.notes, self.size, self.end = folder, notes, size, end
         self.done, self.about, self.judge = first, about, judge
         self.waiting: list[_Waiting] = []
         self.tests: tuple[str, ...] = ()
+        self.bank, self.counted = bank, None
+        if bank is not None:
+            self.counted = CountsByTest(bank)
 
     def add(self, piece: Recording, verdicts: Verdicts) -> None:
         """Take the next samples; write the parts that they complete, and at the end the part that is left."""
@@ -117,6 +124,8 @@ class Parts(Quiet):
         numbers = verdicts.status, verdicts.margin, _signals_and_where(piece)
         by = getattr(verdicts, "by", None)
         self.tests = getattr(verdicts, "names", ())
+        if self.counted is not None:  # the verdicts of a monitor end where a part does
+            self.counted.add(piece, verdicts)
         self.waiting.append(_Waiting(piece.column, *numbers, verdicts.departure, by))
         while rows := sum(len(waiting.status) for waiting in self.waiting):
             if rows < self.size and self.done + rows < self.end:
@@ -165,6 +174,9 @@ class Parts(Quiet):
         carry = self.judge.memory()
         if carry is not None:
             about[CARRY] = json.dumps(carry)
+        if self.bank is not None and self.counted is not None:
+            about[TESTS] = json.dumps(self.counted.memory())
+            self.counted = CountsByTest(self.bank)
         if self.judge.again:
             about[AGAIN] = json.dumps(self.judge.again)
             self.judge.again.clear()

@@ -19,6 +19,7 @@ import numpy as np
 
 from jaxbound.consistency.claims import CLAIMED
 from jaxbound.consistency.interface import AUTO, Observer, Relations, margins_for, with_margins
+from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.files.checkpoint import from_texts
 from jaxbound.models.fingerprint import fingerprint
 from jaxbound.recordings.contents import Digests
@@ -272,7 +273,10 @@ class _Judging:
         laps = Laps(seconds)
         judge = self._judge(parts.start, laps)
         about = Noted(self.source.samples, self.relations.model)
-        sink = Parts(self.folder, notes, self.size, first, end, about, judge)
+        bank = None
+        if isinstance(self.relations, MonitorBank):
+            bank = self.relations
+        sink = Parts(self.folder, notes, self.size, first, end, about, judge, bank)
         pieces = self.source.pieces(self.chunk, judge.overlap, max(first - judge.begins, 0), end)
         report(first)
         for at, piece in follow(pieces, judge, [sink], laps=laps):

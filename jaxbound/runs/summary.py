@@ -14,6 +14,7 @@ from jaxbound.diagnosis.hints import never_seen, unfit
 from jaxbound.diagnosis.monitored import MonitorResult
 from jaxbound.diagnosis.region import Outside
 from jaxbound.diagnosis.result import Result
+from jaxbound.runs.testcounts import CountsByTest, OfTest
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 from jaxbound.text.quantities import most_percent, percent, times
@@ -26,7 +27,6 @@ __all__ = [
     "OfTest",
     "Summary",
     "Window",
-    "covered_by",
     "evidence",
     "finite",
     "said",
@@ -56,26 +56,6 @@ class Window(NamedTuple):
     sample: int
     time: str
     margin: float
-
-
-class OfTest(NamedTuple):
-    """The verdicts of one test of a monitor.
-
-    Fields: counts: {status name: number of its samples}. first: sample of its first FAULT, None: it has none.
-    speaks: how many samples' verdict is its own. margin: its least, NaN: it has none. observes: whether it is
-    an observer.
-    """
-
-    counts: Mapping[str, int]
-    first: int | None
-    speaks: int
-    margin: float
-    observes: bool = False
-
-    def plain(self) -> Plain:
-        """Return it as JSON has it."""
-        about = {"first_fault": self.first, "speaks": self.speaks, "margin": finite(self.margin)}
-        return {"counts": dict(self.counts), **about}
 
 
 @readable
@@ -321,41 +301,12 @@ def _(res: Result, alarms: Sequence[Alarm]) -> Evidence:
 @evidence.register(MonitorResult)
 def _(res: MonitorResult, alarms: Sequence[Alarm]) -> Evidence:
     whole = evidence.dispatch(Result)(res, alarms)
-    proved = (res.statuses == Status.CONSISTENT) | (res.statuses == Status.FAULT)
-    # UNDECIDED is what healthy samples are to an observer: it counts where it has data
-    observes = [test.observes for test in res.relations.parts.values()]
-    counts_so = np.where(observes, res.statuses != Status.MISSING, proved).any(1)
-    tests = {}
-    for i, name in enumerate(res.names):
-        status = res.statuses[:, i]
-        counts = np.bincount(status, minlength=len(Status))
-        first = None
-        if counts[Status.FAULT]:
-            first = int(np.argmax(status == Status.FAULT))
-        speaks = int(np.count_nonzero(res.by == i))
-        least = float(np.fmin.reduce(res.test_margins[:, i], initial=np.nan))
-        verdicts = {s.name: int(counts[s]) for s in Status}
-        tests[name] = OfTest(verdicts, first, speaks, least, observes[i])
+    counted = CountsByTest(res.relations)
+    counted.take(np.asarray(res.u), res.statuses, res.test_margins, res.by)
     speaker = ""
     if whole.at is not None:
         speaker = res.test_at(whole.at)
-    return replace(whole, tests=tests, test=speaker, covered=int(np.count_nonzero(counts_so)))
-
-
-def covered_by(relations: Relations, counts: Mapping[str, int]) -> int | None:
-    """Return how many samples of a monitor count as decided, where only its own verdicts are known: those
-    with data where an observer is among its tests, else those that all tests decide. None: of other
-    relations.
-
-    Args:
-        counts: {status name: number of samples}.
-    """
-    if not relations.parts:
-        return None
-    decided = counts["CONSISTENT"] + counts["FAULT"]
-    if relations.observes:
-        decided += counts["UNDECIDED"]
-    return decided
+    return replace(whole, tests=counted.tests(), test=speaker, covered=counted.covered)
 
 
 def summarised(

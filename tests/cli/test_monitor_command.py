@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -196,6 +197,15 @@ def test_a_pipe_names_the_test_that_speaks_in_each_line(plant, tmp_path, capsysb
     assert lines[0]["test"] is None
 
 
+def test_a_pipe_counts_by_test(plant, capfd):
+    model, data = plant
+    text = data.read_bytes()
+    judge_stream(model, [text[:400], text[400:]], options=MethodOptions())
+    said = capfd.readouterr().err
+    assert "test jumps: 31 MISSING, " in said, "in mode 2, and at the first sample"
+    assert "test drifts: 2 MISSING, 55 CONSISTENT, 3 FAULT" in said, "the windows that hold sample 40"
+
+
 def test_a_pipe_names_the_test_by_which_an_alarm_begins(plant, capsysbinary):
     model, data = plant
     judge_stream(model, [data.read_bytes()], options=MethodOptions(), as_json=True, alarm=AlarmRule())
@@ -215,6 +225,19 @@ def test_a_parquet_recording_is_judged_as_one_in_memory(plant, tmp_path, capsys)
     assert [name or "" for name in table["test"]] == [res.test_at(k) for k in range(60)]
 
 
+def test_the_page_of_a_parquet_recording_has_the_sections_of_one_in_memory(plant, tmp_path, monkeypatch):
+    model, data = plant
+    pd.read_csv(data).to_parquet(tmp_path / "run.parquet")
+    monkeypatch.setattr(streaming, "PART", 17)  # tests are counted over the ends of parts
+    tables = []
+    for name, recording in (("parts", tmp_path / "run.parquet"), ("whole", data)):
+        assert detect((model, recording), tmp_path / name, "-q") == 1
+        page = (tmp_path / name / "report.html").read_text()
+        found = re.findall("<table.*?</table>", page, re.DOTALL)
+        tables.append([table for table in found if "looks back over" in table or "does not hold" in table])
+    assert tables[0] == tables[1] and len(tables[0]) == 2
+
+
 @pytest.mark.parametrize(("rule", "tests"), [((), ["jumps", "drifts"]), (("--latch",), ["drifts"])])
 def test_alarms_of_a_parquet_recording_name_their_test(rule, tests, plant, tmp_path, monkeypatch):
     model, data = plant
@@ -231,13 +254,10 @@ def test_a_fleet_judges_by_the_tests_of_each_model(plant):
     assert result.summary.found.tests["jumps"].first == 20
 
 
-@pytest.mark.parametrize("command", ["tune", "study"])
-def test_what_takes_one_test_refuses_several(command, plant, tmp_path, capsys):
-    model, data = plant
-    out = ["--out", str(tmp_path / "out.toml")]
-    more = {"tune": [str(data), *out], "study": ["--faults", "height", *out]}
-    assert main.main([command, str(model), *more[command]]) == 2
-    assert "this is a monitor of 2" in capsys.readouterr().err
+def test_a_study_refuses_a_condition_that_its_scenarios_do_not_have(plant, tmp_path, capsys):
+    out = ["--faults", "height", "--out", str(tmp_path / "study")]
+    assert main.main(["study", str(plant[0]), *out]) == 2
+    assert "test 'jumps' watches when 'mode == 1'" in capsys.readouterr().err
 
 
 def test_info_lists_the_tests(plant, capsys):
@@ -264,6 +284,7 @@ observer = "zonotope"
 """
 
 
+@pytest.mark.slow
 def test_the_test_that_a_run_names_is_the_one_that_is_explained(tmp_path, capsys):
     """A level creeps for 190 samples, then jumps: who remembers all of it is off by more than a window, who
     begins 64 samples earlier by less.
