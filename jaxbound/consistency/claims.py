@@ -33,7 +33,8 @@ def unclaimed(judged: Claims, departure: Departure) -> Claims:
         changed["words"] = np.where(out, _without_fault(words), words)
     if getattr(judged, "statuses", None) is not None:  # of a monitor
         changed["statuses"] = _undecided(judged.statuses, out[..., None])
-    return judged._replace(**changed)
+    claims: Claims = judged._replace(**changed)
+    return claims
 
 
 def _undecided(status: np.ndarray, out: np.ndarray) -> np.ndarray:

@@ -121,6 +121,12 @@ class MonitorBank(Observer[BankState]):
         self.dtype = np.dtype(jax.dtypes.canonicalize_dtype(float))
 
     @property
+    def plant(self) -> LinearSystem:
+        """The model whose signals all tests read, with the columns of their conditions."""
+        assert isinstance(self.model, LinearSystem), "it was built of one"
+        return self.model
+
+    @property
     def names(self) -> tuple[str, ...]:
         """The names of the tests, in the order of `by`."""
         return tuple(watch.name for watch in self.watches)

@@ -246,7 +246,7 @@ def _by_tests(
 ) -> GuaranteedSize:
     """Return the smallest GuaranteedSize of the tests of a monitor."""
     if factors and not any(getattr(watch.relations.model, "factors", ()) for watch in bank.watches):
-        at_factors(bank.model.replace(tests=None), factors)  # refuses them
+        at_factors(bank.plant.replace(tests=None), factors)  # refuses them
     sizes: dict[str, GuaranteedSize] = {}
     unknown: NotImplementedError | None = None
     for watch in bank.watches:
@@ -301,8 +301,8 @@ def _of_test(
             f"what {type(relations).__name__} see is counted by jb.study, not worked out: guaranteed sizes "
             f"are known of windows of certain models, and of observers"
         )
-    window = dict(relations.window)
-    return detectable(model, fault, operating_range=operating_range, factors=factors, **window)
+    window: dict[str, Any] = dict(relations.window)
+    return detectable(relations.model, fault, operating_range=operating_range, factors=factors, **window)
 
 
 def always_seen(

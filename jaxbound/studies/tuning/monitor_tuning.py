@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from decimal import ROUND_CEILING, Context, Decimal
 from fractions import Fraction
 from functools import partial
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, cast
 
 import numpy as np
 
@@ -91,7 +91,7 @@ def tuned_monitor(
         ValueError: as `tune` of each test; a test whose factor does not scale its bounds around 0; healthy
             samples of an unknown mode that every mode refutes.
     """
-    stated = {test.name: test for test in bank.model.tests}
+    stated = {test.name: test for test in bank.plant.tests}
     if tuple(stated) != bank.names:
         raise ValueError("tune needs a monitor of tests that its model states, from jb.monitor")
     good = _seen(bank, healthy, "healthy")
@@ -142,7 +142,7 @@ def _part(report: Callable[[float], object], number: int, count: int, share: flo
 
 def _seen(bank: MonitorBank, given: object, what: str) -> _Seen:
     """Return recordings with all columns that the tests read."""
-    joined = joined_recordings(bank.model, bank.horizon, given, what)
+    joined = joined_recordings(bank.plant, bank.horizon, given, what)
     each = []
     for number in range(len(joined.entries)):
         own, _ = joined.split(number)
@@ -152,7 +152,7 @@ def _seen(bank: MonitorBank, given: object, what: str) -> _Seen:
 
 def _recording(bank: MonitorBank, joined: JoinedRecordings) -> Recording:
     """Return recordings laid end to end as one."""
-    return Recording(joined.u, joined.y, joined.starts, known(bank.model), tuple(bank.model.outputs))
+    return Recording(joined.u, joined.y, joined.starts, known(bank.plant), tuple(bank.plant.outputs))
 
 
 def _watched(bank: MonitorBank, number: int, given: _Seen) -> list[Samples]:
@@ -177,7 +177,7 @@ def _scalable(bank: MonitorBank, test: StatedTest) -> Tunable:
     Raises:
         ValueError: a disturbance that does not lie around 0.
     """
-    relations: Tunable = relations_of_test(bank.model, test)  # type: ignore[assignment]  # there are no others
+    relations = cast(Tunable, relations_of_test(bank.plant, test))  # there are no others
     for lo, hi in tuned_model(relations).disturbance:
         if lo + hi != 0:
             raise ValueError(
@@ -230,7 +230,7 @@ def _accepted(
             if factor != test.factor:
                 factor = _short(factor * extra)
             tests.append(replace(test, factor=factor))
-        model = bank.model.replace(tests=tests)
+        model = bank.plant.replace(tests=tests)
         tuned = monitor(model)
         if not _counts(tuned, good)["FAULT"]:
             return model, tuned
