@@ -77,7 +77,7 @@ def test_an_observer_gets_the_factor_at_which_it_follows_the_recording(rng):
 
 @pytest.mark.parametrize("option", [{"bounds": "noise"}, {"weights": {"noise": 1}}, {"state": "x.npz"}])
 def test_options_of_one_test_alone_are_refused(rng, option):
-    with pytest.raises(ValueError, match="is for one test alone"):
+    with pytest.raises(ValueError, match="belongs to one test alone"):
         jb.tune(jb.monitor(LEVEL, [JUMPS]), day(rng, 0.3), **option)
 
 
