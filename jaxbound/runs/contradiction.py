@@ -19,7 +19,7 @@ them are.
 
 
 class Spoken(NamedTuple):
-    """What the files of a run say of a sample. Fields: status: its name; test: of a monitor the name of the
+    """The word of a run's files on a sample. Fields: status: its name; test: of a monitor the name of the
     test that speaks; "": not known.
     """
 

@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol, cast
 
 import numpy as np
 
@@ -125,7 +125,7 @@ class Parts(Quiet):
         by = getattr(verdicts, "by", None)
         self.tests = getattr(verdicts, "names", ())
         if self.counted is not None:  # the verdicts of a monitor end where a part does
-            self.counted.add(piece, verdicts)
+            self.counted.add(piece, cast(Judged, verdicts))
         self.waiting.append(_Waiting(piece.column, *numbers, verdicts.departure, by))
         while rows := sum(len(waiting.status) for waiting in self.waiting):
             if rows < self.size and self.done + rows < self.end:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxbound.consistency.interface import Judged, Verdicts
 from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.loop import Memory, Quiet
@@ -70,9 +71,11 @@ class CountsByTest(Quiet):
         self.least = np.full(tests, np.nan)
         self.modes = np.zeros((len(bank.conditions), KNOWLEDGE), np.int64)
 
-    def add(self, piece: Recording, verdicts: Any) -> None:
-        """Count the next samples. verdicts: with statuses, test_margins and by."""
-        self.take(np.asarray(piece.u), verdicts.statuses, verdicts.test_margins, verdicts.by)
+    def add(self, piece: Recording, verdicts: Judged) -> None:
+        """Count the next samples, which a monitor has judged."""
+        statuses, margins, by = verdicts.statuses, verdicts.test_margins, verdicts.by
+        assert statuses is not None and margins is not None and by is not None, "a monitor judged them"
+        self.take(np.asarray(piece.u), statuses, margins, by)
 
     def take(self, u: np.ndarray, statuses: np.ndarray, margins: np.ndarray, by: np.ndarray) -> None:
         """Count samples. u (T, m): inputs. statuses, margins (T, tests), by (T,): as of a MonitorResult."""
@@ -151,7 +154,7 @@ class Unwatched(Quiet):
         self.longest = np.zeros((0, 2), np.int64)
         self.begun: int | None = None  # the first sample of a stretch that goes on
 
-    def add(self, piece: Recording | None, verdicts: Any) -> None:
+    def add(self, piece: Recording | None, verdicts: Verdicts) -> None:
         """Follow the next samples."""
         missing = np.asarray(verdicts.status) == Status.MISSING
         before = self.begun is not None

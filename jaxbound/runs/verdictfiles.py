@@ -80,7 +80,7 @@ def write_verdicts(path: str | PathLike[str], result: Verdicts, recording: Recor
 
 
 def spoken_of(folder: Path, k: int) -> Spoken:
-    """Return what the files of a run in a folder say of sample k; nothing of what is not there any more."""
+    """Return the word of a run's files, in a folder, on sample k; none of files that are gone."""
     import pyarrow.csv
     import pyarrow.dataset
 

@@ -100,7 +100,7 @@ def tuned_monitor(
         bad = _seen(bank, faulty, "faulty")
         refuse_same(good.joined, bad.joined)
     start = {name: test.factor for name, test in stated.items()}
-    found: dict[str, TuneResult] = {}
+    tunings: dict[str, TuneResult] = {}
     notes: list[str] = []
     factors = dict(start)
     for number, (name, test) in enumerate(stated.items()):
@@ -117,14 +117,14 @@ def tuned_monitor(
             one = tune_one(relations, watched, faults, bounds=_scaled(relations), progress=progress)
         except ValueError as e:
             raise ValueError(f"test {name!r}: {e}") from None
-        found[name] = one
+        tunings[name] = one
         factors[name] = _short(test.factor * _grown(one))
         notes += one.notes
-    if not found:
+    if not tunings:
         raise ValueError("no test of this monitor watches a sample of the healthy data")
     model, tuned = _accepted(bank, stated, factors, good.joined)
     return MonitorTuneResult(
-        tests=found,
+        tests=tunings,
         factors={test.name: test.factor for test in model.tests},
         start=start,
         counts=_counts(tuned, good.joined),
