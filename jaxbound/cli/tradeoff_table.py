@@ -1,10 +1,11 @@
 """The faults of --see, and the trade-off between bounds and faults that are seen, as table and JSON."""
 
 import math
-from typing import Any
+from typing import Any, SupportsFloat
 
 from jaxbound.cli.names import parted, unquoted
 from jaxbound.models.faults import Fault
+from jaxbound.models.testmodels import model_of
 from jaxbound.studies.identification.fit_result import Fitted
 
 __all__ = ["disturbance_rows", "plain_tradeoff", "wanted"]
@@ -50,16 +51,24 @@ def disturbance_rows(model: Fitted) -> list[tuple[str, str]]:
         rows.append(
             (
                 f"{star}process {choice.process:g}, drift {choice.drift:g}",
-                f"{choice.method}: factor {choice.factor:.3g}, noise {', '.join(noise)}; "
-                f"sees {', '.join(sizes)}",
+                f"{choice.method}: factor {choice.factor:.3g}, safety {choice.safety:.4g}, "
+                f"noise {', '.join(noise)}; sees {', '.join(sizes)}",
             )
         )
     if rows:
-        bounds = [f"w{j + 1} {float(high):.3g}" for j, (_, high) in enumerate(model.disturbance)]
+        bounds = [f"w{j + 1} {float(high):.3g}" for j, (_, high) in enumerate(_disturbance(model))]
         rows.insert(
             0, ("disturbances", f"{', '.join(bounds) or 'none'} a sample; shares of the noise below:")
         )
     return rows
+
+
+def _disturbance(model: Fitted) -> tuple[tuple[SupportsFloat, SupportsFloat], ...]:
+    """Return the bounds of disturbances of a fit, or of a test of its bank."""
+    found = model.disturbance
+    for test in model.tests:
+        found = found or model_of(model, test).disturbance
+    return found
 
 
 def plain_tradeoff(model: Fitted) -> list[dict[str, Any]]:

@@ -9,7 +9,7 @@ from jaxbound.certificates.interface import Judgement
 from jaxbound.consistency.interface import Relations
 from jaxbound.consistency.searched import NOT_REFUTED, judging_device
 from jaxbound.diagnosis.region import Outside
-from jaxbound.models.system import FOR_OBSERVER, LinearSystem
+from jaxbound.models.system import FOR_OBSERVER, TO_THE_END, LinearSystem
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import percent, times
 from jaxbound.text.units import same_unit, without_unit
@@ -131,7 +131,11 @@ def outgrown(model: LinearSystem, relations: Relations | None = None, looks_back
         horizon = model.lags[-1]
     if not looks_back and relations is not None and relations.remembers:
         looks_back = "an observer"
-    if FOR_OBSERVER in origins and not looks_back:
+    if TO_THE_END in origins:
+        return []
+    if FOR_OBSERVER in origins:
+        if looks_back:
+            return []
         return [
             "the bounds were found from data for an observer, whose sets are not those of windows: a FAULT "
             "may be no more than healthy operation; fit again without one"

@@ -34,10 +34,12 @@ from jaxbound.recordings.factors import Factor
 from jaxbound.text.objects import readable
 from jaxbound.text.units import without_unit
 
-__all__ = ["FOR_OBSERVER", "LinearSystem", "matrices_at_zero", "whole_lags"]
+__all__ = ["FOR_OBSERVER", "TO_THE_END", "LinearSystem", "matrices_at_zero", "whole_lags"]
 
 FOR_OBSERVER = "for an observer"
 """Words in the provenance of bounds from data that were found for one, not for windows."""
+TO_THE_END = "from start to end"
+"""Words in the provenance of bounds that explain whole recordings: they hold for windows and observers."""
 ORIGINS = ("tolerance", "noise", "resolution", "disturbance", "model")
 
 T = TypeVar("T")

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxbound.models.system import FOR_OBSERVER, LinearSystem
+from jaxbound.models.system import FOR_OBSERVER, TO_THE_END, LinearSystem
 from jaxbound.recordings.hints import recorded_step
 from jaxbound.studies.identification.judging import Judge
 from jaxbound.studies.identification.records import Records, measured
@@ -63,7 +63,9 @@ def verified(
     recordings = f"{len(records)} recording{'s' * (len(records) > 1)}"
     source = f"fitted to {measured(records)} samples in {recordings}"
     meant = ""
-    if "horizon" not in spec and "lags" not in spec:
+    if walks is not None:
+        meant = f" {TO_THE_END}"
+    elif "horizon" not in spec and "lags" not in spec:
         meant = f" {FOR_OBSERVER}"
     lowered = {i: rounded_up(x * wider) for i, (_, x) in means.items()}
     disturbance, pushes = None, []

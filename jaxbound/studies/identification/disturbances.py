@@ -22,7 +22,12 @@ from jaxbound.studies.identification.candidates import LEAST, Candidate, FitProb
 from jaxbound.studies.identification.fit_result import Tradeoff
 from jaxbound.studies.identification.left_out import EXCITED, LeftOut, Trial, excited, widest
 from jaxbound.studies.identification.records import Record, Records, parted
-from jaxbound.studies.identification.trajectories import hidden_size, least_factor, refuse_kind
+from jaxbound.studies.identification.trajectories import (
+    added_fault,
+    hidden_size,
+    least_factor,
+    refuse_kind,
+)
 from jaxbound.text.names import listed
 
 __all__ = [
@@ -101,9 +106,13 @@ def wanted_faults(
     see: Fault | Sequence[Fault],
     average: int | None,
     follow: float | str,
-    test: str | None,
+    compares: bool,
 ) -> tuple[Fault, ...]:
-    """Return the faults that are wanted; refuse what does not go together."""
+    """Return the faults that are wanted; refuse what does not go together.
+
+    Args:
+        compares: whether windows are compared. Others: see `fit`.
+    """
     faults = tuple(see) if not isinstance(see, Fault) else (see,)
     if disturbances is None:
         if faults:
@@ -115,8 +124,10 @@ def wanted_faults(
         raise ValueError("average is for bounds of sensors alone: leave it out, or the disturbances")
     if follow:
         raise ValueError("follow widens bounds of sensors alone: leave it out, or the disturbances")
-    if test is not None:
-        raise ValueError("test compares windows whose sensors alone err: leave it out, or the disturbances")
+    if compares:
+        raise ValueError(
+            "test = 'auto' compares windows whose sensors alone err: leave it out, or the disturbances"
+        )
     for fault in faults:
         refuse_kind(fault)
     return faults
@@ -225,14 +236,18 @@ def chosen_disturbances(
             "no disturbances up to the size of the sensors' noise explain these recordings: look at the "
             "recordings, or choose another order"
         )
-    rows[chosen] = rows[chosen]._replace(chosen=True)
-    sentences = _unseen(rows[chosen], see)
+    factor, sentences, used = rows[chosen].factor, _unseen(rows[chosen], see), safety
     if see and not sentences:
-        factor, wider = rows[chosen].factor, safety
-        while winner.sees(WIDER * factor * wider, longest, see):
-            wider *= WIDER
-        safety = round(wider, 3)
-    return Disturbed(best.trial, best.G, best.walks, safety, tuple(rows), sentences)
+        used = winner.widened(factor, safety, longest, see)
+    if used == safety:
+        rows[chosen] = rows[chosen]._replace(chosen=True)
+    else:
+        sizes = winner.sizes(factor * used, longest, faults)
+        rows.append(winner.row(factor, used, sizes, faults)._replace(chosen=True))
+        sentences = (
+            f"safety is {used:g} in place of {safety:g}: the wanted faults are still seen under bounds so wide",
+        )
+    return Disturbed(best.trial, best.G, best.walks, used, tuple(rows), sentences)
 
 
 def _label(fault: Fault) -> str:
@@ -378,12 +393,14 @@ class _Tried:
         model = self.model(wider * (1 + 1e-6))
         return [hidden_size(model, record, fault) for fault in faults]
 
-    def sees(self, wider: float, record: Record, faults: Sequence[Fault]) -> bool:
-        """Return whether each fault is seen by the end of a recording, under bounds so much wider."""
-        for fault, size in zip(faults, self.sizes(wider, record, faults), strict=True):
-            if size > abs(fault.size):
-                return False
-        return True
+    def widened(self, factor: float, safety: float, record: Record, faults: Sequence[Fault]) -> float:
+        """Return the safety, or as many steps above it as let each fault be seen by the end of a recording."""
+        model, limit = self.model(factor), math.inf
+        for fault in faults:
+            for sign in (1.0, -1.0):
+                limit = min(limit, least_factor(model, added_fault(record, model, fault, sign)))
+        steps = math.floor(math.log(limit / safety * (1 - 1e-6), WIDER))
+        return round(safety * WIDER ** max(steps, 0), 3)
 
     def row(self, factor: float, safety: float, sizes: Sequence[float], faults: Sequence[Fault]) -> Tradeoff:
         """Return the row of the table."""
@@ -392,7 +409,8 @@ class _Tried:
         for fault, size in zip(faults, sizes, strict=True):
             named[_label(fault)] = size
         noise = dict(zip(outputs, (factor * safety * self.bound).tolist(), strict=True))
-        return Tradeoff(self.candidate.kind, *self.setting, noise, factor, named, chosen=False)
+        kind = self.candidate.kind
+        return Tradeoff(kind, *self.setting, noise, factor, safety, named, chosen=False)
 
 
 def _with_bounds(

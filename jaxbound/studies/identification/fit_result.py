@@ -41,9 +41,9 @@ class Tradeoff(NamedTuple):
 
     Fields: method: of the coefficients. process, drift: bounds of process noise, and of how far an offset
         moves a sample, in shares of the noise of the sensors. noise: {output: bound}, with the factor and the
-        safety. factor: that recordings ask for which are left out. sizes: {"T1:bias": size} from which on a
-        fault, added to the longest recording, is seen by its end; inf: never. chosen: whether the model has
-        them.
+        safety. factor: that recordings ask for which are left out; safety: on top of it. sizes: {"T1:bias":
+        size} from which on a fault, added to the longest recording, is seen by its end; inf: never. chosen:
+        whether the model has them.
     """
 
     method: str
@@ -51,6 +51,7 @@ class Tradeoff(NamedTuple):
     drift: float
     noise: dict[str, float]
     factor: float
+    safety: float
     sizes: dict[str, float]
     chosen: bool
 

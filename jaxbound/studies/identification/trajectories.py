@@ -20,8 +20,10 @@ from jaxbound.models.faults import Fault
 from jaxbound.models.system import LinearSystem
 from jaxbound.studies.identification.records import Record
 
-__all__ = ["hidden_size", "least_factor", "refuse_kind"]
+__all__ = ["added_fault", "hidden_size", "least_factor", "refuse_kind", "sure_sizes"]
 
+Sizes: TypeAlias = dict[str, float]
+"""{output: size}."""
 Sparse: TypeAlias = Any
 """A sparse matrix of SciPy, which is imported where one is made."""
 SEEN = ("bias", "drift")
@@ -80,6 +82,50 @@ def hidden_size(model: LinearSystem, part: Record, fault: Fault) -> float:
         largest = _extreme(rows, upper, left, acts, -sign, walk=(-1, 1), last=(None, None))
         sizes.append(abs(largest))
     return max(sizes)
+
+
+def sure_sizes(model: LinearSystem, before: int, within: int, after: int) -> tuple[Sizes, Sizes, Sizes]:
+    """Return (jump, lasting, ramp), {output: size} each: errors of one output that no noise hides from an
+    exact test of all samples; inf where there is none.
+
+    A jump is seen `within` so many samples, a bias that lasts, and a ramp by its last size, `after` so many;
+    as many as `before` go before each. On a recording without any noise an error of half the size is seen.
+    """
+    jump, lasting, ramp = {}, {}, {}
+    for name in model.outputs:
+        bias, drift = Fault(name, "bias", 1.0, before), Fault(name, "drift", 1.0, before)
+        jump[name] = 2 * hidden_size(model, _rest(model, before + within), bias)
+        lasting[name] = 2 * hidden_size(model, _rest(model, before + after), bias)
+        ramp[name] = 2 * after * hidden_size(model, _rest(model, before + after), drift)
+    return jump, lasting, ramp
+
+
+def _rest(model: LinearSystem, count: int) -> Record:
+    """Return a recording of so many samples at the operating point."""
+    u = np.tile(np.array(model.offset["u"], float), (count, 1))
+    y = np.tile(np.array(model.offset["y"], float), (count, 1))
+    return u, y, np.zeros(0, int)
+
+
+def added_fault(part: Record, model: LinearSystem, fault: Fault, sign: float) -> Record:
+    """Return a recording that no bounds explain under which a fault, of its size and this sign, is seen by
+    the last sample.
+    """
+    u, y, starts = part
+    wrong = sign * fault.size * _course(len(y), fault)
+    if fault.signal in model.outputs:
+        y = y + wrong[:, None] * (np.array(model.outputs) == fault.signal)
+    else:
+        u = u + wrong[:, None] * (np.array(model.inputs) == fault.signal)
+    return u, y, starts
+
+
+def _course(T: int, fault: Fault) -> np.ndarray:
+    """Return the course (T,) of a bias, or a drift, of size 1."""
+    since = np.arange(T) - fault.start
+    if fault.kind == "drift":
+        return np.maximum(since + 1.0, 0.0)
+    return np.where(since < 0, 0.0, 1.0)
 
 
 def refuse_kind(fault: Fault) -> None:
@@ -150,10 +196,7 @@ class _Rows:
 def _fault(rows: _Rows, model: LinearSystem, fault: Fault) -> tuple[np.ndarray, np.ndarray]:
     """Return (acts, wrong): what a fault of size 1 takes from each equation, and adds to each reading."""
     T = rows.present[-1] // model.p + 1
-    since = np.arange(T) - fault.start
-    course = np.where(since < 0, 0.0, 1.0)
-    if fault.kind == "drift":
-        course = np.maximum(since + 1.0, 0.0)
+    course = _course(T, fault)
     acts, wrong = np.zeros((len(rows.linked), model.n)), np.zeros((T, model.p))
     if fault.signal in model.outputs:
         wrong[:, model.outputs.index(fault.signal)] = course

@@ -5,6 +5,7 @@ import pytest
 from scipy.optimize import linprog
 
 import jaxbound as jb
+from jaxbound.diagnosis.hints import outgrown
 from jaxbound.studies.identification.disturbances import Setting, structured
 
 T = 60
@@ -90,16 +91,23 @@ def test_an_offset_that_moves_gets_a_state_and_a_rate(fitted):
 
 def test_the_chosen_disturbances_see_the_smallest_of_the_wanted_fault(fitted):
     _, model = fitted
-    chosen = [row for row in model.check.tradeoff if row.chosen]
-    assert len(chosen) == 1
-    assert chosen[0].sizes["y:bias from sample 30 on"] == min(
-        row.sizes["y:bias from sample 30 on"] for row in model.check.tradeoff
-    )
+    (chosen,) = [row for row in model.check.tradeoff if row.chosen]
+    asked = [row for row in model.check.tradeoff if row.safety == 1]
+    best = min(asked, key=lambda row: row.sizes["y:bias from sample 30 on"])
+    assert (chosen.method, chosen.process, chosen.drift) == (best.method, best.process, best.drift)
 
 
 def test_provenance_says_where_the_disturbances_come_from(fitted):
     _, model = fitted
     assert model.provenance["disturbance"].startswith("fitted to 120 samples")
+
+
+@pytest.mark.parametrize("horizon", [None, 6])
+def test_bounds_of_whole_recordings_are_for_windows_and_observers(fitted, horizon):
+    _, model = fitted
+    model = model.replace(horizon=horizon)
+    assert outgrown(model, jb.parity_relations(model, 8)) == []
+    assert outgrown(model, jb.observer(model)) == []
 
 
 def test_outputs_of_one_unit_share_an_offset():
@@ -132,7 +140,7 @@ def test_a_fault_that_no_bounds_see_is_named_with_the_size_that_is_seen(rng):
         ({"disturbances": "all"}, "must be auto"),
         ({"disturbances": "auto", "average": 3}, "average is for bounds of sensors alone"),
         ({"disturbances": "auto", "follow": 0.1}, "follow widens bounds of sensors alone"),
-        ({"disturbances": "auto", "test": "bank", "horizon": None}, "test compares windows"),
+        ({"disturbances": "auto", "test": "auto", "horizon": None}, "'auto' compares windows"),
         ({"disturbances": "auto", "see": jb.Fault("y", "gain", 0.1)}, "not for y:gain"),
         ({"disturbances": "auto", "see": jb.Fault("z", "bias", 1)}, "no signal 'z'"),
     ],
@@ -147,5 +155,9 @@ def test_bounds_are_as_wide_as_the_wanted_fault_allows(rng):
     large = jb.Fault("y", "drift", 5.0)
     options = dict(order=1, horizon=6, method="least squares", disturbances="auto", outputs="y")
     model = jb.fit(recordings, see=large, **options)
-    assert model.check.safety > 2 * 1.25
+    (used,) = [row for row in model.check.tradeoff if row.chosen]
+    assert model.check.safety == used.safety > 2 * 1.25
+    assert used.noise["y"] == pytest.approx(float(model.noise[0] + model.resolution[0]), rel=0.01)
+    assert 5.0 / 1.06 < used.sizes["y:drift"] <= 5.0
+    assert any(f"safety is {used.safety:g} in place of 1.25" in text for text in model.check.sentences)
     assert jb.fit(recordings, **options).check.safety == 1.25
