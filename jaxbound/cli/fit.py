@@ -34,6 +34,10 @@ EXAMPLES = (
         "names for columns, a signal computed from columns, only while the fan runs",
     ),
 )
+BANK = (
+    "windows of one length see what others miss: the same command with --test bank, without --horizon, "
+    "writes a monitor of several, each with bounds of its own"
+)
 CODES = (
     "exit codes: 0, 2 bad input or usage, 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM "
     "(nothing is written)"
@@ -138,7 +142,8 @@ def options(parser: argparse.ArgumentParser) -> None:
         "--observer",
         choices=tuple(OBSERVERS),
         metavar="NAME",
-        help=f"bounds for a set observer, in place of windows: {', '.join(OBSERVERS)}",
+        help=f"bounds for a set observer, in place of windows, or beside them by --test bank: "
+        f"{', '.join(OBSERVERS)}",
     )
     parser.add_argument(
         "--disturbances",
@@ -171,7 +176,7 @@ def options(parser: argparse.ArgumentParser) -> None:
         choices=("auto", "bank"),
         help="auto: choose the windows, too, in place of --horizon, --lags and --average: 16, 31 or 61 "
         "samples, means, lags, by recordings that are left out; bank: all of them that see what others "
-        "miss, as [[test]] tables of one monitor",
+        "miss, as [[test]] tables of one monitor, and an observer by --observer or --disturbances",
     )
     parser.add_argument(
         "--out", type=path, required=True, metavar="MODEL.toml", help="the model file to write"
@@ -258,8 +263,16 @@ def run(args: argparse.Namespace) -> int:
         files = [str(args.out)]
         if args.plot:
             files.append(str(args.plot))
+        if _takes_windows(args):
+            hints.append(BANK)
         show_fit(model, args.data, files, hints, args.observer)
     return OK
+
+
+def _takes_windows(args: argparse.Namespace) -> bool:
+    """Return whether the same command could have written a monitor."""
+    chosen = (args.test, args.observer, args.disturbances, args.lags, args.average)
+    return chosen == (None,) * len(chosen) and not args.follow and args.order != 0
 
 
 def _hints(data: Sequence[Path], recordings: Sequence["Recording"]) -> list[str]:

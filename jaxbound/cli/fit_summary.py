@@ -14,7 +14,7 @@ from jaxbound.diagnosis.memory import slowest, suggest_lags
 from jaxbound.recordings.expressions import CLOCK, expression
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
 from jaxbound.studies.identification.signal_choice import GIVEN, TriedSignals
-from jaxbound.studies.identification.window_tests import JudgedTest, best_test
+from jaxbound.studies.identification.window_tests import RAMP, JudgedTest, best_test
 from jaxbound.text.units import without_unit
 
 __all__ = ["named_units", "plain_fit", "promise", "show_fit", "signal_columns"]
@@ -131,7 +131,7 @@ def plain_fit(
         "average": average or _chosen_average(check),
         "inputs": list(model.inputs),
         "signals": [_plain_signals(one) for one in check.signals],
-        "tests": [_plain_test(test, check) for test in check.tests],
+        "tests": [_plain_test(test, model) for test in check.tests],
         "means": {a.signal: float(a.bound) for a in model.averages},
         "smallest_mean": check.smallest_mean,
         "disturbance": [float(high) for _, high in model.disturbance],
@@ -151,19 +151,26 @@ def _chosen_average(check: FitCheck) -> int | None:
     return best_test(check.tests).window.average
 
 
-def _plain_test(test: JudgedTest, check: FitCheck) -> dict[str, Any]:
+def _is_taken(test: JudgedTest, model: Fitted) -> bool:
+    """Return whether a test that was tried is that of the model, or one of those."""
+    return test is best_test(model.check.tests) or test.window.text in [own.name for own in model.tests]
+
+
+def _plain_test(test: JudgedTest, model: Fitted) -> dict[str, Any]:
     """Return a test that was tried, as JSON has it."""
     return {
         "horizon": test.window.horizon,
         "lags": test.window.lags,
         "average": test.window.average,
+        "observer": test.window.observer,
         "method": test.method,
         "factor": test.factor,
         "smallest": test.smallest,
         "smallest_mean": test.smallest_mean,
         "jump": _all_finite(test.jump),
         "steady": _all_finite(test.steady),
-        "chosen": test is best_test(check.tests),
+        "ramp": _all_finite(test.ramp),
+        "chosen": _is_taken(test, model),
     }
 
 
@@ -198,8 +205,11 @@ def _tried_tests(model: Fitted) -> list[tuple[str, str]]:
     rows = []
     for test in model.check.tests:
         jump, steady = _each_size(model, test.jump), _each_size(model, test.steady)
-        text = f"needs {test.factor:.3g} times; by {test.method}; jumps from {jump}, lasting from {steady}"
-        if test is best_test(model.check.tests):
+        text = (
+            f"needs {test.factor:.3g} times; by {test.method}; jumps from {jump}, lasting from {steady}, "
+            f"ramps by {_each_size(model, test.ramp)} in {RAMP} samples"
+        )
+        if _is_taken(test, model):
             text = f"chosen: {text}"
         rows.append((f"test: {test.window.text}", text))
     return rows

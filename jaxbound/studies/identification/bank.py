@@ -2,26 +2,32 @@
 
 The test that sees the smallest errors comes first, see `window_tests`. Each further one earns its place: it
 sees a jump or a lasting error of some output from clearly smaller sizes on than all tests before it, under
-bounds as wide as recordings that are left out ask of it. All are windows; an observer is not among them. Each
-test has the coefficients and the bounds of a fit of its own.
+bounds as wide as recordings that are left out ask of it: a jump, an error that lasts, or a ramp. A set
+observer is tried beside the windows where one is asked for, or bounds of disturbances; it is latched, so that
+a lasting error stays a FAULT. Each test has the coefficients and the bounds of a fit of its own.
 """
 
+import dataclasses
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
+from jaxbound.estimation.method import ObserverMethod
 from jaxbound.models.modelfile import model_text
 from jaxbound.models.statedtests import StatedTest, stated_tests
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.testmodels import MERGED, model_of
 from jaxbound.studies.identification.fit_result import Fitted
-from jaxbound.studies.identification.window_tests import JudgedTest, best_test
+from jaxbound.studies.identification.trajectories import sure_sizes
+from jaxbound.studies.identification.window_tests import RAMP, JudgedTest, WindowChoice, best_test
 
 __all__ = ["FitOne", "earned", "fitted_bank", "in_part", "test_as_fitted"]
 
 GAIN = 0.8
 """A test earns its place where it sees an error from this share of the size on that the others need."""
+SETTLED, SOON = 100, 8
+"""Samples before an error, as an observer is judged, and after it, within which it is to see a jump."""
 ABSENT: Mapping[str, object] = {"averages": [], "noise": "0", "resolution": "0", "offset": "0"}
 """Fields of a signal that a test states where the file has them and its own model has not."""
 ONCE = ("test", "name")
@@ -32,25 +38,73 @@ FitOne = Callable[[Mapping[str, Any], Callable[[float], object]], Fitted]
 """fit_one(test, report) fits the same recordings by the arguments of `fit` that differ between tests."""
 
 
-def fitted_bank(fit_one: FitOne, first: Mapping[str, Any], report: Callable[[float], object]) -> Fitted:
+def fitted_bank(
+    fit_one: FitOne,
+    first: Mapping[str, Any],
+    watching: Mapping[str, Any] | None,
+    report: Callable[[float], object],
+) -> Fitted:
     """Return a Fitted for the best windows, whose `tests` are those that earn their places.
 
     Args:
-        fit_one: see `FitOne`. first: of the fit that tries all windows. report: called with the share of the
-            work done.
+        fit_one: see `FitOne`. first: of the fit that tries all windows. watching: of the fit for an observer,
+            an ObserverMethod, and for disturbances; None: no observer is tried. report: called with the share
+            of the work done.
     """
-    base = fit_one(first, partial(in_part, report, 0.0, 0.5))
-    check = base.check
-    picked = earned(check.tests)
-    tests = [StatedTest(picked[0].window.text)]
-    share = 0.5 / len(picked)
+    base = fit_one(first, partial(in_part, report, 0.0, 0.4))
+    check, tests = base.check, list(base.check.tests)
+    watched: Fitted | None = None
+    if watching is not None:
+        own = {"order": check.order, "delay": check.delay, "method": check.method} | dict(watching)
+        watched = fit_one(own, partial(in_part, report, 0.4, 0.3))
+        tests.append(_judged(watched, watching["observer"]))
+    picked = earned(tests)
+    stated = [StatedTest(picked[0].window.text)]
+    share = 0.3 / len(picked)
     for number, judged in enumerate(picked[1:]):
+        name = judged.window.text
+        if judged.window.observer is not None and watched is not None and watching is not None:
+            stated.append(test_as_fitted(base, _beside(base, watched), name, _options(watching["observer"])))
+            said = [f"test {name!r}: {x}" for x in watched.check.sentences if x not in check.sentences]
+            check = dataclasses.replace(
+                check, tradeoff=watched.check.tradeoff, sentences=(*check.sentences, *said)
+            )
+            continue
         own = {"order": check.order, "delay": check.delay, "method": judged.method}
         own |= judged.window.about | {"average": judged.window.average}
-        fitted = fit_one(own, partial(in_part, report, 0.5 + number * share, share))
-        tests.append(test_as_fitted(base, fitted, judged.window.text))
+        fitted = fit_one(own, partial(in_part, report, 0.7 + number * share, share))
+        stated.append(test_as_fitted(base, fitted, name))
     report(1.0)
-    return Fitted(base.replace(tests=tests), check)
+    return Fitted(base.replace(tests=stated), dataclasses.replace(check, tests=tuple(tests)))
+
+
+def _judged(fitted: Fitted, method: ObserverMethod) -> JudgedTest:
+    """Return what an observer sees at best: errors that no test of all samples can miss."""
+    check = fitted.check
+    jump, lasting, ramp = sure_sizes(fitted, SETTLED, SOON, RAMP)
+    window = WindowChoice(0, observer=method.name)
+    numbers = check.factor, check.smallest, {}, jump, lasting
+    # windows are the model of the file: verbs that take one test need them
+    return JudgedTest(window, check.method, *numbers, blindness=float("inf"), ramp=ramp)
+
+
+def _options(method: ObserverMethod) -> dict[str, Any]:
+    """Return the fields of a test by an observer: latched, and what is not as usual of its method."""
+    options: dict[str, Any] = {"observer": method.name, "latched": True}
+    usual = type(method)()
+    for option in method.shell:
+        value = getattr(method, option.field)
+        if value != getattr(usual, option.field):
+            options[option.field] = int(value)
+    return options
+
+
+def _beside(base: LinearSystem, watched: LinearSystem) -> LinearSystem:
+    """Return the model of an observer with the windows of the file, which it does not look at."""
+    left_out = watched.left_out or base.left_out  # a field that a test cannot take away
+    if base.lags is not None:
+        return watched.replace(lags=base.lags, left_out=left_out)
+    return watched.replace(horizon=base.horizon, left_out=left_out)
 
 
 def in_part(report: Callable[[float], object], begun: float, share: float, done: float) -> None:
@@ -78,19 +132,22 @@ def _share(test: JudgedTest, sizes: Mapping[tuple[str, str], float]) -> float:
 
 def _sizes(test: JudgedTest) -> Iterator[tuple[tuple[str, str], float]]:
     """Yield ((kind, output), size) of the errors that a test sees; beyond any size where it sees none."""
-    for kind, sizes in (("jump", test.jump), ("steady", test.steady)):
+    for kind, sizes in (("jump", test.jump), ("steady", test.steady), ("ramp", test.ramp)):
         for output, size in sizes.items():
             yield (kind, output), min(size, 1e300)
 
 
-def test_as_fitted(base: LinearSystem, fitted: LinearSystem, name: str) -> StatedTest:
+def test_as_fitted(
+    base: LinearSystem, fitted: LinearSystem, name: str, about: Mapping[str, Any] | None = None
+) -> StatedTest:
     """Return the test of a model that states a fit of its own: what differs from the base.
 
     Args:
-        base: the model of the file. fitted: for the windows of the test, of the same signals.
+        base: the model of the file. fitted: for the windows of the test, of the same signals. about: fields
+            of the test beside its name and its model.
     """
     mine, theirs = (tomllib.loads(model_text(x.replace(tests=None)), parse_float=str) for x in (base, fitted))
-    (test,) = stated_tests([StatedTest(name, changes=_changes(mine, theirs))])
+    (test,) = stated_tests([{"name": name, **(about or {}), "model": _changes(mine, theirs)}])
     own = model_of(base, test)
     # a field that one of them lacks would be lost silently
     assert model_text(own.replace(name=base.name)) == model_text(fitted.replace(name=base.name)), name

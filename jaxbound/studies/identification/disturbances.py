@@ -245,7 +245,7 @@ def chosen_disturbances(
         sizes = winner.sizes(factor * used, longest, faults)
         rows.append(winner.row(factor, used, sizes, faults)._replace(chosen=True))
         sentences = (
-            f"safety is {used:g} in place of {safety:g}: the wanted faults are still seen under bounds so wide",
+            f"safety is {used:g} in place of {safety:g}: bounds so wide still show the wanted faults",
         )
     return Disturbed(best.trial, best.G, best.walks, used, tuple(rows), sentences)
 
@@ -394,7 +394,7 @@ class _Tried:
         return [hidden_size(model, record, fault) for fault in faults]
 
     def widened(self, factor: float, safety: float, record: Record, faults: Sequence[Fault]) -> float:
-        """Return the safety, or as many steps above it as let each fault be seen by the end of a recording."""
+        """Return the safety, or so many steps above it that each fault is still seen by the end."""
         model, limit = self.model(factor), math.inf
         for fault in faults:
             for sign in (1.0, -1.0):

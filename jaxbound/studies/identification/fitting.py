@@ -135,8 +135,10 @@ def fit(
         test: "auto": windows are chosen, too, in place of horizon, lags and average: whichever of 16, 31, 61
             samples, means of 8 and 16, and lags of 61 sees the smallest errors, each at the bounds that
             recordings which are left out ask of it; `.check.tests` has them all. "bank": as many of them as
-            see clearly smaller errors than the others: the model states them as its `tests`, each with
-            coefficients and bounds of its own, and `jb.monitor` is all of them. None: as those say.
+            see clearly smaller jumps, lasting errors or ramps than the others: the model states them as its
+            `tests`, each with coefficients and bounds of its own, and `jb.monitor` is all of them; `observer`
+            or `disturbances` has a set observer ("joint" if none is named) tried beside them. None: as those
+            say.
         observer: the method of a set observer ("zonotope", "joint", ..), see `jb.observer`: the bounds are
             those at which it follows every recording, instead of those of windows; horizon is then that of
             the windows which `method` looks at. Not with lags or average.
@@ -147,7 +149,7 @@ def fit(
         disturbances: "auto": process noise and offsets that drift get bounds beside the noise of the sensors,
             those of a trajectory that explains each recording from start to end, so that they hold for
             windows and observers alike; which of them, by the smallest fault that is then seen in the longest
-            recording. Not with average, follow or test. None: none.
+            recording. Not with average, follow or test="auto". None: none.
         see: a bias or a drift of a signal, or several, of the size that is wanted: disturbances are chosen
             for these, and bounds are as much wider than `safety` as these still allow. (): biases of each
             output.
@@ -177,9 +179,11 @@ def fit(
         observer = _observer(observer, lags, average)
     if order == 0:
         direct = True
-    wanted = wanted_faults(disturbances, see, average, follow, test)
+    wanted = wanted_faults(disturbances, see, average, follow, test == AUTO)
     if test is not None:
-        chosen_by_it = {"horizon": horizon, "lags": lags, "average": average, "observer": observer}
+        chosen_by_it: dict[str, object] = {"horizon": horizon, "lags": lags, "average": average}
+        if test != BANK:
+            chosen_by_it["observer"] = observer
         _refuse_beside_test(test, order, chosen_by_it, follow)
     horizon, lags = _window(horizon, lags, order)
     _check_options(order, delay, horizon, safety, held_out, method, average)
@@ -198,6 +202,12 @@ def fit(
         inputs, columns, units = _as_chosen(tried_sets, pool, columns, units)
         report = partial(in_part, report, 0.4, 0.6)
     if test == BANK:
+        watching: dict[str, Any] | None = None
+        if observer is not None or disturbances is not None:
+            watching = {"observer": observer or observer_method("joint"), "disturbances": disturbances}
+            watching["see"] = wanted
+        if wanted:  # refused before anything is worked out
+            refuse_unseen(wanted, *read_records(recordings, inputs, outputs, columns, dt)[:2])
         same: dict[str, Any] = dict(inputs=inputs, outputs=outputs, dt=dt, every=every, direct=direct)
         same |= dict(safety=safety, held_out=held_out, name=name, units=units, columns=columns)
         first = dict(order=order, delay=delay, method=method, test=AUTO)
@@ -205,7 +215,7 @@ def fit(
         def fit_one(own: Mapping[str, Any], report: Callable[[float], object]) -> Fitted:
             return fit(recordings, **{**same, **own}, progress=report)
 
-        bank = fitted_bank(fit_one, first, report)
+        bank = fitted_bank(fit_one, first, watching, report)
         return Fitted(bank, dataclasses.replace(bank.check, signals=tried_sets))
     inputs, outputs, dt, records = read_records(recordings, inputs, outputs, columns, dt)
     about = dict(dt=dt, inputs=inputs, outputs=outputs, units=units, columns=columns, name=name)
@@ -220,7 +230,7 @@ def fit(
             records, (order, delay, direct), about, kinds, held_out, safety, lambda x: report(0.6 * x)
         )
         picked = best_test(tests)
-        horizon, lags, average = picked.window
+        horizon, lags, average, _ = picked.window
         method = picked.method
     judge: Judge = WindowJudge()
     if observer is not None:

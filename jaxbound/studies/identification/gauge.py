@@ -25,7 +25,7 @@ from jaxbound.studies.identification.judging import Judge, Sizes
 from jaxbound.studies.identification.records import Record, Records
 from jaxbound.studies.identification.regression import Scales, complete_windows
 
-__all__ = ["GaugeJudge", "best_approximations", "gauge_of"]
+__all__ = ["GaugeJudge", "best_approximations", "gauge_of", "seen_slopes"]
 
 CHUNK, BATCH = 2_048, 64
 """Windows whose residuals are looked at together; whose programs are solved together."""
@@ -251,13 +251,25 @@ class GaugeJudge(Judge):
     def sizes(self, model: LinearSystem, scales: Scales) -> tuple[Sizes, Sizes]:
         """Return (jump, steady) as `WindowJudge` does."""
         gauge = gauge_of(model)
-        count, p = gauge.horizon + 1, model.p
+        count = gauge.horizon + 1
         samples = np.arange(count)
-        acts = np.stack([samples >= count // 2, samples >= 0])
-        wrong = acts[:, None, :, None] * np.diag(scales.y_spread)[None, :, None]  # (2, p, s + 1, p)
-        rows = wrong.reshape(2 * p, -1) @ gauge.over.T
-        need = best_approximations(rows, gauge.free).reshape(2, p)
-        with np.errstate(divide="ignore"):  # healthy noise takes 1 of a need
-            sizes = np.where(need > 1e-9, 2 * scales.y_spread / need, np.inf)
-        jump, steady = (dict(zip(model.outputs, row, strict=True)) for row in sizes.tolist())
+        jump, steady = _seen(gauge, scales, np.stack([samples >= count // 2, samples >= 0]))
         return jump, steady
+
+
+def seen_slopes(model: LinearSystem, scales: Scales) -> Sizes:
+    """Return {output: slope a sample} of a ramp that fills a window, from which on it is sure to be seen."""
+    gauge = gauge_of(model)
+    (slopes,) = _seen(gauge, scales, np.arange(1.0, gauge.horizon + 2)[None])
+    return slopes
+
+
+def _seen(gauge: Gauge, scales: Scales, courses: np.ndarray) -> list[Sizes]:
+    """Return of each course (s + 1,) of an error of size 1 {output: size that is sure to be seen}."""
+    model, kinds = gauge.model, len(courses)
+    wrong = courses[:, None, :, None] * np.diag(scales.y_spread)[None, :, None]  # (kinds, p, s + 1, p)
+    rows = wrong.reshape(kinds * model.p, -1) @ gauge.over.T
+    need = best_approximations(rows, gauge.free).reshape(kinds, model.p)
+    with np.errstate(divide="ignore"):  # healthy noise takes 1 of a need
+        sizes = np.where(need > 1e-9, 2 * scales.y_spread / need, np.inf)
+    return [dict(zip(model.outputs, row, strict=True)) for row in sizes.tolist()]

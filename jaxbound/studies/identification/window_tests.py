@@ -14,7 +14,7 @@ import numpy as np
 from jaxbound.diagnosis.memory import spread_lags
 from jaxbound.models.system import LinearSystem
 from jaxbound.studies.identification.candidates import FitProblem
-from jaxbound.studies.identification.gauge import GaugeJudge
+from jaxbound.studies.identification.gauge import GaugeJudge, seen_slopes
 from jaxbound.studies.identification.left_out import LeftOut, Trial, tried, widest
 from jaxbound.studies.identification.means import LOOSE, lowered
 from jaxbound.studies.identification.records import Records, parted
@@ -22,6 +22,7 @@ from jaxbound.studies.identification.sizes import blindness
 
 __all__ = [
     "AVERAGES",
+    "RAMP",
     "WINDOWS",
     "JudgedTest",
     "WindowChoice",
@@ -35,16 +36,20 @@ AVERAGES = 0.95
 """Share of the bound of a sample from which on that of a mean says nothing."""
 LOOKS = 16
 """Samples that windows with lags look at."""
+RAMP = 100
+"""Samples after which the size of a ramp counts."""
 
 
 class WindowChoice(NamedTuple):
     """Windows of horizon + 1 samples, of which a test looks at all or at lags, with bounds on the mean of
-    `average` errors in a row; None: without.
+    `average` errors in a row; None: without. observer: the name of one in place of windows, which looks at
+    all samples.
     """
 
     horizon: int
     lags: tuple[int, ...] | None = None
     average: int | None = None
+    observer: str | None = None
 
     @property
     def about(self) -> dict[str, Any]:
@@ -56,6 +61,8 @@ class WindowChoice(NamedTuple):
     @property
     def text(self) -> str:
         """The words for a reader."""
+        if self.observer is not None:
+            return f"observer {self.observer}"
         if self.lags is not None:
             return f"{len(self.lags)} of {self.horizon + 1} samples"
         if self.average is not None:
@@ -80,7 +87,8 @@ class JudgedTest(NamedTuple):
     Fields: window: WindowChoice; method: of the coefficients; factor: on the smallest bounds; smallest,
     smallest_mean: those bounds, {output: bound}; jump, steady: {output: size}, the smallest errors that are
     sure to be seen at this factor and the safety, inf: none; blindness: these sizes as one number, see
-    `sizes.blindness`, without the safety. In floats, not proved.
+    `sizes.blindness`, without the safety. ramp: {output: size} that a ramp has after RAMP samples, likewise.
+    In floats, not proved.
     """
 
     window: WindowChoice
@@ -91,6 +99,7 @@ class JudgedTest(NamedTuple):
     jump: dict[str, float]
     steady: dict[str, float]
     blindness: float
+    ramp: Mapping[str, float] = {}
 
 
 def best_test(tests: Sequence[JudgedTest]) -> JudgedTest:
@@ -189,6 +198,7 @@ def _judged(
             _times(jump, safety),
             _times(steady, safety),
             blindness(problem.judge, model, problem.scales, problem.spans),
+            _times(seen_slopes(model, problem.scales), RAMP * safety),
         )
     ]
 

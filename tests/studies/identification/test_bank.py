@@ -6,6 +6,7 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.models.testmodels import model_of
+from jaxbound.studies.identification import disturbances, window_tests
 from jaxbound.studies.identification.bank import earned
 from jaxbound.studies.identification.window_tests import JudgedTest, WindowChoice
 
@@ -28,6 +29,16 @@ def test_a_test_that_sees_hardly_smaller_errors_does_not():
 def test_a_test_that_sees_what_no_other_sees_earns_its_place():
     blind, seeing = judged(15, 1.0, np.inf, 1.0), judged(60, 4.0, 1e6, 2.0)
     assert earned([blind, seeing]) == (blind, seeing)
+
+
+def test_an_observer_earns_its_place_by_a_ramp_and_stands_behind_windows():
+    short = judged(15, 1.0, 9.0, 1.0)._replace(ramp={"y1": 8.0})
+    sizes = {"y1": 2.0}, {"y1": 8.0}
+    watching = JudgedTest(
+        WindowChoice(0, observer="joint"), "windows", 1.0, {}, {}, *sizes, np.inf, {"y1": 5.0}
+    )
+    assert earned([watching, short]) == (short, watching)
+    assert earned([watching._replace(ramp={"y1": 7.0}), short]) == (short,)
 
 
 @pytest.fixture(scope="module")
@@ -69,13 +80,29 @@ def test_each_test_of_the_bank_is_the_fit_for_its_windows(fitted, recordings):
         assert (own.horizon, own.lags, own.left_out) == (alone.horizon, alone.lags, alone.left_out)
 
 
+def test_an_observer_is_tried_beside_the_windows_with_disturbances_of_its_own(recordings, monkeypatch):
+    monkeypatch.setattr(window_tests, "WINDOWS", (WindowChoice(15),))
+    monkeypatch.setattr(disturbances, "SETTINGS", (disturbances.Setting(0, 0.05),))
+    options = dict(order=1, method="least squares", observer="zonotope", disturbances="auto")
+    model = jb.fit(recordings, test="bank", **options)
+    windows, watching = model.check.tests
+    assert windows.window == WindowChoice(15)
+    assert watching.steady["y1"] < 0.8 * windows.steady["y1"]
+    own = model_of(model, model.tests[1])
+    alone = jb.fit(recordings, **options)
+    assert (own.A, own.C, own.G, own.noise) == (alone.A, alone.C, alone.G, alone.noise)
+    assert own.disturbance == alone.disturbance and not model.disturbance
+    assert (model.tests[1].observer, dict(model.tests[1].options)) == ("zonotope", {"latched": True})
+    assert jb.detect(jb.monitor(model), *recordings[0]).counts["FAULT"] == 0
+
+
 @pytest.mark.parametrize(
     "more, words",
     [
         ({"horizon": 20}, "chooses windows: leave horizon out"),
-        ({"observer": "joint"}, "chooses windows: leave observer out"),
         ({"follow": "auto"}, "compares constant bounds: leave follow out"),
         ({"order": 0}, "a static model"),
+        ({"disturbances": "auto", "see": jb.Fault("z", "bias", 1)}, "no signal 'z'"),
     ],
 )
 def test_what_does_not_go_with_a_bank_is_refused(recordings, more, words):

@@ -5,7 +5,8 @@ import pytest
 from scipy.optimize import linprog
 
 import jaxbound as jb
-from jaxbound.studies.identification.gauge import GaugeJudge, best_approximations, gauge_of
+from jaxbound.studies.identification.gauge import GaugeJudge, best_approximations, gauge_of, seen_slopes
+from jaxbound.studies.identification.regression import scales_of
 
 A, B, C, D = [[0.7, 0.3], [-0.2, 0.8]], [[1.0], [0.5]], [[1.0, 0], [0.4, 1]], [[0.2], [0]]
 NOISE, OFFSET = np.array([0.1, 0.3]), {"y": [1.0, -2], "u": [0.5]}
@@ -80,3 +81,10 @@ def test_sizes_are_those_of_the_proved_test(rng):
         GaugeJudge().sizes(model, scales), WindowJudge().sizes(model, scales), strict=True
     ):
         assert found == pytest.approx(proved, rel=1e-6)
+
+
+def test_the_slope_of_a_ramp_that_no_constant_and_no_noise_hides():
+    # f, 2 f, 3 f: within f of a constant, which noise of .5 hides twice
+    model = jb.LinearSystem([[1]], None, [[1]], noise=0.5, horizon=2)
+    scales = scales_of([(np.zeros((4, 0)), np.array([[0.0], [1], [0], [1]]), np.zeros(0, int))])
+    assert seen_slopes(model, scales)["y1"] == pytest.approx(1)

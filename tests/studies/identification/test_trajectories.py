@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import linprog
 
 import jaxbound as jb
-from jaxbound.studies.identification.trajectories import hidden_size, least_factor
+from jaxbound.studies.identification.trajectories import added_fault, hidden_size, least_factor, sure_sizes
 
 NONE = np.zeros(0, int)
 
@@ -97,3 +97,17 @@ def test_a_bias_of_an_actuator_shows_in_the_states():
     hidden = hidden_size(model, part([0, 0, 0, 0], u=np.zeros((4, 1))), jb.Fault("u1", "bias", 1))
     # x_k = x0 / 2^k + 2 f (1 - 2^-k): from x0 = -1 to 1 at k = 3
     assert hidden == pytest.approx((1 + 1 / 8) / (2 * (1 - 1 / 8)))
+
+
+def test_a_fault_that_is_added_asks_for_the_bounds_that_would_hide_it():
+    bias = jb.Fault("y1", "bias", 3.0, start=2)
+    assert least_factor(constant(), added_fault(part([0] * 4), constant(), bias, -1)) == pytest.approx(1.5)
+    moved = jb.LinearSystem([[0]], [[1]], [[1]], noise=1)
+    pushed = added_fault(part([0] * 4, u=np.zeros((4, 1))), moved, jb.Fault("u1", "bias", 3.0), 1)
+    assert least_factor(moved, pushed) == pytest.approx(3)
+
+
+def test_no_noise_hides_twice_what_a_recording_without_noise_hides():
+    # a constant lies between 0 and f: f = 2 hides; the ramp's 4 f within 2 of a constant, too
+    jump, lasting, ramp = sure_sizes(constant(), 2, 1, 4)
+    assert (jump["y1"], lasting["y1"], ramp["y1"]) == pytest.approx((4, 4, 4))
