@@ -79,7 +79,7 @@ def fitted_bank(
 
 
 def _judged(fitted: Fitted, method: ObserverMethod) -> JudgedTest:
-    """Return what an observer sees at best: errors that no test of all samples can miss."""
+    """Return the JudgedTest of an observer: of errors that no exact test of all samples can miss."""
     check = fitted.check
     jump, lasting, ramp = sure_sizes(fitted, SETTLED, SOON, RAMP)
     window = WindowChoice(0, observer=method.name)

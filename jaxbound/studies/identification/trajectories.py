@@ -124,7 +124,7 @@ def _course(T: int, fault: Fault) -> np.ndarray:
     """Return the course (T,) of a bias, or a drift, of size 1."""
     since = np.arange(T) - fault.start
     if fault.kind == "drift":
-        return np.maximum(since + 1.0, 0.0)
+        return np.asarray(np.maximum(since + 1.0, 0.0))
     return np.where(since < 0, 0.0, 1.0)
 
 

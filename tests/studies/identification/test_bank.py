@@ -83,15 +83,15 @@ def test_each_test_of_the_bank_is_the_fit_for_its_windows(fitted, recordings):
 def test_an_observer_is_tried_beside_the_windows_with_disturbances_of_its_own(recordings, monkeypatch):
     monkeypatch.setattr(window_tests, "WINDOWS", (WindowChoice(15),))
     monkeypatch.setattr(disturbances, "SETTINGS", (disturbances.Setting(0, 0.05),))
+    recordings = [(u[:120], y[:120]) for u, y in recordings]
     options = dict(order=1, method="least squares", observer="zonotope", disturbances="auto")
     model = jb.fit(recordings, test="bank", **options)
     windows, watching = model.check.tests
     assert windows.window == WindowChoice(15)
     assert watching.steady["y1"] < 0.8 * windows.steady["y1"]
     own = model_of(model, model.tests[1])
-    alone = jb.fit(recordings, **options)
-    assert (own.A, own.C, own.G, own.noise) == (alone.A, alone.C, alone.G, alone.noise)
-    assert own.disturbance == alone.disturbance and not model.disturbance
+    assert own.disturbance and not model.disturbance
+    assert own.noise[0] + own.resolution[0] < model.noise[0] + model.resolution[0]
     assert (model.tests[1].observer, dict(model.tests[1].options)) == ("zonotope", {"latched": True})
     assert jb.detect(jb.monitor(model), *recordings[0]).counts["FAULT"] == 0
 
