@@ -83,9 +83,9 @@ def _judged(fitted: Fitted, method: ObserverMethod) -> JudgedTest:
     check = fitted.check
     jump, lasting, ramp = sure_sizes(fitted, SETTLED, SOON, RAMP)
     window = WindowChoice(0, observer=method.name)
-    numbers = check.factor, check.smallest, {}, jump, lasting
-    # windows are the model of the file: verbs that take one test need them
-    return JudgedTest(window, check.method, *numbers, blindness=float("inf"), ramp=ramp)
+    kind, never = check.method, float("inf")
+    # never the best: windows are the model of the file, which verbs that take one test need
+    return JudgedTest(window, kind, check.factor, check.smallest, {}, jump, lasting, never, ramp)
 
 
 def _options(method: ObserverMethod) -> dict[str, Any]:
