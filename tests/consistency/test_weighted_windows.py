@@ -23,7 +23,9 @@ def test_weighted_least_squares_are_those_of_numpy(rng):
         np.testing.assert_allclose(x, np.linalg.solve((A.T * w) @ A, right), rtol=1e-7)
 
 
-@pytest.mark.parametrize("spec", [PAPER, GUST], ids=["paper", "gust"])
+@pytest.mark.parametrize(
+    "spec", [pytest.param(PAPER, id="paper"), pytest.param(GUST, id="gust", marks=pytest.mark.long)]
+)
 def test_windows_of_their_own_weights_are_easy(spec, rng):
     relations = jb.parity_relations(jb.LinearSystem(**spec), S)
     u = 20 * rng.normal(size=(T, 1))

@@ -16,7 +16,7 @@ S, T = 9, 40
 
 
 @pytest.mark.parametrize("at", ["uniform", "vertices"])
-@pytest.mark.parametrize("name", MODEL)
+@pytest.mark.parametrize("name", ["tolerances", pytest.param("disturbed", marks=pytest.mark.long)])
 def test_counts_are_those_without_a_witness(name, at, monkeypatch):
     model = jb.LinearSystem(**MODEL[name])
     relations = jb.parity_relations(model, S)
