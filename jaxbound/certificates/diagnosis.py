@@ -63,6 +63,21 @@ class Diagnosis:
             return "none of the named faults"
         return f"{self.explains[0].fault.name}: {size_text(self.model, self.explains[0])}"
 
+    @property
+    def lines(self) -> list[tuple[str, str, Fraction | None]]:
+        """(fault, its size or why there is none in words, its size beside a usual one), the most plausible
+        first; 0 where no usual size is known, None of a fault that does not explain.
+        """
+        found: list[tuple[str, str, Fraction | None]] = []
+        for weighed in self.explains:
+            share = self.shares.get(weighed.fault.name, Fraction(0))
+            found.append((weighed.fault.name, size_text(self.model, weighed), share))
+        for weighed in self.excluded:
+            found.append((weighed.fault.name, why_excluded(self.model, weighed), None))
+        for name, why in self.unweighed.items():
+            found.append((name, f"not weighed: {why}", None))
+        return found
+
     def __str__(self) -> str:
         """Return the answer in a sentence or two."""
         if not self.explains:

@@ -15,6 +15,7 @@ from jaxbound.recordings.expressions import CLOCK, expression
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
 from jaxbound.studies.identification.signal_choice import GIVEN, TriedSignals
 from jaxbound.studies.identification.window_tests import RAMP, JudgedTest, best_test
+from jaxbound.text.quantities import finite
 from jaxbound.text.units import without_unit
 
 __all__ = ["named_units", "plain_fit", "promise", "show_fit", "signal_columns"]
@@ -221,7 +222,7 @@ def _by_output(model: Fitted, bounds: Iterable[SupportsFloat]) -> dict[str, floa
 
 def _all_finite(numbers: Mapping[str, float]) -> dict[str, float | None]:
     """Return numbers by name, None for what is not finite: JSON has no such number."""
-    return {name: x if np.isfinite(x) else None for name, x in numbers.items()}
+    return {name: finite(x) for name, x in numbers.items()}
 
 
 def show_fit(

@@ -19,7 +19,7 @@ from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import redundancy
 from jaxbound.relations.sentence import main_terms
 from jaxbound.relations.uncertain import UncertainRelations
-from jaxbound.text.quantities import rough_duration
+from jaxbound.text.quantities import finite, rough_duration
 
 __all__ = ["isolation_text", "plain_model", "show_model"]
 
@@ -242,7 +242,7 @@ def plain_model(
     is_known = not model.uncertainties and not any(model.tolerance) and not model.factors
     if is_known and _seconds(model, relations.horizon) <= PATIENCE:
         sizes = _guaranteed(model, relations.horizon, relations.lags)
-        plain["guaranteed"] = {name: _plain_size(size) for name, size in sizes.items()}
+        plain["guaranteed"] = {name: finite(size) for name, size in sizes.items()}
     if model.faults:
         apart = _named(model, relations)
         plain["named_faults"] = None
@@ -253,13 +253,6 @@ def plain_model(
     return plain
 
 
-def _plain_size(size: float) -> float | None:
-    """Return a size as JSON has it: None where no size is guaranteed."""
-    if math.isinf(size):
-        return None
-    return float(size)
-
-
 def _plain_by_tests(bank: MonitorBank) -> dict[str, Any]:
     """Return {signal: {"size", "test", "tests"}} of a monitor; {} where its sizes are not known."""
     try:
@@ -268,8 +261,8 @@ def _plain_by_tests(bank: MonitorBank) -> dict[str, Any]:
         return {}
     plain = {}
     for name, size in sizes.items():
-        tests = {test: _plain_size(own) for test, own in size.tests.items()}
-        plain[name] = {"size": _plain_size(size), "test": size.test or None, "tests": tests}
+        tests = {test: finite(own) for test, own in size.tests.items()}
+        plain[name] = {"size": finite(size), "test": size.test or None, "tests": tests}
     return plain
 
 

@@ -52,10 +52,11 @@ from jaxbound.runs.refusals import Refused
 from jaxbound.runs.rows import VERDICTS, RowFile, RowText
 from jaxbound.runs.sink import Outcome, Sink, Verdicts
 from jaxbound.runs.sinks import close_all, file_names, open_sinks
-from jaxbound.runs.summary import Evidence, Summary, Window, finite, said, unsaid
+from jaxbound.runs.summary import Evidence, Summary, Window, said, unsaid
 from jaxbound.runs.tally import AlarmEnds, Tally, alarm_goes_on
 from jaxbound.runs.testcounts import CountsByTest
 from jaxbound.sets.floats.status import Status
+from jaxbound.text.quantities import finite
 
 __all__ = ["judge_input", "judge_stream"]
 

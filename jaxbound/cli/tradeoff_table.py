@@ -7,6 +7,7 @@ from jaxbound.cli.names import parted, unquoted
 from jaxbound.models.faults import Fault
 from jaxbound.models.testmodels import model_of
 from jaxbound.studies.identification.fit_result import Fitted
+from jaxbound.text.quantities import finite
 
 __all__ = ["disturbance_rows", "plain_tradeoff", "wanted"]
 
@@ -75,7 +76,7 @@ def plain_tradeoff(model: Fitted) -> list[dict[str, Any]]:
     """Return the settings that a fit looked at, as JSON has them."""
     rows = []
     for choice in model.check.tradeoff:
-        sizes = {fault: size if math.isfinite(size) else None for fault, size in choice.sizes.items()}
+        sizes = {fault: finite(size) for fault, size in choice.sizes.items()}
         rows.append(choice._asdict() | {"sizes": sizes})
     return rows
 

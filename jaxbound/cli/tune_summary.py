@@ -13,6 +13,7 @@ from jaxbound.cli.fit_summary import promise
 from jaxbound.cli.terminal import show
 from jaxbound.models.modelfile import changed_text, number_text
 from jaxbound.studies.tuning.tuning import MonitorTuneResult, TuneResult
+from jaxbound.text.quantities import finite
 
 if TYPE_CHECKING:
     from optax import GradientTransformation
@@ -154,7 +155,7 @@ def show_factors(tuning: MonitorTuneResult, written: Sequence[str], hints: Seque
 
 def _plain_factors(factors: Sequence[float]) -> list[float | None]:
     """Return factors, None for those that are not known: JSON has no such number."""
-    return [x if np.isfinite(x) else None for x in factors]
+    return [finite(x) for x in factors]
 
 
 def _plain_bounds(bounds: Mapping[str, np.ndarray | jax.Array]) -> dict[str, list[Any]]:

@@ -11,7 +11,7 @@ this size is never taken for B alone, whatever state, noise, disturbances and un
 
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, overload
 
@@ -262,8 +262,7 @@ def _difference(model: LinearSystem, horizon: int, lags: tuple[int, ...] | None)
     widths = row_widths(model, rows, operating_reach(model, None))
     for i in rows.seen:
         ends[i] = -widths[i], widths[i]
-    vars(window).update(ends=tuple(ends), drive=(ZERO,) * len(ends))
-    return window
+    return replace(window, ends=tuple(ends), drive=(ZERO,) * len(ends))
 
 
 def _showing(healthy: TwoBehaviours, shift: Vector) -> TwoBehaviours:
@@ -273,9 +272,7 @@ def _showing(healthy: TwoBehaviours, shift: Vector) -> TwoBehaviours:
         if pair is not None:
             pair = pair[0] + by, pair[1] + by
         ends.append(pair)
-    shown = copy(healthy)
-    vars(shown)["ends"] = tuple(ends)
-    return shown
+    return replace(healthy, ends=tuple(ends))
 
 
 def _detectable(healthy: TwoBehaviours, push: Vector) -> Fraction | None:

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from jaxbound.certificates.diagnosis import Diagnosis, size_text, why_excluded
+from jaxbound.certificates.diagnosis import Diagnosis
 from jaxbound.plots.canvas import FAULTY, GRID, INK, canvas, style
 from jaxbound.plots.plot import plot
 
@@ -27,7 +27,7 @@ def plot_diagnosis(found: Diagnosis, ax: "Axes | None" = None) -> "Figure | Axes
         _draw(ax, found)
         ax.set_title(title)
         return ax
-    rows = len(found.explains) + len(found.excluded) + len(found.unweighed)
+    rows = len(found.lines)
     with style():
         fig = canvas((8.4, 1.3 + INCHES * max(rows, 1)))
         ax = fig.subplots()
@@ -45,21 +45,15 @@ def _draw(ax: "Axes", found: Diagnosis) -> None:
     names: list[str] = []
     lengths = [float(share) for share in found.shares.values()]
     longest = max(lengths, default=1.0)
-    for weighed in found.explains:
-        length = 0.0
-        if weighed.fault.name in found.shares:
-            length = float(found.shares[weighed.fault.name])
-        colour = INK
-        if not names:
-            colour = FAULTY
-        ax.barh(len(names), length, color=colour, height=0.55)
-        _said(ax, (length, len(names)), size_text(found.model, weighed), INK)
-        names.append(weighed.fault.name)
-    for weighed in found.excluded:
-        _said(ax, (0, len(names)), why_excluded(found.model, weighed))
-        names.append(weighed.fault.name)
-    for name, why in found.unweighed.items():
-        _said(ax, (0, len(names)), f"not weighed: {why}")
+    for name, words, share in found.lines:
+        if share is None:
+            _said(ax, (0, len(names)), words)
+        else:
+            colour = INK
+            if not names:
+                colour = FAULTY
+            ax.barh(len(names), float(share), color=colour, height=0.55)
+            _said(ax, (float(share), len(names)), words, INK)
         names.append(name)
     ax.set_yticks(range(len(names)), names)
     ax.set_ylim(max(len(names), 1) - 0.4, -0.6)

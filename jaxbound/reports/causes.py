@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
-from jaxbound.certificates.diagnosis import Diagnosis, size_text, why_excluded
+from jaxbound.certificates.diagnosis import Diagnosis
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.models.system import LinearSystem
 
@@ -54,19 +54,16 @@ def cause_of(found: Diagnosis) -> Cause:
     """Return a Diagnosis for a page."""
     largest = max(found.shares.values(), default=Fraction(0))
     bars: list[Bar] = []
-    for weighed in found.explains:
-        length = 0.0
-        if largest and weighed.fault.name in found.shares:
-            length = max(LEAST, float(found.shares[weighed.fault.name] / largest))
-        bars.append((weighed.fault.name, size_text(found.model, weighed), length))
-    for weighed in found.excluded:
-        words = why_excluded(found.model, weighed)
-        if weighed.fault.name in found.partly:
-            windows = len(found.partly[weighed.fault.name])
+    for name, words, share in found.lines:
+        length: float | None = None
+        if share is not None:
+            length = 0.0
+            if largest and name in found.shares:
+                length = max(LEAST, float(share / largest))
+        elif name in found.partly:
+            windows = len(found.partly[name])
             words = f"explains {windows} of the {len(found.windows)} windows that were looked at"
-        bars.append((weighed.fault.name, words, None))
-    for name, why in found.unweighed.items():
-        bars.append((name, f"not weighed: {why}", None))
+        bars.append((name, words, length))
     answer = found.first
     if not found.explains:
         answer = "none of the named faults explains this"

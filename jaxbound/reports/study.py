@@ -13,7 +13,7 @@ from jaxbound.reports.parts import computed, model_values
 from jaxbound.studies.montecarlo.scenarios import SIZELESS, Trial
 from jaxbound.studies.montecarlo.study_result import StudyResult, study_table
 from jaxbound.studies.montecarlo.tally import TrialTally
-from jaxbound.text.quantities import percent
+from jaxbound.text.quantities import finite, percent
 
 __all__ = ["COLUMNS", "sentence", "study_head", "study_page", "study_rows"]
 
@@ -90,7 +90,7 @@ def _sizes(res: StudyResult, trial: Trial, tally: TrialTally) -> Chart:
     order = np.argsort(trial.sizes)
     x = np.asarray(trial.sizes, float)[order]
     least, most = float(x[0]), float(x[-1])
-    guaranteed = float(trial.guaranteed) if np.isfinite(trial.guaranteed) else None
+    guaranteed = finite(trial.guaranteed)
     if guaranteed is not None:
         least, most = min(least, guaranteed), max(most, guaranteed)
     room = 0.03 * (most - least) or abs(most) or 1.0

@@ -17,7 +17,7 @@ from jaxbound.diagnosis.result import Result
 from jaxbound.runs.testcounts import CountsByTest, OfTest
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
-from jaxbound.text.quantities import most_percent, percent, times
+from jaxbound.text.quantities import finite, most_percent, percent, times
 
 __all__ = [
     "CODES",
@@ -28,7 +28,6 @@ __all__ = [
     "Summary",
     "Window",
     "evidence",
-    "finite",
     "said",
     "summarised",
     "unsaid",
@@ -252,13 +251,6 @@ class Tested(Protocol):
     @property
     def relations(self) -> Relations:
         """The relations, or the observer, that it was tested by."""
-
-
-def finite(x: float) -> float | None:
-    """Return a number that JSON has, None for any other."""
-    if not np.isfinite(x):
-        return None
-    return float(x)
 
 
 @singledispatch

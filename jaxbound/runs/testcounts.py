@@ -12,6 +12,7 @@ from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.loop import Memory, Quiet
 from jaxbound.sets.floats.status import Status
+from jaxbound.text.quantities import finite
 
 __all__ = ["STRETCHES", "CountsByTest", "OfTest", "Unwatched"]
 
@@ -39,14 +40,11 @@ class OfTest(NamedTuple):
 
     def plain(self) -> dict[str, Any]:
         """Return it as JSON has it."""
-        margin = None
-        if np.isfinite(self.margin):
-            margin = self.margin
         return {
             "counts": dict(self.counts),
             "first_fault": self.first,
             "speaks": self.speaks,
-            "margin": margin,
+            "margin": finite(self.margin),
         }
 
 

@@ -2,7 +2,7 @@
 
 import math
 
-__all__ = ["duration", "factor", "most_percent", "percent", "rough_duration", "times"]
+__all__ = ["duration", "factor", "finite", "most_percent", "percent", "rough_duration", "times"]
 
 UNITS = (("d", 86400, 172800), ("h", 3600, 7200), ("min", 60, 120))
 """A unit of time, its seconds, and the seconds from which on it is used."""
@@ -20,6 +20,13 @@ def factor(x: float) -> str:
     if short == "1":  # just above 1 is not 1
         return f"{x:.7g}"
     return short
+
+
+def finite(x: float) -> float | None:
+    """Return a number that JSON has, None for any other."""
+    if not math.isfinite(x):
+        return None
+    return float(x)
 
 
 def times(x: float) -> str:

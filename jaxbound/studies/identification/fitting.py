@@ -43,7 +43,7 @@ from jaxbound.studies.identification.following import followed, refuse_follow, s
 from jaxbound.studies.identification.judging import Judge, ObserverJudge, WindowJudge, explains
 from jaxbound.studies.identification.left_out import LeftOut, tried, widest
 from jaxbound.studies.identification.means import smallest_means
-from jaxbound.studies.identification.records import Records, input_ranges, parted, read_records
+from jaxbound.studies.identification.records import Records, input_ranges, names_of, parted, read_records
 from jaxbound.studies.identification.signal_choice import (
     SignalProblem,
     TriedSignals,
@@ -194,10 +194,11 @@ def fit(
     tried_sets: tuple[TriedSignals, ...] = ()
     if signals is not None:
         _refuse_signals(signals, inputs)
-        pool = products(_listed(inputs), columns)
+        begin_with = names_of(inputs) or ()
+        pool = products(begin_with, columns)
         refuse_unnamed(recordings, pool)
         begun = dict(order=order, delay=delay, direct=direct, horizon=horizon, held_out=held_out)
-        reading = dict(inputs=_listed(inputs), outputs=outputs, columns=columns, dt=dt, lags=lags)
+        reading = dict(inputs=begin_with, outputs=outputs, columns=columns, dt=dt, lags=lags)
         tried_sets = _tried_signals(recordings, pool, begun, reading, partial(in_part, report, 0.0, 0.4))
         inputs, columns, units = _as_chosen(tried_sets, pool, columns, units)
         report = partial(in_part, report, 0.4, 0.6)
@@ -328,13 +329,6 @@ def _refuse_signals(signals: str, inputs: str | Sequence[str] | None) -> None:
         raise ValueError(
             "signals = 'auto' chooses among inputs and their products: name the inputs to begin with"
         )
-
-
-def _listed(names: str | Sequence[str] | None) -> tuple[str, ...]:
-    """Return names as a tuple."""
-    if isinstance(names, str):
-        return (names,)
-    return tuple(names or ())
 
 
 def _tried_signals(

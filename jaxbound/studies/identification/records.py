@@ -17,7 +17,7 @@ from jaxbound.recordings.seams import TOLERATED_DT
 from jaxbound.recordings.signals import Signals
 from jaxbound.recordings.table import as_table, is_table
 
-__all__ = ["Record", "Records", "input_ranges", "measured", "parted", "read_records"]
+__all__ = ["Record", "Records", "input_ranges", "measured", "names_of", "parted", "read_records"]
 
 Record = tuple[np.ndarray, np.ndarray, np.ndarray]
 """(u (T, m), y (T, p), starts)."""
@@ -88,7 +88,7 @@ def read_records(
         recordings = [recordings]
     if not recordings:
         raise ValueError("there is no recording: give at least one")
-    input_names, output_names = _names(inputs), _names(outputs)
+    input_names, output_names = names_of(inputs), names_of(outputs)
     records: Records = []
     periods = []
     for number, one in enumerate(recordings):
@@ -162,7 +162,8 @@ def _period(dt: float | None, periods: Sequence[tuple[float, str]]) -> float:
     return dt or 1.0
 
 
-def _names(given: str | Sequence[str] | None) -> Names | None:
+def names_of(given: str | Sequence[str] | None) -> Names | None:
+    """Return names as a tuple; None where none are given."""
     if given is None:
         return None
     if isinstance(given, str):

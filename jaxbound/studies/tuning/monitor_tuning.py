@@ -20,7 +20,7 @@ from jaxbound.recordings.factors import known
 from jaxbound.recordings.recording import Recording
 from jaxbound.studies.tuning.parametrization import Tunable, tuned_model
 from jaxbound.studies.tuning.scaling import JoinedRecordings, joined_recordings, refuse_same
-from jaxbound.studies.tuning.tune_result import TuneResult
+from jaxbound.studies.tuning.tune_result import TuneResult, caught_of
 from jaxbound.text.objects import readable
 
 __all__ = ["MonitorTuneResult", "tuned_monitor"]
@@ -61,10 +61,7 @@ class MonitorTuneResult:
     @property
     def caught(self) -> float | None:
         """The share of faulty samples with a verdict that are FAULT, or None."""
-        counts = self.faulty_counts
-        if counts is None:
-            return None
-        return counts["FAULT"] / max(sum(counts.values()) - counts["MISSING"], 1)
+        return caught_of(self.faulty_counts)
 
 
 class _Seen(NamedTuple):

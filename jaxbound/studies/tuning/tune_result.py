@@ -1,5 +1,6 @@
 """The result of tuning: bounds, where they come from, and what they promise."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -11,7 +12,7 @@ from jaxbound.studies.tuning.confidence import Risk
 from jaxbound.studies.tuning.parametrization import Tunable
 from jaxbound.text.objects import readable
 
-__all__ = ["History", "TuneResult", "history_columns"]
+__all__ = ["History", "TuneResult", "caught_of", "history_columns"]
 
 History: TypeAlias = list[tuple[int, float, float, np.ndarray]]
 """(step, width, share of faulty windows outside, values (b,)) of each look at all windows."""
@@ -75,10 +76,18 @@ class TuneResult:
     @property
     def caught(self) -> float | None:
         """The share of faulty windows that are FAULT at .bounds, or None."""
-        counts = self.faulty_counts
-        if counts is None:
-            return None
-        return counts["FAULT"] / max(sum(counts.values()) - counts["MISSING"], 1)
+        return caught_of(self.faulty_counts)
+
+
+def caught_of(counts: Mapping[str, int] | None) -> float | None:
+    """Return the share of faulty windows with a verdict that are FAULT; None without faulty windows.
+
+    Args:
+        counts: {status name: number of windows}, or None.
+    """
+    if counts is None:
+        return None
+    return counts["FAULT"] / max(sum(counts.values()) - counts["MISSING"], 1)
 
 
 def history_columns(history: History, count: int) -> dict[str, np.ndarray]:
