@@ -78,6 +78,15 @@ def test_inputs_of_a_linear_plant_stay_as_given():
     assert len(tried) == 6  # two are dropped, three products are added
 
 
+def test_products_that_say_nothing_new_are_not_asked_for():
+    rng = np.random.default_rng(10)
+    valve, y = rng.uniform(1, 2, 60), rng.normal(size=(60, 1))
+    u = np.stack([valve, np.ones(60), 3 * valve - 1, valve * rng.normal(size=60)], 1)
+    records = [(u, y, np.zeros(0, int))]
+    problem = SignalProblem(("valve", "still", "alike", "new"), records, (1, 1, False), 5, 0.3, {})
+    assert problem.asked(("valve",)) == ["new"]
+
+
 def test_products_are_computed_before_means_are_taken(tables):
     """The mean of a product is another number than the product of means."""
     model = jb.LinearSystem(
