@@ -140,6 +140,7 @@ def plain_fit(
         "recordings": recordings,
         "jump": _all_finite(check.jump),
         "steady": _all_finite(check.steady),
+        "hidden": _all_finite(check.hidden),
         "warnings": list(check.sentences),
         "hints": list(hints),
     }
@@ -197,7 +198,7 @@ def _tried_signals(model: Fitted) -> list[tuple[str, str]]:
             text = f"taken: {text}"
         rows.append((f"signals: {one.change}", text))
     if len(others) > SHOWN:
-        rows.append(("signals", f"{len(others) - SHOWN} more were tried, none better"))
+        rows.append(("signals", f"tried besides, none better: {len(others) - SHOWN}"))
     return rows
 
 
@@ -281,8 +282,11 @@ def _bounds_table(model: Fitted) -> list[tuple[str, ...]]:
     table = [("output", "smallest bound", "written", "jump always seen", "steady error always seen")]
     if not check.steady:
         table = [("output", "smallest bound", "written", "lasting jump always seen")]
+    if check.hidden:
+        seen = "lasting jump: noise may hide", "always seen, by zonotopes alone"
+        table = [("output", "smallest bound", "written", *seen)]
     for name, noise, resolution in zip(model.outputs, model.noise, model.resolution, strict=True):
-        sizes = [_size(model, each, name) for each in (check.jump, check.steady) if each]
+        sizes = [_size(model, each, name) for each in (check.hidden, check.jump, check.steady) if each]
         table.append((name, f"{check.smallest[name]:.4g}", f"{float(noise + resolution):.4g}", *sizes))
     return table
 

@@ -58,9 +58,10 @@ def disturbance_rows(model: Fitted) -> list[tuple[str, str]]:
         )
     if rows:
         bounds = [f"w{j + 1} {float(high):.3g}" for j, (_, high) in enumerate(_disturbance(model))]
-        rows.insert(
-            0, ("disturbances", f"{', '.join(bounds) or 'none'} a sample; shares of the noise below:")
-        )
+        text = "none: bounds of the sensors alone see the smallest faults"
+        if bounds:
+            text = f"{', '.join(bounds)} a sample"
+        rows.insert(0, ("disturbances", f"{text}; shares of the noise below:"))
     return rows
 
 

@@ -28,6 +28,7 @@ class Constrained(ObserverMethod):
 
     name: ClassVar[str] = "constrained"
     about: ClassVar[str] = "between zonotope and joint"
+    sharp: ClassVar[bool] = True
     usual_order: ClassVar[float] = 5.0
     shell: ClassVar[tuple[ShellOption, ...]] = (
         ShellOption("constraints", "--constraints", CONSTRAINTS, 1, MOST, "equations that its set keeps"),

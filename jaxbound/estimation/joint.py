@@ -28,6 +28,7 @@ class Joint(ObserverMethod):
 
     name: ClassVar[str] = "joint"
     about: ClassVar[str] = "exact tests of windows that remember: slow faults, some hundred times slower"
+    sharp: ClassVar[bool] = True
     shell: ClassVar[tuple[ShellOption, ...]] = (
         ShellOption("window", "--span", WINDOW, SHORTEST, LONGEST, "samples of such a window, even"),
     )

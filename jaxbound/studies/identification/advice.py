@@ -169,13 +169,12 @@ def _contradiction(check: FitCheck) -> str:
 
 def _blind(model: LinearSystem, check: FitCheck, name: str, span: float) -> str:
     """Return the sentence on an output that moved less than any error of it that is seen."""
-    jump, steady = check.jump[name], check.steady.get(name, 0.0)
+    jump, steady = check.hidden.get(name, check.jump[name]), check.steady.get(name, 0.0)
     unit = f" {model.unit(name)}".rstrip()
     moved = f"in all recordings {name} moved by {span:.3g}{unit} only"
     if jump > span:
-        return (
-            f"the monitor is blind for {name}: no jump below {jump:.3g}{unit} is sure to be seen, but {moved}"
-        )
+        size = "however large" if math.isinf(jump) else f"below {jump:.3g}{unit}"
+        return f"the monitor is blind for {name}: no jump {size} is sure to be seen, but {moved}"
     if not steady > span or model.horizon is None:
         return ""
     size = "however large" if math.isinf(steady) else f"below {steady:.3g}{unit}"

@@ -19,15 +19,15 @@ from jaxbound.models.statedtests import StatedTest, stated_tests
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.testmodels import MERGED, model_of
 from jaxbound.studies.identification.fit_result import Fitted
-from jaxbound.studies.identification.trajectories import sure_sizes
+from jaxbound.studies.identification.trajectories import SETTLED, sure_sizes
 from jaxbound.studies.identification.window_tests import RAMP, JudgedTest, WindowChoice, best_test
 
 __all__ = ["FitOne", "earned", "fitted_bank", "in_part", "test_as_fitted"]
 
 GAIN = 0.8
 """A test earns its place where it sees an error from this share of the size on that the others need."""
-SETTLED, SOON = 100, 8
-"""Samples before an error, as an observer is judged, and after it, within which it is to see a jump."""
+SOON = 8
+"""Samples within which an observer is to see a jump."""
 ABSENT: Mapping[str, object] = {"averages": [], "noise": "0", "resolution": "0", "offset": "0"}
 """Fields of a signal that a test states where the file has them and its own model has not."""
 ONCE = ("test", "name")

@@ -24,7 +24,7 @@ from jaxbound.studies.identification.left_out import EXCITED, LeftOut, Trial, ex
 from jaxbound.studies.identification.records import Record, Records, parted
 from jaxbound.studies.identification.trajectories import (
     added_fault,
-    hidden_size,
+    hidden_sizes,
     least_factor,
     refuse_kind,
 )
@@ -216,8 +216,7 @@ def chosen_disturbances(
             report((number + at / len(SETTINGS)) / len(kinds))
             if tried is None:
                 continue
-            sizes = tried.sizes(safety, longest, faults)
-            if _score(sizes, faults) > least:  # wider bounds see less
+            if tried.sees_less(safety, longest, faults, least):  # wider bounds see less still
                 continue
             left = tried.left(pieces, fits, why)
             if left is None:
@@ -390,8 +389,18 @@ class _Tried:
 
     def sizes(self, wider: float, record: Record, faults: Sequence[Fault]) -> list[float]:
         """Return the size of each fault from which on it is seen by the end of a recording."""
-        model = self.model(wider * (1 + 1e-6))
-        return [hidden_size(model, record, fault) for fault in faults]
+        return list(hidden_sizes(self.model(wider * (1 + 1e-6)), record, faults))
+
+    def sees_less(self, wider: float, record: Record, faults: Sequence[Fault], least: float) -> bool:
+        """Return whether the score of these sizes is above `least`: one fault may say so alone."""
+        sizes: list[float] = []
+        if math.isinf(least):
+            return False
+        for size in hidden_sizes(self.model(wider * (1 + 1e-6)), record, faults):
+            sizes.append(size)
+            if _score(sizes, faults[: len(sizes)]) > least:
+                return True
+        return False
 
     def widened(self, factor: float, safety: float, record: Record, faults: Sequence[Fault]) -> float:
         """Return the safety, or so many steps above it that each fault is still seen by the end."""

@@ -74,6 +74,8 @@ class FitCheck:
             that a window needs.
         jump: {output: size}: a jump of one output in the middle of a window from which on the window is FAULT
             whatever the noise does.
+        hidden: {output: size} of a lasting jump that noise can hide from any test of all samples, of a fit
+            for an observer that is sharper than zonotopes, by which its `jump` is; {} of others.
         steady: the same for an error that fills the window; inf if the model can follow it.
         used, held_out_used: one array (T,) a recording, the share of the bounds that each window needs (nan
             where there is none): of the final model, and of the fits to all others.
@@ -106,6 +108,7 @@ class FitCheck:
     tests: tuple[JudgedTest, ...] = ()
     signals: tuple[TriedSignals, ...] = ()
     tradeoff: tuple[Tradeoff, ...] = ()
+    hidden: dict[str, float] = field(default_factory=dict)
 
 
 class Fitted(LinearSystem):

@@ -52,8 +52,10 @@ from jaxbound.studies.identification.signal_choice import (
     refuse_unnamed,
 )
 from jaxbound.studies.identification.structure import DELAYS, ORDERS, structure
+from jaxbound.studies.identification.trajectories import SETTLED, hidden_jumps
 from jaxbound.studies.identification.window_tests import (
     AVERAGES,
+    RAMP,
     JudgedTest,
     best_kind,
     best_test,
@@ -199,9 +201,13 @@ def fit(
         refuse_unnamed(recordings, pool)
         begun = dict(order=order, delay=delay, direct=direct, horizon=horizon, held_out=held_out)
         reading = dict(inputs=begin_with, outputs=outputs, columns=columns, dt=dt, lags=lags)
-        tried_sets = _tried_signals(recordings, pool, begun, reading, partial(in_part, report, 0.0, 0.4))
+        tried_sets, found = _tried_signals(
+            recordings, pool, begun, reading, partial(in_part, report, 0.0, 0.4)
+        )
         inputs, columns, units = _as_chosen(tried_sets, pool, columns, units)
         report = partial(in_part, report, 0.4, 0.6)
+        if inputs == tuple(begin_with):
+            order, delay = found
     if test == BANK:
         watching: dict[str, Any] | None = None
         if observer is not None or disturbances is not None:
@@ -296,6 +302,9 @@ def fit(
         spec["left_out"] = stated(factor)
     model, used = verified(judge, spec, smallest, averaged, records, factor, safety, walks)
     jump, steady = sizes_in_training(judge, model, problem.scales, follows.most)
+    hidden: dict[str, float] = {}
+    if observer is not None and observer.sharp:
+        hidden = hidden_jumps(model, SETTLED, RAMP)
     check = FitCheck(
         method=chosen.kind,
         order=order,
@@ -315,6 +324,7 @@ def fit(
         tests=tests,
         signals=tried_sets,
         tradeoff=tradeoff,
+        hidden=hidden,
     )
     sentences += advice.limits(model, check, held_out, problem.spans)
     report(1.0)
@@ -337,8 +347,8 @@ def _tried_signals(
     begun: Mapping[str, Any],
     stated: Mapping[str, Any],
     report: Callable[[float], object],
-) -> tuple[TriedSignals, ...]:
-    """Return the sets of inputs that were tried on recordings.
+) -> tuple[tuple[TriedSignals, ...], tuple[int, int]]:
+    """Return (the sets of inputs that were tried on recordings, the order and delay of those as given).
 
     Args:
         pool: columns of products by their names. begun: order, delay, direct, horizon and held_out. stated:
@@ -356,7 +366,7 @@ def _tried_signals(
     if stated["lags"] is None:
         about["horizon"] = horizon
     problem = SignalProblem(every, records, (order, delay, direct), horizon, begun["held_out"], about)
-    return chosen_signals(problem, inputs, report)
+    return chosen_signals(problem, inputs, report), (order, delay)
 
 
 def _as_chosen(

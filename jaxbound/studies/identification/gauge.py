@@ -31,9 +31,9 @@ CHUNK, BATCH = 2_048, 64
 """Windows whose residuals are looked at together; whose programs are solved together."""
 RANK = 1e-11
 """Share of the largest singular value below which a direction of the first state shows nowhere."""
-STEPS, CLOSED, BOUNDARY = 60, 1e-10, 0.99
-"""Steps of the interior point method at most, the relative gap that ends it, and how near to the boundary a
-step may go."""
+STEPS, CLOSED, BOUNDARY, SURELY = 60, 1e-10, 0.99, 1 + 1e-9
+"""Steps of the interior point method at most, the relative gap that ends it, how near to the boundary a step
+may go, and from what multiple of a level on a number is above it for sure."""
 
 
 class Gauge(NamedTuple):
@@ -82,12 +82,32 @@ class Gauge(NamedTuple):
         order = np.argsort(-most)
         for begin in range(0, len(order), BATCH):
             some = order[begin : begin + BATCH]
-            some = some[most[some] > least.max()]
+            level = least.max()
+            some = some[most[some] > level]
             if not len(some):
                 break
-            least[some] = best_approximations(self.rows(record, first[some]), self.free)
+            found = best_approximations(self.rows(record, first[some]), self.free, level)
+            least[some] = np.where(found > level, found, least[some])
         need[first + self.horizon] = least
         return need
+
+    def unexplained(self, record: Record, first: np.ndarray) -> np.ndarray:
+        """Return (1,) one of the windows, which begin at samples first (N,), that needs more than its bounds;
+        (0,) where none does.
+        """
+        for begin in range(0, len(first), CHUNK):
+            part = first[begin : begin + CHUNK]
+            least, most = _bracket(self.rows(record, part))
+            doubtful = part[np.argsort(-most)[: (most > 1).sum()]]
+            if (least > 1).any():
+                return part[least > 1][:1]
+            for at in range(0, len(doubtful), BATCH):
+                some = doubtful[at : at + BATCH]
+                found = best_approximations(self.rows(record, some), self.free, 1.0, decide=True)
+                if (found > 1).any():
+                    worst = int(np.argmax(found))
+                    return some[worst : worst + 1]
+        return first[:0]
 
 
 def gauge_of(model: LinearSystem) -> Gauge:
@@ -142,9 +162,15 @@ def _bracket(e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.square(e).sum(1) / total, size.max(1)
 
 
-def best_approximations(r: np.ndarray, free: np.ndarray) -> np.ndarray:
+def best_approximations(
+    r: np.ndarray, free: np.ndarray, level: float = 0.0, decide: bool = False
+) -> np.ndarray:
     """Return min over x of max_i |r_i - (free x)_i| for each of the rows of r (N, R); free (R, n)
     orthonormal.
+
+    Args:
+        level: of a row whose minimum is not above it, any number that is not above it either. decide: of all
+            others any number above it: the search ends as soon as it knows.
 
     Every step keeps both sides of the program feasible:
 
@@ -155,12 +181,12 @@ def best_approximations(r: np.ndarray, free: np.ndarray) -> np.ndarray:
     r = r / size[:, None]
     best = np.abs(r).max(1)
     if free.shape[1]:
-        best = np.minimum(best, _interior(r, free))
+        best = np.minimum(best, _interior(r, free, level / size, decide))
     return np.asarray(best * size)
 
 
-def _interior(r: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Return the same of rows of size 1, by the interior point method."""
+def _interior(r: np.ndarray, free: np.ndarray, level: np.ndarray, decide: bool) -> np.ndarray:
+    """Return the same of rows of size 1, by the interior point method. level: (N,)."""
     count, (R, n) = len(r), free.shape
     pairs = (free[:, :, None] * free[:, None, :]).reshape(R, n * n)
     x, t = np.zeros((count, n)), np.full(count, 1.1)
@@ -171,7 +197,9 @@ def _interior(r: np.ndarray, free: np.ndarray) -> np.ndarray:
         best[opened] = np.minimum(best[opened], np.abs(left).max(1))
         slack = np.stack([t[:, None] - left, t[:, None] + left])
         gap = (prices * slack).sum((0, 2))
-        on = gap > CLOSED * t
+        on = (gap > CLOSED * t) & (best[opened] > level[opened])
+        if decide:
+            on &= t - gap <= SURELY * level[opened]  # what the prices prove
         if not on.any():
             break
         opened, x, t, gap, prices, slack = opened[on], x[on], t[on], gap[on], prices[:, on], slack[:, on]

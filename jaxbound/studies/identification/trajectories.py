@@ -11,6 +11,7 @@ Numbers here are floats of HiGHS; verdicts under bounds that are rounded up prov
 """
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -20,7 +21,15 @@ from jaxbound.models.faults import Fault
 from jaxbound.models.system import LinearSystem
 from jaxbound.studies.identification.records import Record
 
-__all__ = ["added_fault", "hidden_size", "least_factor", "refuse_kind", "sure_sizes"]
+__all__ = [
+    "SETTLED",
+    "added_fault",
+    "hidden_jumps",
+    "hidden_sizes",
+    "least_factor",
+    "refuse_kind",
+    "sure_sizes",
+]
 
 Sizes: TypeAlias = dict[str, float]
 """{output: size}."""
@@ -28,6 +37,12 @@ Sparse: TypeAlias = Any
 """A sparse matrix of SciPy, which is imported where one is made."""
 SEEN = ("bias", "drift")
 """Kinds of faults that enter a recording linearly."""
+LEAST = 1e-9
+"""The least reciprocal of a factor: no bounds are that wide."""
+SOLVED, UNLIMITED = 0, 3
+"""Ends of a linear program of SciPy."""
+SETTLED = 100
+"""Samples before a fault by which the state is known as well as it ever is."""
 LONG = 500
 """Samples from which on an interior point costs less than the simplex: its time grows with their number."""
 
@@ -42,46 +57,41 @@ def least_factor(model: LinearSystem, part: Record) -> float:
     Returns:
         The factor, inf where none will do: a step that no noise and no disturbance explains.
     """
-    from scipy.sparse import block_array, csr_array, eye_array
-
     rows = _Rows.of(model, part)
     if not len(rows.left):
         return 0.0
-    one = eye_array(rows.walks)
-    within, ones = csr_array(-rows.limit[:, None]), csr_array(-np.ones((rows.walks, 1)))
-    upper = block_array(
-        [
-            [rows.seen, None, within],
-            [-rows.seen, None, within],
-            [None, one, ones],
-            [None, -one, ones],
-        ]
-    )
-    left = np.concatenate([rows.left, -rows.left, np.zeros(2 * rows.walks)])
-    acts = np.zeros(len(rows.known))
-    return _extreme(rows, upper, left, acts, 1.0, walk=(None, None), last=(0, None))
+    share = _extreme(rows, -rows.known, rows.left, np.zeros(len(rows.known)), np.zeros(len(rows.left)), 1.0)
+    if math.isnan(share) or share < LEAST:
+        return math.inf
+    return 1 / share
 
 
-def hidden_size(model: LinearSystem, part: Record, fault: Fault) -> float:
-    """Return the largest size, of either sign, of a fault that could be in a recording under the bounds of a
-    model: any larger one, added to it, is seen by its last sample. inf: whatever the size.
+def hidden_sizes(model: LinearSystem, part: Record, faults: Sequence[Fault]) -> Iterator[float]:
+    """Yield the largest size, of either sign, of each fault that could be in a recording under the bounds of
+    a model: any larger one, added to it, is seen by its last sample. inf: whatever the size.
 
     Args:
-        model, part: as of `least_factor`; the bounds of the model must explain the recording. fault: a bias
-            or a drift from sample `start` on; its size is not read.
+        model, part: as of `least_factor`; the bounds of the model must explain the recording. faults: biases
+            or drifts from sample `start` on; their sizes are not read.
     """
-    from scipy.sparse import block_array, csr_array
-
     rows = _Rows.of(model, part)
-    acts, wrong = _fault(rows, model, fault)
-    column, apart = csr_array(wrong[:, None]), csr_array((len(wrong), rows.walks))
-    upper = block_array([[rows.seen, apart, -column], [-rows.seen, apart, column]])
-    left = np.concatenate([rows.limit + rows.left, rows.limit - rows.left])
-    sizes = []
-    for sign in (1.0, -1.0):
-        largest = _extreme(rows, upper, left, acts, -sign, walk=(-1, 1), last=(None, None))
-        sizes.append(abs(largest))
-    return max(sizes)
+    for fault in faults:
+        acts, wrong = _fault(rows, model, fault)
+        size = 0.0
+        for sign in (1.0, -1.0):
+            largest = sign * _extreme(rows, acts, wrong, rows.known, rows.left, sign)
+            size = max(size, math.inf if math.isnan(largest) else abs(largest))
+        yield size
+
+
+def hidden_jumps(model: LinearSystem, before: int, within: int) -> Sizes:
+    """Return {output: size} of a jump that noise can hide `within` so many samples from any test of all of
+    them, `before` of which go before it; inf: whatever the size.
+    """
+    sizes = {}
+    for name in model.outputs:
+        sizes[name] = 2 * _hidden_at_rest(model, before + within, Fault(name, "bias", 1.0, before))
+    return sizes
 
 
 def sure_sizes(model: LinearSystem, before: int, within: int, after: int) -> tuple[Sizes, Sizes, Sizes]:
@@ -91,20 +101,19 @@ def sure_sizes(model: LinearSystem, before: int, within: int, after: int) -> tup
     A jump is seen `within` so many samples, a bias that lasts, and a ramp by its last size, `after` so many;
     as many as `before` go before each. On a recording without any noise an error of half the size is seen.
     """
-    jump, lasting, ramp = {}, {}, {}
+    ramp = {}
     for name in model.outputs:
-        bias, drift = Fault(name, "bias", 1.0, before), Fault(name, "drift", 1.0, before)
-        jump[name] = 2 * hidden_size(model, _rest(model, before + within), bias)
-        lasting[name] = 2 * hidden_size(model, _rest(model, before + after), bias)
-        ramp[name] = 2 * after * hidden_size(model, _rest(model, before + after), drift)
-    return jump, lasting, ramp
+        drift = Fault(name, "drift", 1.0, before)
+        ramp[name] = 2 * after * _hidden_at_rest(model, before + after, drift)
+    return hidden_jumps(model, before, within), hidden_jumps(model, before, after), ramp
 
 
-def _rest(model: LinearSystem, count: int) -> Record:
-    """Return a recording of so many samples at the operating point."""
+def _hidden_at_rest(model: LinearSystem, count: int, fault: Fault) -> float:
+    """Return the largest hidden size of a fault in a recording of so many samples at the operating point."""
     u = np.tile(np.array(model.offset["u"], float), (count, 1))
     y = np.tile(np.array(model.offset["y"], float), (count, 1))
-    return u, y, np.zeros(0, int)
+    (size,) = hidden_sizes(model, (u, y, np.zeros(0, int)), [fault])
+    return size
 
 
 def added_fault(part: Record, model: LinearSystem, fault: Fault, sign: float) -> Record:
@@ -215,32 +224,33 @@ def _floats(model: LinearSystem, letter: str) -> np.ndarray:
 
 
 def _extreme(
-    rows: _Rows,
-    upper: Sparse,
-    left: np.ndarray,
-    acts: np.ndarray,
-    cost: float,
-    walk: tuple[float | None, float | None],
-    last: tuple[float | None, float | None],
+    rows: _Rows, acts: np.ndarray, wrong: np.ndarray, known: np.ndarray, left: np.ndarray, sign: float
 ) -> float:
-    """Return the last variable where cost times it is least, under upper <= left; inf where nothing limits it
-    or nothing will do.
+    """Return the largest sign * z, under the limits of disturbances and readings, of a number z in
 
-    Args:
-        acts: of the last variable in the equations. walk, last: limits of a disturbance, of the last
-            variable.
+        x_{k+1} - A x_k - G w_k + acts z = known,    |C x_k - wrong z - left| <= limit;
+
+    inf where nothing limits it, nan where nothing will do.
     """
     from scipy.optimize import linprog
-    from scipy.sparse import csr_array, hstack
+    from scipy.sparse import block_array, csr_array, hstack
 
     equations = hstack([rows.dynamics, csr_array(acts[:, None])], format="csr")
+    column, apart = csr_array(wrong[:, None]), csr_array((len(wrong), rows.walks))
+    upper = block_array([[rows.seen, apart, -column], [-rows.seen, apart, column]])
+    most = np.concatenate([rows.limit + left, rows.limit - left])
     count = equations.shape[1] - 1
-    limits = [(None, None)] * (count - rows.walks) + [walk] * rows.walks + [last]
-    aim = np.append(np.zeros(count), cost)
+    limits = [(None, None)] * (count - rows.walks) + [(-1, 1)] * rows.walks + [(None, None)]
+    aim = np.append(np.zeros(count), -sign)
     method = "highs"
     if len(rows.linked) > LONG:
         method = "highs-ipm"
-    answer = linprog(aim, upper, left, equations, rows.known, bounds=limits, method=method)
-    if answer.x is None or answer.status:
-        return math.inf
-    return float(answer.x[-1])
+    for presolve in (True, False):  # which may end without saying whether nothing limits it
+        answer = linprog(
+            aim, upper, most, equations, known, bounds=limits, method=method, options={"presolve": presolve}
+        )
+        if answer.status == SOLVED:
+            return sign * float(answer.x[-1])
+        if answer.status == UNLIMITED:
+            return math.inf
+    return math.nan

@@ -14,10 +14,11 @@ import numpy as np
 from jaxbound.diagnosis.memory import spread_lags
 from jaxbound.models.system import LinearSystem
 from jaxbound.studies.identification.candidates import FitProblem
-from jaxbound.studies.identification.gauge import GaugeJudge, seen_slopes
+from jaxbound.studies.identification.gauge import GaugeJudge, gauge_of, seen_slopes
 from jaxbound.studies.identification.left_out import LeftOut, Trial, tried, widest
 from jaxbound.studies.identification.means import LOOSE, lowered
 from jaxbound.studies.identification.records import Records, parted
+from jaxbound.studies.identification.regression import complete_windows
 from jaxbound.studies.identification.sizes import blindness
 
 __all__ = [
@@ -209,12 +210,21 @@ def _times(sizes: Mapping[str, float], factor: float) -> dict[str, float]:
 
 def searched_means(problem: FitProblem, trial: Trial, samples: int, records: Records) -> np.ndarray:
     """Return the smallest bounds (p,) of means, in floats. trial: of windows without averages."""
-    searched = problem.under(GaugeJudge(), problem.about)
     model = trial.candidate.model(trial.bound * LOOSE)
+    firsts = [complete_windows(u, y, starts, problem.horizon) for u, y, starts in records]
+    hard = [first[:0] for first in firsts]  # windows that spoke against bounds before do so again, mostly
 
     def explained(bounds: np.ndarray) -> bool:
-        holds, _ = searched.judge.shares(_averaged(model, samples, bounds), records)
-        return holds
+        gauge = gauge_of(_averaged(model, samples, bounds))
+        for record, first in zip(records, hard, strict=True):
+            if len(gauge.unexplained(record, first)):
+                return False
+        for number, (record, first) in enumerate(zip(records, firsts, strict=True)):
+            against = gauge.unexplained(record, first)
+            if len(against):
+                hard[number] = np.append(hard[number], against)
+                return False
+        return True
 
     return lowered(trial.bound * LOOSE, explained, _nothing)
 

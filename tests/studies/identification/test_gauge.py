@@ -31,6 +31,29 @@ def test_the_best_approximation_is_that_of_a_linear_program(unknown, rng):
     np.testing.assert_allclose(best_approximations(r, free), expected, rtol=1e-7)
 
 
+def test_a_search_that_decides_is_right_about_each_row(rng):
+    free, _ = np.linalg.qr(rng.normal(size=(20, 3)))
+    r = rng.normal(size=(40, 20))
+    expected = np.array([by_program(row, free) for row in r])
+    level = float(np.median(expected)) * 1.001
+    for decide in (False, True):
+        np.testing.assert_array_equal(best_approximations(r, free, level, decide) > level, expected > level)
+    above = expected > level
+    np.testing.assert_allclose(best_approximations(r, free, level)[above], expected[above], rtol=1e-7)
+
+
+def test_a_window_that_speaks_against_bounds_is_found(rng):
+    u, y = rng.normal(size=(40, 1)), rng.normal(size=(40, 2))
+    record = (u, y, np.zeros(0, int))
+    model = jb.LinearSystem(A, B, C, D, noise=NOISE.tolist(), offset=OFFSET, horizon=7)
+    (needs,) = GaugeJudge().needs(model, [record])
+    worst, first = np.nanmax(needs), np.arange(33)
+    wide = gauge_of(model.replace(noise=(1.001 * worst * NOISE).tolist()))
+    assert len(wide.unexplained(record, first)) == 0
+    narrow = gauge_of(model.replace(noise=(0.999 * worst * NOISE).tolist()))
+    assert narrow.unexplained(record, first).tolist() == [np.nanargmax(needs) - 7]
+
+
 def test_what_the_first_state_explains_needs_nothing():
     free = np.eye(3)[:, :2]
     np.testing.assert_array_equal(best_approximations(np.array([[3.0, -1, 0], [0, 0, -2]]), free), [0, 2])

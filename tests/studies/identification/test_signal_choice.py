@@ -11,6 +11,7 @@ import jaxbound as jb
 from jaxbound.cli import main
 from jaxbound.cli.fit_summary import plain_fit
 from jaxbound.recordings.expressions import expression
+from jaxbound.studies.identification import fitting
 from jaxbound.studies.identification.signal_choice import SignalProblem, chosen_signals, products
 
 ABOUT = dict(order=1, horizon=5, method="least squares", inputs=["valve", "lift"], outputs=["y"])
@@ -76,6 +77,14 @@ def test_inputs_of_a_linear_plant_stay_as_given():
     tried = chosen_signals(problem, ("valve", "lift"), lambda share: None)
     assert [one.change for one in tried if one.taken] == ["as given"]
     assert len(tried) == 6  # two are dropped, three products are added
+
+
+def test_the_order_of_inputs_that_stay_is_chosen_once(monkeypatch):
+    rng, calls = np.random.default_rng(9), []
+    monkeypatch.setattr(fitting, "structure", lambda *about: calls.append(about) or (1, 1))
+    tables = [recorded(rng, 0.0), recorded(rng, 0.0)]
+    model = jb.fit(tables, columns=COLUMNS, signals="auto", **(ABOUT | {"order": "auto"}))
+    assert (model.inputs, model.check.order, len(calls)) == (("valve", "lift"), 1, 1)
 
 
 def test_products_that_say_nothing_new_are_not_asked_for():

@@ -5,7 +5,13 @@ import pytest
 from scipy.optimize import linprog
 
 import jaxbound as jb
-from jaxbound.studies.identification.trajectories import added_fault, hidden_size, least_factor, sure_sizes
+from jaxbound.studies.identification.trajectories import (
+    added_fault,
+    hidden_jumps,
+    hidden_sizes,
+    least_factor,
+    sure_sizes,
+)
 
 NONE = np.zeros(0, int)
 
@@ -17,6 +23,11 @@ def part(y, u=None, starts=NONE):
     if u is None:
         u = np.zeros((len(y), 0))
     return np.array(u, float), y, np.array(starts, int)
+
+
+def hidden_size(model, record, fault):
+    (size,) = hidden_sizes(model, record, [fault])
+    return size
 
 
 def constant(drift=0.0, noise=1.0):
@@ -111,3 +122,23 @@ def test_no_noise_hides_twice_what_a_recording_without_noise_hides():
     # a constant lies between 0 and f: f = 2 hides; the ramp's 4 f within 2 of a constant, too
     jump, lasting, ramp = sure_sizes(constant(), 2, 1, 4)
     assert (jump["y1"], lasting["y1"], ramp["y1"]) == pytest.approx((4, 4, 4))
+
+
+def test_a_jump_of_twice_the_noise_hides_where_nothing_remembers():
+    assert hidden_jumps(jb.LinearSystem([[0]], None, [[0]], noise=1), 2, 3) == {"y1": pytest.approx(2)}
+
+
+def test_the_program_of_an_unlimited_size_says_so_with_and_without_presolve(monkeypatch):
+    asked = []
+
+    def undecided(*about, options, **named):
+        asked.append(options["presolve"])
+        answer = linprog(*about, options=options, **named)
+        if options["presolve"]:
+            answer.status = 4
+        return answer
+
+    monkeypatch.setattr("scipy.optimize.linprog", undecided)
+    assert hidden_size(constant(), part([0, 0, 0]), jb.Fault("y1", "bias", 1)) == np.inf
+    assert least_factor(constant(), part([0, 0, 5, 5])) == pytest.approx(2.5)
+    assert set(asked) == {True, False}
