@@ -10,6 +10,7 @@ from jaxbound.certificates.interface import certify
 from jaxbound.cli.options import OBSERVER
 from jaxbound.cli.sample_axis import SampleAxis
 from jaxbound.consistency.interface import FAMILIES, MONITOR, Relations
+from jaxbound.diagnosis.hints import outgrown_by
 from jaxbound.models.region import Region
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.testmodels import with_tests
@@ -88,7 +89,10 @@ def explain_window(directory: str | Path, at: str) -> Explained:
         raise ValueError(f"{axis.label(k)} (sample {k}): {e}") from None
     first = part.samples - certificate.window.horizon - 1
     labels = [part.label(j) for j in range(first, part.samples)]
-    about = is_outgrown(Path(directory)), _training(relations, part), axis.also_a_time(at), test
+    beyond = is_outgrown(Path(directory))
+    if test:  # the bounds are its own
+        beyond = outgrown_by(relations, [test])
+    about = beyond, _training(relations, part), axis.also_a_time(at), test
     return Explained(certificate, k, labels, *about)
 
 

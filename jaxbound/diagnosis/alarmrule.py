@@ -44,7 +44,9 @@ class AlarmRule:
             suspects are different alarms. merge and latch do it too.
 
     Suspects are worked out in exact rationals at the first and the last FAULT window of an alarm, however
-    long it is. Of windows that do not tell them all alarms are of one component.
+    long it is. Of windows that do not tell them all alarms are of one component. Of a monitor suspects and
+    sizes are those of the test that speaks: an observer names no suspect, which is one component more, and
+    proves no size, so that with `least` its FAULT makes no alarm.
 
     Raises:
         ValueError: a number outside its range, an interval that is none.

@@ -1,7 +1,7 @@
 """Alarms: FAULT windows grouped for people. Separate from the proof, which they never change."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
@@ -16,7 +16,7 @@ from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.causes import Judged, diagnose
 from jaxbound.diagnosis.region import farthest_of
-from jaxbound.diagnosis.suspects import Suspect, nameless, suspect_of
+from jaxbound.diagnosis.suspects import Suspect
 from jaxbound.diagnosis.watch import ENDS, NO_DATA, NO_SAMPLE, OTHER, Event, Raised, Seen, Watch
 from jaxbound.models.named_faults import NamedFault
 from jaxbound.models.region import Departure
@@ -50,6 +50,7 @@ ENDINGS = (
     "a gap ended it, FAULT stays until one: repaired or lasting",
 )
 ONSET_LEFT, NO_LONGER, BEGAN_ANEW, GAP = ENDINGS[2:]
+Blame = Callable[[tuple[int, ...]], Suspect]
 LATCHED = -1
 """In place of the horizon of windows: an observer whose FAULT stays until a gap."""
 
@@ -175,7 +176,7 @@ def group_alarms(
     horizon: int | None,
     margin: np.ndarray | None = None,
     counts: np.ndarray | None = None,
-    relations: Relations | None = None,
+    blame: Blame | None = None,
 ) -> list[Alarm]:
     """Group the FAULT windows of a Result: see `Result.alarms`. Array operations over time; the loop is over
     alarms.
@@ -186,7 +187,7 @@ def group_alarms(
             window; of an observer None, or LATCHED.
         margin: (..., T), by which the worst window of an alarm is chosen; None: that of the result.
         counts: (..., T) bool, the FAULT windows that the rule counts; None: all.
-        relations: that tell the suspects; None: nothing does.
+        blame: the suspects of the FAULT window at an index; None: nothing tells them.
     """
     *batch, T = result.status.shape
     recordings = math.prod(batch)
@@ -200,7 +201,7 @@ def group_alarms(
     for row in np.flatnonzero(fault.any(1)):
         recording = tuple(map(int, np.unravel_index(row, tuple(batch))))
         if rule.names:
-            about = result, recording, rule, horizon, relations
+            about = result, recording, rule, horizon, blame
             alarms += _by_suspect(*about, fault[row], margin[row], missing[row])
             continue
         *columns, first, last = stretches(fault[row], margin[row], rule.k, rule.n, rule.hold, rule.clear)
@@ -218,22 +219,20 @@ def _by_suspect(
     recording: tuple[int, ...],
     rule: AlarmRule,
     horizon: int | None,
-    relations: Relations | None,
+    blame: Blame | None,
     fault: np.ndarray,
     margin: np.ndarray,
     missing: np.ndarray,
 ) -> list[Alarm]:
     """Return the alarms of one recording by a rule that names suspects, in the order in which they begin."""
-
-    def blame(sample: int) -> Suspect:
-        at: Any = sample
-        if recording:
-            at = (*recording, sample)
-        return suspect_of(result.explain, at)
-
     watch = Watch(rule)
-    if relations is not None and not nameless(relations):
-        watch.blame = blame
+    if blame is not None:
+        of_batch = blame
+
+        def blamed(sample: int) -> Suspect:
+            return of_batch((*recording, sample))
+
+        watch.blame = blamed
     departure = result.departure
     if departure is not None:
         departure = departure.cut(recording)

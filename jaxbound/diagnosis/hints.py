@@ -1,6 +1,6 @@
 """Hints on bounds, and on a model that does not fit, as sentences for whoever acts on verdicts."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -22,6 +22,7 @@ __all__ = [
     "judging_hints",
     "never_seen",
     "outgrown",
+    "outgrown_by",
     "unfit",
 ]
 
@@ -109,6 +110,18 @@ def column_unit_hints(model: LinearSystem) -> list[str]:
                 f"them what the numbers are"
             )
     return sentences
+
+
+def outgrown_by(relations: Relations, proving: Sequence[str]) -> bool:
+    """Return whether bounds that a test has outgrown stand behind a FAULT: of a monitor, those of all tests
+    that prove one. proving: their names; none: nothing but the hints is known of them.
+    """
+    for name in proving:
+        own = relations.parts[name].model
+        assert isinstance(own, LinearSystem), "a monitor has tests of models"
+        if not outgrown(own, relations.parts[name]):
+            return False
+    return True
 
 
 def outgrown(model: LinearSystem, relations: Relations | None = None, looks_back: str = "") -> list[str]:

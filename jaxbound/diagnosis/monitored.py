@@ -15,6 +15,7 @@ from jaxbound.consistency.monitorbank import BankVerdicts, MonitorBank, combined
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.result import Result, result_of
+from jaxbound.diagnosis.suspects import UNKNOWN, Suspect, nameless
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
@@ -112,6 +113,17 @@ class MonitorResult(Result):
         for alarm in super().alarms(k, n, hold, clear, rule):
             named.append(replace(alarm, test=self.test_at((*alarm.recording, alarm.worst))))
         return named
+
+    def _blamed(self, at: tuple[int, ...]) -> Suspect:
+        """Return the suspects of the FAULT at an index, of the test that speaks."""
+        if nameless(self.relations.watches[self.by[at]].relations):
+            return UNKNOWN
+        return super()._blamed(at)
+
+    def _speaking(self, at: tuple[int, ...]) -> np.ndarray:
+        """Return the numbers of the tests that speak in one recording, (T,)."""
+        speaking: np.ndarray = self.by[at]
+        return speaking
 
     def measured(self, where: np.ndarray) -> np.ndarray:
         """Return the margins (..., T) with exact ones where (..., T) bool says."""

@@ -17,7 +17,8 @@ from jaxbound.diagnosis.causes import diagnose
 from jaxbound.diagnosis.hints import bound_hints, device_hints, fit_hints
 from jaxbound.diagnosis.measuring import exact_margins, tightest
 from jaxbound.diagnosis.region import Excursions, Outside
-from jaxbound.diagnosis.severity import Severity, fitted
+from jaxbound.diagnosis.severity import fitted, severity_of
+from jaxbound.diagnosis.suspects import Suspect, nameless, suspect_of
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.models.named_faults import NamedFault
 from jaxbound.models.region import Departure, Region
@@ -277,18 +278,29 @@ class Result:
                 "residuals that were computed elsewhere tell no errors of sensors: leave out suspects and "
                 "least"
             )
-        counts = self._counted(rule)
-        return group_alarms(self, rule, horizon, self.reported, counts, self.relations)
+        blame = None
+        if self.relations is not None and not nameless(self.relations):
+            blame = self._blamed
+        return group_alarms(self, rule, horizon, self.reported, self._counted(rule), blame)
+
+    def _blamed(self, at: tuple[int, ...]) -> Suspect:
+        """Return the suspects of the FAULT window at an index."""
+        return suspect_of(self.explain, at)
 
     def _counted(self, rule: AlarmRule) -> np.ndarray | None:
         """Return the FAULT windows that a rule counts, (..., T) bool; None: all."""
         if rule.least is None:
             return None
-        counts: np.ndarray = self.status == Status.FAULT
-        severity = Severity(self.relations, self.method, cast(Mapping[str, float], rule.least))
+        counts = np.zeros(self.status.shape, bool)
+        severity = severity_of(self.relations, self.method, cast(Mapping[str, float], rule.least))
         for at in np.ndindex(counts.shape[:-1]):
-            counts[at] = severity.reached(self.u[at], self.y[at], counts[at])
+            fault = self.status[at] == Status.FAULT
+            counts[at] = severity.reached(self.u[at], self.y[at], fault, self._speaking(at))
         return counts
+
+    def _speaking(self, at: tuple[int, ...]) -> np.ndarray | None:
+        """Return the numbers of the tests that speak in one recording, (T,), of a monitor."""
+        return None
 
     def explain(self, at: int | tuple[int, ...]) -> WindowCertificate:
         """Return the Certificate of the window that ends at index `at` (an int, or a tuple for a batch), in

@@ -3,6 +3,8 @@
 An error of up to e in the samples of an output is a noise bound larger by e, on that output alone. So a
 window that is FAULT under such a bound is proved to need a larger error of that sensor, or another fault. The
 test is the same compiled kernel as that of the verdicts, over FAULT windows alone.
+
+A FAULT of a monitor counts where the test that speaks proves the size: windows do, observers prove none.
 """
 
 from collections.abc import Mapping
@@ -11,15 +13,17 @@ import numpy as np
 
 from jaxbound.consistency.drive import windows
 from jaxbound.consistency.interface import Relations, WindowTest
+from jaxbound.consistency.monitorbank import YES, MonitorBank
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.suspects import nameless
+from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["Severity", "fitted"]
+__all__ = ["MonitorSeverity", "Severity", "fitted", "severity_of"]
 
 
 class Severity:
-    """The test by which FAULT windows count.
+    """The test by which FAULT windows of relations count.
 
     Args:
         relations, method: as tested. least: {output: size}, in units.
@@ -32,7 +36,7 @@ class Severity:
         self.horizon, self.method = relations.horizon, method
         refused = (
             f"a least size of an alarm is for windows of a plant with bounds on its noise, not for "
-            f"{type(relations).__name__}: leave it out"
+            f"{type(relations).__name__}: leave it out, or state windows beside it as a [[test]]"
         )
         if relations.remembers or "noise" not in relations.bounds:
             raise ValueError(refused)
@@ -47,12 +51,14 @@ class Severity:
             except NotImplementedError:
                 raise ValueError(refused) from None
 
-    def reached(self, u: np.ndarray, y: np.ndarray, fault: np.ndarray) -> np.ndarray:
+    def reached(
+        self, u: np.ndarray, y: np.ndarray, fault: np.ndarray, by: np.ndarray | None = None
+    ) -> np.ndarray:
         """Return the FAULT windows that count, (T,) bool.
 
         Args:
             u (T, m), y (T, p): samples in which those windows lie as a whole. fault: (T,) bool, the windows
-                that are FAULT.
+                that are FAULT. by: see `MonitorSeverity`.
         """
         counts = fault.copy()
         for relations in self.wider:
@@ -67,6 +73,59 @@ class Severity:
         return counts
 
 
+class MonitorSeverity:
+    """The test by which FAULT samples of a monitor count: that of the test that speaks at each.
+
+    Args:
+        bank. least: {output: size}, in units.
+
+    Raises:
+        ValueError: no test of it tells the errors of single sensors.
+    """
+
+    def __init__(self, bank: MonitorBank, least: Mapping[str, float]) -> None:
+        self.bank = bank
+        self.severities: dict[int, Severity] = {}
+        for number, watch in enumerate(bank.watches):
+            try:
+                self.severities[number] = Severity(watch.relations, "joint", least)
+            except ValueError as e:
+                refused = e
+        if not self.severities:
+            raise ValueError(f"no test of this monitor proves a size: {refused}")
+
+    def reached(
+        self, u: np.ndarray, y: np.ndarray, fault: np.ndarray, by: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return the FAULT samples that count, (T,) bool.
+
+        Args:
+            u, y, fault: as of `Severity.reached`. by: (T,), the number of the test that speaks.
+        """
+        assert by is not None, "a monitor says who speaks"
+        modes = self.bank.modes_of(np.asarray(u))
+        piece = Recording(np.asarray(u), np.asarray(y), NOWHERE)
+        counts = np.zeros(len(fault), bool)
+        for number, severity in self.severities.items():
+            own = fault & (by == number)
+            condition = self.bank.conditions_of[number]
+            if condition >= 0:  # of an unknown mode one test alone proves nothing
+                own &= modes[:, condition] == YES
+            if own.any():
+                seen = self.bank.seen_by(number, piece, modes)
+                counts |= severity.reached(seen.u, seen.y, own)
+        return counts
+
+
+def severity_of(
+    relations: Relations, method: str, least: Mapping[str, float]
+) -> "Severity | MonitorSeverity":
+    """Return the test by which FAULT counts; see `Severity`, of a monitor `MonitorSeverity`."""
+    if isinstance(relations, MonitorBank):
+        return MonitorSeverity(relations, least)
+    return Severity(relations, method, least)
+
+
 def fitted(rule: AlarmRule, relations: Relations) -> AlarmRule:
     """Return a rule for alarms of relations, see `AlarmRule.fitted`.
 
@@ -78,7 +137,7 @@ def fitted(rule: AlarmRule, relations: Relations) -> AlarmRule:
         raise ValueError(f"these alarms name no suspects: {why}; leave out suspects")
     rule = rule.fitted(relations.model)
     if isinstance(rule.least, Mapping):
-        Severity(relations, "joint", rule.least)
+        severity_of(relations, "joint", rule.least)
     return rule
 
 

@@ -54,9 +54,20 @@ UNKNOWN = Suspect()
 
 
 def nameless(relations: Relations) -> str:
-    """Return why windows of these relations do not tell which sensor alone could be wrong; "": they do."""
+    """Return why windows of these relations do not tell which sensor alone could be wrong; "": they do, of a
+    monitor those of one test at least.
+    """
+    if relations.parts:
+        whys = {name: nameless(test) for name, test in relations.parts.items()}
+        if not all(whys.values()):
+            return ""
+        name, why = next(iter(whys.items()))
+        return f"no test of this monitor tells them, {name!r}: {why}"
     if relations.remembers:
-        return "its verdicts rest on more than one window"
+        return (
+            "an observer's verdicts rest on more than one window, and `explain` names the candidates of one "
+            "FAULT where a short window proves it"
+        )
     if not isinstance(relations, LinearRelations):
         return f"{type(relations).__name__} has no smallest errors of single sensors"
     model = relations.model

@@ -52,10 +52,10 @@ class LiveAlarms(Quiet):
         self.watching = Watching(rule, relations, method, self._samples)
         self.horizon, self.region = forgets_after(relations), Region.of(relations)
         keep = 0
-        if self.watching.watch.blame is not None or self.watching.severity is not None:
-            keep = relations.horizon + rule.n + self.watching.watch.reach
+        if self.watching.asks:
+            keep = self.watching.before + self.watching.keep
         model = relations.model
-        # the last samples: the suspects of a stretch are asked for once it is over
+        # the last samples
         self.u = np.full((keep, len(known(model))), np.nan)
         self.y = np.full((keep, len(model.outputs)), np.nan)
         self.keep, self.first = keep, -keep  # number of the first sample that is kept
@@ -114,11 +114,11 @@ class LiveAlarms(Quiet):
     def memory(self) -> Memory:
         """Return the alarms that are on, and the last samples."""
         kept = as_texts((self.u, self.y))
-        return {"watch": self.watching.watch.memory(), "samples": kept, "endings": self.endings}
+        return {**self.watching.memory(), "samples": kept, "endings": self.endings}
 
     def resume(self, memory: dict[str, Any]) -> None:
         """Go on from a memory."""
-        self.watching.watch.resume(memory["watch"])
+        self.watching.resume(memory)
         self.u, self.y = from_texts((self.u, self.y), memory["samples"])
         self.first = self.watching.watch.samples - self.keep
         self.endings = memory["endings"]

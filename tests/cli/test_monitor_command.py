@@ -84,6 +84,25 @@ def test_a_file_with_tests_is_judged_by_all_of_them(plant, tmp_path, capsys):
     assert "Who watched when" in page and "mode == 1 does not hold" in page
 
 
+def test_bounds_that_one_test_has_outgrown_are_no_headline_where_another_proves_a_fault(
+    plant, tmp_path, capsys
+):
+    model, data = plant
+    fitted = MODEL.replace("dt = 1", "dt = 1\nhorizon = 1").replace("factor = 3", "")
+    model.write_text(f'{fitted}[provenance]\nnoise = "fitted to 3 recordings"\n')
+    assert detect(plant, tmp_path / "both") == 1
+    assert "Fault proved" in capsys.readouterr().out
+    assert main.main(["explain", str(tmp_path / "both"), "--at", "40"]) == 0
+    assert "FAULT outside the bounds as fitted" in capsys.readouterr().out, (
+        "its bounds are of shorter windows"
+    )
+    rows = data.read_text().splitlines()
+    rows[21] = rows[19].replace("18,", "20,", 1)  # no jump: drifts alone, of longer windows, is FAULT
+    data.write_text("\n".join(rows) + "\n")
+    assert detect(plant, tmp_path / "one") == 3
+    assert "Outside the bounds as fitted" in capsys.readouterr().out
+
+
 def test_its_windows_are_explained_by_the_test_that_speaks(plant, tmp_path, capsys):
     detect(plant, tmp_path / "r", "-q")
     capsys.readouterr()
@@ -247,6 +266,28 @@ def test_alarms_of_a_parquet_recording_name_their_test(rule, tests, plant, tmp_p
     assert detect(plant, tmp_path / "whole", "-q", *rule) == 1
     of_parts, of_whole = (pd.read_csv(tmp_path / name / "alarms.csv") for name in ("r", "whole"))
     assert of_parts["test"].tolist() == of_whole["test"].tolist() == tests
+
+
+def test_alarms_of_a_monitor_name_suspects_in_parts_and_through_a_pipe(plant, tmp_path, monkeypatch):
+    model, data = plant
+    pd.read_csv(data).to_parquet(tmp_path / "run.parquet")
+    monkeypatch.setattr(streaming, "PART", 41)
+    rule = ("--suspects", "--least", "height=0.01", "--alarm", "2/3")
+    assert detect(plant, tmp_path / "whole", "-q", *rule) == 1
+    assert detect((model, tmp_path / "run.parquet"), tmp_path / "parts", "-q", *rule) == 1
+    lines = data.read_bytes().splitlines(keepends=True)
+    given = AlarmRule(2, 3, suspects=True, least={"height": 0.01})
+    for size in (7, 60):  # resumed once, in the middle of the second alarm
+        half = [b"".join(lines[k : k + size]) for k in range(0, 42, size)]
+        judge_stream(model, half, out=tmp_path / f"pipe{size}", alarm=given)
+        judge_stream(model, [b"".join(lines)], out=tmp_path / f"pipe{size}", alarm=given)
+    tables = []
+    for name in ("whole", "parts", "pipe7", "pipe60"):
+        tables.append(pd.read_csv(tmp_path / name / "alarms.csv"))
+    assert len(tables[0]) and tables[0]["suspect"].tolist() == ["height"] * len(tables[0])
+    for found in tables[1:]:
+        same = ["first_sample", "last_sample", "windows", "test", "suspect", "size", "ended"]
+        pd.testing.assert_frame_equal(found[same], tables[0][same])
 
 
 def test_a_fleet_judges_by_the_tests_of_each_model(plant):

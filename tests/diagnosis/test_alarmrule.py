@@ -112,3 +112,44 @@ def test_a_bias_that_begins_latches_until_its_end_is_seen(end, ended):
     (alarm,) = res.alarms(rule=AlarmRule(latch=True))
     assert (alarm.start, alarm.end, alarm.ended, alarm.suspect) == (5, min(end, 19), ended, "T1")
     assert alarm.windows == 2 - (end == 20)
+
+
+def several():
+    """Return a monitor of the two plants: windows of two samples, and an observer with wider bounds."""
+    tests = [{"name": "windows", "horizon": 1}, {"name": "state", "observer": "zonotope", "factor": 1.5}]
+    return jb.monitor(two().model, tests)
+
+
+def jumps():
+    """Return y of two sensors that are off for one sample each, the first one twice."""
+    y = np.zeros((40, 2))
+    y[8, 0], y[14, 0], y[20, 1] = 0.5, 3, 3
+    return y
+
+
+def test_alarms_of_a_monitor_name_the_suspects_of_the_test_that_speaks():
+    """A window is off by 2 * 3: an error of (2 * 3 - .3) / 3 of its sensor, by hand, would explain it."""
+    res = jb.detect(several(), None, jumps())
+    found = res.alarms(rule=AlarmRule(suspects=True))
+    assert [(a.start, a.suspect) for a in found] == [(8, "T1"), (14, "T1"), (20, "T2")]
+    assert found[1].size == pytest.approx((2 * 3 - 3 * NOISE) / 3)
+
+
+def test_a_monitor_counts_by_size_what_its_windows_prove_of_it():
+    res = jb.detect(several(), None, jumps())
+    assert [a.start for a in res.alarms(rule=AlarmRule(least={"T1": 1}))] == [14, 20]
+    assert [a.start for a in res.alarms(rule=AlarmRule(least={"T1": 3}))] == [20]
+
+
+def test_one_alarm_of_a_component_is_open_while_another_component_has_its_own():
+    found = jb.detect(several(), None, jumps()).alarms(rule=AlarmRule(latch=True))
+    spans = [(a.start, a.end, a.suspect) for a in found]
+    assert spans[-1] == (20, 39, "T2") and {name for _, _, name in spans} == {"T1", "T2"}
+
+
+def test_a_monitor_of_observers_names_no_suspects():
+    bank = jb.monitor(two().model, [{"name": "state", "observer": "zonotope"}])
+    res = jb.detect(bank, None, jumps())
+    for rule in (AlarmRule(suspects=True), AlarmRule(least=1)):
+        with pytest.raises(ValueError, match="no test of this monitor"):
+            res.alarms(rule=rule)
