@@ -37,6 +37,8 @@ class Diagnosis:
             of those whose usual size is known.
         unweighed: {fault: why it was not weighed}.
         partly: where none explains every window, {fault: the windows that it alone explains}.
+        ends: {fault: its FaultSize in the window that takes the least of it, and in the one that takes the
+            most}, of those in `partly`.
         outside: of windows that read inputs outside the region of training the farthest, in words; "": none
             does, or there is no region. Sizes and proofs then rest on a model that is extrapolated.
     """
@@ -49,6 +51,7 @@ class Diagnosis:
     shares: Mapping[str, Fraction]
     unweighed: Mapping[str, str]
     partly: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    ends: Mapping[str, tuple[FaultSize, FaultSize]] = field(default_factory=dict)
     outside: str = ""
 
     @property
@@ -92,10 +95,17 @@ class Diagnosis:
             answer += f"; excluded: {listed((weighed.fault.name for weighed in self.excluded), str)}"
         return answer + self._left_over()
 
+    def span(self, name: str) -> str:
+        """Return the sizes, in words, of a fault that explains some of the windows alone."""
+        least, most = (size_text(self.model, weighed) for weighed in self.ends[name])
+        if least == most:
+            return least
+        return f"{least.split()[0]} to {most}"
+
     def _partly(self) -> str:
         counts = []
         for name, windows in self.partly.items():
-            counts.append(f"{name} {len(windows)}")
+            counts.append(f"{name} {len(windows)} ({self.span(name)})")
         if not counts:
             return ""
         return f" in all {len(self.windows)} windows that were looked at; of these {listed(counts, str)}"
@@ -139,8 +149,15 @@ class Diagnosis:
             "excluded": excluded,
             "not_weighed": dict(self.unweighed),
             "partly": {name: list(windows) for name, windows in self.partly.items()},
+            "partly_sizes": self._sizes_of_parts(),
             "outside": self.outside,
         }
+
+    def _sizes_of_parts(self) -> dict[str, list[float]]:
+        sizes = {}
+        for name, ends in self.ends.items():
+            sizes[name] = [float(weighed.size or 0) for weighed in ends]
+        return sizes
 
     def and_of(self, other: "Diagnosis") -> "Diagnosis":
         """Return the Diagnosis of the windows of both: a fault has to explain each of them, of one sign."""

@@ -115,7 +115,9 @@ class ExactWindow:
 
     def moved(self, push: Vector) -> Self:
         """Return the window with (Y, w) = E z + K U + push: what a fault that is supposed adds."""
-        return replace(self, drive=linalg.add_multiple(self.drive, 1, push))
+        moved = replace(self, drive=linalg.add_multiple(self.drive, 1, push))
+        vars(moved)["limits"] = self.limits  # bounds know nothing of what is supposed
+        return moved
 
     def without_input(self, i: int) -> Self:
         """Return the window with every sample of input i missing: whatever the actuator did."""
@@ -273,8 +275,12 @@ class ExactWindow:
 
     def action(self, h: Sequence[Fraction]) -> Vector:
         """Return k, what a relation h does with the inputs: h (Y, w) = k U, so k = h K."""
-        K = self.forms[1]
-        return tuple(dot(h, [row[j] for row in K]) for j in range(len(self.u)))
+        weights, rows = [], []
+        for x, row in zip(h, self.forms[1], strict=True):
+            if x:  # a relation uses few of all rows
+                weights.append(x)
+                rows.append(row)
+        return tuple(dot(weights, [row[j] for row in rows]) for j in range(len(self.u)))
 
     def relation(self, h: Sequence[Fraction]) -> tuple[Vector, Fraction, Fraction]:
         """Return (k, residual, width) of a relation h that annihilates E and needs no missing sample.

@@ -1,12 +1,14 @@
 """The cause of an alarm: the named faults that explain each of some of its windows."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Protocol, runtime_checkable
+from fractions import Fraction
+from typing import Protocol, TypedDict, runtime_checkable
 
 import numpy as np
 
 from jaxbound.certificates.diagnosis import Diagnosis
+from jaxbound.certificates.fault_size import FaultSize
 from jaxbound.certificates.interface import WindowCertificate
 from jaxbound.models.named_faults import NamedFault
 from jaxbound.models.region import Departure
@@ -55,10 +57,9 @@ def diagnose(
         )
     margin = result.margin[recording][fault]
     chosen = [int(fault[np.argmin(np.where(np.isnan(margin), np.inf, margin))])]
-    spread = np.linspace(0, len(fault) - 1, min(len(fault), MOST)).round().astype(int)
-    for k in fault[spread].tolist():
-        if k not in chosen and len(chosen) < MOST:
-            chosen.append(k)
+    others = fault[fault != chosen[0]]
+    spread = np.linspace(0, len(others) - 1, min(len(others), MOST - 1)).round().astype(int)
+    chosen += others[spread].tolist()
 
     def one(k: int, candidates: Sequence[NamedFault] | None) -> Diagnosis:
         at: int | tuple[int, ...] = k
@@ -74,12 +75,34 @@ def diagnose(
     found = replace(found, of=len(fault), outside=_outside(result.departure, recording, chosen))
     if found.explains or len(chosen) == 1:
         return found
+    parts = _parts({k: one(k, faults) for k in sorted(chosen)})
+    return replace(found, windows=tuple(sorted(chosen)), **parts)
+
+
+class _Parts(TypedDict):
+    """Faults that explain some of the windows: `partly` and `ends` of a Diagnosis."""
+
+    partly: dict[str, tuple[int, ...]]
+    ends: dict[str, tuple[FaultSize, FaultSize]]
+
+
+def _parts(each: Mapping[int, Diagnosis]) -> _Parts:
+    """Return the faults that explain some of the windows alone. each: {sample of a window: its Diagnosis}."""
     partly: dict[str, tuple[int, ...]] = {}
-    for k in sorted(chosen):
-        for weighed in one(k, faults).explains:
-            partly[weighed.fault.name] = (*partly.get(weighed.fault.name, ()), k)
-    most = sorted(partly, key=lambda name: -len(partly[name]))
-    return replace(found, windows=tuple(sorted(chosen)), partly={name: partly[name] for name in most})
+    ends: dict[str, tuple[FaultSize, FaultSize]] = {}
+    for k, diagnosed in each.items():
+        for weighed in diagnosed.explains:
+            name = weighed.fault.name
+            partly[name] = (*partly.get(name, ()), k)
+            least, most = ends.get(name, (weighed, weighed))
+            ends[name] = min(weighed, least, key=_magnitude), max(weighed, most, key=_magnitude)
+    order = sorted(partly, key=lambda name: -len(partly[name]))
+    return {"partly": {name: partly[name] for name in order}, "ends": ends}
+
+
+def _magnitude(weighed: FaultSize) -> Fraction:
+    """Return how large a fault that explains a window is."""
+    return abs(weighed.size or Fraction(0))
 
 
 def _outside(departure: Departure | None, recording: tuple[int, ...], chosen: Sequence[int]) -> str:

@@ -62,7 +62,8 @@ def cause_of(found: Diagnosis) -> Cause:
                 length = max(LEAST, float(share / largest))
         elif name in found.partly:
             windows = len(found.partly[name])
-            words = f"explains {windows} of the {len(found.windows)} windows that were looked at"
+            looked_at = f"{windows} of the {len(found.windows)} windows that were looked at"
+            words = f"explains {looked_at}, by {found.span(name)}"
         bars.append((name, words, length))
     answer = found.first
     if not found.explains:

@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+from pytest import approx
 
 import jaxbound as jb
 
 FAULTS = jb.NamedFault("u is off", input="u"), jb.NamedFault("y2 is off", output="y2")
+
+NONE = "none of the named faults explains this in all"
 
 
 @pytest.fixture(scope="module")
@@ -23,8 +26,27 @@ def test_faults_that_explain_some_of_the_windows_are_counted(two_faults):
     found = two_faults.diagnose(1, 4)
     assert not found.explains and found.windows == (1, 2, 3, 4)
     assert found.partly == {"u is off": (1, 2), "y2 is off": (3, 4)}
-    said = "none of the named faults explains this in all 4 windows that were looked at; of these u is off 2"
-    assert str(found).startswith(said)
+    said = "4 windows that were looked at; of these u is off 2 (+0.9 of u), y2 is off 2 (+1.9 of y2)"
+    assert str(found).startswith(f"{NONE} {said}")
+    sizes = found.to_dict()["partly_sizes"]
+    assert sizes == {"u is off": approx([0.9, 0.9]), "y2 is off": approx([1.9, 1.9])}
+
+
+def test_what_explains_some_windows_has_the_sizes_that_they_ask_for():
+    model = jb.LinearSystem(
+        None, None, None, [[1], [1]], noise=0.1, inputs=["u"], faults=FAULTS[:1], ranges={"u": [0, 1]}
+    )
+    y = [[1.5, 1.5], [2.5, 2.5], [5.0, 0.0]]  # off by 1 and by 2; the last one nothing explains
+    found = jb.detect(jb.parity_relations(model, 0), [[0.5]] * 3, y).diagnose(0, 2)
+    assert "of these u is off 2 (+0.9 to +1.9 of u)" in str(found)
+
+
+def test_windows_that_are_looked_at_are_spread_over_the_alarm_beside_the_worst():
+    model = jb.LinearSystem(None, None, None, [[1]], noise=0.1, inputs=["u"], faults=FAULTS[:1])
+    y = np.full((21, 1), 2.0)
+    y[1] = 9
+    found = jb.detect(jb.parity_relations(model, 0), np.zeros((21, 1)), y).diagnose(0, 20)
+    assert found.windows == (0, 1, 7, 14, 20)
 
 
 def test_a_cause_that_rests_on_extrapolation_says_so(two_faults):
