@@ -288,7 +288,8 @@ class _Judging:
         if not self.relations.remembers:
             about = self.relations, self.method, self.source.samples
             return Windows(*about, done, laps, self.margins, self.outside)
-        observer = self.relations.test(self.method, self.source.dtype).measured()
+        test, windows = self.relations.test(self.method, self.source.dtype), self.source.samples
+        observer = with_margins(test, self.margins, windows - self.relations.horizon)
         assert isinstance(observer, Observer), "what remembers is an observer"
         carry = observer.init()
         if part and self.follows:
@@ -315,8 +316,6 @@ def _job_of(
     # refuses what these relations cannot be tested by
     windows = source.samples - relations.horizon
     test = with_margins(relations.test(method, source.dtype), margins, windows)
-    if relations.remembers:
-        test = test.measured()
     begins = _begins(relations, part, overlap)
     if source.samples <= relations.horizon:
         raise ValueError(
