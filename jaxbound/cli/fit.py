@@ -174,7 +174,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--test",
         choices=("auto", "bank"),
-        help="auto: choose the windows, too, in place of --horizon, --lags and --average: 16, 31 or 61 "
+        help="auto: choose the windows, too, in place of --horizon, --lags and --average: 8, 16, 31 or 61 "
         "samples, means, lags, by recordings that are left out; bank: all of them that see what others "
         "miss, as [[test]] tables of one monitor, and an observer by --observer or --disturbances",
     )

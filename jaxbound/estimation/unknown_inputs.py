@@ -97,7 +97,7 @@ def unknown_inputs(
         >>> [(round(float(a), 3), round(float(b), 3)) for a, b in zip(leak.lo[:2, 0], leak.hi[:2, 0])]
         [(-0.019, 0.019), (0.481, 0.519)]
     """
-    model = as_model(model)
+    model = as_model(model, factors=True)
     if not model.d:
         raise ValueError("the model has no unknown inputs")
     if model.uncertainties:

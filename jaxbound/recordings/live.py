@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 
 from jaxbound.recordings.expressions import TIME_SINCE_START, expression, is_expression
-from jaxbound.recordings.means import refuse_every
+from jaxbound.recordings.means import every_of
+from jaxbound.recordings.meansource import means_source
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import around, check_period, tick
 from jaxbound.recordings.signals import SignalModel
@@ -77,7 +78,9 @@ class LiveSource(Source):
         return Readings(self.model, function(self.model), complain, memory)
 
     def whole(self, progress: Progress | None = None) -> Recording:
-        """Return all readings of the function as one Recording; it has to end."""
+        """Return all readings of the function as one Recording, or their means; it has to end."""
+        if every_of(self.model) is not None:
+            return means_source(LiveSource, self.data, self.model).whole(progress)
         return joined(self.model, self.stream(lambda kind, sentence: None).raw)
 
 
@@ -194,7 +197,6 @@ def _names_used(model: SignalModel) -> set[str]:
 
 def joined(model: SignalModel, readings: Iterable[Any]) -> Recording:
     """Return the readings of a stream that ends as one Recording."""
-    refuse_every(model, "readings that are joined")
     stream = Readings(model, readings)
     whole: Recording | None = None
     seams: list[np.ndarray] = []

@@ -97,10 +97,11 @@ class MeansStream(Stream):
 
     def _rows_of(self, rows: dict[str, Any]) -> _Rows:
         """Return samples from JSON."""
+        count = len(rows["instant"])
         return _Rows(
             np.array(rows["instant"], np.int64),
-            np.array(rows["u"], float).reshape(-1, len(known(self.model))),
-            np.array(rows["y"], float).reshape(-1, len(self.model.outputs)),
+            np.array(rows["u"], float).reshape(count, len(known(self.model))),
+            np.array(rows["y"], float).reshape(count, len(self.model.outputs)),
             np.array(rows["excluded"], bool),
             np.array(rows["broken"], bool),
         )

@@ -6,6 +6,7 @@ import jax
 import numpy as np
 import pytest
 from oracles import MODELS, Plant, Program, Windows
+from scipy.optimize import linprog
 
 import jaxbound as jb
 
@@ -92,6 +93,33 @@ def test_the_interval_is_that_of_the_program(spec, s, position, rng):
         best = sign * Program(E, cost).solve(lo, hi)
         np.testing.assert_allclose(side[:, t, 0], best, rtol=1e-7, atol=1e-9)
         assert (sign * (best - side[:, t, 0]) > -1e-9).all()
+
+
+def test_noise_that_follows_the_operating_point_widens_it_sample_by_sample(rng):
+    """Minimise and maximise v over all behaviours whose noise is times the factor of each sample. HiGHS."""
+    model = jb.LinearSystem(**TANKS | {"tolerance": 0, "resolution": 0}, times={"y1": "1 + 2 * u1"})
+    A, B, G = np.array([[0.96, 0.03], [0.03, 0.95]]), np.array([0.5, 0]), np.array([0.0, -1])
+    u, states = rng.uniform(0, 2, (8, 1)), [np.array([30.0, 20])]
+    for k in range(7):
+        states.append(A @ states[-1] + B * u[k, 0] + G * rng.uniform(0, 0.4))
+    noise = np.array([0.02, 0.01]) * np.stack([1 + 2 * u[:, 0], np.ones(8)], 1)
+    y = np.array(states) + rng.uniform(-0.7, 0.7, (8, 2)) * noise
+    found = jb.unknown_inputs(model, u, y, horizon=2)
+    (lag,) = found.lags
+    for first in range(6):
+        rows, left, x = [np.eye(2, 4)], [y[first]], np.zeros(2)  # over x0, v0, v1
+        for k in (0, 1):
+            x = A @ x + B * u[first + k, 0]
+            rows.append(A @ rows[-1] + np.outer(G, np.eye(4)[2 + k]))
+            left.append(y[first + k + 1] - x)
+        rows, left, wide = np.vstack(rows), np.concatenate(left), noise[first : first + 3].ravel()
+        place = 2 - lag
+        below, ends = np.vstack([rows, -rows]), np.concatenate([left + wide, wide - left])
+        aim = np.eye(4)[2 + place]
+        free = [(None, None)] * 4
+        low, high = (sign * linprog(sign * aim, below, ends, bounds=free).fun for sign in (1, -1))
+        got = found.values.lo[first + place, 0], found.values.hi[first + place, 0]
+        np.testing.assert_allclose(got, (low, high), rtol=1e-7, atol=1e-9)
 
 
 def test_missing_samples_widen_it_and_samples_that_nothing_explains_empty_it(rng):

@@ -97,7 +97,6 @@ def test_a_model_file_has_the_factor_beside_its_bound(tmp_path):
 CALLS = {
     "validate": lambda m, u, y: jb.validate(m, u, y),
     "MultiModel": lambda m, u, y: jb.MultiModel([m, m], lambda u: u),
-    "unknown_inputs": lambda m, u, y: jb.unknown_inputs(m, u, y),
     "redundancy": lambda m, u, y: jb.redundancy(m),
     "structured_relations": lambda m, u, y: jb.structured_relations(m),
     "isolability": lambda m, u, y: jb.isolability(m),
@@ -107,10 +106,10 @@ CALLS = {
 KNOWN = """
     parity_relations detect margins Monitor detect_dataset tune detectable save_model load_model plot read
     LinearSystem Recording simulate with_faults observer observe
-    study assess monitor
+    study assess monitor unknown_inputs
 """.split()
 """Public names that know factors; their tests are here and in consistency/test_windows_times.py,
-estimation/test_observer_times.py,
+estimation/test_observer_times.py, estimation/test_unknown_input_estimates.py,
 studies/montecarlo/test_study_times.py."""
 WITHOUT_A_MODEL = """
     Fault NamedFault Status Uncertainty compensation evaluate fit from_control from_scipy inclusion

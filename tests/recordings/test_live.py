@@ -7,6 +7,7 @@ import sqlite3
 from contextlib import closing
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import jaxbound as jb
@@ -100,6 +101,49 @@ def test_python_judges_a_generator_as_it_comes_and_as_a_whole():
     found = jb.detect(jb.parity_relations(MODEL), whole)
     np.testing.assert_array_equal(found.status, expected().status)
     np.testing.assert_array_equal(found.margin, expected().margin)
+
+
+AVERAGED = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1, dt=3, columns={"every": "3s"})
+MEANS = """
+import numpy as np
+y = 0.1 * np.sin(np.arange(360.0))
+y[250:] += 1.0
+time = 1.7e9 + np.arange(360.0)
+
+def readings(model):
+    for k in range({first}, {stop}, 7):
+        yield {{"time": time[k : min(k + 7, {stop})], "y1": y[k : min(k + 7, {stop})]}}
+"""
+
+
+@pytest.fixture
+def averaged(place):
+    """Return the Recording of the means of what a live source sends until the end, read as a table."""
+    jb.save_model(AVERAGED, "model.toml")
+    names = {}
+    exec(MEANS.format(first=0, stop=360), names)
+    index = pd.to_datetime(names["time"], unit="s")
+    return jb.Recording.of(AVERAGED, pd.DataFrame({"y1": names["y"]}, index=index))
+
+
+def test_a_generator_that_ends_is_read_as_means(averaged):
+    names = {}
+    exec(MEANS.format(first=0, stop=360), names)
+    read = jb.read(names["readings"](AVERAGED), AVERAGED)
+    np.testing.assert_allclose(read.y, averaged.y, rtol=1e-12)
+    np.testing.assert_array_equal(read.stamps, averaged.stamps)
+    assert read.starts.tolist() == averaged.starts.tolist()
+
+
+@pytest.mark.parametrize("again", [0, 203])
+def test_means_of_a_live_source_that_stopped_go_on(averaged, place, again):
+    for first, stop in ((0, 203), (again, 360)):
+        (place / "plant.py").write_text(MEANS.format(first=first, stop=stop))
+        main.main(["detect", "model.toml", "plant.py:readings", "--out", "out"])
+    expected = jb.detect(jb.parity_relations(AVERAGED), averaged).status
+    found = rows((place / "out/verdicts.csv").read_text())
+    assert "FAULT" in found and found == [jb.Status(s).name for s in expected[: len(found)]]
+    assert len(found) >= len(expected) - 1  # the last interval may not be over
 
 
 def test_what_is_no_live_source_is_refused(place, capsys):

@@ -134,8 +134,8 @@ def fit(
             as recordings that are left out ask for.
         average: of so many errors in a row, at most horizon + 1, the mean gets a bound too: an average of the
             model. Lasting errors show smaller where errors do average out. None: none.
-        test: "auto": windows are chosen, too, in place of horizon, lags and average: whichever of 16, 31, 61
-            samples, means of 8 and 16, and lags of 61 sees the smallest errors, each at the bounds that
+        test: "auto": windows are chosen, too, in place of horizon, lags and average: whichever of 8, 16, 31,
+            61 samples, means of 8 and 16, and lags of 61 sees the smallest errors, each at the bounds that
             recordings which are left out ask of it; `.check.tests` has them all. "bank": as many of them as
             see clearly smaller jumps, lasting errors or ramps than the others: the model states them as its
             `tests`, each with coefficients and bounds of its own, and `jb.monitor` is all of them; `observer`

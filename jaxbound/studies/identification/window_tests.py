@@ -72,6 +72,7 @@ class WindowChoice(NamedTuple):
 
 
 WINDOWS = (
+    WindowChoice(7),
     WindowChoice(15),
     WindowChoice(30),
     WindowChoice(30, average=8),
