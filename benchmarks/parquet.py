@@ -7,6 +7,8 @@ With --observer the same of a set observer, which carries on from part to part.
 """
 
 import json
+import os
+import resource
 import shutil
 import signal
 import subprocess
@@ -49,30 +51,38 @@ def generate(folder, rows, size):
         pq.write_table(pa.table(columns), folder / f"run-{i}.parquet")
 
 
-def command(out, *options):
+def command(out, *options, model="model.toml", data="run"):
     """Return the command line of one run."""
     jaxbound = shutil.which("jaxbound", path=Path(sys.executable).parent) or "jaxbound"
     method = ("--method", "observer") if OBSERVER else ()
-    return [jaxbound, "detect", "model.toml", "run", "--out", out, "--json", *method, *options]
+    return [jaxbound, "detect", model, data, "--out", out, "--json", *method, *options]
 
 
-def run(folder, out, *options):
-    """Return seconds, peak memory in MB and the seconds of each stage of one run to its end."""
-    start, peak = time.perf_counter(), 0
+def run(folder, out, *options, cache=None, **files):
+    """Return seconds, processor seconds, peak memory in MB, the seconds of each stage and the counts of one
+    run to its end. cache: the folder of compiled kernels, None: that of the user; files: as of `command`.
+    """
+    start, before, peak = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN), 0
+    env = dict(os.environ)
+    if cache is not None:
+        env |= {"XDG_CACHE_HOME": str(cache), "JAX_COMPILATION_CACHE_DIR": str(cache)}
     with open(folder / "stdout", "w+") as said, open(folder / "stderr", "w+") as err:
-        process = subprocess.Popen(command(out, *options), cwd=folder, stdout=said, stderr=err)
+        words = command(out, *options, **files)
+        process = subprocess.Popen(words, cwd=folder, env=env, stdout=said, stderr=err)
         while (
             process.poll() is None
         ):  # the usage that wait returns would count this process's memory before the program began
             peak = max(peak, resident(process.pid))
             time.sleep(0.02)
-        seconds = time.perf_counter() - start
+        seconds, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
         said.seek(0), err.seek(0)
         if process.returncode not in (0, 1):
             raise RuntimeError(err.read())
         found = json.load(said)
+    used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return {
         "seconds": round(seconds, 2),
+        "processor s": round(used, 2),
         "peak MB": round(peak / 1024),
         "apart": found["seconds"],
         "counts": found["counts"],

@@ -9,8 +9,6 @@ what they cost.
 import hashlib
 import json
 import os
-import resource
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -24,7 +22,7 @@ import pyarrow.parquet as pq
 
 import jaxbound as jb
 from benchmarks import timing
-from benchmarks.parquet import START, resident
+from benchmarks.parquet import START, run
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from systems import paper  # noqa: E402
@@ -64,11 +62,11 @@ def on_devices(windows):
         "detect": lambda: (lambda found: (found.status, found.margin))(jb.detect(relations, u, y)),
         "bank": lambda: (lambda found: (found.words, found.status, found.margin))(jb.detect(bank, u, y)),
     }
-    for name, run in runs.items():
+    for name, called in runs.items():
         wall, used = [], []
         for _ in range(8):
             start, processor = time.perf_counter(), time.process_time()
-            arrays = [np.asarray(x) for x in run()]
+            arrays = [np.asarray(x) for x in called()]
             wall.append(time.perf_counter() - start)
             used.append(time.process_time() - processor)
         out[name] = {
@@ -95,31 +93,6 @@ def with_devices(count, windows):
     return json.loads(subprocess.run(argv, env=env, capture_output=True, text=True, check=True).stdout)
 
 
-def detect(folder, data, out):
-    """Run `jaxbound detect`; return seconds, processor seconds, peak memory and what it says."""
-    jaxbound = shutil.which("jaxbound", path=Path(sys.executable).parent) or "jaxbound"
-    start, before, peak = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN), 0
-    with open(folder / "stdout", "w+") as said, open(folder / "stderr", "w+") as err:
-        argv = [jaxbound, "detect", "model.toml", data, "--out", out, "--json"]
-        process = subprocess.Popen(argv, cwd=folder, stdout=said, stderr=err)
-        while process.poll() is None:
-            peak = max(peak, resident(process.pid))
-            time.sleep(0.02)
-        seconds, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
-        said.seek(0), err.seek(0)
-        if process.returncode not in (0, 1):
-            raise RuntimeError(err.read())
-        found = json.load(said)
-    used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return {
-        "seconds": round(seconds, 1),
-        "processor s": round(used, 1),
-        "peak MB": round(peak / 1024),
-        "apart": found["seconds"],
-        "counts": found["counts"],
-    }
-
-
 def linked(folder, name, files):
     """Make a folder with the first so many files of the recording, without copying them."""
     (folder / name).mkdir()
@@ -139,8 +112,8 @@ def main():
         jb.save_model(paper(), folder / "model.toml")
         generate(folder / "run", rows)
         stored = sum(p.stat().st_size for p in (folder / "run").iterdir())
-        part = detect(folder, linked(folder, "fifth", fifth), "fifth out")
-        whole = detect(folder, "run", "out")
+        part = run(folder, "fifth out", data=linked(folder, "fifth", fifth))
+        whole = run(folder, "out")
     timing.save(
         "scale",
         {
