@@ -510,7 +510,7 @@ class _PrintedLines:
 def _in_a_sentence(notice: dict[str, Any]) -> str:
     """Return a notice as a line between rows of CSV, which a reader of CSV takes for a comment."""
     words = f"# alarm {notice['number']} {notice['alarm']}s at {notice['time']}"
-    for kind in ("suspect", "test"):
+    for kind in ("suspect", "cause", "test"):
         if notice.get(kind):
             words += f", {kind} {notice[kind]}"
     if "ended" in notice:

@@ -3,6 +3,7 @@
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detectability import GuaranteedSize
+from jaxbound.diagnosis.isolability import FaultIsolability
 from jaxbound.diagnosis.isolation import BankResult
 from jaxbound.diagnosis.memory import SuggestedLags
 from jaxbound.diagnosis.monitored import MonitorResult
@@ -16,6 +17,7 @@ __all__ = [
     "AlarmRule",
     "BankResult",
     "Departure",
+    "FaultIsolability",
     "GuaranteedSize",
     "MonitorResult",
     "ObserverResult",

@@ -97,7 +97,9 @@ class Alarm:
     training, None where there is none; outside_by: the farthest of them in words; suspects: the signals that
     alone could be wrong in its first window, the most plausible first, where the rule names them; size: the
     smallest error of the first that explains this window, in its unit, NaN where it is none of a sensor;
-    test: of a monitor the name of the test that speaks at sample `worst`, else ""; ended: why it is over, of
+    cause: in this window, too, the most plausible of the faults that the model names, with its smallest size;
+    `diagnose` looks at more windows of the alarm; test: of a monitor the name of the test that speaks at
+    sample `worst`, else ""; ended: why it is over, of
     which no verdict is a proof, one of
 
     - "still on at the last sample", "no data after it";
@@ -125,6 +127,7 @@ class Alarm:
     suspects: tuple[str, ...] = ()
     size: float = field(default=math.nan, compare=False)
     test: str = ""
+    cause: str = field(default="", compare=False)
 
     @property
     def suspect(self) -> str:
@@ -271,7 +274,8 @@ def alarm_of(
             words = departure.region.words(by, reading)
     about = raised.start, raised.end, raised.windows, raised.depth, raised.worst
     suspect = raised.suspect
-    return Alarm(*about, recording, result, why, outside, words, suspect.names, suspect.size)
+    named = suspect.names, suspect.size
+    return Alarm(*about, recording, result, why, outside, words, *named, cause=suspect.cause)
 
 
 def _outside(

@@ -19,9 +19,11 @@ import numpy as np
 from jaxbound.certificates.certificate import Certificate
 from jaxbound.certificates.interface import WindowCertificate, explain
 from jaxbound.consistency.interface import LinearRelations, Relations
+from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.signals import SignalModel
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["UNKNOWN", "Suspect", "nameless", "suspect_of", "suspect_of_window"]
+__all__ = ["UNKNOWN", "Suspect", "nameless", "suspect_of", "suspect_of_window", "tells_causes"]
 
 READINGS = 64  # in a window, from which on exact errors of single sensors take too long: 122 take a minute
 ALIKE = 2  # jumps are about as large if neither error is more than so many times the other
@@ -30,12 +32,14 @@ ALIKE = 2  # jumps are about as large if neither error is more than so many time
 class Suspect(NamedTuple):
     """Fields: names: of the signals that alone could be wrong, the most plausible first; empty: none alone,
     or not known. size: the smallest error of the first that explains the window, in its unit, NaN where it is
-    no sensor. jump: 1 up, -1 down, 0 not known.
+    no sensor. jump: 1 up, -1 down, 0 not known. cause: the most plausible of the faults that the model names
+    and the smallest size of it that explains the window, in words; "" where the model names none.
     """
 
     names: tuple[str, ...] = ()
     size: float = math.nan
     jump: int = 0
+    cause: str = ""
 
     @property
     def first(self) -> str:
@@ -87,15 +91,15 @@ def suspect_of(explain: Callable[[Any], WindowCertificate], at: object) -> Suspe
         certificate = explain(at)
     except NotImplementedError:  # no proof by one relation
         return UNKNOWN
-    names = certificate.candidates
+    names, cause = certificate.candidates, _cause(certificate)
     if not names:
-        return UNKNOWN
+        return UNKNOWN._replace(cause=cause)
     errors = certificate.errors
     if names[0] not in errors:  # an actuator
-        return Suspect(names)
+        return Suspect(names, cause=cause)
     # it states errors of sensors
     jump = _jump(cast(Certificate, certificate), list(errors).index(names[0]))
-    return Suspect(names, float(errors[names[0]]), jump)
+    return Suspect(names, float(errors[names[0]]), jump, cause)
 
 
 def suspect_of_window(relations: Relations, method: str, u: np.ndarray, y: np.ndarray) -> Suspect:
@@ -104,6 +108,18 @@ def suspect_of_window(relations: Relations, method: str, u: np.ndarray, y: np.nd
     status[-1] = Status.FAULT
     window = _Window(status, np.full(len(y), np.nan), relations, method, u, y)
     return suspect_of(partial(explain, window), len(y) - 1)
+
+
+def tells_causes(model: SignalModel) -> bool:
+    """Whether a model names the faults that may be the cause of an alarm."""
+    return isinstance(model, LinearSystem) and bool(model.faults)
+
+
+def _cause(certificate: WindowCertificate) -> str:
+    """Return the cause in words, see `Suspect`."""
+    if not tells_causes(cast(Certificate, certificate).window.model):
+        return ""
+    return certificate.diagnose().first
 
 
 class _Window(NamedTuple):

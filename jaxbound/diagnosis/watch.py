@@ -110,8 +110,8 @@ class Raised:
     def of(cls, memory: dict[str, Any]) -> "Raised":
         """Return the alarm of a memory."""
         found = cls(**memory)
-        names, size, jump = found.suspect
-        found.suspect = Suspect(tuple(names), size, jump)
+        names, size, jump, cause = found.suspect
+        found.suspect = Suspect(tuple(names), size, jump, cause)
         share, by, reading = found.farthest
         found.farthest = share, by, reading
         return found

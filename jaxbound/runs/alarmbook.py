@@ -199,7 +199,10 @@ def speakers(verdicts: Verdicts) -> np.ndarray:
 
 def _named(alarm: Alarm, alarms: Columns, i: int) -> Alarm:
     """Return an alarm with its suspects, entry i of the columns."""
-    return replace(alarm, suspects=alarms["suspects"][i], size=float(alarms["size"][i]))
+    size, cause = float(alarms["size"][i]), ""
+    if "cause" in alarms:
+        cause = alarms["cause"][i]
+    return replace(alarm, suspects=alarms["suspects"][i], size=size, cause=cause)
 
 
 def _far(farthest: Departure | None, count: int) -> Columns:

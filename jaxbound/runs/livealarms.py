@@ -12,6 +12,7 @@ import numpy as np
 from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.alarms import Alarm, alarm_of, forgets_after, over_of
+from jaxbound.diagnosis.suspects import tells_causes
 from jaxbound.diagnosis.watch import BEGINS, Event, Raised
 from jaxbound.files.checkpoint import as_texts, from_texts
 from jaxbound.models.region import Departure, Region
@@ -30,7 +31,7 @@ ALARMS = "alarms.csv"
 COLUMNS = (
     *("start", "from", "end", "to", "worst", "at", "test"),
     *("first_sample", "last_sample", "windows", "depth", "size", "outside"),
-    *("ended", "suspect", "outside_by"),
+    *("ended", "suspect", "cause", "outside_by"),
 )
 KINDS: dict[str, Any] = dict.fromkeys(("first_sample", "last_sample", "windows", "outside"), np.int64)
 KINDS |= dict.fromkeys(("from", "to", "at", "depth", "size"), np.float64)
@@ -51,6 +52,7 @@ class LiveAlarms(Quiet):
         self.rule, self.relations, self.dt = rule, relations, dt
         self.watching = Watching(rule, relations, method, self._samples)
         self.horizon, self.region = forgets_after(relations), Region.of(relations)
+        self.causes = rule.names and tells_causes(relations.model)
         keep = 0
         if self.watching.asks:
             keep = self.watching.before + self.watching.keep
@@ -149,6 +151,8 @@ class LiveAlarms(Quiet):
         if event.kind == BEGINS:
             told = {"alarm": "begin", "number": raised.number, "sample": raised.start}
             told |= {"time": raised.labels["start"][0], **suspect}
+            if self.causes:
+                told["cause"] = raised.suspect.cause or None
             by, names = getattr(verdicts, "by", None), getattr(verdicts, "names", ())
             if by is not None:
                 told["test"] = (*names, None)[int(by[raised.start - begin])]
@@ -164,7 +168,7 @@ class LiveAlarms(Quiet):
         for raised, alarm in zip(over, self._in_words(over), strict=True):
             times = (*raised.labels["start"][:2], *raised.labels["end"][:2], *raised.labels["worst"])
             numbers = alarm.start, alarm.end, alarm.windows, alarm.depth, alarm.size, alarm.outside
-            rows.append((*times, *numbers, alarm.ended, alarm.suspect, alarm.outside_by))
+            rows.append((*times, *numbers, alarm.ended, alarm.suspect, alarm.cause, alarm.outside_by))
         columns: dict[str, Any] = dict.fromkeys(COLUMNS, ())
         columns |= zip(COLUMNS, zip(*rows, strict=True), strict=False)
         left_out = []
@@ -172,6 +176,8 @@ class LiveAlarms(Quiet):
             left_out.append("test")
         if not self.rule.names:
             left_out += ["suspect", "size"]
+        if not self.causes:
+            left_out.append("cause")
         if self.region is None:
             left_out += ["outside", "outside_by"]
         for name in left_out:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.alarms import alarm_of, over_of
+from jaxbound.diagnosis.suspects import tells_causes
 from jaxbound.diagnosis.watch import Event, Raised
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.recording import Recording
@@ -102,6 +103,8 @@ class RuleBook(AlarmBook):
         if self.rule.names:
             first = [(*names, "")[0] for names in suspects]
             columns |= {"suspect": np.array(first, object), "suspects": suspects}
+            if tells_causes(self.watching.relations.model):
+                columns["cause"] = np.array([raised.suspect.cause for raised in self.over], object)
         else:
             del columns["size"]
         return columns

@@ -11,6 +11,7 @@ import numpy as np
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.monitored import MonitorResult
 from jaxbound.diagnosis.result import Result, suspected
+from jaxbound.diagnosis.suspects import tells_causes
 from jaxbound.models.region import Departure
 from jaxbound.recordings.columns import texts, to_arrow, words, write_columns
 from jaxbound.recordings.parquet import VERDICTS
@@ -62,7 +63,8 @@ class AlarmTable(Sink):
         has_region = found is not None and found.outside is not None
         has_tests = found is not None and found.tests is not None
         about = self.recording, outcome.model.dt, has_region, outcome.names_suspects, has_tests
-        write_alarms(self.folder / self.names[0], outcome.alarms, *about)
+        causes = outcome.names_suspects and tells_causes(outcome.model)
+        write_alarms(self.folder / self.names[0], outcome.alarms, *about, has_causes=causes)
 
 
 def write_verdicts(path: str | PathLike[str], result: Verdicts, recording: Recording | None = None) -> None:
@@ -163,14 +165,15 @@ def write_alarms(
     has_region: bool = False,
     names: bool = False,
     has_tests: bool = False,
+    has_causes: bool = False,
 ) -> None:
     """Write one row an alarm: start and end (time of the recording), duration in s, FAULT windows, depth and
     when it was reached.
 
     `factor` is how many times wider the bounds would have to be; an alarm of a single sample lasts dt;
-    `ended`, `test`, `suspect`, `size`, `outside`, `outside_by`: see `Alarm`; test where a monitor judged,
-    suspect and size where the rule of alarms names suspects, the last two where there is a region of
-    training.
+    `ended`, `test`, `suspect`, `size`, `cause`, `outside`, `outside_by`: see `Alarm`; test where a monitor
+    judged, suspect and size where the rule of alarms names suspects, cause where the model names faults, too,
+    the last two where there is a region of training.
     """
     written = recording.column
     starts = np.array([alarm.start for alarm in alarms], np.int64)
@@ -193,6 +196,8 @@ def write_alarms(
     if names:
         columns["suspect"] = [alarm.suspect for alarm in alarms]
         columns["size"] = np.array([alarm.size for alarm in alarms], np.float64)
+    if has_causes:
+        columns["cause"] = [alarm.cause for alarm in alarms]
     if has_region:
         columns["outside"] = np.array([alarm.outside for alarm in alarms], np.int64)
         columns["outside_by"] = [alarm.outside_by for alarm in alarms]
@@ -205,14 +210,16 @@ def alarm_columns(alarms: Mapping[str, Any], dt: float) -> Columns:
     Args:
         alarms: {"start", "end", "worst": times as the recording has them (pyarrow), "from", "to": seconds,
             "first_sample", "last_sample", "windows", "depth": NumPy; "ended": texts}, one entry an alarm;
-            "test" (texts) of a monitor; "suspect" (texts), "size" where they are named; "outside",
-            "outside_by" (texts) where there is a region of training.
+            "test" (texts) of a monitor; "suspect" (texts), "size" where they are named, "cause" (texts);
+            "outside", "outside_by" (texts) where there is a region of training.
     """
     tests, suspects = {}, {}
     if "test" in alarms:
         tests = {"test": texts(alarms["test"])}
     if "suspect" in alarms:
         suspects = {"suspect": texts(alarms["suspect"]), "size": to_arrow(alarms["size"])}
+    if "cause" in alarms:
+        suspects["cause"] = texts(alarms["cause"])
     outside = {}
     if "outside" in alarms:
         outside = {"outside": to_arrow(alarms["outside"]), "outside_by": texts(alarms["outside_by"])}

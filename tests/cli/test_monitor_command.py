@@ -270,13 +270,14 @@ def test_alarms_of_a_parquet_recording_name_their_test(rule, tests, plant, tmp_p
 
 def test_alarms_of_a_monitor_name_suspects_in_parts_and_through_a_pipe(plant, tmp_path, monkeypatch):
     model, data = plant
+    model.write_text(MODEL + '[[fault]]\nname = "float sticks"\noutput = "height"\n')
     pd.read_csv(data).to_parquet(tmp_path / "run.parquet")
     monkeypatch.setattr(streaming, "PART", 41)
-    rule = ("--suspects", "--least", "height=0.01", "--alarm", "2/3")
+    rule = ("--suspects", "--least", "height=0.01")
     assert detect(plant, tmp_path / "whole", "-q", *rule) == 1
     assert detect((model, tmp_path / "run.parquet"), tmp_path / "parts", "-q", *rule) == 1
     lines = data.read_bytes().splitlines(keepends=True)
-    given = AlarmRule(2, 3, suspects=True, least={"height": 0.01})
+    given = AlarmRule(suspects=True, least={"height": 0.01})
     for size in (7, 60):  # resumed once, in the middle of the second alarm
         half = [b"".join(lines[k : k + size]) for k in range(0, 42, size)]
         judge_stream(model, half, out=tmp_path / f"pipe{size}", alarm=given)
@@ -284,9 +285,10 @@ def test_alarms_of_a_monitor_name_suspects_in_parts_and_through_a_pipe(plant, tm
     tables = []
     for name in ("whole", "parts", "pipe7", "pipe60"):
         tables.append(pd.read_csv(tmp_path / name / "alarms.csv"))
-    assert len(tables[0]) and tables[0]["suspect"].tolist() == ["height"] * len(tables[0])
+    assert tables[0]["suspect"].tolist() == ["height"] * 2
+    assert tables[0]["cause"].str.startswith("float sticks: +").all()
     for found in tables[1:]:
-        same = ["first_sample", "last_sample", "windows", "test", "suspect", "size", "ended"]
+        same = ["first_sample", "last_sample", "windows", "test", "suspect", "size", "cause", "ended"]
         pd.testing.assert_frame_equal(found[same], tables[0][same])
 
 
