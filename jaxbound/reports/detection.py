@@ -10,6 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from jaxbound.certificates.interface import WindowCertificate
 from jaxbound.consistency.interface import BOUNDS, LinearRelations
 from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.alarms import Alarm
@@ -38,6 +39,7 @@ from jaxbound.text.quantities import duration, factor
 __all__ = ["write_report"]
 
 ROWS = 200  # alarms in the table
+SUSPECT = 5  # the cell of a row that has its suspects
 LINES = 20  # relations in words
 PATIENCE = 1.0  # seconds for the exact certificates of the table
 ACTUATED = 256
@@ -79,6 +81,7 @@ def write_report(
     why = _certified(res, alarms, chosen)
     causes = causes_of(model, alarms, chosen)
     extra = [*monitor_sections(res, recording.label), *extra]
+    rows = _alarm_rows(res, recording, alarms, chosen, why, causes)
     drawn = charts(res, recording, alarms, chosen, why, worst)
     if progress:
         progress(0.5)
@@ -104,8 +107,10 @@ def write_report(
         relations_alone=isinstance(relations, UncertainRelations),
         bands=_has_bands(drawn.near[0]["series"]),
         bands_of_all=_has_bands(drawn.whole.low),
-        alarms=_alarm_rows(res, recording, alarms, chosen, why, causes),
+        alarms=rows,
+        suspected=any(row[SUSPECT] for row in rows),
         caused=bool(causes),
+        uncaused=len(chosen) - len(causes),
         alarm_total=summary.alarms,
         most=ROWS,
         sizes=sizes_text(res, summary.sizes),
@@ -167,6 +172,7 @@ def _alarm_rows(
                 ended,
                 duration(lasts),
                 a.windows,
+                _suspects(a, why.get(i)),
                 needed,
                 wrong,
                 violated,
@@ -178,6 +184,16 @@ def _alarm_rows(
             )
         )
     return rows
+
+
+def _suspects(alarm: Alarm, why: WindowCertificate | None) -> str:
+    """Return the signals that alone could be wrong, of the rule that names them, else sensors in the worst
+    window; "" where none is known.
+    """
+    names = alarm.suspects
+    if not names and why is not None:
+        names = why.sensor_candidates
+    return " or ".join(names)
 
 
 def _training(found: Evidence) -> dict[str, object]:

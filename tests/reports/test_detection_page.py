@@ -227,3 +227,13 @@ def test_an_alarm_names_its_cause_where_the_model_names_faults(tmp_path):
     assert "cause: valve <leaks>: +1 of u" in reader.text
     assert "y1 is off: excluded: no size of it, from no sample on, explains this" in reader.text
     assert "both at once: excluded" in reader.text and "Cause: the named faults" in reader.text
+
+
+@pytest.mark.parametrize("rule", [jb.AlarmRule(), jb.AlarmRule(suspects=True)])
+def test_each_alarm_has_its_suspects_in_a_cell(rule, tmp_path):
+    """Two sensors of one known input, of which the second is off by 1 once."""
+    model = jb.LinearSystem(None, None, None, [[1], [1]], noise=0.1, inputs=["u"])
+    res = jb.detect(jb.parity_relations(model, 0), [[0.5]] * 3, [[0.5, 0.5], [0.5, 1.5], [0.5, 0.5]])
+    write(tmp_path, res, recording_of(res), res.alarms(rule=rule))
+    page = (tmp_path / "report.html").read_text()
+    assert '<td data-of="suspect">y2</td>' in page and "Suspect: the signals that alone" in page
