@@ -8,14 +8,15 @@ unexport PYTHONDONTWRITEBYTECODE
 demo: .venv/installed
 	.venv/bin/jaxbound demo --out demo-report
 
+# a file on one worker: its tests share what they compile, an eighth of the processor time
 test: .venv/tested
-	.venv/bin/python -m pytest -n auto
+	.venv/bin/python -m pytest -n auto --dist loadfile
 
 slow: .venv/tested
-	.venv/bin/python -m pytest -n auto -m slow
+	.venv/bin/python -m pytest -n auto --dist loadfile -m slow
 
 long: .venv/tested
-	.venv/bin/python -m pytest -n auto -m long $(WHERE)
+	.venv/bin/python -m pytest -n auto --dist loadfile -m long $(WHERE)
 
 lowest:
 	.ci/versions lowest
