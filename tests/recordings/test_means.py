@@ -297,11 +297,6 @@ def test_without_times_there_are_no_means(tmp_path, kind):
         jb.fit((np.ones((99, 1)), np.ones((99, 1))), every="15min")
 
 
-def test_readings_that_are_joined_are_refused_in_a_sentence():
-    with pytest.raises(ValueError, match="the model's samples are means over 15min"):
-        jb.read(iter([minutes()]), PLAIN)
-
-
 def streamed(text, cuts, kill=False):
     """Return the means of CSV that comes in pieces, one Recording of all; kill: another process takes over
     behind each piece, from what JSON keeps.
