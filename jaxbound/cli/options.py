@@ -285,7 +285,15 @@ def add_alarm(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--latch",
         action="store_true",
-        help="an alarm stays on until an opposite jump of its suspect speaks for a repair",
+        help="an alarm stays on until an opposite jump of its suspect speaks for a repair, or until it is "
+        "acknowledged",
+    )
+    parser.add_argument(
+        "--acknowledged",
+        type=path,
+        metavar="FILE",
+        help="with --latch: times, one a line, at which an operator acknowledged the alarms that were open; "
+        "with - it is read again as samples come",
     )
     parser.add_argument(
         "--min-coverage",
@@ -301,8 +309,16 @@ def alarm_rule(args: argparse.Namespace) -> "AlarmRule":
     from jaxbound.diagnosis.alarmrule import AlarmRule
 
     k, n = args.alarm or (1, 1)
+    if args.acknowledged is not None and not args.latch:
+        raise Refused("--acknowledged ends alarms that latch: give --latch, too")
     return AlarmRule(
-        k, n, merge=args.merge_alarms, latch=args.latch, least=args.least, suspects=args.suspects
+        k,
+        n,
+        merge=args.merge_alarms,
+        latch=args.latch,
+        least=args.least,
+        suspects=args.suspects,
+        acknowledged=args.acknowledged or (),
     )
 
 

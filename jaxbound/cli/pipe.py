@@ -164,7 +164,7 @@ def judge_stream(
         with work as place:
             stream = _stream(data, relations.model, _Complaints(), before and before["source"], whole)
             if alarm is not None:
-                alarms = LiveAlarms(alarm, relations, options.method, stream.dt)
+                alarms = LiveAlarms(alarm, relations, options.method, stream.dt, stream.complain)
             lines = _PrintedLines(as_json, out is None, judge.region is not None, bool(relations.parts))
             run = opened.enter_context(_LiveRun(stated, stream, judge, journal, lines, out, place, alarms))
             run.resume()

@@ -95,13 +95,15 @@ class Validated:
             return None
         return int(np.argmax(fault))
 
-    def alarms(self, rule: AlarmRule = EVERY_FAULT) -> list[Alarm]:
-        """Group FAULT windows. See `Result.alarms`; a validation says which sensors are faulty itself."""
+    def alarms(self, rule: AlarmRule = EVERY_FAULT, instants: np.ndarray | None = None) -> list[Alarm]:
+        """Group FAULT windows. See `Result.alarms`; a validation says which sensors are faulty itself.
+        instants: (T,) times by which alarms are acknowledged.
+        """
         if rule.suspects or rule.least is not None:
             raise ValueError(
                 "validation names the faulty sensors itself, and no sizes: leave out --suspects and --least"
             )
-        return group_alarms(self, rule.fitted(self.model), 0)
+        return group_alarms(self, rule.fitted(self.model), 0, instants=instants)
 
     def explain(self, at: int) -> NoReturn:
         """Refuse: there is no certificate of a verdict that rests on all samples before it."""
@@ -202,7 +204,7 @@ def evaluate_validation(
             step("test", 1.0)
     res = judge.verdicts
     with door():
-        alarms = res.alarms(alarm)
+        alarms = res.alarms(alarm, recording.instants)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
     reaches = outgrown(plant, looks_back="validation")
     sure = (*judging_hints(remembers=True), *bound_hints(plant))

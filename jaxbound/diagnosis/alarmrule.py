@@ -7,6 +7,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from jaxbound.diagnosis.acknowledged import Acknowledged, Times
 from jaxbound.recordings.clockintervals import seconds_of
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.text.names import listed
@@ -35,13 +36,18 @@ class AlarmRule:
             after that ceases. clear: it ends once so many samples in a row are quiet.
         merge: alarms of one suspect at most so far apart are one alarm: samples, or an interval of the clock
             like "10min".
-        latch: an alarm stays on until an opposite jump of its suspect speaks for a repair, else to the end of
-            the recording.
+        latch: an alarm stays on until an opposite jump of its suspect speaks for a repair, or until it is
+            acknowledged, else to the end of the recording.
         least: FAULT windows that an error of one output below this size explains do not count: one number, or
             {output: size}, in units. It is proved of every window that counts, by the test itself under a
             noise bound of that output which is wider by the size.
         suspects: name the signals that alone could be wrong, the most plausible first; alarms of different
             suspects are different alarms. merge and latch do it too.
+        acknowledged: times at which an operator acknowledged the alarms that had begun and were open: they
+            end there. Dates in any usual format or as datetime, seconds where the recording counts these,
+            numbers of samples where it has no times; or the path of a file with a time a line, which is read
+            again as samples come (what follows a comma is the operator's own). FAULT behind it makes a new
+            alarm, for which k of n are counted anew. Of a rule with latch.
 
     Suspects are worked out in exact rationals at the first and the last FAULT window of an alarm, however
     long it is. Of windows that do not tell them all alarms are of one component. Of a monitor suspects and
@@ -57,6 +63,8 @@ class AlarmRule:
         >>> res = jb.detect(jb.parity_relations(m), None, [[0.0], [0.0], [3.0], [3.0], [3.0]])
         >>> [(a.start, a.end, a.suspect, a.ended) for a in res.alarms(rule=jb.AlarmRule(latch=True))]
         [(2, 4, 'T1', 'open at the end: nothing speaks for a repair')]
+        >>> [(a.end, a.ended) for a in res.alarms(rule=jb.AlarmRule(latch=True, acknowledged=[3]))]
+        [(3, 'acknowledged')]
     """
 
     k: int = 1
@@ -67,6 +75,7 @@ class AlarmRule:
     latch: bool = False
     least: Sizes = None
     suspects: bool = False
+    acknowledged: Times = ()
 
     def __post_init__(self) -> None:
         """Refuse numbers and intervals that make no rule."""
@@ -81,6 +90,8 @@ class AlarmRule:
                 raise ValueError(f"merge: {str(e).removeprefix('every ')}") from None
         else:
             _refuse_number("merge", self.merge, 0)
+        if Acknowledged(self.acknowledged).is_given and not self.latch:
+            raise ValueError("acknowledged ends alarms that latch: give latch, too")
         for name, size in self._sizes().items():
             if isinstance(size, bool) or not isinstance(size, int | float | np.number) or not 0 < size:
                 raise ValueError(f"a least size is a number > 0 in the unit of its output: {name} {size!r}")
@@ -105,8 +116,9 @@ class AlarmRule:
 
         Raises:
             ValueError: an output that the model does not have; an interval of the clock for a model without a
-                sampling period.
+                sampling period; a file of acknowledgements that is not there, or has a line without a time.
         """
+        Acknowledged(self.acknowledged).check()
         merge, least = self.merge, self.least
         if isinstance(merge, str):
             if not model.dt:
@@ -125,10 +137,12 @@ class AlarmRule:
         return replace(self, merge=merge, least=least)
 
     def plain(self) -> dict[str, Any]:
-        """Return the fields that differ from `EVERY_FAULT`, as JSON holds them."""
+        """Return the fields that differ from `EVERY_FAULT`, as JSON holds them; acknowledgements come later
+        and are none of them.
+        """
         found = {}
         for name, value in vars(self).items():
-            if value != getattr(EVERY_FAULT, name):
+            if name != "acknowledged" and value != getattr(EVERY_FAULT, name):
                 found[name] = value
         if isinstance(self.least, Mapping):
             found["least"] = dict(self.least)

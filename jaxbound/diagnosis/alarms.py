@@ -111,7 +111,8 @@ class Alarm:
     - "the observer began anew behind it: repaired or lasting": an observer forgets what was contradicted, and
       may take what lasts for the state;
     - "a gap ended it, FAULT stays until one: repaired or lasting": of an observer with restart=False;
-    - "ended by an opposite jump of T1", "open at the end: nothing speaks for a repair": of a rule with latch.
+    - "ended by an opposite jump of T1", "acknowledged", "open at the end: nothing speaks for a repair": of a
+      rule with latch.
     """
 
     start: int
@@ -180,6 +181,7 @@ def group_alarms(
     margin: np.ndarray | None = None,
     counts: np.ndarray | None = None,
     blame: Blame | None = None,
+    instants: np.ndarray | None = None,
 ) -> list[Alarm]:
     """Group the FAULT windows of a Result: see `Result.alarms`. Array operations over time; the loop is over
     alarms.
@@ -191,6 +193,7 @@ def group_alarms(
         margin: (..., T), by which the worst window of an alarm is chosen; None: that of the result.
         counts: (..., T) bool, the FAULT windows that the rule counts; None: all.
         blame: the suspects of the FAULT window at an index; None: nothing tells them.
+        instants: (T,) times by which alarms are acknowledged; None: nobody does.
     """
     *batch, T = result.status.shape
     recordings = math.prod(batch)
@@ -204,7 +207,7 @@ def group_alarms(
     for row in np.flatnonzero(fault.any(1)):
         recording = tuple(map(int, np.unravel_index(row, tuple(batch))))
         if rule.names:
-            about = result, recording, rule, horizon, blame
+            about = result, recording, rule, horizon, blame, instants
             alarms += _by_suspect(*about, fault[row], margin[row], missing[row])
             continue
         *columns, first, last = stretches(fault[row], margin[row], rule.k, rule.n, rule.hold, rule.clear)
@@ -223,6 +226,7 @@ def _by_suspect(
     rule: AlarmRule,
     horizon: int | None,
     blame: Blame | None,
+    instants: np.ndarray | None,
     fault: np.ndarray,
     margin: np.ndarray,
     missing: np.ndarray,
@@ -239,7 +243,7 @@ def _by_suspect(
     departure = result.departure
     if departure is not None:
         departure = departure.cut(recording)
-    over = [*watch.add(Seen.of(fault, margin, missing, departure)), *watch.finish()]
+    over = [*watch.add(Seen.of(fault, margin, missing, departure, instants)), *watch.finish()]
     found = []
     for raised in sorted(over_of(over), key=lambda alarm: alarm.number):
         found.append(alarm_of(raised, horizon, departure, recording, result))

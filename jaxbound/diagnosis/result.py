@@ -11,6 +11,7 @@ from jaxbound.certificates.diagnosis import Diagnosis
 from jaxbound.certificates.interface import WindowCertificate, explain
 from jaxbound.consistency.claims import CLAIMED
 from jaxbound.consistency.interface import EXACT, Judged, Relations
+from jaxbound.diagnosis.acknowledged import Acknowledged
 from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
 from jaxbound.diagnosis.alarms import Alarm, forgets_after, group_alarms
 from jaxbound.diagnosis.causes import diagnose
@@ -25,6 +26,7 @@ from jaxbound.models.region import Departure, Region
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import missing_hints, rounding_hints
 from jaxbound.recordings.stillness import still_hints
+from jaxbound.recordings.tabletime import instants_of
 from jaxbound.recordings.timestamps import row_label
 from jaxbound.relations.sentence import looked_at
 from jaxbound.sets.floats.status import Status
@@ -281,7 +283,13 @@ class Result:
         blame = None
         if self.relations is not None and not nameless(self.relations):
             blame = self._blamed
-        return group_alarms(self, rule, horizon, self.reported, self._counted(rule), blame)
+        instants = None
+        if Acknowledged(rule.acknowledged).is_given:
+            dt = None
+            if self.relations is not None:
+                dt = self.relations.model.dt
+            instants = instants_of(self.index, self.status.shape[-1], dt)
+        return group_alarms(self, rule, horizon, self.reported, self._counted(rule), blame, instants)
 
     def _blamed(self, at: tuple[int, ...]) -> Suspect:
         """Return the suspects of the FAULT window at an index."""

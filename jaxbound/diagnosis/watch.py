@@ -1,7 +1,8 @@
 """Alarms by a rule, as verdicts come: the same whatever the pieces they come in.
 
 First FAULT windows are grouped into stretches (k of n, hold, clear). A stretch then belongs to the alarm of
-its suspect: it begins one, joins one that is on or was on a moment ago, or ends one as an opposite jump.
+its suspect: it begins one, joins one that is on or was on a moment ago, or ends one as an opposite jump. An
+acknowledgement ends alarms that had begun, and the stretch that is on with them: what follows begins anew.
 Array operations over samples; loops are over stretches.
 """
 
@@ -13,11 +14,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxbound.diagnosis.acknowledged import Acknowledged
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.suspects import UNKNOWN, Suspect
 from jaxbound.models.region import Departure
 
 __all__ = [
+    "ACKNOWLEDGED",
     "BEGINS",
     "ENDS",
     "LASTING",
@@ -32,6 +35,7 @@ __all__ = [
 ]
 
 OPPOSITE = "ended by an opposite jump"
+ACKNOWLEDGED = "acknowledged"
 LASTING = "open at the end: nothing speaks for a repair"
 BEGINS, ENDS = "begins", "ends"
 NO_SAMPLE, NO_DATA, OTHER = range(3)  # what follows an alarm
@@ -45,7 +49,8 @@ class Seen(NamedTuple):
     """Samples as a Watch sees them, arrays (N,).
 
     Fields: fault: bool, windows that count. margin. missing: bool. share, by, reading: of the departure from
-    the region of training; share is 0 where there is none.
+    the region of training; share is 0 where there is none. instant: the time in s by which alarms are
+    acknowledged, see `Recording.instants`.
     """
 
     fault: np.ndarray
@@ -54,21 +59,31 @@ class Seen(NamedTuple):
     share: np.ndarray
     by: np.ndarray
     reading: np.ndarray
+    instant: np.ndarray
 
     @classmethod
     def of(
-        cls, fault: np.ndarray, margin: np.ndarray, missing: np.ndarray, departure: Departure | None = None
+        cls,
+        fault: np.ndarray,
+        margin: np.ndarray,
+        missing: np.ndarray,
+        departure: Departure | None = None,
+        instant: np.ndarray | None = None,
     ) -> "Seen":
-        """Return the samples. departure: from the region of training; None: not known."""
+        """Return the samples. departure: from the region of training; instant: nobody acknowledges without
+        it; None: not known.
+        """
+        nowhere = np.zeros(len(fault))
+        if instant is None:
+            instant = np.full(len(fault), np.nan)
         if departure is None:
-            nowhere = np.zeros(len(fault))
-            return cls(fault, margin, missing, nowhere, nowhere, nowhere)
+            return cls(fault, margin, missing, nowhere, nowhere, nowhere, instant)
         share = np.where(fault & (departure.share > 0), departure.share, 0.0)
-        return cls(fault, margin, missing, share, departure.by, departure.reading)
+        return cls(fault, margin, missing, share, departure.by, departure.reading, instant)
 
-    def cut(self, first: int) -> "Seen":
-        """Return the samples from one on."""
-        return Seen(*(x[first:] for x in self))
+    def cut(self, first: int, stop: int | None = None) -> "Seen":
+        """Return the samples from one on, up to another."""
+        return Seen(*(x[first:stop] for x in self))
 
     def behind(self, before: "Seen") -> "Seen":
         """Return these behind others."""
@@ -86,7 +101,8 @@ class Raised:
     and last FAULT window. suspect: see `Suspect`. outside: how many of its FAULT windows lie outside the
     region of training; farthest: (share, input, reading) of the farthest. labels: the times of start, worst
     and end. after: what follows it, see `alarms.follows`. sure: the sample at which it was known to be over.
-    on: whether its stretch lasts. ended: why it is over, where the rule says it.
+    on: whether its stretch lasts. ended: why it is over, where the rule says it. instant: of its start, see
+    `Seen`.
     """
 
     number: int
@@ -105,6 +121,7 @@ class Raised:
     sure: int = -1
     on: bool = True
     ended: str = ""
+    instant: float = math.nan
 
     @classmethod
     def of(cls, memory: dict[str, Any]) -> "Raised":
@@ -168,6 +185,7 @@ class Watch:
 
     def __init__(self, rule: AlarmRule, blame: Blame | None = None) -> None:
         self.rule, self.blame = rule, blame
+        self.acknowledged = Acknowledged(rule.acknowledged)
         self.reach = rule.hold + rule.clear
         self.samples = self.count = 0
         self.before = np.zeros(0, bool)  # the n - 1 entries of `fault` before the tail
@@ -182,15 +200,55 @@ class Watch:
 
     def add(self, seen: Seen, label: Labels | None = None) -> list[Event]:
         """Take the next samples; return what begins and ends in them, in order. label: of their times."""
+        begin, low = self.samples, 0
+        for instant, known, stop in self._acknowledgements(seen):
+            self._take(seen.cut(low, stop), _labels_from(label, low))
+            self._acknowledge(instant, begin + known)
+            low = stop
+        self._take(seen.cut(low), _labels_from(label, low))
+        return self._said()
+
+    def _acknowledgements(self, seen: Seen) -> list[tuple[float, int, int]]:
+        """Return (time, number of the sample at which it is known, that of the first sample behind it) of
+        each acknowledgement that may end an alarm in some samples.
+        """
+        if not self.acknowledged.is_given or not (self.alarms or seen.fault.any()) or not len(seen.fault):
+            return []
+        found = []
+        for instant in self.acknowledged.between(float(seen.instant[0]), float(seen.instant.max())):
+            known = int(np.argmax(seen.instant >= instant))
+            found.append((instant, known, known + int(seen.instant[known] == instant)))
+        return found
+
+    def _acknowledge(self, instant: float, known: int) -> None:
+        """End the alarms that had begun at a time, as is known at a sample.
+
+        Whoever does it twice ends nothing more: an alarm that begins behind it began later.
+        """
+        acknowledged = [alarm for alarm in self.alarms.values() if alarm.instant <= instant]
+        for alarm in acknowledged:
+            name = alarm.suspect.first
+            if self.stretch is not None and self.stretch.suspect.first == name:
+                self._close(self.tail, self.until + 1, known, self._labels())
+                self.tail, self.times = NOTHING, []
+            if name in self.alarms:  # not ended by an opposite jump just now
+                alarm.ended = ACKNOWLEDGED
+                self._up_to_now(alarm)
+                self._end(alarm, known)
+        if acknowledged and self.stretch is None:
+            self.before = np.zeros(len(self.before), bool)
+
+    def _take(self, seen: Seen, label: Labels | None) -> None:
+        """Take samples between acknowledgements."""
         new = len(seen.fault)
         if not new:
-            return []
+            return
         if label is not None:
             self.now = label(new - 1)
         if self.stretch is None and not self.alarms and not seen.fault.any() and not self.before.any():
             self.samples += new
             self.before = np.zeros(min(self.rule.n - 1, len(self.before) + new), bool)
-            return []
+            return
         held, times = len(self.tail.fault), self.times
         everything = seen.behind(self.tail)
         offset = self.samples - held
@@ -210,7 +268,6 @@ class Watch:
         self._settle(everything, offset, own)
         self._sweep(self.samples)
         self._keep(everything, offset, own)
-        return self._said()
 
     def finish(self) -> list[Event]:
         """Close the alarms that are on at the end of the recording."""
@@ -254,7 +311,7 @@ class Watch:
         """Go on from a memory."""
         self.samples, self.count, self.until = memory["samples"], memory["count"], memory["until"]
         self.before = np.array(memory["before"], bool)
-        kinds = bool, float, bool, float, float, float
+        kinds = bool, float, bool, float, float, float, float
         tail = zip(memory["tail"], kinds, strict=True)
         self.tail = Seen(*(np.array(x, kind) for x, kind in tail))
         self.times, self.now, self.repairs = memory["times"], memory["now"], memory["repairs"]
@@ -309,6 +366,7 @@ class Watch:
             return
         self.count += 1
         begun = Raised(self.count, at, first=stretch.first, suspect=suspect)
+        begun.instant = float(seen.instant[start])
         begun.labels = {"start": stretch.labels.get("start")}
         self.alarms[suspect.first] = begun
         self.events.append(Event(at, BEGINS, deepcopy(begun)))
@@ -348,8 +406,8 @@ class Watch:
         if alarm.windows:
             alarm.join(stretch)
         else:
-            number = alarm.number
-            vars(alarm).update(vars(stretch), number=number)
+            own = {"number": alarm.number, "instant": alarm.instant}
+            vars(alarm).update(vars(stretch), **own)
         alarm.on, alarm.sure = False, sure
         if self.rule.latch and self._repaired(stretch, alarm):
             alarm.ended = f"{OPPOSITE} of {alarm.suspect.first}"
@@ -413,3 +471,14 @@ def _below(one: float, other: float) -> bool:
     if math.isnan(other):
         return False
     return math.isnan(one) or one < other
+
+
+def _labels_from(label: Labels | None, first: int) -> Labels | None:
+    """Return the times of samples from one on, by their number behind it."""
+    if label is None or not first:
+        return label
+
+    def of_these(k: int) -> object:
+        return label(first + k)
+
+    return of_these

@@ -165,7 +165,7 @@ class Readings(Stream):
             self.complain("replay", "no time says whether samples were lost between: windows begin anew")
             starts = np.union1d(starts, [0])
         self.resumed = False
-        return replace(piece, time=time, starts=starts.astype(np.int64))
+        return replace(piece, time=time, origin=0.0, starts=starts.astype(np.int64))
 
     def _times(self, piece: Recording) -> np.ndarray:
         """Return the times of samples in s, counted from one instant in all pieces."""

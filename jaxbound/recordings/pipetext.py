@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["PipeText"]
 
 LONGEST = 1 << 20  # bytes of a line
+EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
 SHOWN = 100  # samples whose steps say whether the sampling period is the model's
 TOLD = 20  # seams of one piece that get a sentence
 POSITION = "clock texts origin scale broken aside after skipped number".split()
@@ -108,6 +109,7 @@ class PipeText(Stream):
         self.texts: list[str] = []  # the first and the last time, where it is written as text
         self.origin: float | None = None  # of a time that is an epoch, with units a second in .scale
         self.scale: float | None = None
+        self.began = np.nan  # the instant at which `time` is 0, in s, see `Recording.origin`
         self.broken = self.aside = self.repeated = False
         self.skip = self.skipped = 0  # lines that were judged before, to be left out and left out already
         self.blank: list[Line] = []  # blank lines that are wrong, without a time, where a row follows
@@ -243,6 +245,7 @@ class PipeText(Stream):
             self.model.outputs,
             samples.excluded,
             time=samples.time,
+            origin=self.began,
             dt=self.dt,
             stamps=samples.stamps,
             written=written,
@@ -576,7 +579,9 @@ class PipeText(Stream):
             self.origin = float(values[0])
             self.scale = scale_of(self.origin)
         if self.scale is None:
+            self.began = 0.0
             return _LineTimes(values, None, cells, self.clock.last)
+        self.began = self.origin / self.scale
         time = (values - self.origin) / self.scale
         return _LineTimes(time, from_epoch(values, self.scale), cells, self.clock.last)
 
@@ -594,6 +599,8 @@ class PipeText(Stream):
         if self.regular:
             period = self.dt
         time, stamps, hint = parse_stamps(every, period, lambda k: "")
+        if stamps is not None:
+            self.began = float((stamps[0] - EPOCH) / SECOND)
         if not before:
             if hint:
                 self.complain("hint", hint)

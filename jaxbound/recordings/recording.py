@@ -359,6 +359,20 @@ class Recording:
         return replace(self, u=self.u[..., first:stop, :], y=self.y[..., first:stop, :], **parts)
 
     @property
+    def instants(self) -> np.ndarray:
+        """(T,) times in s to a microsecond: since 1970 where there are dates, else as they count; where
+        nothing tells a time the numbers of the samples.
+        """
+        if self.stamps is not None:
+            return np.round((self.stamps - EPOCH) / SECOND, 6)
+        if self.time is None:
+            return np.arange(float(self.samples))
+        origin = 0.0
+        if np.isfinite(self.origin):
+            origin = self.origin
+        return np.round(origin + np.asarray(self.time, float), 6)
+
+    @property
     def column(self) -> "pa.Array":
         """The time as a column of a file: as it was written there, else dates, else seconds, else numbers of
         samples; a pyarrow array.

@@ -23,7 +23,16 @@ from jaxbound.recordings.timestamps import DIGITS, read_numbers, stamp_kind, tim
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["RowTime", "one_level", "plain_labels", "row_time", "tells_dates", "unlabelled", "with_time"]
+__all__ = [
+    "RowTime",
+    "instants_of",
+    "one_level",
+    "plain_labels",
+    "row_time",
+    "tells_dates",
+    "unlabelled",
+    "with_time",
+]
 
 T = TypeVar("T", bound=Sized)
 
@@ -194,6 +203,22 @@ def row_time(index: "pd.Index", dt: float | None, whose: str, regular: bool) -> 
         origin = float((stamps[0] - EPOCH) / SECOND)
     period, seams = _period_and_seams(time, index, dt, whose, regular)
     return RowTime(time, origin, period, stamps, seams)
+
+
+def instants_of(index: "pd.Index | np.ndarray | None", samples: int, dt: float | None) -> np.ndarray:
+    """Return the times (T,) of rows in s, as `Recording.instants` has them.
+
+    Args:
+        index: their labels, as a Result has them; None: there are none. samples: T. dt: sampling period in s,
+            None: not known.
+    """
+    import pandas as pd
+
+    if index is not None:
+        rows = row_time(pd.Index(index), dt, "", regular=False)
+        if rows.time is not None:
+            return np.round(rows.origin + rows.time, 6)
+    return np.arange(float(samples))
 
 
 def _of_signals(model: Named) -> set[str]:

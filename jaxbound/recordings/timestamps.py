@@ -21,6 +21,7 @@ __all__ = [
     "DIGITS",
     "epoch_scale",
     "from_epoch",
+    "instant_of",
     "parse_stamps",
     "read_numbers",
     "row_label",
@@ -57,7 +58,7 @@ DIGITS = re.compile(r"\d{8}")  # of a day that is written without separators
 COMPACT = {14: "%Y%m%d%H%M%S", 12: "%Y%m%d%H%M"}  # by their digits
 CENTURIES = 1970, 2200  # years that a number of so many digits may begin with
 EPOCHS = {1.0: "s", 1e3: "ms", 1e6: "us", 1e9: "ns"}
-SECOND = np.timedelta64(1, "s")
+EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
 
 
 def parse_stamps(
@@ -119,6 +120,42 @@ def _in_formats(cells: "pa.Array", where: Callable[[int], str]) -> list[tuple[st
             f"{where(bad)} of the time column is {odd!r}: not a time stamp like the first, {usual!r}"
         )
     return complete
+
+
+def instant_of(time: object) -> float:
+    """Return one time in s to a microsecond, as `Recording.instants` has it: since 1970 of dates; numbers are
+    seconds, an epoch, or count the samples where nothing tells their time.
+
+    Args:
+        time: a number, text of it or of a date in any usual format, a datetime, a datetime64.
+
+    Raises:
+        ValueError: no time, a time of day without its date, a date that may be read in two ways.
+
+    Example:
+        >>> instant_of("60 s"), instant_of("2017-09-12 08:00:00.5"), instant_of(1505203200500)
+        (60.0, 1505203200.5, 1505203200.5)
+    """
+    import pyarrow as pa
+
+    text = str(time).strip()
+    try:
+        value = float(text.removesuffix("s"))
+    except ValueError:
+        pass
+    else:
+        if not math.isfinite(value):
+            raise ValueError(f"{text!r} is no time")
+        seconds = float(since_epoch(np.array([value]))[0])
+        return round(seconds / (scale_of(seconds) or 1.0), 6)
+    if not text:
+        raise ValueError("'' is no time")
+    _, stamps, hint = parse_stamps(pa.array([text]), None, lambda k: "a time")
+    if stamps is None:
+        raise ValueError(f"{text!r} has no date: write it as well, like 2017-09-12 08:00:00")
+    if hint:
+        raise ValueError(f"{hint}: write the year first, like 2017-09-12 08:00:00")
+    return round(float((stamps[0] - EPOCH) / SECOND), 6)
 
 
 def stamp_kind(cell: str | None) -> str:
@@ -183,7 +220,7 @@ def since_epoch(values: np.ndarray) -> np.ndarray:
     stamps = _stamps_in(pa.array(values.astype(np.int64)).cast(pa.string()), None, form)
     if np.isnat(stamps).any():
         return values
-    return (stamps - np.datetime64(0, "s")) / SECOND
+    return (stamps - EPOCH) / SECOND
 
 
 def from_epoch(values: np.ndarray, scale: float) -> np.ndarray:

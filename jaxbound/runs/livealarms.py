@@ -19,6 +19,7 @@ from jaxbound.models.region import Departure, Region
 from jaxbound.recordings.columns import header_line, texts, write_rows
 from jaxbound.recordings.factors import known
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.stream import Complain
 from jaxbound.runs.alarmbook import speakers
 from jaxbound.runs.loop import Memory, Quiet
 from jaxbound.runs.sink import Verdicts
@@ -43,12 +44,21 @@ class LiveAlarms(Quiet):
     """The alarms of samples as they come, a sink; also the text of alarms.csv for a `RowFile`.
 
     Args:
-        rule: that is `fitted`. relations, method: as tested. dt: sampling period in s.
+        rule: that is `fitted`. relations, method: as tested. dt: sampling period in s. complain: called on
+            each line of a file of acknowledgements that is none.
 
     Fields: notices: of the last piece. header: of alarms.csv.
     """
 
-    def __init__(self, rule: AlarmRule, relations: Relations, method: str, dt: float) -> None:
+    def __init__(
+        self,
+        rule: AlarmRule,
+        relations: Relations,
+        method: str,
+        dt: float,
+        complain: Complain = lambda kind, sentence: None,
+    ) -> None:
+        self.complain, self.complained = complain, 0
         self.rule, self.relations, self.dt = rule, relations, dt
         self.watching = Watching(rule, relations, method, self._samples)
         self.horizon, self.region = forgets_after(relations), Region.of(relations)
@@ -79,12 +89,16 @@ class LiveAlarms(Quiet):
         if self.keep:
             self.u = np.concatenate([self.u, np.asarray(piece.u)])
             self.y = np.concatenate([self.y, np.asarray(piece.y)])
-        events = self.watching.add(verdicts, label)
+        events = self.watching.add(piece, verdicts, label)
         drop = len(self.u) - self.keep
         self.u, self.y, self.first = self.u[drop:], self.y[drop:], self.first + drop
         self.notices = []
         for event in events:
             self.notices.append((event.sample - begin, self._notice(event, verdicts, begin)))
+        troubles = [*self.watching.watch.acknowledged.troubles.values()]
+        for sentence in troubles[self.complained :]:
+            self.complain("acknowledged", sentence)
+        self.complained = len(troubles)
         over = over_of(events)
         for alarm in self._in_words(over):
             self.endings[alarm.ended] = self.endings.get(alarm.ended, 0) + 1

@@ -56,7 +56,7 @@ class RuleBook(AlarmBook):
         def label(k: int) -> tuple[Any, float, str]:
             return piece.column.slice(k, 1), float(piece.time[k]), tests[k]
 
-        self._take(self.watching.add(verdicts, label))
+        self._take(self.watching.add(piece, verdicts, label))
 
     def close(self) -> None:
         """Write all alarms."""

@@ -56,8 +56,10 @@ class Watching:
         """Whether it asks for samples."""
         return self.watch.blame is not None or self.severity is not None
 
-    def add(self, verdicts: Verdicts, label: Labels | None) -> list[Event]:
-        """Take the next verdicts; return what begins and ends in them. label: their times."""
+    def add(self, piece: Recording, verdicts: Verdicts, label: Labels | None) -> list[Event]:
+        """Take the next verdicts; return what begins and ends in them. piece: their times; label: the same as
+        alarms have them.
+        """
         fault = verdicts.status == Status.FAULT
         by = self._speaking(verdicts)
         if by is not None:
@@ -66,7 +68,8 @@ class Watching:
         if self.severity is not None and fault.any():
             fault = self._counted(fault, by, self.severity)
         missing = verdicts.status == Status.MISSING
-        return self.watch.add(Seen.of(fault, verdicts.margin, missing, verdicts.departure), label)
+        about = fault, verdicts.margin, missing, verdicts.departure, piece.instants
+        return self.watch.add(Seen.of(*about), label)
 
     def memory(self) -> dict[str, Any]:
         """Return the state, as JSON holds it."""

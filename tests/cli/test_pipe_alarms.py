@@ -18,6 +18,7 @@ RULES = {
     "--alarm 2/3": AlarmRule(2, 3),
     "--merge-alarms 6": AlarmRule(merge=6),
     "--latch": AlarmRule(latch=True),
+    "--latch --acknowledged seen.txt": AlarmRule(latch=True, acknowledged="seen.txt"),
     "--alarm 2/4 --suspects --least y1=0.25": AlarmRule(2, 4, suspects=True, least={"y1": 0.25}),
 }
 
@@ -49,6 +50,7 @@ def place(tmp_path, monkeypatch, text):
     )
     jb.save_model(model, "model.toml")
     (tmp_path / "run.csv").write_text("".join(text))
+    (tmp_path / "seen.txt").write_text("52\n60.2, J. Smith: seen\n101\n101.3\n200\n")
     return tmp_path
 
 
@@ -138,3 +140,21 @@ def test_another_rule_than_that_of_the_state_is_refused(text, place, send):
     for rule in (None, AlarmRule(2, 4)):
         with pytest.raises(Refused, match="is of a(nother)? rule of alarms"):
             send(text, rule=rule, out=place / "out")
+
+
+def test_an_operator_acknowledges_while_samples_come(text, place, capsysbinary):
+    rule, seen = AlarmRule(latch=True, acknowledged="seen.txt"), place / "seen.txt"
+    seen.write_text("")
+
+    def pieces(_):
+        for k in range(0, 130, 10):
+            yield "".join(text[k : k + 10]).encode()
+            if k == 110:
+                seen.write_text("soon\n53.5\n")
+
+    assert piped.judge_stream("model.toml", pieces, True, MethodOptions(), alarm=rule, as_json=True) == 1
+    out, err = capsysbinary.readouterr()
+    told = [line for line in map(json.loads, out.decode().splitlines()) if "alarm" in line]
+    ends = [(line["time"], line["ended"]) for line in told if line["alarm"] == "end"]
+    assert set(ends) == {(59.0, "acknowledged")}, "what is known of samples that were judged stands"
+    assert err.decode().count("a line begins with no time: a time of the time column is 'soon'") == 1

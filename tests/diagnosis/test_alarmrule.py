@@ -35,6 +35,10 @@ def two():
         (dict(least={"T1": "much"}), "T1 'much'"),
         (dict(least=float("inf")), "a least size is finite"),
         (dict(k=2), "k of n needs k <= n: 2 of 1"),
+        (dict(acknowledged=[3]), "give latch, too"),
+        (dict(latch=True, acknowledged=["soon"]), "neither seconds nor a known time stamp"),
+        (dict(latch=True, acknowledged=["12:30"]), "has no date"),
+        (dict(latch=True, acknowledged=["3/4/2017 8:00"]), "write the year first"),
     ],
 )
 def test_a_rule_that_makes_no_sense_is_refused(rule, message):
@@ -163,3 +167,14 @@ def test_the_cause_of_an_alarm_is_that_of_the_window_in_which_it_begins():
     assert alarm.cause == "probe slips: -0.45 of T1"
     (plain,) = jb.detect(one(), None, [[2.0], [0.4], [0.2]]).alarms(rule=AlarmRule(suspects=True))
     assert plain.cause == ""
+
+
+@pytest.mark.parametrize(
+    "text, message", [(None, "is no file"), ("1\n2", "has no end"), ("1\nsoon, I said\n", "'soon'")]
+)
+def test_a_file_of_acknowledgements_is_checked_before_it_is_followed(tmp_path, text, message):
+    if text is not None:
+        (tmp_path / "seen.txt").write_text(text)
+    rule = AlarmRule(latch=True, acknowledged=tmp_path / "seen.txt")
+    with pytest.raises(ValueError, match=message):
+        rule.fitted(one().model)

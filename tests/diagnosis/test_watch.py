@@ -8,17 +8,18 @@ import pytest
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.alarms import over_of
 from jaxbound.diagnosis.suspects import Suspect
-from jaxbound.diagnosis.watch import BEGINS, ENDS, LASTING, OPPOSITE, Seen, Watch
+from jaxbound.diagnosis.watch import ACKNOWLEDGED, BEGINS, ENDS, LASTING, OPPOSITE, Seen, Watch
 
 UP, DOWN = Suspect(("T1",), 2.0, 1), Suspect(("T1",), 1.5, -1)
 OTHER = Suspect(("T2", "T1"), 1.0, 1)
 
 
-def seen(fault, margin=None):
+def seen(fault, margin=None, first=0):
     fault = np.asarray(fault, bool)
     if margin is None:
         margin = np.where(fault, -1.0, 0.5)
-    return Seen.of(fault, np.asarray(margin, float), np.zeros(len(fault), bool))
+    instant = np.arange(len(fault)) + float(first)
+    return Seen.of(fault, np.asarray(margin, float), np.zeros(len(fault), bool), instant=instant)
 
 
 def flags(pattern):
@@ -61,7 +62,7 @@ def alarms(watch, pieces):
 
 def cut(rng, fault, margin):
     edges = [0, *sorted(rng.integers(0, len(fault) + 1, rng.integers(0, 6))), len(fault)]
-    return [seen(fault[a:b], margin[a:b]) for a, b in zip(edges, edges[1:], strict=False)]
+    return [seen(fault[a:b], margin[a:b], a) for a, b in zip(edges, edges[1:], strict=False)]
 
 
 def test_alarms_are_those_of_a_walk_through_the_samples_cut_anywhere(rng):
@@ -142,3 +143,66 @@ def test_pending_alarms_are_told_as_if_the_recording_ended_and_go_on():
     assert [(a.end, a.ended) for a in watch.pending()] == [(4, LASTING)]
     watch.add(seen(flags("...")))
     assert [a.end for a in watch.pending()] == [7]
+
+
+def latched_walk(fault, rule, times):
+    """Walk through the samples; return (start, end, ended) of alarms that nothing but times end."""
+    found, start, since = [], None, 0
+
+    def acknowledge(last, behind):
+        nonlocal start, since
+        if start is not None:
+            found.append((start, last, ACKNOWLEDGED))
+            start, since = None, behind
+
+    for i in range(len(fault)):
+        if any(i - 1 < t < i for t in times):
+            acknowledge(i - 1, i)
+        if start is None and sum(fault[max(since, i - rule.n + 1) : i + 1]) >= rule.k:
+            start = i
+        if i in times:
+            acknowledge(i, i + 1)
+    if start is not None:
+        found.append((start, len(fault) - 1, LASTING))
+    return found
+
+
+def test_acknowledgements_end_latched_alarms_and_what_is_proved_behind_them_makes_new_ones(rng):
+    for _ in range(200):
+        fault = rng.random(60) < rng.choice([0.05, 0.3, 0.8])
+        fault[-5:] = False  # nothing is on at the end
+        n = int(rng.integers(1, 5))
+        times = rng.integers(0, 130, rng.integers(1, 9)) / 2
+        rule = AlarmRule(int(rng.integers(1, n + 1)), n, latch=True, acknowledged=times.tolist())
+        found, events = alarms(Watch(rule), cut(rng, fault, fault - 0.5))
+        expected = latched_walk(fault.tolist(), rule, times)
+        assert [(a.start, a.end, a.ended) for a in found] == expected, rule
+        assert [e.sample for e in events if e.kind == ENDS and e.alarm.ended == ACKNOWLEDGED] == [
+            int(np.ceil(times[times >= start].min())) for start, _, ended in expected if ended == ACKNOWLEDGED
+        ]
+
+
+def test_a_late_acknowledgement_ends_the_alarms_that_had_begun_by_then_and_no_other(tmp_path):
+    file = tmp_path / "seen.txt"
+    file.write_text("# time, who\n")
+    watch = Watch(AlarmRule(latch=True, acknowledged=file), {2: UP, 6: OTHER}.__getitem__)
+    watch.add(seen(flags("..F...F.")))
+    with file.open("a") as operator:
+        operator.write("5, J. Smith\n5")
+    (over,) = watch.add(seen(flags("..."), first=8))
+    assert (over.sample, over.alarm.suspect.first, over.alarm.end, over.alarm.ended) == (
+        8,
+        "T1",
+        7,
+        ACKNOWLEDGED,
+    )
+    with file.open("a") as operator:
+        operator.write("0\n")  # the line is complete: 50, which lies ahead
+    assert watch.add(seen(flags("..."), first=11)) == []
+
+
+def test_an_acknowledgement_in_a_stretch_takes_the_jump_back_in_it_for_the_end():
+    blame = {2: UP, 4: DOWN, 5: DOWN}
+    rule = AlarmRule(latch=True, acknowledged=[4])
+    found, _ = alarms(Watch(rule, blame.__getitem__), [seen(flags("..FFFF.."))])
+    assert [(a.start, a.end, a.ended) for a in found] == [(2, 4, f"{OPPOSITE} of T1"), (5, 7, LASTING)]

@@ -13,9 +13,13 @@ from systems import paper
 import jaxbound as jb
 from jaxbound.cli import main
 from jaxbound.models.modelfile import save_model
+from jaxbound.recordings.live import Readings
 from jaxbound.recordings.pipetext import PipeText
+from jaxbound.recordings.read import open_source
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.timestamps import since_epoch
+from jaxbound.recordings.signals import Signals
+from jaxbound.recordings.tabletime import instants_of
+from jaxbound.recordings.timestamps import instant_of, since_epoch
 
 MODEL = jb.LinearSystem([[0.5]], None, [[1]], dt=60, noise=0.1, resolution=1)
 SPLIT = ": the recording is split there, and windows across are MISSING"
@@ -157,3 +161,38 @@ def test_other_numbers_of_as_many_digits_are_what_they_are():
         [20240101000000.0, 20240132000000.0],
     ):
         np.testing.assert_array_equal(since_epoch(np.array(values)), values)
+
+
+WRITTEN = {
+    "dates": [f"2017-09-12 08:{k:02}:00.5" for k in range(6)],
+    "dates of a region": [f"9/13/2017 8:{k:02}" for k in range(6)],
+    "seconds": [str(60.0 * k + 7) for k in range(6)],
+    "an epoch in ms": [str(1505203200500 + 60000 * k) for k in range(6)],
+}
+
+
+@pytest.mark.parametrize("kind", WRITTEN)
+def test_instants_are_those_of_single_times_in_files_tables_parquet_pipes_and_readings(kind, tmp_path):
+    cells, model = WRITTEN[kind], Signals((), ("y1",), {}, 60.0)
+    expected = [instant_of(cell) for cell in cells]
+    lines = [f"{cell},{k}\n" for k, cell in enumerate(cells)]
+    (tmp_path / "run.csv").write_text("time,y1\n" + "".join(lines))
+    whole = jb.read(tmp_path / "run.csv", model)
+    table = pd.read_csv(tmp_path / "run.csv", index_col="time", parse_dates=kind.startswith("dates"))
+    table.reset_index().to_parquet(tmp_path / "run.parquet")
+    parts = open_source(tmp_path / "run.parquet", model)
+    pipe = PipeText(model, lambda kind, sentence: None)
+    pieces = [pipe.take(("time,y1\n" + "".join(lines[:2])).encode())]
+    pipe = PipeText(model, lambda kind, sentence: None, pipe.memory())
+    pieces.append(pipe.take("".join(lines[2:]).encode()))
+    readings = Readings(model, [table.iloc[:2].reset_index(), table.iloc[2:].reset_index()])
+    found = {
+        "file": whole.instants,
+        "index": instants_of(whole.index, 6, 60.0),
+        "table": instants_of(Recording.of(model, table).index, 6, 60.0),
+        "parquet": np.concatenate([parts.read(0, 3).instants, parts.read(3, 6).instants]),
+        "pipe": np.concatenate([piece.instants for piece in pieces]),
+        "readings": np.concatenate([piece.instants for _, piece in readings.pieces(readings.raw)]),
+    }
+    for where, instants in found.items():
+        assert instants.tolist() == expected, where
