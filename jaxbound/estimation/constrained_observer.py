@@ -179,10 +179,12 @@ class ConstrainedObserver(SetObserver[ConstrainedState]):
         def job(block: np.ndarray) -> tuple[np.ndarray, ...]:
             known = zonotope_steps.read(numbers, *filled.of_recordings(block))
             carry, held = jax.tree.map(lambda x: x[..., block], (state.carry, state.held))
-            out = constrained_steps.follow(
-                numbers, start, carry, held, known, T, 2 * self.enclosures, self.restart
+            enclosures = zonotope_steps.worked_out(2 * self.enclosures)
+            carry, held, found, asked = constrained_steps.follow(
+                numbers, start, carry, held, known, T, enclosures, self.restart
             )
-            on_host: tuple[np.ndarray, ...] = jax.tree.map(np.asarray, out)
+            found = zonotope_steps.kept(found, 2 * self.enclosures)
+            on_host: tuple[np.ndarray, ...] = jax.tree.map(np.asarray, (carry, held, found, asked))
             return on_host
 
         def joined(*parts: np.ndarray) -> np.ndarray:

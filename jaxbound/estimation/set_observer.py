@@ -391,7 +391,8 @@ class SetObserver(Observer[State], Generic[State]):
         """Follow some recordings side by side, piece by piece; the carry stays where it was worked out."""
         T = len(samples.fresh)
         numbers, start = self.plant.placed
-        enclosures = 2 if self.enclosures else int(self.hulls)
+        wanted = 2 if self.enclosures else int(self.hulls)
+        enclosures, also = steps.worked_out(wanted), self.hulls or not is_outside_xla()
         whole = samples.filled(-(-max(T, 1) // PIECE) * PIECE)
         parts: list[tuple[steps.Found, steps.Read | None]] = []
         for first in range(0, max(T, 1), PIECE):
@@ -405,9 +406,9 @@ class SetObserver(Observer[State], Generic[State]):
                 len(self.weights),
                 enclosures,
                 self.restart,
-                self.hulls,
+                also,
             )
-            parts.append((verdicts, as_read))
+            parts.append((steps.kept(verdicts, wanted), as_read if self.hulls else None))
         return carry, *_fetched(parts, T)
 
     def _verdicts(

@@ -10,6 +10,7 @@ import pytest
 from observer_case import PLANT, inside, program, published, recorded, systems
 
 import jaxbound as jb
+from jaxbound.estimation import zonotope_steps
 from jaxbound.estimation.methods import OBSERVERS
 from jaxbound.recordings.recording import Recording
 
@@ -30,6 +31,16 @@ def test_an_enclosure_holds_what_linear_programs_over_all_samples_allow(rng):
             lo, hi = program(PLANT, u[: k + 1], y[: k + 1], x0)
             assert (got.state.lo[k] <= lo + 1e-9).all() and (hi - 1e-9 <= got.state.hi[k]).all()
             assert ((got.state.hi[k] - got.state.lo[k]) < 2.5 * (hi - lo)).all(), "and is not much wider"
+
+
+def test_verdicts_and_enclosures_are_one_program():
+    """It takes seconds to compile, and a report shows enclosures behind the verdicts."""
+    u, _, y = recorded(PLANT, 16, 1, at="uniform")
+    found = jb.observe(PLANT, u, y)
+    programs = zonotope_steps.follow._cache_size()
+    res = jb.detect(jb.observer(PLANT), u, y)
+    assert zonotope_steps.follow._cache_size() == programs
+    np.testing.assert_array_equal(res.margin, found.margin)
 
 
 def test_every_proof_of_a_fault_is_one_of_a_linear_program(rng):
