@@ -2,17 +2,19 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from jaxbound.certificates.diagnosis import Diagnosis
 from jaxbound.diagnosis.alarms import Alarm
+from jaxbound.diagnosis.causes import Judged, diagnose
 from jaxbound.models.system import LinearSystem
 
 __all__ = ["Cause", "causes_of"]
 
 PATIENCE = 3.0
-"""Seconds for the causes of a page; those of the other alarms are left to `explain`."""
+"""Seconds for the causes of a page; what is left over then is left to `explain`."""
 LEAST = 0.02
 """Share of its place that the shortest bar takes."""
 Bar = tuple[str, str, float | None]
@@ -33,6 +35,9 @@ def causes_of(model: object, alarms: Sequence[Alarm], chosen: Sequence[int]) -> 
     """Return {number of an alarm: its Cause}, of as many alarms as patience allows; none where the model
     names no faults.
 
+    The worst window of each comes first, then more windows of each. An alarm for which no time is left has
+    the cause that its rule worked out, if it did.
+
     Args:
         chosen: numbers of alarms, the deepest first.
     """
@@ -43,11 +48,33 @@ def causes_of(model: object, alarms: Sequence[Alarm], chosen: Sequence[int]) -> 
     for i in chosen:
         if time.perf_counter() >= stop:
             break
-        try:
-            causes[i] = cause_of(alarms[i].diagnose())
-        except NotImplementedError:  # as of observers
+        with suppress(NotImplementedError):  # as of observers
+            causes[i] = _worst(alarms[i])
+    for i in [*causes]:
+        if time.perf_counter() >= stop:
             break
+        if _is_longer(alarms[i]):
+            with suppress(NotImplementedError):  # another window is an observer's
+                causes[i] = cause_of(alarms[i].diagnose())
+    for i in chosen:
+        if i not in causes and alarms[i].cause:
+            causes[i] = Cause(f"{alarms[i].cause}; looked at the window in which it begins alone", ())
     return causes
+
+
+def _worst(alarm: Alarm) -> Cause:
+    """Return the cause of the worst window of an alarm."""
+    if not isinstance(alarm.result, Judged):
+        return cause_of(alarm.diagnose())
+    found = cause_of(diagnose(alarm.result, alarm.worst, alarm.worst, recording=alarm.recording))
+    if not _is_longer(alarm):
+        return found
+    return replace(found, answer=f"{found.answer}; looked at its worst window alone")
+
+
+def _is_longer(alarm: Alarm) -> bool:
+    """Whether more windows of an alarm than its worst one can be looked at."""
+    return alarm.windows > 1 and isinstance(alarm.result, Judged)
 
 
 def cause_of(found: Diagnosis) -> Cause:

@@ -162,11 +162,11 @@ class LiveAlarms(Quiet):
         suspect = {}
         if self.rule.names:
             suspect = {"suspect": raised.suspect.first or None}
+        if self.causes:
+            suspect["cause"] = raised.suspect.cause or None
         if event.kind == BEGINS:
             told = {"alarm": "begin", "number": raised.number, "sample": raised.start}
             told |= {"time": raised.labels["start"][0], **suspect}
-            if self.causes:
-                told["cause"] = raised.suspect.cause or None
             by, names = getattr(verdicts, "by", None), getattr(verdicts, "names", ())
             if by is not None:
                 told["test"] = (*names, None)[int(by[raised.start - begin])]

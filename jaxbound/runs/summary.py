@@ -138,8 +138,8 @@ class Summary:
         verdict: "fault", "outside the bounds as fitted" (FAULT, by bounds from data for shorter windows), "no
             fault", "too little evidence" or "not tested"; sentence: what a plant engineer should know.
         found: the Evidence; None where nothing was tested. worst: the worst Window, or None; first_alarm:
-            text of the time at which the first alarm begins, last_ended: why the last one is over; "" where
-                there is none.
+            text of the time at which the first alarm begins, last_ended: why the last one is over,
+            first_cause: the cause of the first, see `Alarm`; "" where there is none.
         hints: sentences to check. sizes: {output: smallest lasting error that is always seen}, or None.
             model: its name.
     """
@@ -153,6 +153,7 @@ class Summary:
     hints: tuple[str, ...] = ()
     sizes: Mapping[str, float] | None = None
     model: str = ""
+    first_cause: str = ""
 
     @property
     def exit_code(self) -> int:
@@ -200,6 +201,9 @@ class Summary:
         monitored: Plain = {}
         if about.tests is not None:
             monitored = {"tests": {name: test.plain() for name, test in about.tests.items()}}
+        caused: Plain = {}
+        if self.first_cause:
+            caused = {"first_cause": self.first_cause}
         return {
             "layout": LAYOUT,
             "verdict": self.verdict,
@@ -224,6 +228,7 @@ class Summary:
             "margins": about.margins,
             "outside": about.outside and about.outside.plain(),
             **monitored,
+            **caused,
         }
 
     def _plain_worst(self) -> Plain | None:
@@ -326,12 +331,12 @@ def summarised(
     worst = None
     if found.at is not None:
         worst = Window(found.at, label(found.at), found.margin)
-    first = last = ""
+    first = last = cause = ""
     if alarms:
-        first, last = label(alarms[0].start), alarms[-1].ended
+        first, last, cause = label(alarms[0].start), alarms[-1].ended, alarms[0].cause
     verdict, sentence = said(found, label, min_coverage)
     model = res.relations.model.name
-    return Summary(verdict, sentence, found, worst, first, last, unsaid(hints, sentence), sizes, model)
+    return Summary(verdict, sentence, found, worst, first, last, unsaid(hints, sentence), sizes, model, cause)
 
 
 def proving(tests: Mapping[str, OfTest] | None) -> list[str]:

@@ -92,6 +92,11 @@ def test_bounds_that_one_test_has_outgrown_are_no_headline_where_another_proves_
     model.write_text(f'{fitted}[provenance]\nnoise = "fitted to 3 recordings"\n')
     assert detect(plant, tmp_path / "both") == 1
     assert "Fault proved" in capsys.readouterr().out
+    pd.read_csv(data).to_parquet(tmp_path / "run.parquet")
+    assert detect((model, tmp_path / "run.parquet"), tmp_path / "parts") == 1
+    assert "Fault proved" in capsys.readouterr().out
+    assert judge_stream(model, [data.read_bytes()]) == 1
+    assert "Fault proved" in capsys.readouterr().err
     assert main.main(["explain", str(tmp_path / "both"), "--at", "40"]) == 0
     assert "FAULT outside the bounds as fitted" in capsys.readouterr().out, (
         "its bounds are of shorter windows"

@@ -158,3 +158,18 @@ def test_an_operator_acknowledges_while_samples_come(text, place, capsysbinary):
     ends = [(line["time"], line["ended"]) for line in told if line["alarm"] == "end"]
     assert set(ends) == {(59.0, "acknowledged")}, "what is known of samples that were judged stands"
     assert err.decode().count("a line begins with no time: a time of the time column is 'soon'") == 1
+
+
+def test_the_cause_stands_in_lines_tables_and_the_summary(text, place, send, capsysbinary):
+    model = jb.load_model("model.toml").replace(faults=[jb.NamedFault("probe slips", output="y1")])
+    jb.save_model(model, "model.toml")
+    (place / "run.csv").write_text("".join(text[:130]))
+    rule = AlarmRule(2, 3, suspects=True)
+    lines = [json.loads(line) for line in send(text[:130], 9, rule, out=place / "out", as_json=True)]
+    told = [(line["alarm"], line["cause"]) for line in lines if line.get("alarm")]
+    main.main("detect model.toml run.csv --out file --alarm 2/3 --suspects --json".split())
+    summary = json.loads(capsysbinary.readouterr().out)
+    causes = pd.read_csv("file/alarms.csv", keep_default_na=False).cause.tolist()
+    assert causes == pd.read_csv("out/alarms.csv", keep_default_na=False).cause.tolist()
+    assert causes[0].startswith("probe slips: +0.") and told[0] == ("begin", causes[0])
+    assert ("end", causes[0]) in told and summary["first_cause"] == causes[0]

@@ -151,6 +151,22 @@ def test_one_alarm_of_a_component_is_open_while_another_component_has_its_own():
     assert spans[-1] == (20, 39, "T2") and {name for _, _, name in spans} == {"T1", "T2"}
 
 
+@pytest.mark.parametrize("options", [{"latch": True}, {"merge": 30}])
+def test_tests_that_name_the_same_component_have_one_open_alarm_of_it_at_once(options, rng):
+    """Two sensors are off by turns, for two samples each; windows and lags both prove it and name them."""
+    tests = [{"name": "jumps", "horizon": 1}, {"name": "lasting", "lags": [0, 2, 4], "factor": 1.5}]
+    y = rng.uniform(-0.09, 0.09, (80, 2))
+    for i, k in enumerate(range(5, 75, 12)):
+        y[k : k + 2, i % 2] += 1
+    res = jb.detect(jb.monitor(two().model, tests), None, y)
+    found = res.alarms(rule=jb.AlarmRule(**options))
+    assert {res.test_at(k) for k in np.flatnonzero(res.status == jb.Status.FAULT)} == {"jumps", "lasting"}
+    spans = {name: [(a.start, a.end) for a in found if a.suspect == name] for name in ("T1", "T2")}
+    for own in spans.values():
+        assert own and all(end < start for (_, end), (start, _) in zip(own, own[1:], strict=False))
+    assert spans["T1"][0][0] < spans["T2"][0][0] < spans["T1"][-1][1], "those of two components overlap"
+
+
 def test_a_monitor_of_observers_names_no_suspects():
     bank = jb.monitor(two().model, [{"name": "state", "observer": "zonotope"}])
     res = jb.detect(bank, None, jumps())

@@ -1,5 +1,6 @@
 """The report: complete, escaped, readable whatever the numbers."""
 
+import itertools
 from html.parser import HTMLParser
 from types import SimpleNamespace
 
@@ -11,10 +12,12 @@ from result_case import CONSISTENT, FAULT, MISSING, UNDECIDED, biased, recording
 
 import jaxbound as jb
 from jaxbound.recordings.recording import Recording
-from jaxbound.reports import detection
+from jaxbound.reports import causes, detection
 from jaxbound.reports import page as pages
 from jaxbound.reports.detection import write_report
 from jaxbound.runs.summary import summarised
+
+BEGIN, WORST = "the window in which it begins alone", "its worst window alone"
 
 
 def write(folder, res, recording, alarms, hints=(), **options):
@@ -227,6 +230,26 @@ def test_an_alarm_names_its_cause_where_the_model_names_faults(tmp_path):
     assert "cause: valve <leaks>: +1 of u" in reader.text
     assert "y1 is off: excluded: no size of it, from no sample on, explains this" in reader.text
     assert "both at once: excluded" in reader.text and "Cause: the named faults" in reader.text
+
+
+@pytest.mark.parametrize(
+    "patience, looked_at", [(0, [BEGIN] * 3), (3, [WORST, WORST, BEGIN]), (5, ["", WORST, ""])]
+)
+def test_all_alarms_have_a_cause_before_one_has_it_of_all_its_windows(patience, looked_at, monkeypatch):
+    """The clock goes on by one at each look: at each alarm, the longer ones once more."""
+    ticks = itertools.count(-1)
+    monkeypatch.setattr(causes, "time", SimpleNamespace(perf_counter=lambda: next(ticks)))
+    monkeypatch.setattr(causes, "PATIENCE", patience)
+    model = jb.LinearSystem(
+        None, None, None, [[1], [1]], noise=0.1, inputs=["u"], faults=[jb.NamedFault("leak", input="u")]
+    )
+    y = np.array([1.5, 1.6, 0.5, 1.4, 1.4, 0.5, 1.3])[:, None] + [[0.0, 0.0]]
+    res = jb.detect(jb.parity_relations(model, 0), np.full((7, 1), 0.5), y)
+    alarms = res.alarms(rule=jb.AlarmRule(suspects=True))
+    found = causes.causes_of(model, alarms, range(3))
+    answers = [found[i].answer for i in range(3)]
+    assert all(answer.startswith("leak: +") for answer in answers)
+    assert [answer.partition("; looked at ")[2] for answer in answers] == looked_at
 
 
 @pytest.mark.parametrize("rule", [jb.AlarmRule(), jb.AlarmRule(suspects=True)])

@@ -12,6 +12,7 @@ from streaming_case import MODELS, N, Stop, recording, stopped_after, verdicts, 
 from systems import paper
 
 import jaxbound as jb
+from jaxbound.consistency import interface
 from jaxbound.plots.timeline import Timeline
 from jaxbound.recordings import parquet
 from jaxbound.recordings.parquet import open_parquet
@@ -80,6 +81,23 @@ class TestSameVerdicts:
         np.testing.assert_array_equal(margin, whole.exact)
         with pytest.raises(ValueError, match="margins"):
             detect_dataset(r, folder, tmp_path / "none", margins="sharp")
+
+    @pytest.mark.parametrize("many, kind", [(N - 20, "bounds"), (N + 1, "exact")])
+    def test_margins_of_a_monitor_are_those_that_detect_chooses_by_the_number_of_windows(
+        self, case, small, tmp_path, monkeypatch, many, kind
+    ):
+        folder, exact = case("long windows")[1], case("long windows")[2].exact
+        monkeypatch.setattr(interface, "MANY", many)
+        bank = jb.monitor(paper(), [{"name": "long", "horizon": 20}])
+        whole = jb.detect(bank, read(folder, paper()))
+        found = detect_dataset(bank, folder, tmp_path / "out", chunk=1100)
+        status, margin = verdicts(tmp_path / "out")
+        assert (found.margins, whole.margins) == (kind, kind)
+        np.testing.assert_array_equal(status, whole.status)
+        assert np.array_equal(margin, exact, equal_nan=True) == (kind == "exact")
+        fault, healthy = status == jb.Status.FAULT, status == jb.Status.CONSISTENT
+        assert (exact[fault] <= margin[fault]).all() and (margin[fault] < 0).all()
+        assert (margin[healthy] <= exact[healthy] + 1e-9).all() and (margin[healthy] > 0).all()
 
     def test_float32(self, case, small, tmp_path):
         r, folder, whole, _ = case("section 5", np.float32)
