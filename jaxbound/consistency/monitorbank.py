@@ -38,7 +38,7 @@ from jaxbound.models.region import Departure
 from jaxbound.models.statedtests import OTHERWISE
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.watched import watched
-from jaxbound.recordings.factors import Condition, factors_of, known, masked
+from jaxbound.recordings.factors import IN_PART, Condition, factors_of, known, masked
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
@@ -290,18 +290,23 @@ class MonitorBank(Observer[BankState]):
         return tuple(places)
 
     def modes_of(self, u: np.ndarray) -> np.ndarray:
-        """Return (T, C) int8: whether each condition holds at each sample; NO, YES or UNKNOWN."""
+        """Return (T, C) int8: whether each condition holds at each sample; NO, YES or UNKNOWN.
+
+        NO to all, "otherwise" among them, where one is `IN_PART`: no mode holds all along.
+        """
         modes = np.full((len(u), len(self.conditions)), UNKNOWN, np.int8)
-        names = known(self.model)
+        names, in_part = known(self.model), np.zeros(len(u), bool)
         for c, text in enumerate(self.conditions):
             if text != OTHERWISE:
                 value = u[:, names.index(Condition(text=text).name)]
                 modes[:, c] = np.where(np.isnan(value), UNKNOWN, np.where(value != 0, YES, NO))
+                in_part |= value == IN_PART
         if self.complete:
             c = self.conditions.index(OTHERWISE)
             others = np.delete(modes, c, 1)
             modes[(others == NO).all(1), c] = YES
             modes[(others == YES).any(1), c] = NO
+        modes[in_part] = NO
         return modes
 
     def seen_by(

@@ -6,7 +6,6 @@ from functools import cached_property
 from jaxbound.models.statedtests import OTHERWISE
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.factors import Condition, Factor, factors_of
-from jaxbound.recordings.means import EVERY
 from jaxbound.recordings.signals import SignalModel
 
 __all__ = ["WatchedSystem", "watched"]
@@ -37,9 +36,6 @@ def watched(
     Args:
         models: of the tests, whose noise may be times factors. conditions: of the tests, None: it always
             watches.
-
-    Raises:
-        ValueError: conditions of samples that are means over intervals.
     """
     carried: dict[str, Factor] = {}
     for each in (model, *models):
@@ -48,11 +44,6 @@ def watched(
         if text not in (None, OTHERWISE):
             condition = Condition(text=str(text))
             carried[condition.name] = condition
-    if any(conditions) and EVERY in model.columns:
-        raise ValueError(
-            f"when and every do not go together: samples are means over {model.columns[EVERY]}, of which a "
-            f"condition may hold in part; take the means beforehand, and a column that says the mode of each"
-        )
     columns = tuple(carried.values())
     if columns == model.factors:
         return model

@@ -19,6 +19,7 @@ from jaxbound.recordings.expressions import Expression, expression
 from jaxbound.recordings.signals import Named
 
 __all__ = [
+    "IN_PART",
     "Condition",
     "Factor",
     "by_name",
@@ -34,6 +35,8 @@ __all__ = [
 
 LARGEST = 2.0**60
 """A bound so many times as wide is none, and a product with it might overflow."""
+IN_PART = 0.5
+"""In place of 1 or 0: whether a condition holds changes within an interval that a sample is the mean over."""
 
 
 @dataclass(frozen=True)

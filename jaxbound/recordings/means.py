@@ -7,16 +7,19 @@ left out. The usual step is one that 19 of 20 of the first hundred steps do not 
 skips a sample now and then, the longer one that 99 of 100 do not exceed, where an interval holds at least two
 of these. Intervals count from the midnight of the first sample, or from 0 s. One in which nothing was
 recorded is a missing sample, too; more than 100 of them in a row are a gap. The first and the last interval
-count only where they are whole.
+count only where they are whole. A condition holds in an interval where it holds at each of its samples, and
+fails where it fails at each: else it is `IN_PART`.
 """
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
 from jaxbound.recordings.clockintervals import nanoseconds, next_interval, seconds_of
 from jaxbound.recordings.columns import texts
+from jaxbound.recordings.factors import IN_PART, Factor, factors_of
 from jaxbound.recordings.seams import TOLERATED_DT, TOLERATED_STEP, USUAL
 from jaxbound.recordings.signals import Named, SignalModel, Signals
 
@@ -120,10 +123,18 @@ def refuse_every(model: Named, what: str) -> None:
         )
 
 
+@dataclass(frozen=True)
+class _Recorded(Signals):
+    """Signals with the conditions that are asked for at each sample. Fields: factors: these."""
+
+    factors: tuple[Factor, ...] = ()
+
+
 def recorded_model(model: SignalModel) -> Signals:
     """Return the names of a model whose samples are means, to read what was recorded at its own step."""
     columns = {name: column for name, column in model.columns.items() if name != EVERY}
-    return Signals(tuple(model.inputs), tuple(model.outputs), columns, regular=False)
+    signals = tuple(model.inputs), tuple(model.outputs)
+    return _Recorded(*signals, columns, regular=False, factors=factors_of(model))
 
 
 def instants(time: np.ndarray, stamps: np.ndarray | None, origin: np.datetime64 | None) -> np.ndarray:
@@ -298,17 +309,20 @@ def _with_empty(grid: Grid) -> Grid:
 
 
 def means_of(
-    grid: Grid, begin: int, u: np.ndarray, y: np.ndarray, excluded: np.ndarray | None
+    grid: Grid, begin: int, u: np.ndarray, y: np.ndarray, excluded: np.ndarray | None, m: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Return (u, y, excluded) of intervals: (K, m), (K, p) means, NaN where one is missing; (K,) bool, None.
+    """Return (u, y, excluded) of intervals: (K, m + c), (K, p) means, NaN where one is missing; (K,) bool,
+    None.
 
     Args:
-        grid: the intervals. begin: number of the first row of u (N, m), y (N, p) and excluded (N,), which
-            hold all rows of these intervals.
+        grid: the intervals. begin: number of the first row of u (N, m + c), y (N, p) and excluded (N,), which
+            hold all rows of these intervals. m: number of the inputs in u, conditions stand behind them.
     """
     recorded = grid.stop > grid.first
     bounds = np.append(grid.first[recorded], grid.stop[-1:]) - begin
     means = [_means(x, bounds, recorded, grid.whole) for x in (u, y)]
+    if u.shape[1] > m:
+        means[0][:, m:] = _held(u[:, m:], bounds, recorded, grid.whole)
     left_out = None
     if excluded is not None:
         left_out = np.zeros(len(recorded), bool)
@@ -332,6 +346,22 @@ def _means(x: np.ndarray, bounds: np.ndarray, recorded: np.ndarray, whole: np.nd
     rest = np.add.reduceat(rows - np.repeat(mean, count, axis=0), at) / count[:, None]
     out[recorded] = mean + rest
     out[~whole] = np.nan
+    return out
+
+
+def _held(x: np.ndarray, bounds: np.ndarray, recorded: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    """Return (K, c): 1 where a condition holds at all rows between bounds, 0 where at none, NaN where nobody
+    knows it at any, else `IN_PART`: where it changes, becomes known or unknown, or a row is lacking.
+    """
+    out = np.full((len(recorded), x.shape[1]), IN_PART, x.dtype)
+    if not recorded.any():
+        return out
+    rows, at = x[bounds[0] : bounds[-1]], bounds[:-1] - bounds[0]
+    told = np.where(np.isnan(rows), IN_PART, rows)
+    least, most = np.minimum.reduceat(told, at), np.maximum.reduceat(told, at)
+    unknown = np.logical_and.reduceat(np.isnan(rows), at)
+    out[recorded] = np.where(unknown, np.nan, np.where(least == most, least, IN_PART))
+    out[~whole] = IN_PART
     return out
 
 

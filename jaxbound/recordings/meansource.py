@@ -68,7 +68,7 @@ class MeansSource(Source):
 
     def whole(self, progress: Progress | None = None) -> Recording:
         """Return the Recording of all means."""
-        means = self.raw.whole(progress).averaged(self.every)
+        means = self.raw.whole(progress).averaged(self.every, self.model.m)
         if means.stamps is not None:
             means = replace(means, written=written_stamps(means.stamps, nanoseconds(self.every)))
         return with_hints(self.model, means, "sample {}".format, self.model.columns.get("where", ""))
@@ -212,7 +212,8 @@ class PartMeans(MeansSource):
             end = min(max(int(np.searchsorted(self.grid.stop, rows, "right")), at + 1), stop)
             part = self.grid.part(at, end)
             like = self._recorded(int(part.first[0]), int(part.stop[-1]))
-            means = means_of(part, int(part.first[0]), like.u, like.y, like.excluded)
+            samples = like.u, like.y, like.excluded
+            means = means_of(part, int(part.first[0]), *samples, self.model.m)
             u.append(means[0])
             y.append(means[1])
             left_out.append(means[2])

@@ -200,7 +200,7 @@ class MeansStream(Stream):
         excluded = None
         if "where" in self.model.columns:
             excluded = rows.excluded
-        return self._seamed(done, means_of(done, 0, rows.u, rows.y, excluded))
+        return self._seamed(done, means_of(done, 0, rows.u, rows.y, excluded, self.model.m))
 
     def _seamed(self, grid: Grid, samples: tuple[np.ndarray, np.ndarray, np.ndarray | None]) -> Recording:
         """Return means as a Recording with its seams."""

@@ -175,7 +175,7 @@ class Recording:
             refuse_every(model, "tables that come one by one")
         if np.size(starts):
             raise ValueError(f"every = {every!r} and starts do not go together: times show the gaps")
-        means = recorded.averaged(every)
+        means = recorded.averaged(every, len(model.inputs))
         _, seams = tick(Clock(seconds_of(every)), means.time)
         return replace(means, starts=_union(seams, around(means.excluded)))
 
@@ -262,8 +262,11 @@ class Recording:
         excluded, index = getattr(given, "excluded", None), getattr(given, "index", None)
         return cls(u, y, seams, inputs, outputs, excluded, index, dt=dt)
 
-    def averaged(self, every: str) -> "Recording":
+    def averaged(self, every: str, m: int) -> "Recording":
         """Return the means over intervals of the clock, without starts and hints, see `means`.
+
+        Args:
+            every: the interval. m: number of the inputs in u, see `means_of`.
 
         Raises:
             ValueError: see `grid_of`.
@@ -274,7 +277,8 @@ class Recording:
         origin = midnight_of(stamps)
         instant = instants(self.time, stamps, origin)
         grid = grid_of([instant], every, usual_step(instant, every), origin)
-        return self.on_grid(grid, int(grid.number[0]), means_of(grid, 0, self.u, self.y, self.excluded))
+        samples = means_of(grid, 0, self.u, self.y, self.excluded, m)
+        return self.on_grid(grid, int(grid.number[0]), samples)
 
     def on_grid(self, grid: Grid, zero: int, samples: Samples) -> "Recording":
         """Return the Recording of means over intervals, with the names of this one.

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 import jaxbound as jb
 from jaxbound.cli import main
+from jaxbound.consistency.monitorbank import NO, UNKNOWN, YES
 from jaxbound.recordings import meansource
 from jaxbound.recordings.clockintervals import every_text, seconds_of
 from jaxbound.recordings.means import recorded_model
@@ -297,13 +298,13 @@ def test_without_times_there_are_no_means(tmp_path, kind):
         jb.fit((np.ones((99, 1)), np.ones((99, 1))), every="15min")
 
 
-def streamed(text, cuts, kill=False):
+def streamed(text, cuts, kill=False, model=MODEL):
     """Return the means of CSV that comes in pieces, one Recording of all; kill: another process takes over
     behind each piece, from what JSON keeps.
     """
     complain = lambda kind, sentence: None
-    raw = recorded_model(MODEL)
-    stream, pieces, firsts, starts = MeansStream(PipeText(raw, complain, whole=False), MODEL), [], [], []
+    raw = recorded_model(model)
+    stream, pieces, firsts, starts = MeansStream(PipeText(raw, complain, whole=False), model), [], [], []
     for begin, end in itertools.pairwise([0, *cuts, len(text)]):
         arrivals = [text[begin:end], None]  # a signal behind it
         for first, piece in stream.pieces(iter(arrivals)):
@@ -315,7 +316,7 @@ def streamed(text, cuts, kill=False):
         if kill and memory is not None:
             memory = json.loads(json.dumps(memory))
             reading = PipeText(raw, complain, memory["reading"], whole=False)
-            stream = MeansStream(reading, MODEL, memory)
+            stream = MeansStream(reading, model, memory)
     assert firsts == [0, *np.cumsum([piece.samples for piece in pieces])[:-1]]
     return functools.reduce(lambda one, other: one.followed(other), pieces), starts
 
@@ -358,3 +359,43 @@ def test_a_recorder_that_skips_a_sample_now_and_then_loses_no_interval():
 @hypothesis.given(st.integers(1, 10**6), st.sampled_from([0.001, 1, 60, 3600, 86400]))
 def test_an_interval_reads_as_it_is_written(number, unit):
     assert seconds_of(every_text(number * unit)) == pytest.approx(number * unit, rel=1e-12)
+
+
+MODES = PLAIN.replace(
+    tests=[{"name": "on", "when": "mode > 0", "horizon": 1}, {"name": "off", "when": "otherwise"}]
+)
+
+
+@pytest.mark.parametrize("kind", ["csv", "folder", "table", "pipe"])
+def test_a_mode_holds_in_an_interval_where_it_holds_at_each_of_its_samples(tmp_path, rng, kind):
+    """Else no mode does, "otherwise" neither: none of their models made such a mean. Where nobody knows the
+    mode all along, one of them may have.
+    """
+    frame = minutes(1500).assign(mode=0.0)
+    frame.loc[200:420, "mode"], frame.loc[[430, 615], "mode"] = 2.0, np.nan
+    frame.loc[450:500, "mode"] = np.nan
+    monitor = jb.monitor(MODES)
+    if kind == "table":
+        r = jb.Recording.of(monitor.model, frame)
+    elif kind == "pipe":
+        cuts = sorted(rng.choice(np.arange(1, 9000), 20, replace=False).tolist())
+        r, _ = streamed(frame.to_csv(index=False).encode(), cuts, True, monitor.model)
+    else:
+        r = jb.read(written(frame, tmp_path, kind), monitor.model)
+    groups = frame.set_index("time")["mode"].resample("15min")
+    truth = []
+    for begin in r.stamps:
+        rows = groups.get_group(begin).to_numpy()
+        whole, gone = len(rows) == 15, np.isnan(rows)
+        if whole and gone.all():
+            truth.append(UNKNOWN)
+        else:
+            truth.append(YES if whole and (rows > 0).all() else NO)
+    is_off = [len(x) == 15 and (x == 0).all() for x in (groups.get_group(t).to_numpy() for t in r.stamps)]
+    modes = monitor.modes_of(r.u)
+    np.testing.assert_array_equal(modes[:, 0], truth)
+    np.testing.assert_array_equal(modes[:, 1] == YES, is_off)
+    assert {*truth} == {YES, NO, UNKNOWN} and ((modes == NO).all(1)).sum() == 7
+    res = jb.detect(monitor, r)
+    assert (res.status[(modes == NO).all(1)] == jb.Status.MISSING).all()
+    assert (res.tests["on"].status != jb.Status.MISSING).any()
