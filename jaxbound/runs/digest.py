@@ -108,8 +108,9 @@ class Digest:
 
     @property
     def bounded(self) -> bool:
-        """Whether the margin of `worst` is a bound."""
-        return self.margins == BOUNDS and not self.counts["FAULT"]
+        """Whether the margin of `worst` is a bound: of windows alone those of FAULT are measured."""
+        is_measured = self.counts["FAULT"] > 0 and not isinstance(self.relations, MonitorBank)
+        return self.margins == BOUNDS and not is_measured
 
     def _head(self) -> str:
         counts = ", ".join(f"{n} {name}" for name, n in self.counts.items() if n)
@@ -119,7 +120,9 @@ class Digest:
         rows = {"method": f"{self.method}, {looked_at(self.relations)}", "model": repr(self.relations.model)}
         if self.worst is not None:
             least = ""
-            if self.bounded:
+            if self.bounded and self.counts["FAULT"]:
+                least = "at most "
+            elif self.bounded:
                 least = "at least "
             rows["worst"] = f"margin {least}{self.worst[1]:.4g} at {self.label(self.worst[0])}"
         if self.beyond is not None:
@@ -250,7 +253,8 @@ def detect_dataset(
             million samples gets one of its own that begins so many samples earlier, so that parts can be
             shared. It knows less: FAULT is a proof as ever, and may be missed where it rests on samples
             further back. Verdicts do not depend on how the parts are shared.
-        margins: see `detect`; those of FAULT windows are always exact. outside: see `detect`.
+        margins: see `detect`; those of FAULT windows are always exact, but of a monitor. outside: see
+            `detect`.
 
     Returns:
         A Digest: .counts, .worst (sample, margin), .alarms, .explain(k), .label(k); windows across a gap in

@@ -78,7 +78,7 @@ class Evidence:
         outgrown: whether the bounds were found from data for shorter windows than these: FAULT then proves no
             fault.
         margins: of the verdicts, "exact" or "bounds", see `detect`. bounded: whether `margin` is such a
-            bound: the exact one is not below it.
+            bound: the exact one is not below it, of FAULT not above it.
         outside: the windows outside the region of training; None: the model states no ranges, or a validation
             judged.
         observes: whether UNDECIDED is what healthy samples are: of an observer, or a monitor with one.

@@ -93,6 +93,7 @@ class TestSameVerdicts:
         found = detect_dataset(bank, folder, tmp_path / "out", chunk=1100)
         status, margin = verdicts(tmp_path / "out")
         assert (found.margins, whole.margins) == (kind, kind)
+        assert found.bounded == (kind == "bounds"), "JSON says that the margin of the worst is none"
         np.testing.assert_array_equal(status, whole.status)
         assert np.array_equal(margin, exact, equal_nan=True) == (kind == "exact")
         fault, healthy = status == jb.Status.FAULT, status == jb.Status.CONSISTENT

@@ -93,6 +93,16 @@ def test_every_command_has_one_layout(place, capsys):
     assert list(validated) == [*KEYS, "tested", "faulty", *about, *LAST] and validated["faulty"] == {"y1": 1}
 
 
+def test_files_parquet_and_fleets_end_the_same_alarm_by_an_acknowledgement(place, capsys):
+    (place / "seen.txt").write_text("95, J. Smith\n")
+    rule = "--latch", "--acknowledged", "seen.txt"
+    for data in ("run.csv", "run.parquet"):
+        assert shell(capsys, "detect", "m.toml", data, *rule)[1]["ended"] == {"acknowledged": 1}
+    assert shell(capsys, "fleet", "fleet.csv", *rule)[1]["units"][0]["ended"] == {"acknowledged": 1}
+    assert main.main(["detect", "m.toml", "run.csv", "--out", "out", *rule[1:]]) == 2
+    assert "give --latch, too" in capsys.readouterr().err
+
+
 def test_the_pipe_says_what_detect_says(place, capsys):
     _, whole = shell(capsys, "detect", "m.toml", "run.csv")
     assert judge_stream("m.toml", [(place / "run.csv").read_bytes()]) == 1
