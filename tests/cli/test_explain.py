@@ -386,7 +386,10 @@ def test_a_number_that_could_be_a_time_says_so(tmp_path, capsys):
     )
 
 
-@pytest.mark.parametrize("options", [("--horizon", "6"), ("--lags", "0,3,6"), ("--method", "observer")])
+@pytest.mark.parametrize(
+    "options",
+    [("--horizon", "6"), ("--lags", "0,3,6"), pytest.param(("--method", "observer"), marks=pytest.mark.long)],
+)
 def test_a_fault_beyond_the_bounds_as_fitted_is_no_proof_of_a_fault(tmp_path, options, capsys):
     still = ([[1, 0], [0, 1]], 0)  # nothing is disturbed, but an observer is of the sizes of other tests
     fitted = {"noise": "fitted to healthy data"}

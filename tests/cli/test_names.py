@@ -60,7 +60,7 @@ def test_detect_explain_and_verify(plant, capsys):
     assert "AHU: Supply Air" in page and "AHU: Valve, Signal" in page
 
 
-@pytest.mark.parametrize("method", ["observer", "validation"])
+@pytest.mark.parametrize("method", ["observer", pytest.param("validation", marks=pytest.mark.long)])
 def test_other_methods(plant, capsys, method):
     words = "detect", plant / "m.toml", plant / "faulty.csv", "--out", plant / method, "--method", method
     code, out, err = run(capsys, *words)

@@ -128,7 +128,7 @@ def test_a_leak_only_takes(rng):
     "name, horizon, dtype",
     [
         ("gust", 2, np.float64),
-        ("gust", 6, np.float64),
+        pytest.param("gust", 6, np.float64, marks=pytest.mark.long),
         pytest.param("leak", 2, np.float32, marks=pytest.mark.slow),
         pytest.param("gust", 6, np.float32, marks=pytest.mark.slow),
     ],

@@ -124,7 +124,7 @@ def random_plant(rng):
 @pytest.mark.parametrize(
     "dtype, models",
     [
-        (np.float64, 5),
+        (np.float64, 3),
         pytest.param(np.float64, 40, marks=pytest.mark.long),
         pytest.param(np.float32, 20, marks=pytest.mark.long),
     ],

@@ -107,7 +107,13 @@ def faults_under_corruption(name, rng, corrupted, recordings, samples):
     return status.size, int((status == Status.FAULT).sum()), liar.changed, warned
 
 
-@pytest.mark.parametrize("name", RELATIONS)
+BY_DAY = [
+    pytest.param(name, marks=pytest.mark.long) if name in ("constrained", "joint") else name
+    for name in RELATIONS
+]
+
+
+@pytest.mark.parametrize("name", BY_DAY)
 def test_no_corruption_makes_a_fault(name, rng, corrupted):
     recordings, samples = (2, 24) if name in ("observer", "constrained", "joint") else (6, 40)
     count, faults, changed, warned = faults_under_corruption(name, rng, corrupted, recordings, samples)

@@ -79,7 +79,7 @@ def test_the_verdict_is_that_of_the_program_with_free_inputs(name, count, rng):
     assert 0.1 < agree(last(jb.detect(r, u, y).status), oracle.slack(u, y)) < 0.9
 
 
-@pytest.mark.parametrize("name", ["at the outputs", "long"])
+@pytest.mark.parametrize("name", ["at the outputs", pytest.param("long", marks=pytest.mark.long)])
 def test_with_gaps_the_verdict_is_that_of_the_program_without_the_row(name, rng):
     spec, s = numbers(name)
     r, oracle = jb.parity_relations(jb.LinearSystem(**spec), s), Windows(Plant(**spec), s)

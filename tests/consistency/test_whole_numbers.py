@@ -59,7 +59,7 @@ def test_strips_of_a_sensor_without_noise_are_decided_as_exact_circuits_are(name
     assert {Status.FAULT, Status.CONSISTENT} == set(found.status[:, -1])
 
 
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.long)])
 def test_a_long_window_of_a_sensor_without_noise_is_decided(dtype, rng):
     plant, relations = Plant(**TURN), jb.parity_relations(jb.LinearSystem(**TURN), LONG)
     assert relations.frame is not None

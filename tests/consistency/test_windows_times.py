@@ -20,10 +20,14 @@ DECIDED = {np.float64: 1e-6, np.float32: 3e-2}
 KINDS = {
     "strips": dict(n=1, p=1, horizon=2),
     "circuits in a scan": dict(n=2, p=2, horizon=2),
-    "search": dict(n=2, p=2, horizon=9),
-    "search with disturbances": dict(n=2, p=2, horizon=6, g=1),
+    "search": dict(n=2, p=2, horizon=7),
+    "search with disturbances": dict(n=2, p=2, horizon=4, g=1),
     "lags": dict(n=2, p=2, lags=(0, 1, 2, 4, 8)),
 }
+
+
+AT_NIGHT = "search with disturbances"
+BY_DAY = [pytest.param(kind, marks=pytest.mark.long) if kind == AT_NIGHT else kind for kind in KINDS]
 
 
 def drawn(kind):
@@ -53,8 +57,12 @@ def judged(relations, window, table, f, dtype=np.float64):
     return exact.status
 
 
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind, dtype",
+    [(kind, np.float64) for kind in KINDS]
+    + [(kind, np.float32) for kind in KINDS if kind != AT_NIGHT]
+    + [pytest.param(AT_NIGHT, np.float32, marks=pytest.mark.long)],
+)
 def test_verdicts_are_those_of_linear_programs(kind, dtype):
     rng, (model, window, factors) = drawn(kind)
     relations = jb.parity_relations(model, **window)
@@ -85,7 +93,7 @@ def test_missing_samples_and_factors_silence_what_needs_them(kind):
     judged(relations, window, whole, f)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", BY_DAY)
 def test_a_factor_of_one_changes_no_verdict(kind):
     rng, (model, window, factors) = drawn(kind)
     for dtype in (np.float64, np.float32)[: 1 if "search" in kind else 2]:
@@ -108,7 +116,7 @@ def relations_are_searched(relations):
     return relations.frame is not None
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", BY_DAY)
 def test_samples_one_by_one_give_the_same_verdicts(kind):
     rng, (model, window, factors) = drawn(kind)
     table, _ = recording(rng, model, factors, 40, 1.5)

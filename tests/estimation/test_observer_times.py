@@ -25,7 +25,9 @@ def followed(model, method, **options):
     return jb.observer(model, method, **(METHODS[method] | options))
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    "method", [pytest.param(m, marks=pytest.mark.long) if m == "constrained" else m for m in METHODS]
+)
 def test_a_fault_is_one_by_a_linear_program_over_all_samples(method, rng):
     seen = 0
     for excess in (1.0, 1.5, 4.0):
