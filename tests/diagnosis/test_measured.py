@@ -17,8 +17,8 @@ from jaxbound.sets.floats.status import Status
 T = 260
 GUST = MODELS["paper"] | dict(disturbance=([[0], [1]], 0.05))
 LONG = {
-    "plain": (MODELS["paper"], {"horizon": 20}, np.float64),
-    "float32": (MODELS["paper"], {"horizon": 20}, np.float32),
+    "plain": (MODELS["paper"], {"horizon": 14}, np.float64),
+    "float32": (MODELS["paper"], {"horizon": 14}, np.float32),
     "disturbed": (GUST, {"horizon": 6}, np.float64),
     "lags": (MODELS["paper"], {"lags": (0, 1, 2, 3, 4, 5, 6, 8, 10, 13, 16)}, np.float64),
 }
@@ -41,7 +41,9 @@ def detected(name):
     return r, u, y, starts, *(jb.detect(r, u, y, starts=starts, margins=kind) for kind in ("bounds", "exact"))
 
 
-@pytest.mark.parametrize("name", LONG)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.long) if name == "lags" else name for name in LONG]
+)
 def test_verdicts_are_the_same_and_bounds_lie_on_the_side_of_the_verdict(name):
     r, *_, bounded, exact = detected(name)
     assert r.frame is not None and (bounded.margins, exact.margins) == ("bounds", "exact")

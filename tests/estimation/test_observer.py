@@ -62,7 +62,7 @@ def test_every_proof_of_a_fault_is_one_of_a_linear_program(rng):
     assert possible >= 20 and proved >= 0.8 * possible
 
 
-@pytest.mark.parametrize("order", [1, 20])
+@pytest.mark.parametrize("order", [1, pytest.param(20, marks=pytest.mark.long)])
 def test_published_intervals_of_a_zonotopic_kalman_filter(shared, order):
     """CORA's linearSysDT example: without a reduction to 1e-9; at order 20 rounding takes two of the 40
     generators, and ours holds it.

@@ -15,7 +15,7 @@ MODEL = {
 S, T = 9, 40
 
 
-@pytest.mark.parametrize("at", ["uniform", "vertices"])
+@pytest.mark.parametrize("at", [pytest.param("uniform", marks=pytest.mark.long), "vertices"])
 @pytest.mark.parametrize("name", ["tolerances", pytest.param("disturbed", marks=pytest.mark.long)])
 def test_counts_are_those_without_a_witness(name, at, monkeypatch):
     model = jb.LinearSystem(**MODEL[name])
