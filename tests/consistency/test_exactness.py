@@ -95,8 +95,10 @@ def test_joint_verdict_of_other_models_equals_the_linear_program(name, horizon, 
     compare(name, horizon, 1_000, rng)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("horizon", [1, 2, 3])
+@pytest.mark.parametrize(
+    "horizon",
+    [pytest.param(2, marks=pytest.mark.slow), *(pytest.param(s, marks=pytest.mark.long) for s in (1, 3))],
+)
 @pytest.mark.parametrize("name", [name for name in MODELS if name != "paper"])
 def test_joint_verdict_of_other_models_equals_the_linear_program_ten_thousand_times(name, horizon, rng):
     compare(name, horizon, 10_000 if horizon < 3 else 3_000, rng)
