@@ -10,6 +10,7 @@ from itertools import pairwise, product
 import highspy
 import linear_programs
 import numpy as np
+import pandas as pd
 import pytest
 from oracles import fractions, times
 
@@ -346,6 +347,44 @@ def test_errors_of_every_kind_lose_nothing(rng):
             found = jb.parameters(r, u, y, precision=0.2, budget=300)
             assert found.contains({"k": k, "leak": lost}) and found.status != "FAULT"
             assert found.share < 0.5
+
+
+def test_an_offset_of_unknown_size_is_a_constant_unknown_beside_an_input_that_is_1(rng):
+    """As docs/bounds.md says: an offset within .5 that keeps its value; by linear programs in state and
+    offset.
+    """
+    m = jb.LinearSystem(
+        [["0.9"]],
+        [[1, 0]],
+        [[1]],
+        D=[[0, 0]],
+        noise=NOISE,
+        inputs=["fan", "one"],
+        columns={"one": "= 1 + 0*fan"},
+        uncertainties=[fixed("offset", "-0.5", "0.5", D=[[0, 1]])],
+    )
+    fan, x, offset, s, wide = rng.uniform(-1, 1, 60), [0.0], rng.uniform(-0.5, 0.5), 2, float(NOISE)
+    for now in fan[:-1]:
+        x.append(0.9 * x[-1] + now)
+    y = np.array(x) + offset + rng.uniform(-wide, wide, 60)
+    y[40:] += 0.15
+    relations = jb.parity_relations(m, s)
+    found = jb.detect(relations, pd.DataFrame({"fan": fan, "y1": y})).status
+    for k in range(s, 60):
+        solver = linear_programs.solver()
+        solver.addVar(-highspy.kHighsInf, highspy.kHighsInf)
+        solver.addVar(-0.5, 0.5)
+        moved = 0.0
+        for i in range(s + 1):
+            shown = y[k - s + i] - moved
+            solver.addRow(shown - wide, shown + wide, 2, np.arange(2), np.array([0.9**i, 1.0]))
+            moved = 0.9 * moved + fan[k - s + i]
+        assert (found[k] == jb.Status.CONSISTENT) == linear_programs.is_feasible(solver)
+    assert (found == jb.Status.FAULT).any() and (found[s:40] == jb.Status.CONSISTENT).all()
+    ones = np.stack([fan, np.ones(60)], 1)
+    day = jb.parameters(relations, ones[:40], y[:40, None])
+    assert day.contains({"offset": offset}) and day.share < 0.5
+    assert jb.parameters(relations, ones[:40], y[:40, None] - offset + 0.7).status == "FAULT"
 
 
 def test_parameters_that_vary_may_be_anything_at_each_sample(rng):
