@@ -10,16 +10,21 @@ bounds t times those of the model: the trajectory is a witness for each of its w
 Numbers here are floats of HiGHS; verdicts under bounds that are rounded up prove them.
 """
 
+import itertools
 import math
+import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from jaxbound.models.faults import Fault
 from jaxbound.models.system import LinearSystem
 from jaxbound.studies.identification.records import Record
+
+if TYPE_CHECKING:
+    from scipy.optimize import OptimizeResult
 
 __all__ = [
     "SETTLED",
@@ -45,6 +50,12 @@ SETTLED = 100
 """Samples before a fault by which the state is known as well as it ever is."""
 LONG = 500
 """Samples from which on an interior point costs less than the simplex: its time grows with their number."""
+STEPS, PATIENCE = 1000, 60.0
+"""Steps, and seconds, after which a program is given to another method: an interior point takes 10 to 30
+steps where it ends, and one may search for its corner for ever.
+"""
+AWAKE = 0.5
+"""Seconds between two looks at a program that runs."""
 
 
 def least_factor(model: LinearSystem, part: Record) -> float:
@@ -232,25 +243,60 @@ def _extreme(
 
     inf where nothing limits it, nan where nothing will do.
     """
-    from scipy.optimize import linprog
-    from scipy.sparse import block_array, csr_array, hstack
+    from scipy.sparse import block_array, csr_array, diags_array, eye_array, hstack
 
-    equations = hstack([rows.dynamics, csr_array(acts[:, None])], format="csr")
-    column, apart = csr_array(wrong[:, None]), csr_array((len(wrong), rows.walks))
-    upper = block_array([[rows.seen, apart, -column], [-rows.seen, apart, column]])
-    most = np.concatenate([rows.limit + left, rows.limit - left])
-    count = equations.shape[1] - 1
-    limits = [(None, None)] * (count - rows.walks) + [(-1, 1)] * rows.walks + [(None, None)]
-    aim = np.append(np.zeros(count), -sign)
-    method = "highs"
+    # a column for the error of each reading, in its limits: two rows that bound it take three times as long
+    unit = np.where(rows.limit > 0, rows.limit, 1.0)
+    count, seen = len(unit), diags_array(1 / unit) @ rows.seen
+    states = seen.shape[1]
+    apart, column = csr_array((count, rows.walks)), csr_array(-(wrong / unit)[:, None])
+    equations = block_array(
+        [[rows.dynamics, None, csr_array(acts[:, None])], [hstack([seen, apart]), eye_array(count), column]],
+        format="csr",
+    )
+    most = np.concatenate(
+        [np.full(states, np.inf), np.ones(rows.walks), rows.limit / unit, np.full(1, np.inf)]
+    )
+    program = {"c": np.append(np.zeros(len(most) - 1), -sign), "bounds": np.stack([-most, most], 1)}
+    program |= {"A_eq": equations, "b_eq": np.concatenate([known, left / unit])}
+    methods = ["highs"]
     if len(rows.linked) > LONG:
-        method = "highs-ipm"
-    for presolve in (True, False):  # which may end without saying whether nothing limits it
-        answer = linprog(
-            aim, upper, most, equations, known, bounds=limits, method=method, options={"presolve": presolve}
-        )
+        methods = ["highs-ipm", "highs"]
+    for method, presolve in itertools.product(methods, (True, False)):
+        steps = STEPS
+        if method == "highs":  # the simplex takes some for each reading
+            steps *= 1 + count // 50
+        options = {"presolve": presolve, "maxiter": steps, "time_limit": PATIENCE}
+        answer = _solved({**program, "method": method, "options": options})
         if answer.status == SOLVED:
             return sign * float(answer.x[-1])
         if answer.status == UNLIMITED:
             return math.inf
     return math.nan
+
+
+def _solved(program: dict[str, Any]) -> "OptimizeResult":
+    """Return the answer of a linear program of SciPy; a thread of its own solves it, so that Ctrl-C and
+    SIGTERM, which reach this one alone, need not wait for its end.
+    """
+    from scipy.optimize import linprog
+
+    answers, troubles = [], []
+
+    def solve() -> None:
+        try:
+            answers.append(linprog(**program))
+        except Exception as trouble:
+            troubles.append(trouble)
+
+    solver = threading.Thread(target=solve, daemon=True)
+    solver.start()
+    try:
+        while solver.is_alive():
+            solver.join(AWAKE)
+    except BaseException:
+        solver.join(AWAKE)  # a thread that ends while Python does may crash it
+        raise
+    for trouble in troubles:
+        raise trouble
+    return answers[0]

@@ -1,10 +1,14 @@
 """Linear programs over whole recordings: the least factor, and the faults that stay hidden."""
 
+import signal
+import threading
+
 import numpy as np
 import pytest
 from scipy.optimize import linprog
 
 import jaxbound as jb
+from jaxbound.studies.identification import trajectories
 from jaxbound.studies.identification.trajectories import (
     added_fault,
     hidden_jumps,
@@ -131,9 +135,9 @@ def test_a_jump_of_twice_the_noise_hides_where_nothing_remembers():
 def test_the_program_of_an_unlimited_size_says_so_with_and_without_presolve(monkeypatch):
     asked = []
 
-    def undecided(*about, options, **named):
+    def undecided(options, **named):
         asked.append(options["presolve"])
-        answer = linprog(*about, options=options, **named)
+        answer = linprog(options=options, **named)
         if options["presolve"]:
             answer.status = 4
         return answer
@@ -142,3 +146,39 @@ def test_the_program_of_an_unlimited_size_says_so_with_and_without_presolve(monk
     assert hidden_size(constant(), part([0, 0, 0]), jb.Fault("y1", "bias", 1)) == np.inf
     assert least_factor(constant(), part([0, 0, 5, 5])) == pytest.approx(2.5)
     assert set(asked) == {True, False}
+
+
+def test_a_program_that_goes_round_in_a_circle_is_given_to_another_method(monkeypatch):
+    tried = []
+
+    def endless(method, options, **named):
+        tried.append((method, options["presolve"]))
+        assert options["maxiter"] and options["time_limit"]
+        answer = linprog(method=method, options=options, **named)
+        if method == "highs-ipm":
+            answer.status = 1  # a limit was reached
+        return answer
+
+    monkeypatch.setattr(trajectories, "LONG", 2)
+    monkeypatch.setattr("scipy.optimize.linprog", endless)
+    assert least_factor(constant(), part([0, 0, 5, 3, 5, -1])) == pytest.approx(3)
+    assert tried == [("highs-ipm", True), ("highs-ipm", False), ("highs", True)]
+
+
+def test_a_signal_does_not_wait_for_a_program_that_does_not_end(monkeypatch):
+    begun, ended = threading.Event(), threading.Event()
+
+    def endless(**named):
+        begun.set()
+        ended.wait(60)
+
+    def interrupt():
+        begun.wait(60)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(trajectories, "AWAKE", 0.01)
+    monkeypatch.setattr("scipy.optimize.linprog", endless)
+    threading.Thread(target=interrupt, daemon=True).start()
+    with pytest.raises(KeyboardInterrupt):
+        least_factor(constant(), part([0, 0, 5, 5]))
+    ended.set()
