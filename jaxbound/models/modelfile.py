@@ -7,13 +7,14 @@ Saving and loading again gives the same model, Fraction by Fraction: see `fileva
 from __future__ import annotations
 
 import re
-from collections.abc import MutableMapping
+from collections.abc import Mapping, MutableMapping
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxbound.files.whole import whole
 from jaxbound.models.filevalues import NUMBER, TEXT, number_text
+from jaxbound.models.modelchanges import changes_between, with_changes
 from jaxbound.models.modelfields import LISTS, Entry, entries, model_arguments, value_texts
 from jaxbound.models.statedtests import lines_of
 from jaxbound.models.system import LinearSystem
@@ -45,16 +46,21 @@ def load_model(path: str | PathLike[str]) -> LinearSystem:
         >>> load_model(path).outputs
         ('level', 'flow')
     """
+    return _loaded(Path(path), alone=False)
+
+
+def _loaded(path: Path, alone: bool) -> LinearSystem:
+    """Return the model of a file. alone: tests of it name no other files."""
     import tomllib
 
-    path, text = Path(path), ""
+    text = ""
     if path.is_dir():
         raise IsADirectoryError(f"{path} is a folder: a model file is needed")
     if not path.exists():
         raise FileNotFoundError(f"there is no model file {path}")
     try:
         text = path.read_bytes().decode("utf-8-sig")
-        return _parsed(text)
+        return _parsed(text, None if alone else path.parent)
     except UnicodeDecodeError:
         raise ValueError(
             f"{path}: this is not a text file in UTF-8, so it is no model file{_swapped(path)}"
@@ -105,11 +111,74 @@ def save_model(model: LinearSystem, path: str | PathLike[str]) -> None:
         f.write(model_text(model).encode())
 
 
-def _parsed(text: str) -> LinearSystem:
-    """Return the model that the text of a file states."""
+def _parsed(text: str, folder: Path | None) -> LinearSystem:
+    """Return the model that the text of a file states. folder: of the file; None: files that its tests name
+    are not looked for.
+    """
+    document = _document(text)
+    tests = document.get("test")
+    if isinstance(tests, list) and any(isinstance(test, dict) and _names_a_file(test) for test in tests):
+        if folder is None:
+            raise ValueError("a test names the file of its model: here one model is needed")
+        alone = {key: value for key, value in document.items() if key != "test"}
+        base = LinearSystem(**model_arguments(alone))
+        document["test"] = [_with_its_model(base, test, folder) for test in tests]
+    return LinearSystem(**model_arguments(document))
+
+
+def _document(text: str) -> dict[str, Any]:
+    """Return the text of a model file as tables, decimals as texts."""
     import tomllib
 
-    return LinearSystem(**model_arguments(tomllib.loads(text, parse_float=str)))
+    return tomllib.loads(text, parse_float=str)
+
+
+def _names_a_file(test: Mapping[str, Any]) -> bool:
+    """Return whether the model of a test is that of another file."""
+    return isinstance(test.get("model"), str)
+
+
+def _read_by(model: LinearSystem) -> dict[str, object]:
+    """Return the signals of a model, its step and its columns, by which recordings are read."""
+    return {
+        "inputs": model.inputs,
+        "outputs": model.outputs,
+        "dt": model.dt,
+        "columns": dict(model.columns),
+    }
+
+
+def _with_its_model(base: LinearSystem, test: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the table of a test with the fields of the model file that it names, as far as they differ.
+
+    Raises:
+        ValueError: other signals, dt or ways to read a recording; tests of its own; fields that it lacks.
+    """
+    if not _names_a_file(test):
+        return test
+    file, where = test["model"], f"model of test {test.get('name')!r}"
+    try:
+        other = _loaded(folder / file, alone=True)
+    except (OSError, ValueError) as e:
+        raise ValueError(f"{where}: {e}") from None
+    for field, theirs in _read_by(other).items():
+        own = _read_by(base)[field]
+        if theirs != own:
+            raise ValueError(
+                f"{where}: {file} has {field} {theirs!r}, this file {own!r}: all tests of a monitor judge "
+                f"the same samples"
+            )
+    if other.tests:
+        raise ValueError(f"{where}: {file} states tests of its own: name a file with one model")
+    mine = _document(model_text(base))
+    changes = changes_between(mine, _document(model_text(other)))
+    changed = LinearSystem(**model_arguments(with_changes(mine, changes)))
+    if model_text(changed.replace(name=other.name)) != model_text(other):
+        raise ValueError(
+            f"{where}: {file} leaves out what this file states, which a test cannot take away: state it "
+            f"there, as 0 perhaps"
+        )
+    return {**test, "model": changes}
 
 
 def model_text(model: LinearSystem) -> str:
@@ -134,8 +203,8 @@ def model_text(model: LinearSystem) -> str:
 def changed_text(text: str, model: LinearSystem) -> str:
     """Return the text of a model file with the values of another model of the same signals.
 
-    Comments, order and spacing stay, and equal values stay as they are spelled. Where that cannot be done,
-    the text is a new one: it always reads back as the very same model.
+    Comments, order and spacing stay, and equal values stay as they are spelled. Where that cannot be done, or
+    a test names another file, the text is a new one: it reads back as the very same model, wherever it lies.
 
     Args:
         text: of a file that `load_model` reads. model: a copy with other bounds, windows or origins.
@@ -145,10 +214,10 @@ def changed_text(text: str, model: LinearSystem) -> str:
 
     try:
         document = parse(text)
-        before = _parsed(text)
+        before = _parsed(text, None)
         _change(document, before, model)
         changed = document.as_string()
-        if _parsed(changed) == model:
+        if _parsed(changed, None) == model:
             return changed
     except (TOMLKitError, ValueError, KeyError, IndexError):
         pass  # a spelling of TOML that tomlkit cannot change: the values matter more than the comments

@@ -6,8 +6,8 @@ from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
-from jaxbound.models.filevalues import Table
-from jaxbound.models.modelfields import LISTS, model_arguments
+from jaxbound.models.modelchanges import with_changes
+from jaxbound.models.modelfields import model_arguments
 from jaxbound.models.modelfile import model_text
 from jaxbound.models.statedtests import StatedTest
 from jaxbound.models.system import LinearSystem
@@ -15,11 +15,7 @@ from jaxbound.models.watched import watched
 
 __all__ = ["model_of", "with_tests"]
 
-MERGED = ("inputs", "outputs")
-"""Tables that are changed by the name of their signal; others stand in place of those of the file."""
 SAME = ("dt", "inputs", "outputs")
-READ_ONCE = ("every", "time", "where")
-"""Fields by which the recording is read, which is read once for all tests."""
 
 
 def model_of(model: LinearSystem, test: StatedTest) -> LinearSystem:
@@ -71,32 +67,7 @@ def with_tests(model: LinearSystem) -> LinearSystem:
 def _changed(model: LinearSystem, changes: Mapping[str, Any]) -> LinearSystem:
     """Return a model with fields of a model file that stand in place of its own."""
     document = tomllib.loads(model_text(model), parse_float=str)
-    for key, value in changes.items():
-        if key in READ_ONCE or key == "test":
-            raise ValueError(f"{key} is for the whole file: a recording is read once for all tests")
-        if key == "horizon" and "lags" in document:
-            del document["lags"]
-        if key == "lags" and "horizon" in document:
-            del document["horizon"]
-        if key in MERGED:
-            value = _by_name(key, document.get(key, []), value)
-        elif isinstance(value, dict) and key not in LISTS:
-            value = {**document.get(key, {}), **value}
-        document[key] = value
-    return LinearSystem(**model_arguments(document))
-
-
-def _by_name(place: str, tables: list[Table], changes: object) -> list[Table]:
-    """Return tables of signals with fields that stand in place of their own, found by their names."""
-    if not isinstance(changes, list):
-        raise ValueError(f"{place} must be tables with the name of a signal each")
-    changed = {table["name"]: dict(table) for table in tables}
-    for change in changes:
-        name = change.get("name")
-        if name not in changed:
-            raise ValueError(f"{place} has no {name!r}: it has {', '.join(changed)}")
-        changed[name] |= change
-    return list(changed.values())
+    return LinearSystem(**model_arguments(with_changes(document, changes)))
 
 
 def _widened(model: LinearSystem, factor: Fraction) -> LinearSystem:

@@ -1,5 +1,6 @@
 """Tests that a model states: read, refused and written again, and the models that they rest on."""
 
+import re
 from fractions import Fraction
 
 import pytest
@@ -77,7 +78,7 @@ def test_other_bounds_keep_the_tests_of_a_file_and_its_comments():
 def load_of(text):
     from jaxbound.models.modelfile import _parsed
 
-    return _parsed(text)
+    return _parsed(text, None)
 
 
 def test_a_factor_widens_all_bounds_but_the_resolution(load):
@@ -145,3 +146,42 @@ def test_numbers_given_in_python_are_their_shortest_decimals(load):
 def test_a_monitor_needs_tests():
     with pytest.raises(ValueError, match="a monitor needs tests"):
         jb.monitor(jb.LinearSystem([[0.5]], None, [[1]], noise=0.1))
+
+
+OTHER = PLANT.replace("0.9", "0.8").replace("noise = 0.1", "noise = 0.3")
+
+
+def test_a_test_takes_the_model_of_another_file_beside_its_own(load, tmp_path):
+    """It is the model of that file, and goes with what is saved: the other file is not asked again."""
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub/other.toml").write_text(OTHER)
+    model = load(PLANT + '[[test]]\nname = "a"\nmodel = "sub/other.toml"\nfactor = 2\n')
+    own = model_of(model, model.tests[0])
+    assert own.A == ((Fraction("0.8"),),) and own.noise == (Fraction("0.6"),)
+    assert own.horizon == 4 and own.tolerance == (Fraction("0.04"),)
+    text = model_text(model)
+    assert "other.toml" not in text and load_of(text) == model
+    written = (tmp_path / "m.toml").read_text()
+    assert load_of(changed_text(written, model)) == model, "it may be written into another folder"
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (
+            OTHER.replace('"pump"', '"valve"'),
+            "other.toml has inputs ('valve',), this file ('pump',): all tests",
+        ),
+        (OTHER.replace("dt = 0.5", "dt = 2"), "other.toml has dt 2.0, this file 0.5: all tests"),
+        (OTHER.replace("dt = 0.5", 'dt = 0.5\nevery = "500ms"'), "other.toml has columns {'every': '500ms'}"),
+        (OTHER + '[[test]]\nname = "b"\n', "states tests of its own: name a file with one model"),
+        (OTHER + '[[test]]\nname = "b"\nmodel = "m.toml"\n', "here one model is needed"),
+        (OTHER.replace("[[disturbances]]\nbound = [0, 0.2]", "").replace("G = [[1]]", ""), "leaves out what"),
+        (None, "there is no model file"),
+    ],
+)
+def test_another_file_of_other_signals_is_refused_in_one_sentence(load, tmp_path, text, sentence):
+    if text is not None:
+        (tmp_path / "other.toml").write_text(text)
+    with pytest.raises(ValueError, match=f"model of test 'a': .*{re.escape(sentence)}"):
+        load(PLANT + '[[test]]\nname = "a"\nmodel = "other.toml"\n')

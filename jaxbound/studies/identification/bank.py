@@ -14,10 +14,11 @@ from functools import partial
 from typing import Any
 
 from jaxbound.estimation.method import ObserverMethod
+from jaxbound.models.modelchanges import changes_between
 from jaxbound.models.modelfile import model_text
 from jaxbound.models.statedtests import StatedTest, stated_tests
 from jaxbound.models.system import LinearSystem
-from jaxbound.models.testmodels import MERGED, model_of
+from jaxbound.models.testmodels import model_of
 from jaxbound.studies.identification.fit_result import Fitted
 from jaxbound.studies.identification.trajectories import SETTLED, sure_sizes
 from jaxbound.studies.identification.window_tests import RAMP, JudgedTest, WindowChoice, best_test
@@ -28,10 +29,6 @@ GAIN = 0.8
 """A test earns its place where it sees an error from this share of the size on that the others need."""
 SOON = 8
 """Samples within which an observer is to see a jump."""
-ABSENT: Mapping[str, object] = {"averages": [], "noise": "0", "resolution": "0", "offset": "0"}
-"""Fields of a signal that a test states where the file has them and its own model has not."""
-ONCE = ("test", "name")
-"""Fields that a test does not repeat."""
 
 
 FitOne = Callable[[Mapping[str, Any], Callable[[float], object]], Fitted]
@@ -147,35 +144,8 @@ def test_as_fitted(
             of the test beside its name and its model.
     """
     mine, theirs = (tomllib.loads(model_text(x.replace(tests=None)), parse_float=str) for x in (base, fitted))
-    (test,) = stated_tests([{"name": name, **(about or {}), "model": _changes(mine, theirs)}])
+    (test,) = stated_tests([{"name": name, **(about or {}), "model": changes_between(mine, theirs)}])
     own = model_of(base, test)
     # a field that one of them lacks would be lost silently
     assert model_text(own.replace(name=base.name)) == model_text(fitted.replace(name=base.name)), name
     return test
-
-
-def _changes(mine: dict[str, Any], theirs: dict[str, Any]) -> dict[str, Any]:
-    """Return the fields of a model file that differ from those of another."""
-    changes: dict[str, Any] = {}
-    for key, value in theirs.items():
-        if key in ONCE or mine.get(key) == value:
-            continue
-        if key in MERGED:
-            changes[key] = list(_changed_signals(mine[key], value))
-        elif isinstance(value, dict):
-            own = mine.get(key, {})
-            changes[key] = {field: x for field, x in value.items() if own.get(field) != x}
-        else:
-            changes[key] = value
-    return changes
-
-
-def _changed_signals(mine: list[dict[str, Any]], theirs: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
-    """Yield for each signal whose fields differ its name and those fields."""
-    for before, after in zip(mine, theirs, strict=True):
-        changed = {field: x for field, x in after.items() if before.get(field) != x}
-        for field, nothing in ABSENT.items():
-            if field in before and field not in after:
-                changed[field] = nothing
-        if changed:
-            yield {"name": after["name"], **changed}
