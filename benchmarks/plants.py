@@ -17,6 +17,8 @@ its window is a FAULT; one that no verdict covers is none.
 Of the engine each sample is judged by its residuals alone. A fault is a candidate where every residual that
 is violated has it in its row ("violated"), or where those that are violated are its column, no more and no
 less ("signature"): isolated right with the true one alone, ambiguous with others, wrong without it.
+This is `jb.evaluate` and no monitor: its tests look at one plant each in their own way, and no field of a
+model file holds a structure of residuals that were worked out elsewhere.
 
 python -m benchmarks.plants heater|ahu|engine [--data FOLDER]
 python -m benchmarks.plants skab --data FOLDER [--inputs A,B] [--outputs C,D] [--every 5s] [--order 2]
