@@ -26,7 +26,7 @@ METHODS = {
     "bank": "joint",
     "residual": "joint",
 }
-RARELY = {"paving": "slow", "long": "long", "long constant": "slow"}  # for the time that they take to compile
+RARELY = {"paving": "slow", "long": "long", "long constant": "long"}  # for the time that they take to compile
 FAMILIES = [
     pytest.param(name, marks=getattr(pytest.mark, RARELY[name])) if name in RARELY else name
     for name in METHODS
