@@ -10,7 +10,7 @@ One more row of the same exact test each. v is what a reading is off by, noise a
 rounded away adds its own part to the bound. Of a run with a missing sample nothing is said.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import TypeAlias, cast
@@ -117,6 +117,21 @@ def _refuse(average: Average, ends: tuple[Fraction, Fraction] | None) -> None:
         )
 
 
+def _pairs(
+    signal: str, stated: Mapping[int, Number] | Sequence[tuple[int | Sequence[Number], Number]]
+) -> list[tuple[int | Sequence[Number], Number]]:
+    """Return [(samples or weights, bound)] of a signal."""
+    if isinstance(stated, Mapping):
+        return list(stated.items())
+    try:
+        return [(weights, bound) for weights, bound in stated]
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"averages of {signal!r} must be a table, like {{16: 0.1}}, or a list of (weights, bound), like "
+            f"[([1, 1, -1, -1], 0.1)], not {stated!r}"
+        ) from None
+
+
 def _listed(given: Averaged | None) -> list[tuple[str, Sequence[Number], Number]]:
     """Return [(signal, weights, bound)] of averages in any of their forms."""
     if given is None:
@@ -124,15 +139,17 @@ def _listed(given: Averaged | None) -> list[tuple[str, Sequence[Number], Number]
     rows: list[tuple[str, Sequence[Number], Number]] = []
     if isinstance(given, Mapping):
         for signal, stated in given.items():
-            pairs = stated.items() if isinstance(stated, Mapping) else stated
-            for samples, bound in pairs:
+            for samples, bound in _pairs(signal, stated):
                 rows.append((str(signal), _weights(signal, samples), bound))
         return rows
-    for average in given:
+    given_ones: Iterable[object] = (given,)
+    if isinstance(given, Iterable):
+        given_ones = given
+    for average in given_ones:
         if not isinstance(average, Average):
             raise ValueError(
-                "averages must be a table, like {'T1': {16: 0.1}}: 16 samples of the error of T1 have a mean "
-                "of at most 0.1"
+                f"averages must be a table, like {{'T1': {{16: 0.1}}}}: 16 samples of the error of T1 have a "
+                f"mean of at most 0.1; not {given!r}"
             )
         rows.append((average.signal, average.weights, average.bound))
     return rows

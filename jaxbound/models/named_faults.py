@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from jaxbound.exact.linalg import Number
+from jaxbound.models.arguments import listed_argument
 from jaxbound.models.numbers import number
 from jaxbound.recordings.expressions import missing_column
 from jaxbound.text.names import listed
@@ -182,7 +183,7 @@ def named_faults(
         TypeError: something else than a NamedFault. ValueError: a name used twice, or one that the model does
             not have.
     """
-    faults = tuple(given)
+    faults = listed_argument("faults", given, "[NamedFault(..)]")
     for fault in faults:
         if not isinstance(fault, NamedFault):
             raise TypeError(f"faults of a model must be NamedFault, not {type(fault).__name__}")

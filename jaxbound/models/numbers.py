@@ -1,6 +1,7 @@
 """The numbers of a model's arguments, exact, and refused with the name of their field."""
 
 from fractions import Fraction
+from numbers import Real
 from typing import TypeGuard, cast
 
 import numpy as np
@@ -8,7 +9,12 @@ import numpy as np
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, MatrixLike, Number
 
-__all__ = ["entries_of", "exact_matrix", "is_whole", "number"]
+__all__ = ["entries_of", "exact_matrix", "is_real", "is_whole", "number"]
+
+
+def is_real(x: object) -> TypeGuard[float]:
+    """Return whether something is a number: of Python or NumPy, and no bool."""
+    return isinstance(x, Real) and not isinstance(x, bool)
 
 
 def is_whole(x: object) -> TypeGuard[int]:
@@ -26,6 +32,8 @@ def number(field: str, x: Number) -> Fraction:
 
 def exact_matrix(field: str, a: MatrixLike | None) -> Matrix:
     """Return a matrix exactly; raise ValueError with the name of its field."""
+    if a is not None and np.ndim(np.asarray(a, object)) == 0:
+        raise ValueError(f"{field} must be a matrix, a list of rows like [[0.8, 0], [0.1, 0.9]], not {a!r}")
     try:
         return linalg.matrix(cast("MatrixLike", a))  # None is refused there
     except (ValueError, TypeError) as e:

@@ -120,7 +120,7 @@ def plant(
 
 def _rows(field: str, a: MatrixLike | None) -> Matrix:
     """Return a matrix exactly; () without rows."""
-    if a is None or not len(a):
+    if a is None or (np.ndim(np.asarray(a, object)) and not len(a)):
         return ()
     return exact_matrix(field, a)
 

@@ -2,7 +2,7 @@
 recorded sample may be off.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import TypeAlias, cast
@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from jaxbound.exact.linalg import Number, Vector
+from jaxbound.models.arguments import listed_argument, table_argument
 from jaxbound.models.numbers import number
 from jaxbound.recordings.clockintervals import seconds_of
 from jaxbound.recordings.expressions import expression, is_expression
@@ -94,7 +95,7 @@ def model_signals(
     twice = sorted({x for x in recorded if recorded.count(x) > 1})
     if twice:
         raise ValueError(f"a signal name may stand for one signal only: {listed(twice)} is used twice")
-    offset = dict(offset or {})
+    offset = table_argument("offset", offset, "{'u': [20], 'y': [35.5]}")
     unknown = set(offset) - {"u", "y"}
     if unknown:
         raise ValueError(f"offset has the fields 'u' and 'y', not {sorted(unknown)}")
@@ -136,7 +137,7 @@ def _ranges(
     table: Mapping[str, tuple[Number, Number]] | None, inputs: tuple[str, ...]
 ) -> tuple[tuple[str, Fraction, Fraction], ...]:
     """Return (name, lowest, highest) of every input whose range is stated, in the order of the inputs."""
-    stated = dict(table or {})
+    stated = table_argument("ranges", table, "{'Q': (0, 100)}")
     unknown = sorted(set(stated) - set(inputs))
     if unknown:
         raise ValueError(f"ranges speaks of {listed(unknown)}, but the model's inputs are {listed(inputs)}")
@@ -190,7 +191,7 @@ def words(field: str, table: Mapping[str, str] | None, known: Collection[str]) -
     Raises:
         ValueError: a name that is not known.
     """
-    texts = {str(k): str(v) for k, v in dict(table or {}).items()}
+    texts = {str(k): str(v) for k, v in table_argument(field, table, "{name: text}").items()}
     unknown = sorted(set(texts) - set(known))
     if unknown:
         raise ValueError(f"{field} speaks of {listed(unknown)}, but the model knows only {listed(known)}")
@@ -220,6 +221,11 @@ def _vector(field: str, value: Each, names: tuple[str, ...]) -> Vector:
     return tuple(number(f"{field} of {s!r}", x) for s, x in zip(names, values, strict=True))
 
 
+def names_in(field: str, stated: Iterable[object]) -> tuple[str, ...]:
+    """Return names as a tuple; raise ValueError for what is no list of them."""
+    return tuple(map(str, listed_argument(field, stated, "['T1', 'T2']")))
+
+
 def named(field: str, stated: str | Sequence[str] | None, count: int, letter: str) -> tuple[str, ...]:
     """Return the names of as many signals: those stated, or numbered with a letter.
 
@@ -228,7 +234,7 @@ def named(field: str, stated: str | Sequence[str] | None, count: int, letter: st
     """
     if stated is None:
         return tuple(f"{letter}{i + 1}" for i in range(count))
-    names = (stated,) if isinstance(stated, str) else tuple(map(str, stated))
+    names = (stated,) if isinstance(stated, str) else names_in(field, stated)
     if len(names) != count:
         raise ValueError(f"{field} needs {count} names, one for each: {len(names)} given")
     if len(set(names)) < count:

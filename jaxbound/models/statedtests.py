@@ -15,6 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from jaxbound.exact.linalg import Number, rational
+from jaxbound.models.arguments import listed_argument
 from jaxbound.models.filevalues import (
     NUMBER,
     TEXT,
@@ -110,7 +111,8 @@ def stated_tests(given: StatedTests | None) -> tuple[StatedTest, ...]:
             look back, options of another way, a condition that cannot be read, a factor that is not above 0.
     """
     tests: list[StatedTest] = []
-    for i, table in enumerate(given or ()):
+    stated = listed_argument("tests", given or (), "[{'name': 'slow', 'lags': [0, 1, 4]}]")
+    for i, table in enumerate(stated):
         test = table
         if not isinstance(test, StatedTest):
             test = _read(i + 1, dict(as_table(f"number {i + 1} of test", table)))

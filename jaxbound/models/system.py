@@ -12,6 +12,7 @@ from typing import Any, Generic, NoReturn, TypeVar, overload
 import numpy as np
 
 from jaxbound.exact.linalg import Matrix, MatrixLike, Number, Vector
+from jaxbound.models.arguments import listed_argument
 from jaxbound.models.average import Average, Averaged, averages_of
 from jaxbound.models.named_faults import NamedFault, named_faults
 from jaxbound.models.numbers import is_whole, number
@@ -469,6 +470,7 @@ def whole_lags(lags: Sequence[int]) -> tuple[int, ...]:
     Raises:
         ValueError: they are not different whole numbers >= 0, or 0 is not among them.
     """
+    lags = listed_argument("lags", lags, "[0, 1, 4]")
     whole = all(is_whole(x) and x >= 0 for x in lags)
     if not whole or len(set(lags)) < len(lags) or 0 not in lags:
         raise ValueError(f"lags must be different whole numbers >= 0, 0 among them, not {tuple(lags)!r}")

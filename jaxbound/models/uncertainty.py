@@ -1,6 +1,6 @@
 """Uncertain parameters: how a bounded number changes the matrices of a model."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -120,7 +120,7 @@ def influences(
 
     Raises ValueError naming what does not fit, TypeError for anything that is no Uncertainty.
     """
-    parameters = (given,) if isinstance(given, Uncertainty) else tuple(given)
+    parameters = tuple(given) if isinstance(given, Iterable) else (given,)
     for u in parameters:
         if not isinstance(u, Uncertainty):
             raise TypeError(f"uncertainties must be jb.Uncertainty(name, A=..., ...), not {type(u).__name__}")

@@ -29,7 +29,7 @@ def seconds_of(text: str) -> float:
 
 def nanoseconds(text: str) -> int:
     """Return the length of an interval in ns; errors as of `seconds_of`."""
-    found = INTERVAL.fullmatch(text)
+    found = INTERVAL.fullmatch(str(text))
     length = 0
     if found is not None:
         length = round(Fraction(found[1] or "1") * UNITS[found[2]])

@@ -13,6 +13,7 @@ from jax.typing import ArrayLike, DTypeLike
 from jaxbound.consistency.interface import Array
 from jaxbound.consistency.reading import Reading
 from jaxbound.models import window
+from jaxbound.models.arguments import table_argument
 from jaxbound.models.system import LinearSystem
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.strips.separation import Frame
@@ -130,7 +131,7 @@ def changed_bounds(model: LinearSystem, old: Bounds, new: Mapping[str, ArrayLike
     """Return the bounds `old` with the entries of `new` in their place, checked as in `checked_bound`;
     ValueError for an unknown name.
     """
-    unknown = sorted(set(new) - set(old))
+    unknown = sorted(set(table_argument("bounds", new, "{'noise': 0.1}")) - set(old))
     if unknown:
         raise ValueError(f"bounds are {sorted(old)}, not {unknown}")
     return {name: checked_bound(model, name, new.get(name, value)) for name, value in old.items()}

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxbound.models.arguments import listed_argument
 from jaxbound.models.faults import Fault
 from jaxbound.models.system import LinearSystem
 from jaxbound.studies.identification.candidates import LEAST, Candidate, FitProblem, candidate
@@ -67,6 +68,8 @@ SETTINGS = (
 """That are tried, the tightest first."""
 WIDER = 1.05
 """A step by which bounds are widened while they still see the faults that are wanted."""
+SEE = "[jb.Fault('T1', 'bias', 2.5)]"
+"""An example of these."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +116,11 @@ def wanted_faults(
     Args:
         compares: whether windows are compared. Others: see `fit`.
     """
-    faults = tuple(see) if not isinstance(see, Fault) else (see,)
+    if isinstance(see, Fault):
+        see = (see,)
+    faults = listed_argument("see", see, SEE)
+    if not all(isinstance(fault, Fault) for fault in faults):
+        raise ValueError(f"see must be a fault, or a list of them, like {SEE}, not {see!r}")
     if disturbances is None:
         if faults:
             raise ValueError("see says which disturbances are chosen: give disturbances='auto' with it")

@@ -20,8 +20,9 @@ import numpy as np
 
 from jaxbound.estimation.method import ObserverMethod
 from jaxbound.estimation.methods import observer_method
+from jaxbound.models.arguments import table_argument
 from jaxbound.models.faults import Fault
-from jaxbound.models.numbers import is_whole
+from jaxbound.models.numbers import is_real, is_whole
 from jaxbound.models.system import LinearSystem, whole_lags
 from jaxbound.recordings.means import with_every
 from jaxbound.sets.floats.probe import where_proofs_hold
@@ -189,6 +190,10 @@ def fit(
         _refuse_beside_test(test, order, chosen_by_it, follow)
     horizon, lags = _window(horizon, lags, order)
     _check_options(order, delay, horizon, safety, held_out, method, average)
+    columns = table_argument("columns", columns, "{'Q': 'Heater 1'}")
+    units = table_argument("units", units, "{'T': 'degC'}")
+    if not isinstance(direct, bool | np.bool_):
+        raise ValueError(f"direct must be True or False, not {direct!r}")
     if direct and delay != 1:
         raise ValueError("direct inputs act at once: leave delay at 1, or direct out")
     columns, dt = with_every(columns, dt, every)
@@ -196,7 +201,7 @@ def fit(
     tried_sets: tuple[TriedSignals, ...] = ()
     if signals is not None:
         _refuse_signals(signals, inputs)
-        begin_with = names_of(inputs) or ()
+        begin_with = names_of("inputs", inputs) or ()
         pool = products(begin_with, columns)
         refuse_unnamed(recordings, pool)
         begun = dict(order=order, delay=delay, direct=direct, horizon=horizon, held_out=held_out)
@@ -467,9 +472,9 @@ def _check_options(
     shortest = 0 if order == 0 else int(order) + 1
     if not is_whole(horizon) or horizon < shortest:
         raise ValueError(f"horizon must be a whole number above the order ({order}), not {horizon!r}")
-    if not (np.isfinite(safety) and safety >= 1):
+    if not (is_real(safety) and np.isfinite(safety) and safety >= 1):
         raise ValueError(f"safety must be a factor >= 1, not {safety!r}")
-    if not 0 <= held_out < 1:
+    if not (is_real(held_out) and 0 <= held_out < 1):
         raise ValueError(f"held_out must be a share from 0 to below 1, not {held_out!r}")
     if method not in ("auto", *KINDS):
         raise ValueError(f"method must be auto, {', '.join(KINDS)}, not {method!r}")

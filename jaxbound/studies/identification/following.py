@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxbound.models.numbers import is_real
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.times import inputs_for_factors
 from jaxbound.recordings.factors import read_factor
@@ -117,7 +118,7 @@ def refuse_follow(follow: float | str, about: Mapping[str, Any], average: int | 
     """
     if follow == AUTO:
         return
-    if isinstance(follow, str) or not (np.isfinite(follow) and follow >= 0):
+    if not is_real(follow) or not (np.isfinite(follow) and follow >= 0):
         raise ValueError(f"follow must be a number >= 0, or auto, not {follow!r}")
     why = _hindrance(about, average)
     if follow and why:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxbound.models.signals import names_in
 from jaxbound.recordings.arrays import holds_both, is_made
 from jaxbound.recordings.clockintervals import every_text
 from jaxbound.recordings.means import every_of
@@ -88,7 +89,7 @@ def read_records(
         recordings = [recordings]
     if not recordings:
         raise ValueError("there is no recording: give at least one")
-    input_names, output_names = names_of(inputs), names_of(outputs)
+    input_names, output_names = names_of("inputs", inputs), names_of("outputs", outputs)
     records: Records = []
     periods = []
     for number, one in enumerate(recordings):
@@ -162,13 +163,13 @@ def _period(dt: float | None, periods: Sequence[tuple[float, str]]) -> float:
     return dt or 1.0
 
 
-def names_of(given: str | Sequence[str] | None) -> Names | None:
-    """Return names as a tuple; None where none are given."""
+def names_of(field: str, given: str | Sequence[str] | None) -> Names | None:
+    """Return the names of a field as a tuple; None where none are given."""
     if given is None:
         return None
     if isinstance(given, str):
         return (given,)
-    return tuple(given)
+    return names_in(field, given)
 
 
 def _named(

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.estimation.set_observer import SetObserver
+from jaxbound.models.arguments import listed_argument, table_argument
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import bounded_sums, changed_sums
 from jaxbound.relations.bounds import KINDS, model_bounds
@@ -101,7 +102,7 @@ def moving(
     """
     bounds, model = relations.bounds, tuned_model(relations)
     chosen = _chosen(which, bounds)
-    for name in (*chosen, *(weights or {})):
+    for name in (*chosen, *table_argument("weights", weights, "{'noise': 2}")):
         if name not in bounds:
             raise ValueError(f"there is no bound {name!r} to move: this model has {', '.join(bounds)}")
     owners = _owners(model)
@@ -175,7 +176,7 @@ def _chosen(which: str | Iterable[str] | None, bounds: Iterable[str]) -> tuple[s
         return tuple(bounds)
     if isinstance(which, str):
         return (which,)
-    return tuple(which)
+    return listed_argument("bounds", which, "['noise', 'disturbance']")
 
 
 def _owners(model: LinearSystem) -> dict[str, tuple[str, ...]]:

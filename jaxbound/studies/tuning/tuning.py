@@ -18,7 +18,7 @@ from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.result import Result
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.files.checkpoint import Checkpoint
-from jaxbound.models.numbers import is_whole
+from jaxbound.models.numbers import is_real, is_whole
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import ParityRelation
@@ -488,13 +488,13 @@ def _check(
     _refuse_below("every", every, 1)
     if block is not None:
         _refuse_below("block", block, 1)
-    if not 1 <= safety < np.inf:
+    if not (is_real(safety) and 1 <= safety < np.inf):
         raise ValueError(f"safety is a factor >= 1 on the smallest bounds, not {safety!r}")
-    if not 0 <= calibrate < 1:
+    if not (is_real(calibrate) and 0 <= calibrate < 1):
         raise ValueError(
             f"calibrate is the share of blocks kept out of the search: 0 <= calibrate < 1, not {calibrate!r}"
         )
-    if not 0 < confidence < 1:
+    if not (is_real(confidence) and 0 < confidence < 1):
         raise ValueError(f"confidence must lie between 0 and 1, not {confidence!r}")
 
 

@@ -1,0 +1,75 @@
+"""Arguments that are no table or list: one sentence that names the argument and shows what is meant."""
+
+import numpy as np
+import pytest
+
+import jaxbound as jb
+
+MODEL = jb.LinearSystem([[0.8]], [[0.5]], [[1]], noise=0.1)
+RECORDING = np.zeros((60, 1)), np.zeros((60, 1))
+
+
+@pytest.mark.parametrize(
+    ("argument", "value"),
+    [
+        ("averages", 8),
+        ("averages", {"y1": 8}),
+        ("averages", {"y1": [8]}),
+        ("averages", {"y1": ([1, 1, 1], 0.3)}),
+        ("offset", 3),
+        ("offset", (1, 2)),
+        ("lags", 5),
+        ("lags", "12"),
+        ("inputs", 3),
+        ("outputs", 4),
+        ("ranges", 3),
+        ("provenance", 3),
+        ("times", 2),
+        ("units", "degC"),
+        ("tests", 3),
+        ("faults", 3),
+        ("A", 3),
+    ],
+)
+def test_a_model_names_the_argument_and_shows_what_is_meant(argument, value):
+    with pytest.raises(ValueError, match=rf"^{argument}\b.* like .*not ") as refusal:
+        MODEL.replace(**{argument: value})
+    assert repr(value)[:5] in str(refusal.value) or argument == "averages"
+
+
+@pytest.mark.parametrize(
+    ("argument", "value", "beside"),
+    [
+        ("lags", 5, {"horizon": None}),
+        ("inputs", 3, {}),
+        ("outputs", 3, {}),
+        ("every", 5, {}),
+        ("safety", "a", {}),
+        ("safety", [1], {}),
+        ("held_out", None, {}),
+        ("follow", [1], {}),
+        ("follow", None, {}),
+        ("see", 3, {"disturbances": "auto"}),
+        ("see", "y1:bias:1", {"disturbances": "auto"}),
+        ("see", ["y1:bias:1"], {"disturbances": "auto"}),
+        ("columns", 3, {}),
+        ("direct", "yes", {}),
+    ],
+)
+def test_a_fit_names_the_argument(argument, value, beside):
+    with pytest.raises(ValueError, match=rf"^{argument}\b.*not "):
+        jb.fit(RECORDING, 1, **{"horizon": 3, argument: value} | beside)
+
+
+@pytest.mark.parametrize(
+    ("argument", "value"),
+    [("bounds", 3), ("weights", 3), ("safety", "a"), ("calibrate", "a"), ("confidence", [1])],
+)
+def test_a_tune_names_the_argument(argument, value):
+    with pytest.raises(ValueError, match=rf"^{argument}\b.*not "):
+        jb.tune(jb.parity_relations(MODEL, 2), RECORDING, **{argument: value})
+
+
+def test_bounds_of_relations_are_a_table():
+    with pytest.raises(ValueError, match="bounds must be a table, like .* not 3"):
+        jb.parity_relations(MODEL, 2).with_bounds(3)
