@@ -12,8 +12,9 @@ demo: .venv/installed
 test: .venv/tested
 	.venv/bin/python -m pytest -n auto --dist loadfile
 
+# their files are few and long: the last one would leave a worker idle for minutes
 slow: .venv/tested
-	.venv/bin/python -m pytest -n auto --dist loadfile -m slow
+	.venv/bin/python -m pytest -n auto --dist worksteal -m slow
 
 long: .venv/tested
 	.venv/bin/python -m pytest -n auto --dist loadfile -m long $(WHERE)
