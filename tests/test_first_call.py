@@ -92,7 +92,7 @@ LARGE = [name for name in first_call.CASES if name.endswith(("20", "40"))]
     "cases",
     [
         pytest.param(
-            [name for name in first_call.CASES if name not in LARGE], id="all", marks=pytest.mark.slow
+            [name for name in first_call.CASES if name not in LARGE], id="all", marks=pytest.mark.long
         ),
         pytest.param(LARGE, id="20 samples and more", marks=pytest.mark.long),
     ],

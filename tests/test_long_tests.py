@@ -78,6 +78,11 @@ BY_DAY = {
         ["half_a_million_fault_free_samples", "fifty_thousand_fault_free_samples_of_joint_observers"],
         "the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault",
     ),
+    "estimation/test_validation_tclab": {
+        "enclosures_hold_on_the_unseen_run_and_a_bias_is_located_and_corrected": (
+            "estimation/test_validation::the_paper_s_system"
+        )
+    },
     "estimation/test_validation_soundness": dict.fromkeys(
         [
             "a_million_fault_free_windows_give_no_alarm",
@@ -168,6 +173,11 @@ BY_DAY = {
     "test_docs": {
         # `make docs` builds them in CI
         "pages_build_without_a_warning": "sections_taken_from_the_readme_are_there"
+    },
+    "test_healthy_variants": {
+        "no_healthy_recording_of_many_is_faulty_and_none_loses_rows": (
+            "no_healthy_recording_is_faulty_and_none_loses_rows"
+        )
     },
     "test_fuzz": {
         "many_more_model_files_and_recordings_give_a_page_or_a_sentence": (

@@ -111,7 +111,7 @@ def random_window(rng, plant, s, size, dtype):
 
 
 @pytest.mark.parametrize(
-    "models", [2, pytest.param(25, marks=pytest.mark.slow), pytest.param(400, marks=pytest.mark.long)]
+    "models", [2, pytest.param(25, marks=pytest.mark.long), pytest.param(400, marks=pytest.mark.long)]
 )
 def test_what_is_far_from_the_boundary_is_decided_and_the_certificate_holds(models, rng):
     """12 windows a model; every verdict's certificate is confirmed by the standard library alone, on the same
