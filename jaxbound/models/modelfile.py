@@ -23,7 +23,15 @@ from jaxbound.models.template import template
 if TYPE_CHECKING:
     from tomlkit import TOMLDocument
 
-__all__ = ["changed_text", "load_model", "model_text", "number_text", "save_model", "template"]
+__all__ = [
+    "changed_text",
+    "load_model",
+    "model_document",
+    "model_text",
+    "number_text",
+    "save_model",
+    "template",
+]
 
 RECORDED = (".csv", ".parquet", ".pq", ".tsv", ".xlsx")  # ends of names of what is no model
 
@@ -127,7 +135,7 @@ def _parsed(text: str, folder: Path | None) -> LinearSystem:
 
 
 def _document(text: str) -> dict[str, Any]:
-    """Return the text of a model file as tables, decimals as texts."""
+    """Return the text of a model file as tables, decimals as texts, which lose no digit."""
     import tomllib
 
     return tomllib.loads(text, parse_float=str)
@@ -170,8 +178,8 @@ def _with_its_model(base: LinearSystem, test: dict[str, Any], folder: Path) -> d
             )
     if other.tests:
         raise ValueError(f"{where}: {file} states tests of its own: name a file with one model")
-    mine = _document(model_text(base))
-    changes = changes_between(mine, _document(model_text(other)))
+    mine = model_document(base)
+    changes = changes_between(mine, model_document(other))
     changed = LinearSystem(**model_arguments(with_changes(mine, changes)))
     if model_text(changed.replace(name=other.name)) != model_text(other):
         raise ValueError(
@@ -198,6 +206,11 @@ def model_text(model: LinearSystem) -> str:
     for test in model.tests:
         lines += ["", *lines_of(test)]
     return "\n".join(lines) + "\n"
+
+
+def model_document(model: LinearSystem) -> dict[str, Any]:
+    """Return the file that `save_model` writes as tables, decimals as texts, which lose no digit."""
+    return _document(model_text(model))
 
 
 def changed_text(text: str, model: LinearSystem) -> str:

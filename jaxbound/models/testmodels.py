@@ -1,6 +1,5 @@
 """The model that a test of a monitor rests on: that of the file, with what is stated for this test alone."""
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from fractions import Fraction
@@ -8,7 +7,7 @@ from typing import Any
 
 from jaxbound.models.modelchanges import with_changes
 from jaxbound.models.modelfields import model_arguments
-from jaxbound.models.modelfile import model_text
+from jaxbound.models.modelfile import model_document
 from jaxbound.models.statedtests import StatedTest
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.watched import watched
@@ -66,8 +65,7 @@ def with_tests(model: LinearSystem) -> LinearSystem:
 
 def _changed(model: LinearSystem, changes: Mapping[str, Any]) -> LinearSystem:
     """Return a model with fields of a model file that stand in place of its own."""
-    document = tomllib.loads(model_text(model), parse_float=str)
-    return LinearSystem(**model_arguments(with_changes(document, changes)))
+    return LinearSystem(**model_arguments(with_changes(model_document(model), changes)))
 
 
 def _widened(model: LinearSystem, factor: Fraction) -> LinearSystem:

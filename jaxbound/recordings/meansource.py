@@ -31,6 +31,7 @@ from jaxbound.recordings.seams import Clock, around, tick
 from jaxbound.recordings.selection import Wanted
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import Progress, Source, overlapping, with_hints
+from jaxbound.recordings.timestamps import SECOND
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
 __all__ = ["MeansSource", "PartMeans", "means_source"]
 
 ROWS = 1_000_000  # read at once
-SECOND = np.timedelta64(1, "s")
 
 
 def means_source(kind: type[Source], data: object, model: SignalModel) -> Source:

@@ -21,7 +21,15 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import TOLERATED_STEP, check_period, tick
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stream import Complain, Stream
-from jaxbound.recordings.timestamps import from_epoch, parse_stamps, scale_of, since_epoch, time_label
+from jaxbound.recordings.timestamps import (
+    EPOCH,
+    SECOND,
+    from_epoch,
+    parse_stamps,
+    scale_of,
+    since_epoch,
+    time_label,
+)
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -29,7 +37,6 @@ if TYPE_CHECKING:
 __all__ = ["PipeText"]
 
 LONGEST = 1 << 20  # bytes of a line
-EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
 SHOWN = 100  # samples whose steps say whether the sampling period is the model's
 TOLD = 20  # seams of one piece that get a sentence
 POSITION = "clock texts origin scale broken aside after skipped number".split()

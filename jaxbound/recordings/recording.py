@@ -34,7 +34,7 @@ from jaxbound.recordings.seams import Clock, all_starts, around, aside, check_pe
 from jaxbound.recordings.signals import Named, SignalModel, signals_of
 from jaxbound.recordings.table import Data, as_table, is_table, paired
 from jaxbound.recordings.tabletime import row_time
-from jaxbound.recordings.timestamps import from_epoch, row_label, time_label
+from jaxbound.recordings.timestamps import EPOCH, SECOND, from_epoch, row_label, time_label
 from jaxbound.text.objects import readable
 
 if TYPE_CHECKING:
@@ -51,7 +51,6 @@ Samples = tuple[np.ndarray, np.ndarray, np.ndarray | None]
 Times = tuple[np.ndarray, np.ndarray | None, "pa.Array | None"]
 """(time in s, stamps, as they are written)."""
 SINCE_1970 = 1e9  # a time in seconds that large is counted from 1970
-EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
 
 
 @readable

@@ -18,7 +18,7 @@ from jaxbound.recordings.expressions import expression, is_expression
 from jaxbound.recordings.seams import TOLERATED_STEP, Clock, check_period, irregular, tick, usual_period
 from jaxbound.recordings.selection import time_column
 from jaxbound.recordings.signals import Named
-from jaxbound.recordings.timestamps import DIGITS, read_numbers, stamp_kind, time_like
+from jaxbound.recordings.timestamps import DIGITS, EPOCH, SECOND, read_numbers, stamp_kind, time_like
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,7 +36,6 @@ __all__ = [
 
 T = TypeVar("T", bound=Sized)
 
-EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
 TO_DATETIME = "turn them into times with pandas.to_datetime first"
 DAY = np.timedelta64(1, "D")
 

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DIGITS",
+    "EPOCH",
+    "SECOND",
     "epoch_scale",
     "from_epoch",
     "instant_of",
@@ -59,6 +61,7 @@ COMPACT = {14: "%Y%m%d%H%M%S", 12: "%Y%m%d%H%M"}  # by their digits
 CENTURIES = 1970, 2200  # years that a number of so many digits may begin with
 EPOCHS = {1.0: "s", 1e3: "ms", 1e6: "us", 1e9: "ns"}
 EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
+"""The instant that times count from, and what a difference of stamps is divided by."""
 
 
 def parse_stamps(

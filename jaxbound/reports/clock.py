@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.timestamps import EPOCH, SECOND
 from jaxbound.text.characters import printable
 
 __all__ = ["AxisClock", "axis_of", "clock_of", "shown_time"]
 
-EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
 ORDERS = ("Ymd", "dmY", "mdY", "")
 ISO = ("Y4", "-", "m2", "-", "d2", " ", "H2", ":", "M2", ":", "S2")
 TRIED = 9  # labels that a pattern is checked with

@@ -8,14 +8,13 @@ a lasting error stays a FAULT. Each test has the coefficients and the bounds of 
 """
 
 import dataclasses
-import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 from jaxbound.estimation.method import ObserverMethod
 from jaxbound.models.modelchanges import changes_between
-from jaxbound.models.modelfile import model_text
+from jaxbound.models.modelfile import model_document, model_text
 from jaxbound.models.statedtests import StatedTest, stated_tests
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.testmodels import model_of
@@ -143,7 +142,7 @@ def test_as_fitted(
         base: the model of the file. fitted: for the windows of the test, of the same signals. about: fields
             of the test beside its name and its model.
     """
-    mine, theirs = (tomllib.loads(model_text(x.replace(tests=None)), parse_float=str) for x in (base, fitted))
+    mine, theirs = (model_document(x.replace(tests=None)) for x in (base, fitted))
     (test,) = stated_tests([{"name": name, **(about or {}), "model": changes_between(mine, theirs)}])
     own = model_of(base, test)
     # a field that one of them lacks would be lost silently
