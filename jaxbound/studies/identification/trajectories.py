@@ -245,7 +245,7 @@ def _extreme(
     """
     from scipy.sparse import block_array, csr_array, diags_array, eye_array, hstack
 
-    # a column for the error of each reading, in its limits: two rows that bound it are slower on long recordings
+    # a column for the error of each reading, in its limits: two rows that bound it are slower
     unit = np.where(rows.limit > 0, rows.limit, 1.0)
     count, seen = len(unit), diags_array(1 / unit) @ rows.seen
     states = seen.shape[1]
