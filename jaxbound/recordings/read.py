@@ -38,8 +38,8 @@ def read(path: object, model: Named, progress: Callable[..., object] | None = No
 
     Args:
         path: of the file or folder, or of a pipe like bash's <(zcat run.csv.gz).
-        model: whose signals are wanted: a LinearSystem, an IntervalSystem, or anything else with names of
-            .inputs and .outputs.
+        model: whose signals are wanted: a LinearSystem, an IntervalSystem, relations, an observer or a
+            monitor of one, or anything else with names of .inputs and .outputs.
         progress: called with the share of the work done.
 
     Returns:

@@ -92,7 +92,11 @@ class Signals:
 
 
 def signals_of(model: Named) -> SignalModel:
-    """Return a model by whose names recordings are read: as it is, or Signals of one that has names only."""
+    """Return a model by whose names recordings are read: as it is, that of relations, an observer or a
+    monitor, or Signals of one that has names only.
+    """
+    if not hasattr(model, "inputs"):
+        model = getattr(model, "model", model)
     if hasattr(model, "column"):
         return cast(SignalModel, model)
     return Signals(tuple(model.inputs), tuple(model.outputs), {}, getattr(model, "dt", None))

@@ -147,3 +147,12 @@ def test_the_kind_registered_last_takes_the_data(lines, tmp_path):
     KINDS.remove(JsonLines)
     assert kind_of(tmp_path / "run.jsonl").__name__ == "CsvFile"
     register(JsonLines)
+
+
+@pytest.mark.parametrize("family", [jb.parity_relations, jb.observer, jb.monitor])
+def test_what_is_built_of_a_model_reads_its_signals(tmp_path, family):
+    model = MODEL.replace(tests=[{"name": "one", "horizon": 1}])
+    path = tmp_path / "run.csv"
+    table().to_csv(path, index=False)
+    mine, whole = jb.read(path, family(model)), jb.read(path, MODEL)
+    assert np.array_equal(mine.y, whole.y, equal_nan=True) and np.array_equal(mine.starts, whole.starts)
