@@ -12,7 +12,7 @@ from jaxbound.studies.identification.records import Records, measured
 from jaxbound.studies.identification.signal_choice import TOGETHER
 from jaxbound.text.names import listed
 
-__all__ = ["apart", "inputs_at_rest", "inputs_together", "limits", "no_average"]
+__all__ = ["apart", "blind", "inputs_at_rest", "inputs_together", "limits", "no_average"]
 
 WIDE, CONTRADICTION, FEW = 1.5, 3.0, 10
 """Above this factor that a recording asks for that is left out, this factor between the bounds of two
@@ -100,15 +100,19 @@ def no_average(name: str, samples: int) -> str:
     )
 
 
-def limits(model: LinearSystem, check: FitCheck, held_out: float, spans: Sequence[float]) -> list[str]:
+def limits(model: LinearSystem, check: FitCheck, held_out: float) -> list[str]:
     """Return sentences on what the data do not carry.
 
     Args:
-        held_out: the share that was to be held out. spans (p,): how far each output moved.
+        held_out: the share that was to be held out.
     """
     sentences = [_few_windows(model, check), *_left_out(check, held_out), _contradiction(check)]
-    sentences += [_blind(model, check, name, span) for name, span in zip(model.outputs, spans, strict=True)]
     return [sentence for sentence in sentences if sentence]
+
+
+def blind(model: LinearSystem, check: FitCheck) -> list[str]:
+    """Return a sentence on each output that moved less than any error of it that is sure to be seen."""
+    return [sentence for name in model.outputs if (sentence := _blind(model, check, name))]
 
 
 def _few_windows(model: LinearSystem, check: FitCheck) -> str:
@@ -167,8 +171,9 @@ def _contradiction(check: FitCheck) -> str:
     )
 
 
-def _blind(model: LinearSystem, check: FitCheck, name: str, span: float) -> str:
-    """Return the sentence on an output that moved less than any error of it that is seen."""
+def _blind(model: LinearSystem, check: FitCheck, name: str) -> str:
+    """Return the sentence on an output that moved less than any error of it that is seen; "" else."""
+    span = check.moved[name]
     jump, steady = check.hidden.get(name, check.jump[name]), check.steady.get(name, 0.0)
     unit = f" {model.unit(name)}".rstrip()
     moved = f"in all recordings {name} moved by {span:.3g}{unit} only"

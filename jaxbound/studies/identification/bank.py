@@ -18,7 +18,8 @@ from jaxbound.models.modelfile import model_document, model_text
 from jaxbound.models.statedtests import StatedTest, stated_tests
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.testmodels import model_of
-from jaxbound.studies.identification.fit_result import Fitted
+from jaxbound.studies.identification.advice import blind
+from jaxbound.studies.identification.fit_result import FitCheck, Fitted
 from jaxbound.studies.identification.trajectories import SETTLED, sure_sizes
 from jaxbound.studies.identification.window_tests import RAMP, JudgedTest, WindowChoice, best_test
 
@@ -65,13 +66,26 @@ def fitted_bank(
             check = dataclasses.replace(
                 check, tradeoff=watched.check.tradeoff, sentences=(*check.sentences, *said)
             )
+            check = _with_sizes(base, check, judged.jump, judged.steady)
             continue
         own = {"order": check.order, "delay": check.delay, "method": judged.method}
         own |= judged.window.about | {"average": judged.window.average}
         fitted = fit_one(own, partial(in_part, report, 0.7 + number * share, share))
         stated.append(test_as_fitted(base, fitted, name))
+        check = _with_sizes(base, check, fitted.check.jump, fitted.check.steady)
     report(1.0)
     return Fitted(base.replace(tests=stated), dataclasses.replace(check, tests=tuple(tests)))
+
+
+def _with_sizes(
+    base: LinearSystem, check: FitCheck, jump: Mapping[str, float], steady: Mapping[str, float]
+) -> FitCheck:
+    """Return the check of a bank that another test joins, which sees errors from these sizes on."""
+    jumps = {name: min(size, jump[name]) for name, size in check.jump.items()}
+    lasting = {name: min(size, steady[name]) for name, size in check.steady.items()}
+    joined = dataclasses.replace(check, jump=jumps, steady=lasting)
+    kept = [sentence for sentence in check.sentences if sentence not in blind(base, check)]
+    return dataclasses.replace(joined, sentences=(*kept, *blind(base, joined)))
 
 
 def _judged(fitted: Fitted, method: ObserverMethod) -> JudgedTest:

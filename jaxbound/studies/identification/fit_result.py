@@ -73,7 +73,7 @@ class FitCheck:
         recordings: one {"samples", "windows", "used"} each: used is the largest share of the final bounds
             that a window needs.
         jump: {output: size}: a jump of one output in the middle of a window from which on the window is FAULT
-            whatever the noise does.
+            whatever the noise does; of several tests that of the one that sees the smallest.
         hidden: {output: size} of a lasting jump that noise can hide from any test of all samples, of a fit
             for an observer that is sharper than zonotopes, by which its `jump` is; {} of others.
         steady: the same for an error that fills the window; inf if the model can follow it.
@@ -86,6 +86,7 @@ class FitCheck:
             there was none.
         tradeoff: of a fit with disturbances, those that were looked at; a setting that cannot see more than
             the best is left out.
+        moved: {output: between its lowest and its highest sample in all recordings}.
         sentences: what the user should know, above all why the data may not carry a monitor.
     """
 
@@ -108,6 +109,7 @@ class FitCheck:
     tests: tuple[JudgedTest, ...] = ()
     signals: tuple[TriedSignals, ...] = ()
     tradeoff: tuple[Tradeoff, ...] = ()
+    moved: dict[str, float] = field(default_factory=dict)
     hidden: dict[str, float] = field(default_factory=dict)
 
 

@@ -330,8 +330,9 @@ def fit(
         signals=tried_sets,
         tradeoff=tradeoff,
         hidden=hidden,
+        moved=dict(zip(outputs, map(float, problem.spans), strict=True)),
     )
-    sentences += advice.limits(model, check, held_out, problem.spans)
+    sentences += [*advice.limits(model, check, held_out), *advice.blind(model, check)]
     report(1.0)
     return Fitted(model, dataclasses.replace(check, sentences=tuple(sentences)))
 

@@ -89,6 +89,10 @@ def test_an_observer_is_tried_beside_the_windows_with_disturbances_of_its_own(re
     windows, watching = model.check.tests
     assert windows.window == WindowChoice(15)
     assert watching.steady["y1"] < 0.8 * windows.steady["y1"]
+    # what the bank sees is what the test of it sees that sees most; what none sees is said
+    assert model.check.steady == watching.steady and model.check.jump["y1"] <= watching.jump["y1"]
+    assert watching.steady["y1"] < model.check.moved["y1"] < windows.steady["y1"]
+    assert not any("may stay unseen" in sentence for sentence in model.check.sentences)
     own = model_of(model, model.tests[1])
     assert own.disturbance and not model.disturbance
     assert own.noise[0] + own.resolution[0] < model.noise[0] + model.resolution[0]
