@@ -3,8 +3,11 @@
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from math import gcd, lcm
+from operator import mul
+from typing import NamedTuple, Self
 
-from jaxbound.exact.linalg import Matrix, Vector, add_multiple, matmul, row_reduce, scale, transpose, zeros
+from jaxbound.exact.linalg import Matrix, integers, row_reduce, transpose
 
 __all__ = ["ExactFrame", "frame", "reframe"]
 
@@ -38,25 +41,13 @@ def frame(
         progress: called with the share of the elimination that is done.
     """
     reduced, inner = row_reduce(transpose(E), progress)
-    outer = tuple(j for j in range(len(E)) if j not in set(inner))
-    R = tuple(tuple(row[j] for row in reduced) for j in outer)
-    through = zeros(len(outer), len(K[0]))
-    if K[0] and inner:
-        through = matmul(R, tuple(K[i] for i in inner))
-    known = tuple(add_multiple(K[j], -1, row) for j, row in zip(outer, through, strict=True))
-    out = ExactFrame(R, known, inner, outer, (True,) * len(outer))
+    out = _Frame.eliminated(transpose(reduced) or ((),) * len(E), inner, K)
     while True:
-        size, j, i = _largest_entry(out.R)
+        size, j, i = out.largest_entry()
         if size <= largest:
-            return out
+            return out.in_fractions()
         # each exchange multiplies the volume of the inner rows by more than `largest`: it ends
-        out = _exchange(out, j, i)
-
-
-def _largest_entry(R: Matrix) -> tuple[Fraction, int, int]:
-    """Return (size, row, column) of the largest entry, the last one of equals."""
-    entries = ((abs(x), j, i) for j, row in enumerate(R) for i, x in enumerate(row))
-    return max(entries, default=(Fraction(0), 0, 0))
+        out = out.exchanged(j, i)
 
 
 def reframe(given: ExactFrame, absent: Collection[int], missing: Iterable[int]) -> ExactFrame:
@@ -66,68 +57,133 @@ def reframe(given: ExactFrame, absent: Collection[int], missing: Iterable[int]) 
     whose row joins the inner ones. What cannot be replaced so matters to no used relation: its coefficients
     there are zeros.
     """
-    out = given
+    out = _Frame.of(given)
     for i, row in enumerate(given.inner):
         if row in absent:
-            size, j = _largest_usable(out, out.R, i, absent)
+            size, j = out.largest_usable(i, absent)
             if size:
-                out = _exchange(out, j, i)
+                out = out.exchanged(j, i)
     for b in missing:
-        size, j = _largest_usable(out, out.K, b, absent)
+        column = len(out.inner) + b
+        size, j = out.largest_usable(column, absent)
         if size:
-            out = _give_up(out, j, b)
-    return out
+            out = out.given_up(j, column)
+    return out.in_fractions()
 
 
-def _largest_usable(
-    f: ExactFrame, rows: Matrix, column: int, absent: Collection[int]
-) -> tuple[Fraction | int, int]:
-    """Return (size, row) of a column's largest entry among relations in use whose outer row is present.
+class _Row(NamedTuple):
+    """A row of R and K in whole numbers over one denominator: fractions take several times as long.
 
-    A relation of an absent outer row stays in use, for windows that have it.
+    Fields: numbers: those of R, then those of K. over: what they are divided by, above 0.
     """
-    usable = (j for j in range(len(rows)) if f.used[j] and f.outer[j] not in absent)
-    return max(((abs(rows[j][column]), j) for j in usable), default=(0, 0))
+
+    numbers: tuple[int, ...]
+    over: int
+
+    @classmethod
+    def reduced(cls, numbers: Sequence[int], over: int) -> Self:
+        """Return a row without a common factor."""
+        common = gcd(over, *numbers)
+        if over < 0:
+            common = -common
+        return cls(tuple(x // common for x in numbers), over // common)
+
+    def size(self, column: int) -> Fraction:
+        """Return the size of an entry."""
+        return Fraction(abs(self.numbers[column]), self.over)
+
+    def solved_for(self, column: int) -> Self:
+        """Return the row that tells a column by the others, and by the left side of this row in its place."""
+        numbers = [-x for x in self.numbers]
+        numbers[column] = self.over
+        return self.reduced(numbers, self.numbers[column])
+
+    def through(self, column: int, other: Self) -> Self:
+        """Return the row with a column told by another row, whose left side takes its place."""
+        head, share = other.numbers[column], self.numbers[column]
+        if not share:
+            return self
+        numbers = [x * head - share * y for x, y in zip(self.numbers, other.numbers, strict=True)]
+        numbers[column] = share * other.over
+        return self.reduced(numbers, self.over * head)
+
+    def with_column_at(self, place: int, column: int) -> Self:
+        """Return the row with a new column at a place, whose entry comes from a later one: there 0 stays."""
+        numbers = list(self.numbers)
+        moved, numbers[column] = numbers[column], 0
+        return self.reduced([*numbers[:place], moved, *numbers[place:]], self.over)
 
 
-def _exchange(f: ExactFrame, j: int, i: int) -> ExactFrame:
-    """Let outer row j and inner row i change places."""
-    pivot = f.R[j][i]
-    solved = _with_entry(scale(f.R[j], -1 / pivot), i, 1 / pivot)  # the old inner row by the new ones
-    through = scale(f.K[j], -1 / pivot)
-    R, K = [], []
-    for a, (row, known) in enumerate(zip(f.R, f.K, strict=True)):
-        share = row[i]
-        if a == j:
-            R.append(solved)
-            K.append(through)
-        elif share:
-            R.append(add_multiple(_with_entry(row, i, Fraction(0)), share, solved))
-            K.append(add_multiple(known, share, through))
-        else:
-            R.append(row)
-            K.append(known)
-    inner, outer = list(f.inner), list(f.outer)
-    inner[i], outer[j] = outer[j], inner[i]
-    return ExactFrame(tuple(R), tuple(K), tuple(inner), tuple(outer), f.used)
+@dataclass(frozen=True)
+class _Frame:
+    """An `ExactFrame` whose rows of R and K are in whole numbers."""
 
+    rows: tuple[_Row, ...]
+    inner: tuple[int, ...]
+    outer: tuple[int, ...]
+    used: tuple[bool, ...]
 
-def _with_entry(row: Sequence[Fraction], i: int, value: Fraction) -> Vector:
-    return (*row[:i], value, *row[i + 1 :])
+    @classmethod
+    def eliminated(cls, R: Matrix, inner: tuple[int, ...], K: Matrix) -> Self:
+        """Return the frame of the rows y = R y_inner + (K - R K_inner) u."""
+        inner_known, below = integers([x for i in inner for x in K[i]])
+        columns = [inner_known[b :: len(K[0])] for b in range(len(K[0]))]
+        outer, rows = tuple(j for j in range(len(R)) if j not in set(inner)), []
+        for j in outer:
+            (mine, over), (known, under) = integers(R[j]), integers(K[j])
+            common = lcm(over * below, under)
+            numbers = [x * (common // over) for x in mine]
+            for x, column in zip(known, columns, strict=True):
+                through = sum(map(mul, mine, column))
+                numbers.append(x * (common // under) - through * (common // (over * below)))
+            rows.append(_Row.reduced(numbers, common))
+        return cls(tuple(rows), inner, outer, (True,) * len(outer))
 
+    @classmethod
+    def of(cls, given: ExactFrame) -> Self:
+        """Return a frame in whole numbers."""
+        rows = tuple(_Row(*integers([*R, *K])) for R, K in zip(given.R, given.K, strict=True))
+        return cls(rows, given.inner, given.outer, given.used)
 
-def _give_up(f: ExactFrame, j: int, b: int) -> ExactFrame:
-    """Solve relation j for the known value b, put that into the other relations, and take row j among the
-    inner ones.
-    """
-    R, K = [], []
-    for a, (row, known) in enumerate(zip(f.R, f.K, strict=True)):
-        if a == j:
-            R.append((*row, Fraction(0)))
-            K.append((Fraction(0),) * len(known))
-            continue
-        share = known[b] / f.K[j][b]
-        R.append((*add_multiple(row, -share, f.R[j]), share))
-        K.append(add_multiple(known, -share, f.K[j]))
-    used = tuple(u and a != j for a, u in enumerate(f.used))
-    return ExactFrame(tuple(R), tuple(K), (*f.inner, f.outer[j]), f.outer, used)
+    def in_fractions(self) -> ExactFrame:
+        """Return the frame in fractions."""
+        k, R, K = len(self.inner), [], []
+        for row in self.rows:
+            entries = tuple(Fraction(x, row.over) for x in row.numbers)
+            R.append(entries[:k])
+            K.append(entries[k:])
+        return ExactFrame(tuple(R), tuple(K), self.inner, self.outer, self.used)
+
+    def largest_entry(self) -> tuple[Fraction, int, int]:
+        """Return (size, row, column) of the largest entry of R, the last one of equals."""
+        columns = range(len(self.inner))
+        entries = ((row.size(i), j, i) for j, row in enumerate(self.rows) for i in columns)
+        return max(entries, default=(Fraction(0), 0, 0))
+
+    def largest_usable(self, column: int, absent: Collection[int]) -> tuple[Fraction, int]:
+        """Return (size, row) of a column's largest entry among relations in use whose outer row is present.
+
+        A relation of an absent outer row stays in use, for windows that have it.
+        """
+        usable = (j for j, used in enumerate(self.used) if used and self.outer[j] not in absent)
+        return max(((self.rows[j].size(column), j) for j in usable), default=(Fraction(0), 0))
+
+    def exchanged(self, j: int, i: int) -> Self:
+        """Let outer row j and inner row i change places."""
+        pivot = self.rows[j]
+        rows = [row.through(i, pivot) for row in self.rows]
+        rows[j] = pivot.solved_for(i)
+        inner, outer = list(self.inner), list(self.outer)
+        inner[i], outer[j] = outer[j], inner[i]
+        return type(self)(tuple(rows), tuple(inner), tuple(outer), self.used)
+
+    def given_up(self, j: int, column: int) -> Self:
+        """Solve relation j for the known value of a column, put that into the other relations, and take row j
+        among the inner ones.
+        """
+        k, pivot = len(self.inner), self.rows[j]
+        rows = [row.through(column, pivot).with_column_at(k, column) for row in self.rows]
+        nothing = [0] * (1 + len(pivot.numbers) - k)
+        rows[j] = _Row.reduced([*pivot.numbers[:k], *nothing], pivot.over)
+        used = tuple(u and a != j for a, u in enumerate(self.used))
+        return type(self)(tuple(rows), (*self.inner, self.outer[j]), self.outer, used)
