@@ -253,7 +253,8 @@ def show_fit(
     rows += _left_out(check, files)
     rows += _follows(check)
     rows += disturbance_rows(model)
-    rows += _memory(model)
+    if not check.tests:  # else lags were tried
+        rows += _memory(model)
     rows.append(("safety", f"{check.safety:g} times these bounds"))
     means = []
     for a in model.averages:
