@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxbound.diagnosis.detection import detect
+from jaxbound.diagnosis.monitoring import monitor
 from jaxbound.diagnosis.result import Result
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.parity import parity_relations
@@ -33,16 +34,17 @@ class Detector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-lea
 
     Args:
         model: a LinearSystem with bounds that an engineer knows: `fit` then learns nothing, it looks whether
-            the columns fit. None: `fit` finds a nominal model and bounds from X, which must be healthy, by
+            the columns fit. If it states tests, all of them watch, as of `jaxbound.monitor`, unless a horizon
+            is given. None: `fit` finds a nominal model and bounds from X, which must be healthy, by
             `jaxbound.fit`.
         inputs, outputs: numbers of the columns of X, or their names in a DataFrame. outputs None: all columns
             that are no inputs; with a model, first its inputs and then its outputs, or by name in a
             DataFrame.
-        method: of `detect`. order, horizon, safety, held_out, fitting: of `jaxbound.fit` (its `method`),
-            horizon also of a model.
+        method: of `detect`. order, horizon, safety, held_out, test, fitting: of `jaxbound.fit` (its
+            `method`), horizon also of a model.
 
-    Fields after `fit`: model_: the LinearSystem. relations_: its relations. offset_: 0.0, what
-    decision_function subtracts.
+    Fields after `fit`: model_: the LinearSystem. relations_: its relations, or the monitor of its tests.
+    offset_: 0.0, what decision_function subtracts.
 
     Rows follow each other in time; a gap in the times of a table begins anew. The first rows, as many as the
     horizon, and rows with missing samples (NaN) have no verdict: they count as inliers, of score 0.
@@ -69,6 +71,7 @@ class Detector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-lea
         horizon: int | None = None,
         safety: float = 1.25,
         held_out: float = 0.3,
+        test: str | None = None,
         fitting: str = "auto",
     ) -> None:
         self.model = model
@@ -79,6 +82,7 @@ class Detector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-lea
         self.horizon = horizon
         self.safety = safety
         self.held_out = held_out
+        self.test = test
         self.fitting = fitting
 
     def __sklearn_tags__(self) -> Any:
@@ -99,7 +103,6 @@ class Detector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-lea
         self._places = self._columns(rows.shape[1])
         if self.model is not None:
             self.model_ = self.model
-            self.relations_ = parity_relations(self.model, self.horizon)
         else:
             names = [
                 str(name)
@@ -118,8 +121,10 @@ class Detector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-lea
                 safety=self.safety,
                 held_out=self.held_out,
                 method=self.fitting,
+                test=self.test,
             )
-            self.relations_ = parity_relations(self.model_)
+        several = bool(self.model_.tests) and self.horizon is None
+        self.relations_ = monitor(self.model_) if several else parity_relations(self.model_, self.horizon)
         self.offset_ = 0.0
         return self
 

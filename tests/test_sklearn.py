@@ -50,6 +50,17 @@ def test_a_given_model_says_what_detect_says(run):
     assert found.detect(X).counts == res.counts
 
 
+def test_all_tests_of_a_model_watch_unless_a_horizon_is_given(run):
+    res, X = run
+    tests = [{"name": "short", "horizon": 1}, {"name": "wide", "horizon": 2, "factor": 9}]
+    model = paper().replace(tests=tests)
+    found = Detector(model).fit(X)
+    bank = jb.detect(jb.monitor(model), res.u, res.y)
+    np.testing.assert_array_equal(found.predict(X) == -1, bank.status == FAULT)
+    assert tuple(found.detect(X).tests) == ("short", "wide")
+    assert isinstance(Detector(model, horizon=1).fit(X).relations_, jb.relations.ParityRelation)
+
+
 def test_a_margin_below_zero_without_a_proof_is_no_outlier(run):
     _, X = run
     bank = Detector(paper(), method="box").fit(X)
