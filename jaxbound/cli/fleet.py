@@ -44,7 +44,8 @@ def options(parser: argparse.ArgumentParser) -> None:
         "manifest",
         type=path,
         metavar="MANIFEST",
-        help="CSV or TOML with a unit, a model and a recording in each row",
+        help="CSV or TOML with a unit, a model and a recording in each row; a column acknowledged names the "
+        "unit's own file of --acknowledged",
     )
     parser.add_argument(
         "--out",
@@ -87,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
         usable_device()
     results: list[UnitResult] = []
     stopped: Interrupted | None = None
-    inputs = [args.manifest, *(path for unit in units for path in (unit.model, unit.recording))]
+    inputs = [args.manifest, *(path for unit in units for path in unit[1:] if path is not None)]
     with (
         door(OSError),
         output_folder(args.out, ("fleet.csv", "fleet.html", UNITS), inputs) as folder,

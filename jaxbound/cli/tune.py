@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from functools import partial
 from typing import TYPE_CHECKING, cast
 
 from jaxbound.cli.command import swift_imports
@@ -20,6 +21,7 @@ from jaxbound.cli.options import (
     whole_number,
 )
 from jaxbound.cli.terminal import INTERRUPTED, OK, Refused, door, progress_bars, say, some_device, write
+from jaxbound.text.progress import in_part
 
 if TYPE_CHECKING:
     from jaxbound.studies.tuning.parametrization import Tunable
@@ -148,7 +150,8 @@ def run(args: argparse.Namespace) -> int:
         text = args.model.read_text(encoding="utf-8-sig")
         recordings = []
         for i, file in enumerate(files):
-            recordings.append(read(file, columns, lambda share, i=i: step("read", (i + share) / len(files))))
+            report = partial(in_part, partial(step, "read"), i / len(files), 1 / len(files))
+            recordings.append(read(file, columns, report))
         some_device()
         longest = int(np.argmax([recording.samples for recording in recordings]))
         samples = recordings[longest].samples

@@ -29,6 +29,7 @@ from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.objects import readable
+from jaxbound.text.progress import Progress
 
 __all__ = [
     "BOUNDS",
@@ -87,7 +88,6 @@ Compensation: TypeAlias = ArrayLike
 Starts: TypeAlias = ArrayLike
 """Numbers of the samples that do not follow the one before."""
 Arrays: TypeAlias = Sequence[Array]
-Progress: TypeAlias = Callable[[float], object]
 """Takes the share of the work done."""
 Outputs: TypeAlias = Sequence[tuple[DTypeLike, float]]
 """((dtype, value where there is no window), ...), one for each array over samples."""

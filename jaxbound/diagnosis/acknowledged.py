@@ -12,7 +12,7 @@ from jaxbound.recordings.timestamps import instant_of
 
 __all__ = ["Acknowledged", "Times"]
 
-Times: TypeAlias = "str | os.PathLike[str] | Sequence[str | float | datetime | np.datetime64]"
+Times: TypeAlias = str | os.PathLike[str] | Sequence[str | float | datetime | np.datetime64]
 """Times, or the path of a file with one a line."""
 
 

@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -75,7 +76,7 @@ class AlarmRule:
     latch: bool = False
     least: Sizes = None
     suspects: bool = False
-    acknowledged: Times = ()
+    acknowledged: Times | Acknowledged = ()
 
     def __post_init__(self) -> None:
         """Refuse numbers and intervals that make no rule."""
@@ -90,7 +91,7 @@ class AlarmRule:
                 raise ValueError(f"merge: {str(e).removeprefix('every ')}") from None
         else:
             _refuse_number("merge", self.merge, 0)
-        if Acknowledged(self.acknowledged).is_given and not self.latch:
+        if self.acknowledgements.is_given and not self.latch:
             raise ValueError("acknowledged ends alarms that latch: give latch, too")
         for name, size in self._sizes().items():
             if isinstance(size, bool) or not isinstance(size, int | float | np.number) or not 0 < size:
@@ -111,6 +112,13 @@ class AlarmRule:
         """Whether alarms name their suspects."""
         return bool(self.suspects or self.latch or self.merge)
 
+    @cached_property
+    def acknowledgements(self) -> Acknowledged:
+        """The times of `acknowledged`, which are read once."""
+        if isinstance(self.acknowledged, Acknowledged):
+            return self.acknowledged
+        return Acknowledged(self.acknowledged)
+
     def fitted(self, model: SignalModel) -> "AlarmRule":
         """Return the same rule with `merge` in samples and `least` as {output: size} of a model's signals.
 
@@ -118,7 +126,7 @@ class AlarmRule:
             ValueError: an output that the model does not have; an interval of the clock for a model without a
                 sampling period; a file of acknowledgements that is not there, or has a line without a time.
         """
-        Acknowledged(self.acknowledged).check()
+        self.acknowledgements.check()
         merge, least = self.merge, self.least
         if isinstance(merge, str):
             if not model.dt:
@@ -134,14 +142,15 @@ class AlarmRule:
                 raise ValueError(
                     f"a least size is one of an output: {name!r} is none of {listed(model.outputs)}"
                 )
-        return replace(self, merge=merge, least=least)
+        return replace(self, merge=merge, least=least, acknowledged=self.acknowledgements)
 
     def plain(self) -> dict[str, Any]:
         """Return the fields that differ from `EVERY_FAULT`, as JSON holds them; acknowledgements come later
         and are none of them.
         """
         found = {}
-        for name, value in vars(self).items():
+        for field in fields(self):
+            name, value = field.name, getattr(self, field.name)
             if name != "acknowledged" and value != getattr(EVERY_FAULT, name):
                 found[name] = value
         if isinstance(self.least, Mapping):

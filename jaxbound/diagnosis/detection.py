@@ -26,6 +26,7 @@ from jaxbound.models.region import Region
 from jaxbound.recordings.table import Data
 from jaxbound.sets.floats.probe import refuse_unusable
 from jaxbound.sets.floats.status import Status
+from jaxbound.text.progress import reporter
 
 __all__ = ["detect", "margins"]
 
@@ -109,12 +110,13 @@ def detect(
             "recordings at once; inside, use margins, which is differentiable and proves nothing"
         )
     refuse_outside(outside)
+    report = reporter(progress)
     named, recording = relations.recording(u, y, starts)
     refuse_unusable()
     recording = replace(recording, u=np.asarray(recording.u), y=np.asarray(recording.y))
     test = named.test(method, recording.y.dtype, budget, compensation)
     test = with_margins(test, margins, window_count(recording.y.shape[:-1], test.horizon))
-    judged = drive(test, recording, progress)
+    judged = drive(test, recording, report)
     if (judged.status == Status.UNDECIDED).any():  # an infinite sample cannot come out as anything else
         recording.finite()
     region = Region.of(named)

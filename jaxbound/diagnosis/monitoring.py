@@ -12,6 +12,7 @@ from jaxbound.models.statedtests import StatedTest, StatedTests
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.testmodels import model_of
 from jaxbound.relations.parity import parity_relations
+from jaxbound.text.progress import reporter
 
 __all__ = ["monitor", "relations_of_test"]
 
@@ -63,6 +64,7 @@ def monitor(
             f"a monitor needs tests: {model.name!r} states none; write [[test]] tables in its file, or give "
             f'tests=[{{"name": "short", "horizon": 15}}, ..]'
         )
+    report = reporter(progress)
     watches = []
     for i, test in enumerate(model.tests):
         try:
@@ -71,8 +73,7 @@ def monitor(
             raise ValueError(f"test {test.name!r}: {e}") from None
         about = test.words(relations.horizon + 1)
         watches.append(Watch(test.name, relations, test.when, about))
-        if progress is not None:
-            progress((i + 1) / len(model.tests))
+        report((i + 1) / len(model.tests))
     return MonitorBank(model, watches)
 
 

@@ -11,7 +11,6 @@ from jaxbound.certificates.diagnosis import Diagnosis
 from jaxbound.certificates.interface import WindowCertificate, explain
 from jaxbound.consistency.claims import CLAIMED
 from jaxbound.consistency.interface import EXACT, Judged, Relations
-from jaxbound.diagnosis.acknowledged import Acknowledged
 from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
 from jaxbound.diagnosis.alarms import Alarm, forgets_after, group_alarms
 from jaxbound.diagnosis.causes import diagnose
@@ -284,7 +283,7 @@ class Result:
         if self.relations is not None and not nameless(self.relations):
             blame = self._blamed
         instants = None
-        if Acknowledged(rule.acknowledged).is_given:
+        if rule.acknowledgements.is_given:
             dt = None
             if self.relations is not None:
                 dt = self.relations.model.dt

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxbound.diagnosis.acknowledged import Acknowledged
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.suspects import UNKNOWN, Suspect
 from jaxbound.models.region import Departure
@@ -185,7 +184,7 @@ class Watch:
 
     def __init__(self, rule: AlarmRule, blame: Blame | None = None) -> None:
         self.rule, self.blame = rule, blame
-        self.acknowledged = Acknowledged(rule.acknowledged)
+        self.acknowledged = rule.acknowledgements
         self.reach = rule.hold + rule.clear
         self.samples = self.count = 0
         self.before = np.zeros(0, bool)  # the n - 1 entries of `fault` before the tail

@@ -175,15 +175,16 @@ class ConstrainedObserver(SetObserver[ConstrainedState]):
         numbers, start = self.plant.placed
         T, count = samples.fresh.shape
         filled = samples.filled(PIECE)
+        wanted = zonotope_steps.ALL * self.enclosures
 
         def job(block: np.ndarray) -> tuple[np.ndarray, ...]:
             known = zonotope_steps.read(numbers, *filled.of_recordings(block))
             carry, held = jax.tree.map(lambda x: x[..., block], (state.carry, state.held))
-            enclosures = zonotope_steps.worked_out(2 * self.enclosures)
+            enclosures = zonotope_steps.worked_out(wanted)
             carry, held, found, asked = constrained_steps.follow(
                 numbers, start, carry, held, known, T, enclosures, self.restart
             )
-            found = zonotope_steps.kept(found, 2 * self.enclosures)
+            found = zonotope_steps.kept(found, wanted)
             on_host: tuple[np.ndarray, ...] = jax.tree.map(np.asarray, (carry, held, found, asked))
             return on_host
 

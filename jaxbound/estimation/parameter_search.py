@@ -10,7 +10,6 @@ halves, are among what is returned, whenever the search ends.
 Source: Jaulin, Walter 1993, Set inversion via interval analysis (SIVIA), without its inner boxes.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import product
 
@@ -18,6 +17,7 @@ import numpy as np
 
 from jaxbound.consistency.parameter_boxes import Ends, ParameterBoxes
 from jaxbound.consistency.twice import warn_doubtful
+from jaxbound.text.progress import Progress
 
 __all__ = ["ENDED", "FOUND", "STOPPED", "Explored", "explored"]
 
@@ -202,7 +202,7 @@ def explored(
     test: ParameterBoxes,
     precision: float,
     budget: int,
-    progress: Callable[[float], object] | None = None,
+    progress: Progress,
 ) -> Explored:
     """Return the Explored of a test: the boxes that no window refutes.
 
@@ -222,16 +222,14 @@ def explored(
                 break
             state = search.step(now, later, state[1])
             evaluated += len(now)
-            if progress is not None:
-                progress(min(1.0, evaluated / budget))
+            progress(min(1.0, evaluated / budget))
         if test.count > LOOKED:
             every = _together(list(state))
             state = _none(every), search.left(every, np.arange(test.count))[0]
     except KeyboardInterrupt:
         status = STOPPED
     kept = _together(list(state))
-    if progress is not None:
-        progress(1.0)
+    progress(1.0)
     return Explored(kept.lo, kept.hi, search.refuted, evaluated, status)
 
 

@@ -20,6 +20,7 @@ from jaxbound.recordings.table import Data
 from jaxbound.relations.residual import Residual
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.probe import where_proofs_hold
+from jaxbound.text.progress import reporter
 
 __all__ = ["parameters"]
 
@@ -91,6 +92,7 @@ def parameters(
     """
     relations_of(relations, "parameters", EXAMPLE)
     _check_options(precision, budget)
+    report = reporter(progress)
     named, recording = relations.recording(u, y, starts)
     if np.ndim(recording.y) != 2:
         raise ValueError(
@@ -99,7 +101,7 @@ def parameters(
         )
     recording = replace(recording, u=np.asarray(recording.u), y=np.asarray(recording.y)).finite()
     test, ends = _boxes(named, recording, constant)
-    search = explored(test, float(precision), int(budget), progress)
+    search = explored(test, float(precision), int(budget), report)
     lo, hi = test.units((search.lo, search.hi))
     status = search.status
     if not len(lo):

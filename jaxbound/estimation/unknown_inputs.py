@@ -12,6 +12,7 @@ import dataclasses
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from math import comb
 from typing import cast
 
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.consistency.drive import raw_outputs
-from jaxbound.consistency.interface import Arrays, Block, LinearRelations, LinearTest, Progress, Run
+from jaxbound.consistency.interface import Arrays, Block, LinearRelations, LinearTest, Run
 from jaxbound.consistency.reading import Reading
 from jaxbound.consistency.unproved import stretch_block
 from jaxbound.estimation.counts import is_whole
@@ -39,6 +40,7 @@ from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.strips.bank import Bank, bank_of, bank_range
 from jaxbound.text.objects import readable
+from jaxbound.text.progress import Progress, in_part, reporter
 
 __all__ = ["UnknownInputs", "unknown_inputs"]
 
@@ -100,6 +102,7 @@ def unknown_inputs(
     model = as_model(model, factors=True)
     if not model.d:
         raise ValueError("the model has no unknown inputs")
+    report = reporter(progress)
     if model.uncertainties:
         raise NotImplementedError(
             "unknown inputs of an uncertain model are not estimated yet: leave its uncertainties out, or "
@@ -121,24 +124,13 @@ def unknown_inputs(
             continue
         lag = lags[j] = horizon - position
         test = _test(model, horizon, position, j, dtype)
-        report = _share_of(progress, j, model.d)
-        least, most = raw_outputs(test, recording.u, recording.y, recording.starts, report)
+        share = partial(in_part, report, j / model.d, 1 / model.d)
+        least, most = raw_outputs(test, recording.u, recording.y, recording.starts, share)
         empty = least > most
         least[empty], most[empty] = np.inf, -np.inf
         at = ..., slice(position, samples[-1] - lag), j
         lo[at], hi[at] = least[..., horizon:], most[..., horizon:]
     return UnknownInputs(Interval(lo, hi), horizon, tuple(lags))
-
-
-def _share_of(progress: Progress | None, j: int, count: int) -> Progress | None:
-    """Return the report of the progress of one unknown input of several."""
-    if progress is None:
-        return None
-
-    def report(share: float) -> None:
-        progress((j + share) / count)
-
-    return report
 
 
 def _positions(model: LinearSystem, horizon: int | None) -> tuple[int, list[int | None]]:

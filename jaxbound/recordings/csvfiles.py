@@ -19,6 +19,7 @@ from jaxbound.recordings.selection import NO_TIME, STAMPS, TELLING, Wanted
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import Progress, Source, with_hints
 from jaxbound.recordings.timestamps import parse_stamps, read_numbers, with_day
+from jaxbound.text.progress import reporter
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -42,7 +43,7 @@ class CsvFile(Source):
         Raises:
             ValueError: anything that is not a regular recording of this model: what, and in which row.
         """
-        return _recording_of(Path(str(self.data)), self.model, progress or (lambda share: None))
+        return _recording_of(Path(str(self.data)), self.model, reporter(progress))
 
 
 def _recording_of(path: Path, model: SignalModel, report: Progress) -> Recording:

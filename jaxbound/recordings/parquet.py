@@ -35,6 +35,7 @@ from jaxbound.recordings.selection import NO_TIME, Wanted, source_columns
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import Progress, Source, overlapping, with_hints
 from jaxbound.recordings.timestamps import EPOCHS, epoch_scale, from_epoch, since_epoch, time_label
+from jaxbound.text.progress import reporter
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -244,7 +245,7 @@ class ParquetSource(Source):
             ValueError: as `tables` and `chunk`; more seams than steps of one sampling period, if these are
                 all samples.
         """
-        report = progress or (lambda share: None)
+        report = reporter(progress)
         if stop is None:
             stop = self.samples
         ((_, table),) = self.tables(first, stop, stop - first)

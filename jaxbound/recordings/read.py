@@ -2,8 +2,9 @@
 
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from os import PathLike
 from pathlib import Path
 
@@ -19,7 +20,8 @@ from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import TOLERATED_DT, varied_steps
 from jaxbound.recordings.signals import Named, Signals, signals_of
-from jaxbound.recordings.source import KINDS, Progress, Source
+from jaxbound.recordings.source import KINDS, Source
+from jaxbound.text.progress import Progress, in_part, reporter
 
 __all__ = ["kind_of", "open_source", "read", "read_signals"]
 
@@ -27,7 +29,7 @@ Signal = str | tuple[str, str]
 """A name, or (name, column)."""
 
 
-def read(path: object, model: Named, progress: Callable[..., object] | None = None) -> Recording:
+def read(path: object, model: Named, progress: Progress | None = None) -> Recording:
     r"""Read the signals of a model from a CSV file, a Parquet file or a folder of Parquet files, which follow
     each other by name.
 
@@ -64,7 +66,8 @@ def read(path: object, model: Named, progress: Callable[..., object] | None = No
         >>> jb.detect(jb.parity_relations(m), run).status
         array([0, 1, 3, 0, 1], dtype=int8)
     """
-    return open_source(path, model).read(progress=progress)
+    report = reporter(progress)
+    return open_source(path, model).read(progress=report)
 
 
 def open_source(data: object, model: Named) -> Source:
@@ -149,6 +152,7 @@ def read_signals(
     Raises:
         OSError, ValueError: as `read`; recordings of different dt; no sample for which `where` holds.
     """
+    report = reporter(progress)
     paths = [paths] if isinstance(paths, str | PathLike) else list(paths)
     if not paths:
         raise ValueError("there is no recording: give at least one")
@@ -160,7 +164,7 @@ def read_signals(
     model = Signals(tuple(map(_name_of, inputs)), tuple(map(_name_of, outputs)), columns, dt)
     recordings: list[Recording] = []
     for i, path in enumerate(paths):
-        r = read(path, model, _share_of(progress, i, len(paths)))
+        r = read(path, model, partial(in_part, report, i / len(paths), 1 / len(paths)))
         if r.excluded is not None and r.excluded.all():
             raise ValueError(
                 f"{path}: the condition {columns['where']!r} holds for none of its {r.samples} samples"
@@ -178,13 +182,6 @@ def _name_of(signal: Signal) -> str:
     if isinstance(signal, str):
         return signal
     return signal[0]
-
-
-def _share_of(progress: Progress | None, i: int, count: int) -> Progress | None:
-    """Return the progress of recording i of so many as a function of its own share."""
-    if progress is None:
-        return None
-    return lambda share: progress((i + share) / count)
 
 
 def _refuse_other_periods(paths: Sequence[object], recordings: Sequence[Recording]) -> None:

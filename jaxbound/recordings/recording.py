@@ -6,7 +6,7 @@ can forget it: the names of its columns, gaps in the time of its rows, samples t
 out, samples that are masked or null.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -143,6 +143,8 @@ class Recording:
         else:
             y = as_table(y, "y", model.outputs)
         if y is None:
+            if isinstance(u, Iterator):
+                raise ValueError("u is a generator: jb.read(generator, model) makes a recording of it")
             raise ValueError("y is missing: give u and y, or one table or Recording that holds both")
         u, y, jumps = paired(u, y, model)
         u, y, hints = without_words(model, u, y)

@@ -19,10 +19,10 @@ from jaxbound.recordings.seams import Clock, around, irregular, seam_hints, tick
 from jaxbound.recordings.selection import where_hints
 from jaxbound.recordings.signals import Named, SignalModel
 from jaxbound.recordings.stillness import still_hints
+from jaxbound.text.progress import Progress
 
 __all__ = ["KINDS", "Progress", "Source", "overlapping", "register", "with_hints"]
 
-Progress = Callable[[float], object]
 """Called with the share of the work done."""
 
 KINDS: list[type["Source"]] = []  # of users; the last that takes the data opens them

@@ -60,6 +60,7 @@ from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.strips.separation import Frame, frame_of
 from jaxbound.sets.strips.strips import Strips, strips_of
 from jaxbound.text.objects import readable
+from jaxbound.text.progress import reporter
 
 __all__ = ["ParityRelation", "parity_relations", "stated_relations"]
 
@@ -333,7 +334,7 @@ def parity_relations(
         >>> r.horizon, r.count, len(r.circuits)
         (1, 2, 4)
     """
-    model, report = as_model(model, factors=True), progress or (lambda share: None)
+    model, report = as_model(model, factors=True), reporter(progress)
     if form not in ("first", "second"):
         raise ValueError(f"form must be 'first' or 'second', not {form!r}")
     if lags is None and horizon is None:

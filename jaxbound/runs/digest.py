@@ -45,12 +45,13 @@ from jaxbound.runs.parts import forget_parts, part_files, verdicts_of
 from jaxbound.runs.rulebook import alarm_book
 from jaxbound.runs.shares import check_share, numbers_of
 from jaxbound.runs.sink import Sink, Verdicts
-from jaxbound.runs.streaming import CHUNK, Report, all_parts, part_count, publish, write_parts
+from jaxbound.runs.streaming import CHUNK, all_parts, part_count, publish, write_parts
 from jaxbound.runs.summary import Evidence, evidence
 from jaxbound.runs.tally import Tally
 from jaxbound.runs.testcounts import CountsByTest, Unwatched
 from jaxbound.sets.floats.probe import refuse_unusable
 from jaxbound.text.objects import readable
+from jaxbound.text.progress import Progress, reporter
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -224,7 +225,7 @@ def detect_dataset(
     method: str = "joint",
     chunk: int = CHUNK,
     alarm: RuleLike = (1, 1),
-    progress: Report | None = None,
+    progress: Progress | None = None,
     part: tuple[int, int] | None = None,
     merge: bool = False,
     client: "Client | None" = None,
@@ -287,7 +288,7 @@ def detect_dataset(
     if part is not None and merge:
         raise ValueError("part makes verdicts and merge reports on them: give one of the two")
     refuse_unusable()
-    report = progress or (lambda share: None)
+    report = reporter(progress)
     if part is not None:
         with shared_folder(out, (PARTIAL,), (path,)):
             source = _source_in_parts(path, relations.model)
@@ -326,7 +327,7 @@ def digest(
     method: str = "joint",
     alarm: RuleLike = (1, 1),
     alarms_csv: Path | None = None,
-    progress: Report | None = None,
+    progress: Progress | None = None,
     also: Sequence[Sink] = (),
     margins: str = AUTO,
     outside: str = CLAIMED,
@@ -344,7 +345,7 @@ def digest(
     Returns:
         A Digest.
     """
-    report = progress or (lambda share: None)
+    report = reporter(progress)
     region = Region.of(relations)
     tally = Tally(_seconds_at, relations.horizon, region=region)
     times = _SampleTimes(source)

@@ -44,6 +44,7 @@ from jaxbound.runs.loop import Quiet, follow
 from jaxbound.runs.relations import is_monitored, relations_by
 from jaxbound.runs.summary import CODES, OUTSIDE, Summary, summarised
 from jaxbound.text.objects import readable
+from jaxbound.text.progress import reporter
 from jaxbound.workers.engine import in_order, stretches_for
 
 if TYPE_CHECKING:
@@ -52,6 +53,8 @@ if TYPE_CHECKING:
 __all__ = ["Unit", "UnitResult", "detect_fleet", "fleet_verdict", "read_manifest", "worst_first"]
 
 COLUMNS = ("unit", "model", "recording")
+ACKNOWLEDGED = "acknowledged"
+"""A column that may be there: of alarms that latch."""
 AHEAD = 4  # units that are read while another is tested
 SIDE = 32  # units that an observer follows side by side, which are in memory at once
 ORDER = ("fault", "not tested", OUTSIDE, "too little evidence", "no fault")
@@ -70,11 +73,16 @@ Done = TypeVar("Done")
 
 
 class Unit(NamedTuple):
-    """One row of a manifest: the unit's name, its model file and its recording."""
+    """One row of a manifest.
+
+    Fields: name; model, recording: its files; acknowledged: the file in which an operator acknowledges its
+    alarms, None: that of all units.
+    """
 
     name: str
     model: Path
     recording: Path
+    acknowledged: Path | None = None
 
 
 @readable
@@ -109,7 +117,8 @@ def read_manifest(path: str | PathLike[str]) -> list[Unit]:
     r"""Read the units of a fleet from a CSV or TOML file.
 
     CSV: a header with the columns unit, model and recording, then a row a unit. TOML: a block [[units]] with
-    these fields for each. Files are looked for beside the manifest.
+    these fields for each. A column acknowledged, which may be left out or empty, names the file of a unit's
+    acknowledgements, see `AlarmRule`. Files are looked for beside the manifest.
 
     Args:
         path: of the manifest; .toml is read as TOML, anything else as CSV.
@@ -198,10 +207,9 @@ def _toml_rows(text: str) -> Iterator[Row]:
 def _check_columns(where: str, names: Sequence[str]) -> None:
     """Refuse a column that is unknown, missing or there twice."""
     for name in names:
-        if name not in COLUMNS:
-            raise ValueError(
-                f"{where} has the unknown column {name!r}; known columns are {', '.join(COLUMNS)}"
-            )
+        if name not in (*COLUMNS, ACKNOWLEDGED):
+            known = ", ".join((*COLUMNS, ACKNOWLEDGED))
+            raise ValueError(f"{where} has the unknown column {name!r}; known columns are {known}")
         if names.count(name) > 1:
             raise ValueError(f"{where} has {names.count(name)} columns {name!r}")
     for name in COLUMNS:
@@ -223,7 +231,10 @@ def _units(rows: Iterable[Row], folder: Path) -> list[Unit]:
                 f"{where} names unit {name!r}, as {named[name]} does: every unit needs a name of its own"
             )
         named[name] = where
-        units.append(Unit(name, folder / row["model"], folder / row["recording"]))
+        seen = None
+        if row.get(ACKNOWLEDGED):
+            seen = folder / row[ACKNOWLEDGED]
+        units.append(Unit(name, folder / row["model"], folder / row["recording"], seen))
     if not units:
         raise ValueError("the manifest names no unit: it has a header but no row")
     return units
@@ -280,7 +291,7 @@ def detect_fleet(
         }
         yield from _test_by_workers(client, _FleetJob(same), units, progress)
         return
-    report = progress or (lambda share: None)
+    report = reporter(progress)
     how = _How(method, horizon, lags, options, state, rule_of(alarm), min_coverage, margins, outside)
     results, done = _Collected(page), 0
     try:
@@ -508,7 +519,10 @@ def _judge_unit(
         res, carry = test(relations, recording), None
     if data.kept is not None:
         data.kept.save(recording, carry)
-    alarms = res.alarms(rule=how.alarm)
+    rule = how.alarm
+    if unit.acknowledged is not None:
+        rule = replace(rule, acknowledged=unit.acknowledged)
+    alarms = res.alarms(rule=rule)
     res, reaches = replace(res, recorded=recording.hints), outgrown(model, relations)
     hints = dict.fromkeys((*res.hints, *again_hints(res), *reaches, *ending_hints(res, alarms)))
     summary = summarised(res, alarms, recording.label, how.min_coverage, hints, outgrown=bool(reaches))

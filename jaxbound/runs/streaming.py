@@ -42,6 +42,7 @@ from jaxbound.runs.parts import (
     unfinished_parts,
 )
 from jaxbound.runs.shares import numbers_of, stretches_listed
+from jaxbound.text.progress import Progress, reporter
 from jaxbound.workers.engine import spread, stretches_for
 
 if TYPE_CHECKING:
@@ -53,7 +54,6 @@ CHUNK = 1_000_000  # samples in memory at once
 LEAST = 2**16  # and at least so many: a call of the kernel takes them anyway
 PART = 1_000_000  # samples in a file of verdicts
 STAGES = "read", "transfer", "compute", "write"
-Report = Callable[[float], object]
 
 
 def write_parts(
@@ -62,7 +62,7 @@ def write_parts(
     out: str | PathLike[str],
     method: str = "joint",
     chunk: int = CHUNK,
-    progress: Report | None = None,
+    progress: Progress | None = None,
     part: tuple[int, int] | None = None,
     client: "Client | None" = None,
     overlap: int | None = None,
@@ -81,7 +81,7 @@ def write_parts(
     """
     how = part, chunk, overlap, margins, outside
     folder, job = _job_of(relations, source, Path(out), method, *how)
-    report = progress or (lambda share: None)
+    report = reporter(progress)
     seconds = dict.fromkeys(STAGES, 0.0)
     mine = numbers_of(part or (1, 1), part_count(source))
     missing = missing_parts(folder, mine)
@@ -107,7 +107,7 @@ def write_parts(
 
 
 def _write_here(
-    job: "_Judging", missing: list[int], mine: range, report: Report
+    job: "_Judging", missing: list[int], mine: range, report: Progress
 ) -> Iterator[dict[str, float]]:
     """Write the missing parts in this process; yield the seconds of each stretch of them."""
     first, end = mine.start * PART, min(mine.stop * PART, job.source.samples)
@@ -117,7 +117,7 @@ def _write_here(
 
 
 def _write_by_workers(
-    client: "Client", job: "_Judging", missing: list[int], mine: range, report: Report
+    client: "Client", job: "_Judging", missing: list[int], mine: range, report: Progress
 ) -> Iterator[dict[str, float]]:
     """Let workers write the missing parts; yield the seconds of each task."""
     tasks, left = _ranges_of(missing), len(missing)

@@ -5,6 +5,7 @@ import pytest
 from systems import paper
 
 import jaxbound as jb
+from jaxbound.diagnosis import acknowledged
 from jaxbound.diagnosis.alarmrule import AlarmRule, rule_of
 from jaxbound.diagnosis.watch import LASTING, OPPOSITE
 from jaxbound.recordings.signals import Signals
@@ -194,3 +195,14 @@ def test_a_file_of_acknowledgements_is_checked_before_it_is_followed(tmp_path, t
     rule = AlarmRule(latch=True, acknowledged=tmp_path / "seen.txt")
     with pytest.raises(ValueError, match=message):
         rule.fitted(one().model)
+
+
+def test_the_times_of_a_rule_are_read_once(monkeypatch):
+    asked = []
+    read = acknowledged.instant_of
+    monkeypatch.setattr(acknowledged, "instant_of", lambda time: (asked.append(time), read(time))[1])
+    rule = AlarmRule(latch=True, acknowledged=[3])
+    result = jb.detect(one(), None, [[0.0], [0.0], [3.0], [3.0], [3.0]])
+    for _ in range(2):
+        assert result.alarms(rule=rule)[0].ended == "acknowledged"
+    assert asked == [3]

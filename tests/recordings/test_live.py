@@ -133,6 +133,8 @@ def test_a_generator_that_ends_is_read_as_means(averaged):
     np.testing.assert_allclose(read.y, averaged.y, rtol=1e-12)
     np.testing.assert_array_equal(read.stamps, averaged.stamps)
     assert read.starts.tolist() == averaged.starts.tolist()
+    with pytest.raises(ValueError, match="jb.read"):
+        jb.detect(jb.parity_relations(AVERAGED), names["readings"](AVERAGED))
 
 
 @pytest.mark.parametrize("again", [0, 203])

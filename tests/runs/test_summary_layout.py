@@ -99,6 +99,12 @@ def test_files_parquet_and_fleets_end_the_same_alarm_by_an_acknowledgement(place
     for data in ("run.csv", "run.parquet"):
         assert shell(capsys, "detect", "m.toml", data, *rule)[1]["ended"] == {"acknowledged": 1}
     assert shell(capsys, "fleet", "fleet.csv", *rule)[1]["units"][0]["ended"] == {"acknowledged": 1}
+    rows = "good,m.toml,run.csv,", "other,m.toml,run.csv,seen.txt"  # the file of one unit alone
+    (place / "units.csv").write_text("\n".join(["unit,model,recording,acknowledged", *rows]) + "\n")
+    units = {unit["unit"]: unit for unit in shell(capsys, "fleet", "units.csv", "--latch")[1]["units"]}
+    assert units["other"]["ended"] == {"acknowledged": 1} and "acknowledged" not in units["good"]["ended"]
+    units = {unit["unit"]: unit for unit in shell(capsys, "fleet", "units.csv")[1]["units"]}
+    assert "give latch, too" in units["other"]["summary"]
     assert main.main(["detect", "m.toml", "run.csv", "--out", "out", *rule[1:]]) == 2
     assert "give --latch, too" in capsys.readouterr().err
 

@@ -18,6 +18,7 @@ from jaxbound.files.folders import cache_folder
 from jaxbound.files.whole import whole
 from jaxbound.sets.floats import settings
 from jaxbound.sets.floats.examination import examination
+from jaxbound.text.progress import reporter
 
 __all__ = ["Record", "admitted", "doubt_of", "examine", "record_of"]
 
@@ -140,7 +141,7 @@ def _read(path: Path) -> Record | None:
 def _broken(device: jax.Device, progress: Callable[[float], object] | None = None) -> list[str]:
     """Return the claims of an examination, in both types, that do not hold, each in words."""
     found = []
-    report = progress or (lambda share: None)
+    report = reporter(progress)
     with jax.enable_x64(True):
         for done, dtype in enumerate((np.float32, np.float64)):
             report(done / 2)

@@ -39,6 +39,7 @@ from jaxbound.sets.floats.settings import (
     set_switches,
     unknown_flags,
 )
+from jaxbound.text.progress import reporter
 
 __all__ = [
     "EXAMINED",
@@ -207,7 +208,7 @@ def examined_devices(progress: Callable[[float], object] | None = None) -> list[
         Unverified: flags, switches or a rounding mode with which nothing can be proved.
     """
     refuse_other_modes()
-    report = progress or (lambda share: None)
+    report = reporter(progress)
     kinds = {}
     for device in usable_devices():
         name = str(getattr(device, "device_kind", ""))

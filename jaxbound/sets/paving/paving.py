@@ -28,6 +28,7 @@ from jaxbound.sets.intervals.interval import Interval, Operand, interval
 from jaxbound.sets.paving.existence import components, continuous, is_interval_function, search
 from jaxbound.sets.paving.frontier import BLOCKS, Boxes, Kernel, Verdicts, explore, in_blocks
 from jaxbound.text.objects import readable
+from jaxbound.text.progress import Progress, reporter
 
 __all__ = ["Paving", "pave", "reaches"]
 
@@ -160,7 +161,7 @@ def pave(
         ('UNDECIDED', 261, 20)
     """
     refuse_unverified(box, target, args)
-    f = frozen(f)
+    f, report = frozen(f), reporter(progress)
     box = interval(box)
     lo, hi = np.asarray(box.lo), np.asarray(box.hi)
     if lo.ndim != 1 or not len(lo) or not (np.isfinite(lo) & np.isfinite(hi)).all() or (lo > hi).any():
@@ -199,7 +200,7 @@ def pave(
                 f"{q} pieces of {len(lo)} variables are {int(q) ** len(lo)} boxes, more than max_boxes = "
                 f"{most}"
             )
-        left_lo, left_hi, owner, evaluated = _uniform(f, lo, hi, goal, arguments, count, int(q), progress)
+        left_lo, left_hi, owner, evaluated = _uniform(f, lo, hi, goal, arguments, count, int(q), report)
     else:
         if goal is None:
             raise ValueError(
@@ -226,7 +227,7 @@ def pave(
             most,
             "kernel" if cut == "smear" else cut,
             solutions == "one",
-            progress,
+            report,
             sizes,
         )
         left_lo, left_hi, owner, evaluated, levels = (
@@ -466,7 +467,7 @@ def _uniform(
     args: tuple[jax.Array, ...],
     count: int,
     q: int,
-    progress: Callable[[float], object] | None,
+    report: Progress,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     n = len(lo)
     share = np.arange(q + 1, dtype=lo.dtype) / q
@@ -487,8 +488,7 @@ def _uniform(
         meet = np.asarray(_meets_uniform(f, cell_lo, cell_hi, block, tuple(a[part] for a in args)))
         which, cell = np.nonzero(meet)
         kept.append((which + start, cell))
-        if progress is not None:
-            progress(min(start + at_once, count) / count)
+        report(min(start + at_once, count) / count)
     owner, cell = (np.concatenate(x) for x in zip(*kept, strict=True))
     return cell_lo[:, cell], cell_hi[:, cell], owner.astype(np.int32), np.full(count, total)
 

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from jaxbound.consistency.interface import Relations, relations_of
 from jaxbound.diagnosis.alarmrule import rule_of
 from jaxbound.diagnosis.result import Result
+from jaxbound.models.arguments import listed_argument
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 from jaxbound.studies.assessment.detectors import Detector, Flags, Monitored, Verdicts
@@ -23,6 +24,7 @@ from jaxbound.studies.assessment.peers import peers_of
 from jaxbound.studies.assessment.scores import Rule, Score, Trial, counted, total
 from jaxbound.studies.assessment.truth import Episode, Truth, truth_of
 from jaxbound.text.objects import readable
+from jaxbound.text.progress import reporter
 
 __all__ = ["FACTORS", "Assessment", "Case", "Marks", "Naming", "assess"]
 
@@ -190,7 +192,9 @@ def assess(
         1
     """
     relations_of(relations, "assess", "assess(parity_relations(model), healthy, faulty)")
-    wanted = _checked(rules, factors)
+    wanted, report = _checked(rules, factors), reporter(progress)
+    healthy = listed_argument("healthy", healthy, "[(u, y)]")
+    faulty = listed_argument("faulty", faulty, "[(u, y)]")
     recordings = [_recording(relations, one) for one in (*healthy, *faulty)]
     if not recordings:
         raise ValueError("there is no recording to assess by: give healthy ones, or faulty ones, or both")
@@ -198,12 +202,12 @@ def assess(
     monitor = Monitored(relations, method, "jaxbound")
     peers: Sequence[Detector] = ()
     if training is not None:
-        peers = _trained(relations, training)
+        peers = _trained(relations, listed_argument("training", training, "[(u, y)]"))
     judged = []
     for number, recording in enumerate(recordings):
         verdicts = monitor.flags(recording)
         judged.append(_Judged(recording, _trial(recording, verdicts, truths[number], relations), verdicts))
-        _report(progress, 0.6 * (number + 1) / len(recordings))
+        report(0.6 * (number + 1) / len(recordings))
     _refuse_untested(judged, relations)
     trials = [one.trial for one in judged]
     marks = _marks(monitor, [one.verdicts for one in judged], trials, rules, wanted, relations.model.dt)
@@ -211,23 +215,19 @@ def assess(
     for number, peer in enumerate(peers):
         flags = [peer.flags(one.recording) for one in judged]
         beside.append(_marks(peer, flags, trials, rules, wanted, relations.model.dt))
-        _report(progress, 0.6 + 0.3 * (number + 1) / len(peers))
+        report(0.6 + 0.3 * (number + 1) / len(peers))
     cases = []
     titles = names or [f"faulty recording {number + 1}" for number in range(len(faulty))]
     for title, one in zip(titles, judged[len(healthy) :], strict=True):
         cases.append(_case(title, one, rules[0], relations.model.dt))
-    _report(progress, 1.0)
+    report(1.0)
     return Assessment(marks, tuple(cases), tuple(rules), tuple(beside), relations)
-
-
-def _report(progress: Callable[[float], object] | None, share: float) -> None:
-    if progress is not None:
-        progress(share)
 
 
 def _checked(rules: Sequence[Rule], factors: Sequence[float]) -> list[float]:
     """Return the factors in order, 1 among them; refuse what is no rule and no factor."""
-    if not rules:
+    factors = listed_argument("factors", factors, "[0.5, 2]")
+    if not listed_argument("rules", rules, "[(1, 1), (3, 5)]"):
         raise ValueError("there is no alarm rule: give at least one, like (1, 1)")
     for k, n in rules:
         rule_of((k, n))
@@ -258,7 +258,7 @@ def _truths(
     faulty = recordings[healthy:]
     own: Sequence[ArrayLike | Sequence[str] | None] = [None] * len(faulty)
     if labels is not None:
-        own = labels
+        own = listed_argument("labels", labels, "[[0, 0, 1]]")
     if len(own) != len(faulty):
         raise ValueError(f"labels are one for each faulty recording: {len(own)} for {len(faulty)}")
     truths = [truth_of(np.zeros(recording.samples), recording.samples) for recording in recordings[:healthy]]

@@ -22,8 +22,9 @@ from jaxbound.studies.identification.advice import blind
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
 from jaxbound.studies.identification.trajectories import SETTLED, sure_sizes
 from jaxbound.studies.identification.window_tests import RAMP, JudgedTest, WindowChoice, best_test
+from jaxbound.text.progress import in_part
 
-__all__ = ["FitOne", "earned", "fitted_bank", "in_part", "test_as_fitted"]
+__all__ = ["FitOne", "earned", "fitted_bank", "test_as_fitted"]
 
 GAIN = 0.8
 """A test earns its place where it sees an error from this share of the size on that the others need."""
@@ -115,11 +116,6 @@ def _beside(base: LinearSystem, watched: LinearSystem) -> LinearSystem:
     if base.lags is not None:
         return watched.replace(lags=base.lags, left_out=left_out)
     return watched.replace(horizon=base.horizon, left_out=left_out)
-
-
-def in_part(report: Callable[[float], object], begun: float, share: float, done: float) -> None:
-    """Report the share of a part of the work that is done."""
-    report(begun + share * done)
 
 
 def earned(tests: Sequence[JudgedTest]) -> tuple[JudgedTest, ...]:

@@ -27,7 +27,7 @@ from jaxbound.models.system import LinearSystem, whole_lags
 from jaxbound.recordings.means import with_every
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.studies.identification import advice
-from jaxbound.studies.identification.bank import fitted_bank, in_part
+from jaxbound.studies.identification.bank import fitted_bank
 from jaxbound.studies.identification.bounds import Means, Walks, verified
 from jaxbound.studies.identification.candidates import (
     KINDS,
@@ -64,6 +64,7 @@ from jaxbound.studies.identification.window_tests import (
     searched_means,
 )
 from jaxbound.studies.tuning.widening import stated
+from jaxbound.text.progress import in_part, reporter
 
 __all__ = ["fit"]
 
@@ -197,7 +198,7 @@ def fit(
     if direct and delay != 1:
         raise ValueError("direct inputs act at once: leave delay at 1, or direct out")
     columns, dt = with_every(columns, dt, every)
-    report = progress or _silent
+    report = reporter(progress)
     tried_sets: tuple[TriedSignals, ...] = ()
     if signals is not None:
         _refuse_signals(signals, inputs)
@@ -387,10 +388,6 @@ def _as_chosen(
     named = {name: column for name, column in columns.items() if name not in dropped}
     named |= {name: pool[name] for name in inputs if name in pool}
     return inputs, named, {name: unit for name, unit in (units or {}).items() if name not in dropped}
-
-
-def _silent(share: float) -> None:
-    """Report to nobody."""
 
 
 def _observer(

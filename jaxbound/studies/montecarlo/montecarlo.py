@@ -36,7 +36,7 @@ from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.faults import Fault
 from jaxbound.models.fingerprint import fingerprint
-from jaxbound.models.numbers import is_whole
+from jaxbound.models.numbers import is_real, is_whole
 from jaxbound.models.statedtests import OTHERWISE
 from jaxbound.models.system import LinearSystem
 from jaxbound.random.keys import key_of
@@ -57,6 +57,7 @@ from jaxbound.studies.montecarlo.scenarios import Act, Trial
 from jaxbound.studies.montecarlo.study_result import StudyResult
 from jaxbound.studies.montecarlo.tally import TrialTally
 from jaxbound.text.names import listed
+from jaxbound.text.progress import Progress, reporter
 from jaxbound.workers.engine import in_order
 
 if TYPE_CHECKING:
@@ -158,7 +159,7 @@ def study(
         >>> found.false_alarms[0], found.tallies[0].detected[1]
         (0, np.int64(1000))
     """
-    model = as_model(model, factors=True)
+    model, report = as_model(model, factors=True), reporter(progress)
     relations = parity_relations(model) if relations is None else _named_like(relations, model)
     if isinstance(relations, SetObserver) and method == "joint":
         method = SetObserver.method
@@ -220,7 +221,7 @@ def study(
             of_all = hits[:, 0], false[:, 0], delay[:, 0]
             keeper.add_rows(trial.label, trial.sizes[which], scenario, begun, *of_all)
 
-    _work_off(client, _Scenarios(setup, acts, words, block), tasks, collect, keeper, progress)
+    _work_off(client, _Scenarios(setup, acts, words, block), tasks, collect, keeper, report)
     tallies, *by_test = columns
     return StudyResult(
         model,
@@ -354,7 +355,7 @@ def _check_study(
         raise ValueError(f"n must be below 2^32, not {n}: run several studies with different keys")
     if at not in AT:
         raise ValueError(f"at must be one of {', '.join(AT)}, not {at!r}")
-    if not 0 < confidence < 1:
+    if not (is_real(confidence) and 0 < confidence < 1):
         raise ValueError(f"confidence must be between 0 and 1, not {confidence!r}")
 
 
@@ -507,7 +508,7 @@ def _work_off(
     tasks: Sequence[Task],
     collect: Callable[[int, Counts], None],
     keeper: Keeper | None,
-    progress: Callable[[float], object] | None,
+    report: Progress,
 ) -> None:
     """Do the tasks that are left; collect them in order, and keep the state now and then."""
     done, saved = 0 if keeper is None else keeper.done, time.monotonic()
@@ -520,8 +521,7 @@ def _work_off(
             if keeper is not None and _is_due(keeper, done, saved, len(tasks)):
                 keeper.save(done)
                 saved = time.monotonic()
-            if progress is not None:
-                progress(done / len(tasks))
+            report(done / len(tasks))
     except KeyboardInterrupt:
         # what was collected since the last state may be half counted: it is drawn again
         if keeper is None:

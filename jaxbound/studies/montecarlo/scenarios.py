@@ -14,7 +14,9 @@ from jaxbound.consistency.interface import Relations
 from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.detectability import detectable
 from jaxbound.estimation.set_observer import SetObserver
+from jaxbound.models.arguments import listed_argument
 from jaxbound.models.faults import KINDS, Fault, refuse_unknown_signal
+from jaxbound.models.numbers import is_whole
 from jaxbound.models.operating_point import at_factors
 from jaxbound.models.system import LinearSystem
 from jaxbound.random.threefry import Array
@@ -156,7 +158,11 @@ def trials(
         raise ValueError(
             f"a scenario of {samples} samples has no window of {relations.horizon + 1}: take more samples"
         )
-    several = [faults] if isinstance(faults, str | Fault) else list(faults)
+    several: Sequence[str | Fault]
+    if isinstance(faults, str | Fault):
+        several = [faults]
+    else:
+        several = listed_argument("faults", faults, "['T1:bias']")
     named = [_fault(model, fault) for fault in several]
     labels = [_label(fault) for fault in named]
     if not named:
@@ -201,7 +207,10 @@ def _sizes_of(
         return np.zeros(1)
     if own is None:
         return _usual_sizes(model, fault, relations, highest, samples)
-    each = np.atleast_1d(np.asarray(own, float))
+    try:
+        each = np.atleast_1d(np.asarray(own, float))
+    except (TypeError, ValueError):
+        raise ValueError(f"sizes must be numbers, like [0.5, 1, 2], not {own!r}") from None
     if each.ndim != 1 or not each.size or not np.isfinite(each).all():
         raise ValueError(f"sizes of {_label(fault)} must be finite numbers, not {each.tolist()}")
     return each
@@ -233,9 +242,10 @@ def _onset(onset: int | tuple[int, int] | None, samples: int) -> tuple[int, int]
     """Return (lo, hi) of the onset; by default in the second quarter."""
     if onset is None:
         return samples // 4, max(samples // 2, samples // 4 + 1)
-    if np.ndim(onset) == 0:
-        first = int(cast("int", onset))
-        return first, first + 1
+    if is_whole(onset):
+        return onset, onset + 1
+    if np.shape(onset) != (2,) or not all(map(is_whole, np.asarray(onset))):
+        raise ValueError(f"onset must be a sample, or a pair of them like (50, 100), not {onset!r}")
     first, stop = map(int, cast("tuple[int, int]", onset))
     return first, stop
 

@@ -22,6 +22,7 @@ from jaxbound.studies.tuning.parametrization import Tunable, tuned_model
 from jaxbound.studies.tuning.scaling import JoinedRecordings, joined_recordings, refuse_same
 from jaxbound.studies.tuning.tune_result import TuneResult, caught_of
 from jaxbound.text.objects import readable
+from jaxbound.text.progress import in_part
 
 __all__ = ["MonitorTuneResult", "tuned_monitor"]
 
@@ -109,7 +110,7 @@ def tuned_monitor(
         if bad is not None:
             faults = _watched(bank, number, bad) or None
         relations = _scalable(bank, test)
-        progress = partial(_part, report, number, len(stated))
+        progress = partial(in_part, report, number / len(stated), 1 / len(stated))
         try:
             one = tune_one(relations, watched, faults, bounds=_scaled(relations), progress=progress)
         except ValueError as e:
@@ -130,11 +131,6 @@ def tuned_monitor(
         relations=tuned,
         notes=tuple(dict.fromkeys(notes)),
     )
-
-
-def _part(report: Callable[[float], object], number: int, count: int, share: float) -> None:
-    """Report the share of one test of several."""
-    report((number + share) / count)
 
 
 def _seen(bank: MonitorBank, given: object, what: str) -> _Seen:

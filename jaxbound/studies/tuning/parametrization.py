@@ -223,7 +223,10 @@ def _notes(still: list[str]) -> tuple[str, ...]:
 
 def _weights(name: str, given: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
     """Return the weights of a bound, one an entry, or one an end of each, checked."""
-    stated = np.asarray(given, np.float64)
+    try:
+        stated = np.asarray(given, np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"weights must be numbers, like {{'noise': 2}}, not { {name: given} }") from None
     try:
         weights = np.broadcast_to(stated, shape if stated.ndim == len(shape) else shape[:1])
     except ValueError:

@@ -43,6 +43,7 @@ from jaxbound.studies.tuning.scaling import (
 )
 from jaxbound.studies.tuning.tune_result import History, TuneResult, history_columns
 from jaxbound.studies.tuning.widening import Wider, accepted, stated_factor
+from jaxbound.text.progress import reporter
 
 if TYPE_CHECKING:
     import optax
@@ -177,8 +178,10 @@ def tune(
         block=block,
         confidence=confidence,
         every=every,
+        optimizer=optimizer,
+        state=state,
     )
-    report = progress or _silent
+    report = reporter(progress)
     if isinstance(relations, MonitorBank):
         for name, given in (
             ("optimizer", optimizer),
@@ -272,10 +275,6 @@ def tune(
         relations=final,
         notes=(*moved.notes, *wider.notes, *_vanished(moved, smallest)),
     )
-
-
-def _silent(share: float) -> None:
-    """Report to nobody."""
 
 
 def _counts(res: Result, recordings: JoinedRecordings, horizon: int) -> dict[str, int]:
@@ -474,6 +473,8 @@ def _check(
     block: int | None,
     confidence: float,
     every: int,
+    optimizer: object,
+    state: object,
 ) -> None:
     """Raise TypeError or ValueError for what `tune` does not take."""
     if isinstance(relations, SetObserver):
@@ -496,6 +497,10 @@ def _check(
         )
     if not (is_real(confidence) and 0 < confidence < 1):
         raise ValueError(f"confidence must lie between 0 and 1, not {confidence!r}")
+    if optimizer is not None and not (hasattr(optimizer, "init") and hasattr(optimizer, "update")):
+        raise ValueError(f"optimizer must be one of optax, like optax.adam(0.05), not {optimizer!r}")
+    if state is not None and not isinstance(state, str | os.PathLike):
+        raise ValueError(f"state must be the path of a file, like 'tuning.npz', not {state!r}")
 
 
 def _refuse_below(name: str, value: object, least: int) -> None:
