@@ -80,15 +80,16 @@ def unbounded(model: LinearSystem, horizon: int) -> Matrix:
     return linalg.beside(tuple(chain.from_iterable(blocks)), through)
 
 
-def _outputs_on_state(model: LinearSystem, horizon: int) -> list[Matrix]:
+@lru_cache(maxsize=8)
+def _outputs_on_state(model: LinearSystem, horizon: int) -> tuple[Matrix, ...]:
     """Return C, CA, .., CA^s."""
     out = [model.C]
     for _ in range(horizon):
         out.append(linalg.matmul(out[-1], model.A))
-    return out
+    return tuple(out)
 
 
-def _toeplitz(outputs_on_state: list[Matrix], drive: Matrix, direct: Matrix, lags: int) -> Matrix:
+def _toeplitz(outputs_on_state: Sequence[Matrix], drive: Matrix, direct: Matrix, lags: int) -> Matrix:
     """Return the rows of the outputs on a signal that acts by `drive` on the state and by `direct` on the
     outputs, `lags` samples of it.
     """
@@ -118,6 +119,7 @@ def disturbance_form(model: LinearSystem, horizon: int) -> Matrix:
     return _toeplitz(_outputs_on_state(model, horizon), model.G, none, horizon)
 
 
+@lru_cache(maxsize=8)  # a matrix of 61 samples holds some ten thousand fractions
 def unknowns(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
     """Return (E, K): all that bounds speak of in a window, on its unknowns and inputs, for an exact plant.
 
