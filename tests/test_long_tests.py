@@ -25,6 +25,7 @@ BY_DAY = {
             "the_verdicts_are_those_of_the_linear_program_in_states_and_gains"
         )
     },
+    "consistency/test_gains": {"no_healthy_window_is_a_fault": "verdicts_are_those_of_a_linear_program"},
     "consistency/test_long_windows": {
         "gradients_of_margins_are_those_of_finite_differences": (
             "diagnosis/test_uncertain_margins::margins_change_with_bounds_and_data"
@@ -94,9 +95,12 @@ BY_DAY = {
         "random_plants_obey_their_models_about_any_point": "every_step_inside_the_region_obeys_the_model"
     },
     "relations/test_averages": {
+        "random_models_agree_with_linear_programs": (
+            "verdicts_and_the_size_of_margins_are_those_of_a_linear_program"
+        ),
         "many_random_models_agree_with_linear_programs": (
             "verdicts_and_the_size_of_margins_are_those_of_a_linear_program"
-        )
+        ),
     },
     "relations/test_uncertain_image": {
         "image_out_of_jit_is_the_exact_zonotope_within_its_error": (
@@ -131,7 +135,10 @@ BY_DAY = {
     "sets/zonotopes/test_decisions": {
         "ten_thousand_points_are_decided_as_by_linear_programs": (
             "points_near_and_far_from_the_boundary_are_decided_as_by_linear_programs"
-        )
+        ),
+        "five_thousand_constrained_zonotopes_are_empty_where_linear_programs_say_so": (
+            "constrained_zonotopes_are_empty_where_linear_programs_say_so"
+        ),
     },
     "sets/zonotopes/test_decisions_many": {
         "ten_thousand_pairs_of_sets_are_decided_as_by_linear_programs": (

@@ -126,7 +126,7 @@ def test_certificates_are_checked_by_fractions_alone(kind):
     certificates_hold(detected(kind)[2])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_healthy_window_is_a_fault(kind, dtype, module_seed):

@@ -26,7 +26,7 @@ def simulated(rng, u):
         (3, "joint"),
         (1, "box"),
         pytest.param(1, "paving", marks=pytest.mark.long),
-        pytest.param(16, "joint", marks=pytest.mark.slow),
+        pytest.param(16, "joint", marks=pytest.mark.long),
     ],
 )
 def test_pieces_are_judged_as_if_they_stood_alone(rng, horizon, method):

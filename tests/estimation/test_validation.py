@@ -13,7 +13,7 @@ from jaxbound.models.intervals import as_intervals, stacked
 Status = jb.Status
 
 
-@pytest.mark.parametrize("method", [pytest.param("joint", marks=pytest.mark.slow), "sequential"])
+@pytest.mark.parametrize("method", [pytest.param("joint", marks=pytest.mark.long), "sequential"])
 def test_the_paper_s_system(rng, method):
     """One compiled shape for all claims: fault-free, faults found and located, a missing sensor, a long
     loss.

@@ -278,7 +278,7 @@ def compared(rng, models, each=12):
     return windows, broken, faults
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_random_models_agree_with_linear_programs(rng):
     windows, broken, faults = compared(rng, 6, 20)
     assert windows >= 60 and broken and 0.1 * windows < faults < 0.95 * windows
@@ -316,7 +316,7 @@ def test_a_certificate_with_another_bound_of_an_average_is_refused():
     [
         *((kind, np.float64) for kind in CASES),
         ("short", np.float32),
-        pytest.param("lags", np.float32, marks=SLOW),
+        pytest.param("lags", np.float32, marks=pytest.mark.long),
     ],
 )
 def test_what_is_simulated_keeps_its_averages_and_is_no_fault(kind, dtype):

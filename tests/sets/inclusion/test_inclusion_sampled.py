@@ -88,7 +88,7 @@ def boxes(rng, count):
 
 
 @pytest.mark.parametrize(
-    "programs", [FEW, pytest.param(FEW | REST, marks=pytest.mark.slow)], ids=["few", "all"]
+    "programs", [FEW, pytest.param(FEW | REST, marks=pytest.mark.long)], ids=["few", "all"]
 )
 def test_every_value_of_a_program_lies_in_its_enclosure(programs, rng):
     lo, hi = boxes(rng, 24)

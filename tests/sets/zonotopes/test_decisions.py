@@ -81,7 +81,7 @@ def test_constrained_zonotopes_are_empty_where_linear_programs_say_so(rng):
     assert empty_and_open(rng, [(3, 12, 4), (20, 60, 20)], 12) == (0, 0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_five_thousand_constrained_zonotopes_are_empty_where_linear_programs_say_so(rng):
     wrong, left = empty_and_open(rng, [(2, 6, 1), (3, 12, 4), (20, 60, 20)], 1700)
     print(f"5100 constrained zonotopes: {wrong} wrong, {left} open")
