@@ -4,6 +4,9 @@ and of which it is proved that they do not.
 A fault may begin at any sample of a window and keeps its size from there on; before it there is none. What
 explains a window is ranked by its size beside a usual one: `most` of the fault, the range of its actuator in
 training, the span of its sensor's readings in the window.
+
+A parameter's size is the smallest that a search found (`parameter_size`): that it explains is proved, that
+none does is not. Such a parameter is left open, among those that were not weighed.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,7 +16,8 @@ from typing import Any
 
 from jaxbound.certificates.exact_window import ExactWindow, Explanation
 from jaxbound.certificates.fault_size import FaultSize, Scale
-from jaxbound.models.named_faults import NamedFault, default_faults, named_faults
+from jaxbound.certificates.parameter_size import found_size
+from jaxbound.models.named_faults import PARAMETER, NamedFault, default_faults, named_faults
 from jaxbound.models.system import LinearSystem
 from jaxbound.text.names import listed
 from jaxbound.text.objects import readable
@@ -32,10 +36,11 @@ class Diagnosis:
         model. windows: the samples at which the windows end that each candidate has to explain.
         of: so many FAULT windows the alarm has.
         explains: a FaultSize for each fault that alone explains every window, the most plausible first; of
-            several windows that of the largest size.
+            several windows that of the largest size. The size is the smallest,
+            of a parameter the smallest found.
         excluded: a FaultSize for each that does not, a proof. shares: {fault: its size beside a usual one},
             of those whose usual size is known.
-        unweighed: {fault: why it was not weighed}.
+        unweighed: {fault: why it neither explains nor is excluded}.
         partly: where none explains every window, {fault: the windows that it alone explains}.
         ends: {fault: its FaultSize in the window that takes the least of it, and in the one that takes the
             most}, of those in `partly`.
@@ -78,7 +83,7 @@ class Diagnosis:
         for weighed in self.excluded:
             found.append((weighed.fault.name, why_excluded(self.model, weighed), None))
         for name, why in self.unweighed.items():
-            found.append((name, f"not weighed: {why}", None))
+            found.append((name, f"left open: {why}", None))
         return found
 
     def __str__(self) -> str:
@@ -114,7 +119,7 @@ class Diagnosis:
         rest = ""
         if self.unweighed:
             whys = [f"{name} ({why})" for name, why in self.unweighed.items()]
-            rest = f"; not weighed: {listed(whys, str)}"
+            rest = f"; left open: {listed(whys, str)}"
         if self.outside:
             rest += f"; sizes and exclusions rest on extrapolation, {self.outside}"
         return rest
@@ -136,6 +141,8 @@ class Diagnosis:
         for weighed in self.explains:
             entry: dict[str, Any] = {"fault": weighed.fault.name, "size": float(weighed.size or 0)}
             entry |= {"words": size_text(self.model, weighed), "share": None}
+            if weighed.tried:
+                entry["tried"] = weighed.tried
             if weighed.fault.name in self.shares:
                 entry["share"] = float(self.shares[weighed.fault.name])
             explains.append(entry)
@@ -217,7 +224,7 @@ def diagnose_window(
     shares, unweighed = {}, {}
     for fault in candidates:
         try:
-            weighed = scale.weigh(fault, range(window.horizon + 1))
+            weighed = _weighed(scale, fault)
         except NotImplementedError as e:
             unweighed[fault.name] = str(e)
             continue
@@ -230,6 +237,24 @@ def diagnose_window(
             shares[fault.name] = abs(weighed.size) / usual
     ranked = _ranked(explains, shares)
     return Diagnosis(model, (at,), 1, ranked, tuple(excluded), shares, unweighed)
+
+
+def _weighed(scale: Scale, fault: NamedFault) -> FaultSize:
+    """Return the FaultSize of a fault that may begin at any sample of the window.
+
+    Raises:
+        NotImplementedError: as `Scale.weigh`, or no size of a parameter was found.
+    """
+    onsets = range(scale.window.horizon + 1)
+    if fault.kind != PARAMETER:
+        return scale.weigh(fault, onsets)
+    found = found_size(scale.window, scale.explanation, fault, onsets)
+    if found.size is None:
+        raise NotImplementedError(
+            f"none of {found.tried} trials of its size, up to {float(fault.most or 0):g}, and of the sample "
+            f"since which it holds explains this, which is no proof"
+        )
+    return found
 
 
 def _ranked(explains: Sequence[FaultSize], shares: Mapping[str, Fraction]) -> tuple[FaultSize, ...]:
@@ -271,7 +296,10 @@ def size_text(model: LinearSystem, weighed: FaultSize) -> str:
     """Return the size of a fault that explains a window, with its unit and its signal."""
     fault, size = weighed.fault, weighed.size
     assert size is not None
-    return amount(model, fault, size)
+    text = amount(model, fault, size)
+    if weighed.tried:
+        text += f" (the smallest found in {weighed.tried} trials)"
+    return text
 
 
 def amount(model: LinearSystem, fault: NamedFault, size: Fraction) -> str:

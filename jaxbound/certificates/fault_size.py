@@ -41,7 +41,8 @@ class FaultSize:
     the window from which on it is constant, None for an excluded one: from none; beyond: of an excluded one,
     the smallest size that would explain the window although its sign or bounds rule it out, None where none
     does; proof: the relations h, ((h, h), ..), two or one for each onset, that leave no smaller size;
-    z: unknowns that explain the window with it.
+    z: unknowns that explain the window with it. tried: of a parameter how many pairs of a size and an onset
+    were tried: its size is the smallest of those that explain, and None is no proof.
     """
 
     fault: NamedFault
@@ -50,6 +51,7 @@ class FaultSize:
     beyond: Fraction | None = None
     proof: tuple[tuple[Vector, ...], ...] = ()
     z: Vector | None = None
+    tried: int = 0
 
 
 @dataclass(frozen=True, eq=False)

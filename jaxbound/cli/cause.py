@@ -56,6 +56,6 @@ def show_cause(found: Diagnosis, labels: Sequence[str], as_json: bool) -> None:
         rows.append((weighed.fault.name, text))
     for weighed in found.excluded:
         rows.append((weighed.fault.name, why_excluded(found.model, weighed)))
-    rows += [(name, f"not weighed: {why}") for name, why in found.unweighed.items()]
+    rows += [(name, f"left open: {why}") for name, why in found.unweighed.items()]
     rows.append(("window", f"from {labels[0]} to {labels[-1]}; a fault may begin at any sample of it"))
     show(str(found), "bold", rows)

@@ -23,7 +23,7 @@ from jaxbound.diagnosis.detectability import operating_reach, row_widths
 from jaxbound.exact.chebyshev import chebyshev
 from jaxbound.exact.linalg import Vector
 from jaxbound.models.conversion import ModelLike, as_model
-from jaxbound.models.named_faults import NamedFault, named_faults
+from jaxbound.models.named_faults import PARAMETER, NamedFault, named_faults
 from jaxbound.models.shared_columns import followers
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import input_lags
@@ -215,6 +215,8 @@ def _depends(model: LinearSystem, fault: NamedFault) -> str:
     """Return why what a fault does is not known beforehand; "": it is."""
     if fault.kind == "gain" and fault.output is not None:
         return f"it depends on the readings of {fault.output}"
+    if fault.kind == PARAMETER:
+        return "it multiplies states that nobody knows beforehand"
     factor = fault.times
     if fault.kind == "gain":
         factor = fault.input

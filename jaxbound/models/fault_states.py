@@ -14,6 +14,7 @@ from typing import Any
 from jaxbound.exact.linalg import Matrix, Number, Vector, beside, columns_of, scale, transpose, zeros
 from jaxbound.exact.linalg import identity as unit_matrix
 from jaxbound.models.faults import refuse_unknown_signal
+from jaxbound.models.named_faults import faults_beside_states
 from jaxbound.models.numbers import number
 from jaxbound.models.system import LinearSystem, matrices_at_zero
 from jaxbound.models.uncertainty import Uncertainty, coefficient
@@ -79,6 +80,7 @@ def with_faults(
         _grown(model, named, matrices_at_zero(model), identity=1),
         uncertainties=parameters,
         states=(*model.states, *faults),
+        faults=faults_beside_states(model.faults, k),
         disturbance=(G, pairs) if pairs else None,
         unknown_inputs=(model.F + zeros(k, model.d), model.D_v) if model.d else None,
     )

@@ -272,9 +272,9 @@ def _named_fault(name: str) -> Elsewhere:
         fault = model.faults[entry.number]
         if name == "kind" and fault.kind == fault.usual_kind:
             return None
-        if name == "states" and not fault.states:
-            return None
         stated: object = getattr(fault, name)
+        if stated == ():  # no states, no coefficients of a parameter
+            return None
         return stated
 
     return Elsewhere(value)
@@ -350,6 +350,7 @@ FIELDS = (
     Field("fault", "output", TEXT, _named_fault("output")),
     Field("fault", "input", TEXT, _named_fault("input")),
     Field("fault", "states", SHARES, _named_fault("states")),
+    *(Field("fault", letter, MATRIX, _named_fault(letter)) for letter in "ABC"),
     Field("fault", "kind", TEXT, _named_fault("kind")),
     Field("fault", "times", TEXT, _named_fault("times")),
     Field("fault", "sign", TEXT, _named_fault("sign")),

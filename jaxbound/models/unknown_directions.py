@@ -27,6 +27,7 @@ from typing import Any
 
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector, columns_of
+from jaxbound.models.named_faults import faults_beside_states
 from jaxbound.models.system import LinearSystem, matrices_at_zero
 from jaxbound.models.uncertainty import Uncertainty, coefficient
 
@@ -208,6 +209,7 @@ def with_direct_states(model: LinearSystem) -> LinearSystem:
     changes: dict[str, Any] = dict(
         _with_states(model, matrices_at_zero(model), on_states, on_outputs),
         uncertainties=parameters,
+        faults=faults_beside_states(model.faults, k),
         states=(*model.states, *(f"unknown input {j + 1}" for j in direct)),
         disturbance=(model.G + linalg.zeros(k, model.g), model.disturbance) if model.g else None,
         unknown_inputs=[*others, *(own[j] for j in direct)],

@@ -20,12 +20,15 @@ from fractions import Fraction
 from functools import lru_cache
 from itertools import chain
 
+import numpy as np
+
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models.rows import BoundedSum, Row, WindowRows
 from jaxbound.models.system import LinearSystem
 
 __all__ = [
+    "ParameterForm",
     "bounded_sums",
     "changed_sums",
     "disturbance_form",
@@ -140,6 +143,82 @@ def unknowns(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
     rows = window_rows(model, horizon)
     F = [_spread(rows, row) for row in rows.of_sums]
     return E + linalg.matmul(F, E), K + linalg.matmul(F, K)
+
+
+class ParameterForm:
+    """(E, K) of `unknowns` where a parameter of the plant is another from a sample on: A + f dA, B + f
+    dB, C + f dC. Call it with f and that sample.
+
+    Args:
+        coefficients: {letter: its coefficient in that matrix}. kind: Fraction for exact arrays (rows, .) of
+            Fractions, float for arrays of floats.
+    """
+
+    def __init__(
+        self, model: LinearSystem, horizon: int, coefficients: Mapping[str, Matrix], kind: type
+    ) -> None:
+        self.horizon, self.zero, self.n = horizon, kind(0), model.n
+        n, g, d, m, p = model.n, model.g, model.d, model.m, model.p
+        shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m), "G": (n, g), "F": (n, d), "D_v": (p, d)}
+        self.before = {}
+        for letter, shape in shapes.items():
+            self.before[letter] = _array(getattr(model, letter), kind).reshape(shape)
+        self.changes = {letter: _array(rows, kind) for letter, rows in coefficients.items()}
+        widths = {
+            "w": (g, horizon),
+            "v": (d, unknown_lags(model, horizon)),
+            "u": (m, input_lags(model, horizon)),
+        }
+        self.at, self.width = {}, n  # columns of each sample of a signal, and of all
+        for signal, (width, lags) in widths.items():
+            if signal == "u":
+                self.known = self.width
+            self.at[signal] = [
+                slice(self.width + width * k, self.width + width * (k + 1)) for k in range(lags)
+            ]
+            self.width += width * lags
+        self.disturbances = g * horizon
+        rows = window_rows(model, horizon)
+        spread = [_spread(rows, row) for row in rows.of_sums]
+        self.sums = _array(spread, kind).reshape(len(spread), rows.single)
+
+    def __call__(self, size: Fraction | float, since: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """Return (E, K), arrays."""
+        after = dict(self.before)
+        for letter, change in self.changes.items():
+            after[letter] = self.before[letter] + size * change
+        state: np.ndarray = np.full((self.n, self.width), self.zero)
+        state[:, : self.n] += np.eye(self.n, dtype=int)
+        rows = []
+        for k in range(self.horizon + 1):
+            now = self.before
+            if k >= since:
+                now = after
+            rows.append(self._moved(k, now["C"] @ state, {"v": now["D_v"], "u": now["D"]}))
+            if k == self.horizon:
+                break
+            state = self._moved(k, now["A"] @ state, {"w": now["G"], "v": now["F"], "u": now["B"]})
+        own: np.ndarray = np.full((self.disturbances, self.width), self.zero)
+        own[:, self.n : self.n + len(own)] += np.eye(len(own), dtype=int)
+        single = np.concatenate([*rows, own])
+        whole = np.concatenate([single, self.sums @ single + self.zero])
+        return whole[:, : self.known], whole[:, self.known :]
+
+    def _moved(self, k: int, rows: np.ndarray, by: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return rows with what sample k of some signals adds; by: {signal: its matrix}."""
+        rows = rows + self.zero  # an array of its own, of Fractions also where a product of nothing is 0
+        for signal, matrix in by.items():
+            if k < len(self.at[signal]):
+                rows[:, self.at[signal][k]] += matrix
+        return rows
+
+
+def _array(rows: Sequence[Sequence[Fraction]], kind: type) -> np.ndarray:
+    """Return a matrix as an array of floats, or of Fractions."""
+    dtype: type = object
+    if kind is float:
+        dtype = float
+    return np.array([list(map(kind, row)) for row in rows], dtype)
 
 
 def _spread(rows: WindowRows, row: Row) -> list[Fraction]:

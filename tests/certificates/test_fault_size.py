@@ -6,10 +6,12 @@ import highspy
 import numpy as np
 import pytest
 from linear_programs import solver
+from scipy.optimize import linprog
 
 import jaxbound as jb
 from jaxbound.certificates.fault_size import Scale
 from jaxbound.certificates.interface import certify
+from jaxbound.certificates.parameter_size import changed_window, found_size
 from jaxbound.models.named_faults import NamedFault
 from jaxbound.sets.floats.status import Status
 
@@ -308,3 +310,74 @@ def test_sizes_that_are_squared_are_those_of_fractions(rng):
             tried = [size * i / 50 * sign for i in range(50) for sign in (1, -1)]
         assert not any(explained(*case, x, since) for x in tried)
     assert weighed and excluded
+
+
+FOULED = NamedFault("fouled", A=[[0, 1], [0, 0]], B=[[0, "1/2"], [0, 0]], most=0.6)
+SCALE = NamedFault("scale", C=[[0, 0], [1, 1]], sign="+", most=0.8)
+
+
+def explained_with(model, u, y, fault, size, since):
+    """Return whether HiGHS finds states and disturbances that explain y, matrices others from a sample on."""
+    A, B, C, G = (np.array(getattr(model, letter), float) for letter in "ABCG")
+    s, n, p, g = len(y) - 1, 2, 2, G.shape[1]
+    step, seen = [], []
+    for k in range(s + 1):
+        change = {letter: np.array(rows, float) for letter, rows in fault.coefficients.items()}
+        now = {"A": A, "B": B, "C": C}
+        if k >= since:
+            now = {letter: rows + size * change.get(letter, 0 * rows) for letter, rows in now.items()}
+        row = np.zeros((p, n * (s + 1) + g * s))
+        row[:, n * k : n * (k + 1)] = now["C"]
+        seen.append((row, y[k] - np.array(model.D, float) @ u[k]))
+        if k < s:
+            row = np.zeros((n, n * (s + 1) + g * s))
+            row[:, n * k : n * (k + 1)], row[:, n * (k + 1) : n * (k + 2)] = now["A"], -np.eye(n)
+            row[:, n * (s + 1) + g * k : n * (s + 1) + g * (k + 1)] = G
+            step.append((row, -now["B"] @ u[k]))
+    rows, middle = np.concatenate([row for row, _ in seen]), np.concatenate([value for _, value in seen])
+    width = np.tile(np.array(model.noise, float), s + 1) + 1e-9
+    ends = [(None, None)] * (n * (s + 1)) + [tuple(map(float, pair)) for pair in model.disturbance] * s
+    found = linprog(
+        np.zeros(rows.shape[1]),
+        np.concatenate([rows, -rows]),
+        np.concatenate([middle + width, width - middle]),
+        np.concatenate([row for row, _ in step]),
+        np.concatenate([value for _, value in step]),
+        bounds=ends,
+    )
+    return found.status == 0
+
+
+@pytest.mark.parametrize(
+    "variant, fault, size, since", [("plain", FOULED, -0.4, 0), ("disturbed", SCALE, 0.5, 2)]
+)
+def test_a_parameter_that_explains_is_found_and_does_by_a_linear_program(variant, fault, size, since, rng):
+    model = jb.LinearSystem(**PLANT, **VARIANTS[variant])
+    u = rng.uniform(0.5, 2, (6, 2)).round(3)
+    A, B, C, D = (np.array(PLANT[letter], float) for letter in "ABCD")
+    x, y = np.array([1.0, 2.0]), np.zeros((6, 2))
+    for k in range(6):
+        now = {"A": A, "B": B, "C": C}
+        if k >= since:
+            for letter, rows in fault.coefficients.items():
+                now[letter] = now[letter] + size * np.array(rows, float)
+        y[k] = now["C"] @ x + D @ u[k]
+        x = now["A"] @ x + now["B"] @ u[k]
+    y = y.round(3)
+    certificate = certify(jb.parity_relations(model, 5), u, y)
+    assert certificate.proves == Status.FAULT
+    found = found_size(certificate.window, certificate.explanation, fault, range(6))
+    assert 0 < found.size / Fraction(size) <= 1 + Fraction(1, 64)
+    assert explained_with(model, u, y, fault, float(found.size), found.since)
+    assert not explained_with(model, u, y, fault, 0, 0)
+    changed = changed_window(certificate.window, fault, found.size, found.since)
+    assert changed.explained_by(found.z)
+
+
+def test_a_parameter_that_is_not_found_is_left_open():
+    model = jb.LinearSystem(**PLANT, faults=[FOULED, NamedFault("bias", output="y1")])
+    certificate = certify(jb.parity_relations(model, 3), np.ones((4, 2)), np.array([[1.0, 1]] * 3 + [[1, 9]]))
+    found = certificate.diagnose()
+    assert found.sizes == {"bias": None}
+    assert "left open: fouled (none of " in str(found) and "no proof" in str(found)
+    assert "states that nobody knows" in jb.isolability(model, model.faults, horizon=3).unweighed["fouled"]

@@ -1,9 +1,12 @@
 """Named faults of a model: a file says them, reads back as the same, and refuses what makes no sense."""
 
+from fractions import Fraction
+
 import pytest
 
 import jaxbound as jb
 from jaxbound.models.modelfile import changed_text, model_text
+from jaxbound.models.unknown_directions import with_direct_states
 
 PLANT = dict(A=[[0.5]], B=[[1]], C=[[1]], noise=0.1, inputs=["heat"], outputs=["T"], states=["in tank"])
 FAULTS = (
@@ -11,6 +14,7 @@ FAULTS = (
     jb.NamedFault("leak", states={"in tank": "-1/3"}, times="heat", unit="kg"),
     jb.NamedFault("scale of T", output="T", kind="gain", least=0.1),
     jb.NamedFault("valve sticks", input="heat", between=[0, "1/3"]),
+    jb.NamedFault("fouled", A=[["-1/3"]], C=[[2]], sign="+", most=0.2, unit="W/K"),
 )
 
 
@@ -56,6 +60,13 @@ def test_states_may_be_a_list_of_names(tmp_path):
         ('input = "heat"\nkind = "gain"\ntimes = "heat"', "a gain multiplies its own signal"),
         ('output = "T"\nbetween = [0, 1]', "between of fault 'x' is of an actuator: give it with input"),
         ('input = "heat"\nbetween = [1, 0]', "between of fault 'x' needs lo <= hi, not 1 and 0"),
+        ("A = [[1]]", "fault 'x' needs most > 0: sizes of a parameter are searched up to it"),
+        ("B = [[1]]\nmost = 1", "fault 'x': a parameter acts in A or C"),
+        ("A = [[0]]\nmost = 1", "A of fault 'x' is 0: leave it out"),
+        ("A = [[1, 0]]\nmost = 1", "A of fault 'x' must have the shape of the model's A, (1, 1)"),
+        ('A = [[1]]\nmost = 1\ntimes = "heat"', "a parameter multiplies what its matrices say"),
+        ('A = [[1]]\nmost = 1\nkind = "gain"', "kind of fault 'x' must be parameter (parameter), not 'gain'"),
+        ('A = [[1]]\nmost = 1\noutput = "T"', "fault 'x' needs one of output, input and states"),
         ('states = {"in tank" = 0}', "the share of 'in tank' is 0"),
     ],
 )
@@ -73,4 +84,12 @@ def test_a_name_stands_for_one_fault():
 
 
 def test_states_of_simulated_faults_leave_them(tmp_path):
-    assert jb.with_faults(jb.LinearSystem(**PLANT, faults=FAULTS), "T:bias").faults == FAULTS
+    *same, fouled = jb.with_faults(jb.LinearSystem(**PLANT, faults=FAULTS), "T:bias").faults
+    assert tuple(same) == FAULTS[:-1]
+    assert fouled.A == ((Fraction(-1, 3), 0), (0, 0)) and fouled.C == ((2, 0),)
+
+
+def test_unknown_inputs_that_act_on_outputs_leave_them():
+    model = jb.LinearSystem([[0.5]], None, [[1], [1]], noise=1, unknown_inputs=([[1]], [[0], [1]]))
+    model = model.replace(faults=[jb.NamedFault("fouled", A=[[1]], most=1)])
+    assert with_direct_states(model).faults[0].A == ((1, 0), (0, 0))

@@ -1,0 +1,191 @@
+"""A parameter of the plant that is another: a size of it that explains a window, found by search.
+
+What it multiplies is a state that nobody knows, so the rows of a window are E(f) z + K(f) U: linear in z for
+each size f and each sample from which on it holds, not in both. A search in floats looks for an f whose
+smallest factor on all bounds is at most 1: over sizes up to `most` of the fault and over onsets, then around
+the pair of the smallest factor, then towards 0. A proof in exact rationals, on the rows of that f, confirms
+what it finds. Nothing found is no proof, so no parameter is ever excluded.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields
+from fractions import Fraction
+from typing import TypeAlias
+
+import numpy as np
+
+from jaxbound.certificates.blame import rounded_witness
+from jaxbound.certificates.exact_window import ExactWindow, Explanation, known_inputs
+from jaxbound.certificates.fault_size import FaultSize
+from jaxbound.exact import linalg
+from jaxbound.exact.chebyshev import Subspace, subspace
+from jaxbound.exact.linalg import Matrix
+from jaxbound.models.named_faults import NamedFault
+from jaxbound.models.window import ParameterForm
+
+__all__ = ["ChangedWindow", "changed_window", "found_size"]
+
+STEPS = 8
+"""Sizes of each sign that are tried at first, as many steps to `most`."""
+ONSETS = 5
+"""Onsets that are tried at first."""
+HALVINGS = 6
+"""How often steps are halved around the best, and towards 0."""
+SURE = 1 - 1e-7
+"""A factor in floats up to which a size is worth a proof."""
+Trial: TypeAlias = tuple[int, int]
+"""(size in the finest steps, number of the onset)."""
+
+
+@dataclass(frozen=True, eq=False)
+class ChangedWindow(ExactWindow):
+    """An ExactWindow in which a parameter is another. own: (E, K) of its rows."""
+
+    own: tuple[Matrix, Matrix] = ((), ())
+
+    @property
+    def forms(self) -> tuple[Matrix, Matrix]:
+        """(E, K): (Y, w) = E z + K U."""
+        return self.own
+
+    def space(self, rows: Iterable[int]) -> Subspace:
+        """Return the Subspace of some rows over all unknowns."""
+        E = self.unknown_columns()
+        return subspace([E[i] for i in rows])
+
+
+def changed_window(window: ExactWindow, fault: NamedFault, size: Fraction, since: int) -> ChangedWindow:
+    """Return the window whose parameter is another by a size from a sample on."""
+    E, K = ParameterForm(window.model, window.horizon, fault.coefficients, Fraction)(size, since)
+    own = tuple(map(tuple, E.tolist())), tuple(map(tuple, K.tolist()))
+    given = {field.name: getattr(window, field.name) for field in fields(ExactWindow)}
+    given["drive"] = linalg.multiply(own[1], known_inputs(window.model, window.u))
+    changed = ChangedWindow(**given, own=own)
+    vars(changed)["limits"] = window.limits  # bounds know nothing of what is supposed
+    return changed
+
+
+def found_size(
+    window: ExactWindow, explanation: Explanation, fault: NamedFault, onsets: Iterable[int] = (0,)
+) -> FaultSize:
+    """Return the FaultSize of a parameter: the smallest size that was found, its proof the unknowns z.
+
+    Args:
+        window: of a certain model. explanation: of it without a fault. fault: a parameter of the model.
+        onsets: samples of the window from one of which on it is another.
+
+    Returns:
+        size None: none of `.tried` sizes explains the window, which is no proof.
+    """
+    search = _Search(window, fault, tuple(onsets))
+    for number, onset in search.explaining():
+        size = search.size(number)
+        changed = changed_window(window, fault, size, search.onsets[onset])
+        best = changed.solve(explanation.reference)
+        if best.factor <= 1:
+            z = rounded_witness(changed, best.z)
+            return FaultSize(fault, size, search.onsets[onset], z=z, tried=len(search.factors))
+    return FaultSize(fault, None, tried=len(search.factors))
+
+
+class _Search:
+    """Sizes and onsets that are tried, and the factor of each in floats."""
+
+    def __init__(self, window: ExactWindow, fault: NamedFault, onsets: tuple[int, ...]) -> None:
+        self.window, self.fault, self.onsets = window, fault, onsets
+        self.factors: dict[Trial, float] = {}
+        self.finest = STEPS * 2**HALVINGS
+        rows = [i for i, ends in enumerate(window.limits) if ends is not None]
+        ends = np.array([list(map(float, window.known_limits(i))) for i in rows]).reshape(-1, 2)
+        self.rows, self.middles, self.radii = rows, ends.mean(1), np.diff(ends, axis=1)[:, 0] / 2
+        self.form = ParameterForm(window.model, window.horizon, fault.coefficients, float)
+        self.inputs = np.array(list(map(float, known_inputs(window.model, window.u))))
+
+    def size(self, number: int) -> Fraction:
+        """Return a size from its number of finest steps."""
+        assert self.fault.most is not None, "a parameter has a largest size"
+        return Fraction(number, self.finest) * self.fault.most
+
+    def explaining(self) -> Iterator[Trial]:
+        """Yield the trials that explain in floats, the smallest size first."""
+        coarse = 2**HALVINGS
+        spread = np.linspace(0, len(self.onsets) - 1, min(ONSETS, len(self.onsets))).round().astype(int)
+        for onset in spread.tolist():
+            for number in range(coarse, self.finest + 1, coarse):
+                self._try((number, onset))
+                self._try((-number, onset))
+        if not self.factors:
+            return
+        self._descend(coarse, max(1, len(self.onsets) // len(spread)))
+        self._shrink(coarse)
+        yield from sorted((t for t in self.factors if self._explains(t)), key=lambda t: (abs(t[0]), t[1]))
+
+    def _explains(self, trial: Trial) -> bool:
+        return self.factors.get(trial, np.inf) <= SURE
+
+    def _descend(self, step: int, apart: int) -> None:
+        """Follow the smallest factor, by steps in both directions that are halved where it is left."""
+        best = min(self.factors, key=lambda t: self.factors[t])
+        while step > 1 and not self._explains(best):
+            number, onset = best
+            for around in (
+                (number - step, onset),
+                (number + step, onset),
+                (number, onset - apart),
+                (number, onset + apart),
+            ):
+                if self._try(around) < self.factors[best]:
+                    best = around
+            if best == (number, onset):
+                step, apart = step // 2, max(1, apart // 2)
+
+    def _shrink(self, coarse: int) -> None:
+        """Halve the way from the smallest size that explains to the next smaller one that does not."""
+        explaining = [t for t in self.factors if self._explains(t)]
+        if not explaining:
+            return
+        number, onset = min(explaining, key=lambda t: abs(t[0]))
+        sign = 1
+        if number < 0:
+            sign = -1
+        smaller = [abs(n) for n, o in self.factors if o == onset and n * sign > 0 and abs(n) < abs(number)]
+        low, high = max(smaller, default=0), abs(number)
+        while high - low > 1:
+            middle = (low + high) // 2
+            self._try((sign * middle, onset))
+            if self._explains((sign * middle, onset)):
+                high = middle
+            else:
+                low = middle
+
+    def _try(self, trial: Trial) -> float:
+        """Return the factor of a trial; infinite beyond what is stated of the fault or the window."""
+        number, onset = trial
+        fault = self.fault
+        beyond = abs(number) > self.finest or not 0 <= onset < len(self.onsets) or not number
+        wrong = fault.sign is not None and (number < 0) != (fault.sign == "-")
+        small = fault.least is not None and abs(self.size(number)) < fault.least
+        if beyond or wrong or small:
+            return np.inf
+        if trial not in self.factors:
+            self.factors[trial] = self._factor(float(self.size(number)), self.onsets[onset])
+        return self.factors[trial]
+
+    def _factor(self, size: float, since: int) -> float:
+        """Return the factor on all bounds at which the window is explained, about: a linear program."""
+        from scipy.optimize import linprog
+
+        window = self.window
+        E, K = self.form(size, since)
+        z = np.concatenate([E, K[:, list(window.missing_inputs)]], 1)[self.rows] / self.radii[:, None]
+        off = (self.middles - (K @ self.inputs)[self.rows]) / self.radii
+        if not np.isfinite(z).all():
+            return np.inf  # so far from the model that numbers end
+        grow = -np.ones((len(off), 1))
+        sides = np.concatenate([np.concatenate([z, grow], 1), np.concatenate([-z, grow], 1)])
+        cost = np.append(np.zeros(z.shape[1]), 1.0)
+        ends = [(None, None)] * z.shape[1] + [(0, None)]
+        best = linprog(cost, sides, np.concatenate([off, -off]), bounds=ends, method="highs")
+        if best.status != 0:
+            return np.inf
+        return float(best.fun)
