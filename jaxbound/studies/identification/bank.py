@@ -20,7 +20,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.models.testmodels import model_of
 from jaxbound.studies.identification.advice import blind
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
-from jaxbound.studies.identification.trajectories import SETTLED, sure_sizes
+from jaxbound.studies.identification.trajectories import SETTLED, SMALLER, GivenUp, sure_sizes
 from jaxbound.studies.identification.window_tests import RAMP, JudgedTest, WindowChoice, best_test
 from jaxbound.text.progress import in_part
 
@@ -55,7 +55,11 @@ def fitted_bank(
     if watching is not None:
         own = {"order": check.order, "delay": check.delay, "method": check.method} | dict(watching)
         watched = fit_one(own, partial(in_part, report, 0.4, 0.3))
-        tests.append(_judged(watched, watching["observer"]))
+        try:
+            tests.append(_judged(watched, watching["observer"]))
+        except GivenUp as end:
+            why = f"the observer is none of the tests: nothing says what it would see, {end}; {SMALLER}"
+            check = dataclasses.replace(check, sentences=(*check.sentences, why))
     picked = earned(tests)
     stated = [StatedTest(picked[0].window.text)]
     share = 0.3 / len(picked)

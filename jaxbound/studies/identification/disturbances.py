@@ -24,6 +24,8 @@ from jaxbound.studies.identification.fit_result import Tradeoff
 from jaxbound.studies.identification.left_out import EXCITED, LeftOut, Trial, excited, widest
 from jaxbound.studies.identification.records import Record, Records, parted
 from jaxbound.studies.identification.trajectories import (
+    SMALLER,
+    GivenUp,
     added_fault,
     hidden_sizes,
     least_factor,
@@ -215,21 +217,26 @@ def chosen_disturbances(
                 faults.append(Fault(name, "bias", float(span), start))
     best: Disturbed | None = None
     least, rows = math.inf, []
+    ended: list[str] = []
     for number, kind in enumerate(kinds):
         full = candidate(problem, records, kind)
         fits = [_fitted(problem, piece, kind) for piece in pieces]
         for at, setting in enumerate(SETTINGS):
-            tried = _Tried.of(full, setting, records)
             report((number + at / len(SETTINGS)) / len(kinds))
-            if tried is None:
+            try:
+                tried = _Tried.of(full, setting, records)
+                if tried is None:
+                    continue
+                if tried.sees_less(safety, longest, faults, least):  # wider bounds see less still
+                    continue
+                left = tried.left(pieces, fits, why)
+                if left is None:
+                    continue
+                factor = widest(left)
+                sizes = tried.sizes(factor * safety, longest, faults)
+            except GivenUp as end:
+                ended.append(f"process {setting.process:g} and drift {setting.drift:g} by {kind!r}: {end}")
                 continue
-            if tried.sees_less(safety, longest, faults, least):  # wider bounds see less still
-                continue
-            left = tried.left(pieces, fits, why)
-            if left is None:
-                continue
-            factor = widest(left)
-            sizes = tried.sizes(factor * safety, longest, faults)
             rows.append(tried.row(factor, safety, sizes, faults))
             score = _score(sizes, faults)
             if best is None or score < least:
@@ -237,20 +244,31 @@ def chosen_disturbances(
                 trial = Trial(tried.candidate, tried.bound, left, score)
                 best = Disturbed(trial, tried.G, tried.walks, safety, (), ())
                 chosen, winner = len(rows) - 1, tried
+    if best is None and ended:
+        raise ValueError(f"no disturbances could be judged, {ended[0]}; {SMALLER}")
     if best is None:
         raise ValueError(
             "no disturbances up to the size of the sensors' noise explain these recordings: look at the "
             "recordings, or choose another order"
         )
     factor, sentences, used = rows[chosen].factor, _unseen(rows[chosen], see), safety
-    if see and not sentences:
-        used = winner.widened(factor, safety, longest, see)
+    if ended:
+        sentences += (
+            f"{len(ended)} of {len(SETTINGS) * len(kinds)} disturbances were not compared, first {ended[0]}; "
+            f"{SMALLER}",
+        )
+    if see and not _unseen(rows[chosen], see):
+        try:
+            used = winner.widened(factor, safety, longest, see)
+            sizes = winner.sizes(factor * used, longest, faults)
+        except GivenUp as end:
+            used = safety
+            sentences += (f"safety stays {safety:g}, whatever the wanted faults allow: {end}; {SMALLER}",)
     if used == safety:
         rows[chosen] = rows[chosen]._replace(chosen=True)
     else:
-        sizes = winner.sizes(factor * used, longest, faults)
         rows.append(winner.row(factor, used, sizes, faults)._replace(chosen=True))
-        sentences = (
+        sentences += (
             f"safety is {used:g} in place of {safety:g}: bounds so wide still show the wanted faults",
         )
     return Disturbed(best.trial, best.G, best.walks, used, tuple(rows), sentences)

@@ -53,7 +53,7 @@ from jaxbound.studies.identification.signal_choice import (
     refuse_unnamed,
 )
 from jaxbound.studies.identification.structure import DELAYS, ORDERS, structure
-from jaxbound.studies.identification.trajectories import SETTLED, hidden_jumps
+from jaxbound.studies.identification.trajectories import SETTLED, SMALLER, GivenUp, hidden_jumps
 from jaxbound.studies.identification.window_tests import (
     AVERAGES,
     RAMP,
@@ -310,7 +310,10 @@ def fit(
     jump, steady = sizes_in_training(judge, model, problem.scales, follows.most)
     hidden: dict[str, float] = {}
     if observer is not None and observer.sharp:
-        hidden = hidden_jumps(model, SETTLED, RAMP)
+        try:
+            hidden = hidden_jumps(model, SETTLED, RAMP)
+        except GivenUp as end:
+            sentences.append(f"what noise may hide from any test is not known: {end}; {SMALLER}")
     check = FitCheck(
         method=chosen.kind,
         order=order,

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "SETTLED",
+    "SMALLER",
+    "GivenUp",
     "added_fault",
     "hidden_jumps",
     "hidden_sizes",
@@ -44,7 +46,7 @@ SEEN = ("bias", "drift")
 """Kinds of faults that enter a recording linearly."""
 LEAST = 1e-9
 """The least reciprocal of a factor: no bounds are that wide."""
-SOLVED, UNLIMITED = 0, 3
+SOLVED, IMPOSSIBLE, UNLIMITED = 0, 2, 3
 """Ends of a linear program of SciPy."""
 SETTLED = 100
 """Samples before a fault by which the state is known as well as it ever is."""
@@ -56,6 +58,15 @@ steps where it ends, and one may search for its corner for ever.
 """
 AWAKE = 0.5
 """Seconds between two looks at a program that runs."""
+SMALLER = "fewer samples make programs smaller: give every, or shorter recordings"
+"""The way out where programs are given up."""
+
+
+class GivenUp(RuntimeError):
+    """A linear program that no method ended within its limits of steps and time."""
+
+    def __init__(self, readings: int) -> None:
+        super().__init__(f"a linear program over {readings} readings reached its limits of steps and time")
 
 
 def least_factor(model: LinearSystem, part: Record) -> float:
@@ -67,6 +78,9 @@ def least_factor(model: LinearSystem, part: Record) -> float:
 
     Returns:
         The factor, inf where none will do: a step that no noise and no disturbance explains.
+
+    Raises:
+        GivenUp: a program did not end, as those of all functions here.
     """
     rows = _Rows.of(model, part)
     if not len(rows.left):
@@ -241,7 +255,7 @@ def _extreme(
 
         x_{k+1} - A x_k - G w_k + acts z = known,    |C x_k - wrong z - left| <= limit;
 
-    inf where nothing limits it, nan where nothing will do.
+    inf where nothing limits it, nan where nothing will do. Raise GivenUp where no method says which.
     """
     from scipy.sparse import block_array, csr_array, diags_array, eye_array, hstack
 
@@ -259,7 +273,7 @@ def _extreme(
     )
     program = {"c": np.append(np.zeros(len(most) - 1), -sign), "bounds": np.stack([-most, most], 1)}
     program |= {"A_eq": equations, "b_eq": np.concatenate([known, left / unit])}
-    methods = ["highs"]
+    methods, ends = ["highs"], set()
     if len(rows.linked) > LONG:
         methods = ["highs-ipm", "highs"]
     for method, presolve in itertools.product(methods, (True, False)):
@@ -272,7 +286,10 @@ def _extreme(
             return sign * float(answer.x[-1])
         if answer.status == UNLIMITED:
             return math.inf
-    return math.nan
+        ends.add(answer.status)
+    if IMPOSSIBLE in ends:
+        return math.nan
+    raise GivenUp(count)
 
 
 def _solved(program: dict[str, Any]) -> "OptimizeResult":

@@ -150,6 +150,32 @@ def test_what_does_not_go_together_is_refused(rng, options, sentence):
         jb.fit(wandering(rng), **({"order": 1, "horizon": 6, "outputs": "y"} | options))
 
 
+def limited(monkeypatch, gives_up):
+    """Give up linear programs of so many columns that gives_up(columns)."""
+
+    def reached(**program):
+        answer = linprog(**program)
+        if gives_up(program["A_eq"].shape[1]):
+            answer.status = 1  # a limit was reached
+        return answer
+
+    monkeypatch.setattr("scipy.optimize.linprog", reached)
+
+
+def test_disturbances_whose_program_is_given_up_are_named(rng, monkeypatch):
+    recordings = wandering(rng)
+    options = dict(order=1, horizon=6, method="least squares", disturbances="auto", outputs="y", see=WANTED)
+    limited(monkeypatch, lambda columns: columns == 3 * T)  # a state, a push, an error: process noise alone
+    model = jb.fit(recordings, **options)
+    (sentence,) = [text for text in model.check.sentences if "not compared" in text]
+    assert sentence.startswith("3 of 10 disturbances were not compared, first process 0.01 and drift 0 by")
+    assert sentence.endswith("give every, or shorter recordings")
+    assert not any(row.process and not row.drift for row in model.check.tradeoff)
+    limited(monkeypatch, lambda columns: True)
+    with pytest.raises(ValueError, match="no disturbances could be judged, process 0 .* reached its limits"):
+        jb.fit(recordings, **options)
+
+
 def test_bounds_are_as_wide_as_the_wanted_fault_allows(rng):
     recordings = wandering(rng)
     large = jb.Fault("y", "drift", 5.0)

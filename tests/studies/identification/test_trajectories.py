@@ -165,6 +165,16 @@ def test_a_program_that_goes_round_in_a_circle_is_given_to_another_method(monkey
     assert tried == [("highs-ipm", True), ("highs-ipm", False), ("highs", True)]
 
 
+def test_a_program_that_no_method_ends_is_no_factor(monkeypatch, rng):
+    monkeypatch.setattr(trajectories, "PATIENCE", 0)
+    bias = jb.Fault("y1", "bias", 1)
+    record = part(rng.uniform(-1, 1, 40))
+    with pytest.raises(trajectories.GivenUp, match="40 readings reached its limits"):
+        least_factor(constant(drift=0.1), record)
+    with pytest.raises(trajectories.GivenUp):
+        hidden_size(constant(drift=0.1), record, bias)
+
+
 def test_a_signal_does_not_wait_for_a_program_that_does_not_end(monkeypatch):
     begun, ended = threading.Event(), threading.Event()
 
