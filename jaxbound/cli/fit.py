@@ -155,7 +155,7 @@ def options(parser: argparse.ArgumentParser) -> None:
         "--see",
         metavar="F,F",
         help="faults that --disturbances is chosen for, like T1:bias:2,T2:drift:0.05 (size; drift a sample; "
-        "default: biases of each output)",
+        "default: biases of each output); biases of several outputs: their bounds are in this ratio",
     )
     parser.add_argument(
         "--average",

@@ -1,7 +1,8 @@
 """Candidate models of a fit: one a kind of regression."""
 
 import dataclasses
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -34,6 +35,7 @@ class FitProblem:
         scales: of all recordings. spans (p,): between the lowest and the highest sample of each output.
         order, delay, direct: see `fit`. horizon: of the windows that a regression looks at.
         about: arguments of a LinearSystem beside its matrices. judge: the test that bounds are found for.
+        wanted: sizes of the faults that are wanted, by output: bounds are in their ratio.
         room: windows that every candidate's arrays hold, so that a fit to a part of the recordings compiles
             nothing new. fits: those that `fitted` found, by kind and by the number that was left out.
     """
@@ -47,6 +49,7 @@ class FitProblem:
     about: dict[str, Any]
     judge: Judge
     room: int
+    wanted: Mapping[str, float] = field(default_factory=dict)
     fits: "dict[tuple[str, int | None], Candidate]" = field(default_factory=dict)
 
     def under(self, judge: Judge, about: dict[str, Any]) -> "FitProblem":
@@ -76,19 +79,20 @@ class FitProblem:
         direct: bool,
         about: dict[str, Any],
         judge: Judge,
+        wanted: Mapping[str, float] | None = None,
     ) -> "FitProblem":
         """Return the FitProblem of fitting to all of these recordings."""
         scales = regression.scales_of(records)
         room = len(regression.windows_of(records, scales, horizon, regression.MOST).y)
         y = np.concatenate([r[1] for r in records])
         spans = tuple(np.nanmax(y, axis=0) - np.nanmin(y, axis=0))
-        return cls(scales, spans, order, delay, horizon, direct, about, judge, room)
+        return cls(scales, spans, order, delay, horizon, direct, about, judge, room, wanted or {})
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """A model without bounds: arguments of a LinearSystem, and the root mean square (p,) of its window
-    residuals in the unit of each output.
+    residuals in the unit of each output; of outputs of which faults are wanted, in the ratio of these.
     """
 
     kind: str
@@ -122,7 +126,20 @@ def candidate(problem: FitProblem, records: Records, kind: str) -> Candidate:
     largest = np.nanmax(np.abs(np.concatenate([y for _, y, _ in records])), axis=0)
     spread = np.maximum(spread, EXACT * largest)  # where all fits exactly
     spec = chained(spec, problem.delay) | problem.about
-    return Candidate(kind, spec, spread)
+    return Candidate(kind, spec, _shared(spread, problem))
+
+
+def _shared(spread: np.ndarray, problem: FitProblem) -> np.ndarray:
+    """Return a spread (p,) in the ratio of the wanted faults, where there are some; its geometric mean stays.
+
+    A ratio of residuals gives the output that fits worst a wide bound, however small a fault of it is wanted.
+    """
+    sizes = np.array([problem.wanted.get(name, math.nan) for name in problem.about["outputs"]])
+    named = np.isfinite(sizes)
+    if named.sum() < 2:
+        return spread
+    level = np.prod((spread / sizes)[named]) ** (1 / named.sum())
+    return np.where(named, sizes * level, spread)
 
 
 def _refuse_few(records: Records, steps: int, windows: int, horizon: int, unknowns: int) -> None:

@@ -40,6 +40,7 @@ __all__ = [
     "chosen_disturbances",
     "refuse_unseen",
     "structured",
+    "wanted_biases",
     "wanted_faults",
 ]
 
@@ -124,9 +125,12 @@ def wanted_faults(
     if not all(isinstance(fault, Fault) for fault in faults):
         raise ValueError(f"see must be a fault, or a list of them, like {SEE}, not {see!r}")
     if disturbances is None:
-        if faults:
-            raise ValueError("see says which disturbances are chosen: give disturbances='auto' with it")
-        return ()
+        if faults and len(wanted_biases(faults)) < 2:
+            raise ValueError(
+                "see says which disturbances are chosen: give disturbances='auto' with it; without, biases "
+                "of two outputs or more say in which ratio their bounds are"
+            )
+        return faults
     if disturbances != "auto":
         raise ValueError(f"disturbances must be auto, or left out, not {disturbances!r}")
     if average is not None:
@@ -140,6 +144,15 @@ def wanted_faults(
     for fault in faults:
         refuse_kind(fault)
     return faults
+
+
+def wanted_biases(faults: Sequence[Fault]) -> dict[str, float]:
+    """Return {signal: the least size of a bias of it that is wanted}."""
+    sizes: dict[str, float] = {}
+    for fault in faults:
+        if fault.kind == "bias" and fault.size:
+            sizes[fault.signal] = min(abs(fault.size), sizes.get(fault.signal, math.inf))
+    return sizes
 
 
 def refuse_unseen(faults: Sequence[Fault], inputs: Sequence[str], outputs: Sequence[str]) -> None:

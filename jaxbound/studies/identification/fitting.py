@@ -37,6 +37,7 @@ from jaxbound.studies.identification.closed_loop import closed_loops
 from jaxbound.studies.identification.disturbances import (
     chosen_disturbances,
     refuse_unseen,
+    wanted_biases,
     wanted_faults,
 )
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted, Follows, PartLeftOut, Tradeoff
@@ -155,8 +156,9 @@ def fit(
             windows and observers alike; which of them, by the smallest fault that is then seen in the longest
             recording. Not with average, follow or test="auto". None: none.
         see: a bias or a drift of a signal, or several, of the size that is wanted: disturbances are chosen
-            for these, and bounds are as much wider than `safety` as these still allow. (): biases of each
-            output.
+            for these, and bounds are as much wider than `safety` as these still allow. Biases of two outputs
+            or more: bounds of these sensors are in the ratio of these sizes, not of the residuals, without
+            disturbances too. (): biases of each output.
         signals: "auto": inputs are chosen, too: one is dropped, or a square or a product of two joins them,
             wherever clearly smaller errors are then seen at the bounds that recordings which are left out ask
             for; `.check.signals` has all that were tried. A product is an input whose column is an
@@ -223,6 +225,8 @@ def fit(
             refuse_unseen(wanted, *read_records(recordings, inputs, outputs, columns, dt)[:2])
         same: dict[str, Any] = dict(inputs=inputs, outputs=outputs, dt=dt, every=every, direct=direct)
         same |= dict(safety=safety, held_out=held_out, name=name, units=units, columns=columns)
+        if len(wanted_biases(wanted)) > 1:
+            same["see"] = [fault for fault in wanted if fault.kind == "bias"]
         first = dict(order=order, delay=delay, method=method, test=AUTO)
 
         def fit_one(own: Mapping[str, Any], report: Callable[[float], object]) -> Fitted:
@@ -233,6 +237,8 @@ def fit(
     inputs, outputs, dt, records = read_records(recordings, inputs, outputs, columns, dt)
     about = dict(dt=dt, inputs=inputs, outputs=outputs, units=units, columns=columns, name=name)
     refuse_follow(follow, about, average)
+    refuse_unseen(wanted, inputs, outputs)
+    biases = wanted_biases(wanted)
     resting = advice.inputs_at_rest(records, inputs, outputs, horizon)
     tests: tuple[JudgedTest, ...] = ()
     if test is not None:
@@ -240,7 +246,7 @@ def fit(
         order, delay = _structure(records, parts, horizon, order, delay, direct)
         kinds = _kinds(method, order, parts, inputs)
         tests = judged_tests(
-            records, (order, delay, direct), about, kinds, held_out, safety, lambda x: report(0.6 * x)
+            records, (order, delay, direct), about, kinds, held_out, safety, lambda x: report(0.6 * x), biases
         )
         picked = best_test(tests)
         horizon, lags, average, _ = picked.window
@@ -260,7 +266,7 @@ def fit(
     ]
     parts, trials = parted(records, held_out, horizon + 1), []
     order, delay = _structure(records, parts, horizon, order, delay, direct)
-    problem = FitProblem.of(records, order, delay, horizon, direct, about, judge)
+    problem = FitProblem.of(records, order, delay, horizon, direct, about, judge, biases)
     report(0.05)
 
     kinds = _kinds(method, order, parts, inputs)
@@ -268,7 +274,6 @@ def fit(
     tradeoff: tuple[Tradeoff, ...] = ()
     follows = Follows()
     if disturbances is not None:
-        refuse_unseen(wanted, inputs, outputs)
         disturbed = chosen_disturbances(
             problem, kinds, records, held_out, safety, wanted, lambda share: report(0.05 + 0.75 * share)
         )

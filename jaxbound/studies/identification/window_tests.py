@@ -130,13 +130,14 @@ def judged_tests(
     held_out: float,
     safety: float,
     step: Callable[[float], object],
+    wanted: Mapping[str, float],
 ) -> tuple[JudgedTest, ...]:
     """Return the JudgedTest of each of WINDOWS that recordings are long enough for, by its best kind.
 
     Args:
         structure: (order, delay, direct), see `fit`. about: arguments of a LinearSystem beside its matrices
             and windows. kinds: those of KINDS that are tried. held_out, safety: see `fit`. step: called with
-            the share of the work done.
+            the share of the work done. wanted: as of a FitProblem.
 
     Raises:
         ValueError: the recordings are too short for any of them.
@@ -153,7 +154,8 @@ def judged_tests(
             continue  # no window, or no part to leave out
         given = dict(about) | window.about
         if horizon not in problems:
-            problems[horizon] = FitProblem.of(records, order, delay, horizon, direct, given, GaugeJudge())
+            judge = GaugeJudge()
+            problems[horizon] = FitProblem.of(records, order, delay, horizon, direct, given, judge, wanted)
         problem = problems[horizon].under(GaugeJudge(), given)
         found = []
         try:

@@ -150,6 +150,19 @@ def test_what_does_not_go_together_is_refused(rng, options, sentence):
         jb.fit(wandering(rng), **({"order": 1, "horizon": 6, "outputs": "y"} | options))
 
 
+def test_wanted_biases_of_two_outputs_share_the_bounds_of_their_sensors(rng):
+    u = rng.uniform(-1, 1, (80, 1))
+    errors = rng.uniform(-1, 1, (80, 2)) * [0.1, 0.4]
+    see = [jb.Fault("a", "bias", 3), jb.Fault("b", "bias", -4), jb.Fault("b", "bias", 3)]
+    options = dict(order=0, outputs=["a", "b"], safety=1, held_out=0)
+    y = u * [1, 2] + errors
+    line = np.hstack([u, np.ones((80, 1))])
+    largest = np.abs(y - line @ np.linalg.lstsq(line, y)[0]).max(0)
+    usual, shared = (jb.fit((u, y), **options, see=wanted).check.smallest for wanted in ((), see))
+    assert usual["b"] > 2 * usual["a"]
+    assert shared == {"a": pytest.approx(largest.max(), rel=1e-3), "b": pytest.approx(shared["a"])}
+
+
 def limited(monkeypatch, gives_up):
     """Give up linear programs of so many columns that gives_up(columns)."""
 
