@@ -83,14 +83,17 @@ class Parser(argparse.ArgumentParser):
         """Parse; an option that there is not comes before one that is missing.
 
         Raises:
-            Refused: an unknown option or command, with the nearest one.
+            Refused: an unknown option or command, with the nearest one; a word too many.
         """
         words = sys.argv[1:] if args is None else list(args)
         if self.commands:
             self._refuse_unknown_command(words)
         else:
             self._refuse_unknown_option(words)
-        return super().parse_known_args(words, namespace)
+        parsed, left = super().parse_known_args(words, namespace)
+        if left and not self.commands:
+            raise Refused(f"{self.prog} has no use for {' '.join(left)}; see {self.prog} --help")
+        return parsed, left
 
     @property
     def commands(self) -> list[str]:

@@ -33,6 +33,10 @@ CLI = Path(main.__file__).parent
             "info --zzz",
             "there is no option --zzz of jaxbound info; see jaxbound info --help",
         ),
+        (
+            "evaluate m.toml good.csv --healthy d.csv",
+            "jaxbound evaluate has no use for good.csv; see jaxbound evaluate --help",
+        ),
     ],
 )
 def test_an_unknown_word_is_answered_by_the_nearest_in_one_sentence(line, sentence, capsys):
