@@ -387,6 +387,43 @@ def test_an_offset_of_unknown_size_is_a_constant_unknown_beside_an_input_that_is
     assert jb.parameters(relations, ones[:40], y[:40, None] - offset + 0.7).status == "FAULT"
 
 
+def test_a_load_of_a_day_is_a_state_that_stays_with_a_reading_of_its_bound(rng):
+    """As docs/bounds.md says: the observer of a whole day, by linear programs in state and load."""
+    wide, most, T = float(NOISE), 0.5, 20
+    m = jb.LinearSystem(
+        [["0.9", 1], [0, 1]],
+        [[1], [0]],
+        [[1, 0], [0, 1]],
+        noise=[NOISE, "0.5"],
+        inputs="fan",
+        outputs=["y", "load"],
+        columns={"load": "= 0*fan"},
+    )
+
+    def explained(fan, y):
+        solver = linear_programs.solver()
+        solver.addVar(-highspy.kHighsInf, highspy.kHighsInf)
+        solver.addVar(-most, most)
+        moved = pushed = 0.0
+        for i, shown in enumerate(y):
+            near = np.array([0.9**i, pushed])
+            solver.addRow(shown - moved - wide, shown - moved + wide, 2, np.arange(2), near)
+            moved, pushed = 0.9 * moved + fan[i], 0.9 * pushed + 1
+        return linear_programs.is_feasible(solver)
+
+    watching = jb.observer(m, restart=False)
+    for load in (rng.uniform(-most, most), 0.8):
+        fan, x = rng.uniform(-1, 1, T), [0.0]
+        for now in fan[:-1]:
+            x.append(0.9 * x[-1] + now + load)
+        day = pd.DataFrame({"fan": fan, "y": np.array(x) + rng.uniform(-wide, wide, T)})
+        y = day["y"].to_numpy()
+        seen = jb.detect(watching, day).status == jb.Status.FAULT
+        for k in np.flatnonzero(seen):
+            assert not explained(fan[: k + 1], y[: k + 1])
+        assert seen[-1] == (load > most)
+
+
 def test_parameters_that_vary_may_be_anything_at_each_sample(rng):
     a, b = PLANTS["pole and gain"][1]
     b = jb.Uncertainty("b", B=b.B, between=("1.2", "1.4"))
