@@ -91,7 +91,7 @@ def explain_window(directory: str | Path, at: str) -> Explained:
     labels = [part.label(j) for j in range(first, part.samples)]
     beyond = is_outgrown(Path(directory))
     if test:  # the bounds are its own
-        beyond = outgrown_by(relations, [test])
+        beyond = outgrown_by(relations, test)
     about = beyond, _training(relations, part), axis.also_a_time(at), test
     return Explained(certificate, k, labels, *about)
 

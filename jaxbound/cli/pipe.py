@@ -29,7 +29,7 @@ from jaxbound.consistency.monitor import Monitor
 from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.alarms import forgets_after
-from jaxbound.diagnosis.hints import bound_hints, judging_hints, outgrown, outgrown_by, unfit
+from jaxbound.diagnosis.hints import bound_hints, judging_hints, outgrown, unfit
 from jaxbound.diagnosis.severity import fitted
 from jaxbound.files.locks import refuse_link
 from jaxbound.models.system import LinearSystem
@@ -52,7 +52,7 @@ from jaxbound.runs.refusals import Refused
 from jaxbound.runs.rows import VERDICTS, RowFile, RowText
 from jaxbound.runs.sink import Outcome, Sink, Verdicts
 from jaxbound.runs.sinks import close_all, file_names, open_sinks
-from jaxbound.runs.summary import Evidence, Summary, Window, proving, said, unsaid
+from jaxbound.runs.summary import Evidence, Summary, Window, rests_on_outgrown, said, unsaid
 from jaxbound.runs.tally import AlarmEnds, Tally, alarm_goes_on
 from jaxbound.runs.testcounts import CountsByTest
 from jaxbound.sets.floats.status import Status
@@ -360,7 +360,7 @@ class _LiveRun:
             alarms,
             endings,
             remembers=observes,
-            outgrown=self.outgrown and outgrown_by(relations, proving(tests)),
+            outgrown=self.outgrown and rests_on_outgrown(tests),
             outside=outside,
             observes=relations.observes,
             tests=tests,

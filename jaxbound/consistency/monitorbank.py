@@ -43,7 +43,7 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 
-__all__ = ["NO", "UNKNOWN", "YES", "BankState", "BankVerdicts", "MonitorBank", "Watch", "combined"]
+__all__ = ["NO", "UNKNOWN", "YES", "BankState", "BankVerdicts", "MonitorBank", "Watch", "claimed", "combined"]
 
 NO, YES, UNKNOWN = np.int8(0), np.int8(1), np.int8(2)
 """Whether a condition holds at a sample."""
@@ -356,7 +356,7 @@ def combined(
             number of its condition, -1: none. modes: (T, C), whether each holds; a test has no verdict where
             its condition fails. complete: whether one of them holds at each sample.
     """
-    statuses = _claimed(statuses, conditions, modes, complete)
+    statuses = claimed(statuses, conditions, modes, complete)
     tests = range(len(conditions))
     # the order of Status: a FAULT of any test is that of all, MISSING is where no test speaks
     status = np.full(len(statuses), Status.MISSING, np.int8)
@@ -375,10 +375,10 @@ def combined(
     return BankVerdicts(status, _least(counting), by, statuses, margins)
 
 
-def _claimed(
-    statuses: np.ndarray, conditions: Sequence[int], modes: np.ndarray, complete: bool
-) -> np.ndarray:
-    """Return statuses with UNDECIDED in place of FAULT that is proved for one mode of several."""
+def claimed(statuses: np.ndarray, conditions: Sequence[int], modes: np.ndarray, complete: bool) -> np.ndarray:
+    """Return statuses with UNDECIDED in place of FAULT that is proved for one mode of several. Args: as of
+    `combined`.
+    """
     unknown = (modes == UNKNOWN).any(1)
     if not unknown.any():
         return statuses
@@ -387,11 +387,11 @@ def _claimed(
         if c >= 0:
             refuted[:, c] |= statuses[:, number] == Status.FAULT
     every = ((modes == NO) | refuted).all(1) & ~(modes == YES).any(1)
-    claimed = every & complete
+    certain = every & complete
     statuses = statuses.copy()
     for number, c in enumerate(conditions):
         if c >= 0:
-            bare = (modes[:, c] == UNKNOWN) & ~claimed & (statuses[:, number] == Status.FAULT)
+            bare = (modes[:, c] == UNKNOWN) & ~certain & (statuses[:, number] == Status.FAULT)
             statuses[bare, number] = Status.UNDECIDED
     return statuses
 

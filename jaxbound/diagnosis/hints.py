@@ -1,6 +1,6 @@
 """Hints on bounds, and on a model that does not fit, as sentences for whoever acts on verdicts."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
@@ -112,16 +112,11 @@ def column_unit_hints(model: LinearSystem) -> list[str]:
     return sentences
 
 
-def outgrown_by(relations: Relations, proving: Sequence[str]) -> bool:
-    """Return whether bounds that a test has outgrown stand behind a FAULT: of a monitor, those of all tests
-    that prove one. proving: their names; none: nothing but the hints is known of them.
-    """
-    for name in proving:
-        own = relations.parts[name].model
-        assert isinstance(own, LinearSystem), "a monitor has tests of models"
-        if not outgrown(own, relations.parts[name]):
-            return False
-    return True
+def outgrown_by(relations: Relations, name: str) -> bool:
+    """Return whether a test of a monitor has outgrown its bounds. name: of the test."""
+    own = relations.parts[name].model
+    assert isinstance(own, LinearSystem), "a monitor has tests of models"
+    return bool(outgrown(own, relations.parts[name]))
 
 
 def outgrown(model: LinearSystem, relations: Relations | None = None, looks_back: str = "") -> list[str]:

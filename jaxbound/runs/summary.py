@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxbound.consistency.interface import EXACT, Relations
 from jaxbound.diagnosis.alarms import Alarm
-from jaxbound.diagnosis.hints import never_seen, outgrown_by, unfit
+from jaxbound.diagnosis.hints import never_seen, unfit
 from jaxbound.diagnosis.monitored import MonitorResult
 from jaxbound.diagnosis.region import Outside
 from jaxbound.diagnosis.result import Result
@@ -28,7 +28,7 @@ __all__ = [
     "Summary",
     "Window",
     "evidence",
-    "proving",
+    "rests_on_outgrown",
     "said",
     "summarised",
     "unsaid",
@@ -322,12 +322,12 @@ def summarised(
         res: a Result of one recording, a Digest or a Validated. alarms: its alarms. label: number of a sample
             -> text of its time.
         min_coverage: below this share of windows, no fault is no news. hints, sizes: see `Summary`; a hint
-            that the sentence says is left out. outgrown: see `Evidence`; of a monitor those tests count that
-            prove a FAULT.
+            that the sentence says is left out. outgrown: see `Evidence`; of a monitor a FAULT counts that
+            rests on no bounds which a test has outgrown.
     """
     found = evidence(res, alarms)
     if outgrown:
-        found = replace(found, outgrown=outgrown_by(res.relations, proving(found.tests)))
+        found = replace(found, outgrown=rests_on_outgrown(found.tests))
     worst = None
     if found.at is not None:
         worst = Window(found.at, label(found.at), found.margin)
@@ -339,13 +339,11 @@ def summarised(
     return Summary(verdict, sentence, found, worst, first, last, unsaid(hints, sentence), sizes, model, cause)
 
 
-def proving(tests: Mapping[str, OfTest] | None) -> list[str]:
-    """Return the names of the tests of a monitor that prove a FAULT."""
-    names = []
-    for name, test in (tests or {}).items():
-        if test.counts["FAULT"]:
-            names.append(name)
-    return names
+def rests_on_outgrown(tests: Mapping[str, OfTest] | None) -> bool:
+    """Return whether each FAULT of a monitor rests on bounds that a test has outgrown; True of another test,
+    which has outgrown its own.
+    """
+    return not any(test.within for test in (tests or {}).values())
 
 
 def unsaid(hints: Iterable[str], sentence: str) -> tuple[str, ...]:
@@ -422,7 +420,8 @@ def _fault_sentence(found: Evidence, label: Label) -> str:
 
 def _spoken(tests: Mapping[str, OfTest]) -> str:
     """Return the tests of a monitor that prove a fault, each with how often."""
-    return ", ".join(f"{name!r} ({tests[name].counts['FAULT']})" for name in proving(tests))
+    counts = {name: test.counts["FAULT"] for name, test in tests.items()}
+    return ", ".join(f"{name!r} ({count})" for name, count in counts.items() if count)
 
 
 def _grouped(alarms: int) -> str:

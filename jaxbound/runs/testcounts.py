@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxbound.consistency.interface import Judged, Verdicts
-from jaxbound.consistency.monitorbank import MonitorBank
+from jaxbound.consistency.monitorbank import MonitorBank, claimed
+from jaxbound.diagnosis.hints import outgrown_by
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.loop import Memory, Quiet
 from jaxbound.sets.floats.status import Status
@@ -29,7 +30,8 @@ class OfTest(NamedTuple):
 
     Fields: counts: {status name: number of its samples}. first: sample of its first FAULT, None: it has none.
     speaks: how many samples' verdict is its own. margin: its least, NaN: it has none. observes: whether it is
-    an observer.
+    an observer. within: how many samples it refutes without bounds that a test has outgrown; where nobody
+    knows the mode those of all tests that refute one count.
     """
 
     counts: Mapping[str, int]
@@ -37,6 +39,7 @@ class OfTest(NamedTuple):
     speaks: int
     margin: float
     observes: bool = False
+    within: int = 0
 
     def plain(self) -> dict[str, Any]:
         """Return it as JSON has it."""
@@ -61,10 +64,12 @@ class CountsByTest(Quiet):
         """Begin at zero."""
         self.bank = bank
         self.observes = np.array([part.observes for part in bank.parts.values()])
+        self.beyond = np.array([outgrown_by(bank, name) for name in bank.names])
         tests = len(self.observes)
         self.samples = self.covered = 0
         self.counts = np.zeros((tests, len(Status)), np.int64)
         self.speaks = np.zeros(tests, np.int64)
+        self.within = np.zeros(tests, np.int64)
         self.first = np.full(tests, NEVER, np.int64)
         self.least = np.full(tests, np.nan)
         self.modes = np.zeros((len(bank.conditions), KNOWLEDGE), np.int64)
@@ -89,6 +94,9 @@ class CountsByTest(Quiet):
         self.first[begins] = self.samples + fault.argmax(0)[begins]
         self.least = np.fmin(self.least, np.fmin.reduce(margins, 0, initial=np.nan))
         modes = self.bank.modes_of(u)
+        without = np.where(fault & self.beyond, np.int8(Status.UNDECIDED), statuses)
+        still = claimed(without, self.bank.conditions_of, modes, self.bank.complete)
+        self.within += np.count_nonzero(still == Status.FAULT, 0)
         for value in range(KNOWLEDGE):
             self.modes[:, value] += np.count_nonzero(modes == value, 0)
         self.samples += len(by)
@@ -100,7 +108,7 @@ class CountsByTest(Quiet):
         begins = (other.first != NEVER) & (self.first == NEVER)
         self.first[begins] = self.samples + other.first[begins]
         self.least = np.fmin(self.least, other.least)
-        for name in ("counts", "speaks", "modes", "covered", "samples"):
+        for name in ("counts", "speaks", "within", "modes", "covered", "samples"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
 
     def memory(self) -> Memory:
@@ -113,6 +121,7 @@ class CountsByTest(Quiet):
             "covered": self.covered,
             "counts": self.counts.tolist(),
             "speaks": self.speaks.tolist(),
+            "within": self.within.tolist(),
             "first": self.first.tolist(),
             "least": least,
             "modes": self.modes.tolist(),
@@ -122,7 +131,8 @@ class CountsByTest(Quiet):
         """Go on from a memory."""
         self.samples, self.covered = memory["samples"], memory["covered"]
         self.counts = np.array(memory["counts"], np.int64).reshape(self.counts.shape)
-        self.speaks, self.first = (np.array(memory[name], np.int64) for name in ("speaks", "first"))
+        for name in ("speaks", "within", "first"):
+            setattr(self, name, np.array(memory[name], np.int64))
         self.least = np.array(memory["least"], float)
         self.modes = np.array(memory["modes"], np.int64).reshape(self.modes.shape)
 
@@ -134,7 +144,7 @@ class CountsByTest(Quiet):
             first = None
             if self.first[i] != NEVER:
                 first = int(self.first[i])
-            about = int(self.speaks[i]), float(self.least[i]), bool(self.observes[i])
+            about = int(self.speaks[i]), float(self.least[i]), bool(self.observes[i]), int(self.within[i])
             found[name] = OfTest(counts, first, *about)
         return found
 

@@ -108,6 +108,23 @@ def test_bounds_that_one_test_has_outgrown_are_no_headline_where_another_proves_
     assert "Outside the bounds as fitted" in capsys.readouterr().out
 
 
+def test_a_mode_that_nobody_knows_needs_the_bounds_of_every_test_that_refutes_it(plant, tmp_path, capsys):
+    model, data = plant
+    fitted = MODEL.replace("dt = 1", "dt = 1\nhorizon = 1").replace("factor = 3", 'when = "otherwise"')
+    model.write_text(f'{fitted}[provenance]\nnoise = "fitted to 3 recordings"\n')
+    header, *rows = data.read_text().splitlines()
+    rows[20] = rows[18].replace("18,", "20,", 1)  # no jump while the mode is known
+    unknown = [f"{row[:-1]}" if k >= 30 else row for k, row in enumerate(rows)]
+    data.write_text("\n".join([header, *unknown]) + "\n")
+    assert detect(plant, tmp_path / "whole") == 3
+    assert "Outside the bounds as fitted" in capsys.readouterr().out, "drifts has outgrown its bounds"
+    pd.read_csv(data).to_parquet(tmp_path / "run.parquet")
+    assert detect((model, tmp_path / "run.parquet"), tmp_path / "parts") == 3
+    assert "Outside the bounds as fitted" in capsys.readouterr().out
+    assert judge_stream(model, [data.read_bytes()]) == 3
+    assert "Outside the bounds as fitted" in capsys.readouterr().err
+
+
 def test_its_windows_are_explained_by_the_test_that_speaks(plant, tmp_path, capsys):
     detect(plant, tmp_path / "r", "-q")
     capsys.readouterr()
