@@ -53,7 +53,7 @@ from jaxbound.studies.identification.signal_choice import (
     products,
     refuse_unnamed,
 )
-from jaxbound.studies.identification.structure import DELAYS, ORDERS, structure
+from jaxbound.studies.identification.structure import DELAYS, ORDERS, acting_otherwise, structure
 from jaxbound.studies.identification.trajectories import SETTLED, SMALLER, GivenUp, hidden_jumps
 from jaxbound.studies.identification.window_tests import (
     AVERAGES,
@@ -266,6 +266,7 @@ def fit(
     ]
     parts, trials = parted(records, held_out, horizon + 1), []
     order, delay = _structure(records, parts, horizon, order, delay, direct)
+    sentences += acting_otherwise(records, order, delay, direct)
     problem = FitProblem.of(records, order, delay, horizon, direct, about, judge, biases)
     report(0.05)
 

@@ -17,13 +17,15 @@ from jaxbound.studies.identification import regression
 from jaxbound.studies.identification.records import Record, Records
 from jaxbound.studies.identification.regression import CompleteWindows, Scales
 
-__all__ = ["DELAYS", "ORDERS", "chained", "delayed", "structure"]
+__all__ = ["DELAYS", "ORDERS", "acting_otherwise", "chained", "delayed", "structure"]
 
 ORDERS = (1, 2, 3, 4)
 DELAYS = (1, 2, 3, 4, 5, 6, 8)
 """Samples from an input to its first effect that are tried."""
 ENOUGH = 1.1
 """The first order, and delay, is taken whose errors are seen from at most so many times the best's on."""
+CLEARLY = 0.5
+"""Share of the errors one step ahead that another delay has to leave to be advised."""
 ROOM = 512
 """Windows that are looked at, at most, spread evenly: one compilation an order."""
 
@@ -95,6 +97,36 @@ def structure(
     for order in orders:
         found[order] = _Trained(records, parts, horizon, order, delay, direct, is_refined=True).blindness
     return _first_good(found), delay
+
+
+def acting_otherwise(records: Records, order: int, delay: int, direct: bool) -> list[str]:
+    """Return a sentence where inputs seem to act sooner or later than the model has it: another delay leaves
+    clearly smaller errors one step ahead.
+    """
+    if not order or not records[0][0].shape[1]:
+        return []
+    present = _step_error(records, order, delay, direct)
+    tried = {(other, False): _step_error(records, order, other, False) for other in DELAYS}
+    tried[1, True] = ENOUGH * _step_error(records, order, 1, True)  # more numbers explain more anyway
+    (other, at_once), least = min(tried.items(), key=lambda one: one[1])
+    if not least <= CLEARLY * present < np.inf:
+        return []
+    act, how = f"{other} sample{'s' * (other > 1)} later", f"--delay {other}, delay={other}"
+    if at_once:
+        act, how = "on outputs of the same sample", "--direct, direct=True"
+    return [
+        f"inputs seem to act {act}: errors one step ahead are then {least / present:.2f} times as large, and "
+        f"bounds may be as much smaller; fit again with {how}"
+    ]
+
+
+def _step_error(records: Records, order: int, delay: int, direct: bool) -> float:
+    """Return the root of the mean square of the errors of one step; inf: too few samples."""
+    scales = regression.scales_of(records)
+    steps = regression.windows_of(delayed(records, delay), scales, order)
+    if len(steps.y) < 2 * (order + 1) * (steps.y.shape[2] + steps.u.shape[2]):
+        return np.inf
+    return float(np.sqrt(regression.step_error(steps, order, direct) / len(steps.y)))
 
 
 Choice = TypeVar("Choice", int, tuple[int, int])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import jaxbound as jb
-from jaxbound.studies.identification.structure import chained, delayed
+from jaxbound.studies.identification.structure import acting_otherwise, chained, delayed
 
 POLES = {1: [0.85], 2: [1.5, -0.7]}
 ACTS = {1: [1.0], 2: [0.5, 0.3]}
@@ -27,6 +27,21 @@ def test_order_and_delay_are_found(order, delay, rng):
     assert (model.check.order, model.check.delay) == (order, delay)
     assert model.n == order + delay - 1
     assert all(jb.detect(jb.parity_relations(model), *r).counts["FAULT"] == 0 for r in records)
+
+
+def test_inputs_that_act_sooner_or_later_than_the_model_has_it_are_told(rng):
+    u, y = recorded(1, 1, rng)
+    sooner = [(u[:-1], y[1:], np.array([], int))]  # the same sample
+    assert acting_otherwise([(u, y, np.array([], int))], 2, 1, False) == []
+    (said,) = acting_otherwise(sooner, 2, 1, False)
+    assert "the same sample" in said and "--direct, direct=True" in said
+    assert acting_otherwise(sooner, 2, 1, True) == []
+    (said,) = acting_otherwise([(*recorded(1, 4, rng), np.array([], int))], 1, 1, False)
+    assert "4 samples later" in said and "--delay 4, delay=4" in said
+    (said,) = acting_otherwise([(u, y, np.array([], int))], 2, 5, False)
+    assert "act 1 sample later" in said
+    assert acting_otherwise([(u[:, :0], y, np.array([], int))], 2, 1, False) == []
+    assert acting_otherwise([(u[:9], y[:9], np.array([], int))], 2, 1, False) == []
 
 
 def test_inputs_wait_in_states_of_their_own(rng):
