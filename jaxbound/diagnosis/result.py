@@ -265,6 +265,8 @@ class Result:
             ValueError: numbers outside these ranges; a rule that names an output which is none, or asks of
                 windows for errors of single sensors that they do not tell.
         """
+        if isinstance(k, AlarmRule):
+            raise ValueError("an alarm rule is given by its name: alarms(rule=..)")
         given = AlarmRule(k, n, hold, clear)
         if rule is None:
             rule = given

@@ -64,6 +64,8 @@ def test_k_of_n_is_a_rule_too_and_two_rules_are_one_too_many():
     res = jb.detect(one(), None, [[1.0], [0.8]])
     with pytest.raises(ValueError, match="give the rule alone"):
         res.alarms(k=1, n=2, rule=AlarmRule())
+    with pytest.raises(ValueError, match="by its name: alarms"):
+        res.alarms(AlarmRule(latch=True))
 
 
 @pytest.mark.parametrize("size, counts", [(0.29, [1, 4]), (0.31, [4]), (0.69, [4]), (0.71, [])])
