@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, TypeVar, overload
 
 import jax
@@ -39,6 +40,7 @@ from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
 from jaxbound.sets.floats.probe import default_device, searching, searching_device, usable_devices
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.threads import inherited
+from jaxbound.text.progress import in_part, reporter
 
 __all__ = ["drive", "raw_outputs", "windows"]
 
@@ -238,14 +240,10 @@ def _end_to_end(x: Array) -> np.ndarray:
     return x.reshape(math.prod(x.shape[:-1]), x.shape[-1])
 
 
-def _nothing(share: float) -> None:
-    """Report nothing."""
-
-
 def _rising(progress: Progress | None) -> Progress:
     """Return a callback that passes on shares of work that are larger than the one before."""
     if progress is None:
-        return _nothing
+        return reporter(None)
     last = 0.0
 
     def report(share: float) -> None:
@@ -314,19 +312,20 @@ def _gathered(
     if 0 < length < len(y):
         ends = (ends + np.arange(0, len(y), length)[:, None]).ravel()
     if test.easy is not None and not is_outside_xla():
-        ends = _past_easy(test, test.easy, u, y, length, outs, ends, size, _part(report, 0, EASY))
-        report = _part(report, EASY, 1 - EASY)
+        ends = _past_easy(test, test.easy, u, y, length, outs, ends, size, partial(in_part, report, 0, EASY))
+        report = partial(in_part, report, EASY, 1 - EASY)
     total, done = max(len(ends), 1), 0
 
     def again(other: WindowTest, chosen: np.ndarray) -> np.ndarray:
-        return _Gathering(other, u, y, outs, other.block, _nothing).judge_all(chosen)
+        return _Gathering(other, u, y, outs, other.block, reporter(None)).judge_all(chosen)
 
     for case, starts in test.cases(u, y, ends - s):
         # Nine tenths of the progress of a case go to judging, the rest to settling.
         share = len(starts) / total
-        judging = _part(report, done / total, 0.9 * share)
+        judging = partial(in_part, report, done / total, 0.9 * share)
         left = _Gathering(case, u, y, outs, size, judging).judge_all(starts)
-        case.settle(u, y, outs, left, again, _part(report, done / total + 0.9 * share, 0.1 * share))
+        settling = partial(in_part, report, done / total + 0.9 * share, 0.1 * share)
+        case.settle(u, y, outs, left, again, settling)
         done += len(starts)
     return outs
 
@@ -348,14 +347,14 @@ def _past_easy(
     if size == test.block:
         own = (stretches or windows).block
     if stretches is not None and length >= 2 * s:  # of shorter recordings most windows would lie across two
-        found = _stretches(stretches, u, y, len(y), slice(0, s), own, _part(report, 0, 0.5))
+        found = _stretches(stretches, u, y, len(y), slice(0, s), own, partial(in_part, report, 0, 0.5))
         for out, values in zip(outs, found, strict=True):
             out[ends] = values[ends]
         ends = ends[~(found[0][ends] > 0)]
     left, total = [NOWHERE], len(ends)
     for first in range(0, total, TOGETHER):
         part = ends[first : first + TOGETHER]
-        done = _part(report, 0.5 + 0.5 * first / total, 0.5 * len(part) / total)
+        done = partial(in_part, report, 0.5 + 0.5 * first / total, 0.5 * len(part) / total)
         gathering = _Gathering(windows, u, y, outs, min(own, windows.block), done)
         some = gathering.judge_all(part[:ASKED] - s) + s
         left.append(some)
@@ -364,11 +363,6 @@ def _past_easy(
             rest = gathering.judge_all(rest - s) + s
         left.append(rest)
     return np.concatenate(left)
-
-
-def _part(report: Progress, before: float, share: float) -> Progress:
-    """Return a callback for a part of the work: its share, behind what was done before."""
-    return lambda done: report(before + share * done)
 
 
 @dataclass(frozen=True)

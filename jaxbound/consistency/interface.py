@@ -88,7 +88,6 @@ Compensation: TypeAlias = ArrayLike
 Starts: TypeAlias = ArrayLike
 """Numbers of the samples that do not follow the one before."""
 Arrays: TypeAlias = Sequence[Array]
-"""Takes the share of the work done."""
 Outputs: TypeAlias = Sequence[tuple[DTypeLike, float]]
 """((dtype, value where there is no window), ...), one for each array over samples."""
 Outs: TypeAlias = Sequence[np.ndarray]

@@ -89,7 +89,8 @@ def _with_sizes(
     jumps = {name: min(size, jump[name]) for name, size in check.jump.items()}
     lasting = {name: min(size, steady[name]) for name, size in check.steady.items()}
     joined = dataclasses.replace(check, jump=jumps, steady=lasting)
-    kept = [sentence for sentence in check.sentences if sentence not in blind(base, check)]
+    before = blind(base, check)
+    kept = [sentence for sentence in check.sentences if sentence not in before]
     return dataclasses.replace(joined, sentences=(*kept, *blind(base, joined)))
 
 

@@ -105,9 +105,10 @@ def acting_otherwise(records: Records, order: int, delay: int, direct: bool) -> 
     """
     if not order or not records[0][0].shape[1]:
         return []
-    present = _step_error(records, order, delay, direct)
-    tried = {(other, False): _step_error(records, order, other, False) for other in DELAYS}
-    tried[1, True] = ENOUGH * _step_error(records, order, 1, True)  # more numbers explain more anyway
+    scales = regression.scales_of(records)
+    present = _step_error(records, scales, order, delay, direct)
+    tried = {(other, False): _step_error(records, scales, order, other, False) for other in DELAYS}
+    tried[1, True] = ENOUGH * _step_error(records, scales, order, 1, True)  # more numbers explain more anyway
     (other, at_once), least = min(tried.items(), key=lambda one: one[1])
     if not least <= CLEARLY * present < np.inf:
         return []
@@ -120,9 +121,8 @@ def acting_otherwise(records: Records, order: int, delay: int, direct: bool) -> 
     ]
 
 
-def _step_error(records: Records, order: int, delay: int, direct: bool) -> float:
+def _step_error(records: Records, scales: Scales, order: int, delay: int, direct: bool) -> float:
     """Return the root of the mean square of the errors of one step; inf: too few samples."""
-    scales = regression.scales_of(records)
     steps = regression.windows_of(delayed(records, delay), scales, order)
     if len(steps.y) < 2 * (order + 1) * (steps.y.shape[2] + steps.u.shape[2]):
         return np.inf

@@ -20,6 +20,7 @@ from jaxbound.studies.identification.means import LOOSE, lowered
 from jaxbound.studies.identification.records import Records, parted
 from jaxbound.studies.identification.regression import complete_windows
 from jaxbound.studies.identification.sizes import blindness
+from jaxbound.text.progress import reporter
 
 __all__ = [
     "AVERAGES",
@@ -229,14 +230,10 @@ def searched_means(problem: FitProblem, trial: Trial, samples: int, records: Rec
                 return False
         return True
 
-    return lowered(trial.bound * LOOSE, explained, _nothing)
+    return lowered(trial.bound * LOOSE, explained, reporter(None))
 
 
 def _averaged(model: LinearSystem, samples: int, bounds: np.ndarray) -> LinearSystem:
     """Return a model with bounds (p,) on the means of so many errors in a row."""
     means = {name: {samples: x} for name, x in zip(model.outputs, bounds.tolist(), strict=True)}
     return model.replace(averages=means)
-
-
-def _nothing(share: float) -> None:
-    """Report to nobody."""
