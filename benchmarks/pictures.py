@@ -21,10 +21,10 @@ __all__ = ["sizes", "verdicts", "which", "write"]
 PICTURES = Path(__file__).parents[1] / "docs" / "pictures"
 SIGNALS = ["--inputs", "Q1=Heater 1,Q2=Heater 2", "--outputs", "T1=Temperature 1,T2=Temperature 2"]
 FITS = {
-    "windows": ("windows of 16 samples", []),
+    "windows": ("windows of 16 samples", ["--horizon", "15"]),
     "lags": ("8 of 61 samples (lags)", ["--lags", "0,1,2,4,8,16,32,60"]),
-    "plant": ("windows of 31, means of 8", ["--horizon", "30", "--average", "8"]),
-    "bank": ("a monitor of two tests", ["--test", "bank"]),
+    "means": ("windows of 31, means of 8", ["--horizon", "30", "--average", "8"]),
+    "plant": ("a monitor of two tests", []),
 }
 """{model file: (what it tests, options of `fit`)}."""
 WIDTH, HEIGHT = 1280, 1180  # px of the page that the picture shows
@@ -65,7 +65,7 @@ def drawing(width, height, label, parts):
 
 
 TREE = (
-    ("a jump", "windows of 16 samples", "jaxbound fit ... --out plant.toml"),
+    ("a jump", "windows of 16 samples", "fit ... --horizon 15"),
     ("an error that lasts", "longer windows, with bounds on means", "fit ... --horizon 30 --average 8"),
     ("a slow drift", "lags, as far back as the plant remembers", "fit ... --lags 0,1,2,4,8,16,32,60"),
     (
@@ -73,7 +73,7 @@ TREE = (
         "an observer: everything since the start",
         "detect ... --method observer",
     ),
-    ("several of these", "a monitor of several tests", "fit ... --test bank"),
+    ("several of these", "a monitor of several tests", "fit ..."),
 )
 """(fault, test, command) of each box."""
 

@@ -239,10 +239,10 @@ def typed(command, place):
     return printed.getvalue(), place, codes
 
 
-def follow(page, place, blocks_run=None):
+def follow(page, place):
     """Do what a page says in a folder and compare what is printed with what is shown."""
     os.chdir(place)
-    names, run = {}, 0
+    names = {}
     for kind, text, shown, wanted in blocks(page):
         if not wanted:
             continue
@@ -263,9 +263,6 @@ def follow(page, place, blocks_run=None):
                 )
         wrong = differs(shown, printed) if shown is not None else None
         assert not wrong, f"{page.name}\n{text}\n{wrong}"
-        run += 1
-        if run == blocks_run:
-            return
 
 
 def at_a_prompt(folder, monkeypatch):
@@ -306,10 +303,6 @@ def laboratory(tmp_path_factory):
         table["Time (s)"] += 6000.0 * (i - 1)  # another day
         table.to_parquet(place / "recordings" / f"{i}.parquet")
     return place
-
-
-def test_the_first_page_runs_as_it_stands_until_the_proof(empty):
-    follow(ROOT / "docs" / "start.md", empty, blocks_run=5)
 
 
 @pytest.mark.slow

@@ -34,10 +34,6 @@ EXAMPLES = (
         "names for columns, a signal computed from columns, only while the fan runs",
     ),
 )
-BANK = (
-    "windows of one length see what others miss: the same command with --test bank, without --horizon, "
-    "writes a monitor of several, each with bounds of its own"
-)
 CODES = (
     "exit codes: 0, 2 bad input or usage, 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM "
     "(nothing is written)"
@@ -109,7 +105,7 @@ def options(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="samples until inputs act, the dead time; auto: of 1 to 8, likewise (default: 1)",
     )
-    bounded = "bounds are found for windows of S + 1 samples (default: 15; with --lags, the largest of them)"
+    bounded = "bounds are found for windows of S + 1 samples (default: chosen, see --test)"
     add_windows(parser, bounded, least=1)
     parser.add_argument("--direct", action="store_true", help="inputs act on outputs of the same sample")
     parser.add_argument(
@@ -174,9 +170,10 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--test",
         choices=("auto", "bank"),
-        help="auto: choose the windows, too, in place of --horizon, --lags and --average: 8, 16, 31 or 61 "
-        "samples, means, lags, by recordings that are left out; bank: all of them that see what others "
-        "miss, as [[test]] tables of one monitor, and an observer by --observer or --disturbances",
+        help="bank: windows of 8, 16, 31 or 61 samples, means, lags, all that see what others miss, by "
+        "recordings that are left out, as [[test]] tables of one monitor, and an observer by --observer or "
+        "--disturbances; auto: the best of these windows alone (default: bank, unless --horizon, --lags, "
+        "--average, --observer or --follow say what is tested, or nothing can be left out)",
     )
     parser.add_argument(
         "--out", type=path, required=True, metavar="MODEL.toml", help="the model file to write"
@@ -263,16 +260,8 @@ def run(args: argparse.Namespace) -> int:
         files = [str(args.out)]
         if args.plot:
             files.append(str(args.plot))
-        if _takes_windows(args):
-            hints.append(BANK)
         show_fit(model, args.data, files, hints, args.observer)
     return OK
-
-
-def _takes_windows(args: argparse.Namespace) -> bool:
-    """Return whether the same command could have written a monitor."""
-    chosen = (args.test, args.observer, args.disturbances, args.lags, args.average)
-    return chosen == (None,) * len(chosen) and not args.follow and args.order != 0
 
 
 def _hints(data: Sequence[Path], recordings: Sequence["Recording"]) -> list[str]:

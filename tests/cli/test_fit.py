@@ -11,6 +11,8 @@ import pytest
 import jaxbound as jb
 from jaxbound.cli import main
 from jaxbound.cli.fit_summary import signal_columns
+from jaxbound.studies.identification import window_tests
+from jaxbound.studies.identification.window_tests import WindowChoice
 
 
 @pytest.fixture
@@ -69,6 +71,15 @@ def test_fit_writes_a_model_file(place, capsys):
     assert tuple(map(float, model.ranges["heat"])) == (heat.min(), heat.max())
     assert said["recordings"][0]["windows"] == 106 and said["held_out"]["windows"] > 20
     assert model.provenance["model"] == "fitted to 110 samples in 1 recording", "10 of 120 are set aside"
+
+
+def test_a_plain_command_chooses_what_is_tested(place, capsys, monkeypatch):
+    monkeypatch.setattr(window_tests, "WINDOWS", (WindowChoice(4), WindowChoice(7)))
+    at = FIT.index("--horizon")
+    assert main.main([*FIT[:at], *FIT[at + 2 :], "--method", "least squares", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert [test["horizon"] for test in said["tests"]] == [4, 7]
+    assert jb.load_model("tank.toml").horizon in (4, 7)
 
 
 def test_time_stamps_without_separators_are_no_seconds(place, capsys):

@@ -239,7 +239,7 @@ def test_fit_writes_where_each_input_was(place, capsys):
     for k in range(1, 300):
         y[k] = 0.8 * y[k - 1] + 0.2 * u[k - 1]
     table = pd.DataFrame({"u": u, "lamp": 2.0, "y": y + rng.uniform(-0.01, 0.01, 300)})
-    fitted = jb.fit(table, inputs=["u", "lamp"], outputs=["y"], dt=1.0)
+    fitted = jb.fit(table, inputs=["u", "lamp"], outputs=["y"], dt=1.0, horizon=15)
     assert {name: tuple(map(float, ends)) for name, ends in fitted.ranges.items()} == {
         "u": (u.min(), u.max()),
         "lamp": (2.0, 2.0),

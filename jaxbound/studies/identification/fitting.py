@@ -58,6 +58,7 @@ from jaxbound.studies.identification.trajectories import SETTLED, SMALLER, Given
 from jaxbound.studies.identification.window_tests import (
     AVERAGES,
     RAMP,
+    WINDOWS,
     JudgedTest,
     best_kind,
     best_test,
@@ -120,8 +121,8 @@ def fit(
             are left out ask for.
         delay: so many samples pass before inputs act (dead time), 1 of a plant that answers at the next one;
             (delay - 1) * m more states. "auto": of 1 to 6 and 8, chosen as the order is.
-        horizon: s, the bounds are found for windows of s + 1 samples; None: 15. Long windows see small
-            faults; the model says for which it is made.
+        horizon: s, the bounds are found for windows of s + 1 samples; None: as `test` says. Long windows see
+            small faults; the model says for which it is made.
         lags: of windows that look at the outputs at some samples only, in place of horizon; see
             `parity_relations` and `suggest_lags`.
         inputs, outputs: names; needed with tables. dt: sampling period in s; None: what the times of tables
@@ -142,8 +143,9 @@ def fit(
             recordings which are left out ask of it; `.check.tests` has them all. "bank": as many of them as
             see clearly smaller jumps, lasting errors or ramps than the others: the model states them as its
             `tests`, each with coefficients and bounds of its own, and `jb.monitor` is all of them; `observer`
-            or `disturbances` has a set observer ("joint" if none is named) tried beside them. None: as those
-            say.
+            or `disturbances` has a set observer ("joint" if none is named) tried beside them. None: as
+            horizon, lags and average say, or the observer; where these and follow are left out, "bank", or
+            windows of 16 samples where nothing can be left out to choose by.
         observer: the method of a set observer ("zonotope", "joint", ..), see `jb.observer`: the bounds are
             those at which it follows every recording, instead of those of windows; horizon is then that of
             the windows which `method` looks at. Not with lags or average.
@@ -181,6 +183,7 @@ def fit(
         >>> abs(float(model.A[0][0]) - 0.8) < 0.05, float(model.noise[0]) < 0.15
         (True, True)
     """
+    left_open = test is None and (horizon, lags, average, observer) == (None,) * 4 and not follow
     if observer is not None:
         observer = _observer(observer, lags, average)
     if order == 0:
@@ -216,6 +219,9 @@ def fit(
         report = partial(in_part, report, 0.4, 0.6)
         if inputs == tuple(begin_with):
             order, delay = found
+    if left_open and order != 0:
+        records = read_records(recordings, inputs, outputs, columns, dt)[3]
+        test = BANK if parted(records, held_out, WINDOWS[0].horizon + 1) else None
     if test == BANK:
         watching: dict[str, Any] | None = None
         if observer is not None or disturbances is not None:

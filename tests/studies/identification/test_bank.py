@@ -57,7 +57,7 @@ def recordings():
 
 @pytest.fixture(scope="module")
 def fitted(recordings):
-    return jb.fit(recordings, order=1, test="bank", method="least squares", safety=1.25)
+    return jb.fit(recordings, order=1, method="least squares", safety=1.25)
 
 
 def test_a_fit_for_a_bank_states_the_tests_of_its_monitor(fitted, recordings, tmp_path):
@@ -98,6 +98,15 @@ def test_an_observer_is_tried_beside_the_windows_with_disturbances_of_its_own(re
     assert own.noise[0] + own.resolution[0] < model.noise[0] + model.resolution[0]
     assert (model.tests[1].observer, dict(model.tests[1].options)) == ("zonotope", {"latched": True})
     assert jb.detect(jb.monitor(model), *recordings[0]).counts["FAULT"] == 0
+
+
+@pytest.mark.parametrize("options, horizon", [({"held_out": 0}, 15), ({"horizon": 6}, 6)])
+def test_windows_are_those_of_one_test_where_they_are_given_or_nothing_can_choose(
+    recordings, options, horizon
+):
+    short = [(u[:60], y[:60]) for u, y in recordings]
+    model = jb.fit(short, order=1, method="least squares", **options)
+    assert (model.horizon, model.tests, model.check.tests) == (horizon, (), ())
 
 
 @pytest.mark.parametrize(

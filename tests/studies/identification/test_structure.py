@@ -23,7 +23,7 @@ def recorded(order, delay, rng, T=150):
 @pytest.mark.parametrize("order, delay", [(1, 6), pytest.param(2, 1, marks=pytest.mark.slow)])
 def test_order_and_delay_are_found(order, delay, rng):
     records = [recorded(order, delay, rng) for _ in range(3)]
-    model = jb.fit(records, "auto", delay="auto", method="windows")
+    model = jb.fit(records, "auto", 15, delay="auto", method="windows")
     assert (model.check.order, model.check.delay) == (order, delay)
     assert model.n == order + delay - 1
     assert all(jb.detect(jb.parity_relations(model), *r).counts["FAULT"] == 0 for r in records)
