@@ -33,7 +33,7 @@ def monitor(
     Args:
         model: a LinearSystem, or the path of its file. tests: as the `[[test]]` tables of the file have them,
             [{"name": "short", "horizon": 15}, {"name": "slow", "observer": "joint", "factor": 1.2, "when":
-            "fan > 0"}]; None: those of the model.
+            "fan > 0"}]; None: those of the model, or its windows where it states none.
         progress: called with the share of the tests that are there.
 
     Returns:
@@ -41,7 +41,7 @@ def monitor(
         number of the test that speaks at each sample.
 
     Raises:
-        OSError: no file. ValueError: no tests, or one that is none, see `LinearSystem`; numbers that make no
+        OSError: no file. ValueError: tests=[], or one that is none, see `LinearSystem`; numbers that make no
             model; a model without a relation, or without an observer.
 
     Encloses: FAULT is a proof. Where a condition has no value, it is claimed only where every condition that
@@ -59,10 +59,12 @@ def monitor(
         model = load_model(model)
     if tests is not None:
         model = model.replace(tests=tests)
+    elif not model.tests:
+        model = model.replace(tests=[{"name": "windows"}])
     if not model.tests:
         raise ValueError(
-            f"a monitor needs tests: {model.name!r} states none; write [[test]] tables in its file, or give "
-            f'tests=[{{"name": "short", "horizon": 15}}, ..]'
+            'a monitor needs tests: tests=[] has none; give [{"name": "short", "horizon": 15}, ..], or leave '
+            "it out"
         )
     report = reporter(progress)
     watches = []

@@ -3,6 +3,7 @@
 import re
 from fractions import Fraction
 
+import numpy as np
 import pytest
 
 import jaxbound as jb
@@ -143,9 +144,15 @@ def test_numbers_given_in_python_are_their_shortest_decimals(load):
     assert load_of(model_text(model)) == model
 
 
-def test_a_monitor_needs_tests():
+@pytest.mark.parametrize("window", [{}, {"horizon": 3}, {"lags": [0, 1, 3]}])
+def test_a_monitor_of_a_model_without_tests_is_its_windows(window, rng):
+    model = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1, **window)
+    y = rng.uniform(-0.2, 0.2, (12, 1))
+    alone, res = jb.detect(jb.parity_relations(model), None, y), jb.detect(jb.monitor(model), None, y)
+    np.testing.assert_array_equal(res.status, alone.status)
+    np.testing.assert_array_equal(res.margin, alone.margin)
     with pytest.raises(ValueError, match="a monitor needs tests"):
-        jb.monitor(jb.LinearSystem([[0.5]], None, [[1]], noise=0.1))
+        jb.monitor(model, [])
 
 
 OTHER = PLANT.replace("0.9", "0.8").replace("noise = 0.1", "noise = 0.3")
