@@ -284,6 +284,8 @@ def _refuse_shares(args: argparse.Namespace, has_parts: bool) -> None:
         shared.append("--merge")
     if len(shared) > 1:
         raise Refused("--merge reports on what --part makes: give one of the two")
+    if args.overlap is not None:
+        shared.append("--overlap")
     if shared and args.method == VALIDATION:
         raise Refused(f"{shared[0]} is for other methods: {VALIDATION} reads {args.data} as a whole")
     if shared and args.method == OBSERVER and args.overlap is None:
@@ -291,10 +293,6 @@ def _refuse_shares(args: argparse.Namespace, has_parts: bool) -> None:
             f"{shared[0]} is for windows: an observer carries what it knows from sample to sample, its work "
             f"can be shared only where --overlap N lets one begin anew N samples before each part"
         )
-    if args.overlap is not None:
-        if args.method != OBSERVER:
-            raise Refused(f"--overlap is for --method {OBSERVER}: windows know how far they reach back")
-        shared.append("--overlap")
     if shared and not has_parts:
         raise Refused(f"{shared[0]} is for Parquet: {args.data} is read as a whole")
 

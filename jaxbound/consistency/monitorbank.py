@@ -147,6 +147,15 @@ class MonitorBank(Observer[BankState]):
         return max(watch.relations.horizon for watch in self.watches)
 
     @property
+    def looks_back(self) -> int | None:
+        """How many samples before a sample its verdict depends on; None: on all, as observers and conditions
+        do, which know what was before.
+        """
+        if self.conditions or any(watch.relations.remembers for watch in self.watches):
+            return None
+        return self.reach
+
+    @property
     def count(self) -> int:
         """The number of tests."""
         return len(self.watches)

@@ -346,6 +346,8 @@ def _job_of(
 def _begins(relations: Relations, part: tuple[int, int] | None, overlap: int | None) -> int | None:
     """Return how many samples before each part an observer of its own begins; refuse what is none."""
     if overlap is None:
+        if isinstance(relations, MonitorBank) and relations.looks_back is not None:
+            return relations.looks_back  # with so many samples before it a part has the verdicts of one monitor
         if part is not None and relations.remembers:
             raise ValueError(
                 "an observer carries what it knows from each part to the next: they cannot be shared, unless "

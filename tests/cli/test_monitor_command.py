@@ -279,6 +279,26 @@ def test_the_page_of_a_parquet_recording_has_the_sections_of_one_in_memory(plant
     assert tables[0] == tables[1] and len(tables[0]) == 2
 
 
+def test_shares_of_a_monitor_of_windows_are_the_whole(plant, tmp_path, monkeypatch, capsys):
+    """It is cut where a test has a FAULT and looks back into the share before."""
+    model, run = plant[0], tmp_path / "run.parquet"
+    pd.read_csv(plant[1]).to_parquet(run)
+    monkeypatch.setattr(streaming, "PART", 21)
+    assert detect((model, run), tmp_path / "r", "-q", "--part", "1/2") == 2
+    assert "give an overlap" in capsys.readouterr().err, "who is asked when mode == 1 holds at the cut?"
+    model.write_text(MODEL.replace('when = "mode == 1"\n', ""))
+    assert detect((model, run), tmp_path / "whole", "-q") == 1
+    for share in ("2/2", "1/2"):
+        assert detect((model, run), tmp_path / "r", "-q", "--part", share) == 0
+    assert detect((model, run), tmp_path / "r", "-q", "--merge") == 1
+    whole, merged = (pd.read_parquet(tmp_path / name / "verdicts.parquet") for name in ("whole", "r"))
+    pd.testing.assert_frame_equal(merged, whole)
+    bank = jb.monitor(model)
+    pd.testing.assert_series_equal(
+        merged["margin"].astype(float), pd.Series(jb.detect(bank, jb.read(run, bank)).margin, name="margin")
+    )
+
+
 @pytest.mark.parametrize(("rule", "tests"), [((), ["jumps", "drifts"]), (("--latch",), ["drifts"])])
 def test_alarms_of_a_parquet_recording_name_their_test(rule, tests, plant, tmp_path, monkeypatch):
     model, data = plant

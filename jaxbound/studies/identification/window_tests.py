@@ -68,7 +68,7 @@ class WindowChoice(NamedTuple):
         if self.lags is not None:
             return f"{len(self.lags)} of {self.horizon + 1} samples"
         if self.average is not None:
-            return f"{self.horizon + 1} samples, means of {self.average}"
+            return f"means of {self.average} in {self.horizon + 1} samples"
         return f"{self.horizon + 1} samples"
 
 
