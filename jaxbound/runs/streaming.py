@@ -347,7 +347,7 @@ def _begins(relations: Relations, part: tuple[int, int] | None, overlap: int | N
     """Return how many samples before each part an observer of its own begins; refuse what is none."""
     if overlap is None:
         if isinstance(relations, MonitorBank) and relations.looks_back is not None:
-            return relations.looks_back  # with so many samples before it a part has the verdicts of one monitor
+            return relations.looks_back  # behind so many samples a part has the verdicts of the whole
         if part is not None and relations.remembers:
             raise ValueError(
                 "an observer carries what it knows from each part to the next: they cannot be shared, unless "

@@ -298,7 +298,7 @@ def test_a_digest_proves_a_contradiction_from_few_samples(place, monkeypatch):
     "more, says",
     [
         (("--overlap", "3"), "--overlap is for Parquet: run.csv is read as a whole"),
-        (("--method", "joint", "--overlap", "3"), "overlap is for observers: windows know how far they reach"),
+        (("--method", "joint", "--overlap", "3"), "overlap is for observers: windows know how far"),
         (("--lags", "0,1"), "--lags is for windows: an observer looks at every sample"),
         (("--method", "joint", "--order", "3"), "--order is for --method observer"),
         (("--method", "box", "--latched"), "--latched is for --method observer"),
