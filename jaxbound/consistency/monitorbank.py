@@ -13,6 +13,7 @@ nothing is proved while the mode is unknown.
 
 import copy
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cached_property
 from types import MappingProxyType
@@ -40,7 +41,9 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.models.watched import watched
 from jaxbound.recordings.factors import IN_PART, Condition, factors_of, known, masked
 from jaxbound.recordings.recording import Recording
+from jaxbound.sets.floats.probe import default_device
 from jaxbound.sets.floats.status import Status
+from jaxbound.sets.floats.threads import inherited
 from jaxbound.text.objects import readable
 
 __all__ = ["NO", "UNKNOWN", "YES", "BankState", "BankVerdicts", "MonitorBank", "Watch", "claimed", "combined"]
@@ -49,6 +52,8 @@ NO, YES, UNKNOWN = np.int8(0), np.int8(1), np.int8(2)
 """Whether a condition holds at a sample."""
 BEFORE = np.int8(-1)
 """In place of these before the first sample."""
+SIDE_BY_SIDE = 2**14
+"""Samples up to which the tests judge on a thread each: of so few, compiling takes longest."""
 
 
 class Watch(NamedTuple):
@@ -269,26 +274,34 @@ class MonitorBank(Observer[BankState]):
 
     def fold(self, carry: BankState, piece: Recording) -> tuple[BankState, BankVerdicts]:
         """Take the next samples; return (memory, their BankVerdicts)."""
-        modes = self.modes_of(np.asarray(piece.u))
-        states, statuses, margins = [], [], []
-        for number, (one, state) in enumerate(zip(self.monitors, carry.tests, strict=True)):
+        modes, device = self.modes_of(np.asarray(piece.u)), default_device()
+
+        def judged(number: int) -> tuple[Any, np.ndarray, np.ndarray]:
+            one, state = self.monitors[number], carry.tests[number]
             own = self.seen_by(number, piece, modes, carry.modes)
-            if isinstance(one, Monitor):
-                after, found = one.run(state, own.u, own.y, starts=own.starts)
-            else:
-                after, found = one.followed(state, own)
+            with jax.default_device(device):
+                if isinstance(one, Monitor):
+                    after, found = one.run(state, own.u, own.y, starts=own.starts)
+                else:
+                    after, found = one.followed(state, own)
             status, margin = np.asarray(found.status), np.asarray(found.margin)
             if own.excluded is not None:
                 status = np.where(own.excluded, np.int8(Status.MISSING), status)
                 margin = np.where(own.excluded, np.nan, margin)
-            states.append(after)
-            statuses.append(status)
-            margins.append(margin)
+            return after, status, margin
+
+        tests = range(self.count)
+        if self.count > 1 and 1 < piece.samples <= SIDE_BY_SIDE:
+            with ThreadPoolExecutor(self.count) as pool:
+                found_by_test = list(pool.map(inherited(judged), tests))
+        else:
+            found_by_test = list(map(judged, tests))
+        states, statuses, margins = zip(*found_by_test, strict=True)
         last = modes[-1] if len(modes) else carry.modes
         # columns that lie together: all that is made of them is made test by test
         columns = np.stack(statuses).T, np.stack(margins).T
         together = combined(*columns, self.conditions_of, modes, self.complete)
-        return BankState(tuple(states), last), together
+        return BankState(states, last), together
 
     @property
     def conditions_of(self) -> tuple[int, ...]:
