@@ -20,6 +20,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.models.testmodels import model_of
 from jaxbound.studies.identification.advice import blind
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
+from jaxbound.studies.identification.proof import Proof
 from jaxbound.studies.identification.trajectories import SETTLED, SMALLER, GivenUp, sure_sizes
 from jaxbound.studies.identification.window_tests import RAMP, JudgedTest, WindowChoice, best_test
 from jaxbound.text.progress import in_part
@@ -37,21 +38,23 @@ FitOne = Callable[[Mapping[str, Any], Callable[[float], object]], Fitted]
 
 
 def fitted_bank(
+    base: Fitted,
+    proofs: Mapping[WindowChoice, Proof],
     fit_one: FitOne,
-    first: Mapping[str, Any],
     watching: Mapping[str, Any] | None,
     report: Callable[[float], object],
 ) -> Fitted:
     """Return a Fitted for the best windows, whose `tests` are those that earn their places.
 
     Args:
-        fit_one: see `FitOne`. first: of the fit that tries all windows. watching: of the fit for an observer,
-            an ObserverMethod, and for disturbances; None: no observer is tried. report: called with the share
-            of the work done.
+        base: of the best windows, after all were tried. proofs: of those windows that need no fit of their
+            own. fit_one: see `FitOne`. watching: of the fit for an observer, an ObserverMethod, and for
+            disturbances; None: no observer is tried. report: called with the share of the work done, of which
+            .4 are done.
     """
-    base = fit_one(first, partial(in_part, report, 0.0, 0.4))
     check, tests = base.check, list(base.check.tests)
     watched: Fitted | None = None
+    model: LinearSystem
     if watching is not None:
         own = {"order": check.order, "delay": check.delay, "method": check.method} | dict(watching)
         watched = fit_one(own, partial(in_part, report, 0.4, 0.3))
@@ -73,11 +76,16 @@ def fitted_bank(
             )
             check = _with_sizes(base, check, judged.jump, judged.steady)
             continue
-        own = {"order": check.order, "delay": check.delay, "method": judged.method}
-        own |= judged.window.about | {"average": judged.window.average}
-        fitted = fit_one(own, partial(in_part, report, 0.7 + number * share, share))
-        stated.append(test_as_fitted(base, fitted, name))
-        check = _with_sizes(base, check, fitted.check.jump, fitted.check.steady)
+        if judged.window in proofs:
+            model, jump, steady = proofs[judged.window]()
+            report(0.7 + (number + 1) * share)
+        else:
+            own = {"order": check.order, "delay": check.delay, "method": judged.method}
+            own |= judged.window.about | {"average": judged.window.average}
+            fitted = fit_one(own, partial(in_part, report, 0.7 + number * share, share))
+            model, jump, steady = fitted, fitted.check.jump, fitted.check.steady
+        stated.append(test_as_fitted(base, model, name))
+        check = _with_sizes(base, check, jump, steady)
     report(1.0)
     return Fitted(base.replace(tests=stated), dataclasses.replace(check, tests=tuple(tests)))
 

@@ -42,9 +42,11 @@ from jaxbound.studies.identification.disturbances import (
 )
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted, Follows, PartLeftOut, Tradeoff
 from jaxbound.studies.identification.following import followed, refuse_follow, sizes_in_training
+from jaxbound.studies.identification.gauge import GaugeJudge
 from jaxbound.studies.identification.judging import Judge, ObserverJudge, WindowJudge, explains
 from jaxbound.studies.identification.left_out import LeftOut, tried, widest
 from jaxbound.studies.identification.means import smallest_means
+from jaxbound.studies.identification.proof import Proof, proved
 from jaxbound.studies.identification.records import Records, input_ranges, names_of, parted, read_records
 from jaxbound.studies.identification.signal_choice import (
     SignalProblem,
@@ -60,10 +62,12 @@ from jaxbound.studies.identification.window_tests import (
     RAMP,
     WINDOWS,
     JudgedTest,
+    TriedTest,
+    WindowChoice,
     best_kind,
     best_test,
-    judged_tests,
     searched_means,
+    tried_tests,
 )
 from jaxbound.studies.tuning.widening import stated
 from jaxbound.text.progress import in_part, reporter
@@ -222,6 +226,10 @@ def fit(
     if left_open and order != 0:
         records = read_records(recordings, inputs, outputs, columns, dt)[3]
         test = BANK if parted(records, held_out, WINDOWS[0].horizon + 1) else None
+    asked: dict[str, Any] = dict(order=order, horizon=horizon, delay=delay, lags=lags, inputs=inputs)
+    asked |= dict(outputs=outputs, dt=dt, direct=direct, safety=safety, held_out=held_out, method=method)
+    asked |= dict(average=average, test=test, observer=observer, follow=follow, disturbances=disturbances)
+    asked |= dict(wanted=wanted, name=name, units=units, columns=columns, tried_sets=tried_sets)
     if test == BANK:
         watching: dict[str, Any] | None = None
         if observer is not None or disturbances is not None:
@@ -231,15 +239,48 @@ def fit(
             refuse_unseen(wanted, *read_records(recordings, inputs, outputs, columns, dt)[:2])
         same: dict[str, Any] = dict(inputs=inputs, outputs=outputs, dt=dt, every=every, direct=direct)
         same |= dict(safety=safety, held_out=held_out, name=name, units=units, columns=columns)
+        biases = [fault for fault in wanted if fault.kind == "bias"]
         if len(wanted_biases(wanted)) > 1:
-            same["see"] = [fault for fault in wanted if fault.kind == "bias"]
-        first = dict(order=order, delay=delay, method=method, test=AUTO)
+            same["see"] = biases
 
         def fit_one(own: Mapping[str, Any], report: Callable[[float], object]) -> Fitted:
             return fit(recordings, **{**same, **own}, progress=report)
 
-        bank = fitted_bank(fit_one, first, watching, report)
-        return Fitted(bank, dataclasses.replace(bank.check, signals=tried_sets))
+        asked |= dict(test=AUTO, observer=None, disturbances=None, wanted=biases)
+        base, proofs = _fit_once(recordings, **asked, report=partial(in_part, report, 0.0, 0.4))
+        return fitted_bank(base, proofs, fit_one, watching, report)
+    return _fit_once(recordings, **asked, report=report)[0]
+
+
+def _fit_once(
+    recordings: object,
+    *,
+    order: int | str,
+    horizon: int,
+    delay: int | str,
+    lags: Sequence[int] | None,
+    inputs: str | Sequence[str] | None,
+    outputs: str | Sequence[str] | None,
+    dt: float | None,
+    direct: bool,
+    safety: float,
+    held_out: float,
+    method: str,
+    average: int | None,
+    test: str | None,
+    observer: ObserverMethod | None,
+    follow: float | str,
+    disturbances: str | None,
+    wanted: Sequence[Fault],
+    name: str,
+    units: Mapping[str, str] | None,
+    columns: Mapping[str, str],
+    tried_sets: tuple[TriedSignals, ...],
+    report: Callable[[float], object],
+) -> tuple[Fitted, dict[WindowChoice, Proof]]:
+    """Return (fitted, proofs): of one test, by arguments that go together, and the `Proof` of each of the
+    windows that were tried and that floats have looked at whole.
+    """
     inputs, outputs, dt, records = read_records(recordings, inputs, outputs, columns, dt)
     about = dict(dt=dt, inputs=inputs, outputs=outputs, units=units, columns=columns, name=name)
     refuse_follow(follow, about, average)
@@ -247,16 +288,24 @@ def fit(
     biases = wanted_biases(wanted)
     resting = advice.inputs_at_rest(records, inputs, outputs, horizon)
     tests: tuple[JudgedTest, ...] = ()
+    proofs: dict[WindowChoice, Proof] = {}
+    taken: TriedTest | None = None
     if test is not None:
         parts = parted(records, held_out, horizon + 1)
         order, delay = _structure(records, parts, horizon, order, delay, direct)
         kinds = _kinds(method, order, parts, inputs)
-        tests = judged_tests(
+        every_test = tried_tests(
             records, (order, delay, direct), about, kinds, held_out, safety, lambda x: report(0.6 * x), biases
         )
+        tests = tuple(one.judged for one in every_test)
         picked = best_test(tests)
         horizon, lags, average, _ = picked.window
         method = picked.method
+        for one in every_test:
+            if one.complete:
+                proofs[one.judged.window] = partial(proved, one, records, safety)
+                if one.judged is picked:
+                    taken = one
     judge: Judge = WindowJudge()
     if observer is not None:
         judge = ObserverJudge({"method": observer})
@@ -287,6 +336,8 @@ def fit(
         best, walks, tradeoff = disturbed.trial, (disturbed.G, disturbed.walks), disturbed.rows
         sentences += disturbed.sentences
         safety = disturbed.safety
+    elif taken is not None:
+        best = taken.trial
     else:
         if observer is None and not follow:  # the proved test for the best of them alone
             kinds = [best_kind(problem, kinds, records, parts)]
@@ -298,20 +349,25 @@ def fit(
         sentences += constant
     chosen, smallest, left = best.candidate, best.bound, best.left
     means: np.ndarray | None = None
-    averaged: Means = {}
-    if average is not None:
+    bounds = judge
+    if taken is not None:
+        means, bounds = taken.means, GaugeJudge(every=True)
+    elif average is not None:
         explained = partial(explains, parts=records)
         model = LinearSystem(**chosen.spec)
         guess = searched_means(problem, best, average, records)
         means = smallest_means(
             model, smallest, average, explained, lambda share: report(0.8 + 0.1 * share), guess
         )
+    averaged: Means = {}
+    lowered: dict[str, dict[int, float]] = {}
+    if average is not None and means is not None:
         averaged = {i: (average, x) for i, x in enumerate(means) if x < AVERAGES * smallest[i]}
         sentences += [advice.no_average(x, average) for i, x in enumerate(outputs) if i not in averaged]
         lowered = {outputs[i]: {average: float(x)} for i, (_, x) in averaged.items()}
-        left = tuple(
-            one.under(judge, smallest, lowered, [part]) for one, part in zip(left, parts, strict=True)
-        )
+    if taken is not None or average is not None:
+        pairs = zip(left, parts, strict=True)
+        left = tuple(one.under(bounds, smallest, lowered, [part]) for one, part in pairs)
 
     # few digits are what a user reads in the model file: the model that is verified is the one that is saved
     spec = chosen.spec | {"ranges": input_ranges(records, inputs)}
@@ -350,7 +406,7 @@ def fit(
     )
     sentences += [*advice.limits(model, check, held_out), *advice.blind(model, check)]
     report(1.0)
-    return Fitted(model, dataclasses.replace(check, sentences=tuple(sentences)))
+    return Fitted(model, dataclasses.replace(check, sentences=tuple(sentences))), proofs
 
 
 def _refuse_signals(signals: str, inputs: str | Sequence[str] | None) -> None:

@@ -16,6 +16,7 @@ Source: Mehrotra 1992 (steps); Cheney 1966 (duality of approximation in the maxi
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -68,9 +69,9 @@ class Gauge(NamedTuple):
             x = x @ A.T + u[:, k] @ B.T
         return out
 
-    def largest(self, record: Record) -> np.ndarray:
+    def largest(self, record: Record, every: bool = False) -> np.ndarray:
         """Return (T,): of each complete window a lower bound on its factor, of the one that needs most its
-        factor; nan elsewhere.
+        factor; nan elsewhere. every: of each its factor.
         """
         u, y, starts = record
         first = complete_windows(u, y, starts, self.horizon)
@@ -82,7 +83,7 @@ class Gauge(NamedTuple):
         order = np.argsort(-most)
         for begin in range(0, len(order), BATCH):
             some = order[begin : begin + BATCH]
-            level = least.max()
+            level = 0.0 if every else least.max()
             some = some[most[some] > level]
             if not len(some):
                 break
@@ -257,10 +258,15 @@ def _reach(values: np.ndarray, change: np.ndarray) -> np.ndarray:
     return np.asarray(np.minimum(shrinking.min((0, 2)), 1.0))
 
 
+@dataclass(frozen=True)
 class GaugeJudge(Judge):
     """Windows as a search in floats sees them: to choose by, not to prove. Incomplete windows do not count,
     and of all but the tightest a need is a lower bound.
+
+    Fields: every: whether each need is searched for, not the largest alone.
     """
+
+    every: bool = False
 
     def least(self, model: LinearSystem) -> int:
         """Return the samples of a window."""
@@ -269,7 +275,7 @@ class GaugeJudge(Judge):
     def needs(self, model: LinearSystem, parts: Records) -> list[np.ndarray]:
         """Return the need of the tightest window of each recording, and lower bounds on the others."""
         gauge = gauge_of(model)
-        return [gauge.largest(part) for part in parts]
+        return [gauge.largest(part, self.every) for part in parts]
 
     def shares(self, model: LinearSystem, parts: Records) -> tuple[bool, list[np.ndarray]]:
         """Return (whether every window is explained, as far as floats say, what `needs` returns)."""

@@ -15,6 +15,7 @@ from jaxbound.models.faults import Fault
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.parity import ParityRelation, parity_relations
 from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.sets.floats.kernel import outside_xla
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.identification.records import Records
 from jaxbound.studies.identification.regression import Scales
@@ -22,6 +23,8 @@ from jaxbound.studies.tuning.observer_tuning import observer_scale
 
 __all__ = ["Judge", "ObserverJudge", "Sizes", "WindowJudge", "explains"]
 
+FEW = 1_024
+"""Samples up to which a search is proved in NumPy: that takes a millisecond each, compiling it 5 s."""
 Windows = ParityRelation | UncertainRelations
 Sizes = dict[str, float]
 """{output: size}."""
@@ -57,7 +60,18 @@ class Judge(ABC):
 
 @dataclass(frozen=True)
 class WindowJudge(Judge):
-    """The joint test of the windows of the model: horizon or lags."""
+    """The joint test of the windows of the model: horizon or lags.
+
+    Fields: kept: the relations of the model that was judged last.
+    """
+
+    kept: dict[LinearSystem, Windows] = field(default_factory=dict, repr=False, compare=False)
+
+    def _relations(self, model: LinearSystem) -> Windows:
+        if model not in self.kept:
+            self.kept.clear()
+            self.kept[model] = parity_relations(model)
+        return self.kept[model]
 
     def least(self, model: LinearSystem) -> int:
         """Return the samples of a window."""
@@ -66,11 +80,11 @@ class WindowJudge(Judge):
 
     def needs(self, model: LinearSystem, parts: Records) -> list[np.ndarray]:
         """Return the need of each window."""
-        return [need for _, need in _tested(parity_relations(model), parts)]
+        return [need for _, need in _tested(self._relations(model), parts)]
 
     def shares(self, model: LinearSystem, parts: Records) -> tuple[bool, list[np.ndarray]]:
         """Return (whether every window is CONSISTENT, the need of each)."""
-        verdicts = _tested(parity_relations(model), parts)
+        verdicts = _tested(self._relations(model), parts)
         return _all_consistent(verdicts), [need for _, need in verdicts]
 
     def sizes(self, model: LinearSystem, scales: Scales) -> tuple[Sizes, Sizes]:
@@ -83,7 +97,9 @@ class WindowJudge(Judge):
         u = None
         if model.m:
             u = np.broadcast_to(np.array(model.offset["u"], float), (2, p, count, model.m))
-        margin = detect(parity_relations(model), u, y, margins="exact").margin[..., -1]
+        relations = self._relations(model)
+        with outside_xla(relations.searched):
+            margin = detect(relations, u, y, margins="exact").margin[..., -1]
         with np.errstate(divide="ignore"):  # a need grows with the size; healthy noise takes 1 of it
             sizes = np.where(1 - margin > 1e-9, 2 * scales.y_spread / (1 - margin), np.inf)
         jump, steady = (dict(zip(model.outputs, row, strict=True)) for row in sizes.tolist())
@@ -146,11 +162,13 @@ def explains(relations: Windows, parts: Records) -> bool:
 def _tested(relations: Windows, parts: Records) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return (status, need) of each recording, (T,) each."""
     verdicts = []
+    few = relations.searched and sum(len(y) for _, y, _ in parts) < FEW
     for u, y, starts in parts:
         if len(y) <= relations.horizon:
             verdicts.append((np.zeros(len(y), np.int8), np.full(len(y), np.nan)))
             continue
-        result = detect(relations, _inputs(u), y, starts=starts, margins="exact")
+        with outside_xla(few):
+            result = detect(relations, _inputs(u), y, starts=starts, margins="exact")
         verdicts.append((result.status, 1 - result.margin))
     return verdicts
 

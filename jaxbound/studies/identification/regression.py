@@ -21,11 +21,12 @@ import numpy as np
 
 from jaxbound.recordings.seams import crossing
 from jaxbound.sets.floats.sizes import power
-from jaxbound.studies.identification.records import Records
+from jaxbound.studies.identification.records import Record, Records
 
 __all__ = [
     "Scales",
     "CompleteWindows",
+    "all_or_nothing",
     "coefficients",
     "complete_windows",
     "growth",
@@ -114,10 +115,26 @@ def complete_windows(u: np.ndarray, y: np.ndarray, starts: np.ndarray, horizon: 
     """Return the first samples of the windows of a recording that are complete and cross no seam."""
     if len(y) <= horizon:
         return np.zeros(0, int)
-    gone = np.isnan(u).any(1) | np.isnan(y).any(1)
-    before = np.append(0, np.cumsum(gone))
-    whole = before[horizon + 1 :] == before[: -horizon - 1]
+    gone = np.asarray(np.isnan(u).any(1) | np.isnan(y).any(1))
+    whole = _in_windows(gone, horizon) == 0
     return np.flatnonzero(whole & ~crossing(starts, horizon, horizon, len(y)))
+
+
+def all_or_nothing(record: Record, horizon: int) -> bool:
+    """Return whether each window of a recording that crosses no seam is complete, or without any output."""
+    u, y, starts = record
+    if len(y) <= horizon:
+        return True
+    touched = np.asarray(np.isnan(u).any(1) | np.isnan(y).any(1))
+    seen = np.asarray((~np.isnan(y)).any(1))
+    lacking, looked_at = _in_windows(touched, horizon) > 0, _in_windows(seen, horizon) > 0
+    return not (lacking & looked_at & ~crossing(starts, horizon, horizon, len(y))).any()
+
+
+def _in_windows(chosen: np.ndarray, horizon: int) -> np.ndarray:
+    """Return how many samples of each window are chosen, of (T,) bool."""
+    before = np.append(0, np.cumsum(chosen))
+    return np.asarray(before[horizon + 1 :] - before[: -horizon - 1])
 
 
 def least_squares(windows: CompleteWindows, order: int, direct: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -18,7 +18,7 @@ from jaxbound.studies.identification.gauge import GaugeJudge, gauge_of, seen_slo
 from jaxbound.studies.identification.left_out import LeftOut, Trial, tried, widest
 from jaxbound.studies.identification.means import LOOSE, lowered
 from jaxbound.studies.identification.records import Records, parted
-from jaxbound.studies.identification.regression import complete_windows
+from jaxbound.studies.identification.regression import all_or_nothing, complete_windows
 from jaxbound.studies.identification.sizes import blindness
 from jaxbound.text.progress import reporter
 
@@ -27,11 +27,12 @@ __all__ = [
     "RAMP",
     "WINDOWS",
     "JudgedTest",
+    "TriedTest",
     "WindowChoice",
     "best_kind",
     "best_test",
-    "judged_tests",
     "searched_means",
+    "tried_tests",
 ]
 
 AVERAGES = 0.95
@@ -105,6 +106,20 @@ class JudgedTest(NamedTuple):
     ramp: Mapping[str, float] = {}
 
 
+class TriedTest(NamedTuple):
+    """A JudgedTest with the fits behind it.
+
+    Fields: judged: the test. trial: of its windows, without averages. means (p,): the smallest bounds of
+    means, None without. complete: whether windows that lack samples were none; else floats did not look at
+    them.
+    """
+
+    judged: JudgedTest
+    trial: Trial
+    means: np.ndarray | None
+    complete: bool
+
+
 def best_test(tests: Sequence[JudgedTest]) -> JudgedTest:
     """Return the test that sees the smallest errors, the first one of equals."""
     return min(tests, key=_blindness)
@@ -112,6 +127,10 @@ def best_test(tests: Sequence[JudgedTest]) -> JudgedTest:
 
 def _blindness(test: JudgedTest) -> float:
     return test.blindness
+
+
+def _blindness_tried(test: TriedTest) -> float:
+    return test.judged.blindness
 
 
 def best_kind(problem: FitProblem, kinds: Sequence[str], records: Records, parts: Records) -> str:
@@ -123,7 +142,7 @@ def best_kind(problem: FitProblem, kinds: Sequence[str], records: Records, parts
     return min(found, key=found.__getitem__)
 
 
-def judged_tests(
+def tried_tests(
     records: Records,
     structure: tuple[int, int, bool],
     about: Mapping[str, Any],
@@ -132,8 +151,8 @@ def judged_tests(
     safety: float,
     step: Callable[[float], object],
     wanted: Mapping[str, float],
-) -> tuple[JudgedTest, ...]:
-    """Return the JudgedTest of each of WINDOWS that recordings are long enough for, by its best kind.
+) -> tuple[TriedTest, ...]:
+    """Return the TriedTest of each of WINDOWS that recordings are long enough for, by its best kind.
 
     Args:
         structure: (order, delay, direct), see `fit`. about: arguments of a LinearSystem beside its matrices
@@ -145,7 +164,7 @@ def judged_tests(
     """
     order, delay, direct = structure
     problems: dict[int, FitProblem] = {}
-    tests: list[JudgedTest] = []
+    tests: list[TriedTest] = []
     refusal: ValueError | None = None
     can_leave = bool(parted(records, held_out, WINDOWS[0].horizon + 1))
     for number, window in enumerate(WINDOWS):
@@ -165,7 +184,7 @@ def judged_tests(
         except ValueError as e:  # too few samples for windows that are so long
             refusal = refusal or e
         if found:
-            tests.append(best_test(found))
+            tests.append(min(found, key=_blindness_tried))
         step((number + 1) / len(WINDOWS))
     if not tests:
         raise refusal or ValueError(
@@ -176,14 +195,15 @@ def judged_tests(
 
 def _judged(
     problem: FitProblem, window: WindowChoice, kind: str, records: Records, parts: Records, safety: float
-) -> list[JudgedTest]:
-    """Return the JudgedTest of one of KINDS; none where no error averages out."""
+) -> list[TriedTest]:
+    """Return the TriedTest of one of KINDS; none where no error averages out."""
     trial = tried(problem, kind, records, parts)
     left: tuple[LeftOut, ...] = trial.left
     means: dict[str, dict[int, float]] = {}
+    smallest: np.ndarray | None = None
     if window.average is not None:
-        found = searched_means(problem, trial, window.average, records)
-        outputs = zip(problem.about["outputs"], found.tolist(), trial.bound, strict=True)
+        smallest = searched_means(problem, trial, window.average, records)
+        outputs = zip(problem.about["outputs"], smallest.tolist(), trial.bound, strict=True)
         means = {name: {window.average: x} for name, x, b in outputs if x < AVERAGES * b}
         if not means:
             return []
@@ -193,19 +213,19 @@ def _judged(
     wider = {name: {n: factor * x for n, x in own.items()} for name, own in means.items()}
     model = trial.candidate.model(factor * trial.bound).replace(averages=wider)
     jump, steady = problem.judge.sizes(model, problem.scales)
-    return [
-        JudgedTest(
-            window,
-            kind,
-            factor,
-            dict(zip(model.outputs, trial.bound.tolist(), strict=True)),
-            {name: x for name, own in means.items() for x in own.values()},
-            _times(jump, safety),
-            _times(steady, safety),
-            blindness(problem.judge, model, problem.scales, problem.spans),
-            _times(seen_slopes(model, problem.scales), RAMP * safety),
-        )
-    ]
+    judged = JudgedTest(
+        window,
+        kind,
+        factor,
+        dict(zip(model.outputs, trial.bound.tolist(), strict=True)),
+        {name: x for name, own in means.items() for x in own.values()},
+        _times(jump, safety),
+        _times(steady, safety),
+        blindness(problem.judge, model, problem.scales, problem.spans),
+        _times(seen_slopes(model, problem.scales), RAMP * safety),
+    )
+    complete = all(all_or_nothing(record, problem.horizon) for record in records)
+    return [TriedTest(judged, trial, smallest, complete)]
 
 
 def _times(sizes: Mapping[str, float], factor: float) -> dict[str, float]:
