@@ -36,8 +36,7 @@ class FitProblem:
         order, delay, direct: see `fit`. horizon: of the windows that a regression looks at.
         about: arguments of a LinearSystem beside its matrices. judge: the test that bounds are found for.
         wanted: sizes of the faults that are wanted, by output: bounds are in their ratio.
-        room: windows that every candidate's arrays hold, so that a fit to a part of the recordings compiles
-            nothing new. fits: those that `fitted` found, by kind and by the number that was left out.
+        fits: those that `fitted` found, by kind and by the number that was left out.
     """
 
     scales: Scales
@@ -48,7 +47,6 @@ class FitProblem:
     direct: bool
     about: dict[str, Any]
     judge: Judge
-    room: int
     wanted: Mapping[str, float] = field(default_factory=dict)
     fits: "dict[tuple[str, int | None], Candidate]" = field(default_factory=dict)
 
@@ -83,10 +81,9 @@ class FitProblem:
     ) -> "FitProblem":
         """Return the FitProblem of fitting to all of these recordings."""
         scales = regression.scales_of(records)
-        room = len(regression.windows_of(records, scales, horizon, regression.MOST).y)
         y = np.concatenate([r[1] for r in records])
         spans = tuple(np.nanmax(y, axis=0) - np.nanmin(y, axis=0))
-        return cls(scales, spans, order, delay, horizon, direct, about, judge, room, wanted or {})
+        return cls(scales, spans, order, delay, horizon, direct, about, judge, wanted or {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,9 +116,9 @@ def candidate(problem: FitProblem, records: Records, kind: str) -> Candidate:
     else:
         theta, _ = regression.least_squares(steps, order, direct)
         if kind == "windows":
-            theta, spread = regression.refined(theta, windows, order, direct, problem.room)
+            theta, spread = regression.refined(theta, windows, order, direct)
         else:
-            spread = regression.window_spread(theta, windows, order, direct, problem.room)
+            spread = regression.window_spread(theta, windows, order, direct)
         spec, spread = realised(theta, scales, order, direct, m, p), spread * scales.y_spread
     largest = np.nanmax(np.abs(np.concatenate([y for _, y, _ in records])), axis=0)
     spread = np.maximum(spread, EXACT * largest)  # where all fits exactly

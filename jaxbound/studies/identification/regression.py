@@ -12,15 +12,11 @@ matter.
 """
 
 from dataclasses import dataclass
-from functools import partial
-from typing import TypeAlias
+from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.recordings.seams import crossing
-from jaxbound.sets.floats.sizes import power
 from jaxbound.studies.identification.records import Record, Records
 
 __all__ = [
@@ -39,11 +35,10 @@ __all__ = [
     "windows_of",
 ]
 
-Array: TypeAlias = jax.Array | np.ndarray
 STEPS, SETTLED = 60, 1e-6
 """Steps of the refinement at most, and the relative gain of one after which it ends."""
-LEAST, MOST = 128, 1_024
-"""Windows that the refinement is compiled for and looks at: of longer recordings, this many spread evenly."""
+MOST = 1_024
+"""Windows that the refinement looks at: of longer recordings, this many spread evenly."""
 
 
 @dataclass(frozen=True)
@@ -172,97 +167,126 @@ def information(records: Records, scales: Scales, order: int, direct: bool) -> n
 
 
 def coefficients(
-    theta: Array, order: int, direct: bool, m: int, p: int
-) -> tuple[list[Array], list[Array], Array, Array]:
+    theta: np.ndarray, order: int, direct: bool, m: int, p: int
+) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray, np.ndarray]:
     """Return (A_1.., B_1.., D, c): lists of (p, p) and (p, m), (p, m), (p,)."""
     A = [theta[i * p : (i + 1) * p].T for i in range(order)]
     rest = theta[order * p :]
     B = [rest[i * m : (i + 1) * m].T for i in range(order + direct)]
-    D: Array = np.zeros((p, m))
+    D = np.zeros((p, m))
     if direct:
         D, *B = B
     return A, B, D, theta[-1]
 
 
-@partial(jax.jit, static_argnames=("order", "direct"))
+class _Responses(NamedTuple):
+    """Windows of a model whose first state is 0, and what a first state adds.
+
+    Fields: through (s + 1, p, s + 1, p): from an entry of the recursion at one sample to the outputs at
+    another; driven (N, s + 1, p): the outputs by inputs and constant; free (s + 1, p, n): columns of outputs.
+    """
+
+    through: np.ndarray
+    driven: np.ndarray
+    free: np.ndarray
+
+
+def _responses(theta: np.ndarray, u: np.ndarray, p: int, order: int, direct: bool) -> _Responses:
+    """Return the _Responses of windows u (N, s + 1, m)."""
+    count = u.shape[1]
+    A, B, D, c = coefficients(theta, order, direct, u.shape[2], p)
+    impulse = np.zeros((count + 1, p, p))  # the last one stays 0
+    impulse[0] = np.eye(p)
+    for k in range(1, count):
+        for lag, a in enumerate(A[:k], 1):
+            impulse[k] += a @ impulse[k - lag]
+    later = np.arange(count)[:, None] - np.arange(count)
+    through = impulse[np.where(later >= 0, later, count)].transpose(0, 2, 1, 3)
+    enters = u @ D.T
+    for lag, b in enumerate(B, 1):
+        enters[:, lag:] += u[:, :-lag] @ b.T
+    enters[:, 1:] += c
+    driven = (enters.reshape(len(u), -1) @ through.reshape(count * p, -1).T).reshape(len(u), count, p)
+    # what a state waits for enters at the first samples, one after the other
+    free = through[:, :, :order].reshape(count, p, order * p)
+    return _Responses(through, driven, free)
+
+
 def _residuals(
-    theta: Array, u: Array, y: Array, there: Array, weight: Array, order: int, direct: bool
-) -> jax.Array:
+    theta: np.ndarray, u: np.ndarray, y: np.ndarray, weight: np.ndarray, order: int, direct: bool
+) -> np.ndarray:
     """Return the residual (N, (s + 1) p) of the best first state, times weight (p,).
 
     Windows are u (N, s + 1, m), y (N, s + 1, p).
-
-    there (N,): 1, or 0 for a window that only fills the array up.
     """
-    N, count, p = y.shape
-    A, B, D, c = coefficients(theta, order, direct, u.shape[2], p)
-    states = order * p
-
-    def units(x: Array) -> jax.Array:
-        """Return x with columns of their own: each unit of the first state, alone."""
-        return jnp.pad(x, ((0, 0),) * (x.ndim - 1) + ((0, states),))
-
-    constant = c[:, None] * units(there)[None]
-
-    def step(x: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        yk, uk = now  # x (order, p, N + states): x[i] waits i samples to be added
-        out = x[0] + _times_unrolled(D, uk)
-        later = jnp.concatenate([x[1:], jnp.zeros_like(x[:1])])
-        added = []
-        for i in range(order):
-            moved = _times_unrolled(A[i], out) + _times_unrolled(B[i], uk)
-            added.append(moved + (constant if i == 0 else 0.0))
-        return later + jnp.stack(added), yk - out
-
-    start = jnp.concatenate([jnp.zeros((order, p, N)), jnp.eye(states).reshape(order, p, states)], 2)
-    samples = units(jnp.transpose(y, (1, 2, 0))), units(jnp.transpose(u, (1, 2, 0)))
-    _, left = jax.lax.scan(step, start, samples)
-    left = (left * weight[None, :, None]).reshape(count * p, N + states)
-    e = (left[:, :N] * there[None]).T
-    Q = _orthonormal(left[:, N:])
-    return e - (e @ Q) @ Q.T
+    with np.errstate(over="ignore", invalid="ignore"):  # a model that explodes is not taken
+        responses = _responses(theta, u, y.shape[2], order, direct)
+        left = ((y - responses.driven) * weight).reshape(len(y), -1)
+        Q, _ = np.linalg.qr((responses.free * weight[:, None]).reshape(left.shape[1], -1))
+        return np.asarray(left - (left @ Q) @ Q.T)
 
 
-def _times_unrolled(M: Array, v: jax.Array) -> jax.Array:
-    """Return M v of a small matrix and long vectors, of which a dot is ten times slower here."""
-    return jnp.sum(M[:, :, None] * v[None], 1)
-
-
-def _orthonormal(M: jax.Array) -> jax.Array:
-    """Return orthonormal columns that span those of M, which are independent: a first state is what the first
-    samples show of it.
-
-    Without LAPACK, for whose sake jax imports SciPy: that takes longer than a fit.
-    """
-
-    def step(Q: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
-        i, v = now
-        for _ in range(2):  # twice is enough (Kahan, Parlett)
-            v = v - Q @ (v @ Q)
-        return Q.at[:, i].set(v / jnp.sqrt(jnp.sum(v * v))), None
-
-    return jax.lax.scan(step, jnp.zeros_like(M), (jnp.arange(M.shape[1]), M.T))[0]
-
-
-@partial(jax.jit, static_argnames=("order", "direct"))
 def _slopes(
-    theta: Array, u: Array, y: Array, there: Array, weight: Array, order: int, direct: bool
-) -> tuple[jax.Array, jax.Array]:
+    theta: np.ndarray, u: np.ndarray, y: np.ndarray, weight: np.ndarray, order: int, direct: bool
+) -> tuple[np.ndarray, np.ndarray]:
     """Return (J'J, J'e) of the residuals e and their slopes J: what a step needs, small whatever the number
     of windows.
+
+    With r = e + O x, x the best first state, P = I - Q Q' and O = Q R, the slopes of e = P r are
+
+        de = P (dr - dO x) - Q R^-T dO' e
+
+    of which the first part is orthogonal to the second, and e to it. An entry of theta acts on the outputs
+    through the recursion, by the regressor that it multiplies. Source: Golub, Pereyra 1973.
     """
+    N, count, p = y.shape
+    through, driven, free = _responses(theta, u, p, order, direct)
+    n = free.shape[2]
+    left = ((y - driven) * weight).reshape(N, -1)
+    Q, R = np.linalg.qr((free * weight[:, None]).reshape(count * p, n))
+    e = left - (left @ Q) @ Q.T
+    state = np.linalg.solve(R, (left @ Q).T)
+    fitted = driven + (state.T @ free.reshape(-1, n).T).reshape(y.shape)
+    regressors = _of_each_sample(fitted, u, order, direct)
+    own = _of_each_sample(free.transpose(2, 0, 1), np.zeros((n, count, 0)), order, direct)[:, :, :n]
+    weighted = through * weight[:, None, None]
+    moved = weighted.transpose(3, 0, 1, 2).reshape(p, count * p, count)  # by an entry of each output
+    moved_out = moved - Q @ (Q.T @ moved)
+    width = regressors.shape[2]
+    rows = regressors.reshape(-1, width)
+    H, g = np.zeros((width, p, width, p)), np.zeros((width, p))
+    turned = np.zeros((p, n, N, n))
+    for a in range(p):
+        toward = e @ moved[a]
+        g[:, a] = -toward.ravel() @ rows
+        pulled = np.tensordot(own, toward, (1, 1)).reshape(n, -1)
+        turned[a] = np.linalg.solve(R.T, pulled).reshape(n, n, N).swapaxes(1, 2)
+        for b in range(a + 1):
+            both = (moved_out[a].T @ moved_out[b]) @ regressors
+            H[:, a, :, b] = rows.T @ both.reshape(-1, width)
+            H[:n, a, :n, b] += turned[a].reshape(-1, n).T @ turned[b].reshape(-1, n)
+            H[:, b, :, a] = H[:, a, :, b].T
+    return H.reshape(width * p, -1), g.ravel()
 
-    def twice(theta: Array) -> tuple[jax.Array, jax.Array]:
-        e: jax.Array = _residuals(theta, u, y, there, weight, order, direct)
-        return e, e
 
-    J, e = jax.jacfwd(twice, has_aux=True)(theta)
-    J = J.reshape(e.size, theta.size)
-    return J.T @ J, J.T @ e.ravel()
+def _of_each_sample(y: np.ndarray, u: np.ndarray, order: int, direct: bool) -> np.ndarray:
+    """Return the regressors (N, s + 1, rows of theta) of each sample of windows, 0 before their first one."""
+    past = [_delayed(y, lag) for lag in range(1, order + 1)]
+    past += [_delayed(u, lag) for lag in range(not direct, order + 1)]
+    constant = np.ones((*y.shape[:2], 1))
+    constant[:, 0] = 0
+    return np.concatenate([*past, constant], 2)
+
+
+def _delayed(x: np.ndarray, lag: int) -> np.ndarray:
+    """Return samples (N, s + 1, n) that much later, 0 before the first one."""
+    moved = np.zeros_like(x)
+    moved[:, lag:] = x[:, : x.shape[1] - lag]
+    return moved
 
 
 def refined(
-    theta: np.ndarray, windows: CompleteWindows, order: int, direct: bool, room: int = 0
+    theta: np.ndarray, windows: CompleteWindows, order: int, direct: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (theta, spread): coefficients that minimise the window residuals, each output weighed by its own
     spread (p,).
@@ -271,49 +295,28 @@ def refined(
     output error method over s + 1 samples.
 
     Args:
-        theta: where to begin, from `least_squares`. windows: of s + 1 samples. room: at least so many
-            windows share a compilation.
+        theta: where to begin, from `least_squares`. windows: of s + 1 samples.
     """
-    filled = _filled(windows, room)
-    spread = window_spread(theta, windows, order, direct, room)
+    spread = window_spread(theta, windows, order, direct)
     for _ in range(2):  # the spreads are those of the result before
-        theta = _marquardt(theta, filled, 1 / spread, order, direct)
-        spread = window_spread(theta, windows, order, direct, room)
+        theta = _marquardt(theta, windows, 1 / spread, order, direct)
+        spread = window_spread(theta, windows, order, direct)
     return theta, spread
 
 
-def window_spread(
-    theta: np.ndarray, windows: CompleteWindows, order: int, direct: bool, room: int = 0
-) -> np.ndarray:
+def window_spread(theta: np.ndarray, windows: CompleteWindows, order: int, direct: bool) -> np.ndarray:
     """Return the root mean square (p,) of the window residuals of each output, standardised, each output
     weighed alike.
     """
-    own = window_residuals(theta, windows, order, direct, room)
+    own = window_residuals(theta, windows, order, direct)
     spread = np.sqrt((own**2).mean((0, 1)))
     return np.maximum(np.where(np.isfinite(spread), spread, 1.0), 1e-9)
 
 
-def window_residuals(
-    theta: np.ndarray, windows: CompleteWindows, order: int, direct: bool, room: int = 0
-) -> np.ndarray:
-    """Return the window residuals (N, s + 1, p), standardised, each output weighed alike; room: as of
-    `refined`.
-    """
-    u, y, there = _filled(windows, room)
-    left = np.asarray(_residuals(theta, u, y, there, np.ones(y.shape[2]), order, direct))
-    return left[: len(windows.y)].reshape(windows.y.shape)
-
-
-def _filled(windows: CompleteWindows, room: int) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return (u, y, there), filled up to a power of two of windows, at least `room`: few sizes, few
-    compilations.
-    """
-    more = power(max(len(windows.y), LEAST, room)) - len(windows.y)
-    filled = []
-    for x in (windows.u, windows.y, np.ones(len(windows.y))):
-        filled.append(jax.device_put(np.concatenate([x, np.zeros((more, *x.shape[1:]))])))
-    u, y, there = filled
-    return u, y, there
+def window_residuals(theta: np.ndarray, windows: CompleteWindows, order: int, direct: bool) -> np.ndarray:
+    """Return the window residuals (N, s + 1, p), standardised, each output weighed alike."""
+    left = _residuals(theta, windows.u, windows.y, np.ones(windows.y.shape[2]), order, direct)
+    return left.reshape(windows.y.shape)
 
 
 def growth(theta: np.ndarray, order: int) -> float:
@@ -328,7 +331,7 @@ def growth(theta: np.ndarray, order: int) -> float:
 
 def _marquardt(
     theta: np.ndarray,
-    windows: tuple[jax.Array, jax.Array, jax.Array],
+    windows: CompleteWindows,
     weight: np.ndarray,
     order: int,
     direct: bool,
@@ -336,14 +339,14 @@ def _marquardt(
     """Return coefficients that minimise the squares of weighted residuals, from some others on."""
 
     def cost_of(theta: np.ndarray) -> np.floating:
-        left = np.asarray(_residuals(theta, *windows, weight, order, direct))
+        left = _residuals(theta, windows.u, windows.y, weight, order, direct)
         cost: np.floating = np.square(left).sum()
         return cost
 
     cost, damping = cost_of(theta), 1e-3
     limit = max(1.0, growth(theta, order))  # no faster growth than the data asked for one step ahead
     for _ in range(STEPS):
-        H, g = (np.asarray(x) for x in _slopes(theta, *windows, weight, order, direct))
+        H, g = _slopes(theta, windows.u, windows.y, weight, order, direct)
         size = np.diag(H) + 1e-9 * np.trace(H) / len(H)
         for _ in range(12):
             trial = theta - np.linalg.solve(H + damping * np.diag(size), g).reshape(theta.shape)

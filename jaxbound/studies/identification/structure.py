@@ -170,7 +170,7 @@ class _Trained:
             trained = self._fitted(others, scales)
             windows = self._windows(own, scales)
             if trained is not None and len(windows.y):
-                left = regression.window_residuals(trained, windows, self.order, self.direct, ROOM)
+                left = regression.window_residuals(trained, windows, self.order, self.direct)
                 largest.append(np.abs(left).max((0, 1)))
         spans = np.nanmax(y, axis=0) - np.nanmin(y, axis=0)
         return self._seen(theta, np.max(largest, 0), spans / scales.y_spread)
@@ -189,7 +189,7 @@ class _Trained:
             return None
         theta, _ = regression.least_squares(steps, self.order, self.direct)
         if self.is_refined:
-            theta, _ = regression.refined(theta, windows, self.order, self.direct, ROOM)
+            theta, _ = regression.refined(theta, windows, self.order, self.direct)
         return theta
 
     def _seen(self, theta: np.ndarray, bound: np.ndarray, spans: np.ndarray) -> float:
@@ -204,7 +204,7 @@ class _Trained:
         windows = CompleteWindows(np.zeros((2 * p, count, m)), wrong, np.zeros(2 * p, int))
         alone = theta.copy()
         alone[-1] = 0  # the response to the error, without the constant
-        left = np.abs(regression.window_residuals(alone, windows, self.order, self.direct, ROOM)) / bound
+        left = np.abs(regression.window_residuals(alone, windows, self.order, self.direct)) / bound
         shown = np.maximum(left.max((1, 2)), 1e-12).reshape(2, p)
         return float(np.minimum(2 / shown, spans).sum())
 
