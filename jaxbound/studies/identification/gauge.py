@@ -23,6 +23,7 @@ import numpy as np
 
 from jaxbound.models.system import LinearSystem
 from jaxbound.studies.identification.judging import Judge, Sizes
+from jaxbound.studies.identification.one_thread import times
 from jaxbound.studies.identification.records import Record, Records
 from jaxbound.studies.identification.regression import Scales, complete_windows
 
@@ -56,8 +57,8 @@ class Gauge(NamedTuple):
         u, y, _ = record
         at = first[:, None] + np.arange(self.horizon + 1)
         left = y[at] - np.array(self.model.offset["y"], float) - self._driven(u[at])
-        rows = left.reshape(len(first), -1) @ self.over.T
-        return np.asarray(rows - (rows @ self.free) @ self.free.T)
+        rows = times(left.reshape(len(first), -1), self.over.T)
+        return np.asarray(rows - times(times(rows, self.free), self.free.T))
 
     def _driven(self, u: np.ndarray) -> np.ndarray:
         """Return the outputs (N, s + 1, p) of windows whose first state is 0, by inputs (N, s + 1, m)."""

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxbound.recordings.seams import crossing
+from jaxbound.studies.identification.one_thread import times
 from jaxbound.studies.identification.records import Record, Records
 
 __all__ = [
@@ -206,7 +207,7 @@ def _responses(theta: np.ndarray, u: np.ndarray, p: int, order: int, direct: boo
     for lag, b in enumerate(B, 1):
         enters[:, lag:] += u[:, :-lag] @ b.T
     enters[:, 1:] += c
-    driven = (enters.reshape(len(u), -1) @ through.reshape(count * p, -1).T).reshape(len(u), count, p)
+    driven = times(enters.reshape(len(u), -1), through.reshape(count * p, -1).T).reshape(len(u), count, p)
     # what a state waits for enters at the first samples, one after the other
     free = through[:, :, :order].reshape(count, p, order * p)
     return _Responses(through, driven, free)
@@ -223,7 +224,7 @@ def _residuals(
         responses = _responses(theta, u, y.shape[2], order, direct)
         left = ((y - responses.driven) * weight).reshape(len(y), -1)
         Q, _ = np.linalg.qr((responses.free * weight[:, None]).reshape(left.shape[1], -1))
-        return np.asarray(left - (left @ Q) @ Q.T)
+        return np.asarray(left - times(times(left, Q), Q.T))
 
 
 def _slopes(
@@ -244,8 +245,9 @@ def _slopes(
     n = free.shape[2]
     left = ((y - driven) * weight).reshape(N, -1)
     Q, R = np.linalg.qr((free * weight[:, None]).reshape(count * p, n))
-    e = left - (left @ Q) @ Q.T
-    state = np.linalg.solve(R, (left @ Q).T)
+    explained = times(left, Q)
+    e = left - times(explained, Q.T)
+    state = np.linalg.solve(R, explained.T)
     fitted = driven + (state.T @ free.reshape(-1, n).T).reshape(y.shape)
     regressors = _of_each_sample(fitted, u, order, direct)
     own = _of_each_sample(free.transpose(2, 0, 1), np.zeros((n, count, 0)), order, direct)[:, :, :n]
@@ -257,13 +259,13 @@ def _slopes(
     H, g = np.zeros((width, p, width, p)), np.zeros((width, p))
     turned = np.zeros((p, n, N, n))
     for a in range(p):
-        toward = e @ moved[a]
+        toward = times(e, moved[a])
         g[:, a] = -toward.ravel() @ rows
         pulled = np.tensordot(own, toward, (1, 1)).reshape(n, -1)
         turned[a] = np.linalg.solve(R.T, pulled).reshape(n, n, N).swapaxes(1, 2)
         for b in range(a + 1):
-            both = (moved_out[a].T @ moved_out[b]) @ regressors
-            H[:, a, :, b] = rows.T @ both.reshape(-1, width)
+            both = times(moved_out[a].T, moved_out[b]) @ regressors
+            H[:, a, :, b] = (regressors.swapaxes(1, 2) @ both).sum(0)
             H[:n, a, :n, b] += turned[a].reshape(-1, n).T @ turned[b].reshape(-1, n)
             H[:, b, :, a] = H[:, a, :, b].T
     return H.reshape(width * p, -1), g.ravel()
