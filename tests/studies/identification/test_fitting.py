@@ -87,6 +87,15 @@ class TestRegression:
         np.testing.assert_array_equal(found.y, np.stack([y[k : k + 4] for k in whole]))
         np.testing.assert_array_equal(found.u, np.stack([u[k : k + 4] for k in whole]))
 
+    def test_windows_that_lack_some_samples_are_told_from_empty_ones(self, rng):
+        u, y, none = rng.normal(size=(30, 1)), rng.normal(size=(30, 2)), np.zeros(0, int)
+        assert regression.all_or_nothing((u, y, none), 3) and regression.all_or_nothing((u, y, none), 40)
+        y[10:20] = np.nan
+        assert not regression.all_or_nothing((u, y, none), 3)
+        assert regression.all_or_nothing((u, y, np.array([10, 20])), 3)
+        u[25] = np.nan
+        assert not regression.all_or_nothing((u, y, np.array([10, 20])), 3)
+
     def test_the_window_residual_is_what_the_best_first_state_leaves(self, rng):
         theta, u, y = rng.normal(size=(7, 2)) / 3, rng.normal(size=(4, 6, 1)), rng.normal(size=(4, 6, 2))
         A1, A2, B1, B2 = theta[:2].T, theta[2:4].T, theta[4:5].T, theta[5:6].T

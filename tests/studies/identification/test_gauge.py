@@ -92,6 +92,8 @@ def test_the_largest_factor_is_that_of_a_linear_program(window, mean, rng):
     assert np.nanmax(need) == pytest.approx(max(factors), rel=1e-7)
     assert np.nanargmax(need) == 7 + np.argmax(factors)
     assert (need[counted] <= np.array(factors) * (1 + 1e-9)).all()
+    (each,) = GaugeJudge(every=True).needs(model, [(u, y, np.array([15]))])
+    np.testing.assert_allclose(each[counted], factors, rtol=1e-7)
 
 
 def test_sizes_are_those_of_the_proved_test(rng):

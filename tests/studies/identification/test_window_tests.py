@@ -41,6 +41,18 @@ def test_the_test_that_sees_the_smallest_errors_is_taken_and_proved(rng):
         assert counts["FAULT"] == counts["UNDECIDED"] == 0
 
 
+def test_windows_that_lack_samples_count_in_the_bounds_of_the_test_that_is_taken(rng):
+    records = [recorded(rng), recorded(rng)]
+    u, y = records[0]
+    y[40], y[44] = y[40] + 2, np.nan
+    model = jb.fit(records, order=1, test="auto", method="least squares")
+    (best,) = [test for test in model.check.tests if test.blindness == best_test(model.check.tests).blindness]
+    about = best.window.about | {"average": best.window.average}
+    alone = jb.fit(records, order=1, method="least squares", **about)
+    assert (model.A, model.noise, model.averages) == (alone.A, alone.noise, alone.averages)
+    assert model.check.held_out == pytest.approx(alone.check.held_out)
+
+
 def test_each_test_has_the_factor_of_a_fit_for_it(rng):
     records = [recorded(rng), recorded(rng)]
     tests = jb.fit(records, order=1, test="auto", method="least squares").check.tests
