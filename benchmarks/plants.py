@@ -62,7 +62,7 @@ UNIT = (
     "Tmix=`AHU: Mixed Air Temperature`,Tret=`AHU: Return Air Temperature`",
     "--outputs",
     f"flow={FAN}*(`{SUPPLY}`-`AHU: Mixed Air Temperature`)",
-    *("--order", 2, "--direct", "--horizon", 30),
+    *("--order", 2, "--direct"),
     *("--where", f"`{OCCUPIED}`==1 and `AHU: Supply Air Fan Status`==1"),
 )
 
