@@ -65,6 +65,7 @@ def drawing(width, height, label, parts):
 
 
 TREE = (
+    ("several of these, or who knows", "a monitor of several tests", "jaxbound fit ... --out plant.toml"),
     ("a jump", "windows of 16 samples", "fit ... --horizon 15"),
     ("an error that lasts", "longer windows, with bounds on means", "fit ... --horizon 30 --average 8"),
     ("a slow drift", "lags, as far back as the plant remembers", "fit ... --lags 0,1,2,4,8,16,32,60"),
@@ -73,7 +74,6 @@ TREE = (
         "an observer: everything since the start",
         "detect ... --method observer",
     ),
-    ("several of these", "a monitor of several tests", "fit ..."),
 )
 """(fault, test, command) of each box."""
 
