@@ -427,24 +427,28 @@ def _least(h: Vector, shift: Row, widths: Row, spread: Row) -> Fraction | None:
 
 
 def window_shift(
-    model: LinearSystem, signal: str, s: int, reach: Sequence[Fraction]
+    model: LinearSystem, signal: str, s: int, reach: Sequence[Fraction], lags: tuple[int, ...] | None = None
 ) -> tuple[list[Fraction], list[Fraction], list[Fraction]]:
-    """Return for each row of a window: its shift by a fault of size 1, twice its half-width, and what the
-    fault adds to that.
+    """Return for each row that a window looks at: its shift by a fault of size 1, twice its half-width, and
+    what the fault adds to that.
     """
-    rows = window.window_rows(model, s)
-    widths = row_widths(model, rows, reach)
+    rows = window.window_rows(model, s, lags)
+    every = row_widths(model, rows, reach)
+    widths = [every[i] for i in rows.seen]
+    shift = []
     if signal not in model.outputs:
         K = window.unknowns(model, s)[1]
         driven = model.inputs.index(signal)
-        return [sum(row[driven :: model.m], ZERO) for row in K], widths, [ZERO] * len(widths)
-    i = model.outputs.index(signal)
-    stretch = 1 / (1 - model.tolerance[i] ** 2)
-    shift = []
-    for row in rows:
-        moved = [x.weight for x in rows.terms(row) if x.measured and x.number == i]
-        shift.append(stretch * sum(moved, ZERO))
-    return shift, widths, [model.tolerance[i] * x for x in shift]
+        for i in rows.seen:
+            moved = K[i][driven :: model.m]
+            shift.append(dot(moved, [1] * len(moved)))
+        return shift, widths, [ZERO] * len(widths)
+    j = model.outputs.index(signal)
+    stretch = 1 / (1 - model.tolerance[j] ** 2)
+    for i in rows.seen:
+        weights = [x.weight for x in rows.terms(rows.all[i]) if x.measured and x.number == j]
+        shift.append(stretch * sum(weights, ZERO))
+    return shift, widths, [model.tolerance[j] * x for x in shift]
 
 
 def row_widths(model: LinearSystem, rows: WindowRows, reach: Sequence[Fraction]) -> list[Fraction]:
@@ -483,7 +487,7 @@ def _size(
     """
     E = window.unknowns(model, s)[0]
     looked_at = window.window_rows(model, s, lags).seen
-    shift, widths, spread = ([x[i] for i in looked_at] for x in window_shift(model, signal, s, reach))
+    shift, widths, spread = window_shift(model, signal, s, reach, lags)
     space = subspace([E[i] for i in looked_at])
     best = chebyshev(space, shift, widths)
     if best.t == 0:

@@ -161,15 +161,15 @@ def _sizes(model: LinearSystem, lags: tuple[int, ...], reach: Vector) -> dict[st
     from scipy.sparse import csr_array, hstack, vstack
 
     s = lags[-1]
-    looked_at = list(window.window_rows(model, s, lags).seen)
+    looked_at = window.window_rows(model, s, lags).seen
     rows = window.unknowns(model, s)[0]
     E = np.array([rows[i] for i in looked_at], float)
     E = csr_array(E / np.maximum(np.abs(E).max(0, initial=0), 1e-300))  # of columns that grow out of reach
     cost, free = np.append(np.zeros(E.shape[1]), 1.0), [(None, None)] * E.shape[1] + [(0, None)]
     sizes = {}
     for name in model.outputs + model.inputs:
-        shift, widths, _ = window_shift(model, name, s, reach)
-        phi, width = np.array(shift, float)[looked_at], np.array(widths, float)[looked_at]
+        shift, widths, _ = window_shift(model, name, s, reach, lags)
+        phi, width = np.array(shift, float), np.array(widths, float)
         most = np.abs(phi).max(initial=0) or 1.0
         upper = vstack([hstack([sign * E, csr_array(-width[:, None])]) for sign in (1, -1)])
         t = linprog(cost, upper, np.concatenate([phi, -phi]) / most, bounds=free, method="highs").fun

@@ -174,6 +174,8 @@ def matmul(a: Rows, b: Rows) -> Matrix:
     """Return a b."""
     if any(len(r) != len(b) for r in a):
         raise ValueError(f"a row of {len(a[0])} numbers times a matrix of {len(b)} rows has no meaning")
+    if not a:  # the columns of a wide b are long to read
+        return ()
     columns = [integers(c) for c in transpose(b)]
     product = []
     for row, p in map(integers, a):
