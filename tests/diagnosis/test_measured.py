@@ -17,8 +17,8 @@ from jaxbound.sets.floats.status import Status
 T = 260
 GUST = MODELS["paper"] | dict(disturbance=([[0], [1]], 0.05))
 LONG = {
-    "plain": (MODELS["paper"], {"horizon": 14}, np.float64),
-    "float32": (MODELS["paper"], {"horizon": 14}, np.float32),
+    "plain": (MODELS["paper"], {"horizon": 20}, np.float64),
+    "float32": (MODELS["paper"], {"horizon": 20}, np.float32),
     "disturbed": (GUST, {"horizon": 6}, np.float64),
     "lags": (MODELS["paper"], {"lags": (0, 1, 2, 3, 4, 5, 6, 8, 10, 13, 16)}, np.float64),
 }
@@ -126,7 +126,7 @@ def test_few_windows_are_searched(monkeypatch):
 
 def test_results_say_which_margins_they_have():
     u, y = np.zeros((30, 1)), np.zeros((30, 2))
-    short, known = jb.parity_relations(paper(), 1), jb.parity_relations(paper(), 20)
+    short, known = jb.parity_relations(paper(), 1), jb.parity_relations(paper(), 14)
     kinds = {
         jb.detect(short, u, y).margins,
         jb.detect(short, u, y, method="box").margins,
