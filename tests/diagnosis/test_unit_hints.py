@@ -7,7 +7,7 @@ import jaxbound as jb
 from jaxbound.consistency import exchange, interface
 from jaxbound.diagnosis import units
 
-HORIZON, NIGHT = 40, 60
+HORIZON, NIGHT = 20, 60
 
 
 @pytest.fixture(scope="module")
