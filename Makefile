@@ -3,18 +3,22 @@ PYTHON ?= python3
 # where this is set, every process compiles every file again: a tenth of what the tests take
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test slow long lowest newest upcoming nightly lint docs bench clean
+.PHONY: demo test slow daily long lowest newest upcoming nightly lint docs bench clean
 
 demo: .venv/installed
 	.venv/bin/jaxbound demo --out demo-report
 
-# a file on one worker: its tests share what they compile, an eighth of the processor time
+# each worker begins with half of the files, in order, and takes over from one that has more left: neighbours share
+# what they compile, and none waits for the last file
 test: .venv/tested
-	.venv/bin/python -m pytest -n auto --dist loadfile
+	.venv/bin/python -m pytest -n auto --dist worksteal
 
-# their files are few and long: the last one would leave a worker idle for minutes
 slow: .venv/tested
 	.venv/bin/python -m pytest -n auto --dist worksteal -m slow
+
+# both at once: slow tests share what the others of their files compile
+daily: .venv/tested
+	.venv/bin/python -m pytest -n auto --dist worksteal -m "not long"
 
 long: .venv/tested
 	.venv/bin/python -m pytest -n auto --dist loadfile -m long $(WHERE)
