@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxbound.certificates.interface import WindowCertificate
 from jaxbound.consistency.claims import CLAIMED
-from jaxbound.consistency.interface import EXACT, Judged, Relations
+from jaxbound.consistency.interface import EXACT, Judged, Observer, Relations
 from jaxbound.consistency.monitorbank import BankVerdicts, MonitorBank, combined
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.alarms import Alarm
@@ -65,18 +65,22 @@ class MonitorResult(Result):
     def _result_of(self, number: int) -> Result:
         """Return the Result of one test."""
         bank: MonitorBank = self.relations
+        relations, before = bank.watches[number].relations, None
+        if bank.begun is not None:  # of one recording: it goes on behind another
+            before = bank.begun.modes
+            if isinstance(relations, Observer):
+                relations = relations.continued(bank.begun.tests[number])
         lead = self.status.shape[:-1]
         us, ys, seams = [], [], [np.zeros(0, np.int64)]
         for at in np.ndindex(*lead):
             u = np.asarray(self.u)[at]
             piece = Recording(u, np.asarray(self.y)[at], np.asarray(self.starts, np.int64))
-            seen = bank.seen_by(number, piece, bank.modes_of(u))
+            seen = bank.seen_by(number, piece, bank.modes_of(u), before)
             us.append(seen.u)
             ys.append(seen.y)
             seams.append(seen.starts)
         u, y = (np.stack(x).reshape(*lead, *x[0].shape) for x in (us, ys))
         starts = tuple(np.unique(np.concatenate(seams)).tolist())
-        relations = bank.watches[number].relations
         test = relations.test("joint", y.dtype)
         kind = EXACT
         if self.margins != EXACT:

@@ -67,6 +67,7 @@ class Result:
         device: the device that judged, in words that say whether it was examined; "": a CPU.
         outside_is: "fault", or "undecided": the word for FAULT outside the region of training, as given to
             `detect`.
+        known: how many of the first samples were judged in a recording before, and are MISSING here.
     """
 
     status: np.ndarray
@@ -82,6 +83,7 @@ class Result:
     device: str = field(default="", kw_only=True, repr=False)
     margins: str = field(default=EXACT, kw_only=True, repr=False)
     outside_is: str = field(default=CLAIMED, kw_only=True, repr=False)
+    known: int = field(default=0, kw_only=True, repr=False)
 
     def _head(self) -> str:
         counts = [f"{n} {name}" for name, n in self.counts.items() if n]

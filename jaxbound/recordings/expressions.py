@@ -20,7 +20,8 @@ from jaxbound.text.names import listed, quoted
 from jaxbound.text.units import same_unit, without_unit
 
 __all__ = """
-    CLOCK TIMES Expression derived expression fails find_column is_expression likely missing_column
+    CLOCK TIMES TIME_SINCE_START Expression derived expression fails find_column is_expression likely
+    missing_column
 """.split()
 
 TIMES = (

@@ -76,6 +76,7 @@ def write_report(
     relations, part = res.relations, isinstance(res, Digest)
     model = cast(LinearSystem, relations.model)  # a page is of a plant
     dtype = res.data.dtype if isinstance(res, Digest) else res.y.dtype
+    tested = cast(Evidence, summary.found)
     worst = summary.worst.sample if summary.worst else None
     chosen = sorted(range(len(alarms)), key=lambda i: _depth(alarms[i]))[:ROWS]
     why = _certified(res, alarms, chosen)
@@ -92,11 +93,12 @@ def write_report(
         title=TITLE[summary.verdict],
         sentence=summary.sentence,
         recording=recording,
-        samples=cast(Evidence, summary.found).samples,
+        samples=tested.samples,
         counts=summary.counts,
-        warm_up=relations.horizon,
+        warm_up=tested.warm_up,
+        horizon=relations.horizon,
         decided=summary.decided,
-        **_training(cast(Evidence, summary.found)),
+        **_training(tested),
         hints=summary.hints,
         extra=extra,
         charts=drawn,

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxbound.consistency.interface import Judged
 from jaxbound.consistency.monitorbank import NO, UNKNOWN, YES, MonitorBank
 from jaxbound.diagnosis.monitored import MonitorResult
 from jaxbound.diagnosis.result import Result
@@ -24,11 +25,13 @@ Section = tuple[str, None, str, list[tuple[object, ...]]]
 class _Watched(NamedTuple):
     """The counts of a monitor over a recording.
 
-    Fields: by_test: of each test. unwatched: the stretches without a verdict.
+    Fields: by_test: of each test. unwatched: the stretches without a verdict. known: how many samples before
+    the first that is counted.
     """
 
     by_test: CountsByTest
     unwatched: Unwatched
+    known: int = 0
 
 
 def monitor_sections(res: Result | Digest, label: Label) -> list[Section]:
@@ -42,28 +45,34 @@ def monitor_sections(res: Result | Digest, label: Label) -> list[Section]:
     if watched is None:
         return []
     bank: MonitorBank = res.relations  # type: ignore[assignment]  # it was watched
+
+    def fresh_label(k: int) -> str:
+        return label(watched.known + k)
+
     tests: Mapping[str, OfTest] = watched.by_test.tests()
     rows: list[tuple[object, ...]] = [
         ("test", "looks back over", "watches", *ORDER, "speaks", "first FAULT", "least margin")
     ]
     for watch in bank.watches:
-        rows.append((watch.name, watch.about, watch.when or "always", *_cells(tests[watch.name], label)))
+        cells = _cells(tests[watch.name], fresh_label)
+        rows.append((watch.name, watch.about, watch.when or "always", *cells))
     text = (
         "A sample is FAULT where any test proves it. The test that speaks is the one with the least margin, "
         "of those that prove a FAULT, else of all."
     )
     if bank.observes:
         text += " UNDECIDED of an observer is not refuted, which is what a healthy sample is."
-    return [("Tests", None, text, rows), _coverage(watched, bank, label)]
+    return [("Tests", None, text, rows), _coverage(watched, bank, fresh_label)]
 
 
 def _watched(res: Result | Digest) -> _Watched | None:
     """Return the counts of a monitor; None where another test judged."""
     if isinstance(res, MonitorResult):
-        counted, unwatched = CountsByTest(res.relations), Unwatched()
-        counted.take(np.asarray(res.u), res.statuses, res.test_margins, res.by)
-        unwatched.add(None, res)
-        return _Watched(counted, unwatched.finish())
+        counted, unwatched, fresh = CountsByTest(res.relations), Unwatched(), slice(res.known, None)
+        samples = np.asarray(res.u)[fresh], res.statuses[fresh], res.test_margins[fresh], res.by[fresh]
+        counted.take(*samples)
+        unwatched.add(None, Judged(res.status[fresh], res.margin[fresh]))
+        return _Watched(counted, unwatched.finish(), res.known)
     if isinstance(res, Digest) and res.by_test is not None and res.unwatched is not None:
         return _Watched(res.by_test, res.unwatched)
     return None

@@ -1,10 +1,10 @@
 """Continuations: the next recording of a unit goes on where the one before ended.
 
-Kept are the last samples, as many as a verdict waits for at the start, and of an observer what it carried
-before these. They come before the next recording, which is then judged as if it were one with all those
-before; verdicts of these samples, which were given already, are MISSING like any warm-up. What was kept
-before the last recording stays as well: the same recording again, of a run that was stopped or made twice, is
-judged as it was.
+Kept are the last samples, as many as a window has before its last one, and of an observer, or a monitor of
+several tests, what it carried before these. They come before the next recording, which is then judged as if
+it were one with all those before; verdicts of these samples, which were given already, are MISSING like any
+warm-up. What was kept before the last recording stays as well: the same recording again, of a run that was
+stopped or made twice, is judged as it was.
 """
 
 import re
@@ -13,21 +13,33 @@ from dataclasses import replace
 from hashlib import blake2b
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
 import jax
 import numpy as np
 
 from jaxbound.consistency.claims import CLAIMED, UNCLAIMED, unclaimed
-from jaxbound.consistency.interface import Judged, Observer, Relations
+from jaxbound.consistency.interface import (
+    AUTO,
+    Judged,
+    Observer,
+    Relations,
+    Verdicts,
+    window_count,
+    with_margins,
+)
+from jaxbound.consistency.monitorbank import BankVerdicts
 from jaxbound.consistency.searched import judging_device
 from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.estimation.observation import CarriedState
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.files.checkpoint import Checkpoint
 from jaxbound.models.region import Region
+from jaxbound.recordings.expressions import TIME_SINCE_START, expression, is_expression
+from jaxbound.recordings.factors import factors_of
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.seams import TOLERATED_STEP
+from jaxbound.recordings.seams import TOLERATED_STEP, around
+from jaxbound.recordings.signals import SignalModel
 from jaxbound.relations.identity import identity
 from jaxbound.sets.floats.status import Status
 
@@ -85,13 +97,16 @@ class Continuation:
         if not self.past:
             return Joined(recording)
         tail = _tail_before(self.past, recording)
-        apart = _why_apart(tail, recording, self.relations.model.dt or 1.0)
+        apart = _why_apart(tail, recording, self.relations.model)
         if apart:
             self.past = {}
             return Joined(replace(recording, hints=(apart, *recording.hints)))
+        if not self.relations.remembers and not self.relations.horizon:
+            return Joined(recording)  # windows of one sample look back at none
+        whole = tail.followed(recording)
         starts = np.concatenate([tail.starts, np.asarray(recording.starts) + tail.samples])
-        whole = replace(tail.followed(recording), starts=starts, hints=recording.hints)
-        return Joined(whole, self._carried(), tail.samples)
+        starts = np.union1d(starts, around(whole.excluded))
+        return Joined(replace(whole, starts=starts, hints=recording.hints), self._carried(), tail.samples)
 
     def _carried(self) -> object:
         """Return the carry of an observer before the samples that are kept; None of windows."""
@@ -107,7 +122,7 @@ class Continuation:
         Args:
             recording: as `joined` returned it. carry: as `followed` returns it, None of windows.
         """
-        tail = recording.cut(max(recording.samples - max(self.relations.horizon, 1), 0), recording.samples)
+        tail = recording.cut(_edge(self.relations, recording), recording.samples)
         now = {"origin": np.asarray(tail.origin)}
         for name in ARRAYS:
             array = getattr(tail, name)
@@ -124,39 +139,74 @@ class Continuation:
         self.file.save(**stored)
 
 
-def followed(observer: Observer[Any], given: Joined, outside: str = CLAIMED) -> tuple[Result, Any]:
+def followed(
+    observer: Observer[Any], given: Joined, outside: str = CLAIMED, margins: str = AUTO
+) -> tuple[Result, Any]:
     """Follow recordings behind a carry, by an observer.
 
     Args:
-        given: (..., T, .) recordings of one length, side by side, and the carry of all of them. outside: see
-            `detect`.
+        given: (..., T, .) recordings of one length, side by side, and the carry of all of them. outside,
+            margins: see `detect`.
 
     Returns:
         (Result of all of them, the carry before the last samples that `Continuation` keeps).
     """
-    watch = observer.test()
+    _, recording = observer.recording(given.recording)
+    windows = window_count(recording.y.shape[:-1], observer.horizon)
+    watch = with_margins(observer.test(dtype=recording.y.dtype), margins, windows)
+    assert isinstance(watch, Observer), "an observer is its own test"
     carry = given.carry
     if carry is None:
         carry = watch.init()
-    _, recording = observer.recording(given.recording)
-    edge = max(recording.samples - max(observer.horizon, 1), 0)  # the samples behind it are kept
+    edge = _edge(observer, recording)  # the samples behind it are kept
     between, pieces = carry, []
     if edge:
         between, first = watch.followed(carry, recording.cut(0, edge))
         pieces.append(first)
     _, last = watch.followed(between, recording.cut(edge, recording.samples))
     pieces.append(last)
-    status = np.concatenate([piece.status for piece in pieces], -1)
-    margin = np.concatenate([piece.margin for piece in pieces], -1)
-    status[..., : given.known], margin[..., : given.known] = Status.MISSING, np.nan
-    starts = tuple(recording.starts.tolist())
-    about = watch.method, watch.continued(carry), recording.u, recording.y, recording.index, starts
-    aside = recording.aside(observer.horizon)
-    judged, device = Judged(status, margin), judging_device(remembers=True)
+    judged = _judged(pieces, given.known)
     region = Region.of(observer)
     if region is not None and outside == UNCLAIMED:
-        judged = unclaimed(judged, region.departure(recording.u, status == Status.MISSING))
-    return result_of(observer, judged, *about, aside=aside, device=device, outside_is=outside), between
+        judged = unclaimed(judged, region.departure(recording.u, judged.status == Status.MISSING))
+    starts = tuple(recording.starts.tolist())
+    about = watch.method, watch.continued(carry), recording.u, recording.y, recording.index, starts
+    fresh = recording.cut(max(given.known - observer.horizon, 0), recording.samples)
+    result = result_of(
+        observer,
+        judged,
+        *about,
+        aside=fresh.aside(observer.horizon),
+        device=judging_device(remembers=True),
+        margins=watch.margins_are,
+        outside_is=outside,
+    )
+    return replace(result, known=given.known), between
+
+
+def _edge(relations: Relations, recording: Recording) -> int:
+    """Return the number of the first of the last samples that are kept: as many as the longest window has
+    before its last one, one at least.
+    """
+    windows = [test.horizon for test in relations.parts.values()]
+    return max(recording.samples - max(relations.horizon, 1, *windows), 0)
+
+
+def _judged(pieces: Sequence[Verdicts], known: int) -> Judged:
+    """Return the verdicts of an observer on pieces as those of one, without any on the first `known`
+    samples; of a monitor its BankVerdicts.
+    """
+    status = np.concatenate([piece.status for piece in pieces], -1)
+    margin = np.concatenate([piece.margin for piece in pieces], -1)
+    status[..., :known], margin[..., :known] = Status.MISSING, np.nan
+    banks = [piece for piece in pieces if isinstance(piece, BankVerdicts)]
+    if not banks:
+        return Judged(status, margin)
+    by = np.concatenate([piece.by for piece in banks])
+    statuses = np.concatenate([piece.statuses for piece in banks])
+    margins = np.concatenate([piece.margins for piece in banks])
+    by[:known], statuses[:known], margins[:known] = -1, Status.MISSING, np.nan
+    return cast(Judged, BankVerdicts(status, margin, by, statuses, margins))  # `result_of` tells them apart
 
 
 def joined_carries(observer: SetObserver[State], carries: Sequence[State]) -> State:
@@ -216,21 +266,36 @@ def _tail_before(past: Arrays, like: Recording) -> Recording:
     return replace(like, **arrays, written=written, index=index, hints=())
 
 
-def _why_apart(tail: Recording, recording: Recording, dt: float) -> str:
+def _why_apart(tail: Recording, recording: Recording, model: SignalModel) -> str:
     """Return why a recording does not follow the samples before it, as a sentence; "" where it does."""
-    begin = "the recording begins anew, as if there were none before, which"
+    begin, dt = "the recording begins anew, as if there were none before", model.dt or 1.0
     if tail.y.dtype != recording.y.dtype:
-        return f"{begin} was recorded in {tail.y.dtype}, not {recording.y.dtype}"
+        return f"{begin}, which was recorded in {tail.y.dtype}, not {recording.y.dtype}"
     if str(getattr(tail.written, "type", "")) != str(getattr(recording.written, "type", "")):
-        return f"{begin} has its time written otherwise"
+        return f"{begin}, which has its time written otherwise"
     step = recording.time[0] - tail.time[-1]
     if np.isnan(step):
         lacks = "no times" if recording.written is None else "times without a date"
-        return f"{begin} has {lacks}: nobody knows whether it follows"
-    if abs(step - dt) <= TOLERATED_STEP * dt:
-        return ""
-    side = "after" if step < 0 else "before"
-    return f"{begin} ended {abs(step):.6g} s {side} its first sample, not dt = {dt:g} s before"
+        return f"{begin}, which has {lacks}: nobody knows whether it follows"
+    if abs(step - dt) > TOLERATED_STEP * dt:
+        side = "after" if step < 0 else "before"
+        return f"{begin}, which ended {abs(step):.6g} s {side} its first sample, not dt = {dt:g} s before"
+    counted = _since_start(model)
+    if counted:
+        return f"{begin}: {counted!r} counts from the first sample of each recording"
+    return ""
+
+
+def _since_start(model: SignalModel) -> str:
+    """Return the first expression of a model that counts from the first sample; "" if none does."""
+    texts = [model.columns.get("where", ""), *(factor.text for factor in factors_of(model))]
+    for signal in (*model.inputs, *model.outputs):
+        if is_expression(model.column(signal)):
+            texts.append(model.column(signal))
+    for text in texts:
+        if text and TIME_SINCE_START in expression(text).columns:
+            return text
+    return ""
 
 
 def _arrow_bytes(column: "pa.Array") -> np.ndarray:

@@ -268,7 +268,8 @@ def detect_fleet(
             `page`, which can be pickled.
         state: folder in which continuations of units are kept; None: nowhere. The next recording of a unit,
             in a run with the same folder, is then judged as if it followed in one file: windows look back
-            into the one before, an observer carries on. Where it begins more than a step later, or earlier,
+            into the one before, an observer carries on, each test of a monitor does. Where it begins more
+            than a step later, or earlier, or an expression of the model counts from the start of a recording,
             it begins anew, and its hints say so. The same recording again is judged as it was.
         margins: of the Results that pages are made from, see `detect`; those of units are exact. outside: see
             `detect`.
@@ -412,11 +413,6 @@ class _Reader:
             model = load_model(unit.model)
         method, recorded = how.method, model
         if is_monitored(model, how.method, how.horizon, how.lags):
-            if how.state is not None:
-                raise ValueError(
-                    f"{unit.model}: a state keeps the end of one test, and this model states "
-                    f"{len(model.tests)}: ask for one by a horizon, lags or an observer"
-                )
             method, recorded = MONITOR, with_tests(model)
         source = open_source(unit.recording, recorded)
         content = None
@@ -431,7 +427,7 @@ class _Reader:
             self.models[unit.model] = model, relations
         if how.state is None:
             return _UnitData(model, relations, Joined(recording))
-        kept = Continuation(how.state, unit.name, relations, how.method, content)
+        kept = Continuation(how.state, unit.name, relations, method, content)
         return _UnitData(model, relations, kept.joined(recording), kept)
 
     def _refuse_short(self, unit: Unit, recording: Recording, model: LinearSystem) -> None:
@@ -512,11 +508,11 @@ def _judge_unit(
     if known is not None:
         res, carry = known
     elif data.kept is not None and isinstance(relations, Observer):
-        res, carry = followed(relations, data.joined, how.outside)
+        res, carry = followed(relations, data.joined, how.outside, how.margins)
     else:
         # each by its own number of windows: the tightest one of a unit is searched for among nearly all
         test = partial(detect, method=how.method, margins=how.margins, outside=how.outside)
-        res, carry = test(relations, recording), None
+        res, carry = replace(test(relations, recording), known=data.joined.known), None
     if data.kept is not None:
         data.kept.save(recording, carry)
     rule = how.alarm

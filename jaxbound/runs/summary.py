@@ -83,7 +83,8 @@ class Evidence:
             judged.
         observes: whether UNDECIDED is what healthy samples are: of an observer, or a monitor with one.
         tests: {name: OfTest} of a monitor; else None. test: the name of the one that speaks at `at`.
-        covered: of a monitor how many samples count as decided; None: another test judged.
+        covered: of a monitor how many samples count as decided; None: another test judged. known: how many of
+            the first samples were judged in a recording before.
     """
 
     method: str
@@ -106,11 +107,17 @@ class Evidence:
     test: str = ""
     observes: bool = False
     covered: int | None = None
+    known: int = 0
+
+    @property
+    def warm_up(self) -> int:
+        """How many samples at the start have no verdict: none is there yet, or it was given before."""
+        return max(self.horizon, self.known)
 
     @property
     def windows(self) -> int:
         """How many windows there are: the warm-up is none, nor is what the model's `where` leaves out."""
-        return max(self.samples - self.horizon - self.aside, 0)
+        return max(self.samples - self.warm_up - self.aside, 0)
 
     @property
     def decided(self) -> float:
@@ -126,7 +133,7 @@ class Evidence:
         """The share of windows that have data."""
         if not self.windows:
             return 0.0
-        return 1 - (self.counts["MISSING"] - self.horizon - self.aside) / self.windows
+        return 1 - (self.counts["MISSING"] - self.warm_up - self.aside) / self.windows
 
 
 @readable
@@ -293,6 +300,7 @@ def _(res: Result, alarms: Sequence[Alarm]) -> Evidence:
         margins=res.margins,
         outside=res.beyond,
         observes=res.relations.observes,
+        known=res.known,
     )
 
 
