@@ -43,6 +43,7 @@ from jaxbound.runs.endings import ending_hints
 from jaxbound.runs.loop import Quiet, follow
 from jaxbound.runs.relations import is_monitored, relations_by
 from jaxbound.runs.summary import CODES, OUTSIDE, Summary, summarised
+from jaxbound.sets.floats.threads import inherited
 from jaxbound.text.objects import readable
 from jaxbound.text.progress import reporter
 from jaxbound.workers.engine import in_order, stretches_for
@@ -378,7 +379,7 @@ def _read_groups(units: Sequence[Unit], how: _How) -> Iterator[Group]:
 
     An observer follows units of one model side by side; others are tested one by one.
     """
-    reader = _Reader(units, how)
+    read = inherited(_Reader(units, how).read)
     with ThreadPoolExecutor(1) as thread:
         waiting: deque[tuple[Unit, Future[_UnitData]]] = deque()
         left = deque(units)
@@ -386,7 +387,7 @@ def _read_groups(units: Sequence[Unit], how: _How) -> Iterator[Group]:
             while left or waiting:
                 while left and len(waiting) < how.ahead:
                     unit = left.popleft()
-                    waiting.append((unit, thread.submit(reader.read, unit)))
+                    waiting.append((unit, thread.submit(read, unit)))
                 group = [waiting.popleft()]
                 while how.ahead == SIDE and waiting and waiting[0][0].model == group[0][0].model:
                     group.append(waiting.popleft())

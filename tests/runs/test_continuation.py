@@ -4,6 +4,7 @@ file.
 
 import json
 
+import jax
 import numpy as np
 import pandas as pd
 import pytest
@@ -167,3 +168,12 @@ def test_a_recording_without_times_begins_anew(plant, tmp_path, how, stored):
         )
         assert (hint in found.summary.hints) == (first > 0)
     assert found.summary.found.samples == 15 and found.summary.counts["FAULT"] == 0
+
+
+def test_units_are_read_in_the_precision_of_the_caller(plant, tmp_path):
+    """A thread reads them: workers of a fleet, whose precision is that of a context, took another one."""
+    model, table = plant
+    jb.save_model(model, tmp_path / "plant.toml")
+    with jax.enable_x64(False):
+        _, kept = fleet(tmp_path, [table.iloc[:30]], method="observer")
+    assert kept["unit 0"][0].relations.plant.dtype == np.float32
