@@ -275,9 +275,10 @@ class MonitorBank(Observer[BankState]):
     def fold(self, carry: BankState, piece: Recording) -> tuple[BankState, BankVerdicts]:
         """Take the next samples; return (memory, their BankVerdicts)."""
         modes, device = self.modes_of(np.asarray(piece.u)), default_device()
+        monitors = self.monitors  # built once, and not by each thread
 
         def judged(number: int) -> tuple[Any, np.ndarray, np.ndarray]:
-            one, state = self.monitors[number], carry.tests[number]
+            one, state = monitors[number], carry.tests[number]
             own = self.seen_by(number, piece, modes, carry.modes)
             with jax.default_device(device):
                 if isinstance(one, Monitor):
