@@ -23,7 +23,7 @@ from jaxbound.studies.identification.records import Record, Records
 __all__ = [
     "Scales",
     "CompleteWindows",
-    "all_or_nothing",
+    "completeness",
     "coefficients",
     "complete_windows",
     "growth",
@@ -116,15 +116,19 @@ def complete_windows(u: np.ndarray, y: np.ndarray, starts: np.ndarray, horizon: 
     return np.flatnonzero(whole & ~crossing(starts, horizon, horizon, len(y)))
 
 
-def all_or_nothing(record: Record, horizon: int) -> bool:
-    """Return whether each window of a recording that crosses no seam is complete, or without any output."""
-    u, y, starts = record
-    if len(y) <= horizon:
-        return True
-    touched = np.asarray(np.isnan(u).any(1) | np.isnan(y).any(1))
-    seen = np.asarray((~np.isnan(y)).any(1))
-    lacking, looked_at = _in_windows(touched, horizon) > 0, _in_windows(seen, horizon) > 0
-    return not (lacking & looked_at & ~crossing(starts, horizon, horizon, len(y))).any()
+def completeness(records: Records, horizon: int) -> float:
+    """Return the share of complete windows among those with an output at all, of those that cross no seam;
+    1 where there are none.
+    """
+    complete = looked_at = 0
+    for u, y, starts in records:
+        if len(y) <= horizon:
+            continue
+        seen = np.asarray((~np.isnan(y)).any(1))
+        within = (_in_windows(seen, horizon) > 0) & ~crossing(starts, horizon, horizon, len(y))
+        looked_at += int(within.sum())
+        complete += len(complete_windows(u, y, starts, horizon))
+    return complete / looked_at if looked_at else 1.0
 
 
 def _in_windows(chosen: np.ndarray, horizon: int) -> np.ndarray:

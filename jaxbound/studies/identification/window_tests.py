@@ -18,7 +18,7 @@ from jaxbound.studies.identification.gauge import GaugeJudge, gauge_of, seen_slo
 from jaxbound.studies.identification.left_out import LeftOut, Trial, tried, widest
 from jaxbound.studies.identification.means import LOOSE, lowered
 from jaxbound.studies.identification.records import Records, parted
-from jaxbound.studies.identification.regression import all_or_nothing, complete_windows
+from jaxbound.studies.identification.regression import complete_windows, completeness
 from jaxbound.studies.identification.sizes import blindness
 from jaxbound.text.progress import reporter
 
@@ -41,6 +41,8 @@ LOOKS = 16
 """Samples that windows with lags look at."""
 RAMP = 100
 """Samples after which the size of a ramp counts."""
+LOOKED_AT = 0.1
+"""Share of complete windows, the only ones that floats look at, below which longer windows are not tried."""
 
 
 class WindowChoice(NamedTuple):
@@ -172,6 +174,8 @@ def tried_tests(
         parts = parted(records, held_out, horizon + 1)
         if horizon <= order or bool(parts) != can_leave:
             continue  # no window, or no part to leave out
+        if tests and completeness(records, horizon) < LOOKED_AT:
+            continue  # bounds of the few windows that are complete would be too small for the others
         given = dict(about) | window.about
         if horizon not in problems:
             judge = GaugeJudge()
@@ -224,8 +228,7 @@ def _judged(
         blindness(problem.judge, model, problem.scales, problem.spans),
         _times(seen_slopes(model, problem.scales), RAMP * safety),
     )
-    complete = all(all_or_nothing(record, problem.horizon) for record in records)
-    return [TriedTest(judged, trial, smallest, complete)]
+    return [TriedTest(judged, trial, smallest, completeness(records, problem.horizon) == 1)]
 
 
 def _times(sizes: Mapping[str, float], factor: float) -> dict[str, float]:

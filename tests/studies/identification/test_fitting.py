@@ -87,14 +87,14 @@ class TestRegression:
         np.testing.assert_array_equal(found.y, np.stack([y[k : k + 4] for k in whole]))
         np.testing.assert_array_equal(found.u, np.stack([u[k : k + 4] for k in whole]))
 
-    def test_windows_that_lack_some_samples_are_told_from_empty_ones(self, rng):
-        u, y, none = rng.normal(size=(30, 1)), rng.normal(size=(30, 2)), np.zeros(0, int)
-        assert regression.all_or_nothing((u, y, none), 3) and regression.all_or_nothing((u, y, none), 40)
+    def test_the_share_of_complete_windows_is_of_those_with_outputs(self, rng):
+        u, y = rng.normal(size=(30, 1)), rng.normal(size=(30, 2))
+        share = lambda *starts, horizon=3: regression.completeness([(u, y, np.array(starts, int))], horizon)
+        assert share() == share(horizon=40) == 1
         y[10:20] = np.nan
-        assert not regression.all_or_nothing((u, y, none), 3)
-        assert regression.all_or_nothing((u, y, np.array([10, 20])), 3)
+        assert share() == 14 / 20 and share(10, 20) == 1
         u[25] = np.nan
-        assert not regression.all_or_nothing((u, y, np.array([10, 20])), 3)
+        assert share(10, 20) == 10 / 14
 
     def test_the_window_residual_is_what_the_best_first_state_leaves(self, rng):
         theta, u, y = rng.normal(size=(7, 2)) / 3, rng.normal(size=(4, 6, 1)), rng.normal(size=(4, 6, 2))

@@ -85,6 +85,14 @@ def test_beside_another_choice_of_windows_it_is_refused(options, sentence, rng):
         jb.fit(recorded(rng, 40), **dict(test="auto") | options)
 
 
+def test_long_windows_of_which_hardly_one_is_complete_are_not_tried(rng):
+    """Bounds that explain a few windows are far too small for the others."""
+    u, y = recorded(rng, 400)
+    y[:360:11] = np.nan
+    model = jb.fit((u, y), order=1, test="auto", method="least squares")
+    assert [test.window for test in model.check.tests] == [window_tests.WINDOWS[0]]
+
+
 def test_the_command_shows_each_test_with_its_factor(rng, tmp_path, capsys):
     from jaxbound.cli.main import main
 
