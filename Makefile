@@ -3,7 +3,7 @@ PYTHON ?= python3
 # where this is set, every process compiles every file again: a tenth of what the tests take
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test slow daily long lowest newest upcoming nightly lint docs bench clean
+.PHONY: demo test slow long lowest newest upcoming nightly lint docs bench clean
 
 demo: .venv/installed
 	.venv/bin/jaxbound demo --out demo-report
@@ -15,10 +15,6 @@ test: .venv/tested
 
 slow: .venv/tested
 	.venv/bin/python -m pytest -n auto --dist worksteal -m slow
-
-# both at once: slow tests share what the others of their files compile
-daily: .venv/tested
-	.venv/bin/python -m pytest -n auto --dist worksteal -m "not long"
 
 long: .venv/tested
 	.venv/bin/python -m pytest -n auto --dist loadfile -m long $(WHERE)

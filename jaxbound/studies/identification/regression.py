@@ -18,7 +18,7 @@ import numpy as np
 
 from jaxbound.recordings.seams import crossing
 from jaxbound.studies.identification.one_thread import times
-from jaxbound.studies.identification.records import Record, Records
+from jaxbound.studies.identification.records import Records
 
 __all__ = [
     "Scales",
