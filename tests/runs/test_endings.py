@@ -26,7 +26,7 @@ HEATER = jb.LinearSystem(
     noise=0.2,
     disturbance=([[1, 0], [0, 1]], [0.05, 0.05]),
     units={"y1": "degC"},
-    horizon=4,
+    horizon=3,
 )
 
 
@@ -131,11 +131,11 @@ def test_a_slow_plant_shows_the_onset_alone():
     u, y = recorded(HEATER, jb.Fault("y1", "bias", 1.5, ONSET))
     res = jb.detect(jb.parity_relations(HEATER), u, y)
     (alarm,) = res.alarms()
-    assert (alarm.start, alarm.end, alarm.ended) == (ONSET, ONSET + 3, ONSET_LEFT)
+    assert (alarm.start, alarm.end, alarm.ended) == (ONSET, ONSET + 2, ONSET_LEFT)
     sizes = always_seen(res.relations)
-    assert sizes["y1"] > 1.5 and sizes["y1"] == jb.detectable(HEATER, "y1", 4)
+    assert sizes["y1"] > 1.5 and sizes["y1"] == jb.detectable(HEATER, "y1", 3)
     assert ending_hints(res, [alarm], sizes) == [
-        "the alarm may have ended because the onset left the window: repaired or lasting; windows of 5 "
+        "the alarm may have ended because the onset left the window: repaired or lasting; windows of 4 "
         "samples are sure to show a constant "
         f"error that lasts from y1 {sizes['y1']:.3g} degC, y2 {sizes['y2']:.3g}, u1 {sizes['u1']:.3g} on; "
         "smaller ones may show in a longer --horizon, or with the lags of jb.suggest_lags(model); "
@@ -154,10 +154,10 @@ def test_sizes_that_are_not_known_and_those_that_no_size_is(rng):
         always_seen(jb.parity_relations(paper())) is None
     )  # with a tolerance it depends on how large the readings are
     res = jb.detect(jb.parity_relations(HEATER), u, y)
-    assert sizes_text(res, None) == "windows of 5 samples alone cannot tell"
+    assert sizes_text(res, None) == "windows of 4 samples alone cannot tell"
     assert (
         sizes_text(res, {"y1": np.inf})
-        == "windows of 5 samples are sure of no constant error that lasts, whatever its size"
+        == "windows of 4 samples are sure of no constant error that lasts, whatever its size"
     )
     assert sizes_text(res, {"y1": 2.0, "u1": np.inf}).endswith(
         "that lasts from y1 2 degC on, of u1 at no size"
