@@ -49,10 +49,11 @@ def test_each_recording_of_a_batch_is_asked():
 
 
 def test_an_observer_whose_fault_stays_says_nothing_of_the_fit():
-    plant = jb.LinearSystem([["0.5"]], None, [[1]], noise="0.1")
-    y = np.full((40, 1), 3.0)
-    assert not fit_hints(jb.detect(jb.observer(plant, restart=False), None, y))
-    assert fit_hints(jb.detect(jb.observer(plant), None, y))
+    disturbance = [[1]], "0.01"  # of the sizes that the examples of observers compile
+    plant = jb.LinearSystem([["0.5"]], [[1]], [[1]], noise="0.1", disturbance=disturbance)
+    u, y = np.zeros((40, 1)), np.full((40, 1), 3.0)
+    assert not fit_hints(jb.detect(jb.observer(plant, restart=False), u, y))
+    assert fit_hints(jb.detect(jb.observer(plant), u, y))
 
 
 def test_the_shell_prints_what_a_result_says(tmp_path, monkeypatch, capsys):
