@@ -277,7 +277,7 @@ def test_another_pattern_of_missing_samples_compiles_nothing(rng):
 
 @pytest.mark.slow
 def test_patterns_in_one_shape_have_the_verdicts_that_each_has_in_its_own(rng, monkeypatch):
-    r, u, y = lossy(rng, 200, 0.1)
+    r, u, y = lossy(rng, 200, 0.04)
     together = jb.detect(r, u, y)
     monkeypatch.setattr(
         ParametricTest, "reading", property(lambda test: test.relations.reading(test.dtype, test.method))
