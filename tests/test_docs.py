@@ -278,7 +278,7 @@ def at_a_prompt(folder, monkeypatch):
 
 
 @pytest.fixture
-def empty(tmp_path, monkeypatch):
+def empty(tmp_path, monkeypatch, kernels):
     """Return an empty folder to which commands are typed."""
     return at_a_prompt(tmp_path, monkeypatch)
 

@@ -550,7 +550,7 @@ class TestRestart:
 
 @pytest.mark.posix("signals between processes")
 @pytest.mark.slow
-def test_live_in_another_process_killed_and_stopped(samples, place):
+def test_live_in_another_process_killed_and_stopped(samples, place, kernels):
     """Verdicts come while the pipe is open; kill -9 and SIGTERM leave a file that the next process
     completes.
     """

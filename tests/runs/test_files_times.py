@@ -78,7 +78,7 @@ def test_narrow_files_are_judged_as_a_narrow_table_is(unit):
     np.testing.assert_array_equal(judged["margin"].to_numpy(np.float32), whole.margin)
 
 
-def test_a_pipe_is_judged_as_a_table_is(unit):
+def test_a_pipe_is_judged_as_a_table_is(unit, kernels):
     folder, model, table = unit
     whole = jb.detect(jb.parity_relations(model), table)
     asked = [sys.executable, "-m", "jaxbound.cli", "detect", str(folder / "m.toml"), "-"]
