@@ -298,19 +298,21 @@ def _solved(program: dict[str, Any]) -> "OptimizeResult":
     """
     from scipy.optimize import linprog
 
-    answers, troubles = [], []
+    answers, troubles, under_way = [], [], threading.Lock()
 
     def solve() -> None:
         try:
             answers.append(linprog(**program))
         except Exception as trouble:
             troubles.append(trouble)
+        under_way.release()
 
+    under_way.acquire()
     solver = threading.Thread(target=solve, daemon=True)
     solver.start()
     try:
-        while solver.is_alive():
-            solver.join(AWAKE)
+        while not under_way.acquire(timeout=AWAKE):  # a join that Ctrl-C ends takes its thread for ended
+            pass
     except BaseException:
         solver.join(AWAKE)  # a thread that ends while Python does may crash it
         raise
