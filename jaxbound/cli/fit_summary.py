@@ -161,6 +161,7 @@ def _is_taken(test: JudgedTest, model: Fitted) -> bool:
 def _plain_test(test: JudgedTest, model: Fitted) -> dict[str, Any]:
     """Return a test that was tried, as JSON has it."""
     return {
+        "name": test.window.text,
         "horizon": test.window.horizon,
         "lags": test.window.lags,
         "average": test.window.average,

@@ -354,16 +354,19 @@ class LinearRelations(Relations):
         raise NotImplementedError
 
 
-def relations_of(given: object, verb: str, example: str) -> Relations:
+def relations_of(given: object, verb: str, example: str, monitors: bool = True) -> Relations:
     """Return the relations, or the observer, that a user gives to a verb.
 
     Args:
         verb, example: name of the verb and how it is called, for the sentence that refuses anything else.
+        monitors: whether the verb takes several tests.
 
     Raises:
         TypeError: given is neither.
     """
     if not isinstance(given, Relations):
+        if monitors and isinstance(given, LinearSystem) and given.tests:
+            example = example.replace("parity_relations(model)", "monitor(model)")
         raise TypeError(f"{verb} needs relations, not {type(given).__name__}: {example}")
     return given
 

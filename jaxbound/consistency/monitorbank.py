@@ -304,6 +304,13 @@ class MonitorBank(Observer[BankState]):
         together = combined(*columns, self.conditions_of, modes, self.complete)
         return BankState(states, last), together
 
+    def margins(self, given: Recording) -> jax.Array:
+        """Raise NotImplementedError: each test has its own."""
+        raise NotImplementedError(
+            f"margins are those of one test: margins(monitor.parts[{self.names[0]!r}], u, y); "
+            f"detect(monitor, ..).margin has the least of all"
+        )
+
     @property
     def conditions_of(self) -> tuple[int, ...]:
         """The number of the condition of each test, -1 of a test that always watches."""

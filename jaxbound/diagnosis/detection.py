@@ -166,7 +166,7 @@ def margins(relations: Relations, u: Data, y: Data = None, starts: Starts = ()) 
         >>> jax.grad(loss)(r.bounds)["noise"].round(2)
         Array([20.], dtype=float...)
     """
-    relations_of(relations, "margins", "margins(parity_relations(model), u, y)")
+    relations_of(relations, "margins", "margins(parity_relations(model), u, y)", monitors=False)
     relations, recording = relations.recording(u, y, starts)
     if recording.y.shape[-2] <= relations.horizon:
         return jnp.full(recording.y.shape[:-1], jnp.nan, recording.y.dtype)

@@ -345,9 +345,10 @@ def _job_of(
 
 def _begins(relations: Relations, part: tuple[int, int] | None, overlap: int | None) -> int | None:
     """Return how many samples before each part an observer of its own begins; refuse what is none."""
+    of_windows = relations.looks_back if isinstance(relations, MonitorBank) else None
     if overlap is None:
-        if isinstance(relations, MonitorBank) and relations.looks_back is not None:
-            return relations.looks_back  # behind so many samples a part has the verdicts of the whole
+        if of_windows is not None:
+            return of_windows  # behind so many samples a part has the verdicts of the whole
         if part is not None and relations.remembers:
             raise ValueError(
                 "an observer carries what it knows from each part to the next: they cannot be shared, unless "
@@ -355,7 +356,7 @@ def _begins(relations: Relations, part: tuple[int, int] | None, overlap: int | N
                 "own that begins so many samples earlier: give an overlap"
             )
         return None
-    if not relations.remembers:
+    if not relations.remembers or of_windows is not None:
         raise ValueError("overlap is for observers: windows know how far they reach back")
     if isinstance(overlap, bool) or not isinstance(overlap, int | np.integer) or overlap < 0:
         raise ValueError(f"overlap is a whole number of samples >= 0, not {overlap!r}")

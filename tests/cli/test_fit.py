@@ -78,7 +78,7 @@ def test_a_plain_command_chooses_what_is_tested(place, capsys, monkeypatch):
     at = FIT.index("--horizon")
     assert main.main([*FIT[:at], *FIT[at + 2 :], "--method", "least squares", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
-    assert [test["horizon"] for test in said["tests"]] == [4, 7]
+    assert [(test["name"], test["horizon"]) for test in said["tests"]] == [("5 samples", 4), ("8 samples", 7)]
     assert jb.load_model("tank.toml").horizon in (4, 7)
 
 

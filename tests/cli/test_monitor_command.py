@@ -288,6 +288,8 @@ def test_shares_of_a_monitor_of_windows_are_the_whole(plant, tmp_path, monkeypat
     assert "give an overlap" in capsys.readouterr().err, "who is asked when mode == 1 holds at the cut?"
     model.write_text(MODEL.replace('when = "mode == 1"\n', ""))
     assert detect((model, run), tmp_path / "whole", "-q") == 1
+    assert detect((model, run), tmp_path / "r", "-q", "--overlap", "1") == 2
+    assert "windows know how far they reach back" in capsys.readouterr().err
     for share in ("2/2", "1/2"):
         assert detect((model, run), tmp_path / "r", "-q", "--part", share) == 0
     assert detect((model, run), tmp_path / "r", "-q", "--merge") == 1

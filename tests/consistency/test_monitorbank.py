@@ -197,3 +197,13 @@ def test_a_batch_is_judged_recording_by_recording(mixed, rng):
         assert np.array_equal(together.by[i], alone.by)
     first = together.tests["slow"]
     assert first.counts["FAULT"] == (together.statuses[..., 1] == F).sum()
+
+
+def test_a_model_with_tests_and_a_monitor_are_told_which_call_takes_them():
+    plant = PLANT.replace(tests=TESTS[:1])
+    with pytest.raises(TypeError, match=r"detect\(monitor\(model\), u, y\)"):
+        jb.detect(plant, None, [[0.0], [0.0]])
+    with pytest.raises(TypeError, match=r"margins\(parity_relations\(model\), u, y\)"):
+        jb.margins(plant, None, [[0.0], [0.0]])
+    with pytest.raises(NotImplementedError, match=r"monitor\.parts\['always'\]"):
+        jb.margins(jb.monitor(plant), None, [[0.0], [0.0]])

@@ -50,6 +50,12 @@ def inputs_at_rest(
     ]
 
 
+COMPLETE_ONLY = (
+    "tests that are not taken were judged by complete windows alone: windows that lack samples may ask for "
+    "wider bounds"
+)
+
+
 def apart(records: Records, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
     """Return a sentence for each signal of which two recordings have nothing in common: units may differ."""
     sentences: list[str] = []
@@ -119,7 +125,7 @@ def _few_windows(model: LinearSystem, check: FitCheck) -> str:
     if model.horizon is None:  # an observer has no windows
         return ""
     length = model.horizon + 1
-    whole = int(sum(r["windows"] for r in check.recordings)) // length
+    whole = sum(-int(-r["windows"] // length) for r in check.recordings)
     if whole >= FEW:
         return ""
     return (
@@ -150,11 +156,17 @@ def _left_out(check: FitCheck, held_out: float) -> list[str]:
                 f"recording into files"
             )
     if check.factor > WIDE:
-        sentences.append(
-            f"a {what} that is left out needs bounds {check.factor:.2f} times as wide as all together: they "
-            f"do not show all of healthy operation; record more of it, or look at what was different"
-        )
+        sentences.append(wide(check, check.factor))
     return sentences
+
+
+def wide(check: FitCheck, factor: float) -> str:
+    """Return the sentence on what was left out and needs wider bounds by a factor."""
+    what = "block" if len(check.recordings) == 1 else "recording"
+    return (
+        f"a {what} that is left out needs bounds {factor:.2f} times as wide as all together: they "
+        f"do not show all of healthy operation; record more of it, or look at what was different"
+    )
 
 
 def _contradiction(check: FitCheck) -> str:

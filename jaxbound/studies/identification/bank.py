@@ -4,7 +4,8 @@ The test that sees the smallest errors comes first, see `window_tests`. Each fur
 sees a jump or a lasting error of some output from clearly smaller sizes on than all tests before it, under
 bounds as wide as recordings that are left out ask of it: a jump, an error that lasts, or a ramp. A set
 observer is tried beside the windows where one is asked for, or bounds of disturbances; it is latched, so that
-a lasting error stays a FAULT. Each test has the coefficients and the bounds of a fit of its own.
+a lasting error stays a FAULT. A short test also earns its place where a long one has no verdict on many
+samples. Each test has the coefficients and the bounds of a fit of its own.
 """
 
 import dataclasses
@@ -18,7 +19,7 @@ from jaxbound.models.modelfile import model_document, model_text
 from jaxbound.models.statedtests import StatedTest, stated_tests
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.testmodels import model_of
-from jaxbound.studies.identification.advice import blind
+from jaxbound.studies.identification.advice import WIDE, blind, wide
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
 from jaxbound.studies.identification.proof import Proof
 from jaxbound.studies.identification.trajectories import SETTLED, SMALLER, GivenUp, sure_sizes
@@ -64,6 +65,10 @@ def fitted_bank(
             why = f"the observer is none of the tests: nothing says what it would see, {end}; {SMALLER}"
             check = dataclasses.replace(check, sentences=(*check.sentences, why))
     picked = earned(tests)
+    is_watched = any(test.window.observer is not None for test in picked)
+    if watching is not None and watching["disturbances"] is not None and not is_watched:
+        why = "the bounds of disturbances are left out: windows alone see errors about as small"
+        check = dataclasses.replace(check, sentences=(*check.sentences, why))
     stated = [StatedTest(picked[0].window.text)]
     share = 0.3 / len(picked)
     for number, judged in enumerate(picked[1:]):
@@ -84,9 +89,15 @@ def fitted_bank(
             own |= judged.window.about | {"average": judged.window.average}
             fitted = fit_one(own, partial(in_part, report, 0.7 + number * share, share))
             model, jump, steady = fitted, fitted.check.jump, fitted.check.steady
+            tests[tests.index(judged)] = fitted.check.of(judged)
         stated.append(test_as_fitted(base, model, name))
         check = _with_sizes(base, check, jump, steady)
+        if judged.factor > WIDE:
+            wider = f"test {name!r}: {wide(check, judged.factor)}"
+            check = dataclasses.replace(check, sentences=(*check.sentences, wider))
     report(1.0)
+    if len(stated) == 1:  # the windows of the model
+        stated = []
     return Fitted(base.replace(tests=stated), dataclasses.replace(check, tests=tuple(tests)))
 
 
@@ -150,10 +161,14 @@ def _share(test: JudgedTest, sizes: Mapping[tuple[str, str], float]) -> float:
 
 
 def _sizes(test: JudgedTest) -> Iterator[tuple[tuple[str, str], float]]:
-    """Yield ((kind, output), size) of the errors that a test sees; beyond any size where it sees none."""
+    """Yield ((kind, output), size) of the errors that a test sees; beyond any size where it sees none. A
+    verdict on few samples counts as an error that is seen late.
+    """
     for kind, sizes in (("jump", test.jump), ("steady", test.steady), ("ramp", test.ramp)):
         for output, size in sizes.items():
             yield (kind, output), min(size, 1e300)
+    if test.reach:
+        yield ("samples", ""), 1 / test.reach
 
 
 def test_as_fitted(

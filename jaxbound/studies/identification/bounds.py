@@ -56,6 +56,9 @@ def verified(
         spec: arguments of a LinearSystem. smallest: (p,), the smallest bounds; means: those of means. factor,
             safety: by which they are wider, as a recording that is left out asks for, and on top. walks: of
             disturbances.
+
+    Raises:
+        ValueError: no bounds hold, not those that are a little wider either.
     """
     wider = factor * safety
     bounds = [rounded_up(x * wider) for x in smallest]
@@ -95,11 +98,14 @@ def verified(
         )
         holds, used = judge.shares(model, records)
         if holds:
-            break
+            return model, used
         bounds = [rounded_up(WIDER * x) for x in bounds]
         pushes = [rounded_up(WIDER * x) for x in pushes]
         lowered = {i: rounded_up(WIDER * x) for i, x in lowered.items()}
-    return model, used
+    raise ValueError(
+        "no bounds were found that are proved to hold for these recordings: choose a lower order, or a "
+        "shorter horizon"
+    )
 
 
 def _below(rounding: Fraction, bound: Fraction) -> Fraction:

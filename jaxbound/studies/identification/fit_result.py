@@ -112,6 +112,20 @@ class FitCheck:
     moved: dict[str, float] = field(default_factory=dict)
     hidden: dict[str, float] = field(default_factory=dict)
 
+    def of(self, test: JudgedTest) -> JudgedTest:
+        """Return a test with the numbers of this fit, which is for it and has looked at windows that lack
+        samples, too.
+        """
+        grown = [self.steady[name] / size for name, size in test.steady.items() if np.isfinite(size)]
+        return test._replace(
+            factor=self.factor,
+            smallest=self.smallest,
+            smallest_mean=self.smallest_mean,
+            jump=self.jump,
+            steady=self.steady,
+            ramp={name: max(grown, default=1.0) * size for name, size in test.ramp.items()},
+        )
+
 
 class Fitted(LinearSystem):
     """A LinearSystem that `fit` made: with `.check`, a FitCheck, which is no part of its value."""

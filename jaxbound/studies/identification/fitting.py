@@ -248,6 +248,9 @@ def fit(
 
         asked |= dict(test=AUTO, observer=None, disturbances=None, wanted=biases)
         base, proofs = _fit_once(recordings, **asked, report=partial(in_part, report, 0.0, 0.4))
+        if left_open and watching is None and not any(map(_is_known, base.check.left_out)):
+            asked |= dict(test=None, wanted=wanted)
+            return _fit_once(recordings, **asked, report=partial(in_part, report, 0.4, 0.6))[0]
         return fitted_bank(base, proofs, fit_one, watching, report)
     return _fit_once(recordings, **asked, report=report)[0]
 
@@ -404,6 +407,10 @@ def _fit_once(
         hidden=hidden,
         moved=dict(zip(outputs, map(float, problem.spans), strict=True)),
     )
+    if tests and taken is None:
+        tests = tuple(check.of(one) if one is picked else one for one in tests)
+        check = dataclasses.replace(check, tests=tests)
+        sentences.append(advice.COMPLETE_ONLY)
     sentences += [*advice.limits(model, check, held_out), *advice.blind(model, check)]
     report(1.0)
     return Fitted(model, dataclasses.replace(check, sentences=tuple(sentences))), proofs
@@ -562,6 +569,11 @@ def _kinds(method: str, order: int, parts: Records, inputs: Sequence[str]) -> li
     if not parts:  # nothing tells them apart
         return ["windows"]
     return [kind for kind in KINDS if inputs or kind != "filters"]
+
+
+def _is_known(part: PartLeftOut) -> bool:
+    """Return whether a part that was left out says how wide bounds must be."""
+    return math.isfinite(part.factor)
 
 
 def _part_left_out(one: LeftOut) -> PartLeftOut:

@@ -29,6 +29,7 @@ __all__ = [
     "growth",
     "information",
     "least_squares",
+    "reached",
     "refined",
     "scales_of",
     "step_error",
@@ -117,18 +118,25 @@ def complete_windows(u: np.ndarray, y: np.ndarray, starts: np.ndarray, horizon: 
 
 
 def completeness(records: Records, horizon: int) -> float:
-    """Return the share of complete windows among those with an output at all, of those that cross no seam;
-    1 where there are none.
-    """
-    complete = looked_at = 0
-    for u, y, starts in records:
-        if len(y) <= horizon:
-            continue
-        seen = np.asarray((~np.isnan(y)).any(1))
-        within = (_in_windows(seen, horizon) > 0) & ~crossing(starts, horizon, horizon, len(y))
-        looked_at += int(within.sum())
-        complete += len(complete_windows(u, y, starts, horizon))
-    return complete / looked_at if looked_at else 1.0
+    """Return the share of complete windows among those with a verdict; 1 where there are none."""
+    complete = sum(len(complete_windows(*record, horizon)) for record in records)
+    judged = _judged(records, horizon)
+    return complete / judged if judged else 1.0
+
+
+def reached(records: Records, horizon: int) -> float:
+    """Return the share of the samples with an output at which a window ends that has a verdict."""
+    return _judged(records, horizon) / max(_judged(records, 0), 1)
+
+
+def _judged(records: Records, horizon: int) -> int:
+    """Return how many windows have an output at all and cross no seam."""
+    count = 0
+    for _, y, starts in records:
+        if len(y) > horizon:
+            seen = _in_windows(np.asarray((~np.isnan(y)).any(1)), horizon) > 0
+            count += int((seen & ~crossing(starts, horizon, horizon, len(y))).sum())
+    return count
 
 
 def _in_windows(chosen: np.ndarray, horizon: int) -> np.ndarray:

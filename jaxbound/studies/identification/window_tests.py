@@ -18,7 +18,7 @@ from jaxbound.studies.identification.gauge import GaugeJudge, gauge_of, seen_slo
 from jaxbound.studies.identification.left_out import LeftOut, Trial, tried, widest
 from jaxbound.studies.identification.means import LOOSE, lowered
 from jaxbound.studies.identification.records import Records, parted
-from jaxbound.studies.identification.regression import complete_windows, completeness
+from jaxbound.studies.identification.regression import complete_windows, completeness, reached
 from jaxbound.studies.identification.sizes import blindness
 from jaxbound.text.progress import reporter
 
@@ -94,7 +94,8 @@ class JudgedTest(NamedTuple):
     smallest_mean: those bounds, {output: bound}; jump, steady: {output: size}, the smallest errors that are
     sure to be seen at this factor and the safety, inf: none; blindness: these sizes as one number, see
     `sizes.blindness`, without the safety. ramp: {output: size} that a ramp has after RAMP samples, likewise.
-    In floats, not proved.
+    In floats, not proved, and of complete windows alone. reach: the share of the samples at which windows
+    have a verdict; 0: it does not count.
     """
 
     window: WindowChoice
@@ -106,6 +107,7 @@ class JudgedTest(NamedTuple):
     steady: dict[str, float]
     blindness: float
     ramp: Mapping[str, float] = {}
+    reach: float = 0.0
 
 
 class TriedTest(NamedTuple):
@@ -227,6 +229,7 @@ def _judged(
         _times(steady, safety),
         blindness(problem.judge, model, problem.scales, problem.spans),
         _times(seen_slopes(model, problem.scales), RAMP * safety),
+        reached(records, problem.horizon),
     )
     return [TriedTest(judged, trial, smallest, completeness(records, problem.horizon) == 1)]
 

@@ -6,7 +6,7 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.models.testmodels import model_of
-from jaxbound.studies.identification import disturbances, window_tests
+from jaxbound.studies.identification import bank, disturbances, window_tests
 from jaxbound.studies.identification.bank import earned
 from jaxbound.studies.identification.window_tests import JudgedTest, WindowChoice
 
@@ -39,6 +39,12 @@ def test_an_observer_earns_its_place_by_a_ramp_and_stands_behind_windows():
     )
     assert earned([watching, short]) == (short, watching)
     assert earned([watching._replace(ramp={"y1": 7.0}), short]) == (short,)
+
+
+def test_a_short_test_earns_its_place_where_a_long_one_has_no_verdict_on_many_samples():
+    short, long = judged(7, 4.0, 9.0, 2.0)._replace(reach=0.7), judged(60, 1.0, 2.0, 1.0)
+    assert earned([short, long._replace(reach=0.2)]) == (long._replace(reach=0.2), short)
+    assert earned([short, long._replace(reach=0.6)]) == (long._replace(reach=0.6),)
 
 
 @pytest.fixture(scope="module")
@@ -107,6 +113,26 @@ def test_windows_are_those_of_one_test_where_they_are_given_or_nothing_can_choos
     short = [(u[:60], y[:60]) for u, y in recordings]
     model = jb.fit(short, order=1, method="least squares", **options)
     assert (model.horizon, model.tests, model.check.tests) == (horizon, (), ())
+
+
+def test_windows_of_one_test_are_taken_where_no_left_out_part_says_how_wide_bounds_must_be(
+    recordings, monkeypatch
+):
+    monkeypatch.setattr(window_tests, "WINDOWS", (WindowChoice(7),))
+    parts, still = [], np.ones((120, 1))
+    for number, (u, y) in enumerate(recordings[:2]):  # each moves an input that rests in the other
+        parts.append((np.hstack([u[:120], still][:: 1 - 2 * number]), y[:120]))
+    model = jb.fit(parts, order=1, method="least squares")
+    assert all(one.why for one in model.check.left_out)
+    assert (model.horizon, model.tests, model.check.tests) == (15, (), ())
+
+
+def test_a_bank_of_one_test_is_its_windows(recordings, monkeypatch):
+    monkeypatch.setattr(window_tests, "WINDOWS", (WindowChoice(5), WindowChoice(7)))
+    monkeypatch.setattr(bank, "GAIN", 0.0)
+    short = [(u[:60], y[:60]) for u, y in recordings]
+    model = jb.fit(short, order=1, method="least squares")
+    assert model.tests == () and len(model.check.tests) == 2 and model.horizon in (5, 7)
 
 
 @pytest.mark.parametrize(

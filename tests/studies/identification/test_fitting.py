@@ -14,6 +14,7 @@ import jaxbound as jb
 from jaxbound.models.modelfile import load_model, model_text, save_model
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.identification import regression
+from jaxbound.studies.identification.bounds import verified
 
 A, B, C = [[0.8, 0.15], [-0.1, 0.6]], [[0.5], [0.3]], [[1, 0]]
 
@@ -445,7 +446,7 @@ class TestCautions:
 
     def test_too_little_history(self, rng):
         said = self.said(run(rng, T=30))
-        assert "hold only 5 windows of 5 samples that do not overlap" in said
+        assert "hold only 6 windows of 5 samples that do not overlap" in said
 
     def test_nothing_left_out(self, rng):
         assert (
@@ -509,3 +510,18 @@ def test_a_plant_that_fits_without_any_error_has_bounds_of_rounding(rng):
     u = rng.integers(-3, 4, (120, 1)).astype(float)
     model = jb.fit([(u, np.vstack([[[0.0]], u[:-1]]))], order=1, horizon=4, method="least squares")
     assert 0 < float(model.noise[0]) < 1e-9 and model.check.held_out["fault"] == 0
+
+
+def test_bounds_that_never_hold_are_refused(rng):
+    """The last ones that were tried were written."""
+
+    class Never:
+        def shares(self, model, records):
+            return False, []
+
+    u, y = run(rng)
+    spec = jb.fit((u, y), order=1, horizon=4, method="least squares", held_out=0)._arguments()
+    for name in ("noise", "resolution", "provenance", "averages", "disturbance"):
+        spec.pop(name, None)
+    with pytest.raises(ValueError, match="no bounds were found that are proved to hold"):
+        verified(Never(), spec, np.array([0.1]), {}, [(u, y, np.zeros(0, int))], 1.0, 1.25)
