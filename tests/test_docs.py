@@ -21,6 +21,8 @@ import jaxbound as jb
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
+RUN_ELSEWHERE = "start.md", "extending.md"
+"""Pages that other tests run: the first one in an empty folder, and one that registers what a test takes away."""
 
 
 def script(name):
@@ -313,7 +315,7 @@ def test_every_command_of_the_first_pages_runs_in_an_empty_folder(page, empty):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "page", [p.name for p in PAGES if p.name not in ("start.md",) and any(run for *_, run in blocks(p))]
+    "page", [p.name for p in PAGES if p.name not in RUN_ELSEWHERE and any(run for *_, run in blocks(p))]
 )
 def test_every_command_of_the_other_pages_runs_beside_the_laboratory(page, laboratory, empty):
     follow(next(p for p in PAGES if p.name == page), shutil.copytree(laboratory, empty / laboratory.name))
