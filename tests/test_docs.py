@@ -22,7 +22,7 @@ import jaxbound as jb
 ROOT = Path(__file__).parents[1]
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
 RUN_ELSEWHERE = "start.md", "extending.md"
-"""Pages that other tests run: the first one in an empty folder, and one that registers what a test takes away."""
+"""Pages that others run: the first one in an empty folder, and one whose families a test takes away again."""
 
 
 def script(name):
