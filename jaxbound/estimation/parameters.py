@@ -90,7 +90,7 @@ def parameters(
         >>> found.status, [round(x, 2) for x in found.hull["a"]]
         ('found', [0.78, 0.82])
     """
-    relations_of(relations, "parameters", EXAMPLE)
+    relations_of(relations, "parameters", EXAMPLE, monitors=False)
     _check_options(precision, budget)
     report = reporter(progress)
     named, recording = relations.recording(u, y, starts)

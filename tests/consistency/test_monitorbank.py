@@ -205,5 +205,7 @@ def test_a_model_with_tests_and_a_monitor_are_told_which_call_takes_them():
         jb.detect(plant, None, [[0.0], [0.0]])
     with pytest.raises(TypeError, match=r"margins\(parity_relations\(model\), u, y\)"):
         jb.margins(plant, None, [[0.0], [0.0]])
+    with pytest.raises(TypeError, match=r"parameters\(parity_relations\(model\), u, y\)"):
+        jb.parameters(plant, None, [[0.0], [0.0]])
     with pytest.raises(NotImplementedError, match=r"monitor\.parts\['always'\]"):
         jb.margins(jb.monitor(plant), None, [[0.0], [0.0]])

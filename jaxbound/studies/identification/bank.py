@@ -81,6 +81,7 @@ def fitted_bank(
             )
             check = _with_sizes(base, check, judged.jump, judged.steady)
             continue
+        factor = judged.factor
         if judged.window in proofs:
             model, jump, steady = proofs[judged.window]()
             report(0.7 + (number + 1) * share)
@@ -89,11 +90,12 @@ def fitted_bank(
             own |= judged.window.about | {"average": judged.window.average}
             fitted = fit_one(own, partial(in_part, report, 0.7 + number * share, share))
             model, jump, steady = fitted, fitted.check.jump, fitted.check.steady
+            factor = fitted.check.factor
             tests[tests.index(judged)] = fitted.check.of(judged)
         stated.append(test_as_fitted(base, model, name))
         check = _with_sizes(base, check, jump, steady)
-        if judged.factor > WIDE:
-            wider = f"test {name!r}: {wide(check, judged.factor)}"
+        if factor > WIDE:
+            wider = f"test {name!r}: {wide(check, factor)}"
             check = dataclasses.replace(check, sentences=(*check.sentences, wider))
     report(1.0)
     if len(stated) == 1:  # the windows of the model
