@@ -91,23 +91,31 @@ def drive(
 
 
 def _folded(observer: Observer[Any], given: Recording) -> Verdicts:
-    """Return the verdicts of an observer on one recording, or on each recording of a batch."""
-    lead = given.y.shape[:-2]
+    """Return the verdicts of an observer on one recording, or on each recording of a batch.
+
+    A gap ends what is carried: a batch is followed as one recording, with a gap before each of its own.
+    """
+    *lead, length, _ = given.y.shape
     if not lead or observer.batched:
         return observer.followed(observer.begin(), given)[1]
-    each = []
-    for at in np.ndindex(*lead):
-        one = replace(given, u=np.asarray(given.u)[at], y=np.asarray(given.y)[at])
-        each.append(observer.followed(observer.begin(), one)[1])
-    if not each:
-        nothing = np.empty(given.y.shape[:-1])
-        return Judged(nothing.astype(np.int8), nothing)
+    if observer.begun is not None:
+        raise ValueError("an observer that goes on from a carry follows one recording, not a batch")
+    begins = length * np.arange(math.prod(lead))
+    starts = (np.concatenate([[0], given.starts]) + begins[:, None]).ravel()
+    excluded = given.excluded
+    if excluded is not None:
+        excluded = np.broadcast_to(excluded, given.y.shape[:-1]).reshape(-1)
+    u, y = _end_to_end(given.u), _end_to_end(given.y)
+    one = replace(given, u=u, y=y, starts=np.unique(starts[starts > 0]), excluded=excluded)
+    verdicts = observer.followed(observer.init(), one)[1]
 
-    def together(*parts: np.ndarray) -> np.ndarray:
-        return np.stack(parts).reshape(*lead, *np.shape(parts[0]))
+    def apart(x: Array) -> Array:
+        if np.shape(x)[:1] != (len(y),):
+            return x
+        return np.asarray(x).reshape(*lead, length, *np.shape(x)[1:])
 
-    verdicts: Verdicts = jax.tree.map(together, *each)
-    return verdicts
+    out: Verdicts = jax.tree.map(apart, verdicts)
+    return out
 
 
 def windows(
@@ -323,7 +331,8 @@ def _gathered(
         # Nine tenths of the progress of a case go to judging, the rest to settling.
         share = len(starts) / total
         judging = partial(in_part, report, done / total, 0.9 * share)
-        left = _Gathering(case, u, y, outs, size, judging).judge_all(starts)
+        own = size if case is test else case.block
+        left = _Gathering(case, u, y, outs, own, judging).judge_all(starts)
         settling = partial(in_part, report, done / total + 0.9 * share, 0.1 * share)
         case.settle(u, y, outs, left, again, settling)
         done += len(starts)

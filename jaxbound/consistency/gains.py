@@ -15,17 +15,31 @@ from functools import cached_property, partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
 from jaxbound.consistency.constant import gain_bounds, gain_tolerance, narrowed, own_factor, signed
 from jaxbound.consistency.easy_gains import EasyGains, nominal
-from jaxbound.consistency.exchange import PATIENCE, ExchangeTest, Settings, rounded_frame
-from jaxbound.consistency.interface import Again, Array, Arrays, Cases, Easy, Outs, Progress, Run, WindowTest
+from jaxbound.consistency.exchange import PATIENCE, ExchangeTest, Settings
+from jaxbound.consistency.interface import (
+    Again,
+    Array,
+    Arrays,
+    Cases,
+    Easy,
+    LinearRelations,
+    Outs,
+    Progress,
+    Run,
+    WindowTest,
+)
 from jaxbound.consistency.projection import easy_by
 from jaxbound.consistency.reading import Block, Reading
 from jaxbound.consistency.twice import warn_doubtful
+from jaxbound.exact.frames import ExactFrame
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import is_outside_xla, kernel, outside_xla
+from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.paving.frontier import Verdicts, explore, in_blocks
 from jaxbound.sets.strips import separation
 
@@ -97,8 +111,8 @@ class GainsTest(ExchangeTest):
         samples that are there.
         """
         (margin,), s = outs, self.horizon
-        for made, chosen in self._frames(u, y, left):
-            shape = rounded_frame(self.relations, made.frame, self.dtype)
+        for frame, chosen in self._frames(u, y, left):
+            shape = _rounded(self.relations, frame, self.dtype)
             reading = dataclasses.replace(self.reading, shape=shape)
             at = left[chosen] + s
             us, ys = self._gather(u, y, left[chosen])
@@ -293,3 +307,12 @@ def _strip(
     usable = image.complete & present[:c].any(0)
     usable &= slack < np.asarray(2.0 ** (np.finfo(h.dtype).maxexp // 2), h.dtype)
     return a, e, b, jnp.where(usable, slack, 0), usable
+
+
+def _rounded(relations: LinearRelations, frame: ExactFrame, dtype: DTypeLike) -> separation.Frame:
+    """Return a frame in floats, of one of few widths, so that few are compiled."""
+    assert relations.frame is not None
+    width, more = len(relations.frame.inner), len(frame.inner) - len(relations.frame.inner)
+    if more > 0:
+        width += power(more)
+    return separation.frame_of(frame, dtype, width)
