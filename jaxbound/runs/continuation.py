@@ -50,7 +50,9 @@ __all__ = ["Continuation", "Joined", "carry_of", "followed", "joined_carries"]
 
 State = TypeVar("State", bound=CarriedState)
 Arrays = Mapping[str, np.ndarray]
-CONTENT, CARRY, WRITTEN = "content", "carry", "written"
+CONTENT, CARRY, WRITTEN, UNIT = "content", "carry", "written", "unit"
+BYTES = 16  # of the digest in the name of a file: no two units share one
+FORMER_BYTES = 4  # of an earlier jaxbound: two of 20 000 units did
 ARRAYS = ("u", "y", "starts", "excluded", "time", "stamps")
 
 
@@ -74,17 +76,21 @@ class Continuation:
             the test. content: the digest of its recording, None where there is none.
 
     Raises:
-        ValueError: what is kept is damaged, or of another model, horizon, version or method.
+        ValueError: what is kept is damaged, or of another unit, model, horizon, version or method.
     """
 
     def __init__(
         self, folder: str | PathLike[str], unit: str, relations: Relations, method: str, content: str | None
     ) -> None:
-        readable = re.sub(r"[^A-Za-z0-9._-]+", "_", unit)[:60]
-        name = f"{readable}-{blake2b(unit.encode(), digest_size=4).hexdigest()}.npz"
-        self.relations, self.content = relations, content
-        self.file = Checkpoint(Path(folder) / name, identity(relations, method=method))
+        self.relations, self.content, self.unit = relations, content, unit
+        self.file = Checkpoint(Path(folder) / _file_of(unit, BYTES), identity(relations, method=method))
+        _refuse_former(Path(folder) / _file_of(unit, FORMER_BYTES), self.file.path)
         kept = self.file.load() or {}
+        if kept and str(kept.get(UNIT)) != unit:
+            raise ValueError(
+                f"{self.file.path} is of unit {str(kept.get(UNIT))!r}, not of {unit!r}: choose another folder, or "
+                f"delete it to begin anew"
+            )
         is_again = content is not None and str(kept.get(CONTENT, "")) == content
         self.past = _under("before" if is_again else "after", kept)
 
@@ -132,11 +138,26 @@ class Continuation:
             now[f"{CARRY}{i}"] = np.asarray(leaf)
         if tail.written is not None:
             now[WRITTEN] = _arrow_bytes(tail.written)
-        stored = {CONTENT: np.array(self.content or "")}
+        stored = {CONTENT: np.array(self.content or ""), UNIT: np.array(self.unit)}
         stored |= {f"before {name}": x for name, x in self.past.items()}
         stored |= {f"after {name}": x for name, x in now.items()}
         self.file.path.parent.mkdir(parents=True, exist_ok=True)
         self.file.save(**stored)
+
+
+def _file_of(unit: str, size: int) -> str:
+    """Return the name of the file of a unit, with a digest of so many bytes."""
+    readable = re.sub(r"[^A-Za-z0-9._-]+", "_", unit)[:60]
+    return f"{readable}-{blake2b(unit.encode(), digest_size=size).hexdigest()}.npz"
+
+
+def _refuse_former(former: Path, now: Path) -> None:
+    """Raise ValueError for the file of an earlier jaxbound, which does not say whose it is."""
+    if former.exists() and not now.exists():
+        raise ValueError(
+            f"{former} was written by an earlier jaxbound and does not name its unit, so another's may be in it: "
+            f"choose another folder, or delete it to begin anew"
+        )
 
 
 def followed(

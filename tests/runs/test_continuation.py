@@ -3,6 +3,7 @@ file.
 """
 
 import json
+from hashlib import blake2b
 
 import jax
 import numpy as np
@@ -117,6 +118,38 @@ def test_the_same_recording_again_is_judged_as_it_was_and_what_does_not_follow_b
     jb.save_model(model.replace(noise="0.2"), tmp_path / "plant.toml")
     (other,), _ = say(30, 60)
     assert other.verdict == "not tested" and "is of another model" in other.summary.sentence
+
+
+ALIKE = "泵仝丄", "泵唅下"
+"""Names whose digests of 32 bits are one, with a readable part that is nothing for either."""
+
+
+def test_each_unit_has_a_file_of_its_own_that_names_it(plant, tmp_path):
+    """Two of 21 575 units shared a file: one was joined behind the samples of the other, a healthy FAULT."""
+    model, table = plant
+    state = tmp_path / "state"
+    jb.save_model(model, tmp_path / "plant.toml")
+
+    def say(first, stop, *names):
+        table.iloc[first:stop].to_csv(tmp_path / "run.csv", index=False)
+        units = [Unit(name, tmp_path / "plant.toml", tmp_path / "run.csv") for name in names]
+        return list(detect_fleet(units, horizon=3, state=state))
+
+    say(0, 10, *ALIKE)
+    files = sorted(state.iterdir())
+    assert len(files) == 2
+    files[0].write_bytes(files[1].read_bytes())
+    sentences = " ".join(r.summary.sentence for r in say(10, 20, *ALIKE) if r.verdict == "not tested")
+    assert f"{files[0]} is of unit" in sentences and "delete it to begin anew" in sentences
+    former = state / f"_-{blake2b(ALIKE[0].encode(), digest_size=4).hexdigest()}.npz"
+    files[1].rename(former)
+    files[0].unlink()
+    for found in say(10, 20, *ALIKE):
+        assert (
+            found.verdict == "not tested" and f"{former} was written by an earlier" in found.summary.sentence
+        )
+    former.unlink()
+    assert {found.verdict for found in say(10, 20, *ALIKE)} == {"no fault"}
 
 
 def test_what_rests_on_a_recording_before_says_so(plant, tmp_path, capsys, monkeypatch):
