@@ -33,6 +33,7 @@ from jaxbound.diagnosis.hints import bound_hints, judging_hints, outgrown, unfit
 from jaxbound.diagnosis.severity import fitted
 from jaxbound.files.locks import refuse_link
 from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.columns import moments
 from jaxbound.recordings.live import LiveSource
 from jaxbound.recordings.means import every_of, recorded_model
 from jaxbound.recordings.meanstream import MeansStream
@@ -526,8 +527,8 @@ def _number(text: str) -> float | None:
 
 
 def _is_text(piece: Recording) -> bool:
-    """Return whether the time of a piece is written as text."""
-    return str(piece.column.type) in ("string", "large_string")
+    """Return whether the time of a piece is written as text, as dates are."""
+    return str(moments(piece.column.slice(0, 0)).type) in ("string", "large_string")
 
 
 class _Complaints:

@@ -13,18 +13,14 @@ fails where it fails at each: else it is `IN_PART`.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxbound.recordings.clockintervals import nanoseconds, next_interval, seconds_of
-from jaxbound.recordings.columns import texts
 from jaxbound.recordings.factors import IN_PART, Factor, factors_of
 from jaxbound.recordings.seams import TOLERATED_DT, TOLERATED_STEP, USUAL
 from jaxbound.recordings.signals import Named, SignalModel, Signals
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 __all__ = [
     "EVERY",
@@ -41,7 +37,6 @@ __all__ = [
     "refuse_every",
     "usual_step",
     "with_every",
-    "written_stamps",
 ]
 
 EVERY = "every"
@@ -369,11 +364,3 @@ def is_period(dt: float | None, every: str) -> bool:
     """Return whether samples dt apart, in s, have the step of the interval already."""
     seconds = seconds_of(every)
     return dt is not None and abs(float(dt) - seconds) <= TOLERATED_DT * seconds
-
-
-def written_stamps(stamps: np.ndarray, every: int) -> "pa.Array":
-    """Return the beginnings of intervals of so many ns as a column of texts."""
-    unit: Literal["s", "ms"] = "s"
-    if every % 1_000_000_000:
-        unit = "ms"
-    return texts([text.replace("T", " ") for text in np.datetime_as_string(stamps, unit).tolist()])

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from jaxbound.recordings.clockintervals import nanoseconds
-from jaxbound.recordings.columns import from_arrow
+from jaxbound.recordings.columns import from_arrow, moments, to_arrow
 from jaxbound.recordings.means import (
     Grid,
     every_of,
@@ -23,7 +22,6 @@ from jaxbound.recordings.means import (
     midnight_of,
     recorded_model,
     usual_step,
-    written_stamps,
 )
 from jaxbound.recordings.parquet import PROBE, ParquetSource
 from jaxbound.recordings.recording import Recording
@@ -70,7 +68,7 @@ class MeansSource(Source):
         """Return the Recording of all means."""
         means = self.raw.whole(progress).averaged(self.every, self.model.m)
         if means.stamps is not None:
-            means = replace(means, written=written_stamps(means.stamps, nanoseconds(self.every)))
+            means = replace(means, written=moments(to_arrow(means.stamps)))
         return with_hints(self.model, means, "sample {}".format, self.model.columns.get("where", ""))
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxbound.recordings.columns import moments, to_arrow
 from jaxbound.recordings.factors import known
 from jaxbound.recordings.means import (
     FIRST,
@@ -21,7 +22,6 @@ from jaxbound.recordings.means import (
     means_of,
     midnight_of,
     usual_step,
-    written_stamps,
 )
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import tick
@@ -208,7 +208,7 @@ class MeansStream(Stream):
         like = Recording(*samples[:2], NOWHERE, known(self.model), self.model.outputs)
         means = like.on_grid(grid, self.zero, samples)
         if means.stamps is not None:
-            means = replace(means, written=written_stamps(means.stamps, grid.every))
+            means = replace(means, written=moments(to_arrow(means.stamps)))
         before = self.clock.samples
         self.clock, seams = tick(self.clock, means.time)
         starts = seams - before

@@ -88,8 +88,8 @@ class Continuation:
         kept = self.file.load() or {}
         if kept and str(kept.get(UNIT)) != unit:
             raise ValueError(
-                f"{self.file.path} is of unit {str(kept.get(UNIT))!r}, not of {unit!r}: choose another folder, or "
-                f"delete it to begin anew"
+                f"{self.file.path} is of unit {str(kept.get(UNIT))!r}, not of {unit!r}: choose another "
+                f"folder, or delete it to begin anew"
             )
         is_again = content is not None and str(kept.get(CONTENT, "")) == content
         self.past = _under("before" if is_again else "after", kept)
@@ -155,8 +155,8 @@ def _refuse_former(former: Path, now: Path) -> None:
     """Raise ValueError for the file of an earlier jaxbound, which does not say whose it is."""
     if former.exists() and not now.exists():
         raise ValueError(
-            f"{former} was written by an earlier jaxbound and does not name its unit, so another's may be in it: "
-            f"choose another folder, or delete it to begin anew"
+            f"{former} was written by an earlier jaxbound and does not name its unit, so another's may be in "
+            f"it: choose another folder, or delete it to begin anew"
         )
 
 

@@ -89,6 +89,34 @@ def test_a_live_source_goes_on_where_it_was_stopped(place, capsysbinary, again):
     )
 
 
+DATED = """
+import numpy as np, pandas as pd
+y = 0.5 ** np.arange(40.0)
+y[20:] += 1.0
+table = pd.DataFrame({"y1": y}, index=pd.date_range("2026-01-01", periods=40, freq="1s"))
+
+def readings(model):
+    for k in range(0, 40, 3):
+        yield table.iloc[k : k + 3]
+"""
+
+
+def test_readings_with_dates_are_judged_and_written_as_text(place, capsysbinary):
+    """A few rows with dates were no numbers: the run ended with an error."""
+    (place / "plant.py").write_text(DATED)
+    for options in ([], ["--json", "--alarm", "1/1"]):
+        command = ["detect", "model.toml", "plant.py:readings", "--out", f"out{len(options)}"]
+        assert main.main([*command, *options]) == 1
+    lines = capsysbinary.readouterr().out.decode().splitlines()
+    assert (
+        lines[40].startswith("2026-01-01 00:00:39,FAULT") and rows("\n".join(lines[:41])).count("FAULT") == 20
+    )
+    assert json.loads(lines[-1])["time"] == "2026-01-01 00:00:39"
+    assert (
+        (place / "out3/alarms.csv").read_text().splitlines()[1].startswith("2026-01-01 00:00:20,2026-01-01")
+    )
+
+
 def test_python_judges_a_generator_as_it_comes_and_as_a_whole():
     monitor = jb.Monitor(jb.parity_relations(MODEL))
     state, status = monitor.init(), []
