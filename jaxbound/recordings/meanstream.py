@@ -69,8 +69,8 @@ class MeansStream(Stream):
     """
 
     def __init__(self, reading: Stream, model: SignalModel, memory: dict[str, Any] | None = None) -> None:
-        super().__init__(model, reading.complain)
-        self.reading, self.raw = reading, reading.raw
+        super().__init__(model, reading.complain, reading.taken)
+        self.reading, self.raw, self.units = reading, reading.raw, reading.units
         self.every = every_of(model) or ""
         self.rows: _Rows | None = None  # from the last one of the interval before on
         self.usual: int | None = None  # step in ns
@@ -135,7 +135,7 @@ class MeansStream(Stream):
             ValueError: as the samples themselves, or an interval that is shorter than their step.
         """
         for _, piece in self.reading.pieces(arrivals):
-            self.lost = self.reading.lost
+            self.lost, self.skipped = self.reading.lost, self.reading.skipped
             if piece.samples:
                 self._take(piece)
             means = self._means()

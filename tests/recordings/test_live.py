@@ -89,6 +89,24 @@ def test_a_live_source_goes_on_where_it_was_stopped(place, capsysbinary, again):
     )
 
 
+def test_a_live_source_that_says_something_else_is_refused(place, capsysbinary):
+    """Readings at times that were judged were left out, whatever they said."""
+    command = ["detect", "model.toml", "plant.py:readings", "--out", "out"]
+    assert main.main(command) == 1
+    assert main.main(command) == 3
+    err = capsysbinary.readouterr().err.decode()
+    assert "nothing is concluded: 40 samples were judged before and are skipped" in err
+    kept = (place / "out/verdicts.csv").read_bytes()
+    source = (place / "plant.py").read_text()
+    (place / "plant.py").write_text(source.replace("y[20:] += 1.0", "y[20:] += 2.0"))
+    assert main.main(command) == 2
+    err = capsysbinary.readouterr().err.decode()
+    assert (
+        "a reading at 20 s is no sample that was judged, though all up to 89 s were: another recording" in err
+    )
+    assert (place / "out/verdicts.csv").read_bytes() == kept
+
+
 DATED = """
 import numpy as np, pandas as pd
 y = 0.5 ** np.arange(40.0)
