@@ -67,8 +67,9 @@ PIPE = (
     "started again with the same --out, verdicts.csv holds each line that was taken once, whether the "
     "sender begins again (what was judged is known by time and values, and skipped) or goes on; lines at "
     "times that were judged with other values are refused (2), and a run that judged nothing new concludes "
-    "nothing (3). On standard output each verdict stands once, after kill -9 at least once, if --out or --state "
-    "is given. What the pipe held when its reader was killed is lost, unless the sender sends it again"
+    "nothing (3). On standard output each verdict stands once, after kill -9 at least once, if --out or "
+    "--state is given. What the pipe held when its reader was killed is lost, unless the sender sends it "
+    "again"
 )
 CODES = EXIT_CODES + SHARES + PIPE
 
