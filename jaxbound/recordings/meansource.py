@@ -15,6 +15,7 @@ import numpy as np
 from jaxbound.recordings.columns import from_arrow, moments, to_arrow
 from jaxbound.recordings.means import (
     Grid,
+    Unfinished,
     every_of,
     grid_of,
     instants,
@@ -52,12 +53,23 @@ class MeansSource(Source):
 
     Args:
         raw: the source, opened with `recorded_model`. data: of it. model: with the interval.
+
+    Fields: before: the `rest` of the recording before; None: there is none. goes_on: whether others follow.
     """
+
+    before: Unfinished | None = None
+    goes_on = False
 
     def __init__(self, raw: Source, data: object, model: SignalModel) -> None:
         super().__init__(data, model)
         self.raw = raw
         self.every = every_of(model) or ""
+
+    def behind(self, before: Unfinished | None) -> "MeansSource":
+        """Return the source of the same means, read as a whole, between a recording before and the next."""
+        source = MeansSource(self.raw, self.data, self.model)
+        source.before, source.goes_on = before, True
+        return source
 
     @cached_property
     def content(self) -> str | None:
@@ -66,10 +78,20 @@ class MeansSource(Source):
 
     def whole(self, progress: Progress | None = None) -> Recording:
         """Return the Recording of all means."""
-        means = self.raw.whole(progress).averaged(self.every, self.model.m)
+        recorded = self._recorded_whole(progress)
+        left = self.rest = recorded.unfinished(self.before)
+        grid = left.grid(self.every, self.goes_on)
+        self.rest = left.behind(grid)
+        means = recorded.averaged(left, grid, self.model.m)
         if means.stamps is not None:
             means = replace(means, written=moments(to_arrow(means.stamps)))
         return with_hints(self.model, means, "sample {}".format, self.model.columns.get("where", ""))
+
+    def _recorded_whole(self, progress: Progress | None) -> Recording:
+        """Return all samples as they were recorded."""
+        if self.raw.parts:
+            return self.raw.read(progress=progress)
+        return self.raw.whole(progress)
 
 
 class PartMeans(MeansSource):

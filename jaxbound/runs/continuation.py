@@ -37,9 +37,11 @@ from jaxbound.files.checkpoint import Checkpoint
 from jaxbound.models.region import Region
 from jaxbound.recordings.expressions import TIME_SINCE_START, expression, is_expression
 from jaxbound.recordings.factors import factors_of
+from jaxbound.recordings.means import Rows, Unfinished
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import TOLERATED_STEP, around
 from jaxbound.recordings.signals import SignalModel
+from jaxbound.recordings.source import Source
 from jaxbound.relations.identity import identity
 from jaxbound.sets.floats.status import Status
 
@@ -51,6 +53,7 @@ __all__ = ["Continuation", "Joined", "carry_of", "followed", "joined_carries"]
 State = TypeVar("State", bound=CarriedState)
 Arrays = Mapping[str, np.ndarray]
 CONTENT, CARRY, WRITTEN, UNIT = "content", "carry", "written", "unit"
+REST = "rest"  # before the names of samples that are in no mean yet
 BYTES = 16  # of the digest in the name of a file: no two units share one
 FORMER_BYTES = 4  # of an earlier jaxbound: two of 20 000 units did
 ARRAYS = ("u", "y", "starts", "excluded", "time", "stamps")
@@ -93,6 +96,22 @@ class Continuation:
             )
         is_again = content is not None and str(kept.get(CONTENT, "")) == content
         self.past = _under("before" if is_again else "after", kept)
+        self.rest: Unfinished | None = None
+
+    def read(self, source: Source) -> Recording:
+        """Return the recording of a source, of means with the interval that the one before began.
+
+        Where no interval is over yet, its samples are kept for the next recording, too.
+        """
+        source = source.behind(_unfinished_in(self.past))
+        try:
+            return source.read()
+        except ValueError:
+            if source.rest is not None:
+                self._save(self.past | _arrays_of(source.rest))
+            raise
+        finally:
+            self.rest = source.rest
 
     def joined(self, recording: Recording) -> Joined:
         """Return a recording behind the last samples of the one before.
@@ -100,7 +119,7 @@ class Continuation:
         Where it does not follow these, one sampling period behind the last, it comes back as it is, with a
         hint.
         """
-        if not self.past:
+        if "y" not in self.past:
             return Joined(recording)
         tail = _tail_before(self.past, recording)
         apart = _why_apart(tail, recording, self.relations.model)
@@ -138,6 +157,19 @@ class Continuation:
             now[f"{CARRY}{i}"] = np.asarray(leaf)
         if tail.written is not None:
             now[WRITTEN] = _arrow_bytes(tail.written)
+        if self.rest is not None:
+            now |= _arrays_of(self.rest)
+        self._save(now)
+
+    def keep(self, joined: Joined) -> None:
+        """Keep a recording that is too short for a window, for the next."""
+        carry = joined.carry
+        if carry is None and isinstance(self.relations, Observer):
+            carry = self.relations.init()
+        self.save(joined.recording, carry)
+
+    def _save(self, now: Arrays) -> None:
+        """Keep arrays for the next recording, and those for this one again."""
         stored = {CONTENT: np.array(self.content or ""), UNIT: np.array(self.unit)}
         stored |= {f"before {name}": x for name, x in self.past.items()}
         stored |= {f"after {name}": x for name, x in now.items()}
@@ -273,6 +305,27 @@ def _under(kind: str, kept: Arrays) -> dict[str, np.ndarray]:
     """Return {name: array} of the arrays that are kept with a word before their name."""
     prefix = f"{kind} "
     return {name.removeprefix(prefix): x for name, x in kept.items() if name.startswith(prefix)}
+
+
+def _arrays_of(rest: Unfinished) -> dict[str, np.ndarray]:
+    """Return the samples that a recording left over, and how they are counted, as arrays."""
+    number, origin = np.zeros(0, np.int64), np.zeros(0, "datetime64[ns]")
+    if rest.number is not None:
+        number = np.append(number, rest.number)
+    if rest.origin is not None:
+        origin = np.append(origin, rest.origin)
+    arrays = vars(rest.rows) | {"shown": rest.shown, "number": number, "origin": origin}
+    return {f"{REST} {name}": x for name, x in arrays.items()}
+
+
+def _unfinished_in(past: Arrays) -> Unfinished | None:
+    """Return the samples that `_arrays_of` made arrays of; None: none are kept."""
+    rest = _under(REST, past)
+    if not rest:
+        return None
+    shown, number = rest.pop("shown"), rest.pop("number").tolist()
+    origin = [*rest.pop("origin"), None][0]
+    return Unfinished(Rows(**rest), shown, origin, *number)
 
 
 def _tail_before(past: Arrays, like: Recording) -> Recording:

@@ -2,6 +2,7 @@
 file.
 """
 
+import itertools
 import json
 from hashlib import blake2b
 
@@ -210,3 +211,69 @@ def test_units_are_read_in_the_precision_of_the_caller(plant, tmp_path):
     with jax.enable_x64(False):
         _, kept = fleet(tmp_path, [table.iloc[:30]], method="observer")
     assert kept["unit 0"][0].relations.plant.dtype == np.float32
+
+
+MEANS = jb.LinearSystem(
+    [[0.5]], [[1]], [[1]], noise=0.3, dt=420, columns={"every": "7min", "where": "on > 0"}, horizon=2
+)
+
+
+@pytest.fixture(scope="module")
+def seconds():
+    """Return samples of MEANS at 10 s over midnight, with a fault, a sample that is lacking and a hole."""
+    rng = np.random.default_rng(0)
+    u, y = rng.uniform(-1, 1, 20), np.zeros(20)
+    for k in range(1, 20):
+        y[k] = 0.5 * y[k - 1] + u[k - 1]
+    y[12:15] += 3
+    table = pd.DataFrame({"time": pd.date_range("2026-03-01 22:58:30", periods=840, freq="10s"), "on": 1})
+    table = table.assign(u1=np.repeat(u, 42), y1=np.repeat(y, 42))
+    table.loc[690:694, "on"] = 0
+    return table.drop(index=[70, *range(430, 433)]).reset_index(drop=True)
+
+
+@pytest.mark.parametrize("stored", ["csv", "parquet"])
+@pytest.mark.parametrize("cuts", [[400], [170, 172, 174, 300], [427, 430, 700], [2, 5, 60, 90]])
+def test_an_interval_that_a_cut_splits_is_judged_as_in_one_file(tmp_path, seconds, stored, cuts):
+    """It was missing on both sides. In recordings that hold no interval, or no window, nothing is lost."""
+    jb.save_model(MEANS, tmp_path / "m.toml")
+    path = tmp_path / f"run.{stored}"
+
+    def say(first, stop, state):
+        part, kept = seconds.iloc[first:stop], {}
+        part.to_csv(path, index=False) if stored == "csv" else part.to_parquet(path, index=False)
+        page = lambda unit, res, recording, *about: kept.update(res=res, recording=recording) or ""
+        (found,) = detect_fleet([Unit("A", tmp_path / "m.toml", path)], state=state, page=page)
+        if not kept:
+            assert "too short" in found.summary.sentence or "one window needs 3" in found.summary.sentence
+            return {}
+        assert not any("begins anew" in hint for hint in found.summary.hints)
+        res, recording = kept["res"], kept["recording"]
+        fresh = range(res.known, recording.samples)
+        return {recording.label(k): (int(res.status[k]), str(res.margin[k])) for k in fresh}
+
+    whole = say(0, len(seconds), None)
+    assert {status for status, _ in whole.values()} == {0, 1, 3}
+    parts = {}
+    for first, stop in itertools.pairwise([0, *cuts, len(seconds)]):
+        once = say(first, stop, tmp_path / "state")
+        assert once.keys().isdisjoint(parts)
+        parts |= once
+    assert say(first, stop, tmp_path / "state") == once  # the same again
+    unsaid = [*whole][: len(whole) - len(parts)]
+    assert len(unsaid) <= 2 and not any(whole.pop(time)[0] for time in unsaid)  # warming up
+    assert parts == whole
+
+
+def test_a_recording_of_before_takes_nothing_of_what_is_kept(tmp_path, seconds):
+    jb.save_model(MEANS, tmp_path / "m.toml")
+    unit = Unit("A", tmp_path / "m.toml", tmp_path / "run.csv")
+    samples = []
+    for first, stop in ((400, 650), (0, 300), (500, 800)):
+        seconds.iloc[first:stop].to_csv(unit.recording, index=False)
+        (alone,) = detect_fleet([unit])
+        (found,) = detect_fleet([unit], state=tmp_path / "state")
+        samples.append(found.summary.found.samples - alone.summary.found.samples)
+    assert samples[:2] == [0, 0]
+    # two samples that were judged, two intervals that are not whole, between them those without a row
+    assert samples[2] == 2 + 2 + (500 - 300) // 42
