@@ -34,6 +34,8 @@ from jaxbound.diagnosis.severity import fitted
 from jaxbound.files.locks import refuse_link
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.columns import moments
+from jaxbound.recordings.factors import known
+from jaxbound.recordings.hints import missing_sentences
 from jaxbound.recordings.live import LiveSource
 from jaxbound.recordings.means import every_of, recorded_model
 from jaxbound.recordings.meanstream import MeansStream
@@ -404,6 +406,9 @@ class _LiveRun:
         clock, relations = self.stream.clock, self.judge.monitor.relations
         where, counted = (lambda k: f"sample {k}"), (lambda k: "counted from 0")
         hints = [*seam_hints(clock, counted, where), irregular(clock, counted, where), *self.hints]
+        model = relations.model
+        missing = dict(zip((*known(model), *model.outputs), self.tally.missing, strict=False))
+        hints += missing_sentences(model, missing, self.tally.looked_at)
         lost = self.stream.lost
         if lost:
             lines = f"{lost} line{'s' * (lost != 1)}"

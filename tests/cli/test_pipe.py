@@ -334,6 +334,19 @@ class TestTroubles:
         assert len(out.splitlines()) == 18 and "the last line has no end: it is not judged" in err
 
 
+def test_what_is_missing_is_counted_as_in_a_file(samples, place, pipe):
+    """A window that lacks an input has a margin, UNDECIDED: what that claims was said of files alone."""
+    t, u, y = (x[:60].copy() for x in samples)
+    u[[10, 40]] = np.nan
+    text = lines((t, u, y))
+    batch(place, text)
+    expected = [hint for hint in jb.read("run.csv", paper()).hints if "are missing" in hint]
+    assert "2 of 60 samples of u1 are missing: windows that need one are judged by what" in expected[0]
+    pipe(text[:30], state=place / "state")
+    _, _, err = pipe(text[30:], state=place / "state")
+    assert [line for line in err.splitlines() if "are missing" in line] == expected
+
+
 class Killed(BaseException):
     """Raised where a process may be killed."""
 
