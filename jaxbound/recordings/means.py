@@ -27,6 +27,7 @@ __all__ = [
     "FIRST",
     "Grid",
     "Rows",
+    "TooShort",
     "Unfinished",
     "every_of",
     "finished",
@@ -48,6 +49,10 @@ RARE = 0.99  # share of steps that a recorder does not exceed which skips a samp
 SKIPPED = 2.5  # median steps: a longer one skips more than one sample
 HOLE = 1.5  # usual steps: a longer one lacks a sample
 EMPTY = 100  # intervals without a sample that are missing samples, and no gap
+
+
+class TooShort(ValueError):
+    """A recording holds no interval as a whole."""
 
 
 class Grid(NamedTuple):
@@ -364,7 +369,7 @@ def _without_ends(grid: Grid, every: str) -> Grid:
     """Return the intervals without the first and the last where they are not whole."""
     begin, end = int(not grid.whole[0]), len(grid.whole) - int(not grid.whole[-1])
     if end <= begin:
-        raise ValueError(f"no interval of {every} is in the recording as a whole: it is too short")
+        raise TooShort(f"no interval of {every} is in the recording as a whole: it is too short")
     return grid.part(begin, end)
 
 
@@ -375,9 +380,7 @@ def _from(grid: Grid, every: str, number: int) -> Grid:
     over = _with_empty(grid.part(0, len(grid.whole) - int(not grid.whole[-1])))
     counts = np.flatnonzero(over.number >= number)
     if not len(counts):
-        raise ValueError(
-            f"no interval of {every} is over in the recording and the one before: it is too short"
-        )
+        raise TooShort(f"no interval of {every} is over in the recording and the one before: it is too short")
     return over.part(int(counts[0]), len(over.number))
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from jaxbound.recordings.columns import from_arrow, moments, to_arrow
 from jaxbound.recordings.means import (
     Grid,
+    TooShort,
     Unfinished,
     every_of,
     grid_of,
@@ -79,13 +80,18 @@ class MeansSource(Source):
     def whole(self, progress: Progress | None = None) -> Recording:
         """Return the Recording of all means."""
         recorded = self._recorded_whole(progress)
-        left = self.rest = recorded.unfinished(self.before)
-        grid = left.grid(self.every, self.goes_on)
-        self.rest = left.behind(grid)
+        left = recorded.unfinished(self.before)
+        try:
+            grid = left.grid(self.every, self.goes_on)
+        except TooShort:
+            self.rest = left
+            raise
         means = recorded.averaged(left, grid, self.model.m)
         if means.stamps is not None:
             means = replace(means, written=moments(to_arrow(means.stamps)))
-        return with_hints(self.model, means, "sample {}".format, self.model.columns.get("where", ""))
+        means = with_hints(self.model, means, "sample {}".format, self.model.columns.get("where", ""))
+        self.rest = left.behind(grid)
+        return means
 
     def _recorded_whole(self, progress: Progress | None) -> Recording:
         """Return all samples as they were recorded."""
