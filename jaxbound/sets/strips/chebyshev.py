@@ -96,7 +96,7 @@ class _Search:
         on_S = np.take_along_axis(self.values, self.S, 1)
         own = np.abs(self.values[:, :c] - (T @ on_S[:, :, None])[:, :, 0]) / (1 + np.abs(T).sum(2))
         self.leader = np.where(others, own, -1).argmax(1)
-        idle: np.ndarray = ~others.any(1)
+        idle = np.asarray(~others.any(1))
         return idle
 
     def reference(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
