@@ -4,9 +4,10 @@ of each kind.
 
 import json
 from collections.abc import Mapping, Sequence
+from copy import copy
 from fractions import Fraction
 from functools import singledispatch
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol, Self, TypeAlias
 
 import numpy as np
 
@@ -55,11 +56,19 @@ class Judgement(Protocol):
 class WindowCertificate:
     """A proof of the verdict of one window, for people (`str`) and for whoever checks it (`to_json`).
 
-    Fields: status: of the window, as detected. at: the index at which it ends, a tuple.
+    Fields: status: of the window, as detected. at: the index at which it ends, a tuple. test: of a monitor
+    the name of the test that it is of, else "".
     """
 
     status: Status
     at: Index
+    test: str = ""
+
+    def of_test(self, name: str) -> Self:
+        """Return the same certificate, of a test of a monitor: what it says is of the model of this test."""
+        own = copy(self)
+        vars(own)["test"] = name
+        return own
 
     @property
     def proves(self) -> Status:
