@@ -293,7 +293,11 @@ def _settle(
 
 
 def _circuit(E: System, b: Integers, S: list[int], q: int) -> dict[int, int] | None:
-    """Return the integers h with h E = 0 on rows S, q and h b >= 0; None where rows S are dependent."""
+    """Return the integers h with h E = 0 on rows S, q and h b >= 0; None where rows S are dependent, or q is
+    one of them: floats may take a row twice, with either sign.
+    """
+    if q in S:
+        return None
     solved = _solve(linalg.transpose([E[i] for i in S]), E[q])
     if solved is None:
         return None
