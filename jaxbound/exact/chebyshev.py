@@ -167,7 +167,10 @@ def _search(
     m, N = len(E), len(E[0])
     if N == m:
         return ()
-    F, c = _in_floats(E, b, r, common)
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        F, c = _in_floats(E, b, r, common)
+    if not np.isfinite(F).all() or not np.isfinite(c).all():
+        return _plain(m, independent)
     # Many multipliers are zero where rows are sparse. A nudge, the same for all references, decides which of
     # them leaves: no cycles.
     nudge = np.append(1e-9 * np.random.default_rng(0).uniform(0.5, 1, N), 1)

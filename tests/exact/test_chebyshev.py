@@ -152,3 +152,9 @@ def test_a_row_that_floats_take_twice_is_no_circuit():
     r = list(map(Fraction, [*r, 0.0011115282838108926, 1.4210854715202005e-15]))
     best = chebyshev(E, b, r, ((7, -1), (1, -1), (6, -1)))
     assert_optimal(E, b, r, best)
+
+
+def test_radii_beyond_each_other_in_floats_are_left_to_the_exact_steps():
+    E = [[Fraction(1)], [Fraction(2)], [Fraction(1)]]
+    b, r = [Fraction(0), Fraction(10) ** 300, Fraction(1)], [Fraction(10) ** -9] * 3
+    assert_optimal(E, b, r, chebyshev(E, b, r))
