@@ -85,7 +85,7 @@ def test_actuator_fault_changes_what_the_plant_receives(kind, run):
     if kind == "noise":
         assert (abs(got - commanded) <= SIZE + 1e-12).all() and abs(got - commanded).max() > 0.9 * SIZE
     else:
-        expected = np.zeros_like(commanded) if kind == "dropout" else EFFECT[kind](commanded)
+        expected = np.zeros_like(commanded) if kind == "dropout" else EFFECT[kind](commanded, 0)
         np.testing.assert_allclose(got, expected, atol=1e-14)
 
 
