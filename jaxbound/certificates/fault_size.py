@@ -18,10 +18,11 @@ Roots of a parabola (a square of x moves the window: `cool` and `cool2`) are rou
 digits, so such a size explains, and none smaller by more than that does.
 """
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from math import isqrt
+from types import MappingProxyType
 from typing import NamedTuple
 
 from jaxbound.certificates.blame import rounded_up, rounded_witness
@@ -41,7 +42,9 @@ DIGITS = 12
 class FaultSize:
     """A named fault, and whether it alone explains a window.
 
-    Fields: fault; size: the smallest that does, signed, exact; None: none does, proved; since: the sample of
+    Fields: fault; size: the smallest that does, signed, exact; None: none does, proved; largest: of the same
+    sign, that does, exact; None: there is no end, or it is not known; varies: of several windows, no one size
+    explains all: `size` is the most that one of them takes; since: the sample of
     the window from which on it is constant, None for an excluded one: from none; beyond: of an excluded one,
     the smallest size that would explain the window although its sign or bounds rule it out, None where none
     does; proof: the relations h, ((h, h, ..), ..), for each onset, that leave no size;
@@ -56,6 +59,18 @@ class FaultSize:
     proof: tuple[tuple[Vector, ...], ...] = ()
     z: Vector | None = None
     tried: int = 0
+    largest: Fraction | None = None
+    varies: bool = False
+
+    def and_of(self, other: "FaultSize") -> "FaultSize":
+        """Return the FaultSize of two windows with sizes of one sign: those that explain both."""
+        one, two = self, other
+        if abs(two.size or ZERO) > abs(one.size or ZERO):
+            one, two = other, self
+        ends = [each.largest for each in (one, two) if each.largest is not None]
+        largest = min(ends, key=abs, default=None)
+        varies = one.varies or two.varies or (largest is not None and abs(largest) < abs(one.size or ZERO))
+        return replace(one, largest=largest, varies=varies)
 
 
 class Cut(NamedTuple):
@@ -129,12 +144,12 @@ def ends_of(cut: Cut, path: Path, window: ExactWindow) -> tuple[End, End]:
 
 class Reached(NamedTuple):
     """The first t of a path that explains a window. Fields: t, z: unknowns with it; None where none explains.
-    proof: relations that leave none.
+    proof: relations that leave none, by their numbers.
     """
 
     t: Fraction = ZERO
     z: Vector | None = None
-    proof: tuple[Vector, ...] = ()
+    proof: Mapping[int, Vector] = MappingProxyType({})
 
 
 @dataclass(eq=False)
@@ -161,11 +176,12 @@ class Scale:
         Raises:
             NotImplementedError: as `paths_of`.
         """
+        onsets = tuple(onsets)
         best: tuple[Fraction, int, Path, Fraction, Vector] | None = None
         beyond: Fraction | None = None
         proofs = []
         for since in onsets:
-            proof: dict[Vector, None] = {}
+            proof: dict[int, Vector] = {}
             for path in paths_of(fault, self.window, since):
                 if best is not None:
                     nearer = path.of_sizes_to(abs(best[0]))
@@ -174,19 +190,38 @@ class Scale:
                     path = nearer
                 reached = self._reached(path)
                 if reached.z is None:
-                    proof |= dict.fromkeys(reached.proof)
+                    proof |= reached.proof
                     continue
                 size = path.size(reached.t)
                 if best is None or abs(size) < abs(best[0]):
                     best = size, since, path, reached.t, reached.z
-            proofs.append(tuple(proof))
+            proofs.append(tuple(proof.values()))
             if best is None and _is_bounded(fault):
                 beyond = self._beyond(fault, since, beyond)
         if best is None:
             return FaultSize(fault, None, None, beyond, tuple(proofs))
         size, since, path, t, z = best
         here = path.push.window(self.window, path.x(t))
-        return FaultSize(fault, size, since, z=rounded_witness(here, z))
+        largest = self._largest(fault, onsets, size)
+        return FaultSize(fault, size, since, z=rounded_witness(here, z), largest=largest)
+
+    def _largest(self, fault: NamedFault, onsets: Sequence[int], size: Fraction) -> Fraction | None:
+        """Return the largest size of the sign of the smallest that explains, whatever its onset; None:
+        without end.
+        """
+        for since in onsets:
+            for path in paths_of(fault, self.window, since):
+                farther = path.of_sizes_from(abs(size))
+                if farther is None or path.sign * size < 0:
+                    continue
+                back = farther.reversed
+                reached = self._reached(back)
+                if reached.z is None:
+                    continue
+                if farther.stop is None and reached.t == back.start:
+                    return None
+                size = back.size(reached.t)
+        return size
 
     def _beyond(self, fault: NamedFault, since: int, known: Fraction | None) -> Fraction | None:
         """Return the smaller of a size and of the smallest that explains, whatever is stated of it."""
@@ -212,7 +247,7 @@ class Scale:
                 if farther != t:
                     passed[i // 2] = self.cuts[i // 2].h
                 if farther is None or (path.stop is not None and farther > path.stop):
-                    return Reached(proof=tuple(passed.values()))
+                    return Reached(proof=passed)
                 t = farther
             if t > here:
                 continue

@@ -114,18 +114,31 @@ class Path:
 
     def of_sizes_to(self, most: Fraction) -> Self | None:
         """Return the part of it of sizes up to a magnitude; None: there is none."""
-        x = self.sign * most
+        end = self._at(most)
+        if end is None:
+            return self
+        if end < self.start:
+            return None
+        return self.until(end)
+
+    def of_sizes_from(self, least: Fraction) -> Self | None:
+        """Return the part of it of sizes from a magnitude on; None: there is none."""
+        begin = self._at(least)
+        if begin is None or (self.stop is not None and self.stop < begin):
+            return None
+        return replace(self, start=max(begin, self.start))
+
+    def _at(self, magnitude: Fraction) -> Fraction | None:
+        """Return t of a size of a magnitude, below `start` where it comes before; None: behind the end."""
+        x = self.sign * magnitude
         if self.is_gain:
             left, inverted = ONE + x, self.x(self.start) < 0
             if left <= 0 and not inverted:
-                return self
-            if left >= 0 and inverted:
                 return None
+            if left >= 0 and inverted:
+                return self.start - 1
             x = ONE / left
-        part = self.until(self.forward * x)
-        if part.stop is not None and part.stop < part.start:
-            return None
-        return part
+        return self.forward * x
 
     @property
     def reversed(self) -> Self:

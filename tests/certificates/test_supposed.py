@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import jaxbound as jb
-from jaxbound.certificates.fault_size import Scale
+from jaxbound.certificates.fault_size import FaultSize, Scale
 from jaxbound.certificates.interface import certify
+from jaxbound.certificates.supposed import push_of
 from jaxbound.sets.floats.status import Status
 
 KINDS = {
@@ -76,10 +77,51 @@ def test_the_true_fault_is_never_excluded(kind, tolerance, rng):
             continue
         stated = [{}, {"most": abs(f)}, {"least": abs(f), "sign": "+" if f > 0 else "-"}][weighed % 3]
         fault = jb.NamedFault("f", **KINDS[kind], **stated)
-        size = Scale(certificate.window, certificate.explanation).weigh(fault, range(3)).size
-        assert size is not None and abs(size) <= abs(f) * (1 + F(1, 10**9)), (f, since, stated)
+        found = Scale(certificate.window, certificate.explanation).weigh(fault, range(3))
+        size, slip = found.size, F(1, 10**9)
+        assert size is not None and abs(size) <= abs(f) * (1 + slip), (f, since, stated)
+        if size * f > 0 and found.largest is not None:
+            assert abs(found.largest) >= abs(f) * (1 - slip), (f, since, stated)
         weighed, inverted = weighed + 1, inverted + (size < -1)
     assert weighed > 5 and (kind != "gain" or inverted)
+
+
+def explains(window, fault, size):
+    """Return whether a fault does, from any sample on, by the exact window alone."""
+    x = 1 / (1 + size) if fault.get("kind") == "gain" else size
+    pushes = [push_of(jb.NamedFault("f", **fault), window, k, x < 0 and "kind" in fault) for k in range(3)]
+    return any(push.window(window, x).solve().factor <= 1 for push in pushes)
+
+
+@pytest.mark.parametrize("fault", [KINDS["bias"], KINDS["offset"], KINDS["gain"]])
+def test_both_ends_of_the_sizes_explain_and_none_beyond_does(fault, rng):
+    model = jb.LinearSystem(A, B, C, D, tolerance=["0.02", 0], noise=["0.1", "0.1"], offset=OFFSET)
+    relations, ends = jb.parity_relations(model, 2), 0
+    for _ in range(20):
+        certificate = certify(relations, *recorded(rng, model, "bias", F(3), int(rng.integers(0, 3)), 3))
+        if certificate.proves != Status.FAULT:
+            continue
+        window = certificate.window
+        found = Scale(window, certificate.explanation).weigh(jb.NamedFault("f", **fault), range(3))
+        if found.size is None or found.largest is None or abs(found.largest) > 10**5:
+            continue
+        ends += 1
+
+        step = F(1, 10**9) * (1 if found.size > 0 else -1)
+        assert explains(window, fault, found.size) and explains(window, fault, found.largest)
+        assert not explains(window, fault, found.size - step) and not explains(
+            window, fault, found.largest + step
+        )
+    assert ends > 1
+
+
+def test_windows_of_an_alarm_have_the_sizes_that_explain_each():
+    sizes = [(0.5, 1.1), (0.3, None), (0.7, 0.9), (0.95, 3)]
+    one, open_, inner, above = (FaultSize(None, F(str(a)), largest=b and F(str(b))) for a, b in sizes)
+    both = one.and_of(inner)
+    assert (both.size, both.largest, both.varies) == (F("0.7"), F("0.9"), False)
+    assert one.and_of(open_).largest == F("1.1") and open_.and_of(one).size == F("0.5")
+    assert inner.and_of(above).varies and above.and_of(inner).size == F("0.95")
 
 
 def test_a_bias_beside_a_tolerance_is_one_of_the_reading():

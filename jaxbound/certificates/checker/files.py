@@ -167,7 +167,7 @@ def read_condition(path: Path, test: object, columns: Sequence[str]) -> Conditio
         raise ValueError(f"{path}: when = {text!r} {more}")
     name, sense, number = stated.group("name", "sense", "number")
     inputs = [signal["name"] for signal in table.get("inputs", [])]
-    column = dict(zip(inputs, columns, strict=False)).get(name, name)
+    column = {name: name, **dict(zip(inputs, columns, strict=False))}[name]
     return Condition(column, COMPARED[sense], F(float(number)), text)
 
 
