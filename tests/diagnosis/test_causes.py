@@ -26,7 +26,8 @@ def test_faults_that_explain_some_of_the_windows_are_counted(two_faults):
     found = two_faults.diagnose(1, 4)
     assert not found.explains and found.windows == (1, 2, 3, 4)
     assert found.partly == {"u is off": (1, 2), "y2 is off": (3, 4)}
-    said = "4 windows that were looked at; of these u is off 2 (+0.9 to +1.1 of u), y2 is off 2 (+1.9 to +2.1 of y2)"
+    sizes = "u is off 2 (+0.9 to +1.1 of u), y2 is off 2 (+1.9 to +2.1 of y2)"
+    said = f"4 windows that were looked at; of these {sizes}"
     assert str(found).startswith(f"{NONE} {said}")
     sizes = found.to_dict()["partly_sizes"]
     assert sizes == {"u is off": approx([0.9, 1.1]), "y2 is off": approx([1.9, 2.1])}
