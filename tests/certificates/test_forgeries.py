@@ -213,9 +213,17 @@ CLOCKS = {
 }
 
 
-@pytest.mark.parametrize("kind", [*CLOCKS, "steady"])
+STEADY = {
+    "no gap": ("Time [s]", [str(k) for k in range(10)]),
+    "an epoch": ("timestamp", [str(1_772_323_200_000 + 1000 * k) for k in range(10)]),
+    "one offset": ("stamped", [f"2026-03-01T00:00:0{k}+01:00" for k in range(10)]),
+    "a count": ("shift", [str(10 + 2 * k) for k in range(10)]),
+}
+
+
+@pytest.mark.parametrize("kind", [*CLOCKS, *STEADY])
 def test_the_checker_beside_jaxbound_sees_a_gap_that_no_name_tells(kind, tmp_path, capsys):
-    called, times = CLOCKS.get(kind, ("Time [s]", [str(k) for k in range(10)]))
+    called, times = {**CLOCKS, **STEADY}[kind]
     y = [3 * 0.9**k for k in range(5)] + [50 * 0.9**k for k in range(5)]
     rows = [f"{time},{a!r},{k % 3}" for k, (time, a) in enumerate(zip(times, y, strict=True))]
     (tmp_path / "d.csv").write_text(f"{called},y,state\n" + "\n".join(rows) + "\n")
@@ -224,7 +232,7 @@ def test_the_checker_beside_jaxbound_sees_a_gap_that_no_name_tells(kind, tmp_pat
     document = jb.detect(jb.parity_relations(model, 2), None, np.array(y)[:, None]).explain(5).to_dict()
     assert document["certificate"] == "FAULT"
     codes = both_say(tmp_path, document)
-    assert codes == ((0, 0) if kind == "steady" else (1, 1)), capsys.readouterr().err
+    assert codes == ((0, 0) if kind in STEADY else (1, 1)), capsys.readouterr().err
 
 
 def test_windows_of_a_model_with_tests_are_confirmed_by_the_model_of_their_report(at_rest, capsys):

@@ -25,6 +25,8 @@ __all__ = ["Condition", "read_condition", "read_model", "read_samples"]
 ZERO = F(0)
 LATE = F(1, 2)
 """Share of a sampling period by which a step of time may differ from it, else it is a gap."""
+EPOCHS = (10**11, 10**3), (10**14, 10**6), (10**17, 10**9)
+"""(a number from which on a time is no longer in seconds, how many of its unit a second has)."""
 CONDITION = re.compile(
     r"(?P<name>[A-Za-z_]\w*)\s*(?P<sense>[<>]=?|[=!]=)\s*(?P<number>[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d{1,2})?)"
 )
@@ -287,16 +289,19 @@ def _likely_time(header: Sequence[str], rows: Sequence[Sequence[str]], columns: 
 
 
 def _seconds(text: str) -> tuple[F, bool]:
-    """Return (a time of the data in seconds, whether it has an offset from UTC): a number, or a time stamp in
-    ISO 8601.
+    """Return (a time of the data in seconds, whether it has an offset from UTC): a number of seconds, or of
+    milliseconds and less since 1970, or a time stamp in ISO 8601.
 
     Raises:
         ValueError: another one.
     """
     try:
-        return F(text), False
+        number = F(text)
     except ValueError:
         pass
+    else:
+        finer = [unit for least, unit in EPOCHS if abs(number) >= least]
+        return number / max(finer, default=1), False
     try:
         moment = datetime.fromisoformat(text)
     except ValueError:
