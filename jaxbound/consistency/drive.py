@@ -42,7 +42,7 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.threads import inherited
 from jaxbound.text.progress import in_part, reporter
 
-__all__ = ["drive", "raw_outputs", "windows"]
+__all__ = ["drive", "end_to_end", "raw_outputs", "windows"]
 
 CORES = os.cpu_count() or 1
 AHEAD = 3  # groups of blocks that are under way at once
@@ -123,7 +123,7 @@ def windows(
     Args:
         test, progress, size: as for `drive`. u: (..., T, m). y: (..., T, p). starts: of that Recording.
     """
-    flat_u, flat_y, block = _end_to_end(u), _end_to_end(y), size or test.block
+    flat_u, flat_y, block = end_to_end(u), end_to_end(y), size or test.block
     shape = y.shape[:-1]
     if is_outside_xla() or not searching_device():
         return _decided(test, flat_u, flat_y, shape, starts, progress, block)
@@ -169,7 +169,7 @@ def raw_outputs(
     size: int | None = None,
 ) -> list[np.ndarray]:
     """Return the `outputs` (..., T) of a test, before a FAULT is confirmed; arguments as of `windows`."""
-    flat_u, flat_y = _end_to_end(u), _end_to_end(y)
+    flat_u, flat_y = end_to_end(u), end_to_end(y)
     return _filled(test, flat_u, flat_y, y.shape[:-1], starts, progress, size or test.block)
 
 
@@ -232,7 +232,7 @@ def _run_nothing(kernel: Callable[..., T], blocks: Sequence[Arrays]) -> list[T]:
     raise NotImplementedError("a test that is not sharded calls its kernels itself")
 
 
-def _end_to_end(x: Array) -> np.ndarray:
+def end_to_end(x: Array) -> np.ndarray:
     """Return samples (..., T, n) as (N, n), on the host."""
     x = np.asarray(x)
     if x.ndim == 2:

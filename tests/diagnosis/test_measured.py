@@ -124,6 +124,16 @@ def test_few_windows_are_searched(monkeypatch):
     np.testing.assert_array_equal(few.margin, exact.margin)
 
 
+def test_a_plant_without_inputs_has_exact_margins_where_somebody_looks():
+    model = jb.LinearSystem([["0.9", "0.1"], [0, "0.7"]], None, [[1, 0], [1, 1]], noise=["0.1", "0.1"])
+    relations, y = jb.parity_relations(model, 8), np.zeros((2, 60, 2))
+    y[1, 40:, 0] += 3
+    bounded, exact = (jb.detect(relations, None, y, margins=kind) for kind in ("bounds", "exact"))
+    assert bounded.margins == "bounds" and bounded.counts["FAULT"]
+    assert bounded.alarms() == exact.alarms() and bounded.worst == exact.worst
+    np.testing.assert_array_equal(bounded.exact, exact.margin)
+
+
 def test_results_say_which_margins_they_have():
     u, y = np.zeros((30, 1)), np.zeros((30, 2))
     short, known = jb.parity_relations(paper(), 1), jb.parity_relations(paper(), 14)
