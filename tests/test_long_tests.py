@@ -47,7 +47,7 @@ BY_DAY = {
             "the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault"
         )
     },
-    "estimation/test_gaps": {
+    "estimation/test_laid_end_to_end": {
         "a_hundred_thousand_samples_laid_end_to_end": "random_plants_laid_end_to_end"
     },
     "estimation/test_joint_observer": {
