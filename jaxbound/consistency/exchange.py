@@ -128,9 +128,11 @@ class ExchangeTest(LinearTest):
         return easy_by(self.relations, self.reading, self.dtype)
 
     def measured(self) -> Self:
-        """Return a test that searches every window for its margin."""
+        """Return a test that searches every window for its margin; easy ones are asked of what that leaves
+        open.
+        """
         test = copy.copy(self)
-        test.easy = None
+        test.easy_first = False
         return test
 
     @property

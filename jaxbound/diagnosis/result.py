@@ -68,6 +68,8 @@ class Result:
         outside_is: "fault", or "undecided": the word for FAULT outside the region of training, as given to
             `detect`.
         known: how many of the first samples were judged in a recording before, and are MISSING here.
+        apart: of a batch whose recordings have seams of their own, as tests of a monitor see them, those of
+            each in turn, and `starts` those of all; else empty.
     """
 
     status: np.ndarray
@@ -84,6 +86,7 @@ class Result:
     margins: str = field(default=EXACT, kw_only=True, repr=False)
     outside_is: str = field(default=CLAIMED, kw_only=True, repr=False)
     known: int = field(default=0, kw_only=True, repr=False)
+    apart: tuple[tuple[int, ...], ...] = field(default=(), kw_only=True, repr=False)
 
     def _head(self) -> str:
         counts = [f"{n} {name}" for name, n in self.counts.items() if n]
