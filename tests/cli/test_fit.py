@@ -164,6 +164,23 @@ def test_a_sensor_that_stands_still_is_named(place, capsys):
     assert "T out stands still in all recordings: nothing can be learnt of it" in capsys.readouterr().err
 
 
+def test_a_number_for_a_missing_sample_is_refused_by_its_time(place, capsys):
+    """Nothing is written; the condition that the sentence offers leaves the row out."""
+    lines = (place / "run.csv").read_text().splitlines()
+    cells = lines[41].split(",")
+    lines[41] = ",".join([*cells[:3], "-999", cells[4]])
+    (place / "run.csv").write_text("\n".join(lines))
+    assert main.main(FIT) == 2
+    sentence = capsys.readouterr().err
+    assert f"run.csv: {cells[0]}" in sentence or f"({float(cells[0]):g} s)" in sentence
+    assert "lift is 10" in sentence and "in 1 of 110 samples" in sentence
+    assert not (place / "tank.toml").exists()
+    command = [*FIT]
+    command[command.index("on == 1")] = re.findall('"([^"]+)"', sentence)[0]
+    assert main.main(command) == 0
+    assert float(jb.load_model("tank.toml").noise[0]) < 0.3
+
+
 def test_signals_are_columns_or_expressions_with_names():
     assert signal_columns("--inputs", "a, b=2*a, c=arctan2(a, `d, e`), `d, e`, T1=Temperature 1, f=a==1") == [
         "a",

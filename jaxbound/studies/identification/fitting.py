@@ -25,6 +25,7 @@ from jaxbound.models.faults import Fault
 from jaxbound.models.numbers import is_real, is_whole
 from jaxbound.models.system import LinearSystem, whole_lags
 from jaxbound.recordings.means import with_every
+from jaxbound.recordings.signals import Signals
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.studies.identification import advice
 from jaxbound.studies.identification.bank import fitted_bank
@@ -46,8 +47,16 @@ from jaxbound.studies.identification.gauge import GaugeJudge
 from jaxbound.studies.identification.judging import Judge, ObserverJudge, WindowJudge, explains
 from jaxbound.studies.identification.left_out import LeftOut, tried, widest
 from jaxbound.studies.identification.means import smallest_means
+from jaxbound.studies.identification.outliers import refuse_outliers
 from jaxbound.studies.identification.proof import Proof, proved
-from jaxbound.studies.identification.records import Records, input_ranges, names_of, parted, read_records
+from jaxbound.studies.identification.records import (
+    Records,
+    input_ranges,
+    names_of,
+    parted,
+    read_each,
+    read_records,
+)
 from jaxbound.studies.identification.signal_choice import (
     SignalProblem,
     TriedSignals,
@@ -290,6 +299,9 @@ def _fit_once(
     refuse_unseen(wanted, inputs, outputs)
     biases = wanted_biases(wanted)
     resting = advice.inputs_at_rest(records, inputs, outputs, horizon)
+    again = partial(read_each, recordings, inputs, outputs, columns, None)
+    signals = Signals(inputs, outputs, dict(columns), dt)
+    measured_so = refuse_outliers(records, signals, _least(order), _least(delay), again)
     tests: tuple[JudgedTest, ...] = ()
     proofs: dict[WindowChoice, Proof] = {}
     taken: TriedTest | None = None
@@ -317,6 +329,7 @@ def _fit_once(
     else:
         about["lags"] = lags
     sentences = [
+        *measured_so,
         *resting,
         *advice.inputs_together(records, inputs),
         *advice.apart(records, inputs, outputs),
@@ -526,6 +539,13 @@ def _structure(
     if AUTO not in (order, delay):
         return orders[0], delays[0]
     return structure(records, parts, horizon, orders, delays, direct)
+
+
+def _least(number: int | str) -> int:
+    """Return an order or a delay, 1 at least; of one that the data choose the least."""
+    if number == AUTO:
+        return 1
+    return max(int(number), 1)
 
 
 def _check_options(

@@ -18,7 +18,7 @@ from jaxbound.recordings.seams import TOLERATED_DT
 from jaxbound.recordings.signals import Signals
 from jaxbound.recordings.table import as_table, is_table
 
-__all__ = ["Record", "Records", "input_ranges", "measured", "names_of", "parted", "read_records"]
+__all__ = ["Record", "Records", "input_ranges", "measured", "names_of", "parted", "read_each", "read_records"]
 
 Record = tuple[np.ndarray, np.ndarray, np.ndarray]
 """(u (T, m), y (T, p), starts)."""
@@ -85,13 +85,32 @@ def read_records(
     dt: float | None,
 ) -> tuple[tuple[str, ...], tuple[str, ...], float, Records]:
     """Return (inputs, outputs, dt, [(u, y, starts)]) with names and float64 arrays."""
+    every = read_each(recordings, inputs, outputs, columns, dt)
+    input_names, output_names = every[0].inputs, every[0].outputs
+    records: Records = []
+    periods = []
+    for number, recording in enumerate(every, 1):
+        u, y = np.asarray(recording.u, np.float64), np.asarray(recording.y, np.float64)
+        records.append((u, y, recording.starts))
+        if recording.dt is not None:
+            periods.append((recording.dt, f"recording {number}"))
+    return input_names, output_names, _period(dt, periods), records
+
+
+def read_each(
+    recordings: object,
+    inputs: str | Sequence[str] | None,
+    outputs: str | Sequence[str] | None,
+    columns: Mapping[str, str] | None,
+    dt: float | None,
+) -> list[Recording]:
+    """Return the recordings, with the names of inputs and outputs."""
     if _is_pair(recordings) or not isinstance(recordings, list | tuple):
         recordings = [recordings]
     if not recordings:
         raise ValueError("there is no recording: give at least one")
     input_names, output_names = names_of("inputs", inputs), names_of("outputs", outputs)
-    records: Records = []
-    periods = []
+    every = []
     for number, one in enumerate(recordings):
         where = f"recording {number + 1}"
         parts = _parts(where, one)
@@ -100,12 +119,8 @@ def read_records(
         signals = Signals(input_names, output_names, dict(columns or {}), dt)
         recording = _read(where, signals, parts)
         _refuse_untimed(where, signals, recording)
-        u, y = np.asarray(recording.u, np.float64), np.asarray(recording.y, np.float64)
-        records.append((u, y, recording.starts))
-        if recording.dt is not None:
-            periods.append((recording.dt, where))
-    assert input_names is not None and output_names is not None
-    return input_names, output_names, _period(dt, periods), records
+        every.append(recording)
+    return every
 
 
 def _is_pair(recording: object) -> bool:
