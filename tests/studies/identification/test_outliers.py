@@ -1,4 +1,4 @@
-"""Numbers for a missing sample among healthy ones: refused by name where they alone make bounds wide, and told
+"""Numbers for a missing sample among healthy ones: refused by name where they alone widen bounds, and told
 apart from what a plant does.
 """
 
