@@ -10,6 +10,7 @@ from jaxbound.diagnosis.memory import suggest_lags
 from jaxbound.estimation.methods import OBSERVERS
 from jaxbound.estimation.observer import observer
 from jaxbound.exact.price import SECONDS
+from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.modelfile import load_model
 from jaxbound.models.statedtests import StatedTest, StatedTests
 from jaxbound.models.system import LinearSystem
@@ -27,7 +28,7 @@ OF_METHODS = "window", "constraints"
 
 
 def monitor(
-    model: LinearSystem | str | PathLike[str],
+    model: ModelLike | str | PathLike[str],
     tests: StatedTests | None = None,
     progress: Callable[[float], object] | None = None,
 ) -> MonitorBank:
@@ -37,7 +38,8 @@ def monitor(
     own factor on the bounds, its own numbers where it states some, and a condition under which it holds.
 
     Args:
-        model: a LinearSystem, or the path of its file. tests: as the `[[test]]` tables of the file have them,
+        model: a LinearSystem, the path of its file, or a discrete state-space object of python-control or
+            scipy.signal. tests: as the `[[test]]` tables of the file have them,
             [{"name": "short", "horizon": 15}, {"name": "slow", "observer": "joint", "factor": 1.2, "when":
             "fan > 0"}]; None: those of the model, or its windows where it states none. Of a model that states
             neither: its shortest windows, and beside them the lags of `suggest_lags`, or windows of 16
@@ -49,8 +51,8 @@ def monitor(
         number of the test that speaks at each sample.
 
     Raises:
-        OSError: no file. ValueError: tests=[], or one that is none, see `LinearSystem`; numbers that make no
-            model; a model without a relation, or without an observer.
+        OSError: no file. TypeError: no model. ValueError: tests=[], or one that is none, see `LinearSystem`;
+            numbers that make no model; a model without a relation, or without an observer.
 
     Encloses: FAULT is a proof. Where a condition has no value, it is claimed only where every condition that
         may hold has a test that proves it, and one of the conditions is "otherwise".
@@ -63,8 +65,9 @@ def monitor(
         >>> [jb.Status(s).name for s in res.status], res.test_at(5)
         (['MISSING', 'CONSISTENT', 'CONSISTENT', 'CONSISTENT', 'CONSISTENT', 'FAULT'], 'jumps')
     """
-    if not isinstance(model, LinearSystem):
+    if isinstance(model, str | PathLike):
         model = load_model(model)
+    model = as_model(model, factors=True)
     if tests is not None:
         model = model.replace(tests=tests)
     elif not model.tests:

@@ -284,7 +284,8 @@ def _exchanges(model: LinearSystem) -> list[Group]:
     """Return groups of signal numbers whose halves may stand in each other's columns: each two, and where
     there are as many, all inputs and all outputs.
     """
-    groups: list[Group] = list(itertools.combinations(range(model.m + model.p), 2))[:GROUPS]
+    groups: list[Group] = []
+    groups += itertools.islice(itertools.combinations(range(model.m + model.p), 2), GROUPS)
     if model.m == model.p > 1:
         groups.append(tuple(range(2 * model.m)))
     return groups

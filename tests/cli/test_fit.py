@@ -11,6 +11,7 @@ import pytest
 import jaxbound as jb
 from jaxbound.cli import main
 from jaxbound.cli.fit_summary import signal_columns
+from jaxbound.recordings.read import read_signals
 from jaxbound.studies.identification import window_tests
 from jaxbound.studies.identification.window_tests import WindowChoice
 
@@ -179,6 +180,20 @@ def test_a_number_for_a_missing_sample_is_refused_by_its_time(place, capsys):
     command[command.index("on == 1")] = re.findall('"([^"]+)"', sentence)[0]
     assert main.main(command) == 0
     assert float(jb.load_model("tank.toml").noise[0]) < 0.3
+
+
+def test_a_fit_in_python_takes_paths(place):
+    """As it takes what was read of them; without names of columns the sentence is the next call."""
+    about = {"inputs": ["heat"], "outputs": ["lift"], "order": 1, "horizon": 4}
+    columns = {"heat": "Heater (%)", "lift": "= `T out` - `T room`", "where": "on == 1"}
+    model = jb.fit("run.csv", columns=columns, **about)
+    (read,) = read_signals("run.csv", about["inputs"], about["outputs"], columns)
+    assert model == jb.fit([read], columns=columns, **about) and model.dt == 2.0
+    assert jb.fit([place / "run.csv"], columns=columns, **about) == model
+    with pytest.raises(ValueError, match=r"run.csv is a file: .*, fit\('run.csv', inputs="):
+        jb.fit("run.csv")
+    with pytest.raises(FileNotFoundError, match="there is no data file gone.csv"):
+        jb.fit("gone.csv", **about)
 
 
 def test_signals_are_columns_or_expressions_with_names():

@@ -53,6 +53,7 @@ from jaxbound.studies.identification.records import (
     Records,
     input_ranges,
     names_of,
+    opened,
     parted,
     read_each,
     read_records,
@@ -125,9 +126,9 @@ def fit(
     are like the next one, one in n + 1 may still ask for more.
 
     Args:
-        recordings: one or several of: (u (T, m), y (T, p)) or (u, y, starts), u None without inputs; a table
-            with the columns `inputs` and `outputs`; a Recording. NaN marks a missing sample. No window
-            crosses gaps in the times of a table, or `starts`.
+        recordings: one or several of: a path, as `read` takes it; (u (T, m), y (T, p)) or (u, y, starts), u
+            None without inputs; a table with the columns `inputs` and `outputs`; a Recording. NaN marks a
+            missing sample. No window crosses gaps in the times of a file or a table, or `starts`.
         order: so many samples back determine the next one (of "filters": so many filters an output). order *
             p states. 0: a static model, y = D u and a constant, of windows of one sample unless horizon asks
             for more. "auto": whichever of 1 to 4 sees the smallest errors at the bounds that recordings which
@@ -138,9 +139,9 @@ def fit(
             small faults; the model says for which it is made.
         lags: of windows that look at the outputs at some samples only, in place of horizon; see
             `parity_relations` and `suggest_lags`.
-        inputs, outputs: names; needed with tables. dt: sampling period in s; None: what the times of tables
-            or a Recording say, else 1. every: an interval of the clock, like "15min": samples are the means
-            of what was recorded within each, and the model keeps it.
+        inputs, outputs: names; needed with tables and paths. dt: sampling period in s; None: what the times
+            of tables, paths or a Recording say, else 1. every: an interval of the clock, like "15min":
+            samples are the means of what was recorded within each, and the model keeps it.
         direct: whether inputs act on the outputs of the same sample (D).
         safety: factor >= 1 on top: how much more than in the recordings healthy operation may deviate.
         held_out: the share of a single recording that is a block: its blocks are left out in turn, which says
@@ -217,11 +218,14 @@ def fit(
         raise ValueError("direct inputs act at once: leave delay at 1, or direct out")
     columns, dt = with_every(columns, dt, every)
     report = reporter(progress)
-    tried_sets: tuple[TriedSignals, ...] = ()
+    begin_with = names_of("inputs", inputs) or ()
+    pool: dict[str, str] = {}
     if signals is not None:
         _refuse_signals(signals, inputs)
-        begin_with = names_of("inputs", inputs) or ()
         pool = products(begin_with, columns)
+    recordings = opened(recordings, (*begin_with, *pool), outputs, columns | pool, dt)
+    tried_sets: tuple[TriedSignals, ...] = ()
+    if signals is not None:
         refuse_unnamed(recordings, pool)
         begun = dict(order=order, delay=delay, direct=direct, horizon=horizon, held_out=held_out)
         reading = dict(inputs=begin_with, outputs=outputs, columns=columns, dt=dt, lags=lags)

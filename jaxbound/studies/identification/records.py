@@ -4,6 +4,7 @@ period.
 
 import itertools
 from collections.abc import Mapping, Sequence
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -13,12 +14,23 @@ from jaxbound.models.signals import names_in
 from jaxbound.recordings.arrays import holds_both, is_made
 from jaxbound.recordings.clockintervals import every_text
 from jaxbound.recordings.means import every_of
+from jaxbound.recordings.read import read_signals
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import TOLERATED_DT
 from jaxbound.recordings.signals import Signals
 from jaxbound.recordings.table import as_table, is_table
 
-__all__ = ["Record", "Records", "input_ranges", "measured", "names_of", "parted", "read_each", "read_records"]
+__all__ = [
+    "Record",
+    "Records",
+    "input_ranges",
+    "measured",
+    "names_of",
+    "opened",
+    "parted",
+    "read_each",
+    "read_records",
+]
 
 Record = tuple[np.ndarray, np.ndarray, np.ndarray]
 """(u (T, m), y (T, p), starts)."""
@@ -75,6 +87,36 @@ def _cut(usable: np.ndarray, share: float) -> int:
 def _part(u: np.ndarray, y: np.ndarray, starts: np.ndarray, first: int, stop: int) -> Record:
     inside = (starts > first) & (starts < stop)
     return u[first:stop], y[first:stop], starts[inside] - first
+
+
+def opened(
+    recordings: object,
+    inputs: Sequence[str],
+    outputs: str | Sequence[str] | None,
+    columns: Mapping[str, str],
+    dt: float | None,
+) -> object:
+    """Return recordings of which those that are paths, if any, have been read.
+
+    Raises:
+        OSError, ValueError: see `read_signals`; outputs that are not named.
+    """
+    if isinstance(recordings, str | PathLike):
+        recordings = [recordings]
+    if not isinstance(recordings, list | tuple) or not any(isinstance(x, str | PathLike) for x in recordings):
+        return recordings
+    names = names_of("outputs", outputs)
+    every = []
+    for one in recordings:
+        if isinstance(one, str | PathLike):
+            if not names:
+                raise ValueError(
+                    f"{one} is a file: say which of its columns are what, "
+                    f"fit({str(one)!r}, inputs=['heater'], outputs=['temperature'])"
+                )
+            (one,) = read_signals(one, inputs, names, columns, dt)
+        every.append(one)
+    return every
 
 
 def read_records(
