@@ -428,7 +428,7 @@ def _fit_once(
         tests = tuple(check.of(one) if one is picked else one for one in tests)
         check = dataclasses.replace(check, tests=tests)
         sentences.append(advice.COMPLETE_ONLY)
-    sentences += [*advice.limits(model, check, held_out), *advice.blind(model, check)]
+    sentences = [*advice.blind(model, check), *sentences, *advice.limits(model, check, held_out)]
     report(1.0)
     return Fitted(model, dataclasses.replace(check, sentences=tuple(sentences))), proofs
 

@@ -102,7 +102,10 @@ def refuse_outliers(
         )
         column = signals.column(name)
         if decided & set(_columns_of(column)):
-            sentences.append(f"{sentence}; the condition `where` lets them pass, so they count as measured")
+            sentences.append(
+                f"{sentence}; the condition lets them pass, so they count as measured; another one leaves "
+                f"them out, --where, columns={{'where': ..}}"
+            )
             continue
         term = _term(column)
         leaving = _leaving_out(term, column, x, marked, every_of(signals) is not None)
