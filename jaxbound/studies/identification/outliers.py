@@ -23,7 +23,7 @@ from jaxbound.recordings.expressions import expression, is_expression
 from jaxbound.recordings.hints import recorded_step
 from jaxbound.recordings.means import every_of
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.signals import Signals
+from jaxbound.recordings.signals import SignalModel
 from jaxbound.studies.identification import regression
 from jaxbound.studies.identification.one_thread import times
 from jaxbound.studies.identification.records import Records
@@ -67,7 +67,7 @@ class Outliers(NamedTuple):
 
 
 def refuse_outliers(
-    records: Records, signals: Signals, order: int, delay: int, again: Callable[[], Sequence[Recording]]
+    records: Records, signals: SignalModel, order: int, delay: int, again: Callable[[], Sequence[Recording]]
 ) -> list[str]:
     """Return a sentence on each signal with outliers that a condition on its column lets pass.
 
@@ -110,7 +110,7 @@ def refuse_outliers(
         term = _term(column)
         leaving = _leaving_out(term, column, x, marked, every_of(signals) is not None)
         if leaving:
-            leaving = f', or by the condition (--where) "{condition}{leaving}"'
+            leaving = f', or by a condition (--where, or `where` in a model file), "{condition}{leaving}"'
         raise ValueError(
             f"{sentence}, and hide every fault below. A number that stands for a missing sample must be left "
             f"out: leave the cell blank (NaN){leaving}. If they were measured, say so by a condition on the "
