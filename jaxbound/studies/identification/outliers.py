@@ -33,8 +33,10 @@ from jaxbound.text.quantities import factor
 
 __all__ = ["Outliers", "outliers", "refuse_outliers"]
 
-SHARE, SAME = 0.01, 0.1
-"""The largest share of the samples of a signal that are outliers, and that of one and the same number."""
+SHARE, MEANS, SAME = 0.01, 0.05, 0.1
+"""The largest share of the samples of a signal that are outliers; that of means, each of which one sample may
+spoil; that of one and the same number.
+"""
 TIMES = 10.0
 """Outliers matter that make bounds so many times as wide."""
 HORIZON, NEAR = 15, 11
@@ -78,7 +80,11 @@ def refuse_outliers(
     Raises:
         ValueError: other signals have outliers.
     """
-    result = outliers(records, order, delay)
+    averaged = every_of(signals) is not None
+    share = SHARE
+    if averaged:
+        share = MEANS
+    result = outliers(records, order, delay, share)
     if result is None:
         return []
     condition = signals.columns.get("where", "")
@@ -108,7 +114,7 @@ def refuse_outliers(
             )
             continue
         term = _term(column)
-        leaving = _leaving_out(term, column, x, marked, every_of(signals) is not None)
+        leaving = _leaving_out(term, column, x, marked, averaged)
         if leaving:
             leaving = f', or by a condition (--where, or `where` in a model file), "{condition}{leaving}"'
         raise ValueError(
@@ -168,22 +174,23 @@ def _places(odd: list[np.ndarray], recordings: Sequence[Recording]) -> str:
     return "; ".join(places)
 
 
-def outliers(records: Records, order: int, delay: int) -> Outliers | None:
+def outliers(records: Records, order: int, delay: int, share: float = SHARE) -> Outliers | None:
     """Return the Outliers of recordings; None: there are none that matter, or too few samples to say.
 
     Args:
-        order, delay: of the model that neighbours are compared by, the order 1 at least.
+        order, delay: of the model that neighbours are compared by, the order 1 at least. share: the largest
+            one of the samples of a signal that are outliers.
     """
     with np.errstate(all="ignore"):  # coefficients of next to no data explode
-        return _outliers(records, order, delay)
+        return _outliers(records, order, delay, share)
 
 
-def _outliers(records: Records, order: int, delay: int) -> Outliers | None:
-    marks = _candidates(records)
+def _outliers(records: Records, order: int, delay: int, share: float) -> Outliers | None:
+    marks = _candidates(records, share)
     look = _looked(records, marks, order, delay)
     if look is None:
         return None
-    marks = _named(records, _times_off(look))
+    marks = _named(records, _times_off(look), share)
     if not any(mark.any() for pair in marks for mark in pair):
         return None
     without, whole = _looked(records, marks, order, delay), _looked(records, _none(records), order, delay)
@@ -215,7 +222,7 @@ def _mark(marks: Marks, side: int, i: int, odd: np.ndarray) -> None:
         first += len(column)
 
 
-def _candidates(records: Records) -> Marks:
+def _candidates(records: Records, share: float) -> Marks:
     """Return the samples that may be outliers: of each signal those that are exactly its lowest number, its
     highest or 0, where these are few, and those that are farthest from the median around them.
     """
@@ -230,7 +237,7 @@ def _candidates(records: Records) -> Marks:
             if same.sum() <= SAME * present:
                 odd |= same
         far = np.concatenate([_from_median(record[side][:, i]) for record in records])
-        farthest = np.argsort(-far, kind="stable")[: int(SHARE * present)]
+        farthest = np.argsort(-far, kind="stable")[: int(share * present)]
         odd[farthest[far[farthest] > 0]] = True
         _mark(marks, side, i, odd)
     return marks
@@ -256,6 +263,18 @@ class _Part(NamedTuple):
     unknown: np.ndarray
     absent: np.ndarray
     first: np.ndarray
+
+    @property
+    def some(self) -> "_Part":
+        """The part with a few of its windows, spread evenly."""
+        return self._replace(first=self.first[:: len(self.first) // CHUNK + 1])
+
+    def around(self, marks: np.ndarray) -> "_Part":
+        """Return the part with the windows alone that hold marked samples, (T, .) bool."""
+        if not len(self.first):
+            return self
+        held = regression.in_windows(marks.any(1), HORIZON)
+        return self._replace(first=self.first[held[self.first] > 0])
 
     @property
     def windows(self) -> Iterator[np.ndarray]:
@@ -311,22 +330,27 @@ class _Look:
 
     def likely(self) -> "_Look":
         """Return the look without marks of inputs that contradict little where they are as recorded."""
-        parts = [part._replace(unknown=np.zeros_like(part.unknown)) for part in self.parts]
-        needs = []
-        for part in parts:
-            own = [np.fmax.reduce(self.errors(part, at)[0], 1) for at in part.windows]
-            needs.append(np.concatenate([np.zeros((0, len(self.spread))), *own]))
-        every = np.concatenate(needs)
-        every = every[~np.isnan(every).any(1)]
-        if not len(every):
-            return dataclasses.replace(self, parts=parts)
-        least = np.maximum(np.median(every, 0), self.floor)
-        for number, (part, need) in enumerate(zip(self.parts, needs, strict=True)):
-            off = np.zeros(len(part.y))
-            beyond = np.fmax.reduce(need / least, 1)
-            np.fmax.at(off, part.first[:, None] + np.arange(HORIZON + 1), beyond[:, None])
-            parts[number] = part._replace(unknown=part.unknown & (off >= LITTLE)[:, None])
+        if not any(part.unknown.any() for part in self.parts):
+            return self
+        some = np.concatenate([self._as_recorded(part.some) for part in self.parts])
+        some = some[~np.isnan(some).any(1)]
+        if not len(some):
+            return self
+        usual, parts = np.maximum(np.median(some, 0), self.floor), []
+        for part in self.parts:
+            off, around = np.zeros(len(part.y)), part.around(part.unknown)
+            beyond = np.fmax.reduce(self._as_recorded(around) / usual, 1, initial=0.0)
+            np.fmax.at(off, around.first[:, None] + np.arange(HORIZON + 1), beyond[:, None])
+            parts.append(part._replace(unknown=part.unknown & (off >= LITTLE)[:, None]))
         return dataclasses.replace(self, parts=parts)
+
+    def _as_recorded(self, part: _Part) -> np.ndarray:
+        """Return the largest error (N, p) of each output in windows with inputs as they were recorded."""
+        part = part._replace(unknown=np.zeros_like(part.unknown))
+        needs = [np.zeros((0, len(self.spread)))]
+        for at in part.windows:
+            needs.append(np.fmax.reduce(self.errors(part, at)[0], 1))
+        return np.concatenate(needs)
 
     def needs(self) -> np.ndarray:
         """Return the largest error (p,) of each output, in spreads, in any window."""
@@ -342,7 +366,7 @@ class _Look:
         looked at in.
         """
         off = np.full(part.y.shape, np.inf)
-        for at in part.windows:
+        for at in part.around(part.absent).windows:
             _, lost = self.errors(part, at)
             np.fmin.at(off, (at[..., None], np.arange(off.shape[1])), lost / usual)
         return np.where(np.isfinite(off), off, 0.0)
@@ -442,7 +466,7 @@ def _times_off(look: _Look) -> list[tuple[np.ndarray, np.ndarray]]:
     return off
 
 
-def _named(records: Records, off: list[tuple[np.ndarray, np.ndarray]]) -> Marks:
+def _named(records: Records, off: list[tuple[np.ndarray, np.ndarray]], share: float) -> Marks:
     """Return the samples that are outliers: of each signal those of the number that is farthest off, and of
     the next ones as long as these are few.
     """
@@ -453,7 +477,7 @@ def _named(records: Records, off: list[tuple[np.ndarray, np.ndarray]]) -> Marks:
         numbers = x[beyond >= TIMES]
         for number in dict.fromkeys(numbers[np.argsort(-beyond[beyond >= TIMES], kind="stable")].tolist()):
             joined = odd | (x == number)
-            most = SHARE
+            most = share
             if not odd.any():
                 most = SAME
             if joined.sum() > max(most * present, 1):

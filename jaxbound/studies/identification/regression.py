@@ -27,6 +27,7 @@ __all__ = [
     "coefficients",
     "complete_windows",
     "growth",
+    "in_windows",
     "information",
     "least_squares",
     "reached",
@@ -121,7 +122,7 @@ def windows_without(gone: np.ndarray, starts: np.ndarray, horizon: int) -> np.nd
     """
     if len(gone) <= horizon:
         return np.zeros(0, int)
-    whole = _in_windows(gone, horizon) == 0
+    whole = in_windows(gone, horizon) == 0
     return np.flatnonzero(whole & ~crossing(starts, horizon, horizon, len(gone)))
 
 
@@ -142,12 +143,12 @@ def _judged(records: Records, horizon: int) -> int:
     count = 0
     for _, y, starts in records:
         if len(y) > horizon:
-            seen = _in_windows(np.asarray((~np.isnan(y)).any(1)), horizon) > 0
+            seen = in_windows(np.asarray((~np.isnan(y)).any(1)), horizon) > 0
             count += int((seen & ~crossing(starts, horizon, horizon, len(y))).sum())
     return count
 
 
-def _in_windows(chosen: np.ndarray, horizon: int) -> np.ndarray:
+def in_windows(chosen: np.ndarray, horizon: int) -> np.ndarray:
     """Return how many samples of each window are chosen, of (T,) bool."""
     before = np.append(0, np.cumsum(chosen))
     return np.asarray(before[horizon + 1 :] - before[: -horizon - 1])

@@ -125,6 +125,19 @@ def test_a_fit_refuses_until_it_is_told():
     assert blind.startswith("the monitor is blind") and told.startswith("T is -999 in 8 of 800 samples")
 
 
+def test_means_that_a_number_spoils_are_named():
+    """The condition is asked about what was recorded, so it is one that all spoiled means fail."""
+    tables = [table(1), table(2)]
+    for one in tables:
+        one.iloc[AT, 1] = -999.0
+    every = {"columns": {"T": "T out"}, "every": "5min"}
+    with pytest.raises(ValueError, match="T is .* in 4 of 160 samples") as refused:
+        fitted(tables, **every)
+    leaving = re.findall('"([^"]+)"', str(refused.value))[0]
+    every["columns"]["where"] = leaving
+    assert leaving.startswith("`T out` > ") and float(fitted(tables, **every).noise[0]) < 20
+
+
 def test_the_condition_is_right_after_a_change_of_units():
     tables = [table(1), table(2)]
     tables[0].iloc[AT, 1] = -999.0
