@@ -194,13 +194,13 @@ class TestClock:
         [
             (
                 3,
-                "the model has dt = 1 s, but the rows of the recording are 3 s apart: a model with dt = 3 "
-                "fits it",
+                "the model has dt = 1 s, but the rows of the recording are 3 s apart: fit again, "
+                "with healthy recordings 3 s apart",
             ),
             (
                 1 / 3,
                 "are 0.333333 s apart: keep one of every 3 rows, "
-                "let samples be means (--every 1s), or take a model with dt = 0.333",
+                "let samples be means (--every 1s), or fit again, with healthy recordings 0.333 s apart",
             ),
             (1000, "are 1000 s apart: is its time in ms?"),
         ],
@@ -219,7 +219,7 @@ class TestClock:
         )
         with pytest.raises(
             ValueError,
-            match="the model has dt = 1 s, but the rows of the recording are 3 s apart: a model with",
+            match="the model has dt = 1 s, but the rows of the recording are 3 s apart: fit again",
         ):
             jb.detect(jb.parity_relations(thermal()), frame, frame)
         assert jb.detect(jb.parity_relations(thermal(dt=3)), frame, frame).hints == ()

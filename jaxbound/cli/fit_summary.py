@@ -12,6 +12,7 @@ from jaxbound.cli.terminal import show
 from jaxbound.cli.tradeoff_table import disturbance_rows, plain_tradeoff
 from jaxbound.diagnosis.memory import slowest, suggest_lags
 from jaxbound.recordings.expressions import CLOCK, expression
+from jaxbound.studies.identification.advice import blind
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
 from jaxbound.studies.identification.signal_choice import GIVEN, TriedSignals
 from jaxbound.studies.identification.window_tests import RAMP, JudgedTest, best_test
@@ -242,7 +243,9 @@ def show_fit(
     check, late = model.check, ""
     if check.delay > 1:
         late = f", a delay of {check.delay} samples"
-    rows = [
+    sightless = blind(model, check)
+    rows = [("caution", sentence) for sentence in sightless]
+    rows += [
         ("model", f"{model.n} states, order {check.order}{late}, coefficients by {check.method}"),
         _tested(model, observer),
     ]
@@ -270,7 +273,7 @@ def show_fit(
         part = "that much of the bound is what the recorder rounds away"
         rows.append(("resolution", f"{', '.join(rounded)}: {part}"))
     rows.append(("written", " and ".join(written)))
-    rows += [("caution", sentence) for sentence in check.sentences]
+    rows += [("caution", sentence) for sentence in check.sentences if sentence not in sightless]
     rows += [("hint", hint) for hint in hints]
     several = "s" if len(check.recordings) > 1 else ""
     headline = f"{model.name}: fitted to {len(check.recordings)} recording{several}"

@@ -46,6 +46,8 @@ EXAMPLES = (
         "of a model with [[test]] tables: one factor a test",
     ),
 )
+ORDER = 2
+"""By which healthy samples are compared with those around them."""
 STEPS = 300
 """Of the search where none are asked for."""
 CODES = (
@@ -129,6 +131,7 @@ def run(args: argparse.Namespace) -> int:
         from jaxbound.plots.tune import plot_tuning
         from jaxbound.recordings.read import read
         from jaxbound.runs.outputs import refuse_targets
+        from jaxbound.studies.identification.outliers import refuse_outliers
         from jaxbound.studies.tuning.tuning import MonitorTuneResult, TuneResult, tune
 
     state = args.out.with_name(args.out.name + ".state.npz")
@@ -157,6 +160,8 @@ def run(args: argparse.Namespace) -> int:
         samples = recordings[longest].samples
         model, relations = window_relations(model, options, files[longest], samples, step)
         healthy = recordings[: len(args.healthy)]
+        records = [(r.u[:, : model.m], r.y, r.starts) for r in healthy]
+        notes = refuse_outliers(records, columns, ORDER, 1, lambda: healthy)
         faulty = recordings[len(args.healthy) :] or None
         tuning: TuneResult | MonitorTuneResult
         if isinstance(relations, MonitorBank):
@@ -187,7 +192,7 @@ def run(args: argparse.Namespace) -> int:
         if args.plot and isinstance(tuning, TuneResult):
             with whole(args.plot) as f:
                 f.write(to_png(plot_tuning(tuning)))
-    hints = [f"{file}: {hint}" for file, r in zip(files, recordings, strict=True) for hint in r.hints]
+    hints = notes + [f"{file}: {hint}" for file, r in zip(files, recordings, strict=True) for hint in r.hints]
     if isinstance(tuning, MonitorTuneResult):
         if args.json:
             write(json.dumps(plain_factors(tuning, args.out, hints), indent=1) + "\n")

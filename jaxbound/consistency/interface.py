@@ -365,8 +365,8 @@ def relations_of(given: object, verb: str, example: str, monitors: bool = True) 
         TypeError: given is neither.
     """
     if not isinstance(given, Relations):
-        if monitors and isinstance(given, LinearSystem) and given.tests:
-            example = example.replace("parity_relations(model)", "monitor(model)")
+        if monitors and (hasattr(given, "A") or str(given).endswith(".toml")):
+            example = example.replace("parity_relations(model)", "jaxbound.monitor(model)")
         raise TypeError(f"{verb} needs relations, not {type(given).__name__}: {example}")
     return given
 

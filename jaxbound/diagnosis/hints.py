@@ -30,6 +30,10 @@ FOR = "the bounds were found from data for windows of {} samples,"
 MAY = "a FAULT may be no more than an error that lasts longer than those"
 NEARLY_ALL = 0.9
 """Share of FAULT among windows with data from which on model and bounds are in doubt."""
+OTHERWISE = (
+    "or a column is in another unit, or another signal, than the model has there: compare `jaxbound info "
+    "MODEL.toml`"
+)
 
 
 def bound_hints(model: object, relations: Relations | None = None) -> list[str]:
@@ -225,11 +229,11 @@ def unfit(
         within = "within the region of training"
         if beyond.faults:
             within = f"nearly all {within}"
-        return [f"{many}, {within}: a fault lasts all through, or the bounds are too tight{by}"]
+        return [f"{many}, {within}: a fault lasts all through, or the bounds are too tight{by}; {OTHERWISE}"]
     why = "the model or its bounds do not fit this recording"
     if faults < tested:
         why = f"a fault lasts all through, or {why}"
-    return [f"{many}: {why}{by}"]
+    return [f"{many}: {why}{by}; {OTHERWISE}"]
 
 
 def never_seen(beyond: Outside, faults: int, what: str = "windows") -> str:

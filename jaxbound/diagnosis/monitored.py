@@ -16,6 +16,7 @@ from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.diagnosis.suspects import UNKNOWN, Suspect, nameless
+from jaxbound.diagnosis.units import unit_hints
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
@@ -183,6 +184,15 @@ class MonitorResult(Result):
         for i, name in enumerate(self.names):
             frame[f"margin of {name}"] = self.test_margins[:, i]
         return frame
+
+
+@unit_hints.register
+def _(result: MonitorResult) -> list[str]:
+    """Return the sentence of the first test by windows that has one."""
+    for test in result.tests.values():
+        if sentences := unit_hints(test):
+            return sentences
+    return []
 
 
 @result_of.register

@@ -2,26 +2,33 @@
 
 from collections.abc import Callable
 from os import PathLike
+from typing import Any
 
 from jaxbound.consistency.interface import Relations
 from jaxbound.consistency.monitorbank import MonitorBank, Watch
+from jaxbound.diagnosis.memory import suggest_lags
 from jaxbound.estimation.methods import OBSERVERS
 from jaxbound.estimation.observer import observer
+from jaxbound.exact.price import SECONDS
+from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.modelfile import load_model
 from jaxbound.models.statedtests import StatedTest, StatedTests
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.testmodels import model_of
+from jaxbound.relations.cost import relation_cost
 from jaxbound.relations.parity import parity_relations
 from jaxbound.text.progress import reporter
 
 __all__ = ["monitor", "relations_of_test"]
 
+HORIZON = 15
+"""Of a model that states no windows, where nothing says which would see more."""
 OF_METHODS = "window", "constraints"
 """Options that some methods of observers have."""
 
 
 def monitor(
-    model: LinearSystem | str | PathLike[str],
+    model: ModelLike | str | PathLike[str],
     tests: StatedTests | None = None,
     progress: Callable[[float], object] | None = None,
 ) -> MonitorBank:
@@ -31,9 +38,12 @@ def monitor(
     own factor on the bounds, its own numbers where it states some, and a condition under which it holds.
 
     Args:
-        model: a LinearSystem, or the path of its file. tests: as the `[[test]]` tables of the file have them,
+        model: a LinearSystem, the path of its file, or a discrete state-space object of python-control or
+            scipy.signal. tests: as the `[[test]]` tables of the file have them,
             [{"name": "short", "horizon": 15}, {"name": "slow", "observer": "joint", "factor": 1.2, "when":
-            "fan > 0"}]; None: those of the model, or its windows where it states none.
+            "fan > 0"}]; None: those of the model, or its windows where it states none. Of a model that states
+            neither: its shortest windows, and beside them the lags of `suggest_lags`, or windows of 16
+            samples where nothing says which lags see an error; uncertain models have the shortest alone.
         progress: called with the share of the tests that are there.
 
     Returns:
@@ -41,8 +51,8 @@ def monitor(
         number of the test that speaks at each sample.
 
     Raises:
-        OSError: no file. ValueError: tests=[], or one that is none, see `LinearSystem`; numbers that make no
-            model; a model without a relation, or without an observer.
+        OSError: no file. TypeError: no model. ValueError: tests=[], or one that is none, see `LinearSystem`;
+            numbers that make no model; a model without a relation, or without an observer.
 
     Encloses: FAULT is a proof. Where a condition has no value, it is claimed only where every condition that
         may hold has a test that proves it, and one of the conditions is "otherwise".
@@ -55,12 +65,13 @@ def monitor(
         >>> [jb.Status(s).name for s in res.status], res.test_at(5)
         (['MISSING', 'CONSISTENT', 'CONSISTENT', 'CONSISTENT', 'CONSISTENT', 'FAULT'], 'jumps')
     """
-    if not isinstance(model, LinearSystem):
+    if isinstance(model, str | PathLike):
         model = load_model(model)
+    model = as_model(model, factors=True)
     if tests is not None:
         model = model.replace(tests=tests)
     elif not model.tests:
-        model = model.replace(tests=[{"name": "windows"}])
+        model = model.replace(tests=_usual_tests(model))
     if not model.tests:
         raise ValueError(
             'a monitor needs tests: tests=[] has none; give [{"name": "short", "horizon": 15}, ..], or leave '
@@ -77,6 +88,21 @@ def monitor(
         watches.append(Watch(test.name, relations, test.when, about))
         report((i + 1) / len(model.tests))
     return MonitorBank(model, watches)
+
+
+def _usual_tests(model: LinearSystem) -> list[dict[str, Any]]:
+    """Return the tests, as a file has them, of a model that states none: its windows; where it states none
+    of these either the shortest ones, which soon have a verdict, and long ones, which see small errors.
+    """
+    shortest: dict[str, Any] = {"name": "windows"}
+    if model.horizon is not None or model.uncertainties:
+        return [shortest]
+    try:
+        return [shortest, {"name": "lags", "lags": list(suggest_lags(model))}]
+    except ValueError:  # sizes need an operating range, or nothing lasting is sure to be seen
+        if relation_cost(model, HORIZON)[0] < SECONDS:
+            return [shortest, {"name": "long", "horizon": HORIZON}]
+        return [shortest]
 
 
 def relations_of_test(model: LinearSystem, test: StatedTest) -> Relations:

@@ -1,11 +1,13 @@
-"""Mistakes of units: kelvin for degC, percent for a fraction. A hint on a recording that the model does not
-explain; no verdict changes.
+"""Mistakes of units and of columns: kelvin for degC, percent for a fraction, one signal in the place of
+another. A hint on a recording that the model does not explain; no verdict changes.
 
-Where most windows are FAULT, some hundred windows are tested again with signals converted: a conversion that
-makes nearly all of them consistent is worth a sentence. A dead signal explained by a factor of 1/1000 is not:
-it must do better than zero.
+Where most windows are FAULT, some hundred windows are tested again with signals converted or exchanged: a
+change that makes nearly all of them consistent is worth a sentence. A dead signal explained by a factor of
+1/1000 is not: it must do better than zero.
 """
 
+import itertools
+from functools import singledispatch
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -71,14 +73,18 @@ DIFFERENCES = (
     Conversion("{} * 9 / 5", 9 / 5, 0.0, "a difference in kelvin where the model has degF", FAHRENHEIT),
 )
 DEAD = Conversion("0", 0.0, 0.0, "a dead signal")
+EXCHANGED = Conversion("{}", 1.0, 0.0, "exchanged")
+"""Of a group whose first half stands in the columns of its second, and the other way round."""
 
 
+@singledispatch
 def unit_hints(result: Judgement) -> list[str]:
-    """Return a sentence, or none, on signals that seem to be recorded in another unit than the model has.
+    """Return a sentence, or none, on signals that seem to be recorded in another unit, or in another column,
+    than the model has.
 
     Args:
         result: of `detect`, of one recording. Only the joint test of a model without uncertain parameters is
-            looked at.
+            looked at, of a monitor its tests.
 
     Returns:
         A list of at most one sentence: which signals, which conversion, and what share of windows it makes
@@ -127,6 +133,8 @@ def _tried(
     that its units allow.
     """
     tries = []
+    for group in _exchanges(model):
+        tries.append((group, EXCHANGED))
     for group in _groups(model):
         tries += [(group, DEAD), *((group, conversion) for conversion in _conversions(model, group))]
     converted = np.stack([_changed(signals, *one) for one in tries]).astype(dtype)
@@ -217,7 +225,7 @@ def _best(
         if conversion is DEAD:
             continue
         # a factor below 1 explains no more than a dead signal where that explains as much
-        if conversion.factor > 1 or conversion.shift or dead[group] < NEARLY_ALL:
+        if conversion.factor > 1 or conversion.shift or dead.get(group, 0.0) < NEARLY_ALL:
             return int(i)
     return None
 
@@ -230,10 +238,14 @@ def _sentence(names: list[str], conversion: Conversion, share: float, faulty: fl
     look = "look"
     if len(names) == 1:
         look = "looks"
+    what = f"{' and '.join(names)} {look} like {conversion.looks}: with {converted}"
+    if conversion is EXCHANGED:
+        half = len(names) // 2
+        one, other = ", ".join(names[:half]), ", ".join(names[half:])
+        what = f"the columns of {one} and of {other} look exchanged: with each in the place of the other"
     return (
-        f"{' and '.join(names)} {look} like {conversion.looks}: with {converted}, {100 * share:.0f} % of the "
-        f"windows are consistent, instead of {100 * (1 - faulty):.0f} %; the verdicts are those of the "
-        f"recording as it is"
+        f"{what}, {100 * share:.0f} % of the windows are consistent, instead of {100 * (1 - faulty):.0f} %; "
+        f"the verdicts are those of the recording as it is"
     )
 
 
@@ -268,8 +280,23 @@ def _groups(model: LinearSystem) -> list[Group]:
     return list(dict.fromkeys(groups))[:GROUPS]
 
 
+def _exchanges(model: LinearSystem) -> list[Group]:
+    """Return groups of signal numbers whose halves may stand in each other's columns: each two, and where
+    there are as many, all inputs and all outputs.
+    """
+    groups: list[Group] = []
+    groups += itertools.islice(itertools.combinations(range(model.m + model.p), 2), GROUPS)
+    if model.m == model.p > 1:
+        groups.append(tuple(range(2 * model.m)))
+    return groups
+
+
 def _changed(signals: np.ndarray, group: Group, conversion: Conversion) -> np.ndarray:
     """Return the signals with those of a group converted."""
     changed = signals.copy()
+    if conversion is EXCHANGED:
+        half = len(group) // 2
+        changed[..., list(group)] = signals[..., [*group[half:], *group[:half]]]
+        return changed
     changed[..., list(group)] = conversion.factor * signals[..., list(group)] + conversion.shift
     return changed

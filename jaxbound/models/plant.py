@@ -12,7 +12,7 @@ from jaxbound.models.numbers import entries_of, exact_matrix, number
 from jaxbound.models.uncertainty import Uncertainty, centred, influences
 from jaxbound.models.unknown import Bounded, Coupling, decoupled, unbounded_inputs
 
-__all__ = ["Plant", "plant"]
+__all__ = ["Plant", "plant", "refuse_state_space"]
 
 
 @dataclass(frozen=True)
@@ -59,6 +59,18 @@ class Plant:
     def d(self) -> int:
         """Number of unknown inputs."""
         return len(self.D_v[0])
+
+
+def refuse_state_space(A: object) -> None:
+    """Raise TypeError if A is a state-space object of another package, which has a door of its own."""
+    if not (hasattr(A, "A") and hasattr(A, "C")):
+        return
+    package = type(A).__module__.split(".")[0]
+    door = {"scipy": "from_scipy"}.get(package, "from_control")
+    raise TypeError(
+        f"LinearSystem takes matrices, not a {type(A).__name__} of {package}: "
+        f"jaxbound.{door}(system, dt, noise=..) builds the model of it"
+    )
 
 
 def plant(

@@ -16,7 +16,7 @@ from jaxbound.models.arguments import listed_argument
 from jaxbound.models.average import Average, Averaged, averages_of
 from jaxbound.models.named_faults import NamedFault, named_faults
 from jaxbound.models.numbers import is_whole, number
-from jaxbound.models.plant import Plant, plant
+from jaxbound.models.plant import Plant, plant, refuse_state_space
 from jaxbound.models.signals import (
     Each,
     ModelSignals,
@@ -189,8 +189,8 @@ class LinearSystem:
     def __init__(
         self,
         A: MatrixLike | None,
-        B: MatrixLike | None,
-        C: MatrixLike | None,
+        B: MatrixLike | None = None,
+        C: MatrixLike | None = None,
         D: MatrixLike | None = None,
         dt: Number = 1.0,
         *,
@@ -220,6 +220,7 @@ class LinearSystem:
         tests: StatedTests | None = None,
         faults: Sequence[NamedFault] = (),
     ) -> None:
+        refuse_state_space(A)
         if E is not None:
             if np.size(np.asarray(uncertainties, object)):
                 raise ValueError(

@@ -287,11 +287,12 @@ def _advice(median: float, dt: float, varied: str) -> str:
             return f": is its time in {unit}?"
     if varied:
         return f"; {varied}"
+    again = f"fit again, with healthy recordings {median:.3g} s apart"
     fold = round(dt / median)
     if fold > 1 and abs(dt / median - fold) <= TOLERATED_DT * fold:
         means = f"let samples be means (--every {every_text(dt)})"
-        return f": keep one of every {fold} rows, {means}, or take a model with dt = {median:.3g}"
-    return f": a model with dt = {median:.3g} fits it"
+        return f": keep one of every {fold} rows, {means}, or {again}"
+    return f": {again}"
 
 
 def varied_steps(time: np.ndarray) -> str:

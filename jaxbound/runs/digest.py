@@ -426,8 +426,10 @@ def _unfit_bounds(found: Digest) -> list[str]:
 
 
 def _wrong_units(found: Digest) -> list[str]:
-    """Return the sentences on signals that may be in another unit than the model's."""
-    if found.worst is None or not found.counts["FAULT"] or found.relations.remembers:
+    """Return the sentences on signals that may be in another unit, or another column, than the model's."""
+    relations = found.relations
+    by_windows = any(not test.remembers for test in (relations.parts or {"": relations}).values())
+    if found.worst is None or not found.counts["FAULT"] or not by_windows:
         return []
     return unit_hints(found.around(found.worst[0])[0])
 

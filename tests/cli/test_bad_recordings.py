@@ -89,7 +89,7 @@ SAID = {
     ),
     "one day": (
         [A],
-        "there is one recording, and its 3 blocks share a day: what another day",
+        "there is one recording, and its 3 blocks of",
     ),
     "one input of two at rest": ([A.assign(v=1.0)], "v never moves in these recordings"),
 }

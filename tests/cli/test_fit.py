@@ -11,6 +11,7 @@ import pytest
 import jaxbound as jb
 from jaxbound.cli import main
 from jaxbound.cli.fit_summary import signal_columns
+from jaxbound.recordings.read import read_signals
 from jaxbound.studies.identification import window_tests
 from jaxbound.studies.identification.window_tests import WindowChoice
 
@@ -162,6 +163,37 @@ def test_bad_input_is_one_sentence_and_writes_nothing(place, capsys, change, mes
 def test_a_sensor_that_stands_still_is_named(place, capsys):
     assert main.main(["fit", "still.csv", "--outputs", "T out", "--horizon", "4", "--out", "tank.toml"]) == 2
     assert "T out stands still in all recordings: nothing can be learnt of it" in capsys.readouterr().err
+
+
+def test_a_number_for_a_missing_sample_is_refused_by_its_time(place, capsys):
+    """Nothing is written; the condition that the sentence offers leaves the row out."""
+    lines = (place / "run.csv").read_text().splitlines()
+    cells = lines[41].split(",")
+    lines[41] = ",".join([*cells[:3], "-999", cells[4]])
+    (place / "run.csv").write_text("\n".join(lines))
+    assert main.main(FIT) == 2
+    sentence = capsys.readouterr().err
+    assert f"run.csv: {cells[0]}" in sentence or f"({float(cells[0]):g} s)" in sentence
+    assert "lift is 10" in sentence and "in 1 of 110 samples" in sentence
+    assert not (place / "tank.toml").exists()
+    command = [*FIT]
+    command[command.index("on == 1")] = re.findall('"([^"]+)"', sentence)[0]
+    assert main.main(command) == 0
+    assert float(jb.load_model("tank.toml").noise[0]) < 0.3
+
+
+def test_a_fit_in_python_takes_paths(place):
+    """As it takes what was read of them; without names of columns the sentence is the next call."""
+    about = {"inputs": ["heat"], "outputs": ["lift"], "order": 1, "horizon": 4}
+    columns = {"heat": "Heater (%)", "lift": "= `T out` - `T room`", "where": "on == 1"}
+    model = jb.fit("run.csv", columns=columns, **about)
+    (read,) = read_signals("run.csv", about["inputs"], about["outputs"], columns)
+    assert model == jb.fit([read], columns=columns, **about) and model.dt == 2.0
+    assert jb.fit([place / "run.csv"], columns=columns, **about) == model
+    with pytest.raises(ValueError, match=r"run.csv is a file: .*, fit\('run.csv', inputs="):
+        jb.fit("run.csv")
+    with pytest.raises(FileNotFoundError, match="there is no data file gone.csv"):
+        jb.fit("gone.csv", **about)
 
 
 def test_signals_are_columns_or_expressions_with_names():

@@ -134,6 +134,21 @@ def test_refuses_in_one_sentence_and_writes_nothing(plant, options, sentence, ca
     assert not [p for p in plant.iterdir() if p.name.startswith("out")]
 
 
+def test_a_number_for_a_missing_sample_is_refused_by_its_time(plant, capsys):
+    lines = (plant / "a.csv").read_text().splitlines()
+    for k in (80, 200):
+        cells = lines[k + 1].split(",")
+        lines[k + 1] = ",".join([*cells[:2], "-999", cells[3]])
+    (plant / "a.csv").write_text("\n".join(lines))
+    assert tune(plant, "--steps", "0") == 2
+    sentence = capsys.readouterr().err
+    assert "y1 is -999 in 2 of 600 samples" in sentence and '"y1 != -999"' in sentence
+    assert not (plant / "out.toml").exists()
+    model = (plant / "rig.toml").read_text()
+    (plant / "rig.toml").write_text(f'where = "y1 != -999"\n{model}')
+    assert tune(plant, "--steps", "0") == 0
+
+
 def test_optimisers_are_those_of_optax():
     import optax
 

@@ -231,6 +231,12 @@ def test_integers_and_lists_are_numbers(rng):
             TypeError,
             r"detect needs relations, not str: detect\(parity_relations\(model\), u, y\)",
         ),
+        (
+            dict(r=paper()),
+            TypeError,
+            r"detect needs relations, not LinearSystem: detect\(jaxbound.monitor\(model\), u, y\)",
+        ),
+        (dict(r="plant.toml"), TypeError, r"not str: detect\(jaxbound.monitor\(model\), u, y\)"),
     ],
 )
 def test_what_does_not_fit_is_refused(change, error, message):

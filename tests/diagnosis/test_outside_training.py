@@ -239,7 +239,8 @@ def test_a_day_that_is_all_fault_is_a_fault_where_it_lies_inside():
     assert sentence(res).sentence == (
         "Fault proved: every one of the 20 windows with data is FAULT, within the region of training: a "
         "fault lasts all through, or the bounds are too tight: all bounds times about 2 would make every "
-        "window consistent."
+        "window consistent; or a column is in another unit, or another signal, than the model has there: "
+        "compare `jaxbound info MODEL.toml`."
     )
 
 

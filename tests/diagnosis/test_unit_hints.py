@@ -78,3 +78,57 @@ def test_a_wrong_conversion_costs_a_few_windows(relations, rng, monkeypatch):
     assert units.unit_hints(result) == []
     assert tested[0] == tries * units.FEW
     assert sum(tested[1:]) <= 2 * units.STRETCHES * units.LONG  # dead outputs alone explain the rest
+
+
+@pytest.fixture(scope="module")
+def plant():
+    """Return a plant of two inputs and two outputs that its monitor watches by windows and lags."""
+    return jb.LinearSystem(
+        [["0.9", "0.05"], [0, "0.8"]],
+        [["0.2", 0], [0, "0.5"]],
+        np.eye(2),
+        noise=0.1,
+        inputs=["Q1", "Q2"],
+        outputs=["T1", "T2"],
+        units={"T1": "degC", "T2": "degC"},
+        offset={"u": [40, 60], "y": [30, 45]},
+        tests=[{"name": "short", "horizon": 3}, {"name": "slow", "lags": [0, 1, 2, 4, 8]}],
+    )
+
+
+def recorded(plant, rng, samples=150):
+    u = np.repeat(rng.uniform(20, 80, (samples // 10, 2)), 10, 0)
+    x, y = np.zeros(2), np.zeros((samples, 2))
+    A, B = (np.array(matrix, float) for matrix in (plant.A, plant.B))
+    rest_u, rest_y = (np.array(plant.offset[side], float) for side in "uy")
+    for k in range(samples):
+        y[k] = rest_y + x + rng.uniform(-0.05, 0.05, 2)
+        x = A @ x + B @ (u[k] - rest_u)
+    return u, y
+
+
+@pytest.mark.parametrize(
+    "mistake, sentence",
+    [
+        (lambda u, y: (u, y + 273.15), "T1 and T2 look like kelvin where the model has degC"),
+        (lambda u, y: (u, y * 9 / 5 + 32), "T1 and T2 look like degF where the model has degC"),
+        (lambda u, y: (u[:, ::-1], y), "the columns of Q1 and of Q2 look exchanged"),
+        (lambda u, y: (u, y[:, ::-1]), "the columns of T1 and of T2 look exchanged"),
+        (lambda u, y: (y, u), "the columns of Q1, Q2 and of T1, T2 look exchanged"),
+        (lambda u, y: (np.c_[y[:, 0], u[:, 1]], np.c_[u[:, 0], y[:, 1]]), "of Q1 and of T1 look exchanged"),
+    ],
+)
+def test_a_monitor_has_the_hints_of_one_test(plant, rng, mistake, sentence):
+    u, y = mistake(*recorded(plant, rng))
+    for relations in (jb.parity_relations(plant, 3), jb.monitor(plant)):
+        hints = [hint for hint in jb.detect(relations, u, y).hints if sentence in hint]
+        assert len(hints) == 1 and "100 % of the windows are consistent" in hints[0]
+
+
+def test_all_fault_names_units_and_columns_as_a_cause(plant, rng):
+    """A healthy recording has no such hint, and neither has one that a fault explains best."""
+    u, y = recorded(plant, rng)
+    assert not any("exchanged" in hint for hint in jb.detect(jb.monitor(plant), u, y).hints)
+    result = jb.detect(jb.monitor(plant), u, y + rng.uniform(5, 40, y.shape))
+    (hint,) = [hint for hint in result.hints if "samples with data" in hint]
+    assert "another unit, or another signal" in hint and "jaxbound info" in hint

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import jaxbound as jb
+from jaxbound.diagnosis.detection import detect
+from jaxbound.diagnosis.monitoring import monitor
 from jaxbound.models.conversion import as_model, from_control, from_scipy
 
 control = pytest.importorskip("control")
@@ -159,3 +161,21 @@ def test_a_converted_system_is_tested_end_to_end():
     run = jb.simulate(m, u, jax.random.key(0), faults=[jb.Fault("y1", "bias", 1.0, 200)])
     status = jb.detect(jb.parity_relations(m), run.u, run.y).status
     assert not (status[:200] == jb.Status.FAULT).any() and (status[200:203] == jb.Status.FAULT).any()
+
+
+def test_a_state_space_object_is_a_model_for_a_monitor_and_names_its_door_elsewhere():
+    from scipy.signal import dlti
+
+    for package, sys in (
+        ("control", control.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], 1.0)),
+        ("scipy", dlti([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt=1.0)),
+    ):
+        with pytest.raises(
+            TypeError, match=rf"takes matrices, .*: jaxbound\.from_{package}\(system, dt, noise"
+        ):
+            jb.LinearSystem(sys, noise=0.1)
+        assert monitor(sys).plant.A == as_model(sys).A
+        with pytest.raises(TypeError, match=r"detect\(jaxbound\.monitor\(model\), u, y\)"):
+            detect(sys, [[0.0]] * 3, [[0.0]] * 3)
+    with pytest.raises(TypeError, match="a model is a LinearSystem, or a state-space object .*, not dict"):
+        monitor({"A": 1})

@@ -144,7 +144,7 @@ def test_numbers_given_in_python_are_their_shortest_decimals(load):
     assert load_of(model_text(model)) == model
 
 
-@pytest.mark.parametrize("window", [{}, {"horizon": 3}, {"lags": [0, 1, 3]}])
+@pytest.mark.parametrize("window", [{"horizon": 3}, {"lags": [0, 1, 3]}])
 def test_a_monitor_of_a_model_without_tests_is_its_windows(window, rng):
     model = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1, **window)
     y = rng.uniform(-0.2, 0.2, (12, 1))
@@ -153,6 +153,31 @@ def test_a_monitor_of_a_model_without_tests_is_its_windows(window, rng):
     np.testing.assert_array_equal(res.margin, alone.margin)
     with pytest.raises(ValueError, match="a monitor needs tests"):
         jb.monitor(model, [])
+
+
+def test_a_monitor_of_a_model_that_states_nothing_sees_what_lasts(rng):
+    """Windows of two samples see no error of .5 that lasts; the lags beside them do, whatever the noise."""
+    model = jb.LinearSystem([["0.9"]], [["0.1"]], [[1]], noise=0.1)
+    bank, lags = jb.monitor(model), jb.suggest_lags(model)
+    assert [test.name for test in bank.plant.tests] == ["windows", "lags"]
+    assert bank.plant.tests[1].lags == tuple(lags)
+    y = 1.2 * lags.sizes[lags]["y1"] + rng.uniform(-0.05, 0.05, (40, 1))
+    res = jb.detect(bank, np.zeros((40, 1)), y)
+    assert res.status[-1] == jb.Status.FAULT and res.status[1] != jb.Status.MISSING
+    assert jb.detect(jb.parity_relations(model), np.zeros((40, 1)), y).counts["FAULT"] == 0
+    assert "lags 0, 1, 2" in repr(bank)
+
+
+@pytest.mark.parametrize(
+    "bounds, names",
+    [
+        ({"tolerance": 0.01}, ["windows", "long"]),
+        ({"horizon": 4}, ["windows"]),
+    ],
+)
+def test_what_nothing_says_is_watched_by_longer_windows(bounds, names):
+    model = jb.LinearSystem([["0.9"]], [["0.1"]], [[1]], noise=0.1, **bounds)
+    assert [test.name for test in jb.monitor(model).plant.tests] == names
 
 
 OTHER = PLANT.replace("0.9", "0.8").replace("noise = 0.1", "noise = 0.3")

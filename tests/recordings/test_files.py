@@ -346,7 +346,7 @@ BAD = {
     ),
     "wrong dt": (
         text_of([(k, 1, 2) for k in range(9)]),
-        "dt = 0.5 s, but the rows .* are 1 s apart: a model with dt = 1 fits it$",
+        "dt = 0.5 s, but the rows .* are 1 s apart: fit again, with healthy recordings 1 s apart$",
     ),
     "time in ms": (
         text_of([(500 * k, 1, 2) for k in range(9)]),

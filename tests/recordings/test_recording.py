@@ -213,8 +213,8 @@ class TestTime:
         [
             (
                 "100s",
-                "the model has dt = 1 s, but the rows of the recording are 100 s apart: a model with dt = "
-                "100 fits it",
+                "the model has dt = 1 s, but the rows of the recording are 100 s apart: fit again, "
+                "with healthy recordings 100 s apart",
             ),
             ("-1s", "the rows run backwards in time, the newest first: sort them by time"),
         ],

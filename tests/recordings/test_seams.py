@@ -106,14 +106,15 @@ class TestSentences:
         [
             (
                 np.arange(9) * 2.0,
-                "the model has dt = 1 s, but the rows of the recording are 2 s apart: a model with dt = 2 "
-                "fits it$",
+                "the model has dt = 1 s, but the rows of the recording are 2 s apart: fit again, "
+                "with healthy recordings 2 s apart$",
             ),
             (np.arange(9) * 1000.0, "apart: is its time in ms"),
             (np.arange(9) // 3 * 1.0, "0 s apart: more than half of the rows repeat the time"),
             (
                 np.arange(9) / 3,
-                r"apart: keep one of every 3 rows, .* \(--every 1s\), or take a model with dt = 0.333$",
+                r"apart: keep one of every 3 rows, .* \(--every 1s\), or fit again, with healthy recordings "
+                r"0.333 s apart$",
             ),
             (np.arange(27.0) * 5 % 27, "4 of 27 rows go back in time: sort them by time"),
             (-np.arange(9.0), "the rows run backwards in time, the newest first: sort them by time"),

@@ -38,7 +38,8 @@ class TestSummary:
         assert summary(res, [], self.label)[1] == (
             "Every one of the 9 windows with data is FAULT: the model or its bounds do not fit this "
             "recording: "
-            "all bounds times about 12 would make every window consistent."
+            "all bounds times about 12 would make every window consistent; or a column is in another unit, "
+            "or another signal, than the model has there: compare `jaxbound info MODEL.toml`."
         )
 
     def test_the_common_factor_would_make_every_window_consistent(self, rng):

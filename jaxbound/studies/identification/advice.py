@@ -11,6 +11,7 @@ from jaxbound.studies.identification.fit_result import FitCheck
 from jaxbound.studies.identification.records import Records, measured
 from jaxbound.studies.identification.signal_choice import TOGETHER
 from jaxbound.text.names import listed
+from jaxbound.text.quantities import duration
 
 __all__ = ["apart", "blind", "inputs_at_rest", "inputs_together", "limits", "no_average"]
 
@@ -18,6 +19,8 @@ WIDE, CONTRADICTION, FEW = 1.5, 3.0, 10
 """Above this factor that a recording asks for that is left out, this factor between the bounds of two
 recordings, below this number of windows that do not overlap, the user is told that the data do not carry the
 monitor."""
+SEVERAL = "give each as a file of its own, jaxbound fit one.csv two.csv .., fit([one, two])"
+SHOWN = "--plot fit.png, plot(model)"
 
 
 def inputs_at_rest(
@@ -45,15 +48,21 @@ def inputs_at_rest(
         )
     return [
         f"{name} never moves in these recordings: what it does to the outputs is unknown, and the model says "
-        f"nothing; record a step of it"
+        f"nothing; record a step of it, or {_without(name, inputs)}"
         for name in still
     ]
 
 
 COMPLETE_ONLY = (
     "tests that are not taken were judged by complete windows alone: windows that lack samples may ask for "
-    "wider bounds"
+    "wider bounds; fit one of them alone to see by how much, --horizon 30, horizon=30"
 )
+
+
+def _without(name: str, inputs: Sequence[str]) -> str:
+    """Return the command that fits without one of the inputs."""
+    rest = [other for other in inputs if other != name]
+    return f"fit again with {name} taken out of --inputs, inputs={rest!r}"
 
 
 def apart(records: Records, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
@@ -71,7 +80,8 @@ def apart(records: Records, inputs: Sequence[str], outputs: Sequence[str]) -> li
                 above = f"{high[0]:.4g} to {high[1]:.4g} in recording {high[2]}"
                 sentences.append(
                     f"{name} lies at {below} and at {above}, which have nothing in common: is it in two "
-                    f"units, like degC and degF, or are these two plants?"
+                    f"units, like degC and degF, or are these two plants? Bring it to one unit, or fit a "
+                    f"model to each, jaxbound fit FILE"
                 )
     return sentences
 
@@ -89,7 +99,7 @@ def inputs_together(records: Records, inputs: Sequence[str]) -> list[str]:
             sentences.append(
                 f"{inputs[i]} and {inputs[j]} move together (correlation {together:.3f}): the data do not "
                 f"tell apart what each does, and an hour in which they part looks like a fault; record steps "
-                f"of one alone, or leave one out"
+                f"of one alone, or {_without(inputs[j], inputs)}"
             )
     return sentences
 
@@ -102,7 +112,7 @@ def no_average(name: str, samples: int) -> str:
     """Return the sentence on an output whose errors do not average out."""
     return (
         f"errors of {name} do not average out: the mean of {samples} in a row is as large as one of them, "
-        f"and gets no bound"
+        f"and gets no bound; fit again without --average, average=None"
     )
 
 
@@ -112,7 +122,7 @@ def limits(model: LinearSystem, check: FitCheck, held_out: float) -> list[str]:
     Args:
         held_out: the share that was to be held out.
     """
-    sentences = [_few_windows(model, check), *_left_out(check, held_out), _contradiction(check)]
+    sentences = [_few_windows(model, check), *_left_out(model, check, held_out), _contradiction(check)]
     return [sentence for sentence in sentences if sentence]
 
 
@@ -130,30 +140,33 @@ def _few_windows(model: LinearSystem, check: FitCheck) -> str:
         return ""
     return (
         f"the recordings hold only {whole} windows of {length} samples that do not overlap: bounds from so "
-        f"little history may not last; record longer, or choose a shorter horizon"
+        f"little history may not last; record longer, or fit again with --horizon {max(length // 2, 1)}, "
+        f"horizon={max(length // 2, 1)}"
     )
 
 
-def _left_out(check: FitCheck, held_out: float) -> list[str]:
+def _left_out(model: LinearSystem, check: FitCheck, held_out: float) -> list[str]:
     """Return sentences on what a day that was not seen may ask for."""
     if not check.left_out:
-        why = "the recording is too short to leave a part of it out"
+        why, again = "the recording is too short to leave a part of it out", f"record more, and {SEVERAL}"
         if not held_out:
-            why = "nothing was left out"
-        return [f"{why}: what the monitor makes of data that it has not seen is unknown"]
+            why, again = "nothing was left out", "fit again with --held-out 0.3, held_out=0.3"
+        return [f"{why}: what the monitor makes of data that it has not seen is unknown; {again}"]
     alone = len(check.recordings) == 1
     what = "block" if alone else "recording"
     sentences = []
     if alone:
+        blocks = len(check.left_out)
+        length = duration(check.recordings[0]["samples"] * model.dt / blocks)
         sentences.append(
-            f"there is one recording, and its {len(check.left_out)} blocks share a day: what another day "
-            f"asks for is unknown; record more of them, and give each as a file of its own"
+            f"there is one recording, and its {blocks} blocks of {length} follow each other: what another "
+            f"time asks for is unknown; record more of them, and {SEVERAL}"
         )
     for number, one in enumerate(check.left_out, 1):
         if one.why:
             sentences.append(
                 f"{what} {number} says nothing of another day: {one.why}; record more, or cut a long "
-                f"recording into files"
+                f"recording into files, and {SEVERAL}"
             )
     if check.factor > WIDE:
         sentences.append(wide(check, check.factor))
@@ -165,7 +178,7 @@ def wide(check: FitCheck, factor: float) -> str:
     what = "block" if len(check.recordings) == 1 else "recording"
     return (
         f"a {what} that is left out needs bounds {factor:.2f} times as wide as all together: they "
-        f"do not show all of healthy operation; record more of it, or look at what was different"
+        f"do not show all of healthy operation; record more of it, or look at what was different, {SHOWN}"
     )
 
 
@@ -179,7 +192,8 @@ def _contradiction(check: FitCheck) -> str:
         return ""
     return (
         f"recording {high + 1} needs bounds {shares[high] / shares[low]:.1f} times as wide as recording "
-        f"{low + 1}: they contradict each other; look at what was different, or fit a model to each"
+        f"{low + 1}: they contradict each other; look at what was different, {SHOWN}, or fit a model to "
+        f"each, jaxbound fit FILE"
     )
 
 
@@ -191,12 +205,15 @@ def _blind(model: LinearSystem, check: FitCheck, name: str) -> str:
     moved = f"in all recordings {name} moved by {span:.3g}{unit} only"
     if jump > span:
         size = "however large" if math.isinf(jump) else f"below {jump:.3g}{unit}"
-        return f"the monitor is blind for {name}: no jump {size} is sure to be seen, but {moved}"
+        return (
+            f"the monitor is blind for {name}: no jump {size} is sure to be seen, but {moved}; record what "
+            f"moves it, or fit again without it or with --order auto, order='auto'"
+        )
     if not steady > span or model.horizon is None:
         return ""
     size = "however large" if math.isinf(steady) else f"below {steady:.3g}{unit}"
     return (
         f"an error of {name} that was there before the recording began and never changes may stay unseen, "
         f"{size}, and {moved}: within {model.horizon + 1} samples the model can follow it; a longer "
-        f"horizon sees smaller ones"
+        f"horizon sees smaller ones, --horizon {2 * model.horizon + 1}, horizon={2 * model.horizon + 1}"
     )

@@ -67,7 +67,10 @@ def fitted_bank(
     picked = earned(tests)
     is_watched = any(test.window.observer is not None for test in picked)
     if watching is not None and watching["disturbances"] is not None and not is_watched:
-        why = "the bounds of disturbances are left out: windows alone see errors about as small"
+        why = (
+            "the bounds of disturbances are left out: windows alone see errors about as small; a fit for the "
+            "observer alone has them, --observer joint --disturbances auto, without --test"
+        )
         check = dataclasses.replace(check, sentences=(*check.sentences, why))
     stated = [StatedTest(picked[0].window.text)]
     share = 0.3 / len(picked)
@@ -112,7 +115,7 @@ def _with_sizes(
     joined = dataclasses.replace(check, jump=jumps, steady=lasting)
     before = blind(base, check)
     kept = [sentence for sentence in check.sentences if sentence not in before]
-    return dataclasses.replace(joined, sentences=(*kept, *blind(base, joined)))
+    return dataclasses.replace(joined, sentences=(*blind(base, joined), *kept))
 
 
 def _judged(fitted: Fitted, method: ObserverMethod) -> JudgedTest:

@@ -41,7 +41,8 @@ def closed_loops(records: Records, inputs: Sequence[str], outputs: Sequence[str]
             sentences.append(
                 f"{name} follows {output}: the past of {output} leaves {shares[best]:.2g} of the error with "
                 f"which {name} is predicted by its own. In a closed loop a fault moves {name} and hardly "
-                f"{output}: make {name} an output, too, or record steps of it that nobody feeds back"
+                f"{output}: record steps of {name} that nobody feeds back, or fit again with "
+                f"{name} in --outputs, outputs={[*outputs, name]!r}"
             )
     return sentences
 

@@ -282,7 +282,8 @@ def chosen_disturbances(
     else:
         rows.append(winner.row(factor, used, sizes, faults)._replace(chosen=True))
         sentences += (
-            f"safety is {used:g} in place of {safety:g}: bounds so wide still show the wanted faults",
+            f"safety is {used:g} in place of {safety:g}: bounds so wide still show the wanted faults; "
+            f"it stays as it is without --see, see=()",
         )
     return Disturbed(best.trial, best.G, best.walks, used, tuple(rows), sentences)
 
@@ -308,9 +309,9 @@ def _unseen(row: Tradeoff, see: Sequence[Fault]) -> tuple[str, ...]:
         size = row.sizes[_label(fault)]
         if size <= abs(fault.size):
             continue
-        text = "none is, however large"
+        text = "none is, however large; fit again with --order auto, order='auto'"
         if math.isfinite(size):
-            text = f"it is from {size:.3g} on"
+            text = f"it is from {size:.3g} on; fit again with --see {fault.signal}:{fault.kind}:{size:.2g}"
         sentences.append(
             f"a {fault.kind} of {abs(fault.size):g} of {fault.signal} is not sure to be seen under any "
             f"bounds that explain these recordings: {text}"

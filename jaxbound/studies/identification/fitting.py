@@ -25,6 +25,7 @@ from jaxbound.models.faults import Fault
 from jaxbound.models.numbers import is_real, is_whole
 from jaxbound.models.system import LinearSystem, whole_lags
 from jaxbound.recordings.means import with_every
+from jaxbound.recordings.signals import Signals
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.studies.identification import advice
 from jaxbound.studies.identification.bank import fitted_bank
@@ -46,8 +47,17 @@ from jaxbound.studies.identification.gauge import GaugeJudge
 from jaxbound.studies.identification.judging import Judge, ObserverJudge, WindowJudge, explains
 from jaxbound.studies.identification.left_out import LeftOut, tried, widest
 from jaxbound.studies.identification.means import smallest_means
+from jaxbound.studies.identification.outliers import refuse_outliers
 from jaxbound.studies.identification.proof import Proof, proved
-from jaxbound.studies.identification.records import Records, input_ranges, names_of, parted, read_records
+from jaxbound.studies.identification.records import (
+    Records,
+    input_ranges,
+    names_of,
+    opened,
+    parted,
+    read_each,
+    read_records,
+)
 from jaxbound.studies.identification.signal_choice import (
     SignalProblem,
     TriedSignals,
@@ -116,9 +126,9 @@ def fit(
     are like the next one, one in n + 1 may still ask for more.
 
     Args:
-        recordings: one or several of: (u (T, m), y (T, p)) or (u, y, starts), u None without inputs; a table
-            with the columns `inputs` and `outputs`; a Recording. NaN marks a missing sample. No window
-            crosses gaps in the times of a table, or `starts`.
+        recordings: one or several of: a path, as `read` takes it; (u (T, m), y (T, p)) or (u, y, starts), u
+            None without inputs; a table with the columns `inputs` and `outputs`; a Recording. NaN marks a
+            missing sample. No window crosses gaps in the times of a file or a table, or `starts`.
         order: so many samples back determine the next one (of "filters": so many filters an output). order *
             p states. 0: a static model, y = D u and a constant, of windows of one sample unless horizon asks
             for more. "auto": whichever of 1 to 4 sees the smallest errors at the bounds that recordings which
@@ -129,9 +139,9 @@ def fit(
             small faults; the model says for which it is made.
         lags: of windows that look at the outputs at some samples only, in place of horizon; see
             `parity_relations` and `suggest_lags`.
-        inputs, outputs: names; needed with tables. dt: sampling period in s; None: what the times of tables
-            or a Recording say, else 1. every: an interval of the clock, like "15min": samples are the means
-            of what was recorded within each, and the model keeps it.
+        inputs, outputs: names; needed with tables and paths. dt: sampling period in s; None: what the times
+            of tables, paths or a Recording say, else 1. every: an interval of the clock, like "15min":
+            samples are the means of what was recorded within each, and the model keeps it.
         direct: whether inputs act on the outputs of the same sample (D).
         safety: factor >= 1 on top: how much more than in the recordings healthy operation may deviate.
         held_out: the share of a single recording that is a block: its blocks are left out in turn, which says
@@ -208,11 +218,14 @@ def fit(
         raise ValueError("direct inputs act at once: leave delay at 1, or direct out")
     columns, dt = with_every(columns, dt, every)
     report = reporter(progress)
-    tried_sets: tuple[TriedSignals, ...] = ()
+    begin_with = names_of("inputs", inputs) or ()
+    pool: dict[str, str] = {}
     if signals is not None:
         _refuse_signals(signals, inputs)
-        begin_with = names_of("inputs", inputs) or ()
         pool = products(begin_with, columns)
+    recordings = opened(recordings, (*begin_with, *pool), outputs, columns | pool, dt)
+    tried_sets: tuple[TriedSignals, ...] = ()
+    if signals is not None:
         refuse_unnamed(recordings, pool)
         begun = dict(order=order, delay=delay, direct=direct, horizon=horizon, held_out=held_out)
         reading = dict(inputs=begin_with, outputs=outputs, columns=columns, dt=dt, lags=lags)
@@ -290,6 +303,9 @@ def _fit_once(
     refuse_unseen(wanted, inputs, outputs)
     biases = wanted_biases(wanted)
     resting = advice.inputs_at_rest(records, inputs, outputs, horizon)
+    again = partial(read_each, recordings, inputs, outputs, columns, None)
+    signals = Signals(inputs, outputs, dict(columns), dt)
+    measured_so = refuse_outliers(records, signals, _least(order), _least(delay), again)
     tests: tuple[JudgedTest, ...] = ()
     proofs: dict[WindowChoice, Proof] = {}
     taken: TriedTest | None = None
@@ -317,6 +333,7 @@ def _fit_once(
     else:
         about["lags"] = lags
     sentences = [
+        *measured_so,
         *resting,
         *advice.inputs_together(records, inputs),
         *advice.apart(records, inputs, outputs),
@@ -411,7 +428,7 @@ def _fit_once(
         tests = tuple(check.of(one) if one is picked else one for one in tests)
         check = dataclasses.replace(check, tests=tests)
         sentences.append(advice.COMPLETE_ONLY)
-    sentences += [*advice.limits(model, check, held_out), *advice.blind(model, check)]
+    sentences = [*advice.blind(model, check), *sentences, *advice.limits(model, check, held_out)]
     report(1.0)
     return Fitted(model, dataclasses.replace(check, sentences=tuple(sentences))), proofs
 
@@ -526,6 +543,13 @@ def _structure(
     if AUTO not in (order, delay):
         return orders[0], delays[0]
     return structure(records, parts, horizon, orders, delays, direct)
+
+
+def _least(number: int | str) -> int:
+    """Return an order or a delay, 1 at least; of one that the data choose the least."""
+    if number == AUTO:
+        return 1
+    return max(int(number), 1)
 
 
 def _check_options(

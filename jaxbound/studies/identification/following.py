@@ -160,7 +160,11 @@ def followed(
     if follow == AUTO and not any(np.isfinite(one.factor) for one in constant.left):
         why = why or "no recording says, left out, how strongly bounds have to follow the operating point"
     if why:
-        return constant, Follows(), [f"{why}: they are constant"]
+        return (
+            constant,
+            Follows(),
+            [f"{why}: they are constant; a weight does not ask, --follow 0.1, follow=0.1"],
+        )
     weights = [float(x) for x in WEIGHTS if x] if follow == AUTO else [float(follow)]
     best, chosen = constant, Follows()
     for weight in weights:

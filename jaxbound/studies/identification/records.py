@@ -4,6 +4,7 @@ period.
 
 import itertools
 from collections.abc import Mapping, Sequence
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -13,12 +14,23 @@ from jaxbound.models.signals import names_in
 from jaxbound.recordings.arrays import holds_both, is_made
 from jaxbound.recordings.clockintervals import every_text
 from jaxbound.recordings.means import every_of
+from jaxbound.recordings.read import read_signals
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import TOLERATED_DT
 from jaxbound.recordings.signals import Signals
 from jaxbound.recordings.table import as_table, is_table
 
-__all__ = ["Record", "Records", "input_ranges", "measured", "names_of", "parted", "read_records"]
+__all__ = [
+    "Record",
+    "Records",
+    "input_ranges",
+    "measured",
+    "names_of",
+    "opened",
+    "parted",
+    "read_each",
+    "read_records",
+]
 
 Record = tuple[np.ndarray, np.ndarray, np.ndarray]
 """(u (T, m), y (T, p), starts)."""
@@ -77,6 +89,36 @@ def _part(u: np.ndarray, y: np.ndarray, starts: np.ndarray, first: int, stop: in
     return u[first:stop], y[first:stop], starts[inside] - first
 
 
+def opened(
+    recordings: object,
+    inputs: Sequence[str],
+    outputs: str | Sequence[str] | None,
+    columns: Mapping[str, str],
+    dt: float | None,
+) -> object:
+    """Return recordings of which those that are paths, if any, have been read.
+
+    Raises:
+        OSError, ValueError: see `read_signals`; outputs that are not named.
+    """
+    if isinstance(recordings, str | PathLike):
+        recordings = [recordings]
+    if not isinstance(recordings, list | tuple) or not any(isinstance(x, str | PathLike) for x in recordings):
+        return recordings
+    names = names_of("outputs", outputs)
+    every = []
+    for one in recordings:
+        if isinstance(one, str | PathLike):
+            if not names:
+                raise ValueError(
+                    f"{one} is a file: say which of its columns are what, "
+                    f"fit({str(one)!r}, inputs=['heater'], outputs=['temperature'])"
+                )
+            (one,) = read_signals(one, inputs, names, columns, dt)
+        every.append(one)
+    return every
+
+
 def read_records(
     recordings: object,
     inputs: str | Sequence[str] | None,
@@ -85,13 +127,32 @@ def read_records(
     dt: float | None,
 ) -> tuple[tuple[str, ...], tuple[str, ...], float, Records]:
     """Return (inputs, outputs, dt, [(u, y, starts)]) with names and float64 arrays."""
+    every = read_each(recordings, inputs, outputs, columns, dt)
+    input_names, output_names = every[0].inputs, every[0].outputs
+    records: Records = []
+    periods = []
+    for number, recording in enumerate(every, 1):
+        u, y = np.asarray(recording.u, np.float64), np.asarray(recording.y, np.float64)
+        records.append((u, y, recording.starts))
+        if recording.dt is not None:
+            periods.append((recording.dt, f"recording {number}"))
+    return input_names, output_names, _period(dt, periods), records
+
+
+def read_each(
+    recordings: object,
+    inputs: str | Sequence[str] | None,
+    outputs: str | Sequence[str] | None,
+    columns: Mapping[str, str] | None,
+    dt: float | None,
+) -> list[Recording]:
+    """Return the recordings, with the names of inputs and outputs."""
     if _is_pair(recordings) or not isinstance(recordings, list | tuple):
         recordings = [recordings]
     if not recordings:
         raise ValueError("there is no recording: give at least one")
     input_names, output_names = names_of("inputs", inputs), names_of("outputs", outputs)
-    records: Records = []
-    periods = []
+    every = []
     for number, one in enumerate(recordings):
         where = f"recording {number + 1}"
         parts = _parts(where, one)
@@ -100,12 +161,8 @@ def read_records(
         signals = Signals(input_names, output_names, dict(columns or {}), dt)
         recording = _read(where, signals, parts)
         _refuse_untimed(where, signals, recording)
-        u, y = np.asarray(recording.u, np.float64), np.asarray(recording.y, np.float64)
-        records.append((u, y, recording.starts))
-        if recording.dt is not None:
-            periods.append((recording.dt, where))
-    assert input_names is not None and output_names is not None
-    return input_names, output_names, _period(dt, periods), records
+        every.append(recording)
+    return every
 
 
 def _is_pair(recording: object) -> bool:

@@ -27,14 +27,17 @@ __all__ = [
     "coefficients",
     "complete_windows",
     "growth",
+    "in_windows",
     "information",
     "least_squares",
     "reached",
     "refined",
+    "responses",
     "scales_of",
     "step_error",
     "window_residuals",
     "windows_of",
+    "windows_without",
 ]
 
 STEPS, SETTLED = 60, 1e-6
@@ -110,11 +113,17 @@ def windows_of(recordings: Records, scales: Scales, horizon: int, most: int | No
 
 def complete_windows(u: np.ndarray, y: np.ndarray, starts: np.ndarray, horizon: int) -> np.ndarray:
     """Return the first samples of the windows of a recording that are complete and cross no seam."""
-    if len(y) <= horizon:
+    return windows_without(np.asarray(np.isnan(u).any(1) | np.isnan(y).any(1)), starts, horizon)
+
+
+def windows_without(gone: np.ndarray, starts: np.ndarray, horizon: int) -> np.ndarray:
+    """Return the first samples of the windows of a recording that hold no sample that is gone, (T,) bool, and
+    cross no seam.
+    """
+    if len(gone) <= horizon:
         return np.zeros(0, int)
-    gone = np.asarray(np.isnan(u).any(1) | np.isnan(y).any(1))
-    whole = _in_windows(gone, horizon) == 0
-    return np.flatnonzero(whole & ~crossing(starts, horizon, horizon, len(y)))
+    whole = in_windows(gone, horizon) == 0
+    return np.flatnonzero(whole & ~crossing(starts, horizon, horizon, len(gone)))
 
 
 def completeness(records: Records, horizon: int) -> float:
@@ -134,12 +143,12 @@ def _judged(records: Records, horizon: int) -> int:
     count = 0
     for _, y, starts in records:
         if len(y) > horizon:
-            seen = _in_windows(np.asarray((~np.isnan(y)).any(1)), horizon) > 0
+            seen = in_windows(np.asarray((~np.isnan(y)).any(1)), horizon) > 0
             count += int((seen & ~crossing(starts, horizon, horizon, len(y))).sum())
     return count
 
 
-def _in_windows(chosen: np.ndarray, horizon: int) -> np.ndarray:
+def in_windows(chosen: np.ndarray, horizon: int) -> np.ndarray:
     """Return how many samples of each window are chosen, of (T,) bool."""
     before = np.append(0, np.cumsum(chosen))
     return np.asarray(before[horizon + 1 :] - before[: -horizon - 1])
@@ -192,7 +201,7 @@ def coefficients(
     return A, B, D, theta[-1]
 
 
-class _Responses(NamedTuple):
+class Responses(NamedTuple):
     """Windows of a model whose first state is 0, and what a first state adds.
 
     Fields: through (s + 1, p, s + 1, p): from an entry of the recursion at one sample to the outputs at
@@ -204,8 +213,8 @@ class _Responses(NamedTuple):
     free: np.ndarray
 
 
-def _responses(theta: np.ndarray, u: np.ndarray, p: int, order: int, direct: bool) -> _Responses:
-    """Return the _Responses of windows u (N, s + 1, m)."""
+def responses(theta: np.ndarray, u: np.ndarray, p: int, order: int, direct: bool) -> Responses:
+    """Return the Responses of windows u (N, s + 1, m)."""
     count = u.shape[1]
     A, B, D, c = coefficients(theta, order, direct, u.shape[2], p)
     impulse = np.zeros((count + 1, p, p))  # the last one stays 0
@@ -222,7 +231,7 @@ def _responses(theta: np.ndarray, u: np.ndarray, p: int, order: int, direct: boo
     driven = times(enters.reshape(len(u), -1), through.reshape(count * p, -1).T).reshape(len(u), count, p)
     # what a state waits for enters at the first samples, one after the other
     free = through[:, :, :order].reshape(count, p, order * p)
-    return _Responses(through, driven, free)
+    return Responses(through, driven, free)
 
 
 def _residuals(
@@ -233,9 +242,9 @@ def _residuals(
     Windows are u (N, s + 1, m), y (N, s + 1, p).
     """
     with np.errstate(over="ignore", invalid="ignore"):  # a model that explodes is not taken
-        responses = _responses(theta, u, y.shape[2], order, direct)
-        left = ((y - responses.driven) * weight).reshape(len(y), -1)
-        Q, _ = np.linalg.qr((responses.free * weight[:, None]).reshape(left.shape[1], -1))
+        answer = responses(theta, u, y.shape[2], order, direct)
+        left = ((y - answer.driven) * weight).reshape(len(y), -1)
+        Q, _ = np.linalg.qr((answer.free * weight[:, None]).reshape(left.shape[1], -1))
         return np.asarray(left - times(times(left, Q), Q.T))
 
 
@@ -253,7 +262,7 @@ def _slopes(
     through the recursion, by the regressor that it multiplies. Source: Golub, Pereyra 1973.
     """
     N, count, p = y.shape
-    through, driven, free = _responses(theta, u, p, order, direct)
+    through, driven, free = responses(theta, u, p, order, direct)
     n = free.shape[2]
     left = ((y - driven) * weight).reshape(N, -1)
     Q, R = np.linalg.qr((free * weight[:, None]).reshape(count * p, n))
