@@ -5,6 +5,8 @@ stays a candidate while every violated relation reacts to it. A relation that ho
 may be too small to show in it.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property

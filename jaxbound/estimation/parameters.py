@@ -1,5 +1,7 @@
 """Parameters that keep one value over a whole recording, estimated by all of its windows at once."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import singledispatch

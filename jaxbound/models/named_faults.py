@@ -8,6 +8,8 @@
 f is the size, constant while the fault lasts; g is 1, or a recorded input.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass

@@ -11,6 +11,8 @@ appear only as nearest values of exact coefficients, whose error `sets.floats.ro
 Maquin, Ragot 2000, (6)-(9), (13)-(15).
 """
 
+from __future__ import annotations
+
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -146,10 +148,10 @@ class ParityRelation(LinearRelations):
         return {"lags": self.lags}
 
     @cached_property
-    def _moving(self) -> "ParityRelation | None":
+    def _moving(self) -> ParityRelation | None:
         return moving(self, self._of)
 
-    def _of(self, model: LinearSystem) -> "ParityRelation":
+    def _of(self, model: LinearSystem) -> ParityRelation:
         """Return the relations of another model over the same window."""
         relations = parity_relations(model, form=self.form, **self.window)
         assert isinstance(relations, ParityRelation)

@@ -6,6 +6,8 @@
 Source: Ploix, Adrot 2006, (4)-(6).
 """
 
+from __future__ import annotations
+
 import dataclasses
 import functools
 from collections.abc import Collection, Iterator, Mapping, Sequence

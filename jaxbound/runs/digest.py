@@ -2,6 +2,8 @@
 verdicts.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
@@ -182,7 +184,7 @@ class Digest:
 
 
 @plot.register(Digest)
-def plot_digest(found: Digest, ax: "Axes | None" = None) -> "Figure | Axes":
+def plot_digest(found: Digest, ax: Axes | None = None) -> Figure | Axes:
     """Draw the whole recording as a Result of its verdicts would be drawn."""
     name, bounded = found.relations.model.name, found.margins == BOUNDS
     observes = found.relations.observes
@@ -228,11 +230,11 @@ def detect_dataset(
     progress: Progress | None = None,
     part: tuple[int, int] | None = None,
     merge: bool = False,
-    client: "Client | None" = None,
+    client: Client | None = None,
     overlap: int | None = None,
     margins: str = AUTO,
     outside: str = CLAIMED,
-) -> "Digest | list[Path]":
+) -> Digest | list[Path]:
     """Test a Parquet recording of any size and write its verdicts as Parquet.
 
     Args:
@@ -435,7 +437,7 @@ def _wrong_units(found: Digest) -> list[str]:
 class _Ticking(Quiet):
     """A sink that finds the seams, and keeps the times that sentences name: of both ends and of seams."""
 
-    def __init__(self, dt: float, times: "_SampleTimes") -> None:
+    def __init__(self, dt: float, times: _SampleTimes) -> None:
         self.clock, self.times = Clock(dt), times
 
     def add(self, piece: Recording, verdicts: Verdicts) -> None:

@@ -9,6 +9,8 @@ Source: Adrot, Maquin, Ragot 2000, 4.3, with the errata of `golden`: an excluded
 and closed containment.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, partial

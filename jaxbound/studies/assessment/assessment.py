@@ -6,6 +6,8 @@ margins gives the verdicts at every factor. An observer carries a set that depen
 each recording once a factor.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple

@@ -10,6 +10,8 @@ Where errors average out, the mean of several of them has a smaller bound than o
 too, of the same windows.
 """
 
+from __future__ import annotations
+
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
