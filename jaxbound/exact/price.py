@@ -2,9 +2,8 @@
 will not end.
 """
 
-import warnings
-
 from jaxbound.text.quantities import rough_duration
+from jaxbound.text.warned import warn
 
 __all__ = ["SECONDS", "refuse_or_say"]
 
@@ -29,4 +28,4 @@ def refuse_or_say(seconds: float, what: str, do: str) -> None:
     if seconds > SECONDS:
         raise ValueError(f"{what} would take {span} in exact numbers: {do}")
     if seconds > SILENCE:
-        warnings.warn(f"{what} take {span} in exact numbers; if that is too long, {do}", stacklevel=4)
+        warn(f"{what} take {span} in exact numbers; if that is too long, {do}")

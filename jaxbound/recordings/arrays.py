@@ -2,7 +2,6 @@
 NaN, everything checked.
 """
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
@@ -36,6 +35,7 @@ from jaxbound.recordings.signals import Named
 from jaxbound.recordings.table import Data, as_table, is_table
 from jaxbound.recordings.tabletime import row_time
 from jaxbound.text.names import listed
+from jaxbound.text.warned import warn_once
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -181,13 +181,12 @@ def _warn_rounded(y: np.ndarray, dtype: np.dtype) -> None:
     with np.errstate(over="ignore"):
         rounded = (y.astype(dtype) != y) & ~np.isnan(y)
     if rounded.any():
-        warnings.warn(
+        warn_once(
             "samples in float64 are rounded to float32, because jax runs with x64 off: verdicts stay proofs, "
             "but every bound grows by "
             "2.4e-07 of the largest sample, and faults below that are not seen. "
             "jax.config.update('jax_enable_x64', True) keeps them; "
-            "arrays of float32 say that this is meant",
-            stacklevel=2,
+            "arrays of float32 say that this is meant"
         )
 
 
