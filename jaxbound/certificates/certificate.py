@@ -36,6 +36,14 @@ Judged: TypeAlias = tuple[Vector, Vector, Fraction, Fraction]
 """(h, k, residual, width) of a relation."""
 
 
+class Sizes(dict[str, "Fraction | float"]):
+    """{signal: a size}, exact, shown as short floats: a fraction has hundreds of digits."""
+
+    def __repr__(self) -> str:
+        shown = [f"{name!r}: {float(size):.4g}" for name, size in self.items()]
+        return f"{{{', '.join(shown)}}}"
+
+
 @readable
 @dataclass(frozen=True, eq=False)
 class Certificate(Witnessed, WindowCertificate):
@@ -94,7 +102,7 @@ class Certificate(Witnessed, WindowCertificate):
         inf where no error of it would, 0 for a window that needs none; empty for a model with
         constant_tolerance. Worked out at the first call.
         """
-        sizes: dict[str, Fraction | float] = {}
+        sizes = Sizes()
         for error in self.sensor_errors:
             output = self.window.model.outputs[error.output]
             sizes[output] = math.inf

@@ -215,16 +215,13 @@ def nothing_to_explain(at: Index) -> ValueError:
     return ValueError(f"window {at[-1]} is MISSING: there is nothing to explain")
 
 
-def explain(result: Judgement, at: int | Index) -> WindowCertificate:
-    """Return the certificate of the window that ends at index `at`. See `Result.explain`."""
+def explain(result: Judgement, at: Index) -> WindowCertificate:
+    """Return the certificate of the window that ends at an index. See `Result.explain`."""
     status = Status(int(result.status[at]))
     if status == Status.MISSING:
-        raise ValueError(f"window {at} is MISSING: there is nothing to explain")
-    if not isinstance(at, tuple):
-        at = (at,)
-    place = tuple(int(i) % n for i, n in zip(at, result.status.shape, strict=True))
-    relations, method, u, y = evidence(result.relations, result, place, status)
-    return certify(relations, u, y, method, status, place)
+        raise nothing_to_explain(at)
+    relations, method, u, y = evidence(result.relations, result, at, status)
+    return certify(relations, u, y, method, status, at)
 
 
 @singledispatch

@@ -8,7 +8,6 @@ import numpy as np
 
 from jaxbound.certificates.interface import certify
 from jaxbound.cli.options import OBSERVER
-from jaxbound.cli.sample_axis import SampleAxis
 from jaxbound.consistency.interface import FAMILIES, MONITOR, Relations
 from jaxbound.diagnosis.hints import outgrown_by
 from jaxbound.models.region import Region
@@ -16,6 +15,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.models.testmodels import with_tests
 from jaxbound.recordings.read import open_source
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.sample_axis import SampleAxis
 from jaxbound.runs.contradiction import NOBODY, refuted_again
 from jaxbound.runs.relations import relations_by
 from jaxbound.runs.runfile import VALIDATION, is_outgrown, load_run

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxbound.certificates.interface import WindowCertificate
+from jaxbound.certificates.interface import WindowCertificate, nothing_to_explain
 from jaxbound.consistency.claims import CLAIMED
 from jaxbound.consistency.interface import EXACT, Judged, Observer, Relations
 from jaxbound.consistency.monitorbank import BankVerdicts, MonitorBank, combined
@@ -17,6 +17,7 @@ from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.diagnosis.suspects import UNKNOWN, Suspect, nameless
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.sample_axis import Place
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 
@@ -101,9 +102,9 @@ class MonitorResult(Result):
             outside_is=self.outside_is,
         )
 
-    def test_at(self, at: int | tuple[int, ...]) -> str:
-        """Return the name of the test that speaks at an index; "" where none does."""
-        return ("", *self.names)[int(self.by[at]) + 1]
+    def test_at(self, at: Place) -> str:
+        """Return the name of the test that speaks at a sample, see `explain`; "" where none does."""
+        return ("", *self.names)[int(self.by[self._place(at)]) + 1]
 
     def alarms(
         self, k: int = 1, n: int = 1, hold: int = 0, clear: int = 1, rule: AlarmRule | None = None
@@ -153,16 +154,20 @@ class MonitorResult(Result):
         found = [test.worst for test in self.tests.values() if test.worst is not None]
         return min(found, key=lambda one: one[1], default=None)
 
-    def explain(self, at: int | tuple[int, ...]) -> WindowCertificate:
-        """Return the Certificate of the test that speaks at index `at`, `test_at`, as the Result of this test
+    def explain(self, at: Place) -> WindowCertificate:
+        """Return the Certificate of the test that speaks at a sample, `test_at`, as the Result of this test
         gives it. Where the mode is not known it speaks of the mode of this test.
 
+        Args:
+            at: as `Result.explain` takes it.
+
         Raises:
-            ValueError: the sample is MISSING. NotImplementedError: as of the Result of this test.
+            ValueError: no such sample; it is MISSING. NotImplementedError: as of the Result of this test.
         """
-        if self.status[at] == Status.MISSING:
-            raise ValueError(f"window {at} is MISSING: there is nothing to explain")
-        return self.tests[self.test_at(at)].explain(at)
+        place = self._place(at)
+        if self.status[place] == Status.MISSING:
+            raise nothing_to_explain(place)
+        return self.tests[self.test_at(place)].explain(place)
 
     def to_pandas(self) -> "pd.DataFrame":
         """Return the DataFrame of a Result with the columns test, the name of the test that speaks (None

@@ -32,6 +32,7 @@ from jaxbound.recordings.hints import missing_sentences, rounding_hints
 from jaxbound.recordings.parquet import PARTIAL, VERDICTS, ParquetSource
 from jaxbound.recordings.read import open_source
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.sample_axis import Place, SampleAxis
 from jaxbound.recordings.seams import Clock, irregular, seam_hints, tick
 from jaxbound.recordings.selection import where_hints
 from jaxbound.recordings.signals import Named
@@ -137,6 +138,13 @@ class Digest:
         """Return the time of sample k as text."""
         return time_label(self.time[k], self.data.stamp(self.time[k]), self.data.dt)
 
+    def when(self, k: int) -> np.datetime64 | float:
+        """Return the time of sample k: a datetime64 where the file has dates, else seconds."""
+        stamp = self.data.stamp(self.time[k])
+        if stamp is None:
+            return self.time[k]
+        return stamp
+
     @property
     def _before(self) -> int:
         """How many samples before those of interest are read and tested with them."""
@@ -172,10 +180,11 @@ class Digest:
         first = max(min(k - samples // 2, self.samples - samples), 0)
         return self.data.read(max(first - self._before, 0), min(first + samples, self.samples))
 
-    def explain(self, k: int) -> Any:
-        """Return the Certificate of the window that ends at sample k. See `Result.explain`, of an observer
-        `refuted_again`.
+    def explain(self, at: Place) -> Any:
+        """Return the Certificate of the window that ends at sample `at`, a number or a time. See
+        `Result.explain`, of an observer `refuted_again`.
         """
+        k = SampleAxis(self.data).find(str(at))
         if self.relations.remembers:
             return refuted_again(self.relations, self.data, k).certificate
         first = max(k - self._before, 0)
