@@ -31,6 +31,7 @@ from jaxbound.recordings.factors import (
     with_factors,
 )
 from jaxbound.recordings.oddcells import OddCells, error_hints, odd_of_frame, refuse_odd, unsaid_hints
+from jaxbound.recordings.selection import columns_of_signals
 from jaxbound.recordings.signals import Named
 from jaxbound.recordings.table import Data, as_table, is_table
 from jaxbound.recordings.tabletime import row_time
@@ -351,7 +352,7 @@ def _signals_by_name(model: Named, data: Data, name: str, channels: Sequence[str
         called = channel
         if channel not in taken and column_for(channel).strip() in stripped:
             called = column_for(channel)
-        wanted.append(find_column(called, list(table.columns), name))
+        wanted.append(find_column(called, list(table.columns), name, columns_of_signals(model)))
     recorded = recorded_type(data[[*(c for c in wanted if c not in taken), *sources]], name)
     numbers = _float_array(_of_frame(table[wanted], name), name)
     if name == "y":  # what was rounded away counts in the type it was recorded in
