@@ -15,6 +15,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.relations.sentence import looked_at
 from jaxbound.runs.digest import Digest
 from jaxbound.runs.summary import evidence
+from jaxbound.text.quantities import three_digits
 
 __all__ = ["ending_hints", "endings_said", "sizes_seen", "sizes_text"]
 
@@ -113,7 +114,9 @@ def sizes_text(res: Result | Digest, sizes: Mapping[str, float] | None) -> str:
         return f"{these} alone cannot tell"
     unit = res.relations.model.unit
     seen = ", ".join(
-        f"{name} {size:.3g} {unit(name)}".strip() for name, size in sizes.items() if np.isfinite(size)
+        f"{name} {three_digits(least)} {unit(name)}".strip()
+        for name, least in sizes.items()
+        if np.isfinite(least)
     )
     never = ", ".join(name for name, size in sizes.items() if not np.isfinite(size))
     if not seen:
