@@ -62,7 +62,7 @@ from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.strips.separation import Frame, frame_of
 from jaxbound.sets.strips.strips import Strips, strips_of
 from jaxbound.text.objects import readable
-from jaxbound.text.progress import reporter
+from jaxbound.text.progress import in_part, reporter
 
 __all__ = ["ParityRelation", "parity_relations", "stated_relations"]
 
@@ -457,7 +457,8 @@ def _first(model: LinearSystem, horizon: int, report: Callable[[float], object])
     once more, later.
     """
     short = min(horizon, model.n)
-    shortest = linalg.minimal_span(linalg.left_null_space(window.unbounded(model, short), report))
+    unseen = linalg.left_null_space(window.unbounded(model, short), partial(in_part, report, 0.0, 0.4))
+    shortest = linalg.minimal_span(unseen, partial(in_part, report, 0.4, 0.6))
     samples = tuple(map(linalg.presentable, shortest))
     H = window.first_form(model, short)[1]
     on_inputs = _on_inputs(samples, H)
