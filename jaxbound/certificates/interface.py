@@ -15,6 +15,7 @@ from jaxbound.certificates.diagnosis import Diagnosis
 from jaxbound.consistency.interface import Relations
 from jaxbound.models.named_faults import NamedFault
 from jaxbound.sets.floats.status import Status
+from jaxbound.text.progress import Progress
 
 __all__ = ["Index", "Judgement", "WindowCertificate", "certify", "evidence", "explain", "nothing_to_explain"]
 
@@ -84,6 +85,14 @@ class WindowCertificate:
     def sensor_candidates(self) -> tuple[str, ...]:
         """The sensors among the candidates, where these are known sooner."""
         return self.candidates
+
+    def work_out(self, progress: Progress | None = None) -> None:
+        """Work out now what else is worked out at the first call: .errors and .candidates, an exact program
+        for each signal, which take minutes where a window is long.
+
+        Args:
+            progress: called with the share of the work done.
+        """
 
     def diagnose(self, faults: Sequence[NamedFault] | None = None) -> Diagnosis:
         """Return the Diagnosis of a FAULT window: which named faults alone explain it, with the smallest size

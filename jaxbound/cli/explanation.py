@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxbound.certificates.interface import certify
+from jaxbound.cli.evaluation import Step
 from jaxbound.cli.options import OBSERVER
 from jaxbound.consistency.interface import FAMILIES, MONITOR, Relations
 from jaxbound.diagnosis.hints import outgrown_by
@@ -45,12 +46,12 @@ class Explained:
     test: str
 
 
-def explain_window(directory: str | Path, at: str) -> Explained:
+def explain_window(directory: str | Path, at: str, step: Step) -> Explained:
     """Return the certificate of one window of a report.
 
     Args:
         directory: that `jaxbound detect` wrote. at: the sample at which the window ends, as text: its number,
-            or its time.
+            or its time. step: told of progress, by "relations" and "proof".
 
     Raises:
         OSError, ValueError, NotImplementedError: with a sentence for the user.
@@ -74,7 +75,14 @@ def explain_window(directory: str | Path, at: str) -> Explained:
         )
     test = ""
     try:
-        relations = relations_by(method, model, _asked_horizon(model, method, horizon), options=options)
+        relations = relations_by(
+            method,
+            model,
+            _asked_horizon(model, method, horizon),
+            options=options,
+            progress=lambda share: step("relations", share),
+        )
+        step("proof", 0.0)
         if method in (OBSERVER, MONITOR):
             spoken = NOBODY
             if method == MONITOR:

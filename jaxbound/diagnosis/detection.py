@@ -92,7 +92,7 @@ def detect(
             "recordings at once; inside, use margins, which is differentiable and proves nothing"
         )
     refuse_outside(outside)
-    report = reporter(progress)
+    report = reporter(progress, "detect")
     named, recording = relations.recording(u, y, starts)
     refuse_unusable()
     recording = replace(recording, u=np.asarray(recording.u), y=np.asarray(recording.y))

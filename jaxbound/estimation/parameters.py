@@ -94,7 +94,7 @@ def parameters(
     """
     relations_of(relations, "parameters", EXAMPLE, monitors=False)
     _check_options(precision, budget)
-    report = reporter(progress)
+    report = reporter(progress, "parameters")
     named, recording = relations.recording(u, y, starts)
     if np.ndim(recording.y) != 2:
         raise ValueError(

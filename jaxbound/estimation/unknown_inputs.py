@@ -104,7 +104,7 @@ def unknown_inputs(
     model = as_model(model, factors=True)
     if not model.d:
         raise ValueError("the model has no unknown inputs")
-    report = reporter(progress)
+    report = reporter(progress, "unknown_inputs")
     if model.uncertainties:
         raise NotImplementedError(
             "unknown inputs of an uncertain model are not estimated yet: leave its uncertainties out, or "

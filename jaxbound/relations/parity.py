@@ -336,7 +336,7 @@ def parity_relations(
         >>> r.horizon, r.count, len(r.circuits)
         (1, 2, 4)
     """
-    model, report = as_model(model, factors=True), reporter(progress)
+    model, report = as_model(model, factors=True), reporter(progress, "relations")
     if form not in ("first", "second"):
         raise ValueError(f"form must be 'first' or 'second', not {form!r}")
     if lags is None and horizon is None:
@@ -355,7 +355,7 @@ def parity_relations(
     if model.uncertainties:
         if form != "first":
             raise ValueError("form 'second' is for models without uncertainties")
-        return uncertain_relations(model, horizon)
+        return uncertain_relations(model, horizon, report)
     if lags is not None:
         samples, K = lagged(model, horizon, lags)
         W = _with_disturbance(model, horizon, samples)

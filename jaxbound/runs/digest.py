@@ -299,7 +299,7 @@ def detect_dataset(
     if part is not None and merge:
         raise ValueError("part makes verdicts and merge reports on them: give one of the two")
     refuse_unusable()
-    report = reporter(progress)
+    report = reporter(progress, "detect_dataset")
     if part is not None:
         with shared_folder(out, (PARTIAL,), (path,)):
             source = _source_in_parts(path, relations.model)
@@ -356,7 +356,7 @@ def digest(
     Returns:
         A Digest.
     """
-    report = reporter(progress)
+    report = reporter(progress, "detect_dataset")
     region = Region.of(relations)
     tally = Tally(_seconds_at, relations.horizon, region=region)
     times = _SampleTimes(source)

@@ -194,7 +194,7 @@ def assess(
         1
     """
     relations_of(relations, "assess", "assess(parity_relations(model), healthy, faulty)")
-    wanted, report = _checked(rules, factors), reporter(progress)
+    wanted, report = _checked(rules, factors), reporter(progress, "assess")
     healthy = listed_argument("healthy", healthy, "[(u, y)]")
     faulty = listed_argument("faulty", faulty, "[(u, y)]")
     recordings = [_recording(relations, one) for one in (*healthy, *faulty)]

@@ -209,7 +209,7 @@ def fit(
     if direct and delay != 1:
         raise ValueError("direct inputs act at once: leave delay at 1, or direct out")
     columns, dt = with_every(columns, dt, every)
-    report = reporter(progress)
+    report = reporter(progress, "fit")
     tried_sets: tuple[TriedSignals, ...] = ()
     if signals is not None:
         _refuse_signals(signals, inputs)

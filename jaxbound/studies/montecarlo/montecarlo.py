@@ -161,7 +161,7 @@ def study(
         >>> found.false_alarms[0], found.tallies[0].detected[1]
         (0, np.int64(1000))
     """
-    model, report = as_model(model, factors=True), reporter(progress)
+    model, report = as_model(model, factors=True), reporter(progress, "study")
     relations = parity_relations(model) if relations is None else _named_like(relations, model)
     if isinstance(relations, SetObserver) and method == "joint":
         method = SetObserver.method

@@ -183,7 +183,7 @@ def tune(
         optimizer=optimizer,
         state=state,
     )
-    report = reporter(progress)
+    report = reporter(progress, "tune")
     if isinstance(relations, MonitorBank):
         for name, given in (
             ("optimizer", optimizer),
