@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         studies,
     )
     from jaxbound.consistency.monitor import Monitor
+    from jaxbound.diagnosis.alarmrule import AlarmRule
     from jaxbound.diagnosis.compensation import compensation
     from jaxbound.diagnosis.detectability import detectable
     from jaxbound.diagnosis.detection import detect, margins
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from jaxbound.diagnosis.isolation import evaluate
     from jaxbound.diagnosis.memory import suggest_lags
     from jaxbound.diagnosis.monitoring import monitor
+    from jaxbound.diagnosis.result import Result
     from jaxbound.estimation.observer import observe, observer
     from jaxbound.estimation.parameters import parameters
     from jaxbound.estimation.unknown_inputs import unknown_inputs
@@ -63,12 +65,14 @@ if TYPE_CHECKING:
     from jaxbound.studies.tuning.tuning import tune
 
 __all__ = [
+    "AlarmRule",
     "Fault",
     "LinearSystem",
     "Monitor",
     "MultiModel",
     "NamedFault",
     "Recording",
+    "Result",
     "Status",
     "Uncertainty",
     "assess",
@@ -117,9 +121,10 @@ __all__ = [
 __version__ = "0.2.0"
 
 # where a name is imported from when it is first asked for; types of results live in rooms, and answer at the
-# top too
+# top too; all users write down the type Result
 _HOMES = {
     "consistency.monitor": "Monitor",
+    "diagnosis.alarmrule": "AlarmRule",
     "diagnosis.compensation": "compensation",
     "diagnosis.detectability": "detectable",
     "diagnosis.detection": "detect margins",
@@ -127,6 +132,7 @@ _HOMES = {
     "diagnosis.isolation": "evaluate",
     "diagnosis.memory": "suggest_lags",
     "diagnosis.monitoring": "monitor",
+    "diagnosis.result": "Result",
     "estimation.observer": "observe observer",
     "estimation.parameters": "parameters",
     "estimation.unknown_inputs": "unknown_inputs",
@@ -163,7 +169,7 @@ _HOMES = {
     "studies.montecarlo.montecarlo": "study",
     "studies.tuning.tuning": "tune",
     "certificates": "Certificate Diagnosis UncertainCertificate",
-    "diagnosis": "Alarm AlarmRule BankResult GuaranteedSize MonitorResult Result",
+    "diagnosis": "Alarm BankResult GuaranteedSize MonitorResult",
     "estimation": "Observation ParameterSet UnknownInputs Validation",
     "models": "IntervalSystem Trajectory",
     "relations": "Isolability ParityRelation Redundancy Residual Signatures UncertainRelations",

@@ -34,3 +34,12 @@ def test_notebook_is_short_and_uses_public_names_only(path):
     source = "\n".join(c.source for c in cells if c.cell_type == "code")
     assert set(re.findall(r"\bjb\.(\w+)", source)) <= set(jb.__all__)
     assert "from jaxbound" not in source
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_every_figure_of_a_notebook_is_kept_as_a_picture(path):
+    """Pages show what was kept: the text "<Figure size ..>" shows nobody anything."""
+    outputs = [o for c in nbformat.read(path, as_version=4).cells for o in c.get("outputs", ())]
+    shown = [o["data"] for o in outputs if "data" in o]
+    drawn = [data for data in shown if re.match(r"<\w+ size .* Axes", data.get("text/plain", ""))]
+    assert drawn and all("image/png" in data for data in drawn)

@@ -4,9 +4,13 @@ sees it.
 
 import ast
 import importlib.resources
+import inspect
+import pydoc
 from pathlib import Path
 
 import pytest
+
+import jaxbound as jb
 
 PACKAGE = Path(__file__).parent.parent / "jaxbound"
 FILES = sorted(PACKAGE.rglob("*.py"))
@@ -41,3 +45,19 @@ def test_a_missing_annotation_is_found():
 
 def test_the_checker_of_a_user_is_told_that_there_are_types():
     assert importlib.resources.files("jaxbound").joinpath("py.typed").is_file()
+
+
+def test_a_signature_names_the_alias_of_arrays_and_not_its_parts():
+    """What NumPy makes an array of is spelled by it in 300 letters, for each argument anew."""
+    called = {name: getattr(jb, name) for name in jb.__all__ if name != "sets"}
+    for name, thing in list(called.items()):
+        for member in vars(thing) if inspect.isclass(thing) else ():
+            if not member.startswith("_") and callable(method := getattr(thing, member)):
+                called[f"{name}.{member}"] = method
+    spelled = [name for name, thing in called.items() if "numpy._typing" in str(inspect.signature(thing))]
+    assert len(called) > 60 and spelled == []
+
+
+def test_help_on_detect_fits_on_half_a_page():
+    lines = pydoc.plain(pydoc.render_doc(jb.detect)).splitlines()
+    assert len(lines) < 45 and max(map(len, lines)) < 350

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -29,11 +29,20 @@ from jaxbound.relations.redundancy import Redundancy
 from jaxbound.relations.sentence import main_terms, relation_text
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
+from jaxbound.text.progress import Progress, in_part, reporter
 
 __all__ = ["Certificate"]
 
 Judged: TypeAlias = tuple[Vector, Vector, Fraction, Fraction]
 """(h, k, residual, width) of a relation."""
+
+
+class Sizes(dict[str, "Fraction | float"]):
+    """{signal: a size}, exact, shown as short floats: a fraction has hundreds of digits."""
+
+    def __repr__(self) -> str:
+        shown = [f"{name!r}: {float(size):.4g}" for name, size in self.items()]
+        return f"{{{', '.join(shown)}}}"
 
 
 @readable
@@ -82,10 +91,16 @@ class Certificate(Witnessed, WindowCertificate):
         """A SensorError for each output: the smallest error of that sensor alone that would explain the
         window.
         """
+        return self._sensor_errors(reporter(None, "errors of single sensors"))
+
+    def _sensor_errors(self, report: Progress) -> tuple[SensorError, ...]:
         if self.window.constant:
             return ()
-        outputs = range(self.window.model.p)
-        return tuple(smallest_error(self.window, i, self.explanation) for i in outputs)
+        found = []
+        for i in range(self.window.model.p):
+            found.append(smallest_error(self.window, i, self.explanation))
+            report((i + 1) / self.window.model.p)
+        return tuple(found)
 
     @property
     def errors(self) -> Mapping[str, Fraction | float]:
@@ -94,7 +109,7 @@ class Certificate(Witnessed, WindowCertificate):
         inf where no error of it would, 0 for a window that needs none; empty for a model with
         constant_tolerance. Worked out at the first call.
         """
-        sizes: dict[str, Fraction | float] = {}
+        sizes = Sizes()
         for error in self.sensor_errors:
             output = self.window.model.outputs[error.output]
             sizes[output] = math.inf
@@ -108,13 +123,27 @@ class Certificate(Witnessed, WindowCertificate):
         its bounds allow first, then inputs, if the actuator did something else than was recorded. Of any
         other it is proved that it cannot.
         """
+        return self._candidates(reporter(None, "candidates"))
+
+    def _candidates(self, report: Progress) -> tuple[str, ...]:
         if self.proves != Status.FAULT or self.window.constant:
             return ()
         names = list(self.sensor_candidates)
         for i, name in enumerate(self.window.model.inputs):
             if self.window.without_input(i).solve().factor <= 1:
                 names.append(name)
+            report((i + 1) / self.window.model.m)
         return tuple(names)
+
+    def work_out(self, progress: Progress | None = None) -> None:
+        """Work out .errors and .candidates: see `WindowCertificate.work_out`."""
+        if self.proves != Status.FAULT or "candidates" in vars(self):
+            return
+        report = reporter(progress, "errors and candidates")
+        sensors = self.window.model.p / (self.window.model.p + self.window.model.m)
+        errors = self._sensor_errors(partial(in_part, report, 0.0, sensors))
+        vars(self)["sensor_errors"] = errors  # where `cached_property` looks for it
+        vars(self)["candidates"] = self._candidates(partial(in_part, report, sensors, 1 - sensors))
 
     @property
     def sensor_candidates(self) -> tuple[str, ...]:

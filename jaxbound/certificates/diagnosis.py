@@ -9,6 +9,8 @@ A parameter's size is the smallest that a search found (`parameter_size`): that 
 none does is not. Such a parameter is left open, among those that were not weighed.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -177,7 +179,7 @@ class Diagnosis:
                 sizes[name][1] = float(largest)
         return sizes
 
-    def and_of(self, other: "Diagnosis") -> "Diagnosis":
+    def and_of(self, other: Diagnosis) -> Diagnosis:
         """Return the Diagnosis of the windows of both: a fault has to explain each of them, of one sign."""
         explains, excluded = [], {weighed.fault.name: weighed for weighed in self.excluded}
         excluded |= {weighed.fault.name: weighed for weighed in other.excluded}

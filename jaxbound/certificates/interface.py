@@ -16,6 +16,7 @@ from jaxbound.certificates.diagnosis import Diagnosis
 from jaxbound.consistency.interface import Relations
 from jaxbound.models.named_faults import NamedFault
 from jaxbound.sets.floats.status import Status
+from jaxbound.text.progress import Progress
 
 __all__ = ["Index", "Judgement", "WindowCertificate", "certify", "evidence", "explain", "nothing_to_explain"]
 
@@ -93,6 +94,14 @@ class WindowCertificate:
     def sensor_candidates(self) -> tuple[str, ...]:
         """The sensors among the candidates, where these are known sooner."""
         return self.candidates
+
+    def work_out(self, progress: Progress | None = None) -> None:
+        """Work out now what else is worked out at the first call: .errors and .candidates, an exact program
+        for each signal, which take minutes where a window is long.
+
+        Args:
+            progress: called with the share of the work done.
+        """
 
     def diagnose(self, faults: Sequence[NamedFault] | None = None) -> Diagnosis:
         """Return the Diagnosis of a FAULT window: which named faults alone explain it, with the smallest and
@@ -224,16 +233,13 @@ def nothing_to_explain(at: Index) -> ValueError:
     return ValueError(f"window {at[-1]} is MISSING: there is nothing to explain")
 
 
-def explain(result: Judgement, at: int | Index) -> WindowCertificate:
-    """Return the certificate of the window that ends at index `at`. See `Result.explain`."""
+def explain(result: Judgement, at: Index) -> WindowCertificate:
+    """Return the certificate of the window that ends at an index. See `Result.explain`."""
     status = Status(int(result.status[at]))
     if status == Status.MISSING:
-        raise ValueError(f"window {at} is MISSING: there is nothing to explain")
-    if not isinstance(at, tuple):
-        at = (at,)
-    place = tuple(int(i) % n for i, n in zip(at, result.status.shape, strict=True))
-    relations, method, u, y = evidence(result.relations, result, place, status)
-    return certify(relations, u, y, method, status, place)
+        raise nothing_to_explain(at)
+    relations, method, u, y = evidence(result.relations, result, at, status)
+    return certify(relations, u, y, method, status, at)
 
 
 @singledispatch

@@ -38,6 +38,7 @@ from jaxbound.relations.bounds import model_bounds
 from jaxbound.relations.sentence import relation_text
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
+from jaxbound.text.progress import Progress
 
 __all__ = ["LongCertificate", "LongWindow", "Stretch", "exceeds", "stretch"]
 
@@ -369,6 +370,9 @@ class LongCertificate(Certificate):
     """
 
     window: LongWindow
+
+    def work_out(self, progress: Progress | None = None) -> None:
+        """Work out nothing: errors and candidates are empty."""
 
     @property
     def sensor_errors(self) -> tuple[SensorError, ...]:

@@ -1,4 +1,4 @@
-"""`python -m jaxbound.cli` is the command `jaxbound`."""
+"""`python -m jaxbound.cli` is the command `jaxbound`, as `python -m jaxbound` is."""
 
 from jaxbound.cli.main import main
 

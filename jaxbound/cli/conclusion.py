@@ -15,7 +15,7 @@ from jaxbound.diagnosis.observed import shown_name
 from jaxbound.diagnosis.region import Outside
 from jaxbound.runs.summary import OUTSIDE, Evidence, OfTest, Summary, Window
 from jaxbound.sets.floats.status import Status
-from jaxbound.text.quantities import most_percent, percent, times
+from jaxbound.text.quantities import most_percent, percent, three_digits, times
 
 __all__ = ["conclude"]
 
@@ -99,7 +99,7 @@ def _test_text(test: OfTest) -> str:
     some = [name for name in STATUSES if test.counts[name]]
     counts = ", ".join(f"{test.counts[name]} {shown_name(Status[name], test.observes)}" for name in some)
     if np.isfinite(test.margin):
-        return f"{counts}; least margin {test.margin:.3g}"
+        return f"{counts}; least margin {three_digits(test.margin)}"
     return counts
 
 
@@ -127,5 +127,5 @@ def _worst_row(summary: Summary, evidence: Evidence) -> tuple[str, str]:
         name, use = "tightest", f"{percent(1 - margin)} of the bounds are used"
     if evidence.bounded:  # another window may be the tightest
         use = f"at most {most_percent(1 - margin)} of the bounds are used"
-        return name, f"margin at least {margin:.3g}, {use}"
-    return name, f"{cast(Window, summary.worst).time}: margin {margin:.3g}, {use}"
+        return name, f"margin at least {three_digits(margin)}, {use}"
+    return name, f"{cast(Window, summary.worst).time}: margin {three_digits(margin)}, {use}"

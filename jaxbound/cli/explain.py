@@ -8,7 +8,7 @@ import argparse
 
 from jaxbound.cli.command import swift_imports
 from jaxbound.cli.options import path
-from jaxbound.cli.terminal import LOUDNESS, OK, VERBOSE, Refused, door, show, write
+from jaxbound.cli.terminal import LOUDNESS, OK, VERBOSE, Refused, door, progress_bars, show, write
 
 NAME = "explain"
 HELP = "print the certificate of one window"
@@ -70,8 +70,11 @@ def run(args: argparse.Namespace) -> int:
         from jaxbound.relations.sentence import main_terms
         from jaxbound.runs.outputs import output_folder
 
+    with door(), progress_bars(("relations", "proof")) as step:
+        explained = explain_window(args.report, args.at, step)
+        if not args.cause and not args.json:
+            explained.certificate.work_out(lambda share: step("proof", share))
     with door():
-        explained = explain_window(args.report, args.at)
         certificate, k, labels = explained.certificate, explained.sample, explained.labels
         if args.cause:
             show_cause(cause_of(certificate, k, args.faults), labels, args.json)

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from jaxbound.certificates.interface import certify
+from jaxbound.cli.evaluation import Step
 from jaxbound.cli.options import OBSERVER
-from jaxbound.cli.sample_axis import SampleAxis
 from jaxbound.consistency.interface import FAMILIES, MONITOR, Relations
 from jaxbound.diagnosis.hints import outgrown_by
 from jaxbound.models.region import Region
@@ -16,6 +16,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.models.testmodels import with_tests
 from jaxbound.recordings.read import open_source
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.sample_axis import SampleAxis
 from jaxbound.runs.contradiction import NOBODY, refuted_again
 from jaxbound.runs.relations import relations_by
 from jaxbound.runs.runfile import VALIDATION, is_outgrown, load_run
@@ -43,12 +44,12 @@ class Explained:
     ambiguity: str
 
 
-def explain_window(directory: str | Path, at: str) -> Explained:
+def explain_window(directory: str | Path, at: str, step: Step) -> Explained:
     """Return the certificate of one window of a report.
 
     Args:
         directory: that `jaxbound detect` wrote. at: the sample at which the window ends, as text: its number,
-            or its time.
+            or its time. step: told of progress, by "relations" and "proof".
 
     Raises:
         OSError, ValueError, NotImplementedError: with a sentence for the user.
@@ -71,7 +72,14 @@ def explain_window(directory: str | Path, at: str) -> Explained:
             f"sample {k} is too early: the first window ends at sample {horizon}, {axis.label(horizon)}"
         )
     try:
-        relations = relations_by(method, model, _asked_horizon(model, method, horizon), options=options)
+        relations = relations_by(
+            method,
+            model,
+            _asked_horizon(model, method, horizon),
+            options=options,
+            progress=lambda share: step("relations", share),
+        )
+        step("proof", 0.0)
         if method in (OBSERVER, MONITOR):
             spoken = NOBODY
             if method == MONITOR:

@@ -11,8 +11,8 @@ import re
 import sys
 import tempfile
 import traceback
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 
 from jaxbound import __version__
 from jaxbound.cli import (
@@ -37,6 +37,7 @@ from jaxbound.cli.terminal import (
     INTERRUPTED,
     LOUDNESS,
     OK,
+    QUIET,
     Refused,
     say,
     stoppable,
@@ -125,7 +126,8 @@ def _run(args: argparse.Namespace) -> int:
         _configure()
     loudness = LOUDNESS.set(args.loudness)
     try:
-        code: int = args.run(args)
+        with _log(args.loudness):
+            code: int = args.run(args)
         return code
     except Unverified as e:
         raise Refused(str(e)) from e
@@ -182,6 +184,23 @@ def _parsers() -> tuple[Parser, dict[str, Parser]]:
     for command in COMMANDS:
         add_command(choices, command)
     return parser, dict(choices.choices)
+
+
+@contextmanager
+def _log(loudness: int) -> Iterator[None]:
+    """Keep the log of work that takes long from who asked for the conclusion alone."""
+    if loudness != QUIET:
+        yield
+        return
+    import logging
+
+    log = logging.getLogger("jaxbound")
+    before = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
 
 
 def _configure() -> None:

@@ -23,6 +23,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.columns import to_arrow, words
 from jaxbound.recordings.read import open_source
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.sample_axis import Place
 from jaxbound.reports.validation import write_page
 from jaxbound.runs.judges import Whole
 from jaxbound.runs.loop import follow
@@ -105,7 +106,10 @@ class Validated:
             )
         return group_alarms(self, rule.fitted(self.model), 0, instants=instants)
 
-    def explain(self, at: int) -> NoReturn:
+    def when(self, k: int) -> None:
+        """Return None: a validation is given the samples alone."""
+
+    def explain(self, at: Place) -> NoReturn:
         """Refuse: there is no certificate of a verdict that rests on all samples before it."""
         raise NotImplementedError(
             "validation has no certificate of a single window: its verdict rests on all samples before it"

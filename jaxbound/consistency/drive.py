@@ -105,7 +105,7 @@ def _folded(observer: Observer[Any], given: Recording) -> Verdicts:
     excluded = given.excluded
     if excluded is not None:
         excluded = np.broadcast_to(excluded, given.y.shape[:-1]).reshape(-1)
-    u, y = _end_to_end(given.u), _end_to_end(given.y)
+    u, y = end_to_end(given.u), end_to_end(given.y)
     one = replace(given, u=u, y=y, starts=np.unique(starts[starts > 0]), excluded=excluded)
     verdicts = observer.followed(observer.init(), one)[1]
 

@@ -6,6 +6,8 @@ ask of it is declared here, with a default wherever one is sound. A test sees bl
 recording: gaps, batches, devices, threads and progress belong to the driver (`drive`).
 """
 
+from __future__ import annotations
+
 import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -234,14 +236,14 @@ class Relations:
             raise NotImplementedError
 
         @property
-        def parts(self) -> "Mapping[str, Relations]":
+        def parts(self) -> Mapping[str, Relations]:
             """The tests of a monitor by their names; empty: this is one test."""
             raise NotImplementedError
 
     else:
         bounds: Bounds = MappingProxyType({})
         made = lags = None
-        parts: Mapping[str, "Relations"] = MappingProxyType({})
+        parts: Mapping[str, Relations] = MappingProxyType({})
         methods = METHODS[:1]
         count = 1
         notes = ()
@@ -262,7 +264,7 @@ class Relations:
 
     def test(
         self, method: str, dtype: DTypeLike, budget: Budget = None, compensation: Compensation = 0.0
-    ) -> "WindowTest | Observer[Any]":
+    ) -> WindowTest | Observer[Any]:
         """Return the test by which a method decides windows of samples in a float dtype; see `detect`.
 
         Raises:
@@ -429,7 +431,7 @@ class WindowTest:
         raise NotImplementedError
 
     @property
-    def easy(self) -> "Easy | None":
+    def easy(self) -> Easy | None:
         """The tests that can settle easy windows before this one is asked, or behind it (`easy_first`) those
         that it leaves open; None: none.
         """
@@ -579,9 +581,7 @@ def margins_for(margins: str, windows: int) -> str:
     return BOUNDS
 
 
-def with_margins(
-    test: "WindowTest | Observer[Any]", margins: str, windows: int
-) -> "WindowTest | Observer[Any]":
+def with_margins(test: WindowTest | Observer[Any], margins: str, windows: int) -> WindowTest | Observer[Any]:
     """Return a test of so many windows whose margins are those that are meant, see `margins_for`."""
     if margins_for(margins, windows) == EXACT:
         return test.measured()

@@ -7,6 +7,8 @@ compiler: from 4 windows on all blocks agree bit by bit (scalar code for 1 or 2 
 the short ones have 64 and 16. A verdict is a proof with any rounding.
 """
 
+from __future__ import annotations
+
 from typing import Any, NamedTuple, TypeAlias, TypeGuard
 
 import jax
@@ -289,7 +291,7 @@ class Monitor:
         verdicts: Any = unclaimed(judged, departure)
         return PlacedState(carry, u[len(u) - before :].copy()), verdicts._replace(departure=departure)
 
-    def _piece(self, u: object, y: object, starts: Starts) -> "_Piece":
+    def _piece(self, u: object, y: object, starts: Starts) -> _Piece:
         """Return samples in our dtype, with all that a table tells beside, or refuse them."""
         model = self.relations.model
         plain = not factors_of(model)
@@ -306,7 +308,7 @@ class Monitor:
         """Return whether x is an array as it will be judged: nothing to convert, which takes longest."""
         return type(x) is np.ndarray and x.dtype == self.dtype and x.ndim == 2 and x.shape[1] == channels
 
-    def _of_table(self, u: object, y: object, starts: Starts) -> "_Piece":
+    def _of_table(self, u: object, y: object, starts: Starts) -> _Piece:
         """Return samples of tables, or of anything else that `Recording.of` takes."""
         model = self.relations.model
         table = Recording.of(model, u, y, starts, regular=False)
@@ -324,9 +326,7 @@ class Monitor:
             )
         return _Piece(own_u, own_y, table.starts, table)
 
-    def _seams(
-        self, piece: "_Piece", time: ArrayLike | None, state: MonitorState
-    ) -> tuple[np.ndarray, float]:
+    def _seams(self, piece: _Piece, time: ArrayLike | None, state: MonitorState) -> tuple[np.ndarray, float]:
         """Return the samples that do not follow the one before by their time, and the time of the last one,
         in s.
         """
@@ -356,7 +356,7 @@ class Monitor:
         seams[0] &= not np.isnan(before)
         return np.flatnonzero(seams), time[-1]
 
-    def _follows(self, piece: "_Piece", begun: np.ndarray, state: MonitorState) -> int:
+    def _follows(self, piece: _Piece, begun: np.ndarray, state: MonitorState) -> int:
         """Return how many of the last samples follow each other, at most those that are kept."""
         table = piece.table
         if table is not None and table.excluded is not None and table.excluded[-1:].any():

@@ -11,6 +11,8 @@ it becomes unknown, and known again, it may). Without "otherwise" there may be a
 nothing is proved while the mode is unknown.
 """
 
+from __future__ import annotations
+
 import copy
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor

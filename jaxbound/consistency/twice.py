@@ -16,7 +16,6 @@ its search does so itself, block by block (`WindowTest.twice` is True, `Twice`):
 again.
 """
 
-import warnings
 from collections.abc import Callable
 from importlib.metadata import version
 from typing import TypeAlias
@@ -29,6 +28,7 @@ from jaxbound.recordings.recording import NOWHERE
 from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
 from jaxbound.sets.floats.probe import is_searching
 from jaxbound.sets.floats.status import Status
+from jaxbound.text.warned import warn
 
 __all__ = ["Doubtful", "Twice", "decided_twice", "warn_doubtful"]
 
@@ -160,20 +160,18 @@ def warn_doubtful(what: str) -> None:
     the device.
     """
     if is_searching():
-        warnings.warn(
+        warn(
             f"{what}, on a device that was not examined: NumPy does not confirm it from the samples, so they "
             f"are UNDECIDED",
             Doubtful,
-            stacklevel=2,
         )
         return
     versions = (
         f"jax {jax.__version__}, jaxlib {version('jaxlib')}, numpy {np.__version__}, {jax.default_backend()}"
     )
-    warnings.warn(
+    warn(
         f"{what}: NumPy does not confirm it from the samples, so they are UNDECIDED. XLA may have computed "
         f"or copied wrongly; "
         f"please report it with the model, these samples and this line: {versions}",
         Doubtful,
-        stacklevel=2,
     )

@@ -20,6 +20,8 @@ from jaxbound.diagnosis.suspects import Suspect
 from jaxbound.diagnosis.watch import ENDS, NO_DATA, NO_SAMPLE, OTHER, Event, Raised, Seen, Watch
 from jaxbound.models.named_faults import NamedFault
 from jaxbound.models.region import Departure
+from jaxbound.recordings.sample_axis import Place
+from jaxbound.recordings.timestamps import label_text
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 
@@ -58,8 +60,11 @@ LATCHED = -1
 class Explained(Protocol):
     """Verdicts whose windows are explained."""
 
-    def explain(self, at: int) -> WindowCertificate:
+    def explain(self, at: Place) -> WindowCertificate:
         """Return the certificate of the window that ends at a sample; of a batch `at` is a tuple."""
+
+    def when(self, k: int) -> object:
+        """Return the time of sample k; None: nothing tells it."""
 
 
 class Grouped(Explained, Protocol):
@@ -122,14 +127,48 @@ class Alarm:
     depth: float
     worst: int
     recording: tuple[int, ...] = ()
-    result: Explained | None = field(default=None, repr=False, compare=False)
-    ended: str = field(default="", repr=False)
-    outside: int | None = field(default=None, repr=False)
-    outside_by: str = field(default="", repr=False)
+    result: Explained | None = field(default=None, compare=False)
+    ended: str = ""
+    outside: int | None = None
+    outside_by: str = ""
     suspects: tuple[str, ...] = ()
     size: float = field(default=math.nan, compare=False)
     test: str = ""
     cause: str = field(default="", compare=False)
+
+    @property
+    def times(self) -> tuple[object, ...]:
+        """The times of its first and its last sample, as the index of the recording has them: Timestamps,
+        datetime64, seconds; () where nothing tells them.
+        """
+        if self.result is None:
+            return ()
+        times = self.result.when(self.start), self.result.when(self.end)
+        if times[0] is None:
+            return ()
+        return times
+
+    def __repr__(self) -> str:
+        known = [f"{name}={value!r}" for name, value in self._known().items()]
+        return f"Alarm({', '.join(known)})"
+
+    def _rows(self) -> dict[str, str]:
+        return {name: str(value) for name, value in self._known().items()}
+
+    def _known(self) -> dict[str, object]:
+        """Return the fields that say something, by their names, with numbers as a reader wants them."""
+        known: dict[str, object] = {"start": self.start, "end": self.end}
+        if self.times:
+            first, last = map(label_text, self.times)
+            known["times"] = f"{first} to {last}"
+        known |= {"windows": self.windows, "depth": float(f"{self.depth:.4g}"), "worst": self.worst}
+        for name in ("recording", "outside", "outside_by", "suspects"):
+            known[name] = getattr(self, name)
+        if not math.isnan(self.size):
+            known["size"] = float(f"{self.size:.4g}")
+        for name in ("cause", "test", "ended"):
+            known[name] = getattr(self, name)
+        return {name: value for name, value in known.items() if value not in ("", (), None)}
 
     @property
     def suspect(self) -> str:

@@ -12,6 +12,7 @@ from jaxbound.certificates.fault_size import FaultSize
 from jaxbound.certificates.interface import WindowCertificate
 from jaxbound.models.named_faults import NamedFault
 from jaxbound.models.region import Departure
+from jaxbound.recordings.sample_axis import Place
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["Judged", "diagnose"]
@@ -36,7 +37,7 @@ class Judged(Protocol):
     def departure(self) -> Departure | None:
         """(..., T), from the region of training; None: it is not known."""
 
-    def explain(self, at: int | tuple[int, ...]) -> WindowCertificate:
+    def explain(self, at: Place) -> WindowCertificate:
         """Return the certificate of the window that ends at a sample; of a batch `at` is a tuple."""
 
 

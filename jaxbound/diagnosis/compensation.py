@@ -1,5 +1,7 @@
 """The compensation that the linearized test lacks on healthy data, for models with uncertain parameters."""
 
+from __future__ import annotations
+
 from numpy.typing import ArrayLike
 
 from jaxbound.consistency.parametric_margins import needed_compensation

@@ -15,6 +15,8 @@ value within e (1 -+ sigma) f, e = 1 / (1 - sigma^2): r is taken at the end of t
 widened by e sigma f / 2 on the rows of the faulty sensor. The size is then enough, but not the smallest.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping, Sequence
 from fractions import Fraction

@@ -1,5 +1,7 @@
 """From a recording to a proved verdict for every window."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -46,52 +48,32 @@ def detect(
     """Decide for every window whether any behaviour inside the bounds explains it.
 
     Args:
-        relations: from `parity_relations` or `residual`; or a bank from `structured_relations` or
-            `redundancy`, whose relations are tested one by one: the Result then knows .violated and the
-            .candidates, the single faults that can explain it; or a `jb.monitor` of several tests, whose
-            Result has .tests and .by, which of them speaks.
-        u: (..., T, m) inputs, y: (..., T, p) outputs; arrays, or tables with the model's columns, see
-            `Recording.of`. NaN marks a missing sample. u is None for a model without inputs. Leading axes are
-            recordings of their own. y None: u is a table of both.
-        method: "joint" tests the exact set of all relations together: FAULT and CONSISTENT are both proofs.
-            "box" tests each relation alone: FAULT is a proof, CONSISTENT only with a single relation, else
-            UNDECIDED. "paving" is the paper's adaptive bisection over the unknowns themselves: FAULT is a
-            proof, anything else UNDECIDED (but see uncertain parameters). A residual is always decided by
-            bisection of its unknowns: FAULT and CONSISTENT are proofs. With uncertain parameters both proofs
-            of "joint" hold too, but what it neither refutes nor explains is UNDECIDED, until "paving" bisects
-            the parameters. "linearized" is the paper's test, which proves nothing: UNDECIDED, and .suspect
-            where it is outside.
-        budget: for "paving", (q, boxes a window): stop at r > q - 1; default (3, 100_000). For a residual, or
-            with uncertain parameters, boxes a window; default 1000, or 10 000.
-        progress: called with the share of the work done, after each block.
-        starts: numbers of the samples that do not follow the one before, after a gap for example: windows
-            across are MISSING. The gaps that the times of a table show are found, and rows that are in
-            disorder or of another period refused, as of a file.
-        compensation: for "linearized", what each relation may be off by for the terms that it neglects, one
-            number or one a relation.
-        margins: "exact": where windows are decided by a search, each is searched for its margin; "bounds":
-            one that a projection settles keeps the bound on its margin that this proves, at a tenth of the
-            work, but with more to compile; "auto": bounds of 131 072 windows and more. .margins says which a
-            Result has; .alarms(), .worst, .explain and reports have exact ones of what they show.
-        outside: "fault": of a window that reads inputs outside the region of training, the model's `ranges`,
-            FAULT is FAULT, and .outside says how far; "undecided": it is not claimed there, and UNDECIDED.
+        relations: from `parity_relations` or `residual`; a bank from `structured_relations` or `redundancy`,
+            tested one by one: the Result knows .violated and .candidates; a `jb.monitor`: it has .tests, .by.
+        u, y: (..., T, m) inputs and (..., T, p) outputs: arrays, leading axes are recordings of their own; or
+            tables, see `Recording.of`. NaN: a missing sample. y None: u has both; u None: no inputs.
+        method: "joint": the exact set of all relations together, FAULT and CONSISTENT are proofs; with
+            uncertain parameters some windows stay UNDECIDED. "box": each relation alone; CONSISTENT only of a
+            single one. "paving": bisection of the unknowns, or of uncertain parameters; a residual is always
+            decided so. "linearized": the paper's test, which proves nothing.
+        budget: of "paving" (q, boxes a window), stop at r > q - 1, default (3, 100_000); boxes a window of a
+            residual, default 1000, and of uncertain parameters, default 10 000.
+        progress: called with the share of the work done.
+        starts: numbers of the samples that do not follow the one before: windows across are MISSING. Gaps
+            that the times of a table show are found.
+        compensation: for "linearized", what each relation may be off by for the terms that it neglects.
+        margins: "exact", or "bounds": a tenth of the work where a search decides; "auto": bounds from 131 072
+            windows on. Alarms, .worst and .explain have exact ones.
+        outside: of windows outside the region of training, the model's `ranges`: "fault", or "undecided".
 
     Returns:
         A Result: .status (..., T) int8 (`Status`), .margin (..., T); entry k belongs to the window that ends
-        at sample k. The first `horizon` entries are MISSING. A window with missing samples is judged by the
-        circuits that do not need them; with a missing input these prove FAULT, but not CONSISTENT. Where
-        bounds are as thin as the rounding of floats, as those of a sensor without noise are, "joint" and
-        "box" decide in whole numbers: exact, but some 10 to 100 microseconds a window.
+        at sample k, the first `horizon` entries are MISSING. With a missing input FAULT is proved, but not
+        CONSISTENT. On a device that nobody examined (`jaxbound examine`) CONSISTENT is UNDECIDED.
 
     Raises:
-        TypeError: no relations; samples inside jit, vmap or grad.
-        ValueError: shapes or columns that do not fit, another sampling period than the model's, an infinite
-            sample, an unknown method, unknown margins, another word for outside, starts that are no sample
-            numbers.
-        RuntimeError: where rounding has not been verified: fast-math flags, another rounding mode.
-
-    A device that nobody examined (`jaxbound examine`) searches: each FAULT is proved on the host, CONSISTENT
-    is UNDECIDED, and the hints say so. An observer follows on the CPU there.
+        ValueError: shapes, columns, a sampling period or words that do not fit; an infinite sample.
+        TypeError: no relations; inside jit, vmap or grad. RuntimeError: rounding is not verified.
 
     Source: Adrot, Maquin, Ragot 2000, section 4; exactness of "joint": W box(mu) is a zonotope.
 
@@ -110,7 +92,7 @@ def detect(
             "recordings at once; inside, use margins, which is differentiable and proves nothing"
         )
     refuse_outside(outside)
-    report = reporter(progress)
+    report = reporter(progress, "detect")
     named, recording = relations.recording(u, y, starts)
     refuse_unusable()
     recording = replace(recording, u=np.asarray(recording.u), y=np.asarray(recording.y))

@@ -5,6 +5,8 @@ stays a candidate while every violated relation reacts to it. A relation that ho
 may be too small to show in it.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -20,6 +22,7 @@ from jaxbound.diagnosis.detectability import OperatingRange, visible_sizes
 from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.recordings.arrays import floats
 from jaxbound.recordings.expressions import find_column
+from jaxbound.recordings.sample_axis import Place
 from jaxbound.recordings.table import Data, as_table, is_table
 from jaxbound.recordings.tabletime import unlabelled
 from jaxbound.relations.decoupling import Signatures, signatures
@@ -81,9 +84,10 @@ class BankResult(Result):
         able = ~excluded & violated.any(1, keepdims=True)
         return np.asarray(able[which.ravel()].reshape(*self.status.shape, -1))
 
-    def names(self, at: int | tuple[int, ...]) -> tuple[str, ...]:
-        """Return the names of the candidates of the window that ends at index `at`."""
-        return tuple(name for name, on in zip(self.faults, self.candidates[at], strict=True) if on)
+    def names(self, at: Place) -> tuple[str, ...]:
+        """Return the names of the candidates of the window that ends at sample `at`, see `Result.explain`."""
+        able = self.candidates[self._place(at)]
+        return tuple(name for name, on in zip(self.faults, able, strict=True) if on)
 
     def candidates_from(
         self, sizes: Mapping[str, float], operating_range: OperatingRange = None
@@ -129,9 +133,9 @@ class BankResult(Result):
             return ()
         return super().hints
 
-    def explain(self, at: int | tuple[int, ...]) -> WindowCertificate:
-        """Return the Certificate of the relation that is violated most in the window that ends at index `at`,
-        as `Result.explain`.
+    def explain(self, at: Place) -> WindowCertificate:
+        """Return the Certificate of the relation that is violated most in the window that ends at sample
+        `at`, as `Result.explain`.
 
         Raises:
             ValueError: residuals from elsewhere, whose relations are not known.

@@ -6,6 +6,8 @@ fraction of the work; disturbances of every step between make a window forget, w
 here come from linear programs in floats: they help to choose, `detectable` proves.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping, Sequence
 

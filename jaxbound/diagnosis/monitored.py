@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxbound.certificates.interface import WindowCertificate
+from jaxbound.certificates.interface import WindowCertificate, nothing_to_explain
 from jaxbound.consistency.claims import CLAIMED
 from jaxbound.consistency.interface import EXACT, Judged, Observer, Relations
 from jaxbound.consistency.monitorbank import BankVerdicts, MonitorBank, combined
@@ -18,6 +18,7 @@ from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.diagnosis.suspects import UNKNOWN, Suspect, nameless
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.sample_axis import Place
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 
@@ -106,9 +107,9 @@ class MonitorResult(Result):
         )
         return replace(result, apart=apart)
 
-    def test_at(self, at: int | tuple[int, ...]) -> str:
-        """Return the name of the test that speaks at an index; "" where none does."""
-        return ("", *self.names)[int(self.by[at]) + 1]
+    def test_at(self, at: Place) -> str:
+        """Return the name of the test that speaks at a sample, see `explain`; "" where none does."""
+        return ("", *self.names)[int(self.by[self._place(at)]) + 1]
 
     def alarms(
         self, k: int = 1, n: int = 1, hold: int = 0, clear: int = 1, rule: AlarmRule | None = None
@@ -158,17 +159,21 @@ class MonitorResult(Result):
         found = [test.worst for test in self.tests.values() if test.worst is not None]
         return min(found, key=lambda one: one[1], default=None)
 
-    def explain(self, at: int | tuple[int, ...]) -> WindowCertificate:
-        """Return the Certificate of the test that speaks at index `at`, `test_at`, as the Result of this test
+    def explain(self, at: Place) -> WindowCertificate:
+        """Return the Certificate of the test that speaks at a sample, `test_at`, as the Result of this test
         gives it. Where the mode is not known it speaks of the mode of this test.
 
+        Args:
+            at: as `Result.explain` takes it.
+
         Raises:
-            ValueError: the sample is MISSING. NotImplementedError: as of the Result of this test.
+            ValueError: no such sample; it is MISSING. NotImplementedError: as of the Result of this test.
         """
-        if self.status[at] == Status.MISSING:
-            raise ValueError(f"window {at} is MISSING: there is nothing to explain")
-        test = self.test_at(at)
-        return self.tests[test].explain(at).of_test(test)
+        place = self._place(at)
+        if self.status[place] == Status.MISSING:
+            raise nothing_to_explain(place)
+        test = self.test_at(place)
+        return self.tests[test].explain(place).of_test(test)
 
     def to_pandas(self) -> "pd.DataFrame":
         """Return the DataFrame of a Result with the columns test, the name of the test that speaks (None

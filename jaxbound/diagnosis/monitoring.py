@@ -1,6 +1,7 @@
 """A monitor of a plant: the tests that its model file states, behind one verdict."""
 
 from collections.abc import Callable
+from functools import partial
 from os import PathLike
 from typing import Any
 
@@ -17,7 +18,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.models.testmodels import model_of
 from jaxbound.relations.cost import relation_cost
 from jaxbound.relations.parity import parity_relations
-from jaxbound.text.progress import reporter
+from jaxbound.text.progress import Progress, in_part, reporter
 
 __all__ = ["monitor", "relations_of_test"]
 
@@ -77,11 +78,12 @@ def monitor(
             'a monitor needs tests: tests=[] has none; give [{"name": "short", "horizon": 15}, ..], or leave '
             "it out"
         )
-    report = reporter(progress)
+    report = reporter(progress, "monitor")
     watches = []
     for i, test in enumerate(model.tests):
         try:
-            relations = relations_of_test(model, test)
+            part = partial(in_part, report, i / len(model.tests), 1 / len(model.tests))
+            relations = relations_of_test(model, test, part)
         except (ValueError, TypeError) as e:
             raise ValueError(f"test {test.name!r}: {e}") from None
         about = test.words(relations.horizon + 1)
@@ -105,8 +107,11 @@ def _usual_tests(model: LinearSystem) -> list[dict[str, Any]]:
         return [shortest]
 
 
-def relations_of_test(model: LinearSystem, test: StatedTest) -> Relations:
+def relations_of_test(model: LinearSystem, test: StatedTest, progress: Progress | None = None) -> Relations:
     """Return the parity relations, or the observer, of one test of a model.
+
+    Args:
+        model, test: that states it. progress: called with the share of the relations that are there.
 
     Raises:
         ValueError: as `monitor`.
@@ -115,8 +120,8 @@ def relations_of_test(model: LinearSystem, test: StatedTest) -> Relations:
     if test.observer is None:
         horizon = test.horizon
         if test.lags is not None:
-            return parity_relations(own, lags=test.lags)
-        return parity_relations(own, horizon)
+            return parity_relations(own, lags=test.lags, progress=progress)
+        return parity_relations(own, horizon, progress=progress)
     options = dict(test.options)
     method = OBSERVERS.get(test.observer)
     if method is not None:

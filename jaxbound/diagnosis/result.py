@@ -24,6 +24,7 @@ from jaxbound.models.named_faults import NamedFault
 from jaxbound.models.region import Departure, Region
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import missing_hints, rounding_hints
+from jaxbound.recordings.sample_axis import Labels, Place, place_of
 from jaxbound.recordings.stillness import still_hints
 from jaxbound.recordings.tabletime import instants_of
 from jaxbound.recordings.timestamps import row_label
@@ -316,9 +317,31 @@ class Result:
         """Return the numbers of the tests that speak in one recording, (T,), of a monitor."""
         return None
 
-    def explain(self, at: int | tuple[int, ...]) -> WindowCertificate:
-        """Return the Certificate of the window that ends at index `at` (an int, or a tuple for a batch), in
-        exact rationals.
+    def when(self, k: int) -> object:
+        """Return the time of sample k as the index has it: a Timestamp, a datetime64, seconds; None: there is
+        no index.
+        """
+        if self.index is None:
+            return None
+        return cast(Sequence[object], self.index)[k]
+
+    def _place(self, at: Place) -> tuple[int, ...]:
+        """Return the index of the window that ends at a sample, which its number or its time names.
+
+        Raises:
+            ValueError: as `explain`.
+        """
+        dt = None
+        if self.relations is not None:
+            dt = self.relations.model.dt
+        return place_of(at, self.status.shape, cast(Labels, self.index), dt)
+
+    def explain(self, at: Place) -> WindowCertificate:
+        """Return the Certificate of the window that ends at sample `at`, in exact rationals.
+
+        Args:
+            at: the number of the sample, or its time, as text like "2026-03-01 12:00:07" or a datetime, where
+                the index tells it; of a batch a tuple, (recording, sample).
 
         For FAULT the violated relation with its coefficients, bounds and excess, and .errors, the smallest
         error of each sensor alone that would explain the window; for CONSISTENT a behaviour that explains it.
@@ -327,8 +350,8 @@ class Result:
         Interval of unknowns that explains a CONSISTENT window.
 
         Raises:
-            ValueError: the window is MISSING. NotImplementedError: with uncertain parameters a window for
-                which neither proof is found.
+            ValueError: no such sample; the window is MISSING. NotImplementedError: with uncertain parameters
+                a window for which neither proof is found.
 
         Example:
             >>> import jaxbound as jb
@@ -336,12 +359,12 @@ class Result:
             >>> print(jb.detect(jb.parity_relations(m), None, [[1.0], [0.8]]).explain(1))
             y1[k-1] - 2 y1[k] = 0 cannot hold: it would need bounds 2 times as wide
         """
-        return explain(self, at)
+        return explain(self, self._place(at))
 
     def diagnose(
         self,
-        start: int,
-        end: int | None = None,
+        start: Place,
+        end: Place | None = None,
         faults: Sequence[NamedFault] | None = None,
         recording: tuple[int, ...] = (),
     ) -> Diagnosis:
@@ -354,9 +377,9 @@ class Result:
         windows in between as well is not looked at.
 
         Args:
-            start, end: the samples at which the first and the last window end, as of an Alarm; end None: one
-                window. faults: a list of NamedFault; None: those of the model, or a bias of every sensor and
-                an offset of every actuator. recording: of a batch, its index.
+            start, end: the samples at which the first and the last window end, as of an Alarm, by number or
+                time; end None: one window. faults: a list of NamedFault; None: those of the model, or a bias
+                of every sensor and an offset of every actuator. recording: of a batch, its index.
 
         Raises:
             ValueError: no FAULT among them. NotImplementedError: as `WindowCertificate.diagnose`.
@@ -368,9 +391,11 @@ class Result:
             >>> print(jb.detect(jb.parity_relations(m, 1), [[0.0]] * 3, y).diagnose(1, 2))
             bias of T2: +0.35 to +0.65 of T2 explains it; excluded: bias of T1, offset of u1
         """
-        if end is None:
-            end = start
-        return diagnose(self, start, end, faults, recording)
+        *_, first = self._place((*recording, start))
+        last = first
+        if end is not None:
+            *_, last = self._place((*recording, end))
+        return diagnose(self, first, last, faults, recording)
 
     def to_pandas(self) -> "pd.DataFrame":
         """Return a DataFrame with the columns status (names), margin and suspect, one row a sample; and

@@ -107,7 +107,7 @@ def suspect_of_window(relations: Relations, method: str, u: np.ndarray, y: np.nd
     status = np.full(len(y), int(Status.MISSING), np.int8)
     status[-1] = Status.FAULT
     window = _Window(status, np.full(len(y), np.nan), relations, method, u, y)
-    return suspect_of(partial(explain, window), len(y) - 1)
+    return suspect_of(partial(explain, window), (len(y) - 1,))
 
 
 def tells_causes(model: SignalModel) -> bool:

@@ -1,5 +1,7 @@
 """Observers at the door: `observer` builds one of a model, `observe` follows a recording with it."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any
 

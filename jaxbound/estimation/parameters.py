@@ -1,5 +1,7 @@
 """Parameters that keep one value over a whole recording, estimated by all of its windows at once."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import singledispatch
@@ -92,7 +94,7 @@ def parameters(
     """
     relations_of(relations, "parameters", EXAMPLE, monitors=False)
     _check_options(precision, budget)
-    report = reporter(progress)
+    report = reporter(progress, "parameters")
     named, recording = relations.recording(u, y, starts)
     if np.ndim(recording.y) != 2:
         raise ValueError(

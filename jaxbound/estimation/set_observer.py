@@ -9,6 +9,8 @@ An observer is a value. What it carries goes in and comes out of `fold`; an obse
 encloses states as well, is another value (`dataclasses.replace`) that shares the numbers of its plant.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
@@ -106,7 +108,7 @@ class Piece(NamedTuple):
     rounded: np.ndarray
     noise: np.ndarray | None = None
 
-    def mapped(self, change: Callable[[np.ndarray], np.ndarray]) -> "Piece":
+    def mapped(self, change: Callable[[np.ndarray], np.ndarray]) -> Piece:
         """Return the piece with another choice of its samples or recordings."""
         noise = None
         if self.noise is not None:
@@ -114,15 +116,15 @@ class Piece(NamedTuple):
         columns = change(self.u), change(self.y), change(self.slip), change(self.fresh)
         return Piece(*columns, self.rounded, noise)
 
-    def of_recordings(self, lanes: np.ndarray) -> "Piece":
+    def of_recordings(self, lanes: np.ndarray) -> Piece:
         """Return some of the recordings."""
         return self.mapped(lambda x: np.take(x, lanes, -1))
 
-    def cut(self, first: int, stop: int) -> "Piece":
+    def cut(self, first: int, stop: int) -> Piece:
         """Return some of the samples."""
         return self.mapped(lambda x: x[first:stop])
 
-    def filled(self, length: int) -> "Piece":
+    def filled(self, length: int) -> Piece:
         """Return the samples with zeros behind them, up to a length."""
         return self.mapped(lambda x: _filled(x, length))
 

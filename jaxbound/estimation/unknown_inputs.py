@@ -8,6 +8,8 @@ Source: Ragot 1993, (4b), whose left inverse N of F is one such h; the intersect
 projection.
 """
 
+from __future__ import annotations
+
 import dataclasses
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -102,7 +104,7 @@ def unknown_inputs(
     model = as_model(model, factors=True)
     if not model.d:
         raise ValueError("the model has no unknown inputs")
-    report = reporter(progress)
+    report = reporter(progress, "unknown_inputs")
     if model.uncertainties:
         raise NotImplementedError(
             "unknown inputs of an uncertain model are not estimated yet: leave its uncertainties out, or "
@@ -169,7 +171,7 @@ def _unit(length: int, place: int) -> tuple[Fraction, ...]:
     return tuple(Fraction(int(c == place)) for c in range(length))
 
 
-def _test(model: LinearSystem, s: int, position: int, j: int, dtype: np.dtype) -> "_RangeTest":
+def _test(model: LinearSystem, s: int, position: int, j: int, dtype: np.dtype) -> _RangeTest:
     """Return a WindowTest whose strips are ways to work out v_j at a position of the window: h (Y, w) - k U =
     v.
     """

@@ -14,6 +14,8 @@ recording is marked FAULT, but sound sensors may be blamed.
 Source: Alhaj-Dibo, Maquin, Ragot 2004.
 """
 
+from __future__ import annotations
+
 from functools import partial
 from typing import TypeAlias
 

@@ -3,11 +3,13 @@
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from math import gcd, lcm
+from functools import partial
+from math import gcd, lcm, log
 from operator import mul
 from typing import NamedTuple, Self
 
 from jaxbound.exact.linalg import Matrix, integers, row_reduce, transpose
+from jaxbound.text.progress import in_part, reporter
 
 __all__ = ["ExactFrame", "frame", "reframe"]
 
@@ -29,7 +31,7 @@ class ExactFrame:
 
 
 def frame(
-    E: Matrix, K: Matrix, largest: float = 2, progress: Callable[[float], object] | None = None
+    E: Matrix, K: Matrix, largest: Fraction = Fraction(2), progress: Callable[[float], object] | None = None
 ) -> ExactFrame:
     """Eliminate x from the rows y = E x + K u, with inner rows so chosen that no entry of R exceeds `largest`
     by much.
@@ -40,14 +42,24 @@ def frame(
     Args:
         progress: called with the share of the elimination that is done.
     """
-    reduced, inner = row_reduce(transpose(E), progress)
+    report = reporter(progress)
+    reduced, inner = row_reduce(transpose(E), partial(in_part, report, 0.0, 0.5))
     out = _Frame.eliminated(transpose(reduced) or ((),) * len(E), inner, K)
+    first, done = out.largest_entry()[0], 0.0
     while True:
         size, j, i = out.largest_entry()
         if size <= largest:
             return out.in_fractions()
+        # the largest entry falls to `largest`, now and then up again
+        done = max(done, 1 - _log(size / largest) / _log(first / largest))
+        in_part(report, 0.5, 0.5, done)
         # each exchange multiplies the volume of the inner rows by more than `largest`: it ends
         out = out.exchanged(j, i)
+
+
+def _log(x: Fraction) -> float:
+    """Return the logarithm of a fraction, which may be too large for a float."""
+    return log(x.numerator) - log(x.denominator)
 
 
 def reframe(given: ExactFrame, absent: Collection[int], missing: Iterable[int]) -> ExactFrame:

@@ -7,7 +7,7 @@ window.
 from collections.abc import Callable, Iterable, Sequence
 from decimal import Decimal
 from fractions import Fraction
-from itertools import chain, combinations
+from itertools import chain
 from math import gcd, lcm
 from operator import mul, truth
 from typing import TypeAlias, TypeVar, cast
@@ -294,22 +294,43 @@ def presentable(row: Sequence[Fraction]) -> Vector:
     return tuple(x / largest for x in row)
 
 
-def minimal_span(a: Rows) -> Matrix:
+def minimal_span(a: Rows, progress: Callable[[float], object] | None = None) -> Matrix:
     """Return a basis of the row space of `a` whose rows start at different columns and end at different
     columns, in order.
 
     Each row then spans as few consecutive columns as it can: with time-major columns, the fewest samples.
     Rows are primitive.
+
+    Args:
+        progress: called with the share done.
     """
     rows = list(row_reduce(a)[0])  # different starts, in order
-    while True:
-        ends = [len(row) - 1 - _first(row[::-1]) for row in rows]
-        clash = next(((i, k) for i, k in combinations(range(len(rows)), 2) if ends[i] == ends[k]), None)
-        if clash is None:
-            return tuple(map(primitive, rows))
+    ends = list(map(_end, rows))
+    several = len(rows) - len(set(ends))
+    while (clash := _first_clash(ends)) is not None:
         i, k = clash  # row i starts earlier: cancelling its last entry with row k keeps its start
         end = ends[i]
         rows[i] = add_multiple(rows[i], -rows[i][end] / rows[k][end], rows[k])
+        ends[i] = _end(rows[i])
+        if progress is not None:
+            progress(1 - (len(rows) - len(set(ends))) / several)  # an end that is left is k's still
+    return tuple(map(primitive, rows))
+
+
+def _end(row: Vector) -> int:
+    """Return the number of the last entry of a row that is not zero."""
+    return len(row) - 1 - _first(row[::-1])
+
+
+def _first_clash(ends: Sequence[int]) -> tuple[int, int] | None:
+    """Return the first two rows that end at the same column, None where there are none."""
+    behind: dict[int, int] = {}
+    found = None
+    for i in range(len(ends) - 1, -1, -1):
+        if ends[i] in behind:
+            found = i, behind[ends[i]]
+        behind[ends[i]] = i
+    return found
 
 
 def determinant(rows: Sequence[Sequence[int]]) -> int:

@@ -2,20 +2,21 @@
 will not end.
 """
 
-import warnings
-
+from jaxbound.text.progress import LOG, PATIENCE
 from jaxbound.text.quantities import rough_duration
+from jaxbound.text.warned import warn
 
 __all__ = ["SECONDS", "refuse_or_say"]
 
 SECONDS = 600.0
 """What exact numbers may take at most."""
 SILENCE = 60.0
-"""What they may take without a word."""
+"""What they may take without a warning; a line of the log comes from `PATIENCE` on."""
 
 
 def refuse_or_say(seconds: float, what: str, do: str) -> None:
-    """Warn of work that takes more than a minute, and refuse work that takes more than `SECONDS`.
+    """Log work that takes more than some seconds, warn of more than a minute, and refuse more than
+    `SECONDS`.
 
     Args:
         seconds: about how long it takes.
@@ -29,4 +30,6 @@ def refuse_or_say(seconds: float, what: str, do: str) -> None:
     if seconds > SECONDS:
         raise ValueError(f"{what} would take {span} in exact numbers: {do}")
     if seconds > SILENCE:
-        warnings.warn(f"{what} take {span} in exact numbers; if that is too long, {do}", stacklevel=4)
+        warn(f"{what} take {span} in exact numbers; if that is too long, {do}")
+    elif seconds > PATIENCE:
+        LOG.warning("%s take %s in exact numbers", what, span)

@@ -11,10 +11,17 @@ from collections.abc import Iterable, Mapping
 from fractions import Fraction
 from math import gcd
 
+from jaxbound.text.progress import Progress, reporter
+
 __all__ = ["null_space", "pivot_columns"]
 
+SOME = 500
+"""Equations between two reports."""
 
-def null_space(equations: Iterable[Mapping[int, int]], count: int) -> list[dict[int, Fraction]]:
+
+def null_space(
+    equations: Iterable[Mapping[int, int]], count: int, progress: Progress | None = None
+) -> list[dict[int, Fraction]]:
     """Return a basis of all solutions of homogeneous equations, each solution {unknown: Fraction}, in reduced
     echelon form.
 
@@ -24,12 +31,13 @@ def null_space(equations: Iterable[Mapping[int, int]], count: int) -> list[dict[
     Args:
         equations: iterable of {unknown: int}; unknowns are numbered 0 .. count - 1.
         count: the number of unknowns; one that is in no equation is free.
+        progress: called with the share of the equations that are used.
 
     Example:
         >>> null_space([{0: 1, 1: -2}], 3)
         [{0: Fraction(1, 1), 1: Fraction(1, 2)}, {2: Fraction(1, 1)}]
     """
-    solved = _eliminate([e for e in map(_primitive, equations) if e], count)
+    solved = _eliminate([e for e in map(_primitive, equations) if e], count, reporter(progress))
     return _reduced(_solutions(solved, count))
 
 
@@ -46,7 +54,9 @@ def _primitive(equation: Mapping[int, int]) -> dict[int, int]:
     return {k: x // common for k, x in equation.items() if x}
 
 
-def _eliminate(equations: list[dict[int, int]], count: int) -> list[tuple[int, dict[int, int]]]:
+def _eliminate(
+    equations: list[dict[int, int]], count: int, report: Progress
+) -> list[tuple[int, dict[int, int]]]:
     """Return (pivot, equation) pairs; the equation of a pair has no pivot of an earlier one."""
     where: list[set[int]] = [set() for _ in range(count)]
     for i, equation in enumerate(equations):
@@ -60,6 +70,8 @@ def _eliminate(equations: list[dict[int, int]], count: int) -> list[tuple[int, d
         if i in used or length != len(equations[i]):
             continue  # an entry of before the equation changed
         used.add(i)
+        if len(used) % SOME == 0:
+            report(len(used) / len(equations))
         equation = equations[i]
         if not equation:
             continue

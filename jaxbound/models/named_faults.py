@@ -10,6 +10,8 @@ included for a gain, theta and e are within tolerance and noise, which no fault 
 the faults of `simulate`, `with_faults` and studies as well; `certificates.supposed` inverts them.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass

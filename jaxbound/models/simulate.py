@@ -5,6 +5,8 @@ recorded sample is the exact trajectory's within its resolution even where it is
 levels (a plain recursion was off by 120 times that).
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

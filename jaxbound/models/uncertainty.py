@@ -1,5 +1,7 @@
 """Uncertain parameters: how a bounded number changes the matrices of a model."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction

@@ -7,8 +7,6 @@ too, so that they do on a grey print. Recordings of more than 5000 samples are d
 bins; a bin with a single FAULT window is drawn as FAULT.
 """
 
-import io
-import warnings
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING
@@ -70,26 +68,9 @@ STYLE: "dict[RcKeyType, object]" = {
 
 def to_png(fig: "Figure", dpi: int = 130) -> bytes:
     """Return a Figure as the bytes of a PNG picture."""
-    out = io.BytesIO()
-    with warnings.catch_warnings():
-        # a name in letters that the font does not have
-        warnings.filterwarnings("ignore", "Glyph .* missing from")
-        _plain_where_no_formula(fig)
-        fig.savefig(out, format="png", dpi=dpi, facecolor="white")
-    return out.getvalue()
+    from jaxbound.plots.picture import png
 
-
-def _plain_where_no_formula(fig: "Figure") -> None:
-    """Show a name with dollar signs as it is, unless what is between them can be set as a formula."""
-    from matplotlib.mathtext import MathTextParser
-    from matplotlib.text import Text
-
-    for text in fig.findobj(Text):
-        if "$" in text.get_text():
-            try:
-                MathTextParser("path").parse(text.get_text())
-            except ValueError:
-                text.set_parse_math(False)
+    return png(fig, dpi)
 
 
 def style() -> AbstractContextManager[None]:
@@ -100,11 +81,12 @@ def style() -> AbstractContextManager[None]:
 
 
 def canvas(size: tuple[float, float]) -> "Figure":
-    """Return an empty Figure of a size in inches, with its own canvas."""
+    """Return an empty Figure of a size in inches, with its own canvas; notebooks show it."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
-    fig = Figure(figsize=size)
+    from jaxbound.plots.picture import Picture
+
+    fig = Picture(figsize=size)
     FigureCanvasAgg(fig)
     return fig
 

@@ -38,8 +38,8 @@ def plot(thing: object, time: object = None, alarms: object = None, ax: object =
             figure of its own and takes none.
 
     Returns:
-        A matplotlib Figure, which is not pyplot's: fig.savefig("margin.png"), or the last line of a
-        notebook's cell. With ax, that Axes.
+        A matplotlib Figure, not one of pyplot: fig.savefig("margin.png"). At the end of a notebook cell it
+        shows itself. With ax, that Axes.
 
     Raises:
         ValueError: a batch of recordings, or a time axis of another length. TypeError: what cannot be drawn,

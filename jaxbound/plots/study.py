@@ -43,8 +43,8 @@ def plot_study(res: StudyResult) -> "Figure":
             _draw_delays(right, trial, tally)
         false, clean = res.false_alarms
         title = (
-            f"{res.scenarios:,} scenarios of {res.model.name}, unknowns {res.at}: {false} false alarms "
-            f"in {clean:,} windows"
+            f"{res.scenarios} scenarios of {res.model.name}, unknowns {res.at}: {false} false alarms "
+            f"in {clean} windows"
         )
         if len(res.trials) > FAULTS:
             title += f"; {len(res.trials) - FAULTS} more faults"

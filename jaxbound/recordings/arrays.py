@@ -2,7 +2,6 @@
 NaN, everything checked.
 """
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
@@ -32,10 +31,12 @@ from jaxbound.recordings.factors import (
     with_factors,
 )
 from jaxbound.recordings.oddcells import OddCells, error_hints, odd_of_frame, refuse_odd, unsaid_hints
+from jaxbound.recordings.selection import columns_of_signals
 from jaxbound.recordings.signals import Named
 from jaxbound.recordings.table import Data, as_table, is_table
 from jaxbound.recordings.tabletime import row_time
 from jaxbound.text.names import listed
+from jaxbound.text.warned import warn_once
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -181,13 +182,12 @@ def _warn_rounded(y: np.ndarray, dtype: np.dtype) -> None:
     with np.errstate(over="ignore"):
         rounded = (y.astype(dtype) != y) & ~np.isnan(y)
     if rounded.any():
-        warnings.warn(
+        warn_once(
             "samples in float64 are rounded to float32, because jax runs with x64 off: verdicts stay proofs, "
             "but every bound grows by "
             "2.4e-07 of the largest sample, and faults below that are not seen. "
             "jax.config.update('jax_enable_x64', True) keeps them; "
-            "arrays of float32 say that this is meant",
-            stacklevel=2,
+            "arrays of float32 say that this is meant"
         )
 
 
@@ -352,7 +352,7 @@ def _signals_by_name(model: Named, data: Data, name: str, channels: Sequence[str
         called = channel
         if channel not in taken and column_for(channel).strip() in stripped:
             called = column_for(channel)
-        wanted.append(find_column(called, list(table.columns), name))
+        wanted.append(find_column(called, list(table.columns), name, columns_of_signals(model)))
     recorded = recorded_type(data[[*(c for c in wanted if c not in taken), *sources]], name)
     numbers = _float_array(_of_frame(table[wanted], name), name)
     if name == "y":  # what was rounded away counts in the type it was recorded in

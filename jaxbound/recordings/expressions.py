@@ -404,8 +404,12 @@ def _refuse_part(text: str, what: str) -> NoReturn:
     )
 
 
-def find_column(wanted: str, present: Iterable[str], where: str) -> str:
+def find_column(wanted: str, present: Iterable[str], where: str, used: Iterable[str] = ()) -> str:
     """Return a column as it is called among those present: by its name, or by it without blanks at the ends.
+
+    Args:
+        used: columns that have a use, as of another signal: none of them is proposed in place of one that is
+            not there.
 
     Raises:
         ValueError: it is not there, or there twice.
@@ -414,20 +418,26 @@ def find_column(wanted: str, present: Iterable[str], where: str) -> str:
     if not called:
         called = [c for c in present if str(c).strip() == wanted.strip()]
     if not called:
-        raise ValueError(missing_column(wanted, present, where))
+        raise ValueError(missing_column(wanted, present, where, used=used))
     if len(called) > 1:
         raise ValueError(f"{len(called)} columns are called {quoted(wanted)}: a signal needs exactly one")
     return called[0]
 
 
-def missing_column(wanted: str, present: Iterable[str], where: str, kind: str = "column") -> str:
-    """Return the sentence for a column, or what else of a kind, that is not there, with the nearest name."""
+def missing_column(
+    wanted: str, present: Iterable[str], where: str, kind: str = "column", used: Iterable[str] = ()
+) -> str:
+    """Return the sentence for a column, or what else of a kind, that is not there, with the nearest name of
+    those that have no use yet.
+    """
     names = list(map(str, present))
     longest, most = NEAR
-    other = _in_another_unit(wanted, names)
+    taken = {str(name).strip() for name in used}
+    free = [name for name in names if name.strip() not in taken]
+    other = _in_another_unit(wanted, free)
     if other:
         return f"{where} has {kind} {other} in the place of {quoted(wanted)}"
-    near = difflib.get_close_matches(wanted, [c for c in names if len(c) < longest][:most], n=1, cutoff=0.5)
+    near = difflib.get_close_matches(wanted, [c for c in free if len(c) < longest][:most], n=1, cutoff=0.5)
     here = listed(names)
     if near:
         stands = ""

@@ -66,7 +66,7 @@ def read(path: object, model: Named, progress: Progress | None = None) -> Record
         >>> jb.detect(jb.parity_relations(m), run).status
         array([0, 1, 3, 0, 1], dtype=int8)
     """
-    report = reporter(progress)
+    report = reporter(progress, "read")
     return open_source(path, model).read(progress=report)
 
 
@@ -152,7 +152,7 @@ def read_signals(
     Raises:
         OSError, ValueError: as `read`; recordings of different dt; no sample for which `where` holds.
     """
-    report = reporter(progress)
+    report = reporter(progress, "read")
     paths = [paths] if isinstance(paths, str | PathLike) else list(paths)
     if not paths:
         raise ValueError("there is no recording: give at least one")

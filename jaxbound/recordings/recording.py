@@ -6,6 +6,8 @@ can forget it: the names of its columns, gaps in the time of its rows, samples t
 out, samples that are masked or null.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -87,12 +89,12 @@ class Recording:
     inputs: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
     excluded: np.ndarray | None = None
-    index: "pd.Index | np.ndarray | None" = None
+    index: pd.Index | np.ndarray | None = None
     time: Any = None
     origin: float = np.nan
     dt: Any = None
     stamps: np.ndarray | None = None
-    written: "pa.Array | None" = None
+    written: pa.Array | None = None
     hints: tuple[str, ...] = ()
     source: str = ""
 
@@ -105,7 +107,7 @@ class Recording:
         starts: ArrayLike = (),
         regular: bool = True,
         narrow: bool = True,
-    ) -> "Recording":
+    ) -> Recording:
         """Return the Recording of a model's signals.
 
         Integers become floats.
@@ -166,7 +168,7 @@ class Recording:
     @classmethod
     def _of_means(
         cls, model: Named, u: Data, y: Data, starts: ArrayLike, regular: bool, narrow: bool, every: str
-    ) -> "Recording":
+    ) -> Recording:
         """Return the Recording of means over intervals; what has no times, or their step, is taken for means
         already.
         """
@@ -182,14 +184,14 @@ class Recording:
         _, seams = tick(Clock(seconds_of(every)), means.time)
         return replace(means, starts=_union(seams, around(means.excluded)))
 
-    def _without(self, excluded: np.ndarray | None) -> "Recording":
+    def _without(self, excluded: np.ndarray | None) -> Recording:
         """Return the recording without the samples that the model's `where` leaves out."""
         if excluded is None:
             return self
         u, y = (np.where(excluded[:, None], np.array(np.nan, x.dtype), x) for x in (self.u, self.y))
         return replace(self, u=u, y=y, excluded=excluded, starts=_union(self.starts, around(excluded)))
 
-    def _timed(self, model: Named, index: "pd.Index", regular: bool) -> "Recording":
+    def _timed(self, model: Named, index: pd.Index, regular: bool) -> Recording:
         """Return the recording with the time that the labels of its rows tell."""
         dt, whose = getattr(model, "dt", None), getattr(model, "stated", THE_MODEL)
         rows = row_time(index, dt, whose, regular)
@@ -204,7 +206,7 @@ class Recording:
         )
 
     @classmethod
-    def filed(cls, model: SignalModel, samples: Samples, times: Times, source: str) -> "Recording":
+    def filed(cls, model: SignalModel, samples: Samples, times: Times, source: str) -> Recording:
         """Return the Recording of samples as they stand in a file, without hints and starts.
 
         Args:
@@ -237,7 +239,7 @@ class Recording:
         )
 
     @classmethod
-    def _of_recording(cls, model: Named, given: Data, starts: ArrayLike, narrow: bool) -> "Recording":
+    def _of_recording(cls, model: Named, given: Data, starts: ArrayLike, narrow: bool) -> Recording:
         """Return the Recording of something that is one already: its signals, by their names if it has names,
         and its time, gaps and labels.
         """
@@ -300,7 +302,7 @@ class Recording:
         samples = means_of(grid, 0, rows.u, rows.y, excluded, m)
         return self.on_grid(grid, int(grid.number[0]), samples)
 
-    def on_grid(self, grid: Grid, zero: int, samples: Samples) -> "Recording":
+    def on_grid(self, grid: Grid, zero: int, samples: Samples) -> Recording:
         """Return the Recording of means over intervals, with the names of this one.
 
         Args:
@@ -372,7 +374,7 @@ class Recording:
             usual = float(np.median(steps))
         return time_label(self.time[k], None, usual or 1.0)
 
-    def cut(self, first: int, stop: int) -> "Recording":
+    def cut(self, first: int, stop: int) -> Recording:
         """Return the samples first .. stop - 1, without hints."""
         starts = np.asarray(self.starts)
         parts: dict[str, Any] = {"starts": starts[(starts >= first) & (starts < stop)] - first, "hints": ()}
@@ -397,7 +399,7 @@ class Recording:
         return np.round(origin + np.asarray(self.time, float), 6)
 
     @property
-    def column(self) -> "pa.Array":
+    def column(self) -> pa.Array:
         """The time as a column of a file: as it was written there, else dates, else seconds, else numbers of
         samples; a pyarrow array.
         """
@@ -409,7 +411,7 @@ class Recording:
             return to_arrow(self.time)
         return to_arrow(np.arange(self.samples))
 
-    def followed(self, other: "Recording") -> "Recording":
+    def followed(self, other: Recording) -> Recording:
         """Return this recording and the one that comes behind it as one; .starts stay those of the first."""
         parts: dict[str, Any] = {"written": None}
         if self.written is not None and other.written is not None:
@@ -434,14 +436,14 @@ class Recording:
         """Return how many windows of horizon + 1 samples have one that does not count."""
         return aside(self.excluded, horizon)
 
-    def finite(self) -> "Recording":
+    def finite(self) -> Recording:
         """Return the same recording; raise ValueError if a number of it is infinite."""
         refuse_infinite("u", self.u, self.inputs)
         refuse_infinite("y", self.y, self.outputs)
         return self
 
 
-def _excluded(model: Named, tables: Mapping[str, "pd.DataFrame"]) -> np.ndarray | None:
+def _excluded(model: Named, tables: Mapping[str, pd.DataFrame]) -> np.ndarray | None:
     """Return (T,) bool, the samples that the model's `where` leaves out by these tables; None: it has none,
     or there is no table.
     """

@@ -26,6 +26,7 @@ __all__ = [
     "STAMPS",
     "TELLING",
     "Wanted",
+    "columns_of_signals",
     "source_columns",
     "time_column",
     "wanted",
@@ -295,11 +296,24 @@ def _column_for(signal: str, names: Sequence[str], model: SignalModel) -> str | 
     try:
         if computed is not None:
             return computed.among(names)
-        return find_column(stated, names, "the recording")
+        used = (*columns_of_signals(model), *likely(names, TIMES))
+        return find_column(stated, names, "the recording", used)
     except ValueError:
         if signal in names and signal != stated and (computed is not None or stated not in names):
             return find_column(signal, names, "the recording")
         raise
+
+
+def columns_of_signals(model: Named) -> set[str]:
+    """Return the names of all columns that hold a signal."""
+    column_for = getattr(model, "column", str)
+    names: set[str] = set()
+    for signal in (*model.inputs, *model.outputs):
+        column = column_for(signal)
+        names |= {signal, column}
+        if is_expression(column):
+            names.update(expression(column).columns)
+    return names
 
 
 def where_hints(where: str, left_out: int, samples: int) -> list[str]:

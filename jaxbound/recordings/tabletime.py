@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 import numpy as np
 
 from jaxbound.recordings.csvtext import is_number
-from jaxbound.recordings.expressions import expression, is_expression
 from jaxbound.recordings.seams import TOLERATED_STEP, Clock, check_period, irregular, tick, usual_period
-from jaxbound.recordings.selection import time_column
+from jaxbound.recordings.selection import columns_of_signals, time_column
 from jaxbound.recordings.signals import Named
 from jaxbound.recordings.timestamps import DIGITS, EPOCH, SECOND, read_numbers, stamp_kind, time_like
 
@@ -150,7 +149,7 @@ def with_time(frame: "pd.DataFrame", model: Named) -> "pd.DataFrame":
         named = None
     if named is None and tells_dates(frame.index):
         return frame
-    taken = _of_signals(model)
+    taken = columns_of_signals(model)
     free = [c for c in columns if c not in taken]
 
     def kind_of(name: str) -> str:
@@ -218,18 +217,6 @@ def instants_of(index: "pd.Index | np.ndarray | None", samples: int, dt: float |
         if rows.time is not None:
             return np.round(rows.origin + rows.time, 6)
     return np.arange(float(samples))
-
-
-def _of_signals(model: Named) -> set[str]:
-    """Return the names of all columns that hold a signal."""
-    column_for = getattr(model, "column", str)
-    names: set[str] = set()
-    for signal in (*model.inputs, *model.outputs):
-        column = column_for(signal)
-        names |= {signal, column}
-        if is_expression(column):
-            names.update(expression(column).columns)
-    return names
 
 
 def _labels_of_rows(frame: "pd.DataFrame", name: str) -> "pd.Index":

@@ -24,6 +24,7 @@ __all__ = [
     "epoch_scale",
     "from_epoch",
     "instant_of",
+    "label_text",
     "parse_stamps",
     "read_numbers",
     "row_label",
@@ -287,7 +288,11 @@ def row_label(index: "pd.Index | np.ndarray | None", k: int) -> str:
     """Return the label of row k as text; index: labels of all rows, None where they have none."""
     if index is None:
         return f"sample {k}"
-    label = index[k]
+    return label_text(index[k])
+
+
+def label_text(label: object) -> str:
+    """Return the label of a row as text."""
     if isinstance(label, np.datetime64):
         return time_label(0.0, label, 1.0)
     return str(label)

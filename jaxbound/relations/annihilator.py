@@ -20,6 +20,7 @@ import random
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from math import comb, lcm
 from typing import TypeAlias
 
@@ -30,6 +31,7 @@ from jaxbound.exact.sparse import null_space, pivot_columns
 from jaxbound.relations.polynomial import Exponents, PolynomialMatrix, Terms, graded, monomials
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_other_modes
+from jaxbound.text.progress import Progress, in_part, reporter
 
 __all__ = ["Step", "annihilator", "constraints", "generic_rank", "rank_over_box"]
 
@@ -58,12 +60,15 @@ class Step:
     new: int
 
 
-def annihilator(E: PolynomialMatrix) -> tuple[PolynomialMatrix, tuple[Step, ...], str]:
+def annihilator(
+    E: PolynomialMatrix, progress: Progress | None = None
+) -> tuple[PolynomialMatrix, tuple[Step, ...], str]:
     """Return (Omega, steps, complete): relations that span the left null space of E(v) at every v of [-1,
     1]^q.
 
     Args:
-        E: a PolynomialMatrix.
+        E: a PolynomialMatrix. progress: called with the share done of all orders that may have to be looked
+            at.
 
     Returns:
         Omega: a PolynomialMatrix (count, E.rows), few relations of low order first. steps: a Step for each
@@ -83,11 +88,15 @@ def annihilator(E: PolynomialMatrix) -> tuple[PolynomialMatrix, tuple[Step, ...]
     small = _in_used_variables(E, variables)
     # relations of at most this order, the minors of E, span it everywhere
     highest = max(1, E.columns * E.order)
+    work = _work_of_orders(len(variables), E.rows, highest)
+    report, done = reporter(progress, "relations"), 0.0
     for order in range(highest + 1):
         betas = monomials(len(variables), order)
         if len(betas) * E.rows > LARGEST and order:
             return _matrix(relations, E), tuple(steps), "partial"
-        fresh, step = _one_order(small, betas, order, relations)
+        part = work[order] / sum(work)
+        fresh, step = _one_order(small, betas, order, relations, partial(in_part, report, done, part))
+        done += part
         steps.append(step)
         for g in fresh:
             relations.append((order, _in_all_variables(g, variables, E.variables), g))
@@ -99,6 +108,17 @@ def annihilator(E: PolynomialMatrix) -> tuple[PolynomialMatrix, tuple[Step, ...]
                 return chosen, tuple(steps), complete
             points.append(where)
     return _matrix(relations, E), tuple(steps), "partial"
+
+
+def _work_of_orders(variables: int, rows: int, highest: int) -> list[float]:
+    """Return the work on each order that may have to be looked at, in no unit: nearly as its unknowns."""
+    work = []
+    for order in range(highest + 1):
+        unknowns = rows * comb(variables + order, order)
+        if unknowns > LARGEST and order:
+            break
+        work.append(unknowns**1.2)
+    return work
 
 
 def _in_used_variables(E: PolynomialMatrix, used: list[int]) -> PolynomialMatrix:
@@ -142,13 +162,13 @@ def constraints(E: PolynomialMatrix, order: int) -> tuple[list[dict[int, int]], 
 
 
 def _one_order(
-    E: PolynomialMatrix, betas: list[Exponents], order: int, kept: list[Kept]
+    E: PolynomialMatrix, betas: list[Exponents], order: int, kept: list[Kept], progress: Progress
 ) -> tuple[list[Relation], Step]:
     """Return the relations {(beta, column): x} of one order that are no multiples of those kept, and the
     Step.
     """
     equations, size = constraints(E, order)
-    kernel = null_space(equations, len(betas) * E.rows)
+    kernel = null_space(equations, len(betas) * E.rows, progress)
     leads = {min(row): i for i, row in enumerate(kernel)}  # coordinates of a solution: its values there
     number = {beta: b for b, beta in enumerate(betas)}
     last = len(kernel) - 1

@@ -11,6 +11,8 @@ appear only as nearest values of exact coefficients, whose error `sets.floats.ro
 Maquin, Ragot 2000, (6)-(9), (13)-(15).
 """
 
+from __future__ import annotations
+
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -61,7 +63,7 @@ from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.strips.separation import Frame, frame_of
 from jaxbound.sets.strips.strips import Strips, strips_of
 from jaxbound.text.objects import readable
-from jaxbound.text.progress import reporter
+from jaxbound.text.progress import in_part, reporter
 
 __all__ = ["ParityRelation", "parity_relations", "stated_relations"]
 
@@ -147,10 +149,10 @@ class ParityRelation(LinearRelations):
         return {"lags": self.lags}
 
     @cached_property
-    def _moving(self) -> "ParityRelation | None":
+    def _moving(self) -> ParityRelation | None:
         return moving(self, self._of)
 
-    def _of(self, model: LinearSystem) -> "ParityRelation":
+    def _of(self, model: LinearSystem) -> ParityRelation:
         """Return the relations of another model over the same window."""
         relations = parity_relations(model, form=self.form, **self.window)
         assert isinstance(relations, ParityRelation)
@@ -335,7 +337,7 @@ def parity_relations(
         >>> r.horizon, r.count, len(r.circuits)
         (1, 2, 4)
     """
-    model, report = as_model(model, factors=True), reporter(progress)
+    model, report = as_model(model, factors=True), reporter(progress, "relations")
     if form not in ("first", "second"):
         raise ValueError(f"form must be 'first' or 'second', not {form!r}")
     if lags is None and horizon is None:
@@ -354,7 +356,7 @@ def parity_relations(
     if model.uncertainties:
         if form != "first":
             raise ValueError("form 'second' is for models without uncertainties")
-        return uncertain_relations(model, horizon)
+        return uncertain_relations(model, horizon, report)
     if lags is not None:
         samples, K = lagged(model, horizon, lags)
         W = _with_disturbance(model, horizon, samples)
@@ -456,7 +458,8 @@ def _first(model: LinearSystem, horizon: int, report: Callable[[float], object])
     once more, later.
     """
     short = min(horizon, model.n)
-    shortest = linalg.minimal_span(linalg.left_null_space(window.unbounded(model, short), report))
+    unseen = linalg.left_null_space(window.unbounded(model, short), partial(in_part, report, 0.0, 0.4))
+    shortest = linalg.minimal_span(unseen, partial(in_part, report, 0.4, 0.6))
     samples = tuple(map(linalg.presentable, shortest))
     H = window.first_form(model, short)[1]
     on_inputs = _on_inputs(samples, H)

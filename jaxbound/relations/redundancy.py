@@ -13,6 +13,8 @@ rank, which floats can only guess.
 Source: Ragot, Maquin, Kratz 1993; degrees: Forney 1975.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction

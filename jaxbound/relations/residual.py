@@ -4,6 +4,8 @@ It puts any model with bounded unknowns into the form of the library: parameters
 window, an unknown first state, sensor errors and disturbances are all entries of z.
 """
 
+from __future__ import annotations
+
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence

@@ -6,6 +6,8 @@
 Source: Ploix, Adrot 2006, (4)-(6).
 """
 
+from __future__ import annotations
+
 import dataclasses
 import functools
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -44,6 +46,7 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.strips.polynomials import closure
 from jaxbound.text.objects import readable
+from jaxbound.text.progress import Progress
 
 __all__ = ["UncertainRelations", "uncertain_relations"]
 
@@ -278,7 +281,9 @@ class UncertainRelations(PolynomialRelations):
         return found
 
 
-def uncertain_relations(model: LinearSystem, horizon: int) -> UncertainRelations:
+def uncertain_relations(
+    model: LinearSystem, horizon: int, progress: Progress | None = None
+) -> UncertainRelations:
     """Eliminate the unknown state, and unknown inputs, from a window of a model with uncertainties: see
     `parity_relations`.
     """
@@ -307,7 +312,7 @@ def uncertain_relations(model: LinearSystem, horizon: int) -> UncertainRelations
                 "state than elsewhere; narrow the bounds of the uncertainties so that they exclude this"
             )
         notes += (f"regular observability is not proved, nor refuted, near {near}: FAULT stays a proof",)
-    omega, steps, complete = annihilator(reduced)
+    omega, steps, complete = annihilator(reduced, progress)
     if not omega.rows:
         raise ValueError(
             f"horizon {horizon}: the relations are too large to be found; fewer varying parameters or "

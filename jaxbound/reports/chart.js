@@ -31,10 +31,12 @@ const limits = (kind, data, a, b) => {
 // Margins below -1 are on a logarithmic scale.
 const squeezed = (v) => (v < -1 ? -1 - Math.log10(Math.min(-v, 1e15)) : v);
 const stretched = (v) => (v < -1 ? -(10 ** (-1 - v)) : v);
-const powers = (bottom) => {
-  const count = Math.max(Math.floor(-squeezed(bottom)), 0), marks = [1, 0];
-  for (let n = 0; n < count; n += 1 + Math.floor(count / 4)) marks.push(-(10 ** n));
-  return marks.reverse();
+const powers = (bottom) => { // ticks below -1, too, however few decades there are
+  if (bottom > -1) return [-1, -0.5, 0, 0.5, 1].filter((v) => v >= bottom);
+  const decades = -1 - squeezed(bottom), marks = [1, 0], step = 1 + Math.floor(decades / 4);
+  const between = decades < 0.3 ? [1.5] : decades < 1 ? [2, 4, 8] : decades < 2 ? [3] : [];
+  for (let n = 0; n <= decades; n += step) marks.push(...[1, ...between].map((k) => -k * 10 ** n));
+  return marks.filter((v) => v >= bottom).reverse();
 };
 const shares = (bottom) => (bottom < -6 ? [-10, 1, 10] : bottom < -3 ? [-1, 1] : [-1, 0, 1]);
 const marks = { margin: (u, i, bottom) => powers(bottom), combination: (u, i, bottom) => shares(bottom) };

@@ -34,7 +34,8 @@ from jaxbound.runs.digest import Digest
 from jaxbound.runs.endings import sizes_text
 from jaxbound.runs.summary import Evidence, Summary
 from jaxbound.sets.floats.status import Status
-from jaxbound.text.quantities import duration, factor
+from jaxbound.text.names import one_of
+from jaxbound.text.quantities import duration, factor, three_digits
 
 __all__ = ["write_report"]
 
@@ -243,13 +244,14 @@ def _sensor_errors(certificate: Any) -> str:
     if is_asked:
         names = certificate.candidates
     for name in names:
-        size = "(actuator)"
+        how = f"{name} (actuator)"
         if name in certificate.errors:
-            size = f"{float(certificate.errors[name]):.3g} {model.unit(name)}".strip()
-        wrong.append(f"{name} {size}")
+            least = three_digits(float(certificate.errors[name]))
+            how = f"{name} by {least} {model.unit(name)}".strip()
+        wrong.append(how)
     if is_asked:
-        return ", ".join(wrong) or "none alone"
-    return f"{', '.join(wrong) or 'no sensor alone'}; actuators: see explain"
+        return one_of(wrong) or "none alone"
+    return f"{one_of(wrong) or 'no sensor alone'}; actuators: see explain"
 
 
 @singledispatch

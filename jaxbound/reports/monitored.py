@@ -11,7 +11,7 @@ from jaxbound.diagnosis.monitored import MonitorResult
 from jaxbound.diagnosis.result import Result
 from jaxbound.runs.digest import Digest
 from jaxbound.runs.testcounts import STRETCHES, CountsByTest, OfTest, Unwatched
-from jaxbound.text.quantities import percent
+from jaxbound.text.quantities import percent, three_digits
 
 __all__ = ["monitor_sections"]
 
@@ -85,7 +85,7 @@ def _cells(test: OfTest, label: Label) -> list[object]:
     if test.first is not None:
         first = label(test.first)
     if np.isfinite(test.margin):
-        margin = f"{test.margin:.3g}"
+        margin = three_digits(test.margin)
     return [*counts, test.speaks, first, margin]
 
 

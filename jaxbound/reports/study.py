@@ -181,7 +181,7 @@ def _row(cell: SimpleNamespace) -> tuple[str, ...]:
     share = f"{percent(cell.share_lo)} to {percent(cell.share_hi)}"
     sure = f"{cell.guaranteed:.4g}" if np.isfinite(cell.guaranteed) else ""
     soon = _delay(cell.delay_median), _delay(cell.delay_90)
-    size, scenarios = f"{cell.size:.4g}", f"{cell.scenarios:,}"
+    size, scenarios = f"{cell.size:.4g}", f"{cell.scenarios}"
     return cell.fault, size, scenarios, percent(cell.share), share, rate, spread, *soon, sure
 
 
@@ -201,5 +201,5 @@ def sentence(res: StudyResult) -> str:
     else:
         most = 100 * res.false_alarm_interval()[1]
         how = f"fewer than {most:.2g} % of scenarios have one, with 95 % confidence"
-    alarms = f"{false} false alarms in {clean:,} windows without a fault ({how})"
-    return f"{res.scenarios:,} scenarios of {res.samples} samples: {alarms}"
+    alarms = f"{false} false alarms in {clean} windows without a fault ({how})"
+    return f"{res.scenarios} scenarios of {res.samples} samples: {alarms}"

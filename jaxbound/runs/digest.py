@@ -2,6 +2,8 @@
 verdicts.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
@@ -30,6 +32,7 @@ from jaxbound.recordings.hints import missing_sentences, rounding_hints
 from jaxbound.recordings.parquet import PARTIAL, VERDICTS, ParquetSource
 from jaxbound.recordings.read import open_source
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.sample_axis import Place, SampleAxis
 from jaxbound.recordings.seams import Clock, irregular, seam_hints, tick
 from jaxbound.recordings.selection import where_hints
 from jaxbound.recordings.signals import Named
@@ -135,6 +138,13 @@ class Digest:
         """Return the time of sample k as text."""
         return time_label(self.time[k], self.data.stamp(self.time[k]), self.data.dt)
 
+    def when(self, k: int) -> np.datetime64 | float:
+        """Return the time of sample k: a datetime64 where the file has dates, else seconds."""
+        stamp = self.data.stamp(self.time[k])
+        if stamp is None:
+            return self.time[k]
+        return stamp
+
     @property
     def _before(self) -> int:
         """How many samples before those of interest are read and tested with them."""
@@ -170,10 +180,11 @@ class Digest:
         first = max(min(k - samples // 2, self.samples - samples), 0)
         return self.data.read(max(first - self._before, 0), min(first + samples, self.samples))
 
-    def explain(self, k: int) -> Any:
-        """Return the Certificate of the window that ends at sample k. See `Result.explain`, of an observer
-        `refuted_again`.
+    def explain(self, at: Place) -> Any:
+        """Return the Certificate of the window that ends at sample `at`, a number or a time. See
+        `Result.explain`, of an observer `refuted_again`.
         """
+        k = SampleAxis(self.data).find(str(at))
         if self.relations.remembers:
             return refuted_again(self.relations, self.data, k).certificate
         first = max(k - self._before, 0)
@@ -182,7 +193,7 @@ class Digest:
 
 
 @plot.register(Digest)
-def plot_digest(found: Digest, ax: "Axes | None" = None) -> "Figure | Axes":
+def plot_digest(found: Digest, ax: Axes | None = None) -> Figure | Axes:
     """Draw the whole recording as a Result of its verdicts would be drawn."""
     name, bounded = found.relations.model.name, found.margins == BOUNDS
     observes = found.relations.observes
@@ -228,11 +239,11 @@ def detect_dataset(
     progress: Progress | None = None,
     part: tuple[int, int] | None = None,
     merge: bool = False,
-    client: "Client | None" = None,
+    client: Client | None = None,
     overlap: int | None = None,
     margins: str = AUTO,
     outside: str = CLAIMED,
-) -> "Digest | list[Path]":
+) -> Digest | list[Path]:
     """Test a Parquet recording of any size and write its verdicts as Parquet.
 
     Args:
@@ -288,7 +299,7 @@ def detect_dataset(
     if part is not None and merge:
         raise ValueError("part makes verdicts and merge reports on them: give one of the two")
     refuse_unusable()
-    report = reporter(progress)
+    report = reporter(progress, "detect_dataset")
     if part is not None:
         with shared_folder(out, (PARTIAL,), (path,)):
             source = _source_in_parts(path, relations.model)
@@ -345,7 +356,7 @@ def digest(
     Returns:
         A Digest.
     """
-    report = reporter(progress)
+    report = reporter(progress, "detect_dataset")
     region = Region.of(relations)
     tally = Tally(_seconds_at, relations.horizon, region=region)
     times = _SampleTimes(source)
@@ -437,7 +448,7 @@ def _wrong_units(found: Digest) -> list[str]:
 class _Ticking(Quiet):
     """A sink that finds the seams, and keeps the times that sentences name: of both ends and of seams."""
 
-    def __init__(self, dt: float, times: "_SampleTimes") -> None:
+    def __init__(self, dt: float, times: _SampleTimes) -> None:
         self.clock, self.times = Clock(dt), times
 
     def add(self, piece: Recording, verdicts: Verdicts) -> None:

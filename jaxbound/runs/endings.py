@@ -16,6 +16,7 @@ from jaxbound.relations.sentence import looked_at
 from jaxbound.runs.digest import Digest
 from jaxbound.runs.summary import evidence
 from jaxbound.text.names import listed
+from jaxbound.text.quantities import three_digits
 
 __all__ = ["ending_hints", "endings_said", "sizes_seen", "sizes_text"]
 
@@ -113,16 +114,18 @@ def sizes_text(res: Result | Digest, sizes: Mapping[str, float] | None) -> str:
     if sizes is None:
         return f"{these} alone cannot tell"
     unit = res.relations.model.unit
-    seen = ", ".join(
-        f"{name} {size:.3g} {unit(name)}".strip() for name, size in sizes.items() if np.isfinite(size)
+    shown = ", ".join(
+        f"{name} {three_digits(least)} {unit(name)}".strip()
+        for name, least in sizes.items()
+        if np.isfinite(least)
     )
     never = ", ".join(name for name, size in sizes.items() if not np.isfinite(size))
     untold = [name for name, test in res.relations.parts.items() if not is_affordable(test)]
-    if not seen:
+    if not shown:
         return f"{these} are sure of no constant error that lasts, whatever its size"
     if never:
         never = f", of {never} at no size"
-    said = f"{these} are sure to show a constant error that lasts from {seen} on{never}"
+    said = f"{these} are sure to show a constant error that lasts from {shown} on{never}"
     if untold:
         said += f"; {listed(untold)} may show smaller ones: jaxbound info tells from which size on"
     return said

@@ -294,7 +294,7 @@ def detect_fleet(
         }
         yield from _test_by_workers(client, _FleetJob(same), units, progress)
         return
-    report = reporter(progress)
+    report = reporter(progress, "fleet")
     how = _How(method, horizon, lags, options, state, rule_of(alarm), min_coverage, margins, outside)
     results, done = _Collected(page), 0
     try:

@@ -1,8 +1,8 @@
 """Names in sentences: the first few of many, and no name without end."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
-__all__ = ["listed", "quoted"]
+__all__ = ["listed", "one_of", "quoted"]
 
 FEW, LONG = 12, 80
 
@@ -29,3 +29,15 @@ def listed(names: Iterable[str], each: Callable[[str], str] = quoted) -> str:
     if len(names) <= FEW + 1:  # "and 1 more" would be no shorter than the name
         return ", ".join(map(each, names))
     return f"{', '.join(map(each, names[:FEW]))} and {len(names) - FEW} more"
+
+
+def one_of(choices: Sequence[str]) -> str:
+    """Return choices of which one holds, so that nobody takes them for a list of all that is wrong.
+
+    Example:
+        >>> one_of([]), one_of(["T1 by 2 degC"]), one_of(["T1 by 2 degC", "T2 by 3 degC", "Q"])
+        ('', 'T1 by 2 degC', 'either T1 by 2 degC, or T2 by 3 degC, or Q')
+    """
+    if len(choices) < 2:
+        return "".join(choices)
+    return f"either {', or '.join(choices)}"

@@ -1,16 +1,31 @@
-"""The progress of long work: a function that is called with the share that is done."""
+"""The progress of long work: a function that is called with the share that is done.
 
+Where nobody gave one, work that takes long says by itself how far it is: a line of the log `jaxbound` after
+five seconds, then one a minute. `logging.getLogger("jaxbound").setLevel("ERROR")` keeps it silent.
+"""
+
+import logging
+import time
 from collections.abc import Callable
 from typing import TypeAlias
 
-__all__ = ["Progress", "in_part", "reporter"]
+from jaxbound.text.quantities import duration, rough_duration
+
+__all__ = ["LOG", "PATIENCE", "Progress", "in_part", "reporter"]
 
 Progress: TypeAlias = Callable[[float], object]
 """Called with the share of the work done, 0 to 1."""
+LOG = logging.getLogger("jaxbound")
+PATIENCE, EVERY = 5.0, 60.0
+"""Seconds that work may take without a word, and between two words on it."""
 
 
-def reporter(progress: Progress | None) -> Progress:
-    """Return the function that takes the share of the work done: of nobody who asks, one that drops it.
+def reporter(progress: Progress | None, what: str = "") -> Progress:
+    """Return the function that takes the share of the work done: of nobody who asks, one that speaks only of
+    work that takes long.
+
+    Args:
+        what: is done, for that line.
 
     Raises:
         ValueError: something that cannot be called.
@@ -21,7 +36,7 @@ def reporter(progress: Progress | None) -> Progress:
         0.5
     """
     if progress is None:
-        return _nobody
+        return _Patient(what)
     if not callable(progress):
         raise ValueError(
             f"progress must be a function of the share of the work done, like print, not {progress!r}"
@@ -39,5 +54,26 @@ def in_part(report: Progress, before: float, part: float, share: float) -> None:
     report(before + part * share)
 
 
-def _nobody(share: float) -> None:
-    """Report to nobody."""
+class _Patient:
+    """Progress of work that nobody asked about: lines of the log where it takes long and is far from done."""
+
+    def __init__(self, what: str) -> None:
+        self.what, self.begun = what or "this", time.monotonic()
+        self.next = self.begun + PATIENCE
+
+    def __call__(self, share: float) -> None:
+        now = time.monotonic()
+        if now < self.next or share <= 0:
+            return
+        took = now - self.begun
+        left = took * (1 - share) / share
+        if left < PATIENCE:  # it is there sooner than the line is read
+            return
+        self.next = now + EVERY
+        LOG.warning(
+            "%s: %.0f %% done after %s, %s to go",
+            self.what,
+            100 * share,
+            duration(took),
+            rough_duration(left),
+        )

@@ -2,7 +2,16 @@
 
 import math
 
-__all__ = ["duration", "factor", "finite", "most_percent", "percent", "rough_duration", "times"]
+__all__ = [
+    "duration",
+    "factor",
+    "finite",
+    "most_percent",
+    "percent",
+    "rough_duration",
+    "three_digits",
+    "times",
+]
 
 UNITS = (("d", 86400, 172800), ("h", 3600, 7200), ("min", 60, 120))
 """A unit of time, its seconds, and the seconds from which on it is used."""
@@ -15,11 +24,23 @@ def factor(x: float) -> str:
     if x >= 1e9:
         return f"{x:.2g}"
     if x >= 1000:
-        return f"{x:,.0f}"
+        return f"{x:.0f}"
     short = f"{x:.3g}"
     if short == "1":  # just above 1 is not 1
         return f"{x:.7g}"
     return short
+
+
+def three_digits(x: float) -> str:
+    """Return a size in the unit of its signal as text: three digits, and whole ones from 1000 on.
+
+    Example:
+        >>> three_digits(0.07834), three_digits(-210.4), three_digits(1234.5)
+        ('0.0783', '-210', '1234')
+    """
+    if 1000 <= abs(x) < 1e9:
+        return f"{x:.0f}"
+    return f"{x:.3g}"
 
 
 def finite(x: float) -> float | None:

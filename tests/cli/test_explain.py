@@ -157,7 +157,7 @@ def test_every_window_has_the_verdict_of_the_report(place):
     data = np.array(rows, dtype=float)
     res = jb.detect(jb.parity_relations(paper()), data[:, 1:2], data[:, 2:], starts=[50])
     for k in [*range(1, 50), *range(51, 60)]:  # a gap lies before sample 50
-        explained = explain_window(place / "out", str(k))
+        explained = explain_window(place / "out", str(k), lambda stage, share: None)
         c, sample = explained.certificate, explained.sample
         assert (
             sample == k
@@ -410,3 +410,24 @@ def test_a_fault_beyond_the_bounds_as_fitted_is_no_proof_of_a_fault(tmp_path, op
     assert main.main(["detect", *files, "--out", str(tmp_path / "out"), "--horizon", "3"]) == 1
     capsys.readouterr()
     assert explain(tmp_path, str(faults[0]), capsys=capsys)[1].startswith("FAULT proved: ")
+
+
+def test_what_takes_long_shows_how_far_it_is(place, capsys, monkeypatch):
+    """The relations of a long window, and an exact program for each signal."""
+    from contextlib import contextmanager
+
+    from jaxbound.cli import explain as command
+
+    steps = []
+
+    @contextmanager
+    def bars(stages):
+        yield lambda stage, share: steps.append((stages.index(stage), share))
+
+    monkeypatch.setattr(command, "progress_bars", bars)
+    assert explain(place, "30", capsys=capsys)[0] == 0
+    assert steps == sorted(steps) and {(0, 1.0), (1, 1.0)} <= set(steps)
+    assert len([share for stage, share in steps if stage == 1]) > 2
+    steps.clear()
+    assert explain(place, "30", "--json", capsys=capsys)[0] == 0
+    assert steps[-1] == (1, 0.0), "no candidates for whoever wants JSON"

@@ -459,7 +459,7 @@ def shell(place):
         for k, v in os.environ.items()
         if k not in ("JAX_PLATFORMS", "JAX_ENABLE_X64", "JAX_COMPILATION_CACHE_DIR")
     }
-    return [sys.executable, "-m", "jaxbound.cli"], {
+    return [sys.executable, "-m", "jaxbound"], {
         **environment,
         "XDG_CACHE_HOME": str(place / "cache"),
         "MPLCONFIGDIR": matplotlib.get_cachedir(),

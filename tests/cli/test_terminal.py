@@ -214,3 +214,15 @@ def test_an_internal_error_says_its_traceback_with_v(model, capsys, monkeypatch)
         main.main(["info", str(model / "m.toml"), "-v"]) == 70
         and "ZeroDivisionError" in capsys.readouterr().err
     )
+
+
+def test_the_log_of_long_work_is_kept_from_who_wants_one_line(caplog):
+    import logging
+
+    log = logging.getLogger("jaxbound")
+    for loudness, said in ((terminal.QUIET, []), (terminal.NORMAL, ["half done"])):
+        caplog.clear()
+        with main._log(loudness):
+            log.warning("half done")
+        assert [record.getMessage() for record in caplog.records] == said
+    assert log.level == logging.NOTSET

@@ -216,6 +216,11 @@ def test_integers_and_lists_are_numbers(rng):
             "y has no column 'y2'; did you mean 'z2'",
         ),
         (
+            dict(y=pd.DataFrame({"y1": [0.0] * 10, "other": [0.0] * 10})),
+            ValueError,
+            "y has no column 'y2': it has 'y1', 'other'",  # y1 has its use
+        ),
+        (
             dict(method="zonotope"),
             ValueError,
             "method must be one of joint, box, paving, linearized, not 'zonotope'",

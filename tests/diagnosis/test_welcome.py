@@ -9,6 +9,7 @@ from result_case import biased
 
 import jaxbound as jb
 from jaxbound.random.keys import key_of
+from jaxbound.text.warned import warn_once
 
 
 @pytest.fixture(scope="module")
@@ -41,12 +42,15 @@ def test_float64_without_x64_is_said_once_and_only_where_it_costs(run):
     m = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1)
     with jax.enable_x64(False):
         r = jb.parity_relations(m)
+        warn_once.cache_clear()
         with pytest.warns(
             UserWarning, match="rounded to float32.*2.4e-07 of the largest sample.*jax_enable_x64"
-        ):
+        ) as said:
             jb.detect(r, None, [[1.0], [0.8]])
+        assert said[0].filename == __file__  # of whoever can do something about it
         with warnings.catch_warnings():
             warnings.simplefilter("error")
+            jb.detect(r, None, [[1.0], [0.7]])
             jb.detect(r, None, [[1.0], [0.5]])
             jb.detect(r, None, np.array([[1.0], [0.8]], np.float32))
 

@@ -73,7 +73,7 @@ def test_what_is_one_chart_is_drawn_into_axes_of_ones_own():
     before = fig.subplotpars.left
     for thing, ax in zip(things, fig.subplots(len(things)), strict=True):
         assert jb.plot(thing, ax=ax) is ax and (ax.lines or ax.collections or ax.patches)
-        assert type(jb.plot(thing)) is Figure
+        assert isinstance(jb.plot(thing), Figure)
     assert not fig.legends and fig.subplotpars.left == before and fig.axes[0].get_xlabel() == "time (s)"
     with pytest.raises(TypeError, match="ax"):
         jb.plot(jb.detect(bank, np.zeros((9, 1)), np.zeros((9, 2))), ax=fig.axes[0])
@@ -173,3 +173,11 @@ def test_a_diagnosis_has_a_bar_for_each_fault_that_explains_and_words_for_the_ot
     (bar,) = axes.patches
     assert bar.get_width() == pytest.approx(0.45)  # 0.9 of 2
     assert [text.get_text().split(":")[0] for text in axes.texts] == ["+0.9 of u", "excluded"]
+
+
+def test_a_notebook_that_never_heard_of_pyplot_shows_the_picture():
+    """By the display hook that Jupyter asks every object for; the formatter is Jupyter's own."""
+    from IPython.core.formatters import DisplayFormatter
+
+    shown, _ = DisplayFormatter().format(jb.plot(jb.isolability(paper())))
+    assert set(shown) == {"image/png", "text/plain"} and shown["image/png"].startswith(b"\x89PNG")

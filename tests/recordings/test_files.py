@@ -303,7 +303,11 @@ class TestTime:
 BAD = {
     "missing column": (
         "t,u1,z1\n0,1,2\n0.5,1,2\n",
-        r"the recording has no column 'y1'; did you mean 'u1'\?|no column 'y1'",
+        "the recording has no column 'y1'; did you mean 'z1'",
+    ),
+    "missing column, and one like it that the input has": (
+        "t,u1\n0,1\n0.5,1\n",
+        "the recording has no column 'y1': it has 't', 'u1'",
     ),
     "text in a number column": (
         text_of([*ROWS, (2.0, "off", 3)]),

@@ -71,8 +71,8 @@ class TestAlarmsTable:
         deepest = min(run[0].alarms(), key=lambda a: a.depth)
         first, *rest = deepest.candidates
         assert (
-            f"{first} {float(deepest.errors[first]):.3g}" in page[0].text
-            and "one sensor wrong, another error at each sample: " in page[0].text
+            f"wrong alone, another error at each sample: either {first} by "
+            f"{float(deepest.errors[first]):.3g}, or {rest[0]}" in page[0].text
         )
 
     def test_says_where_no_single_sensor_explains_it(self, tmp_path):
@@ -82,7 +82,7 @@ class TestAlarmsTable:
         res = jb.detect(jb.parity_relations(m, 0), None, y)
         write(tmp_path, res, recording_of(res), res.alarms())
         text = Reader((tmp_path / "report.html").read_text()).text
-        assert "none alone" in text and "y2 1.8 bar" in text
+        assert "none alone" in text and "wrong alone, another error at each sample: y2 by 1.8 bar" in text
 
 
 class TestReport:
@@ -164,6 +164,7 @@ class TestReport:
         assert (
             "The 200 deepest of 300 alarms; alarms.csv has all of them" in reader.text
             and "× 600" in reader.text
+            and "Triangles: the worst windows of the 200 deepest of 300 alarms." in reader.text
         )
         assert 200 < reader.seen.count("tr") < 230 and reader.seen.count("option") == 200
 
@@ -214,7 +215,7 @@ def test_long_windows_of_many_inputs_leave_actuators_to_explain():
         sensor_candidates = ("heating",)
         candidates = property(lambda self: pytest.fail("this takes seconds"))
 
-    assert detection._sensor_errors(Wide()) == "heating 2.5 kW; actuators: see explain"
+    assert detection._sensor_errors(Wide()) == "heating by 2.5 kW; actuators: see explain"
 
 
 def test_an_alarm_names_its_cause_where_the_model_names_faults(tmp_path):

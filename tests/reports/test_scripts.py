@@ -435,3 +435,15 @@ def test_a_table_of_units_is_filtered_and_sorted(tmp_path):
         and up == sorted(up)
         and said.startswith(f"{len(units)} of {len(units)}")
     )
+
+
+def test_margins_below_minus_one_have_ticks(page, tmp_path):
+    """Down to where the chart ends; none is drawn below it."""
+    lowest = [-0.6, -1.6, -2.4, -6, -9.9, -60, -2e4]
+    deeds = "const c = chart('overview', 'margin'); note(%s.map((v) => c.axes[1].splits(c, 1, v, 1.06)));"
+    found, errors = seen(page, tmp_path, deeds % lowest)
+    assert errors == []
+    for bottom, marks in zip(lowest, *found, strict=True):
+        assert marks == sorted(marks) and len(marks) >= 3 and max(marks) == 1
+        assert bottom > -1 or bottom <= min(marks) < -1, (bottom, marks)
+        assert min(marks) <= bottom / 10

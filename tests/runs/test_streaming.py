@@ -174,7 +174,12 @@ class TestDigest:
         for field in ("x", "status", "low", "high", "marked"):
             np.testing.assert_array_equal(getattr(found.line, field), getattr(line, field))
         k = found.worst[0]
-        assert found.explain(k).factor == whole.explain(k).factor
+        assert found.explain(k).factor == whole.explain(k).factor == found.explain(found.label(k)).factor
+        with pytest.raises(ValueError, match=f"there is no sample {N}: the recording has {N}"):
+            found.explain(N)
+        (first, last), alarm = found.alarms[0].times, found.alarms[0]
+        assert (first, last) == (found.when(alarm.start), found.when(alarm.end))
+        assert f"times='{found.when(alarm.start)}" in repr(alarm).replace("T", " ")
         part, near = found.around(k, 500)
         at = int(np.flatnonzero(near.time == rec.time[k])[0])
         assert part.margin[at] == whole.margin[k] and len(part.status) <= 501

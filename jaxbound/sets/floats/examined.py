@@ -5,7 +5,6 @@ in the user's folder. And was this card examined, by its user (`examine`)? Then 
 import datetime
 import hashlib
 import json
-import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -19,6 +18,7 @@ from jaxbound.files.whole import whole
 from jaxbound.sets.floats import settings
 from jaxbound.sets.floats.examination import examination
 from jaxbound.text.progress import reporter
+from jaxbound.text.warned import warn
 
 __all__ = ["Record", "admitted", "doubt_of", "examine", "record_of"]
 
@@ -60,10 +60,7 @@ def doubt_of(device: jax.Device, kind: dict[str, str], unknown: Sequence[str]) -
     why = " and ".join(reasons)
     where = "nowhere, for want of a home folder" if path is None else f"in {path}"
     asked = "all that proofs rest on is examined before anything is proved, once; it takes some seconds"
-    warnings.warn(
-        f"{why}: {asked}, and that it passed is kept {where}",
-        stacklevel=2,
-    )
+    warn(f"{why}: {asked}, and that it passed is kept {where}")
     if broken := _broken(device):
         return (
             f"{why}, and an examination found what proofs do not allow ({'; '.join(broken)}), "

@@ -2,6 +2,8 @@
 compares subnormal numbers as 0.
 """
 
+from __future__ import annotations
+
 import operator
 from collections.abc import Callable
 from functools import reduce

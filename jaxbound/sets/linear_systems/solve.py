@@ -1,5 +1,7 @@
 """Interval linear systems M x = h: every x that solves M' x = h' for some M' in M and h' in h, enclosed."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from enum import IntEnum
 

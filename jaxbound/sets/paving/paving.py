@@ -9,6 +9,8 @@ Source: Adrot, Maquin, Ragot 2000, 4.3, with the errata of `golden`: an excluded
 and closed containment.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
@@ -161,7 +163,7 @@ def pave(
         ('UNDECIDED', 261, 20)
     """
     refuse_unverified(box, target, args)
-    f, report = frozen(f), reporter(progress)
+    f, report = frozen(f), reporter(progress, "pave")
     box = interval(box)
     lo, hi = np.asarray(box.lo), np.asarray(box.hi)
     if lo.ndim != 1 or not len(lo) or not (np.isfinite(lo) & np.isfinite(hi)).all() or (lo > hi).any():

@@ -2,6 +2,8 @@
 one.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import TypeAlias, cast
 

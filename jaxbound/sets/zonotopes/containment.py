@@ -13,6 +13,8 @@ vertex, ..
 Where both fail and the outer zonotope has few facets, these decide, in exact numbers.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from fractions import Fraction

@@ -5,6 +5,8 @@ linear program), so that any l found by a search in plain floats gives a bound. 
 interior and solves k x k systems only; what it misses makes the bound wider, never wrong.
 """
 
+from __future__ import annotations
+
 import jax
 import jax.numpy as jnp
 

@@ -1,5 +1,7 @@
 """The facets of a zonotope: its strips, exactly, and membership with a guaranteed sign."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from fractions import Fraction

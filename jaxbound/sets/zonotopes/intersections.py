@@ -13,6 +13,8 @@ is a zonotope once A x = b is dropped. With the equations of one strip this is t
 2005; Combastel 2015; Wang et al. 2018).
 """
 
+from __future__ import annotations
+
 from functools import partial, singledispatch
 from typing import Any, cast
 

@@ -11,6 +11,8 @@ adds n generators, which come last; `reduce_order` merges them again. Nothing is
 copied. An overflow leaves infinities or NaN, with which nothing is ever decided.
 """
 
+from __future__ import annotations
+
 from typing import cast
 
 import jax

@@ -1,5 +1,7 @@
 """Zonotopes: boxes seen through a matrix."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import jax

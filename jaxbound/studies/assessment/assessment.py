@@ -6,6 +6,8 @@ margins gives the verdicts at every factor. An observer carries a set that depen
 each recording once a factor.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -192,7 +194,7 @@ def assess(
         1
     """
     relations_of(relations, "assess", "assess(parity_relations(model), healthy, faulty)")
-    wanted, report = _checked(rules, factors), reporter(progress)
+    wanted, report = _checked(rules, factors), reporter(progress, "assess")
     healthy = listed_argument("healthy", healthy, "[(u, y)]")
     faulty = listed_argument("faulty", faulty, "[(u, y)]")
     recordings = [_recording(relations, one) for one in (*healthy, *faulty)]

@@ -1,5 +1,7 @@
 """The result of a fit: a model, and what is known of it beyond its numbers."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 from typing import NamedTuple
 

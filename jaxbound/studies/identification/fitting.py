@@ -10,6 +10,8 @@ Where errors average out, the mean of several of them has a smaller bound than o
 too, of the same windows.
 """
 
+from __future__ import annotations
+
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -217,7 +219,7 @@ def fit(
     if direct and delay != 1:
         raise ValueError("direct inputs act at once: leave delay at 1, or direct out")
     columns, dt = with_every(columns, dt, every)
-    report = reporter(progress)
+    report = reporter(progress, "fit")
     begin_with = names_of("inputs", inputs) or ()
     pool: dict[str, str] = {}
     if signals is not None:

@@ -273,7 +273,7 @@ class _Part(NamedTuple):
         """Return the part with the windows alone that hold marked samples, (T, .) bool."""
         if not len(self.first):
             return self
-        held = regression.in_windows(marks.any(1), HORIZON)
+        held = regression.in_windows(np.asarray(marks.any(1)), HORIZON)
         return self._replace(first=self.first[held[self.first] > 0])
 
     @property
@@ -368,7 +368,7 @@ class _Look:
         off = np.full(part.y.shape, np.inf)
         for at in part.around(part.absent).windows:
             _, lost = self.errors(part, at)
-            np.fmin.at(off, (at[..., None], np.arange(off.shape[1])), lost / usual)
+            np.fmin.at(off, (at[..., None], np.arange(part.y.shape[1])), lost / usual)
         return np.where(np.isfinite(off), off, 0.0)
 
     def restored(self, part: _Part, usual: np.ndarray) -> np.ndarray:
@@ -431,7 +431,7 @@ def _looked(records: Records, marks: Marks, order: int, delay: int) -> _Look | N
     parts = []
     for (u, y, starts), (unknown, _, _), (_, absent) in zip(records, late, marks, strict=True):
         unknown = unknown == 1.0
-        first = regression.windows_without(np.isnan(u).any(1), starts, HORIZON)
+        first = regression.windows_without(np.asarray(np.isnan(u).any(1)), starts, HORIZON)
         standard = (u - scales.u) / scales.u_spread, (y - scales.y) / scales.y_spread
         parts.append(_Part(*standard, unknown, absent, first))
     floor = []

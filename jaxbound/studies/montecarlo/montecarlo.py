@@ -6,6 +6,8 @@ device, and a block's draws depend on the key, the fault and the scenarios' numb
 however the work is cut up, interrupted or spread.
 """
 
+from __future__ import annotations
+
 import dataclasses
 import os
 import time
@@ -101,7 +103,7 @@ def study(
     progress: Callable[[float], object] | None = None,
     out: str | os.PathLike[str] | None = None,
     rows: bool = False,
-    client: "Client | None" = None,
+    client: Client | None = None,
 ) -> StudyResult:
     """Simulate n scenarios with faults, count what the proved test finds, and say how sure the shares are.
 
@@ -159,7 +161,7 @@ def study(
         >>> found.false_alarms[0], found.tallies[0].detected[1]
         (0, np.int64(1000))
     """
-    model, report = as_model(model, factors=True), reporter(progress)
+    model, report = as_model(model, factors=True), reporter(progress, "study")
     relations = parity_relations(model) if relations is None else _named_like(relations, model)
     if isinstance(relations, SetObserver) and method == "joint":
         method = SetObserver.method
@@ -503,7 +505,7 @@ def _counter(course: kernel.Course) -> Callable[..., tuple[Array, ...]]:
 
 
 def _work_off(
-    client: "Client | None",
+    client: Client | None,
     job: _Scenarios,
     tasks: Sequence[Task],
     collect: Callable[[int, Counts], None],

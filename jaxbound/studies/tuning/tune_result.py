@@ -1,5 +1,7 @@
 """The result of tuning: bounds, where they come from, and what they promise."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeAlias

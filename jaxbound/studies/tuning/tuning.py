@@ -2,6 +2,8 @@
 says about other data.
 """
 
+from __future__ import annotations
+
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -70,7 +72,7 @@ def tune(
     relations: Tunable,
     healthy: object,
     faulty: object = ...,
-    optimizer: "optax.GradientTransformation | None" = ...,
+    optimizer: optax.GradientTransformation | None = ...,
     steps: int = ...,
     *,
     bounds: str | Iterable[str] | None = ...,
@@ -104,7 +106,7 @@ def tune(
     relations: Tunable | MonitorBank,
     healthy: object,
     faulty: object = None,
-    optimizer: "optax.GradientTransformation | None" = None,
+    optimizer: optax.GradientTransformation | None = None,
     steps: int = 300,
     *,
     bounds: str | Iterable[str] | None = None,
@@ -181,7 +183,7 @@ def tune(
         optimizer=optimizer,
         state=state,
     )
-    report = reporter(progress)
+    report = reporter(progress, "tune")
     if isinstance(relations, MonitorBank):
         for name, given in (
             ("optimizer", optimizer),
@@ -296,7 +298,7 @@ class _Search:
     unseen: np.ndarray
     bad: JoinedRecordings | None
     safety: float
-    optimizer: "optax.GradientTransformation | None"
+    optimizer: optax.GradientTransformation | None
     steps: int
     every: int
     file: str | os.PathLike[str] | None
