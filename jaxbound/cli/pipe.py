@@ -89,7 +89,6 @@ def judge_input(
         return judge_stream(
             model,
             lambda stream: arrivals(stream.raw, end),
-            _is_file(),
             options,
             data=data,
             out=out,
@@ -103,7 +102,6 @@ def judge_input(
 def judge_stream(
     model: Path | str,
     chunks: Iterable[Any] | Callable[[Stream], Iterable[Any]],
-    whole: bool = True,
     options: MethodOptions | None = None,
     *,
     data: str = STDIN,
@@ -117,8 +115,7 @@ def judge_stream(
 
     Args:
         model: path of the model file. chunks: what arrives, bytes of a pipe or readings of a live source, or
-            a function of the Stream that gives it; None in it ends the run as a signal does. whole: the last
-            line is complete without a line end, as in a file; in a pipe half of a number may be.
+            a function of the Stream that gives it; None in it ends the run as a signal does.
         options: of the test. data: "-", or the name of a live source. out: folder of the verdicts; state:
             file to go on from; None: none. min_coverage: least share of decided windows. as_json: verdicts as
             JSON, else as CSV. alarm: the rule by which alarms are told; None: none are.
@@ -162,7 +159,7 @@ def judge_stream(
             folder.check(files, foreign=before is None)
             work = folder.work()
         with work as place:
-            stream = _stream(data, relations.model, _Complaints(), before and before["source"], whole)
+            stream = _stream(data, relations.model, _Complaints(), before and before["source"])
             if alarm is not None:
                 alarms = LiveAlarms(alarm, relations, options.method, stream.dt, stream.complain)
             lines = _PrintedLines(as_json, out is None, judge.region is not None, bool(relations.parts))
@@ -194,15 +191,15 @@ def _is_file() -> bool:
 
 
 def _stream(
-    data: str, model: SignalModel, complaints: "_Complaints", memory: dict[str, Any] | None, whole: bool
+    data: str, model: SignalModel, complaints: "_Complaints", memory: dict[str, Any] | None
 ) -> Stream:
     """Return the Stream of the data."""
     if every_of(model) is not None:
         before = memory and memory["reading"]
-        return MeansStream(_stream(data, recorded_model(model), complaints, before, whole), model, memory)
+        return MeansStream(_stream(data, recorded_model(model), complaints, before), model, memory)
     if LiveSource.takes(data):
         return LiveSource(data, model).stream(complaints, memory)
-    return PipeText(model, complaints, memory, whole)
+    return PipeText(model, complaints, memory)
 
 
 def _state_path(out: Path | None, state: Path | None) -> Path | None:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 __all__ = [
     "BLANK",
     "UNCLOSED",
+    "UNENDED",
     "Layout",
     "Planned",
     "above_header",
@@ -52,6 +53,7 @@ LONGEST = 1 << 26  # bytes looked at at most, for a header of many columns
 ENDS = (b"\n", b"\r")
 FURTHER = 20  # lines below the first row that show whether it is the header
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(inf|infinity)|nan", re.IGNORECASE)
+UNENDED = "has no line end, as one that was being written: it is left out (if it is complete, end the line)"
 UNCLOSED = "has a quotation mark that is not closed: remove it, or close it on the same line"
 DELIMITERS = (";", "\t", ",")
 WITH_COMMA = re.compile(r"\s*[-+]?\d*,\d+([eE].*)?\s*")
@@ -392,9 +394,22 @@ def _table_of(layout: Layout, plan: Planned, convert: "pc.ConvertOptions") -> "t
         try:
             table = pc.read_csv(lines, read, parsing(layout), convert)
         except (pa.ArrowInvalid, pa.ArrowKeyError, UnicodeError):
+            if lines.unended and lines.lines <= layout.skip:
+                _note_unended(layout, lines.lines + 1)
             return None, False
+    if lines.unended:
+        _note_unended(layout, lines.lines + 1)
     _refuse_lost_rows(layout, lines, table.num_rows, plan.wanted.time is not None)
     return table, lines.has_errors
+
+
+def _note_unended(layout: Layout, number: int) -> None:
+    """Say once that the last line has no end; refuse a file without any row before it."""
+    if number <= layout.skip + 1:
+        raise ValueError(f"row {number}, the only one, {UNENDED}")
+    note = f"row {number}, the last, {UNENDED}"
+    if note not in layout.hints:
+        layout.hints.append(note)
 
 
 def _numbers_among(layout: Layout, plan: Planned, texts: dict[str, "pa.Array"]) -> Cells:

@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxbound.recordings.columns import to_arrow
 from jaxbound.recordings.csvlines import BOM, split_lines
-from jaxbound.recordings.csvtext import is_number
+from jaxbound.recordings.csvtext import UNENDED, is_number
 from jaxbound.recordings.factors import known
 from jaxbound.recordings.linetext import SOURCE, Cells, LineReader, WrongCells
 from jaxbound.recordings.recording import Recording
@@ -91,8 +91,7 @@ class PipeText(Stream):
     Args:
         model: whose signals are wanted. complain: called with (kind, sentence) on each line that is left out
             and each seam.
-        memory: from `.memory()` of another PipeText, to go on where that ended; None: a new stream. whole:
-            the last line is complete without a line end, as in a file; in a pipe half of a number may be.
+        memory: from `.memory()` of another PipeText, to go on where that ended; None: a new stream.
 
     Fields: raw: the number of standard input.
     """
@@ -104,10 +103,8 @@ class PipeText(Stream):
         model: SignalModel,
         complain: Complain,
         memory: dict[str, Any] | None = None,
-        whole: bool = True,
     ) -> None:
         super().__init__(model, complain)
-        self.whole = whole
         self.tail = self.last = self.rest = b""  # half a line; the last row; half a line of a process before
         self.reader: LineReader | None = None  # as soon as there is a row of data
         self.begun: list[Line] = []  # lines before that
@@ -173,10 +170,8 @@ class PipeText(Stream):
             if data is None:  # a signal: the line that was begun is remembered
                 return
             yield self._numbered(self.take(data))
-        if self.whole:
-            yield self._numbered(self.take(b"", end=True))
-        elif self.tail.strip():
-            self._lose("the last line has no end: it is not judged")
+        if self.tail.strip():
+            self._lose(f"the last line {UNENDED}")
         self.refuse_empty()
 
     def _numbered(self, piece: Recording | None) -> tuple[int, Recording]:
@@ -184,17 +179,17 @@ class PipeText(Stream):
             return self.nothing()
         return self.clock.samples - piece.samples, piece
 
-    def take(self, data: bytes, end: bool = False) -> Recording | None:
+    def take(self, data: bytes) -> Recording | None:
         """Return the Recording of the lines that these bytes complete, or None where there is none.
 
         Args:
-            data: bytes. end: the last line needs no line end.
+            data: bytes; a line without its end waits for more.
 
         Raises:
             ValueError: no header, a column that is missing, another sampling period than the model's, a
                 megabyte without a line end.
         """
-        rows = self._rows(self._lines(data, end))
+        rows = self._rows(self._lines(data))
         if not rows:
             return None
         self.last = rows[-1][1]
@@ -202,7 +197,7 @@ class PipeText(Stream):
         if not pieces:
             return None
         samples = pieces[0] if len(pieces) == 1 else _in_one(pieces)
-        self._refuse_period(samples.time, end)
+        self._refuse_period(samples.time)
         return self._recording(samples)
 
     def when(self, piece: Recording, k: int) -> str | float:
@@ -230,12 +225,12 @@ class PipeText(Stream):
                 raise ValueError(f"{SOURCE} ended before the first row of data")
             raise ValueError(f"{SOURCE} is empty")
 
-    def _refuse_period(self, time: np.ndarray, end: bool) -> None:
+    def _refuse_period(self, time: np.ndarray) -> None:
         """Refuse another sampling period than the model's, once enough samples show theirs."""
         if self.shown is None:
             return
         self.shown.extend(time[: SHOWN - len(self.shown)].tolist())
-        if len(self.shown) == SHOWN or end:
+        if len(self.shown) == SHOWN:
             check_period(np.array(self.shown), self.dt)
             self.shown = None
 
@@ -264,12 +259,10 @@ class PipeText(Stream):
         self.lost += 1
         self.complain("line", sentence)
 
-    def _lines(self, data: bytes, end: bool) -> list[Line]:
+    def _lines(self, data: bytes) -> list[Line]:
         """Return the complete lines, with their numbers; the bytes behind them wait for more."""
-        data = self.tail + self._continued(data, end)
-        cut = len(data)
-        if not end:
-            cut = max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
+        data = self.tail + self._continued(data)
+        cut = max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
         lines, tail = split_lines(data[:cut]), data[cut:]
         if len(tail) > LONGEST:
             raise ValueError(f"{SOURCE}: a megabyte without a line end is no CSV")
@@ -301,7 +294,7 @@ class PipeText(Stream):
             rows = self._replayed(rows)
         return rows
 
-    def _continued(self, data: bytes, end: bool) -> bytes:
+    def _continued(self, data: bytes) -> bytes:
         r"""Return bytes behind those before, without those that belong to the end of the last line.
 
         That end may be \r, \r\n or \r\r\n. A line is taken as soon as \r ends it; other \r behind it wait for
@@ -312,14 +305,12 @@ class PipeText(Stream):
             behind = data.lstrip(b"\r")
             if behind.startswith(b"\n"):
                 data = behind[1:]
-            elif behind or end:
+            elif behind:
                 data = data[1:]
             else:
                 self.returns = len(data)
                 return b""
-        complete = data
-        if not end:
-            complete = data.rstrip(b"\r")
+        complete = data.rstrip(b"\r")
         self.returns = len(data) - len(complete)
         if self.returns:
             return complete + b"\r"
