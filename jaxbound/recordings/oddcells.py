@@ -115,7 +115,10 @@ def odd_of_frame(cells: "pd.Series") -> tuple["pd.Series", OddCells]:
     """Return (the numbers of a column, NaN where there is none, its cells that are no numbers)."""
     import pandas as pd
 
-    numbers = pd.to_numeric(cells, errors="coerce")
+    try:
+        numbers = pd.to_numeric(cells, errors="coerce")
+    except OverflowError:
+        raise ValueError(f"column {cells.name!r} holds a number that is too large to compute with") from None
     odd = np.flatnonzero((cells.notna() & numbers.isna()).to_numpy(bool))
     words = [str(word).strip() for word in cells.iloc[odd]]
     return numbers, OddCells(odd, words)

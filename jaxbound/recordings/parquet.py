@@ -34,7 +34,15 @@ from jaxbound.recordings.seams import Clock, around, check_period, tick, usual_p
 from jaxbound.recordings.selection import NO_TIME, Wanted, source_columns
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import Progress, Source, overlapping, with_hints
-from jaxbound.recordings.timestamps import EPOCHS, epoch_scale, from_epoch, since_epoch, time_label
+from jaxbound.recordings.timestamps import (
+    EPOCHS,
+    epoch_scale,
+    from_epoch,
+    in_ns,
+    iso_stamps,
+    since_epoch,
+    time_label,
+)
 from jaxbound.text.progress import reporter
 
 if TYPE_CHECKING:
@@ -335,7 +343,7 @@ class ParquetSource(Source):
 
         if not _is_numeric(written.type):
             self._refuse_untimed(start, valid(written))
-            stamps = _stamps(written, self.path, self.time_name)
+            stamps = self._stamps(start, written)
             origin = stamps[0]
             if self.origin is not None:
                 origin = self.origin
@@ -345,6 +353,23 @@ class ParquetSource(Source):
         if self.scale is None:
             return values, None
         return (values - self.origin) / self.scale, from_epoch(values, self.scale)
+
+    def _stamps(self, start: int, written: "pa.Array") -> np.ndarray:
+        """Return datetime64[ns] of a piece of a column of time stamps, dates or ISO 8601 texts."""
+        import pyarrow as pa
+
+        def where(k: int) -> str:
+            return f"{self.path}: {self.row(start + k)}"
+
+        if pa.types.is_timestamp(written.type):
+            return in_ns(from_arrow(written), where)
+        if pa.types.is_date(written.type):
+            return in_ns(from_arrow(written.cast(pa.timestamp("s"))), where)
+        stamps = iso_stamps(written, where)
+        if stamps is None:
+            holds = f"the time column {self.time_name!r} holds texts like {written[0].as_py()!r}"
+            raise ValueError(f"{self.path}: {holds}: write it as time stamps, or as ISO 8601")
+        return stamps
 
     def _refuse_untimed(self, start: int, known: np.ndarray) -> None:
         """Refuse a piece, which begins at sample `start`, in which some time is not known."""
@@ -501,22 +526,6 @@ def _is_numeric(kind: "pa.DataType") -> bool:
     import pyarrow as pa
 
     return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind))
-
-
-def _stamps(written: "pa.Array", path: Path, name: str | None) -> np.ndarray:
-    """Return datetime64[ns] of a column of time stamps, dates or ISO 8601 texts."""
-    import pyarrow as pa
-
-    if pa.types.is_timestamp(written.type):
-        return from_arrow(written).astype("datetime64[ns]")
-    for kind in (pa.timestamp("ns"), pa.timestamp("ns", "UTC")):
-        try:
-            return from_arrow(written.cast(kind)).astype("datetime64[ns]")
-        except pa.ArrowInvalid:
-            continue
-    first = written[0].as_py()
-    holds = f"the time column {name!r} holds texts like {first!r}"
-    raise ValueError(f"{path}: {holds}: write it as time stamps, or as ISO 8601")
 
 
 def _clocked(source: ParquetSource) -> ParquetSource:

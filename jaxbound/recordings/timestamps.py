@@ -23,6 +23,8 @@ __all__ = [
     "SECOND",
     "epoch_scale",
     "from_epoch",
+    "in_ns",
+    "iso_stamps",
     "instant_of",
     "parse_stamps",
     "read_numbers",
@@ -58,6 +60,8 @@ FORMATS += DATES[:-1] + CLOCKS[:4]
 LONGEST = 64  # letters of a time stamp
 DIGITS = re.compile(r"\d{8}")  # of a day that is written without separators
 COMPACT = {14: "%Y%m%d%H%M%S", 12: "%Y%m%d%H%M"}  # by their digits
+YEARS = 1678, 2261  # that a count of ns since 1970 holds
+FAR = f"only the years {YEARS[0]} to {YEARS[1]} can be told"
 CENTURIES = 1970, 2200  # years that a number of so many digits may begin with
 EPOCHS = {1.0: "s", 1e3: "ms", 1e6: "us", 1e9: "ns"}
 EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
@@ -81,14 +85,9 @@ def parse_stamps(
     Raises:
         ValueError: no known format, or a cell that does not follow that of the first.
     """
-    import pyarrow as pa
-
-    for kind in (pa.timestamp("ns"), pa.timestamp("ns", "UTC")):  # ISO 8601, with or without a zone
-        try:
-            stamps = from_arrow(cells.cast(kind))
-        except pa.ArrowInvalid:
-            continue
-        return _since_first(stamps), stamps, ""
+    iso = iso_stamps(cells, where)
+    if iso is not None:
+        return _since_first(iso), iso, ""
     read = _in_formats(cells, where)
     seams = [_seams(stamps, dt) for _, stamps in read]
     # 3/4/2017 is a day in March or in April: time runs evenly in one of the two orders only
@@ -109,7 +108,7 @@ def _in_formats(cells: "pa.Array", where: Callable[[int], str]) -> list[tuple[st
     """Return (format, stamps) of each known format that all cells have; refuse cells without any."""
     whole, fraction = _split_fraction(cells)
     first = whole[0].as_py()
-    read = [(form, _stamps_in(whole, fraction, form)) for form in FORMATS if _has_format(first, form)]
+    read = [(form, _stamps_in(whole, fraction, form, where)) for form in FORMATS if _has_format(first, form)]
     if not read:
         raise ValueError(
             f"{where(0)} of the time column is {cells[0].as_py()!r}: neither seconds nor a known time stamp "
@@ -220,7 +219,7 @@ def since_epoch(values: np.ndarray) -> np.ndarray:
         return values
     if (values != np.floor(values)).any():
         return values
-    stamps = _stamps_in(pa.array(values.astype(np.int64)).cast(pa.string()), None, form)
+    stamps = _stamps_in(pa.array(values.astype(np.int64)).cast(pa.string()), None, form, str)
     if np.isnat(stamps).any():
         return values
     return (stamps - EPOCH) / SECOND
@@ -313,6 +312,40 @@ def _split_fraction(cells: "pa.Array") -> tuple["pa.Array", np.ndarray | None]:
     return pc.coalesce(pc.struct_field(parts, "whole"), ""), fraction
 
 
+def iso_stamps(cells: "pa.Array", where: Callable[[int], str]) -> np.ndarray | None:
+    """Return datetime64[ns] of texts in ISO 8601, with or without a zone; None where some are not.
+
+    Args, raises: as `in_ns`.
+    """
+    import pyarrow as pa
+
+    for unit in ("ns", "us"):  # a far year fits into the second only, by which it is named
+        for zone in (None, "UTC"):
+            try:
+                stamps = from_arrow(cells.cast(pa.timestamp(unit, zone)))
+            except pa.ArrowInvalid:
+                continue
+            return in_ns(stamps, where)
+    return None
+
+
+def in_ns(stamps: np.ndarray, where: Callable[[int], str]) -> np.ndarray:
+    """Return datetime64 of any unit in ns.
+
+    Args:
+        where: called with an index, returns "row 7" of the file.
+
+    Raises:
+        ValueError: a year that does not fit: NumPy would take another for it.
+    """
+    years = stamps.astype("datetime64[Y]").astype(np.int64) + 1970
+    far = ~np.isnat(stamps) & ((years < YEARS[0]) | (years > YEARS[1]))
+    if far.any():
+        k = int(np.argmax(far))
+        raise ValueError(f"{where(k)} has the time {stamps[k]}: {FAR}")
+    return stamps.astype("datetime64[ns]")
+
+
 def _has_format(text: str, form: str) -> bool:
     try:
         datetime.strptime(text, form)
@@ -321,11 +354,13 @@ def _has_format(text: str, form: str) -> bool:
     return True
 
 
-def _stamps_in(whole: "pa.Array", fraction: np.ndarray | None, form: str) -> np.ndarray:
+def _stamps_in(
+    whole: "pa.Array", fraction: np.ndarray | None, form: str, where: Callable[[int], str]
+) -> np.ndarray:
     import pyarrow.compute as pc
 
     seconds = pc.strptime(whole, format=form, unit="s", error_is_null=True)
-    stamps = from_arrow(seconds).astype("datetime64[ns]")
+    stamps = in_ns(from_arrow(seconds), where)
     if fraction is not None:
         stamps += fraction
     return stamps
