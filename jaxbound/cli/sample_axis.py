@@ -7,6 +7,7 @@ import numpy as np
 
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.source import Source
+from jaxbound.text.quantities import decimal
 
 __all__ = ["SampleAxis"]
 
@@ -31,7 +32,7 @@ class SampleAxis:
             ValueError: no such sample, with a sentence on what there is.
         """
         text = text.strip()
-        if text.removeprefix("-").isdecimal():
+        if text.removeprefix("-").isdecimal() and text.isascii():
             return self._numbered(text)
         k = self.source.find(text)
         if k is not None:
@@ -69,7 +70,7 @@ class SampleAxis:
         sample; else "".
         """
         text = text.strip()
-        if not text.isdecimal() or self.is_stamped or not self.label(0).endswith(" s"):
+        if not (text.isascii() and text.isdecimal()) or self.is_stamped or not self.label(0).endswith(" s"):
             return ""
         if not self._axis(0)[0] <= int(text) <= self._axis(self.samples - 1)[0]:
             return ""
@@ -81,7 +82,7 @@ class SampleAxis:
         try:
             if self.is_stamped:
                 return np.datetime64(text.replace(" ", "T").removesuffix("Z"), "ns")
-            return float(text.removesuffix("s"))
+            return decimal(text.removesuffix("s"))
         except ValueError:
             like = f"its time as alarms.csv has it, like {self.label(0)}"
             raise ValueError(f"--at {text} names no sample: give its number, or {like}") from None

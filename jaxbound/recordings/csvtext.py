@@ -52,11 +52,11 @@ ENOUGH, LINES = 1 << 18, 8  # bytes and lines of a file that show how it is writ
 LONGEST = 1 << 26  # bytes looked at at most, for a header of many columns
 ENDS = (b"\n", b"\r")
 FURTHER = 20  # lines below the first row that show whether it is the header
-NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(inf|infinity)|nan", re.IGNORECASE)
+NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[-+]?[0-9]+)?|[-+]?(inf|infinity)|nan", re.IGNORECASE)
 UNENDED = "has no line end, as one that was being written: it is left out (if it is complete, end the line)"
 UNCLOSED = "has a quotation mark that is not closed: remove it, or close it on the same line"
 DELIMITERS = (";", "\t", ",")
-WITH_COMMA = re.compile(r"\s*[-+]?\d*,\d+([eE].*)?\s*")
+WITH_COMMA = re.compile(r"\s*[-+]?\d*,\d+([eE].*)?\s*", re.ASCII)
 BLANK = (
     "is blank, and without a column of times nothing says whether a sample is missing there: "
     "remove the line, or leave its cells blank between their delimiters"

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["FEW", "SOURCE", "Cells", "LineReader", "WrongCells"]
 
 FEW = 8  # lines that are read one by one
-PLAIN = re.compile(r" *[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)? *")
+PLAIN = re.compile(r" *[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)? *", re.ASCII)
 SOURCE = "standard input"
 Cells = tuple[dict[str, np.ndarray], "pa.Array | None"]
 """({column: (N,) numbers or texts}, the time as texts or None where it is a column of numbers or none)."""

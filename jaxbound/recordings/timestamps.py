@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxbound.recordings.columns import from_arrow
 from jaxbound.recordings.seams import TOLERATED_DT, TOLERATED_STEP
+from jaxbound.text.quantities import decimal
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -142,7 +143,7 @@ def instant_of(time: object) -> float:
 
     text = str(time).strip()
     try:
-        value = float(text.removesuffix("s"))
+        value = decimal(text.removesuffix("s"))
     except ValueError:
         pass
     else:

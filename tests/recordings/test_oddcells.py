@@ -98,6 +98,20 @@ def test_a_word_that_counts_is_refused_with_its_place(tmp_path, door):
         door(text, EVERY_ROW, tmp_path)
 
 
+@pytest.mark.parametrize("word", ["1_0", "1e1_0", "\u0661\u0660", "\uff11\uff10", "0x10", "1 0"])
+def test_what_only_python_takes_for_a_number_is_none(tmp_path, word):
+    text = table({(12, "y1"): word})
+    for door in (from_file, from_table):
+        with pytest.raises(ValueError, match=f"of column 'y1' holds '{word}', which is not a number"):
+            door(text, EVERY_ROW, tmp_path)
+    for cut in (len(text), 40):  # many lines at once, and few
+        sentences = []
+        pipe = PipeText(EVERY_ROW, lambda kind, sentence, said=sentences: said.append(sentence))
+        for at in range(0, len(text.encode()), cut):
+            pipe.take(text.encode()[at : at + cut])
+        assert sentences[0].startswith(f"line 12 of column 'y1' holds '{word}', which is not a number")
+
+
 def test_a_line_of_a_pipe_that_counts_is_left_out_with_a_sentence(tmp_path):
     sentences = []
     pipe = PipeText(MODEL, lambda kind, sentence: sentences.append(sentence))
