@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from jaxbound.recordings.columns import from_arrow, valid
+from jaxbound.recordings.counting import read_numbers
 from jaxbound.recordings.csvtext import Layout, Planned, above_header, parse_columns, planned, sniff
 from jaxbound.recordings.oddcells import OddCells, error_hints, no_number, refuse_odd, unsaid_hints
 from jaxbound.recordings.recording import Recording
@@ -18,7 +19,7 @@ from jaxbound.recordings.seams import check_period, usual_period
 from jaxbound.recordings.selection import NO_TIME, STAMPS, TELLING, Wanted
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import Progress, Source, with_hints
-from jaxbound.recordings.timestamps import parse_stamps, read_numbers, with_day
+from jaxbound.recordings.timestamps import parse_stamps, with_day
 from jaxbound.text.progress import reporter
 
 if TYPE_CHECKING:
@@ -159,7 +160,7 @@ def _times_of(
         return _FileTimes(*parse_stamps(written, dt, layout.row))
     seconds = from_arrow(written)
     _refuse_infinite(layout, name, np.isinf(seconds), None)
-    return _FileTimes(*read_numbers(seconds, dt))
+    return _FileTimes(*read_numbers(seconds, dt, name))
 
 
 def _period_of(layout: Layout, plan: Wanted, model: SignalModel, time: np.ndarray) -> float | None:

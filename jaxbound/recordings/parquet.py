@@ -15,6 +15,7 @@ import numpy as np
 
 from jaxbound.recordings.columns import from_arrow, valid
 from jaxbound.recordings.contents import Contents
+from jaxbound.recordings.counting import SECONDS, Counting, counting_of
 from jaxbound.recordings.expressions import Expression
 from jaxbound.recordings.parquetfiles import (
     PARTIAL,
@@ -82,7 +83,7 @@ class ParquetSource(Source):
         dtype: float32 if an output, or what it is computed from, is stored so, else float64: what was rounded
             away is counted in the type it was recorded in.
         begin: time of the first sample in s. origin: what the time is counted from; scale: units a second of
-            a numeric time column that is an epoch, or None.
+            a numeric time column that is an epoch, or None; counting: how its numbers count before that.
         hints: sentences on how the files were read.
         states: (bytes, time of the last change) of each file when it was opened.
     """
@@ -96,6 +97,7 @@ class ParquetSource(Source):
     dt: float
     origin: Origin = None
     scale: float | None = None
+    counting: Counting = SECONDS
     hints: tuple[str, ...] = ()
     states: tuple[tuple[int, int], ...] = ()
     begin: float = 0.0
@@ -140,6 +142,7 @@ class ParquetSource(Source):
         if self.path.is_dir():
             names = list(map(self.name, self.files))
         files = [(name, size) for name, (size, _) in zip(names, self.states, strict=True)]
+        counting = (self.counting,) if self.counting.unit else ()
         return repr(
             (
                 files,
@@ -149,6 +152,7 @@ class ParquetSource(Source):
                 str(self.dtype),
                 str(self.origin),
                 self.scale,
+                *counting,
             )
         )
 
@@ -350,6 +354,7 @@ class ParquetSource(Source):
             return (stamps - origin) / np.timedelta64(1, "s"), stamps
         values = since_epoch(from_arrow(written.cast(pa.float64(), safe=False)))
         self._refuse_untimed(start, np.isfinite(values))
+        values = self.counting.seconds(values)
         if self.scale is None:
             return values, None
         return (values - self.origin) / self.scale, from_epoch(values, self.scale)
@@ -544,10 +549,15 @@ def _clocked(source: ParquetSource) -> ParquetSource:
     if stamps is not None:
         source = replace(source, origin=stamps[0])
     else:
+        counting = counting_of(time, dt, str(source.time_name))
+        source = replace(source, counting=counting, hints=(*source.hints, *filter(None, [counting.hint])))
+        time, _ = source.first_times()
         scale = epoch_scale(time, dt)
         if scale is not None:
-            hints = () if scale == 1 else (f"the time column is read as an epoch in {EPOCHS[scale]}",)
-            source = replace(source, origin=float(time[0]), scale=scale, hints=hints)
+            if scale != 1:
+                epoch = f"the time column is read as an epoch in {EPOCHS[scale]}"
+                source = replace(source, hints=(*source.hints, epoch))
+            source = replace(source, origin=float(time[0]), scale=scale)
             time, _ = source.first_times()
     source = replace(source, begin=float(time[0]))
     try:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from jaxbound.recordings.columns import to_arrow
+from jaxbound.recordings.counting import SECONDS, Counting, counting_of
 from jaxbound.recordings.csvlines import BOM, split_lines
 from jaxbound.recordings.csvtext import UNENDED, is_number
 from jaxbound.recordings.factors import known
@@ -39,7 +40,7 @@ __all__ = ["PipeText"]
 LONGEST = 1 << 20  # bytes of a line
 SHOWN = 100  # samples whose steps say whether the sampling period is the model's
 TOLD = 20  # seams of one piece that get a sentence
-POSITION = "clock texts origin scale broken aside after skipped number".split()
+POSITION = "clock texts origin scale counting counted lone broken aside after skipped number".split()
 """What taking a line changes."""
 Line = tuple[int, bytes]
 """A line with its number."""
@@ -113,6 +114,8 @@ class PipeText(Stream):
         self.texts: list[str] = []  # the first and the last time, where it is written as text
         self.origin: float | None = None  # of a time that is an epoch, with units a second in .scale
         self.scale: float | None = None
+        self.counting, self.counted = SECONDS, False  # how numbers of a time count, and whether that is known
+        self.lone = np.zeros(0)  # the first number, as long as it is the only one
         self.began = np.nan  # the instant at which `time` is 0, in s, see `Recording.origin`
         self.broken = self.aside = self.repeated = False
         self.skip = self.skipped = 0  # lines that were judged before, to be left out and left out already
@@ -133,6 +136,9 @@ class PipeText(Stream):
             self.rest, self.returns = b"", 1
         self._resume_clock(memory)
         self.origin, self.scale, self.texts = memory["origin"], memory["scale"], memory["texts"]
+        if "counting" in memory:  # of a version that knew seconds and epochs only
+            self.counting, self.counted = Counting(*memory["counting"]), memory["counted"]
+            self.lone = np.array(memory["lone"], float)
         self.aside, self.broken, self.resumed = memory["aside"], memory["broken"], memory["number"]
         self.shown = None
 
@@ -155,6 +161,9 @@ class PipeText(Stream):
             **self._clock_memory(),
             "origin": self.origin,
             "scale": self.scale,
+            "counting": [*self.counting],
+            "lone": self.lone.tolist(),
+            "counted": self.counted,
             "texts": self.texts,
             "broken": self.broken or bool(self.blank),
             "aside": self.aside,
@@ -387,7 +396,8 @@ class PipeText(Stream):
         if self._known_reader.is_text:
             time, _, _ = parse_stamps(pa.array([*self.texts, cell]), self.dt, str)
             return float(time[-1] - time[-2])
-        value = float(since_epoch(np.array([float(cell.replace(",", "."))]))[0])
+        number = since_epoch(np.array([float(cell.replace(",", "."))]))
+        value = float(self.counting.seconds(number)[0])
         if self.scale is not None and self.origin is not None:
             value = (value - self.origin) / self.scale
         return value - self.clock.last
@@ -572,7 +582,7 @@ class PipeText(Stream):
         """Return times that are written as numbers: seconds, or an epoch."""
         if np.isnan(cells).any():
             raise ValueError("has no time")
-        values = since_epoch(cells)
+        values = self._counted(since_epoch(cells))
         if self.origin is None:
             self.origin = float(values[0])
             self.scale = scale_of(self.origin)
@@ -582,6 +592,27 @@ class PipeText(Stream):
         self.began = self.origin / self.scale
         time = (values - self.origin) / self.scale
         return _LineTimes(time, from_epoch(values, self.scale), cells, self.clock.last)
+
+    def _counted(self, values: np.ndarray) -> np.ndarray:
+        """Return numbers of the time in s: how they count, the first two of them say."""
+        if self.counted:
+            return self.counting.seconds(values)
+        shown, dt = np.append(self.lone, values), None
+        if self.regular:
+            dt = self.dt
+        self.counting = counting_of(shown, dt, str(self._known_reader.plan.time))
+        self.counted = len(shown) > 1
+        if self.counted and len(self.lone) and self.counting.zero:
+            # one that was taken to be in seconds is a day
+            self.origin = float(self.counting.seconds(self.lone)[0])
+            self.scale = scale_of(self.origin)
+            self.clock = replace(self.clock, last=0.0)
+            if self.shown is not None:
+                self.shown[:1] = [0.0]
+        self.lone = shown[:1]
+        if self.counted and self.counting.hint:
+            self.complain("hint", self.counting.hint)
+        return self.counting.seconds(values)
 
     def _text_times(self, cells: "pa.Array") -> _LineTimes:
         """Return times that are written as text; they are read behind the first and the last, by which the

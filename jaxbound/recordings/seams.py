@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike
 from jaxbound.recordings.clockintervals import every_text, next_interval
 
 __all__ = [
+    "FEW",
+    "UNITS",
     "Clock",
     "Seam",
     "all_starts",
@@ -60,7 +62,9 @@ SENTENCES = {
     ),
 }
 """{kind: (of one seam, of several)}."""
-UNITS = {1e3: "ms", 1e6: "us", 1e9: "ns"}
+UNITS = {1e3: "ms", 1e6: "us", 1e9: "ns", 1 / 60: "min", 1 / 3600: "h", 1 / 86400: "d"}
+"""{units a second: what they are called}."""
+FEW = 60  # rows of which one may be kept: of more, hardly anything is left
 
 
 @dataclass(frozen=True)
@@ -282,16 +286,20 @@ def _advice(median: float, dt: float, varied: str) -> str:
     """Return the likely reason of another sampling period, and the remedy, as the end of a sentence."""
     if median == 0:
         return REPEATED
-    for factor, unit in UNITS.items():
-        if _is_near(median / factor, dt):
-            return f": is its time in {unit}?"
     if varied:
         return f"; {varied}"
-    fold = round(dt / median)
+    fold, remedy = round(dt / median), f"a model with dt = {median:.3g} fits it"
     if fold > 1 and abs(dt / median - fold) <= TOLERATED_DT * fold:
-        means = f"let samples be means (--every {every_text(dt)})"
-        return f": keep one of every {fold} rows, {means}, or take a model with dt = {median:.3g}"
-    return f": a model with dt = {median:.3g} fits it"
+        remedy = f"let samples be means (--every {every_text(dt)}), or take a model with dt = {median:.3g}"
+        if fold <= FEW:
+            remedy = f"keep one of every {fold} rows, {remedy}"
+    for factor, unit in UNITS.items():
+        if _is_near(median / factor, dt):
+            named = f"is its time in {unit}? Then call its column so, like 'time [{unit}]'"
+            if fold > 1:
+                return f": {named}; else {remedy}"
+            return f": {named}"
+    return f": {remedy}"
 
 
 def varied_steps(time: np.ndarray) -> str:

@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
+from jaxbound.recordings.counting import read_numbers
 from jaxbound.recordings.csvtext import is_number
 from jaxbound.recordings.expressions import expression, is_expression
 from jaxbound.recordings.seams import TOLERATED_STEP, Clock, check_period, irregular, tick, usual_period
 from jaxbound.recordings.selection import time_column
 from jaxbound.recordings.signals import Named
-from jaxbound.recordings.timestamps import DIGITS, EPOCH, SECOND, in_ns, read_numbers, stamp_kind, time_like
+from jaxbound.recordings.timestamps import DIGITS, EPOCH, SECOND, in_ns, stamp_kind, time_like
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -213,7 +214,7 @@ def row_time(index: "pd.Index", dt: float | None, whose: str, regular: bool) -> 
         time = labels * (dt or 1.0)
         _, seams = _period_and_seams(time, index, dt or 1.0, whose, regular)
         return RowTime(time, 0.0, None, None, seams)
-    time, stamps, _ = read_numbers(labels, dt)
+    time, stamps, _ = read_numbers(labels, dt, str(index.name or ""))
     origin = 0.0
     if stamps is not None:
         origin = float((stamps[0] - EPOCH) / SECOND)

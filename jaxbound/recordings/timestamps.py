@@ -28,7 +28,6 @@ __all__ = [
     "iso_stamps",
     "instant_of",
     "parse_stamps",
-    "read_numbers",
     "row_label",
     "scale_of",
     "since_epoch",
@@ -57,7 +56,8 @@ DATES = (
 )
 CLOCKS = ("%H:%M:%S", "%H:%M", "%I:%M:%S %p", "%I:%M %p", "%H%M%S")
 FORMATS = [f"{date}{gap}{clock}" for date in DATES for gap in (" ", "T") for clock in CLOCKS]
-FORMATS += DATES[:-1] + CLOCKS[:4]
+MINUTES = "%M:%S"  # as Excel writes a time that it shows as 08:30.0
+FORMATS += [*DATES[:-1], *CLOCKS[:4], MINUTES]
 LONGEST = 64  # letters of a time stamp
 DIGITS = re.compile(r"\d{8}")  # of a day that is written without separators
 COMPACT = {14: "%Y%m%d%H%M%S", 12: "%Y%m%d%H%M"}  # by their digits
@@ -95,9 +95,14 @@ def parse_stamps(
     smoothest = [one for one, count in zip(read, seams, strict=True) if count == min(seams)]
     form, stamps = smoothest[0]
     like = f"time stamps like {cells[0].as_py()!r}"
+    if form == MINUTES:
+        hint = f"{like} are read as minutes and seconds: a gap of whole hours cannot be seen"
+        return _since_first(stamps) + _rounds(stamps, 3600.0), None, hint
     if "%d" not in form:
         hint = f"{like} have no day: a gap of whole days cannot be seen"
-        return _since_midnights(stamps), None, hint
+        if smoothest[-1][0] == MINUTES:
+            hint = f"{hint}; they are read as hours and minutes: write 0:08:30 for minutes and seconds"
+        return _since_first(stamps) + _rounds(stamps, 86400.0), None, hint
     hint = ""
     if len(smoothest) > 1 and stamps[0] != smoothest[1][1][0]:
         other = _order_in_words(smoothest[1][0])
@@ -109,7 +114,10 @@ def _in_formats(cells: "pa.Array", where: Callable[[int], str]) -> list[tuple[st
     """Return (format, stamps) of each known format that all cells have; refuse cells without any."""
     whole, fraction = _split_fraction(cells)
     first = whole[0].as_py()
-    read = [(form, _stamps_in(whole, fraction, form, where)) for form in FORMATS if _has_format(first, form)]
+    forms = [form for form in FORMATS if _has_format(first, form)]
+    if fraction is not None:  # of a second: none of 08:30.5 is an hour
+        forms = [form for form in forms if "%S" in form]
+    read = [(form, _stamps_in(whole, fraction, form, where)) for form in forms]
     if not read:
         raise ValueError(
             f"{where(0)} of the time column is {cells[0].as_py()!r}: neither seconds nor a known time stamp "
@@ -188,7 +196,7 @@ def stamp_kind(cell: str | None) -> str:
     whole = _split_fraction(pa.array([cell]))[0][0].as_py()
     if any(_has_format(whole, form) for form in DATES):
         return "day"
-    if any(_has_format(whole, form) for form in CLOCKS):
+    if any(_has_format(whole, form) for form in (*CLOCKS, MINUTES)):
         return "clock"
     return "stamp"
 
@@ -245,25 +253,15 @@ def epoch_scale(values: np.ndarray, dt: float | None) -> float | None:
 
 
 def scale_of(value: float) -> float | None:
-    """Return how many units a second has of which a number may be an epoch of these years, or None."""
+    """Return how many units a second has of which a number may be an epoch of these years, or None.
+
+    In seconds that is from 2001 to 2128. In smaller units it is from 1973 on: such numbers are no seconds.
+    """
     for scale in EPOCHS:
-        if 1e9 * scale <= value < 5e9 * scale:
+        least = 1e9 if scale == 1 else 1e8 * scale
+        if least <= value < 5e9 * scale:
             return scale
     return None
-
-
-def read_numbers(values: np.ndarray, dt: float | None) -> tuple[np.ndarray, np.ndarray | None, str]:
-    """Return (time, stamps, hint) of a numeric time column: seconds, an epoch in s, ms, us or ns, or the
-    digits of time stamps.
-    """
-    values = since_epoch(values)
-    scale = epoch_scale(values, dt)
-    if scale is None:
-        return values, None, ""
-    hint = ""
-    if scale != 1:
-        hint = f"the time column is read as an epoch in {EPOCHS[scale]}"
-    return (values - values[0]) / scale, from_epoch(values, scale), hint
 
 
 def time_label(seconds: float, stamp: np.datetime64 | None, step: float) -> str:
@@ -383,10 +381,12 @@ def _since_first(stamps: np.ndarray) -> np.ndarray:
     return seconds
 
 
-def _since_midnights(stamps: np.ndarray) -> np.ndarray:
-    """Return seconds since the first sample of a clock without a date, which goes back at midnight."""
-    time = _since_first(stamps)
-    return time + 86400.0 * np.concatenate([[0], np.cumsum(np.diff(time) < -43200)])
+def _rounds(stamps: np.ndarray, length: float) -> np.ndarray:
+    """Return the seconds of the rounds before each stamp of a clock that begins again after so many: at
+    midnight, or with the hour.
+    """
+    back = np.diff(_since_first(stamps)) < -length / 2
+    return length * np.concatenate([[0], np.cumsum(back)])
 
 
 def _order_in_words(form: str) -> str:
