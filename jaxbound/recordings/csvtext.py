@@ -16,10 +16,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from jaxbound.recordings.columns import from_arrow
 from jaxbound.recordings.csvlines import BOM, CountedLines, is_blank, is_open, lines_of
-from jaxbound.recordings.oddcells import ERRORS, OddCells, no_number
+from jaxbound.recordings.oddcells import ERRORS, OddCells, no_number, thousands
 from jaxbound.recordings.selection import Wanted, wanted
 from jaxbound.recordings.signals import SignalModel
+from jaxbound.recordings.thousands import in_doubt, may_be_grouped
 from jaxbound.recordings.timestamps import DIGITS, stamp_kind
 from jaxbound.text.names import listed
 
@@ -361,11 +363,13 @@ def parse_columns(layout: Layout, plan: Planned) -> Cells:
     Raises:
         ValueError: a row that cannot be read, or is not what pyarrow took for one: which, and why.
     """
-    for convert in converting(layout, plan):
+    for decimal, convert in zip(layout.decimals, converting(layout, plan), strict=True):
         # the first rows may be whole numbers, which do not show the decimal sign of those below
         table, has_errors = _table_of(layout, plan, convert)
         if table is not None and not has_errors:
-            return Cells({name: table[f"f{i}"].combine_chunks() for name, i in plan.numbers.items()}, {})
+            columns = {name: table[f"f{i}"].combine_chunks() for name, i in plan.numbers.items()}
+            _refuse_thousands(layout, plan, columns, decimal)
+            return Cells(columns, {})
         if table is not None:
             break
     table, _ = _table_of(layout, plan, converting(layout, plan, as_texts=True)[0])
@@ -401,6 +405,27 @@ def _table_of(layout: Layout, plan: Planned, convert: "pc.ConvertOptions") -> "t
         _note_unended(layout, lines.lines + 1)
     _refuse_lost_rows(layout, lines, table.num_rows, plan.wanted.time is not None)
     return table, lines.has_errors
+
+
+def _refuse_thousands(layout: Layout, plan: Planned, columns: dict[str, "pa.Array"], decimal: str) -> None:
+    """Raise ValueError for a column whose decimal signs may be signs for thousands."""
+    doubted: dict[str, np.ndarray] = {}
+    for name in columns:
+        if layout.delimiter == "," or name in plan.texts or name == plan.wanted.time:
+            continue  # cells that are parted by commas have decimal points
+        values = from_arrow(columns[name])
+        if may_be_grouped(values):
+            doubted[name] = values
+    if not doubted:
+        return
+    texts, _ = _table_of(layout, plan, converting(layout, plan, as_texts=True)[0])
+    assert texts is not None, "it was read before"
+    for name, values in doubted.items():
+        cells = texts[f"f{plan.numbers[name]}"].combine_chunks()
+        places = in_doubt(cells, values, decimal, decimal == "." and layout.decimal == ",")
+        if places:
+            found = [f"{cells[k].as_py().strip()} in {layout.row(k)}" for k in places]
+            raise ValueError(thousands(name, found))
 
 
 def _note_unended(layout: Layout, number: int) -> None:
