@@ -202,8 +202,10 @@ def _of_clock(values: np.ndarray, dt: float | None, name: str) -> _Clock | None:
     if best is None or time_unit(name):
         return None
     if uneven - fewest == 1:
-        jump = "its numbers jump from 59 to 100 as the digits of a clock do"
-        raise ValueError(f"the time column: {jump}: write 8:01:30 for those, or call seconds 'time [s]'")
+        may = (
+            f"the numbers of the time column, {values[0]:.10g} and so on, may be seconds or digits of a clock"
+        )
+        raise ValueError(f"{may}: write 8:01:30 for those, or call seconds 'time [s]'")
     return best
 
 
