@@ -46,7 +46,7 @@ C = [[1, 0], [1, 1]]
 """
 READERS = ("file", "pipe", "parquet", "pandas", "polars", "arrow", "xarray", "fleet", "state")
 FIRST = datetime.datetime(2024, 2, 28, 23, 59, 30)  # over midnight and into a leap day
-UNITS = {"hours": ("Time [h]", 3600), "minutes": ("t_min", 60), "milliseconds": ("time (ms)", 0.001)}
+UNITS = {"hours": ("Time [h]", 3600), "minutes": ("time_min", 60), "milliseconds": ("time (ms)", 0.001)}
 EXCEL = 25569  # the day from which epochs count, in days of a spreadsheet
 STAMPS = (
     "%Y-%m-%d %H:%M:%S",
@@ -156,7 +156,7 @@ class Variant:
             self.order = draw.choice(("newest first", "shuffled"))
         self.rows = len(self.seconds)
         # y1 as 1.234 thousandths of thousandths, where some number shows what the points are for
-        raw = [round(v[0] * 10**DIGITS) for v in self.y if v[0] is not None]
+        raw = [round(v[0] * 10**DIGITS) for v in self.y[:-1] if v[0] is not None]
         shown = any(0 < abs(x) < 1000 for x in raw) and any(abs(x) >= 1000 and x % 10 == 0 for x in raw)
         self.by_thousands = self.reader in ("file", "fleet") and shown and draw.random() < 0.5
 
@@ -236,7 +236,7 @@ class Variant:
             return {name: [f"{EXCEL + (epoch + s) / 86400:.10f}" for s in self.seconds]}
         if self.time == "digits":
             moments = [m + datetime.timedelta(hours=8) for m in moments]
-            return {draw.choice(("time", "HHMMSS time")): [str(int(m.strftime("%H%M%S"))) for m in moments]}
+            return {draw.choice(("time", "Time (HHMMSS)")): [str(int(m.strftime("%H%M%S"))) for m in moments]}
         if self.time == "minutes and seconds":
             return {"time": [m.strftime("%M:%S.0") for m in moments]}
         if self.time == "offset":

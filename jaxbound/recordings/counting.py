@@ -30,6 +30,7 @@ CALENDARS = {
 OF_DAYS = re.compile(r"(date|datum|fecha|data)\b.*")
 EVEN = [1, 2, 5, 10, 15, 20, 30, *(60 * k for k in (1, 2, 3, 4, 5, 6, 10, 12, 15, 20, 30)), 3600, 7200]
 """Sampling periods in s that a clock is divided by."""
+SECONDS_HAVE = 3  # decimals: of days, the third is 86 seconds
 SHORT = 0.01  # days: in seconds, samples that came so fast would be rare
 DECIMALS = (4, 5, 6)  # of days that somebody rounded: a spreadsheet writes five
 DIGITS = {"hhmm": 100, "hhmmss": 10000}
@@ -102,7 +103,7 @@ def _are_days(values: np.ndarray, dt: float | None, name: str) -> bool:
         return abs(step * DAY - dt) <= TOLERATED_DT * dt
     if OF_DAYS.fullmatch(name.strip().lower()) or _even_step(values):
         return True
-    if 0 < step < SHORT:
+    if 0 < step < SHORT and not _has_decimals(values, SECONDS_HAVE):
         may = f"the numbers of the time column, {values[0]:.10g} and so on, may be days or seconds"
         raise ValueError(f"{may}: say which by its name, like 'time [d]' or 'time [s]'")
     return False
@@ -111,18 +112,23 @@ def _are_days(values: np.ndarray, dt: float | None, name: str) -> bool:
 def _quantum(days: np.ndarray) -> float:
     """Return the unit of the last decimal of rounded days, 0 of days with all digits."""
     for decimals in DECIMALS:
-        least = days * 10**decimals
-        if (np.abs(least - np.round(least)) < 1e-3).all():
+        if _has_decimals(days, decimals):
             return float(10.0**-decimals)
     return 0.0
+
+
+def _has_decimals(values: np.ndarray, decimals: int) -> bool:
+    """Return whether numbers have so many decimals at most."""
+    least = values * 10**decimals
+    return bool((np.abs(least - np.round(least)) < 1e-3).all())
 
 
 def _usual_step(days: np.ndarray) -> float:
     """Return the usual step of days, from which gaps are left out and rounding is averaged; 0 of one."""
     if len(days) < 2:
         return 0.0
-    steps = np.diff(days)
-    median = np.median(steps)
+    steps = np.sort(np.diff(days))
+    median = steps[len(steps) // 2]
     near = np.abs(steps - median) <= 1.5 * _quantum(days) + 1e-3 * abs(median)
     return float(np.mean(steps[near]))
 

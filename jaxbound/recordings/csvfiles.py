@@ -15,7 +15,7 @@ from jaxbound.recordings.counting import read_numbers
 from jaxbound.recordings.csvtext import Layout, Planned, above_header, parse_columns, planned, sniff
 from jaxbound.recordings.oddcells import OddCells, error_hints, no_number, refuse_odd, unsaid_hints
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.seams import check_period, usual_period
+from jaxbound.recordings.seams import check_period, rows_apart, usual_period
 from jaxbound.recordings.selection import NO_TIME, STAMPS, TELLING, Wanted
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import Progress, Source, with_hints
@@ -154,8 +154,7 @@ def _times_of(
             raise ValueError("the file has no time column, which means over intervals of a clock need")
         if dt is None:
             raise ValueError(f"the file has no time column: {NO_TIME}")
-        apart = f"the rows are taken to be dt = {dt:g} s apart, and none to be missing"
-        return _FileTimes(np.arange(count) * dt, None, f"the file has no time column: {apart}")
+        return _FileTimes(np.arange(count) * dt, None, f"the file has no time column: {rows_apart(dt)}")
     if plan.is_text:
         return _FileTimes(*parse_stamps(written, dt, layout.row))
     seconds = from_arrow(written)

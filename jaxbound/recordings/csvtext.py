@@ -21,7 +21,7 @@ from jaxbound.recordings.csvlines import BOM, CountedLines, is_blank, is_open, l
 from jaxbound.recordings.oddcells import ERRORS, OddCells, no_number, thousands
 from jaxbound.recordings.selection import Wanted, wanted
 from jaxbound.recordings.signals import SignalModel
-from jaxbound.recordings.thousands import in_doubt, may_be_grouped
+from jaxbound.recordings.thousands import all_grouped, in_doubt, may_be_grouped
 from jaxbound.recordings.timestamps import DIGITS, stamp_kind
 from jaxbound.text.names import listed
 
@@ -426,6 +426,10 @@ def _refuse_thousands(layout: Layout, plan: Planned, columns: dict[str, "pa.Arra
         if places:
             found = [f"{cells[k].as_py().strip()} in {layout.row(k)}" for k in places]
             raise ValueError(thousands(name, found))
+        like = all_grouped(cells)
+        if like:
+            decimals = f"column {name!r} is read as decimals, like {like}"
+            layout.hints.append(f"{decimals}: if points are for thousands, write it without them")
 
 
 def _note_unended(layout: Layout, number: int) -> None:

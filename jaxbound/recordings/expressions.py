@@ -28,7 +28,7 @@ TIMES = (
     r"(date[ _-]?time|time[ _-]?stamp|time|zeit(stempel|punkt)?|horodatage|heure|fecha y "
     r"hora|hora|tiempo|tijd|tijdstip|tid|czas)\b.*",
     r"t(\s*[\[(/,].*)?",
-    rf"(time|time[ _-]?stamp|zeit|t)_({UNITS_OF_TIME})",
+    rf"(time|time[ _-]?stamp|zeit)_({UNITS_OF_TIME})|t_([mun]s|sec)|hh:?mm(:?ss)?",  # T_min is a temperature
     r"(date|datum|fecha|data)\b.*",
 )
 """What a column of times is called, the likeliest first; in a language that is not here, dates are known by

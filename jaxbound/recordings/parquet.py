@@ -31,7 +31,7 @@ from jaxbound.recordings.parquetfiles import (
     spans_of,
 )
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.seams import Clock, around, check_period, tick, usual_period
+from jaxbound.recordings.seams import Clock, around, check_period, rows_apart, tick, usual_period
 from jaxbound.recordings.selection import NO_TIME, Wanted, source_columns
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import Progress, Source, overlapping, with_hints
@@ -543,8 +543,7 @@ def _clocked(source: ParquetSource) -> ParquetSource:
             return source
         if dt is None:
             raise ValueError(f"{source.path}: there is no time column: {NO_TIME}")
-        apart = f"the rows are taken to be dt = {dt:g} s apart, and none to be missing"
-        return replace(source, hints=(f"the recording has no time column: {apart}",))
+        return replace(source, hints=(f"the recording has no time column: {rows_apart(dt)}",))
     time, stamps = source.first_times()
     if stamps is not None:
         source = replace(source, origin=stamps[0])

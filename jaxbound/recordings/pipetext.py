@@ -19,7 +19,7 @@ from jaxbound.recordings.csvtext import UNENDED, is_number
 from jaxbound.recordings.factors import known
 from jaxbound.recordings.linetext import SOURCE, Cells, LineReader, WrongCells
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.seams import TOLERATED_STEP, check_period, tick
+from jaxbound.recordings.seams import TOLERATED_STEP, check_period, rows_apart, tick
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stream import Complain, Stream
 from jaxbound.recordings.timestamps import (
@@ -348,6 +348,8 @@ class PipeText(Stream):
             if not self.regular and reader.plan.time is None:
                 raise ValueError(f"{SOURCE} has no column of times: means over intervals need one")
             self.reader = reader
+            if reader.plan.time is None:
+                self.complain("hint", f"{SOURCE} has no time column: {rows_apart(self.dt)}")
             rows, self.begun = self.begun[header + 1 :], []
             return [row for row in rows if row[0] >= number or not reader.layout.is_blank(row[1])]
         return []

@@ -25,6 +25,7 @@ __all__ = [
     "check_period",
     "crossing",
     "irregular",
+    "rows_apart",
     "seam_hints",
     "tick",
     "usual_period",
@@ -222,6 +223,11 @@ def all_starts(given: ArrayLike, samples: int) -> np.ndarray:
         wrong = outside[0] if outside[0] < 0 else outside[-1]
         raise ValueError(f"starts needs the numbers of samples, 0 to {samples - 1} here: it holds {wrong}")
     return starts
+
+
+def rows_apart(dt: float) -> str:
+    """Return the end of a sentence on a recording without times. dt: sampling period in s."""
+    return f"the rows are taken to be dt = {dt:g} s apart, and none to be missing"
 
 
 def usual_period(time: np.ndarray) -> float:

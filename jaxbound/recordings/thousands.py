@@ -15,7 +15,7 @@ import numpy as np
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = ["GROUPED", "Doubt", "in_doubt", "may_be_grouped"]
+__all__ = ["GROUPED", "Doubt", "all_grouped", "in_doubt", "may_be_grouped"]
 
 GROUPED = re.compile(r"[-+]?[0-9]{1,3}([.,' \u00a0\u202f][0-9]{3})+([.,][0-9]+)?")
 """A number with signs for thousands, as spreadsheets show it."""
@@ -60,6 +60,18 @@ def in_doubt(cells: "pa.Array", values: np.ndarray, sign: str, is_other: bool = 
         return []
     beside = np.flatnonzero(small)
     return [first, int(beside[np.argmin(np.abs(beside - first))])]
+
+
+def all_grouped(cells: "pa.Array") -> str:
+    """Return the first cell of a column of which every number could be a whole one with points for
+    thousands, "" of any other: nothing tells them from decimals.
+    """
+    import pyarrow.compute as pc
+
+    known = pc.utf8_trim_whitespace(pc.drop_null(cells))
+    if not len(known) or not _where(known, r"^[-+]?[1-9][0-9]{0,2}(\.[0-9]{3})+$").all():
+        return ""
+    return str(known[0].as_py())
 
 
 class Doubt:

@@ -220,3 +220,9 @@ def test_recordings_of_which_one_counts_hours_are_told_so(tmp_path):
     ) as e:
         read_signals([tmp_path / "a.csv", tmp_path / "b.csv"], [], ["y1"])
     assert "keep one of" not in str(e.value)
+
+
+def test_temperatures_are_no_times(tmp_path):
+    names = ("T_s", "T_min", "T_h", "t_d", "Time_constant")
+    (tmp_path / "run.csv").write_text(",".join((*names, "y1")) + "\n" + "20.5,20,21,5,3,0\n" * 9)
+    assert jb.read(tmp_path / "run.csv", MODEL).hints[0].startswith("the file has no time column")

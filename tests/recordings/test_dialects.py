@@ -186,7 +186,7 @@ def test_a_last_line_cut_anywhere_is_left_out_and_said_by_both(path, case):
         said = []
         pipe = PipeText(model, lambda kind, sentence, said=said: said.append((kind, sentence)))
         assert sum(piece.samples for _, piece in pipe.pieces([body[:stop].encode()])) == 39
-        assert said == [("line", f"the last line {UNENDED}")]
+        assert [x for x in said if x[0] == "line"] == [("line", f"the last line {UNENDED}")]
 
 
 def test_a_complete_last_line_is_taken_and_a_blank_one_not_missed(path):

@@ -86,6 +86,15 @@ def test_decimals_are_read_as_they_are(tmp_path, case, sign, delimiter):
         assert not [sentence for sentence in said if "thousands" in sentence]
 
 
+def test_a_column_of_which_nothing_tells_is_said(tmp_path):
+    (tmp_path / "run.csv").write_text(text_of(["35.120", " 36.200", ""]))
+    said = "column 'y1' is read as decimals, like 35.120: if points are for thousands, write it without them"
+    assert jb.read(tmp_path / "run.csv", MODEL).hints[0] == said
+    for cells, delimiter in ((["35.120", "0.250"], ";"), (["35,120", "36,200"], ";"), (["35.120"] * 2, ",")):
+        (tmp_path / "run.csv").write_text(text_of(cells, delimiter))
+        assert "thousands" not in " ".join(jb.read(tmp_path / "run.csv", MODEL).hints)
+
+
 @pytest.mark.parametrize("size", [10**6, 9])
 def test_a_pipe_leaves_out_a_line_behind_whole_numbers(size):
     y, said = from_pipe(text_of(["998", "1.002", "999", "1.010", "997"]), size)
