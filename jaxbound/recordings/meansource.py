@@ -68,10 +68,12 @@ class MeansSource(Source):
 
     def whole(self, progress: Progress | None = None) -> Recording:
         """Return the Recording of all means."""
-        means = self.raw.whole(progress).averaged(self.every, self.model.m)
+        recorded = self.raw.whole(progress)
+        means = recorded.averaged(self.every, self.model.m)
         if means.stamps is not None:
             means = replace(means, written=written_stamps(means.stamps, nanoseconds(self.every)))
-        return with_hints(self.model, means, "sample {}".format, self.model.columns.get("where", ""))
+        where = self.model.columns.get("where", "")
+        return with_hints(self.model, means, "sample {}".format, where, recorded.hints)
 
 
 class PartMeans(MeansSource):

@@ -161,6 +161,8 @@ def read_signals(
         raise ValueError("there is no output: give at least one")
     columns = dict(columns or {})
     columns |= {signal[0]: signal[1] for signal in (*inputs, *outputs) if not isinstance(signal, str)}
+    if dt is not None and not 0 < dt < np.inf:
+        raise ValueError(f"dt must be a positive number of seconds, not {dt:g}")
     columns, dt = with_every(columns, dt, None)
     model = Signals(tuple(map(_name_of, inputs)), tuple(map(_name_of, outputs)), columns, dt)
     recordings: list[Recording] = []

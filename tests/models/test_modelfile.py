@@ -328,6 +328,7 @@ class TestReading:
         ("[matrices]", stated(f"factor = {'9' * 400}"), "factor of test 'slow' is 9+, which is too large"),
         ("[matrices]", stated('observer = "joint"\nweight = [true]'), "weight .* a number, not True"),
         ("dt = 0.5", "dt = 0", "dt must be a positive number"),
+        ("dt = 0.5", f"dt = {'9' * 400}", "dt is 9+, which is too large or too small"),
         ("dt = 0.5", "", "dt is missing"),
         ("dt = 0.5", "dt = 1 2", r"not valid TOML: .*line 3"),
         ("dt = 0.5", "dt = 0,5  # s", r"not valid TOML: .*line 3.*; write 0.5 with a point"),

@@ -196,6 +196,12 @@ def test_a_complete_last_line_is_taken_and_a_blank_one_not_missed(path):
         assert r.samples == 40 and not [h for h in r.hints if "line end" in h], end
 
 
+def test_means_say_it_too(path):
+    path.write_text(PLAIN[:-1])
+    means = jb.read(path, TIMED.replace(dt=2, columns={"every": "2s"}))
+    assert f"row 41, the last, {UNENDED}" in means.hints
+
+
 def test_a_file_whose_only_row_has_no_line_end_is_refused(path):
     path.write_text("t,u1,y1\n0,1,2")
     with pytest.raises(ValueError, match="row 2, the only one, has no line end"):
