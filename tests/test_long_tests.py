@@ -47,6 +47,9 @@ BY_DAY = {
             "the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault"
         )
     },
+    "estimation/test_laid_end_to_end": {
+        "a_hundred_thousand_samples_laid_end_to_end": "random_plants_laid_end_to_end"
+    },
     "estimation/test_joint_observer": {
         "two_hundred_thousand_fault_free_samples": (
             "the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault"

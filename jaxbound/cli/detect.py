@@ -65,9 +65,11 @@ SHARES = (
 PIPE = (
     ". With -: SIGINT (Ctrl-C), SIGTERM and SIGHUP end the input. Stopped in any way, kill -9 too, and "
     "started again with the same --out, verdicts.csv holds each line that was taken once, whether the "
-    "sender begins again (what was judged is known by the first line and its number, or by its time) or "
-    "goes on. On standard output each verdict stands once, after kill -9 at least once, if --out or --state "
-    "is given. What the pipe held when its reader was killed is lost, unless the sender sends it again"
+    "sender begins again (what was judged is known by time and values, and skipped) or goes on; lines at "
+    "times that were judged with other values are refused (2), and a run that judged nothing new concludes "
+    "nothing (3). On standard output each verdict stands once, after kill -9 at least once, if --out or "
+    "--state is given. What the pipe held when its reader was killed is lost, unless the sender sends it "
+    "again"
 )
 CODES = EXIT_CODES + SHARES + PIPE
 

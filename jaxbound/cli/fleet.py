@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
         from jaxbound.cli.engine import engine
         from jaxbound.cli.fleet_table import PAGES, SHOWING, UNITS, UnitPages, conclude_fleet, write_fleet
         from jaxbound.runs.fleet import UnitResult, detect_fleet, read_manifest
-        from jaxbound.runs.outputs import output_folder
+        from jaxbound.runs.outputs import output_folder, refuse_among_inputs
         from jaxbound.runs.refusals import Interrupted
 
     options = MethodOptions.of(args)
@@ -94,6 +94,8 @@ def run(args: argparse.Namespace) -> int:
         output_folder(args.out, ("fleet.csv", "fleet.html", UNITS), inputs) as folder,
         folder.work() as work,
     ):
+        if args.state is not None:
+            refuse_among_inputs(args.state, inputs)
         folder.remove(UNITS)  # pages of an earlier run
         try:
             with progress_bars(("units",)) as step, engine(args.scheduler, args.workers) as client:

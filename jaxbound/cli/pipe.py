@@ -33,6 +33,9 @@ from jaxbound.diagnosis.hints import bound_hints, judging_hints, outgrown, unfit
 from jaxbound.diagnosis.severity import fitted
 from jaxbound.files.locks import refuse_link
 from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.columns import moments
+from jaxbound.recordings.factors import known
+from jaxbound.recordings.hints import missing_sentences
 from jaxbound.recordings.live import LiveSource
 from jaxbound.recordings.means import every_of, recorded_model
 from jaxbound.recordings.meanstream import MeansStream
@@ -40,7 +43,7 @@ from jaxbound.recordings.pipetext import PipeText
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import irregular, seam_hints
 from jaxbound.recordings.signals import SignalModel
-from jaxbound.recordings.stream import Stream
+from jaxbound.recordings.stream import Stream, Taken
 from jaxbound.relations.identity import identity
 from jaxbound.runs.endings import endings_said
 from jaxbound.runs.journal import STATE, Journal, LiveCheckpoint, refuse_former_state
@@ -62,6 +65,7 @@ __all__ = ["judge_input", "judge_stream"]
 
 STDIN = "-"
 RULE = "rule of alarms"
+BY_VALUE = {"way to know samples that are sent again": "by time and values"}
 OTHER_RULE = f"{{}} is of a {RULE}: give it again, choose another place, or delete it to begin anew"
 TALKATIVE, QUIET = 20, 60.0  # sentences of a kind at first, then one in so many seconds
 
@@ -132,7 +136,7 @@ def judge_stream(
         folder = opened.enter_context(_folder(Path(model), out, state, files))
         stated = stated_model(model, options.every)
         tested, relations = window_relations(stated, options, model, None, lambda stage, share: None)
-        how = {"method": options.method, "word outside training": options.outside}
+        how = {"method": options.method, "word outside training": options.outside, **BY_VALUE}
         alarms = None
         if alarm is not None:
             alarm = fitted(alarm, relations)
@@ -148,7 +152,9 @@ def judge_stream(
             if state is None:
                 refuse_link(path)
             journal = opened.enter_context(Journal(path, identity(relations, **how)))
-        before = None if journal is None else journal.before
+        before = taken = None
+        if journal is not None:
+            before, taken = journal.before, journal.taken
         if before is not None and alarm is None and "rule" in before["sinks"]:
             raise Refused(OTHER_RULE.format(path))
         work: Any = nullcontext()
@@ -159,7 +165,7 @@ def judge_stream(
             folder.check(files, foreign=before is None)
             work = folder.work()
         with work as place:
-            stream = _stream(data, relations.model, _Complaints(), before and before["source"])
+            stream = _stream(data, relations.model, _Complaints(), before and before["source"], taken)
             if alarm is not None:
                 alarms = LiveAlarms(alarm, relations, options.method, stream.dt, stream.complain)
             lines = _PrintedLines(as_json, out is None, judge.region is not None, bool(relations.parts))
@@ -191,15 +197,20 @@ def _is_file() -> bool:
 
 
 def _stream(
-    data: str, model: SignalModel, complaints: "_Complaints", memory: dict[str, Any] | None
+    data: str,
+    model: SignalModel,
+    complaints: "_Complaints",
+    memory: dict[str, Any] | None,
+    taken: Taken | None,
 ) -> Stream:
     """Return the Stream of the data."""
     if every_of(model) is not None:
         before = memory and memory["reading"]
-        return MeansStream(_stream(data, recorded_model(model), complaints, before), model, memory)
+        reading = _stream(data, recorded_model(model), complaints, before, taken)
+        return MeansStream(reading, model, memory)
     if LiveSource.takes(data):
-        return LiveSource(data, model).stream(complaints, memory)
-    return PipeText(model, complaints, memory)
+        return LiveSource(data, model).stream(complaints, memory, taken)
+    return PipeText(model, complaints, memory, taken)
 
 
 def _state_path(out: Path | None, state: Path | None) -> Path | None:
@@ -275,6 +286,7 @@ class _LiveRun:
             kept = cast(Any, judge)
             self.checkpoint = LiveCheckpoint(journal, stream, kept, self.sinks)
         self.resumed = journal is not None and journal.before is not None
+        self.known = 0  # samples that a process before had judged
 
     def _named_sinks(self) -> Mapping[str, Any]:
         """Return {name in the checkpoint: sink}, in the order in which they hand on: a file before stdout."""
@@ -304,6 +316,7 @@ class _LiveRun:
         """Go on from the checkpoint, if there is one; refuse verdicts that are not those it speaks of."""
         if self.checkpoint is not None and self.resumed:
             self.checkpoint.resume()
+            self.known = self.stream.clock.samples
 
     def to_the_end(self, chunks: Iterable[Any], min_coverage: float) -> Summary:
         """Judge everything that comes; return the Summary."""
@@ -365,6 +378,8 @@ class _LiveRun:
         )
         verdict, sentence = said(numbers, self.stream.label, min_coverage)
         hints = unsaid([hint for hint in self._hints(numbers) if hint], sentence)
+        if self.resumed and clock.samples == self.known:
+            verdict, sentence, hints = "too little evidence", self._nothing_new(), ()
         for hint in hints:
             say(hint)
         if outside is not None:
@@ -375,11 +390,21 @@ class _LiveRun:
             say(f"test {name}: {', '.join(f'{n} {status}' for status, n in test.counts.items() if n)}")
         return Summary(verdict, sentence, numbers, worst, hints=hints, model=relations.model.name)
 
+    def _nothing_new(self) -> str:
+        """Return the sentence of a run that judged nothing, behind one that did."""
+        came = "nothing came"
+        if self.stream.skipped:
+            came = self.stream.skipped_text
+        return f"Nothing new was judged, so nothing is concluded: {came}. Judged before:"
+
     def _hints(self, found: Evidence) -> list[str]:
         """Return sentences to check; some may be empty."""
         clock, relations = self.stream.clock, self.judge.monitor.relations
         where, counted = (lambda k: f"sample {k}"), (lambda k: "counted from 0")
         hints = [*seam_hints(clock, counted, where), irregular(clock, counted, where), *self.hints]
+        model = relations.model
+        missing = dict(zip((*known(model), *model.outputs), self.tally.missing, strict=False))
+        hints += missing_sentences(model, missing, self.tally.looked_at)
         lost = self.stream.lost
         if lost:
             lines = f"{lost} line{'s' * (lost != 1)}"
@@ -523,8 +548,8 @@ def _number(text: str) -> float | None:
 
 
 def _is_text(piece: Recording) -> bool:
-    """Return whether the time of a piece is written as text."""
-    return str(piece.column.type) in ("string", "large_string")
+    """Return whether the time of a piece is written as text, as dates are."""
+    return str(moments(piece.column.slice(0, 0)).type) in ("string", "large_string")
 
 
 class _Complaints:

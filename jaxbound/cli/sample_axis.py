@@ -3,6 +3,8 @@
 A time is datetime64 where the recording has stamps, else seconds as a float.
 """
 
+import re
+
 import numpy as np
 
 from jaxbound.recordings.recording import Recording
@@ -10,6 +12,8 @@ from jaxbound.recordings.source import Source
 from jaxbound.text.quantities import decimal
 
 __all__ = ["SampleAxis"]
+
+ZONED = re.compile(r"(.+:[\d.]+)([+-]\d\d):?(\d\d)")  # a time with its offset from UTC
 
 
 class SampleAxis:
@@ -81,7 +85,7 @@ class SampleAxis:
     def _parsed(self, text: str) -> np.datetime64 | float:
         try:
             if self.is_stamped:
-                return np.datetime64(text.replace(" ", "T").removesuffix("Z"), "ns")
+                return _moment(text.replace(" ", "T").removesuffix("Z"))
             return decimal(text.removesuffix("s"))
         except ValueError:
             like = f"its time as alarms.csv has it, like {self.label(0)}"
@@ -95,3 +99,14 @@ class SampleAxis:
 
     def _one(self, k: int) -> Recording:
         return self.source.read(k, k + 1)
+
+
+def _moment(text: str) -> np.datetime64:
+    """Return a time in UTC from its text, which may have an offset; raise ValueError for none."""
+    zoned = ZONED.fullmatch(text)
+    if zoned is None:
+        return np.datetime64(text, "ns")
+    local, hours, minutes = zoned.groups()
+    offset = np.timedelta64(int(hours), "h") + np.timedelta64(int(f"{hours[0]}{minutes}"), "m")
+    moment: np.datetime64 = np.datetime64(local, "ns") - offset
+    return moment

@@ -42,7 +42,7 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.threads import inherited
 from jaxbound.text.progress import in_part, reporter
 
-__all__ = ["drive", "raw_outputs", "windows"]
+__all__ = ["drive", "end_to_end", "raw_outputs", "windows"]
 
 CORES = os.cpu_count() or 1
 AHEAD = 3  # groups of blocks that are under way at once
@@ -91,23 +91,31 @@ def drive(
 
 
 def _folded(observer: Observer[Any], given: Recording) -> Verdicts:
-    """Return the verdicts of an observer on one recording, or on each recording of a batch."""
-    lead = given.y.shape[:-2]
+    """Return the verdicts of an observer on one recording, or on each recording of a batch.
+
+    A gap ends what is carried: a batch is followed as one recording, with a gap before each of its own.
+    """
+    *lead, length, _ = given.y.shape
     if not lead or observer.batched:
         return observer.followed(observer.begin(), given)[1]
-    each = []
-    for at in np.ndindex(*lead):
-        one = replace(given, u=np.asarray(given.u)[at], y=np.asarray(given.y)[at])
-        each.append(observer.followed(observer.begin(), one)[1])
-    if not each:
-        nothing = np.empty(given.y.shape[:-1])
-        return Judged(nothing.astype(np.int8), nothing)
+    if observer.begun is not None:
+        raise ValueError("an observer that goes on from a carry follows one recording, not a batch")
+    begins = length * np.arange(math.prod(lead))
+    starts = (np.concatenate([[0], given.starts]) + begins[:, None]).ravel()
+    excluded = given.excluded
+    if excluded is not None:
+        excluded = np.broadcast_to(excluded, given.y.shape[:-1]).reshape(-1)
+    u, y = _end_to_end(given.u), _end_to_end(given.y)
+    one = replace(given, u=u, y=y, starts=np.unique(starts[starts > 0]), excluded=excluded)
+    verdicts = observer.followed(observer.init(), one)[1]
 
-    def together(*parts: np.ndarray) -> np.ndarray:
-        return np.stack(parts).reshape(*lead, *np.shape(parts[0]))
+    def apart(x: Array) -> Array:
+        if np.shape(x)[:1] != (len(y),):
+            return x
+        return np.asarray(x).reshape(*lead, length, *np.shape(x)[1:])
 
-    verdicts: Verdicts = jax.tree.map(together, *each)
-    return verdicts
+    out: Verdicts = jax.tree.map(apart, verdicts)
+    return out
 
 
 def windows(
@@ -123,7 +131,7 @@ def windows(
     Args:
         test, progress, size: as for `drive`. u: (..., T, m). y: (..., T, p). starts: of that Recording.
     """
-    flat_u, flat_y, block = _end_to_end(u), _end_to_end(y), size or test.block
+    flat_u, flat_y, block = end_to_end(u), end_to_end(y), size or test.block
     shape = y.shape[:-1]
     if is_outside_xla() or not searching_device():
         return _decided(test, flat_u, flat_y, shape, starts, progress, block)
@@ -169,7 +177,7 @@ def raw_outputs(
     size: int | None = None,
 ) -> list[np.ndarray]:
     """Return the `outputs` (..., T) of a test, before a FAULT is confirmed; arguments as of `windows`."""
-    flat_u, flat_y = _end_to_end(u), _end_to_end(y)
+    flat_u, flat_y = end_to_end(u), end_to_end(y)
     return _filled(test, flat_u, flat_y, y.shape[:-1], starts, progress, size or test.block)
 
 
@@ -232,7 +240,7 @@ def _run_nothing(kernel: Callable[..., T], blocks: Sequence[Arrays]) -> list[T]:
     raise NotImplementedError("a test that is not sharded calls its kernels itself")
 
 
-def _end_to_end(x: Array) -> np.ndarray:
+def end_to_end(x: Array) -> np.ndarray:
     """Return samples (..., T, n) as (N, n), on the host."""
     x = np.asarray(x)
     if x.ndim == 2:
@@ -311,7 +319,8 @@ def _gathered(
     ends = np.delete(np.arange(length), endless)
     if 0 < length < len(y):
         ends = (ends + np.arange(0, len(y), length)[:, None]).ravel()
-    if test.easy is not None and not is_outside_xla():
+    every = ends
+    if test.easy_first and test.easy is not None and not is_outside_xla():
         ends = _past_easy(test, test.easy, u, y, length, outs, ends, size, partial(in_part, report, 0, EASY))
         report = partial(in_part, report, EASY, 1 - EASY)
     total, done = max(len(ends), 1), 0
@@ -323,11 +332,30 @@ def _gathered(
         # Nine tenths of the progress of a case go to judging, the rest to settling.
         share = len(starts) / total
         judging = partial(in_part, report, done / total, 0.9 * share)
-        left = _Gathering(case, u, y, outs, size, judging).judge_all(starts)
+        own = size if case is test else case.block
+        left = _Gathering(case, u, y, outs, own, judging).judge_all(starts)
         settling = partial(in_part, report, done / total + 0.9 * share, 0.1 * share)
         case.settle(u, y, outs, left, again, settling)
         done += len(starts)
+    if not is_outside_xla():
+        _last_look(test, u, y, outs, every, size)
     return outs
+
+
+def _last_look(
+    test: WindowTest, u: np.ndarray, y: np.ndarray, outs: list[np.ndarray], ends: np.ndarray, size: int
+) -> None:
+    """Ask easy windows of what the search leaves open: verdicts do not depend on who is asked first, nor on
+    the windows beside.
+    """
+    margin = outs[0]
+    if test.easy_first and test.easy is None:
+        return
+    left = ends[margin[ends] == 0]
+    if not len(left) or test.easy is None:
+        return
+    own = min(size, test.easy.windows.block)
+    _Gathering(test.easy.windows, u, y, outs, own, reporter(None)).judge_all(left - test.horizon)
 
 
 def _past_easy(

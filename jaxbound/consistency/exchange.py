@@ -7,10 +7,9 @@ shared by all windows that it fits.
 """
 
 import copy
-import dataclasses
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial
-from typing import NamedTuple, Self, TypeAlias
+from typing import NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +17,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from jaxbound.consistency import whole_numbers
+from jaxbound.consistency.holes import HolesTest
 from jaxbound.consistency.interface import (
     Again,
     Arrays,
@@ -30,30 +30,26 @@ from jaxbound.consistency.interface import (
     Outs,
     Progress,
     Run,
-    WindowTest,
 )
+from jaxbound.consistency.kept_frames import KeptFrames
 from jaxbound.consistency.projection import easy_by
 from jaxbound.consistency.reading import Block, Reading, RowValues, gather
 from jaxbound.consistency.strips_on_host import contradicted_by
 from jaxbound.consistency.twice import Twice
 from jaxbound.consistency.unproved import unproved_margins
-from jaxbound.exact.frames import ExactFrame, reframe
+from jaxbound.exact.frames import ExactFrame
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.kernel import kernel
-from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips import separation
 
 __all__ = [
     "PATIENCE",
     "ExchangeTest",
-    "KeptFrames",
-    "Reframed",
     "Settings",
     "candidates",
     "exchange_margins",
     "imaged",
-    "rounded_frame",
     "verdicts",
 ]
 
@@ -62,8 +58,6 @@ PATIENCE = 10
 """Exchanges per inner row after which a search is given up; it takes 2 to 4."""
 LARGE = 2048
 """Numbers of a window that an exchange changes, above which fewer stand side by side."""
-KEPT = 128
-"""Frames for windows that lack samples that a test keeps: those used last."""
 TOUCHED = 2**14
 """Windows at once in which missing samples are looked for."""
 FINER = (1.0, 3e-4, 1e-5, 0.03, 0.0, 0.3, 1e-4, 3e-6, 3e-3)
@@ -84,19 +78,16 @@ class ExchangeTest(LinearTest):
     """Searches for the combination of relations that speaks most against a window, or the behaviour that
     explains it.
 
-    Both verdicts are proofs. Windows that a first, short search leaves open are searched on; those that lack
-    a sample on which the search is built get an exact frame without it, shared by all windows that it fits.
+    Both verdicts are proofs. Windows that a first, short search leaves open are searched on.
 
     Args:
         reading: how kernels read a window, with the frame of this search; None: that of the relations. steps,
-            finer: of `separation.separation_search`. frames: made for windows that lack samples, kept from
-            call to call; None: none yet.
+            finer: of `separation.separation_search`. frames: exact ones, of windows that lack samples, kept
+            from call to call; None: none yet.
     """
 
     threads = twice = True
     short = 16  # the work grows with the block
-    own: "_Made | None" = None
-    """The frame of this search, where it is not that of the relations."""
 
     def __init__(
         self,
@@ -105,7 +96,7 @@ class ExchangeTest(LinearTest):
         reading: Reading | None = None,
         steps: int | None = None,
         finer: float = 1.0,
-        frames: "KeptFrames | None" = None,
+        frames: KeptFrames | None = None,
     ) -> None:
         super().__init__(relations, "joint", dtype)
         self.finer = finer
@@ -137,9 +128,11 @@ class ExchangeTest(LinearTest):
         return easy_by(self.relations, self.reading, self.dtype)
 
     def measured(self) -> Self:
-        """Return a test that searches every window for its margin."""
+        """Return a test that searches every window for its margin; easy ones are asked of what that leaves
+        open.
+        """
         test = copy.copy(self)
-        test.easy = None
+        test.easy_first = False
         return test
 
     @property
@@ -148,17 +141,17 @@ class ExchangeTest(LinearTest):
         return ((self.dtype, np.nan),)
 
     def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Cases:
-        """Return [(test, starts)]: the windows that lack a sample on which the search is built, by frames
-        without it, then all others.
+        """Return [(test, starts)]: the windows that lack a sample on which the search is built, then all
+        others.
         """
+        if not len(starts):
+            return []
         lacking = self._lacking(u, y, starts)
-        cases: list[tuple[WindowTest, np.ndarray]] = []
-        for made, chosen in self._frames(u, y, starts[lacking]):
-            case = self._searching(_Framed, made, self.steps, self.finer)
-            cases.append((case, starts[lacking][chosen]))
-        if len(starts):
-            cases.append((self, starts[~lacking]))
-        return cases
+        return [(self._holes, starts[lacking]), (self, starts[~lacking])]
+
+    @cached_property
+    def _holes(self) -> HolesTest:
+        return HolesTest(self.relations, self.dtype)
 
     def _lacking(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """Return which windows that start at `starts` lack an inner row, or an input that relations use."""
@@ -180,18 +173,6 @@ class ExchangeTest(LinearTest):
             absent = self.reading.window.absent(outputs)
             lacking[chosen] = absent[inner].any(0) | missing[needed].any(0)
         return lacking
-
-    def _searching(
-        self, kind: "type[ExchangeTest]", made: "_Made", steps: int, finer: float
-    ) -> "ExchangeTest":
-        """Return a test by another frame, or another search; it is kept with the frame."""
-        key = kind, self.dtype, steps, finer
-        if key not in made.tests:
-            shape = rounded_frame(self.relations, made.frame, self.dtype)
-            reading = dataclasses.replace(self.reading, shape=shape)
-            made.tests[key] = kind(self.relations, self.dtype, reading, steps, finer, self.frames)
-            made.tests[key].own = made
-        return made.tests[key]
 
     def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return (margin, open): proofs, in a second kernel, of the hints of a first one; between them are
@@ -238,24 +219,17 @@ class ExchangeTest(LinearTest):
         self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress
     ) -> None:
         """Decide in whole numbers what rounding leaves open far from the boundary; search on for the rest,
-        with frames that fit the samples that are there.
+        for longer and more finely.
         """
         (margin,) = outs
         self._whole_numbers(u, y, margin)
-        self._search_on(u, y, margin, left, again)
-
-    def _search_on(
-        self, u: np.ndarray, y: np.ndarray, margin: np.ndarray, left: np.ndarray, again: Again
-    ) -> None:
-        """Search for longer, and more finely."""
         steps = PATIENCE * (len(self.exact_frame.inner) + 10)
-        for made, chosen in self._frames(u, y, left):
-            starts = left[chosen]
-            for finer in FINER:
-                starts = again(self._searching(ExchangeTest, made, steps, finer), starts)
-                starts = starts[margin[starts + self.horizon] == 0]  # what is proved needs no other search
-                if not len(starts):
-                    break
+        for finer in FINER:
+            if not len(left):
+                break
+            finely = ExchangeTest(self.relations, self.dtype, self.reading, steps, finer, self.frames)
+            left = again(finely, left)
+            left = left[margin[left + self.horizon] == 0]  # what is proved needs no other search
 
     def judged(self, outs: Sequence[np.ndarray]) -> Judged:
         """Return the verdicts: the signs of the margins, MISSING where these are NaN."""
@@ -268,23 +242,26 @@ class ExchangeTest(LinearTest):
         return unproved_margins(self, exchange_margins, _given_margins, given, search=_best)
 
     def _whole_numbers(self, u: np.ndarray, y: np.ndarray, margin: np.ndarray) -> None:
-        """Decide thin windows in whole numbers, in place."""
+        """Decide thin windows, and those whose holes floats leave open, in whole numbers, in place."""
         starts = np.flatnonzero(margin == 0) - self.horizon
         if not len(starts):
             return
-        starts = starts[whole_numbers.thin(self.reading, *self._gather(u, y, starts))]
-        for made, chosen in self._frames(u, y, starts):
+        thin = whole_numbers.thin(self.reading, *self._gather(u, y, starts))
+        starts = starts[thin | self._lacking(u, y, starts)]
+        for frame, chosen in self._frames(u, y, starts):
             windows = gather(u, y, starts[chosen], self.lags, self.horizon)
-            proved = whole_numbers.exact_search(self.relations, self.reading, made.frame, *windows)
+            proved = whole_numbers.exact_search(self.relations, self.reading, frame, *windows)
             margin[starts[chosen] + self.horizon] = proved
 
     def _gather(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Block:
         u, y = gather(u, y, starts, self.lags, self.horizon)
         return u, self.reading.seen(y)
 
-    def _frames(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> "list[tuple[_Made, np.ndarray]]":
-        """Return [(frame, numbers of windows)]: for every window a frame whose inner rows and inputs it
-        has.
+    def _frames(
+        self, u: np.ndarray, y: np.ndarray, starts: np.ndarray
+    ) -> list[tuple[ExactFrame, np.ndarray]]:
+        """Return [(frame, numbers of windows)]: for every window a frame whose inner rows and inputs it has;
+        none where exact elimination would take too long.
         """
         if not len(starts):
             return []
@@ -295,102 +272,13 @@ class ExchangeTest(LinearTest):
         patterns, which = lost[:1], np.zeros(len(starts), int)
         if (lost != patterns).any():  # sorting takes as long as judging a window
             patterns, which = np.unique(lost, axis=0, return_inverse=True)
-        numbers: dict[_Made, int] = {}
-        by_pattern = []
-        for pattern in patterns:
+        frames: dict[int, tuple[ExactFrame, list[int]]] = {}
+        for number, pattern in enumerate(patterns):
             rows, inputs = np.split(pattern, [absent.shape[1]])
-            made = self.frames.fitting(np.flatnonzero(rows).tolist(), np.flatnonzero(inputs).tolist())
-            by_pattern.append(numbers.setdefault(made, len(numbers)))
-        chosen = np.array(by_pattern)[which.ravel()]
-        return [(made, np.flatnonzero(chosen == number)) for made, number in numbers.items()]
-
-
-class _Framed(ExchangeTest):
-    """The first search for windows that lack samples; what is thin they leave to the test whose case they
-    are.
-    """
-
-    def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Cases:
-        """Return the windows given: their frame fits."""
-        return [(self, starts)]
-
-    def _frames(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> "list[tuple[_Made, np.ndarray]]":
-        """Return the frame of this search, also where others have taken its place among those kept."""
-        if self.own is None or not len(starts):
-            return []
-        return [(self.own, np.arange(len(starts)))]
-
-    def settle(
-        self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress
-    ) -> None:
-        """Search on; whole numbers are asked once for all windows of a recording."""
-        (margin,) = outs
-        self._search_on(u, y, margin, left, again)
-
-
-@dataclasses.dataclass(eq=False)
-class _Made:
-    """A frame for windows that lack samples. Fields: frame; inputs: those that it was made without; tests:
-    by kind, dtype, steps and fineness.
-    """
-
-    frame: ExactFrame
-    inputs: tuple[int, ...]
-    tests: dict[tuple[type[ExchangeTest], np.dtype, int, float], ExchangeTest] = dataclasses.field(
-        default_factory=dict
-    )
-
-
-Reframed: TypeAlias = dict[tuple[frozenset[int], tuple[int, ...]], _Made]
-"""Frames by the rows and inputs that they were made without."""
-
-
-class KeptFrames:
-    """Frames for windows that lack samples, made when they are first asked for, and kept: in fractions they
-    take some milliseconds.
-
-    Fields: made: the frames, those used last first; the whole one among them. inner, needed: numbers of its
-    inner rows, and of the inputs that it uses.
-
-    Args:
-        whole: the frame of windows that lack nothing. reframed: of (rows, inputs) that are missing, frames
-            that were made before, and where those are put that are made here. They are not chosen among:
-            which frame a window gets depends on the windows before it in this recording, not on other ones.
-    """
-
-    def __init__(self, whole: ExactFrame, reframed: "Reframed | None" = None) -> None:
-        self.reframed: Reframed = {} if reframed is None else reframed
-        self.inner = np.array(whole.inner, int)
-        self.needed = np.flatnonzero([any(column) for column in zip(*whole.K, strict=True)])
-        self.whole = _Made(whole, ())
-        self.made = [self.whole]
-
-    def fitting(self, rows: list[int], inputs: list[int]) -> _Made:
-        """Return a frame without these rows and inputs."""
-        gone, missing = set(rows), tuple(inputs)
-        if not gone and not missing:
-            return self.whole
-        made = self._kept(gone, missing)
-        if made is None:
-            made = self._without(gone, missing)
-        others = [other for other in self.made if other is not made]
-        self.made = [made, *others][:KEPT]
-        return made
-
-    def _without(self, gone: set[int], missing: tuple[int, ...]) -> _Made:
-        """Return the frame that is made for these rows and inputs."""
-        key = frozenset(gone), missing
-        if key not in self.reframed:
-            if len(self.reframed) >= KEPT:
-                self.reframed.pop(next(iter(self.reframed)))
-            self.reframed[key] = _Made(reframe(self.whole.frame, gone, missing), missing)
-        return self.reframed[key]
-
-    def _kept(self, gone: set[int], missing: tuple[int, ...]) -> _Made | None:
-        for made in self.made:
-            if made.inputs == missing and _fits(made.frame, gone, missing):
-                return made
-        return None
+            frame = self.frames.fitting(np.flatnonzero(rows).tolist(), np.flatnonzero(inputs).tolist())
+            if frame is not None:
+                frames.setdefault(id(frame), (frame, []))[1].append(number)
+        return [(frame, np.flatnonzero(np.isin(which.ravel(), own))) for frame, own in frames.values()]
 
 
 @jax.jit
@@ -487,24 +375,3 @@ def _block_of(frame: separation.Frame) -> int:
     if min(c, k) * k <= LARGE:
         return 64
     return 16
-
-
-def rounded_frame(relations: LinearRelations, frame: ExactFrame, dtype: DTypeLike) -> separation.Frame:
-    """Return a frame in floats, of one of few widths, so that few are compiled."""
-    assert relations.frame is not None
-    width, more = len(relations.frame.inner), len(frame.inner) - len(relations.frame.inner)
-    if more > 0:
-        width += power(more)
-    return separation.frame_of(frame, dtype, width)
-
-
-def _fits(frame: ExactFrame, gone: set[int], inputs: tuple[int, ...]) -> bool:
-    """Say whether a frame serves windows without the rows `gone` and the inputs `inputs`, which it was made
-    without.
-    """
-    if not gone.isdisjoint(frame.inner):
-        return False
-    for used, j, row in zip(frame.used, frame.outer, frame.K, strict=True):
-        if used and j not in gone and any(row[b] for b in inputs):
-            return False
-    return True

@@ -15,17 +15,32 @@ from functools import cached_property, partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
 from jaxbound.consistency.constant import gain_bounds, gain_tolerance, narrowed, own_factor, signed
 from jaxbound.consistency.easy_gains import EasyGains, nominal
-from jaxbound.consistency.exchange import PATIENCE, ExchangeTest, Settings, rounded_frame
-from jaxbound.consistency.interface import Again, Array, Arrays, Cases, Easy, Outs, Progress, Run, WindowTest
+from jaxbound.consistency.exchange import PATIENCE, ExchangeTest, Settings
+from jaxbound.consistency.holes import HolesTest
+from jaxbound.consistency.interface import (
+    Again,
+    Array,
+    Arrays,
+    Cases,
+    Easy,
+    LinearRelations,
+    Outs,
+    Progress,
+    Run,
+    WindowTest,
+)
 from jaxbound.consistency.projection import easy_by
 from jaxbound.consistency.reading import Block, Reading
 from jaxbound.consistency.twice import warn_doubtful
+from jaxbound.exact.frames import ExactFrame
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import is_outside_xla, kernel, outside_xla
+from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.paving.frontier import Verdicts, explore, in_blocks
 from jaxbound.sets.strips import separation
 
@@ -97,14 +112,34 @@ class GainsTest(ExchangeTest):
         samples that are there.
         """
         (margin,), s = outs, self.horizon
-        for made, chosen in self._frames(u, y, left):
-            shape = rounded_frame(self.relations, made.frame, self.dtype)
+        left = self._past_holes(u, y, margin, left, again)
+        for frame, chosen in self._frames(u, y, left):
+            shape = _rounded(self.relations, frame, self.dtype)
             reading = dataclasses.replace(self.reading, shape=shape)
             at = left[chosen] + s
             us, ys = self._gather(u, y, left[chosen])
             first = margin[at]
             margin[at] = self._search(reading, us, ys, first)
             self._confirm(reading, us, ys, margin, at, first)
+
+    def _past_holes(
+        self, u: np.ndarray, y: np.ndarray, margin: np.ndarray, left: np.ndarray, again: Again
+    ) -> np.ndarray:
+        """Decide windows that lack samples and need no search for gains, in place; return the starts of the
+        others.
+
+        What gains of 1 explain is consistent; what no gains explain that differ from sample to sample is not.
+        """
+        reading = self.relations.reading(np.float64)
+        nominal = dataclasses.replace(reading, tolerance=jnp.zeros_like(reading.tolerance))
+        lacking = self._lacking(u, y, left)
+        at = left[lacking] + self.horizon
+        again(HolesTest(self.relations, self.dtype, nominal), at - self.horizon)
+        first = margin[at]
+        refuted = at[first <= 0]
+        again(HolesTest(self.relations, self.dtype), refuted - self.horizon)
+        margin[refuted] = np.where(margin[refuted] < 0, first[first <= 0], 0)
+        return np.concatenate([left[~lacking], refuted[margin[refuted] == 0] - self.horizon])
 
     def _confirm(
         self,
@@ -293,3 +328,12 @@ def _strip(
     usable = image.complete & present[:c].any(0)
     usable &= slack < np.asarray(2.0 ** (np.finfo(h.dtype).maxexp // 2), h.dtype)
     return a, e, b, jnp.where(usable, slack, 0), usable
+
+
+def _rounded(relations: LinearRelations, frame: ExactFrame, dtype: DTypeLike) -> separation.Frame:
+    """Return a frame in floats, of one of few widths, so that few are compiled."""
+    assert relations.frame is not None
+    width, more = len(relations.frame.inner), len(frame.inner) - len(relations.frame.inner)
+    if more > 0:
+        width += power(more)
+    return separation.frame_of(frame, dtype, width)

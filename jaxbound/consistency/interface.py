@@ -400,6 +400,8 @@ class WindowTest:
 
     short: int = 64
     """How many windows are judged at once where there are few."""
+    easy_first: bool = True
+    """Whether easy windows are settled before the search; else they are asked of what it leaves open."""
 
     def __init__(self, relations: Relations, method: str, dtype: DTypeLike) -> None:
         self.relations, self.method, self.dtype = relations, method, np.dtype(dtype)
@@ -428,7 +430,9 @@ class WindowTest:
 
     @property
     def easy(self) -> "Easy | None":
-        """The tests that can settle easy windows before this one is asked; None: none."""
+        """The tests that can settle easy windows before this one is asked, or behind it (`easy_first`) those
+        that it leaves open; None: none.
+        """
         return None
 
     @property
@@ -436,7 +440,7 @@ class WindowTest:
         """One of `MARGINS`: "exact", or "bounds" where easy windows are settled before their margins are
         known. Margins of CONSISTENT windows are then not above the exact ones, those of FAULT not below.
         """
-        if self.easy is None:
+        if not self.easy_first or self.easy is None:
             return EXACT
         return BOUNDS
 

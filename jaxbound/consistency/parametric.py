@@ -44,6 +44,9 @@ from jaxbound.sets.strips.polynomials import multiaffine
 
 __all__ = ["BUDGET", "ParametricTest"]
 
+LACKING = 2**5
+"""Windows at once that lack the same samples."""
+
 BUDGET = 10_000
 """Boxes that "paving" may evaluate for a window."""
 
@@ -95,8 +98,8 @@ class ParametricTest(WindowTest):
 
     @property
     def block(self) -> int:
-        """How many windows are judged at once."""
-        return block_of(self.kind)
+        """How many windows are judged at once; fewer where they lack samples: each pattern has its own."""
+        return block_of(self.kind) if self.whole is None else LACKING
 
     @property
     def short(self) -> int:  # type: ignore[override]  # nobody sets it, here least of all

@@ -32,7 +32,7 @@ from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.strips.separation import Frame
 
-__all__ = ["HostStrips", "contradicted_by", "host_strips"]
+__all__ = ["HostRows", "HostStrips", "contradicted_by", "host_strips"]
 
 BLOCK = 2**13
 """Windows at once: their rows stay in the cache."""
@@ -310,7 +310,7 @@ def contradicted_by(
     """
     R, K, h = _doubles(frame.R), _doubles(frame.K), _doubles(h)
     outer, inner, N = np.asarray(frame.outer), np.asarray(frame.inner), h.shape[1]
-    windows = _Windows(reading, u, y)
+    windows = HostRows(reading, u, y)
     gamma, floor = map(float, rounding.search_error(len(R), len(R.T), len(K.T), y.dtype))
     largest = 1 + max(np.abs(R).max(initial=0), np.abs(K).max(initial=0))
     floor *= largest * largest * (1 + windows.size.sum() + windows.known_size.sum())
@@ -374,10 +374,11 @@ class _Runs(NamedTuple):
     size: np.ndarray
 
 
-class _Windows:
+class HostRows:
     """The rows of N windows in float64, worked out where they are asked for.
 
-    Fields: size (rows,), known_size (l,): what rounding errors are relative to, of the largest samples.
+    Fields: known (l, N): inputs, NaN where missing; size (rows,), known_size (l,): what rounding errors are
+    relative to, of the largest samples.
     """
 
     def __init__(self, reading: Reading, u: np.ndarray, y: np.ndarray) -> None:
@@ -407,7 +408,7 @@ class _Windows:
         self._above = [part.above for part in runs]
         self.size = np.concatenate([*single, *[part.size for part in runs]])
         u, offset_u = reading.inputs(u), _doubles(reading.offset_u)
-        self._known = np.ascontiguousarray((u - offset_u[:, None]).reshape(-1, y.shape[2]).T)
+        self.known = (u - offset_u[:, None]).reshape(-1, y.shape[2]).astype(np.float64, copy=False)
         inputs = _highest(_highest(np.abs(u)).T.astype(np.float64)) + np.abs(offset_u)
         self.known_size = np.tile(inputs, len(u))
 
@@ -436,7 +437,7 @@ class _Windows:
         """Return k times inputs (entries,), k (entries, l) of so many windows; a missing input counts only
         where it is used.
         """
-        known = self._known[of]
+        known = self.known.T[of]
         missing = np.isnan(known)
         if missing.any():
             known = np.where(missing & (k == 0), 0, known)
@@ -454,16 +455,16 @@ class _Windows:
         """Return (N,) bool: which windows are contradicted by combinations h of outer rows, back of inner
         ones, k of inputs; of one that lacks a sample nothing is said.
         """
-        lo, hi = self._every()
+        lo, hi = self.ends()
         least, most = np.zeros(h.shape[1]), np.zeros(h.shape[1])
         for rows, weights in ((outer, h), (inner, back)):
             below, above = weights * lo[rows], weights * hi[rows]
             least += np.minimum(below, above).sum(0)
             most += np.maximum(below, above).sum(0)
-        value = np.einsum("bn,bn->n", k, self._known.T)
+        value = np.einsum("bn,bn->n", k, self.known)
         return _excludes_0(least - value, most - value, error)
 
-    def _every(self) -> tuple[np.ndarray, np.ndarray]:
+    def ends(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the ends (rows, N) of all rows."""
         d = self._y - self._offset[:, None]
         count = d.shape[2]

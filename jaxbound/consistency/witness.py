@@ -27,7 +27,9 @@ def explained_by(
         test: of the recordings u (..., T, m), y (..., T, p). truth: (..., T, p + g), the true outputs, in
             deviations, and the disturbances; whatever it is, what is returned is proved.
     """
-    if type(test) is not ExchangeTest or test.easy is None or test.easy.stretches is None:
+    if type(test) is not ExchangeTest or not test.easy_first:
+        return None
+    if test.easy is None or test.easy.stretches is None:
         return None
     stretches = test.easy.stretches
     assert isinstance(stretches, EasyStretches)

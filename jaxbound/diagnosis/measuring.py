@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxbound.consistency.drive import windows
+from jaxbound.consistency.drive import end_to_end, windows
 from jaxbound.consistency.interface import Relations, WindowTest
 from jaxbound.recordings.recording import NOWHERE
 
@@ -28,7 +28,7 @@ def exact_margins(
     test = relations.test(method, y.dtype)
     assert isinstance(test, WindowTest)
     test, before = test.measured(), np.arange(-test.horizon, 1)
-    flat_u, flat_y = (x.reshape(-1, x.shape[-1]) for x in (u, y))
+    flat_u, flat_y = end_to_end(u), end_to_end(y)
     exact: np.ndarray = margin.reshape(-1)[at]
     for first in range(0, len(at), TOGETHER):
         here = slice(first, first + TOGETHER)

@@ -71,22 +71,25 @@ class MonitorResult(Result):
             if isinstance(relations, Observer):
                 relations = relations.continued(bank.begun.tests[number])
         lead = self.status.shape[:-1]
-        us, ys, seams = [], [], [np.zeros(0, np.int64)]
+        us, ys, seams = [], [], []
         for at in np.ndindex(*lead):
             u = np.asarray(self.u)[at]
             piece = Recording(u, np.asarray(self.y)[at], np.asarray(self.starts, np.int64))
             seen = bank.seen_by(number, piece, bank.modes_of(u), before)
             us.append(seen.u)
             ys.append(seen.y)
-            seams.append(seen.starts)
+            seams.append(tuple(np.asarray(seen.starts).tolist()))
         u, y = (np.stack(x).reshape(*lead, *x[0].shape) for x in (us, ys))
-        starts = tuple(np.unique(np.concatenate(seams)).tolist())
+        starts = tuple(sorted(set().union(*seams)))
+        apart: tuple[tuple[int, ...], ...] = ()
+        if len(set(seams)) > 1:  # a mode of each recording changes when it does
+            apart = tuple(seams)
         test = relations.test("joint", y.dtype)
         kind = EXACT
         if self.margins != EXACT:
             kind = test.margins_are
         judged = Judged(self.statuses[..., number], self.test_margins[..., number])
-        return result_of(
+        result = result_of(
             relations,
             judged,
             test.method,
@@ -100,6 +103,7 @@ class MonitorResult(Result):
             margins=kind,
             outside_is=self.outside_is,
         )
+        return replace(result, apart=apart)
 
     def test_at(self, at: int | tuple[int, ...]) -> str:
         """Return the name of the test that speaks at an index; "" where none does."""
@@ -162,7 +166,8 @@ class MonitorResult(Result):
         """
         if self.status[at] == Status.MISSING:
             raise ValueError(f"window {at} is MISSING: there is nothing to explain")
-        return self.tests[self.test_at(at)].explain(at)
+        test = self.test_at(at)
+        return self.tests[test].explain(at).of_test(test)
 
     def to_pandas(self) -> "pd.DataFrame":
         """Return the DataFrame of a Result with the columns test, the name of the test that speaks (None

@@ -49,7 +49,22 @@ class ObserverResult(Result):
         """The Observation of the same samples, worked out at the first call: bands of states and outputs, and
         since when.
         """
-        recording = Recording.of(self.relations.signals, self.u, self.y, self.starts)
+        if not self.apart:
+            return self._observed(self.u, self.y, self.starts)
+        u, y, lead = np.asarray(self.u), np.asarray(self.y), self.status.shape[:-1]
+        each = []
+        for at, starts in zip(np.ndindex(*lead), self.apart, strict=True):
+            each.append(self._observed(u[at], y[at], starts))
+
+        def together(*parts: np.ndarray) -> np.ndarray:
+            return np.stack(parts).reshape(*lead, *parts[0].shape)
+
+        observation: Observation = jax.tree.map(together, *each)
+        return observation
+
+    def _observed(self, u: np.ndarray, y: np.ndarray, starts: tuple[int, ...]) -> Observation:
+        """Return the Observation of a recording, or of a batch with the same gaps."""
+        recording = Recording.of(self.relations.signals, u, y, starts)
         observation: Observation = drive(self.relations.telling(enclosures=True), recording)
         on_host: Observation = jax.tree.map(np.asarray, observation)
         return on_host

@@ -293,6 +293,8 @@ class JointObserver(SetObserver[JointState]):
         T = len(samples.fresh)
         if T and int(state.samples) % self.half == 0:
             state = self._next_block(state)
+        if T:
+            state = self._behind_gap(state, samples.fresh[0])
         t, before = int(state.samples), state.carry
         block = t // self.half * self.half
         after, found, known = self._followed(before, samples)
@@ -311,6 +313,15 @@ class JointObserver(SetObserver[JointState]):
             after, found = self._contradicted(before, samples, wrong, after, found)
         state = self._carried_on(state, after, T)
         return state, self._with_windows(found, asked, wrong, right, margin, states)
+
+    def _behind_gap(self, state: JointState, fresh: np.ndarray) -> JointState:
+        """Return the state without the sets of recordings that begin anew with the next sample, fresh (N,).
+
+        A set of the state at that very sample was made of the samples before the gap.
+        """
+        return state._replace(
+            held=state.held & ~fresh, marked=state.marked & ~fresh, explained=state.explained & ~fresh
+        )
 
     def _with_samples(
         self, window: Samples, begin: int, known: steps.Read | None, found: steps.Found

@@ -2,8 +2,10 @@
 
 The observer follows the last samples before a FAULT once more, its kernels evaluated in NumPy: 4 of them,
 then 16, 64, 256, 1024, as far back as it began, knowing nothing of the state before. A contradiction among
-them stands. Only a FAULT that rests on more samples than these, or on samples of a piece before that nobody
-keeps, begins with the set that XLA carried to there.
+them stands. What is left is followed from where the observer began: behind a gap, or behind a FAULT, again
+knowing nothing, so that no set of before a gap is believed twice; of more than 1024 samples XLA follows the
+first. Only a FAULT that rests on samples of a piece before, which nobody keeps, begins with the set that was
+carried to there.
 """
 
 import math
@@ -56,12 +58,14 @@ class Repeatable(Protocol[State]):
 class _Doubt:
     """A FAULT to be decided again.
 
-    Fields: recording; begin, end: the first sample that it rests on, in its piece, and its own.
+    Fields: recording; begin, end: the first sample that it rests on, in its piece, and its own; anew: whether
+    it rests on none before that one.
     """
 
     recording: int
     begin: int
     end: int
+    anew: bool
 
 
 def decided_twice(
@@ -85,7 +89,7 @@ def decided_twice(
         return after, judged
     status = np.where(gone, np.int8(Status.UNDECIDED), status).astype(np.int8)
     margin = np.where(gone, 0, judged.margin).astype(np.asarray(judged.margin).dtype)
-    return watch.forgetful().begin(), _with_verdicts(judged, status, margin)
+    return _ignorant(watch, after.samples), _with_verdicts(judged, status, margin)
 
 
 def _with_verdicts(
@@ -107,7 +111,7 @@ def _doubtful(watch: Repeatable[State], carry: State, piece: Recording, status: 
         refuted = _by_samples(watch, piece, long_enough, length)
         left = [doubt for doubt in left if doubt not in refuted]
         shorter = length
-    left = [doubt for doubt in left if not _by_carry(watch, carry, piece, doubt)]
+    left = [doubt for doubt in left if not _from_begin(watch, carry, piece, doubt)]
     gone = np.zeros(flat.shape, bool)
     for doubt in left:
         count = 1
@@ -126,10 +130,10 @@ def _doubtful(watch: Repeatable[State], carry: State, piece: Recording, status: 
 def _doubts(watch: Repeatable[State], carry: State, piece: Recording, status: np.ndarray) -> Iterator[_Doubt]:
     """Yield the FAULTs of recordings (N, T); of one that stays, the first."""
     starts = np.asarray(piece.starts).tolist()
-    seams = {0, *starts}
+    gaps = set(starts)
     if piece.excluded is not None:
-        seams.update(np.flatnonzero(piece.excluded).tolist())
-    ordered = np.array(sorted(seams))
+        gaps.update(np.flatnonzero(piece.excluded).tolist())
+    ordered = np.array(sorted({0, *gaps}))
     ended = np.broadcast_to(_ended(watch, carry), len(status))
     for recording, row in enumerate(status):
         begin = 0
@@ -140,7 +144,8 @@ def _doubts(watch: Repeatable[State], carry: State, piece: Recording, status: np
             if end == 0:
                 stays = stays_from_before
             if not stays:
-                yield _Doubt(recording, max(begin, seam), end)
+                first = max(begin, seam)
+                yield _Doubt(recording, first, end, anew=first > 0 or 0 in gaps)
             if watch.restart:
                 begin = end + 1
 
@@ -168,17 +173,30 @@ def _by_samples(watch: Repeatable[State], piece: Recording, doubts: list[_Doubt]
     return proved
 
 
-def _by_carry(watch: Repeatable[State], carry: State, piece: Recording, doubt: _Doubt) -> bool:
-    """Return whether a FAULT is seen again from the set that XLA carried to a sample not long before it, or
-    to the piece.
+def _from_begin(watch: Repeatable[State], carry: State, piece: Recording, doubt: _Doubt) -> bool:
+    """Return whether a FAULT is seen again where the observer is followed from where it began, or from the
+    set that it carried to the piece.
     """
-    alone, own = _of_recording(piece, doubt.recording), _carried_of(watch, carry, doubt.recording)
-    near = max(0, doubt.end + 1 - LENGTHS[-1])
-    if near:
-        own, _ = watch.judged(own, alone.cut(0, near))
+    alone, first = _of_recording(piece, doubt.recording), 0
+    if doubt.anew:
+        first = doubt.begin
+        own = _ignorant(watch, carry.samples + first)  # blocks of samples begin where they did
+        watch = watch.forgetful()
+    else:
+        own = _carried_of(watch, carry, doubt.recording)
+    near = max(first, doubt.end + 1 - LENGTHS[-1])
+    if near > first:
+        own, _ = watch.judged(own, alone.cut(first, near))
     with outside_xla():
         _, judged = watch.judged(own, alone.cut(near, doubt.end + 1))
     return bool(judged.status[-1] == Status.FAULT)
+
+
+def _ignorant(watch: Repeatable[State], samples: np.int64) -> State:
+    """Return the state of an observer that knows nothing behind so many samples."""
+    nothing: Any = watch.forgetful().begin()  # a NamedTuple, whatever fields a method has
+    state: State = nothing._replace(samples=np.int64(samples))
+    return state
 
 
 def _lanes(watch: Repeatable[State], x: Array) -> np.ndarray:

@@ -21,6 +21,7 @@ __all__ = [
     "from_arrow",
     "header_line",
     "is_plain",
+    "moments",
     "texts",
     "to_arrow",
     "valid",
@@ -28,6 +29,9 @@ __all__ = [
     "write_columns",
     "write_rows",
 ]
+
+UNITS = ("s", "ms", "us", "ns")
+"""Of a time stamp: the first that it is a whole number of is written."""
 
 
 def from_arrow(column: "pa.Array") -> np.ndarray:
@@ -119,6 +123,32 @@ def categories(names: Sequence[str], codes: np.ndarray) -> "pa.Array":
     return pa.DictionaryArray.from_arrays(indices, texts(names))
 
 
+def moments(column: "pa.Array") -> "pa.Array":
+    """Return a pyarrow column as CSV has it: time stamps become texts to the second, or with three, six or
+    nine digits behind it where they need them, and with the offset of their zone; others are left alone.
+
+    Example:
+        >>> stamps = np.array(["2026-03-01T08:00", "2026-03-01T08:00:00.25"], "datetime64[ns]")
+        >>> moments(to_arrow(stamps)).to_pylist()
+        ['2026-03-01 08:00:00', '2026-03-01 08:00:00.250']
+    """
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    if not pa.types.is_timestamp(column.type):
+        return column
+    cells, is_exact = column.cast(pa.string()), pa.scalar(False)
+    for unit in UNITS:
+        coarse = column.cast(pa.timestamp(unit, column.type.tz), safe=False)
+        cells = pc.if_else(is_exact, cells, coarse.cast(pa.string()))
+        is_exact = pc.equal(coarse.cast(column.type, safe=False), column)
+        if pc.all(is_exact).as_py() is not False:
+            break
+    if column.type.tz:
+        cells = pc.replace_substring_regex(cells, r"([+-]\d\d)(\d\d)$", r"\1:\2")
+    return cells
+
+
 def write_columns(path: str | PathLike[str], columns: Mapping[str, "pa.Array"], append: bool = False) -> None:
     """Write {name: pyarrow array} as CSV, with quotes only if a text needs them; `append` to a file that has
     its header already.
@@ -142,6 +172,7 @@ def write_rows(sink: IO[bytes], columns: Mapping[str, "pa.Array"]) -> None:
     import pyarrow as pa
     import pyarrow.csv
 
+    columns = {name: moments(column) for name, column in columns.items()}
     quoting = "needed"
     if all(map(is_plain, columns.values())):
         quoting = "none"

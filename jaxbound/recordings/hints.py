@@ -19,6 +19,10 @@ __all__ = [
 
 FIRST = 20_000
 """Samples of which the different values are looked at first."""
+WITHOUT_INPUT = (
+    "windows that need one are judged as if it could be anything, FAULT where that proves it, CONSISTENT "
+    "where a search finds what it may be, else UNDECIDED or MISSING: their margins are of the rest only"
+)
 
 
 def refuse_short(source: object, samples: int | None, horizon: int | None) -> None:
@@ -40,7 +44,7 @@ def missing_hints(
     """
     if excluded is not None:
         u, y = u[~excluded], y[~excluded]
-    return missing_sentences(missing_samples(model, u, y), len(y))
+    return missing_sentences(model, missing_samples(model, u, y), len(y))
 
 
 def missing_samples(model: Named, u: np.ndarray, y: np.ndarray) -> dict[str, int]:
@@ -49,13 +53,17 @@ def missing_samples(model: Named, u: np.ndarray, y: np.ndarray) -> dict[str, int
     return dict(zip((*known(model), *model.outputs), missing, strict=True))
 
 
-def missing_sentences(missing: Mapping[str, int], samples: int) -> list[str]:
-    """Return a sentence for each signal of which samples are missing."""
-    return [
-        f"{count} of {samples} samples of {name} are missing: the windows around them are judged without them"
-        for name, count in missing.items()
-        if count
-    ]
+def missing_sentences(model: Named, missing: Mapping[str, int], samples: int) -> list[str]:
+    """Return a sentence for each signal of which samples are missing: what is claimed of windows around."""
+    sentences: list[str] = []
+    for name, count in missing.items():
+        if not count:
+            continue
+        claim = "the windows around them are judged without them"
+        if name in model.inputs:
+            claim = WITHOUT_INPUT
+        sentences.append(f"{count} of {samples} samples of {name} are missing: {claim}")
+    return sentences
 
 
 def rounding_hints(model: Named, y: np.ndarray) -> list[str]:

@@ -27,7 +27,7 @@ from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import around, check_period, tick
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import Progress, Source
-from jaxbound.recordings.stream import Complain, Stream
+from jaxbound.recordings.stream import Complain, Stream, Taken, digests_of
 from jaxbound.recordings.timestamps import from_epoch, time_label
 
 __all__ = ["LiveSource", "Readings", "joined"]
@@ -66,16 +66,18 @@ class LiveSource(Source):
             return self.data
         return type(self.data).__name__
 
-    def stream(self, complain: Complain, memory: dict[str, Any] | None = None) -> "Readings":
-        """Return the Stream of the readings of the function, behind a memory."""
+    def stream(
+        self, complain: Complain, memory: dict[str, Any] | None = None, taken: Taken | None = None
+    ) -> "Readings":
+        """Return the Stream of the readings of the function, behind a memory. taken: see `Stream`."""
         if isinstance(self.data, Iterator):
-            return Readings(self.model, self.data, complain, memory)
+            return Readings(self.model, self.data, complain, memory, taken)
         named = NAMED.fullmatch(str(self.data))
         assert named is not None, "the name was taken"
         function = run_path(named[1], run_name=Path(named[1]).stem).get(named[2])
         if not callable(function):
             raise ValueError(f"{named[1]} has no function {named[2]}")
-        return Readings(self.model, function(self.model), complain, memory)
+        return Readings(self.model, function(self.model), complain, memory, taken)
 
     def whole(self, progress: Progress | None = None) -> Recording:
         """Return all readings of the function as one Recording, or their means; it has to end."""
@@ -89,7 +91,7 @@ class Readings(Stream):
 
     Args:
         model: whose signals are wanted. readings: what `Recording.of` takes, again and again, in order of
-            time. complain, memory: as for `PipeText`.
+            time. complain, memory, taken: as for `PipeText`.
     """
 
     def __init__(
@@ -98,8 +100,9 @@ class Readings(Stream):
         readings: Iterable[Any],
         complain: Complain = lambda kind, sentence: None,
         memory: dict[str, Any] | None = None,
+        taken: Taken | None = None,
     ) -> None:
-        super().__init__(model, complain)
+        super().__init__(model, complain, taken)
         if TIME_SINCE_START in _names_used(model):
             raise ValueError(
                 f"{TIME_SINCE_START} is of a file or a pipe: a reading does not tell when others began"
@@ -147,10 +150,20 @@ class Readings(Stream):
         """Return the samples of a reading that were not judged before, with the seams before and in them."""
         counted = piece.time is None
         time = self._times(piece)
+        digests = digests_of([time, *np.transpose(piece.u), *np.transpose(piece.y)])
         if self.resumed and not counted:
-            piece, time = self._behind(piece, time)
+            last = self.clock.last
+
+            def named(k: int) -> tuple[str, str]:
+                return f"a reading at {self.label(time[k])}", self.label(last)
+
+            old = self.old_ones(digests, time, last, named)
+            piece, time, digests = piece.cut(old, piece.samples), time[old:], digests[old:]
             if not piece.samples:
                 return piece
+            if self.skipped:
+                self.complain("replay", self.skipped_text)
+        self.taken.add(digests)
         known = self.clock.samples
         starts = NOWHERE
         if self.regular:
@@ -174,16 +187,6 @@ class Readings(Stream):
         if np.isnan(piece.origin):
             return np.asarray(piece.time, float)
         return piece.origin + np.asarray(piece.time, float)
-
-    def _behind(self, piece: Recording, time: np.ndarray) -> tuple[Recording, np.ndarray]:
-        """Return the samples after the last one that another process judged, and their times."""
-        fresh = time > self.clock.last
-        first = piece.samples
-        if fresh.any():
-            first = int(np.argmax(fresh))
-        if first:
-            self.complain("replay", f"{first} samples were judged before and are skipped")
-        return piece.cut(first, piece.samples), time[first:]
 
 
 def _names_used(model: SignalModel) -> set[str]:

@@ -13,23 +13,22 @@ fails where it fails at each: else it is `IN_PART`.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxbound.recordings.clockintervals import nanoseconds, next_interval, seconds_of
-from jaxbound.recordings.columns import texts
 from jaxbound.recordings.factors import IN_PART, Factor, factors_of
 from jaxbound.recordings.seams import TOLERATED_DT, TOLERATED_STEP, USUAL
 from jaxbound.recordings.signals import Named, SignalModel, Signals
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 __all__ = [
     "EVERY",
     "FIRST",
     "Grid",
+    "Rows",
+    "TooShort",
+    "Unfinished",
     "every_of",
     "finished",
     "grid_of",
@@ -41,7 +40,6 @@ __all__ = [
     "refuse_every",
     "usual_step",
     "with_every",
-    "written_stamps",
 ]
 
 EVERY = "every"
@@ -51,6 +49,10 @@ RARE = 0.99  # share of steps that a recorder does not exceed which skips a samp
 SKIPPED = 2.5  # median steps: a longer one skips more than one sample
 HOLE = 1.5  # usual steps: a longer one lacks a sample
 EMPTY = 100  # intervals without a sample that are missing samples, and no gap
+
+
+class TooShort(ValueError):
+    """A recording holds no interval as a whole."""
 
 
 class Grid(NamedTuple):
@@ -87,6 +89,75 @@ class Grid(NamedTuple):
         if self.origin is None:
             return None
         return self.origin + (self.number * self.every).astype("timedelta64[ns]")
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Samples as recorded: instant (N,) ns, u (N, m), y (N, p), excluded (N,) bool, and broken (N,) bool:
+    something before it was lost.
+    """
+
+    instant: np.ndarray
+    u: np.ndarray
+    y: np.ndarray
+    excluded: np.ndarray
+    broken: np.ndarray
+
+    def followed(self, other: "Rows") -> "Rows":
+        """Return these samples and those behind them."""
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return Rows(*(np.concatenate(pair) for pair in pairs))
+
+    def behind(self, first: int) -> "Rows":
+        """Return the samples from number `first` on."""
+        return Rows(*(x[first:] for x in vars(self).values()))
+
+    def plain(self) -> dict[str, Any]:
+        """Return the samples as JSON holds them."""
+        return {name: x.tolist() for name, x in vars(self).items()}
+
+
+class Unfinished(NamedTuple):
+    """The samples of a recording that are in no interval which is over, and how its intervals are counted, by
+    which the next recording goes on.
+
+    Fields: rows: from the last sample of the interval before on; shown: instants of the first samples of all
+    recordings so far, in ns, which show the usual step; origin: what intervals count from; number: of the
+    first one that is not over, None: none was over yet.
+    """
+
+    rows: Rows
+    shown: np.ndarray
+    origin: np.datetime64 | None
+    number: int | None = None
+
+    def leads_to(self, time: np.ndarray, stamps: np.ndarray | None, y: np.ndarray) -> bool:
+        """Return whether samples come later, by the same clock and of the same type."""
+        if (stamps is None) != (self.origin is None) or y.dtype != self.rows.y.dtype:
+            return False
+        return bool(instants(time, stamps, self.origin)[0] > self.rows.instant[-1])
+
+    def followed(self, rows: Rows) -> "Unfinished":
+        """Return these samples and those behind them."""
+        shown = np.concatenate([self.shown, rows.instant])[:FIRST]
+        return self._replace(rows=self.rows.followed(rows), shown=shown)
+
+    def grid(self, every: str, goes_on: bool = False) -> Grid:
+        """Return the intervals that are over.
+
+        Args:
+            every: the interval. goes_on: a recording follows, which may hold a sample for the last interval.
+        """
+        usual = usual_step(self.shown, every)
+        shortest = usual
+        if goes_on:
+            shortest = min(usual, int(np.median(np.diff(self.shown))))
+        return grid_of([self.rows.instant], every, usual, self.origin, self.number, shortest)
+
+    def behind(self, grid: Grid) -> "Unfinished":
+        """Return the samples that are left behind these intervals."""
+        rows = self.rows.behind(int(grid.stop[-1]) - 1)
+        return self._replace(rows=rows, number=int(grid.number[-1]) + 1)
 
 
 def every_of(model: Named) -> str | None:
@@ -228,13 +299,20 @@ def finished(
 
 
 def grid_of(
-    chunks: Iterable[np.ndarray], every: str, usual: int, origin: np.datetime64 | None = None
+    chunks: Iterable[np.ndarray],
+    every: str,
+    usual: int,
+    origin: np.datetime64 | None = None,
+    number: int | None = None,
+    shortest: int | None = None,
 ) -> Grid:
     """Return the intervals of a recording.
 
     Args:
         chunks: times in ns from `instants`, in order. every: the interval. usual: from `usual_step`. origin:
-            what dates count from.
+            what dates count from. number: of the first interval that counts, behind a recording before; None:
+            the first that is whole. shortest: step in ns behind the last row at which another one may come;
+            None: the usual one.
 
     Raises:
         ValueError: an interval that is shorter than the usual step, or no interval that is whole.
@@ -250,25 +328,27 @@ def grid_of(
             continue
         instant = np.concatenate([last, chunk])
         at = rows - len(last)  # number of the first row of them
-        number = instant // length
+        own = instant // length
         step = np.diff(instant)
-        begins = np.flatnonzero((np.diff(number) != 0) | (step < 0)) + 1
-        odd += [at + row for row in _beside_holes(instant, number, step, usual, length)]
+        begins = np.flatnonzero((np.diff(own) != 0) | (step < 0)) + 1
+        odd += [at + row for row in _beside_holes(instant, own, step, usual, length)]
         if not len(last):
             begins = np.append(0, begins)
-            if (instant[0] - usual) // length >= number[0]:
+            if (instant[0] - usual) // length >= own[0]:
                 odd.append(np.zeros(1, np.int64))
         firsts.append(at + begins)
-        numbers.append(number[begins])
+        numbers.append(own[begins])
         rows += len(chunk)
         last = instant[-1:]
-    if len(last) and (last[0] + usual) // length <= last[0] // length:
+    if len(last) and (last[0] + (shortest or usual)) // length <= last[0] // length:
         odd.append(np.array([rows - 1]))
-    first, number = np.concatenate(firsts), np.concatenate(numbers)
+    first, each = np.concatenate(firsts), np.concatenate(numbers)
     whole = np.ones(len(first), bool)
     whole[np.searchsorted(first, np.concatenate(odd), "right") - 1] = False
-    grid = Grid(number, first, np.append(first[1:], rows), whole, length, origin)
-    return _with_empty(_without_ends(grid, every))
+    grid = Grid(each, first, np.append(first[1:], rows), whole, length, origin)
+    if number is None:
+        return _with_empty(_without_ends(grid, every))
+    return _from(grid, every, number)
 
 
 def _beside_holes(
@@ -289,8 +369,19 @@ def _without_ends(grid: Grid, every: str) -> Grid:
     """Return the intervals without the first and the last where they are not whole."""
     begin, end = int(not grid.whole[0]), len(grid.whole) - int(not grid.whole[-1])
     if end <= begin:
-        raise ValueError(f"no interval of {every} is in the recording as a whole: it is too short")
+        raise TooShort(f"no interval of {every} is in the recording as a whole: it is too short")
     return grid.part(begin, end)
+
+
+def _from(grid: Grid, every: str, number: int) -> Grid:
+    """Return the intervals from one on, those in which nothing was recorded too, without the last where it is
+    not whole.
+    """
+    over = _with_empty(grid.part(0, len(grid.whole) - int(not grid.whole[-1])))
+    counts = np.flatnonzero(over.number >= number)
+    if not len(counts):
+        raise TooShort(f"no interval of {every} is over in the recording and the one before: it is too short")
+    return over.part(int(counts[0]), len(over.number))
 
 
 def _with_empty(grid: Grid) -> Grid:
@@ -369,11 +460,3 @@ def is_period(dt: float | None, every: str) -> bool:
     """Return whether samples dt apart, in s, have the step of the interval already."""
     seconds = seconds_of(every)
     return dt is not None and abs(float(dt) - seconds) <= TOLERATED_DT * seconds
-
-
-def written_stamps(stamps: np.ndarray, every: int) -> "pa.Array":
-    """Return the beginnings of intervals of so many ns as a column of texts."""
-    unit: Literal["s", "ms"] = "s"
-    if every % 1_000_000_000:
-        unit = "ms"
-    return texts([text.replace("T", " ") for text in np.datetime_as_string(stamps, unit).tolist()])

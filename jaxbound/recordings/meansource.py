@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from jaxbound.recordings.clockintervals import nanoseconds
-from jaxbound.recordings.columns import from_arrow
+from jaxbound.recordings.columns import from_arrow, moments, to_arrow
 from jaxbound.recordings.means import (
     Grid,
+    TooShort,
+    Unfinished,
     every_of,
     grid_of,
     instants,
@@ -23,7 +24,6 @@ from jaxbound.recordings.means import (
     midnight_of,
     recorded_model,
     usual_step,
-    written_stamps,
 )
 from jaxbound.recordings.parquet import PROBE, ParquetSource
 from jaxbound.recordings.recording import Recording
@@ -54,12 +54,23 @@ class MeansSource(Source):
 
     Args:
         raw: the source, opened with `recorded_model`. data: of it. model: with the interval.
+
+    Fields: before: the `rest` of the recording before; None: there is none. goes_on: whether others follow.
     """
+
+    before: Unfinished | None = None
+    goes_on = False
 
     def __init__(self, raw: Source, data: object, model: SignalModel) -> None:
         super().__init__(data, model)
         self.raw = raw
         self.every = every_of(model) or ""
+
+    def behind(self, before: Unfinished | None) -> "MeansSource":
+        """Return the source of the same means, read as a whole, between a recording before and the next."""
+        source = MeansSource(self.raw, self.data, self.model)
+        source.before, source.goes_on = before, True
+        return source
 
     @cached_property
     def content(self) -> str | None:
@@ -68,12 +79,26 @@ class MeansSource(Source):
 
     def whole(self, progress: Progress | None = None) -> Recording:
         """Return the Recording of all means."""
-        recorded = self.raw.whole(progress)
-        means = recorded.averaged(self.every, self.model.m)
+        recorded = self._recorded_whole(progress)
+        left = recorded.unfinished(self.before)
+        try:
+            grid = left.grid(self.every, self.goes_on)
+        except TooShort:
+            self.rest = left
+            raise
+        means = recorded.averaged(left, grid, self.model.m)
         if means.stamps is not None:
-            means = replace(means, written=written_stamps(means.stamps, nanoseconds(self.every)))
+            means = replace(means, written=moments(to_arrow(means.stamps)))
         where = self.model.columns.get("where", "")
-        return with_hints(self.model, means, "sample {}".format, where, recorded.hints)
+        means = with_hints(self.model, means, "sample {}".format, where, recorded.hints)
+        self.rest = left.behind(grid)
+        return means
+
+    def _recorded_whole(self, progress: Progress | None) -> Recording:
+        """Return all samples as they were recorded."""
+        if self.raw.parts:
+            return self.raw.read(progress=progress)
+        return self.raw.whole(progress)
 
 
 class PartMeans(MeansSource):

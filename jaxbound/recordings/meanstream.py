@@ -6,22 +6,23 @@ so that another process goes on with them.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from jaxbound.recordings.columns import moments, to_arrow
 from jaxbound.recordings.factors import known
 from jaxbound.recordings.means import (
     FIRST,
     Grid,
+    Rows,
     every_of,
     finished,
     instants,
     means_of,
     midnight_of,
     usual_step,
-    written_stamps,
 )
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import tick
@@ -34,32 +35,6 @@ __all__ = ["MeansStream"]
 SINCE_1970 = 1e9  # a time in seconds that large is counted from 1970
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Samples as recorded: instant (N,) ns, u (N, m), y (N, p), excluded (N,) bool, and broken (N,) bool:
-    something before it was lost.
-    """
-
-    instant: np.ndarray
-    u: np.ndarray
-    y: np.ndarray
-    excluded: np.ndarray
-    broken: np.ndarray
-
-    def followed(self, other: "_Rows") -> "_Rows":
-        """Return these samples and those behind them."""
-        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
-        return _Rows(*(np.concatenate(pair) for pair in pairs))
-
-    def behind(self, first: int) -> "_Rows":
-        """Return the samples from number `first` on."""
-        return _Rows(*(x[first:] for x in vars(self).values()))
-
-    def plain(self) -> dict[str, Any]:
-        """Return the samples as JSON holds them."""
-        return {name: x.tolist() for name, x in vars(self).items()}
-
-
 class MeansStream(Stream):
     """The means of another stream.
 
@@ -69,10 +44,10 @@ class MeansStream(Stream):
     """
 
     def __init__(self, reading: Stream, model: SignalModel, memory: dict[str, Any] | None = None) -> None:
-        super().__init__(model, reading.complain)
-        self.reading, self.raw = reading, reading.raw
+        super().__init__(model, reading.complain, reading.taken)
+        self.reading, self.raw, self.units = reading, reading.raw, reading.units
         self.every = every_of(model) or ""
-        self.rows: _Rows | None = None  # from the last one of the interval before on
+        self.rows: Rows | None = None  # from the last one of the interval before on
         self.usual: int | None = None  # step in ns
         self.origin: np.datetime64 | None = None
         self.zero: int | None = None  # number of the first interval that counts
@@ -95,10 +70,10 @@ class MeansStream(Stream):
         if memory["origin"] is not None:
             self.origin = np.datetime64(memory["origin"], "ns")
 
-    def _rows_of(self, rows: dict[str, Any]) -> _Rows:
+    def _rows_of(self, rows: dict[str, Any]) -> Rows:
         """Return samples from JSON."""
         count = len(rows["instant"])
-        return _Rows(
+        return Rows(
             np.array(rows["instant"], np.int64),
             np.array(rows["u"], float).reshape(count, len(known(self.model))),
             np.array(rows["y"], float).reshape(count, len(self.model.outputs)),
@@ -135,7 +110,7 @@ class MeansStream(Stream):
             ValueError: as the samples themselves, or an interval that is shorter than their step.
         """
         for _, piece in self.reading.pieces(arrivals):
-            self.lost = self.reading.lost
+            self.lost, self.skipped = self.reading.lost, self.reading.skipped
             if piece.samples:
                 self._take(piece)
             means = self._means()
@@ -173,7 +148,7 @@ class MeansStream(Stream):
         broken = np.zeros(piece.samples, bool)
         broken[piece.starts] = True
         instant = instants(piece.time, stamps, self.origin)
-        rows = _Rows(instant, np.asarray(piece.u, float), np.asarray(piece.y, float), excluded, broken)
+        rows = Rows(instant, np.asarray(piece.u, float), np.asarray(piece.y, float), excluded, broken)
         if self.rows is not None:
             rows = self.rows.followed(rows)
         self.rows = rows
@@ -208,7 +183,7 @@ class MeansStream(Stream):
         like = Recording(*samples[:2], NOWHERE, known(self.model), self.model.outputs)
         means = like.on_grid(grid, self.zero, samples)
         if means.stamps is not None:
-            means = replace(means, written=written_stamps(means.stamps, grid.every))
+            means = replace(means, written=moments(to_arrow(means.stamps)))
         before = self.clock.samples
         self.clock, seams = tick(self.clock, means.time)
         starts = seams - before

@@ -21,7 +21,7 @@ from jaxbound.recordings.linetext import SOURCE, Cells, LineReader, WrongCells
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import TOLERATED_STEP, check_period, rows_apart, tick
 from jaxbound.recordings.signals import SignalModel
-from jaxbound.recordings.stream import Complain, Stream
+from jaxbound.recordings.stream import Complain, OtherSamples, Stream, Taken, digests_of
 from jaxbound.recordings.timestamps import (
     EPOCH,
     SECOND,
@@ -40,8 +40,6 @@ __all__ = ["PipeText"]
 LONGEST = 1 << 20  # bytes of a line
 SHOWN = 100  # samples whose steps say whether the sampling period is the model's
 TOLD = 20  # seams of one piece that get a sentence
-POSITION = "clock texts origin scale counting counted lone broken aside after skipped number".split()
-"""What taking a line changes."""
 Line = tuple[int, bytes]
 """A line with its number."""
 
@@ -92,21 +90,24 @@ class PipeText(Stream):
     Args:
         model: whose signals are wanted. complain: called with (kind, sentence) on each line that is left out
             and each seam.
-        memory: from `.memory()` of another PipeText, to go on where that ended; None: a new stream.
+        memory: from `.memory()` of another PipeText, to go on where that ended; None: a new stream. taken: of
+            all processes, by which lines are known that are sent again.
 
     Fields: raw: the number of standard input.
     """
 
     raw = 0
+    units = "lines"
 
     def __init__(
         self,
         model: SignalModel,
         complain: Complain,
         memory: dict[str, Any] | None = None,
+        taken: Taken | None = None,
     ) -> None:
-        super().__init__(model, complain)
-        self.tail = self.last = self.rest = b""  # half a line; the last row; half a line of a process before
+        super().__init__(model, complain, taken)
+        self.tail = self.rest = b""  # half a line; half a line of a process before
         self.reader: LineReader | None = None  # as soon as there is a row of data
         self.begun: list[Line] = []  # lines before that
         self.number = 0  # lines so far
@@ -114,14 +115,20 @@ class PipeText(Stream):
         self.texts: list[str] = []  # the first and the last time, where it is written as text
         self.origin: float | None = None  # of a time that is an epoch, with units a second in .scale
         self.scale: float | None = None
-        self.counting, self.counted = SECONDS, False  # how numbers of a time count, and whether that is known
+        self.counting, self.unit_known = (
+            SECONDS,
+            False,
+        )  # how numbers of a time count, and whether that is known
         self.lone = np.zeros(0)  # the first number, as long as it is the only one
         self.began = np.nan  # the instant at which `time` is 0, in s, see `Recording.origin`
         self.broken = self.aside = self.repeated = False
-        self.skip = self.skipped = 0  # lines that were judged before, to be left out and left out already
+        self.counted: int | None = None  # samples that are sent again, where no time tells them
         self.blank: list[Line] = []  # blank lines that are wrong, without a time, where a row follows
         self.returns = 0  # carriage returns at the end, which may be the first half of a line end
-        self.after: float | None = None
+        self.after: float | None = (
+            None  # time of the last sample of a process before, until a later one comes
+        )
+        self.was_broken = False  # behind that sample
         self.shown: list[float] | None = []
         if not self.regular:
             self.shown = None
@@ -131,21 +138,21 @@ class PipeText(Stream):
     def _resume_from(self, memory: dict[str, Any]) -> None:
         """Go on from a memory."""
         self.reader = LineReader([line.encode("latin-1") for line in memory["head"]], self.model)
-        self.rest, self.last = (memory[name].encode("latin-1") for name in ("tail", "last"))
+        self.rest = memory["tail"].encode("latin-1")
         if self.rest == b"\r":
             self.rest, self.returns = b"", 1
         self._resume_clock(memory)
         self.origin, self.scale, self.texts = memory["origin"], memory["scale"], memory["texts"]
         if "counting" in memory:  # of a version that knew seconds and epochs only
-            self.counting, self.counted = Counting(*memory["counting"]), memory["counted"]
+            self.counting, self.unit_known = Counting(*memory["counting"]), memory["unit_known"]
             self.lone = np.array(memory["lone"], float)
         self.aside, self.broken, self.resumed = memory["aside"], memory["broken"], memory["number"]
-        self.shown = None
+        self.was_broken, self.shown = self.broken, None
 
     @property
     def replaying(self) -> bool:  # type: ignore[override]
-        """Whether the sender has begun again, and its lines were all judged before."""
-        return self.skip > 0
+        """Whether the lines that came are those that a process before had judged."""
+        return self.after is not None
 
     def memory(self) -> dict[str, Any] | None:
         """Return the state from which another PipeText goes on, as JSON holds it; None before the first
@@ -153,19 +160,21 @@ class PipeText(Stream):
         """
         if self.reader is None:
             return None
+        broken = self.broken or bool(self.blank)
+        if self.replaying:
+            broken = self.was_broken
         return {
             "head": [line.decode("latin-1") for line in self.reader.head],
-            "number": max(self.number, self.resumed, self.skip),
+            "number": max(self.number, self.resumed),
             "tail": (self.rest + self.tail + b"\r"[: self.returns]).decode("latin-1"),
-            "last": self.last.decode("latin-1"),
             **self._clock_memory(),
             "origin": self.origin,
             "scale": self.scale,
             "counting": [*self.counting],
             "lone": self.lone.tolist(),
-            "counted": self.counted,
+            "unit_known": self.unit_known,
             "texts": self.texts,
-            "broken": self.broken or bool(self.blank),
+            "broken": broken,
             "aside": self.aside,
         }
 
@@ -201,7 +210,6 @@ class PipeText(Stream):
         rows = self._rows(self._lines(data))
         if not rows:
             return None
-        self.last = rows[-1][1]
         pieces = [piece for piece in self._pieces(rows) if len(piece.time)]
         if not pieces:
             return None
@@ -297,10 +305,8 @@ class PipeText(Stream):
         self.blank = []
         while rows and reader.layout.is_blank(rows[-1][1]):
             self.blank.insert(0, rows.pop())
-        if rows and self.resumed:
+        if rows and self.resumed and not self.replaying:
             rows = self._resume(rows)
-        if self.skip:
-            rows = self._replayed(rows)
         return rows
 
     def _continued(self, data: bytes) -> bytes:
@@ -405,7 +411,7 @@ class PipeText(Stream):
         return value - self.clock.last
 
     def _resume(self, rows: list[Line]) -> list[Line]:
-        """Find out how the stream goes on: return the lines that are new, as far as that is clear."""
+        """Find out how the stream goes on, from its first rows; return them without the header."""
         plan, head = self._known_reader.plan, [_bare(line) for line in self._known_reader.head]
         while rows and _bare(rows[0][1]) in head[:-1]:
             rows, self.repeated = rows[1:], True
@@ -413,13 +419,16 @@ class PipeText(Stream):
             return []
         filled = next((line for _, line in rows if line.strip()), b"")
         self._refuse_other_header(filled)
-        if _bare(filled) == head[-1] and (self.repeated or plan.time is not None):
-            self.skip = self.resumed
-            self.complain("replay", "the sender began again: what was judged before is skipped")
-        else:
-            rows = self._continued_rows(rows)
-        self.resumed = 0
-        return rows
+        begins_again = self.repeated and _bare(filled) == head[-1]
+        if plan.time is None and begins_again:
+            self.counted = 0
+        elif plan.time is None:
+            self.broken = True
+            self.complain("replay", "no time says whether lines were lost between: windows begin anew")
+        if self.clock.samples and (plan.time is not None or begins_again):
+            self.after = self.clock.last
+            return rows
+        return self._numbered_behind(rows)
 
     def _refuse_other_header(self, line: bytes) -> None:
         """Refuse a line that is a header with other columns than before."""
@@ -433,34 +442,19 @@ class PipeText(Stream):
                 f"or --state"
             )
 
-    def _continued_rows(self, rows: list[Line]) -> list[Line]:
-        """Return rows of a sender that goes on, numbered behind those before."""
-        if self._known_reader.plan.time is None:
-            self.broken = True
-            self.complain("replay", "no time says whether lines were lost between: windows begin anew")
-        elif self.clock.samples:
-            self.after = self.clock.last
+    def _numbered_behind(self, rows: list[Line]) -> list[Line]:
+        """Return the first rows that are new, numbered behind those of the processes before."""
         behind = self.resumed - rows[0][0] + 1
+        self.resumed, self.after, self.counted = 0, None, None
         self.number += behind
         return [(n + behind, line) for n, line in rows]
-
-    def _replayed(self, rows: list[Line]) -> list[Line]:
-        """Return the lines behind those that an earlier process took."""
-        old = [row for row in rows if row[0] <= self.skip]
-        if old and old[-1][0] == self.skip or self.number >= self.skip:
-            if old and old[-1][1].strip() != self.last.strip():
-                self.complain(
-                    "replay",
-                    f"the sender began again, but its line {old[-1][0]} is not the one that was judged: what "
-                    f"it sends from here on is taken to follow that",
-                )
-            self.skip = 0
-        return rows[len(old) :]
 
     def _pieces(self, rows: list[Line]) -> Iterator[_LineSamples]:
         """Yield the samples of lines, which are halved until the one that cannot be read is alone."""
         try:
             yield self._samples(rows)
+        except OtherSamples:
+            raise
         except ValueError as e:
             if len(rows) > 1:
                 half = len(rows) // 2
@@ -472,6 +466,11 @@ class PipeText(Stream):
             if left_out is not None:
                 yield left_out
                 return
+            digest = digests_of([np.zeros(1)], [[line.decode("latin-1").strip()]])
+            if self.replaying and self.taken.knows(digest).all():
+                self.skipped += 1
+                return
+            self.taken.add(digest)
             self.broken = True
             trouble = self._known_reader.trouble(line) or str(e).strip()
             self._lose(f"line {number} {trouble}")
@@ -480,22 +479,22 @@ class PipeText(Stream):
         """Return the sample of a line with cells that are no numbers, if `where` leaves it out, else None."""
         if self._known_reader.plan.where is None:
             return None
-        before = {name: getattr(self, name) for name in POSITION}
         try:
-            samples = self._samples(rows, self._known_reader.numbers_in(rows[0][1]))
+            return self._samples(rows, self._known_reader.numbers_in(rows[0][1]))
+        except OtherSamples:
+            raise
         except ValueError:
             return None
-        if samples.excluded is None or not samples.excluded.all():
-            vars(self).update(before)
-            return None
-        return samples
 
     def _samples(self, rows: list[Line], cells: Cells | None = None) -> _LineSamples:
-        """Return the samples of lines that can all be read. cells: of them, None: not read yet."""
-        count, plan = len(rows), self._known_reader.plan
+        """Return the samples of lines that can all be read. cells: of lines that count only if `where` leaves
+        all of them out; None: not read yet.
+        """
+        count, plan, counts = len(rows), self._known_reader.plan, cells is None
         if cells is None:
             cells = self._known_reader.columns([line for _, line in rows])
         columns, texts = cells
+        digests = self._digests(columns, texts, count)
         if texts is not None:
             times = self._text_times(texts)
         elif plan.time is not None:
@@ -508,44 +507,60 @@ class PipeText(Stream):
         if self.origin is not None and self.scale is None:  # numbers that are seconds
             since = since - self.origin
         u, y, excluded = plan.samples(columns, count, (since, times.stamps))
+        if not counts and (excluded is None or not excluded.all()):
+            raise ValueError("is no row that is left out")
         stamps = None
         if not self.regular:
             stamps = times.stamps
         samples = _LineSamples(times.time, times.written, u, y, np.zeros(0, np.int64), excluded, stamps)
         if self.after is not None:
-            samples, rows = self._behind(samples, rows, times.before)
+            samples, digests, rows = self._behind(samples, digests, rows, times.before)
             if not rows:
                 return samples
+        self.taken.add(digests)
         return self._seamed(samples, rows, times.before)
 
-    def _behind(
-        self, samples: _LineSamples, rows: list[Line], before: float
-    ) -> tuple[_LineSamples, list[Line]]:
-        """Return samples and rows behind the last one that was judged; the sender may have begun anywhere."""
-        fresh = samples.time > before
-        first = len(rows)
-        if fresh.any():
-            first = int(np.argmax(fresh))
-        self.skipped += first
-        self.number -= first
-        cut = samples.behind(first)
-        if first == len(rows):
-            return cut, []
-        self.after = None
-        if self.skipped:
-            self.complain(
-                "replay",
-                f"{self.skipped} lines, not after {self._last_label(before)}, were judged before and are "
-                f"skipped: if the "
-                "clock was set back meanwhile, begin anew with another --out or --state",
-            )
-        return cut, rows[first:]
+    def _digests(self, columns: dict[str, np.ndarray], texts: "pa.Array | None", count: int) -> np.ndarray:
+        """Return the digests of rows: of their time as it is written, and of all cells that are read."""
+        numbers: list[np.ndarray] = [np.zeros(count)]
+        words: list[list[str | None]] = []
+        for column in columns.values():
+            if column.dtype == object:
+                words.append(column.tolist())
+            else:
+                numbers.append(column)
+        if texts is not None:
+            words.append(texts.to_pylist())
+        elif self._known_reader.plan.time is None:
+            numbers.append(self._first_counted + np.arange(count))
+        return digests_of(numbers, words)
 
-    def _last_label(self, before: float) -> str:
-        """Return the time of the last sample as a reader would write it."""
-        if self._known_reader.is_text:
-            return self.label(self.texts[-1].strip())
-        return self.label(before)
+    def _behind(
+        self, samples: _LineSamples, digests: np.ndarray, rows: list[Line], before: float
+    ) -> tuple[_LineSamples, np.ndarray, list[Line]]:
+        """Return samples, digests and rows behind those that an earlier process had judged."""
+        timed = self._known_reader.plan.time is not None
+
+        def named(k: int) -> tuple[str, str]:
+            number, line = rows[k]
+            name, end = f"line {number}", self.label(before)
+            if timed:
+                name = f"line {number}, at {self._known_reader.stamp(line)},"
+            if self._known_reader.is_text:
+                end = self.label(self.texts[-1].strip())
+            return name, end
+
+        old = self.old_ones(digests, samples.time, before, named)
+        if self.counted is not None:
+            self.counted += old
+        if old:
+            self.broken = self.was_broken  # what was lost lies before these
+        new = rows[old:]
+        if new and self.skipped:
+            self.complain("replay", self.skipped_text)
+        if new:
+            new = self._numbered_behind(new)
+        return samples.behind(old), digests[old:], new
 
     def _seamed(self, samples: _LineSamples, rows: list[Line], before: float) -> _LineSamples:
         """Return samples that are taken, with their seams."""
@@ -577,14 +592,21 @@ class PipeText(Stream):
 
     def _counted_times(self, count: int) -> _LineTimes:
         """Return the times of rows that tell none: they are dt apart."""
-        time = (self.clock.samples + np.arange(count)) * self.dt
+        time = (self._first_counted + np.arange(count)) * self.dt
         return _LineTimes(time, None, time, (self.clock.samples - 1) * self.dt)
+
+    @property
+    def _first_counted(self) -> int:
+        """The number of the next sample, of those that are sent again too."""
+        if self.counted is not None:
+            return self.counted
+        return self.clock.samples
 
     def _number_times(self, cells: np.ndarray) -> _LineTimes:
         """Return times that are written as numbers: seconds, or an epoch."""
         if np.isnan(cells).any():
             raise ValueError("has no time")
-        values = self._counted(since_epoch(cells))
+        values = self._in_seconds(since_epoch(cells))
         if self.origin is None:
             self.origin = float(values[0])
             self.scale = scale_of(self.origin)
@@ -595,16 +617,16 @@ class PipeText(Stream):
         time = (values - self.origin) / self.scale
         return _LineTimes(time, from_epoch(values, self.scale), cells, self.clock.last)
 
-    def _counted(self, values: np.ndarray) -> np.ndarray:
+    def _in_seconds(self, values: np.ndarray) -> np.ndarray:
         """Return numbers of the time in s: how they count, the first two of them say."""
-        if self.counted:
+        if self.unit_known:
             return self.counting.seconds(values)
         shown, dt = np.append(self.lone, values), None
         if self.regular:
             dt = self.dt
         self.counting = counting_of(shown, dt, str(self._known_reader.plan.time))
-        self.counted = len(shown) > 1
-        if self.counted and len(self.lone) and self.counting.zero:
+        self.unit_known = len(shown) > 1
+        if self.unit_known and len(self.lone) and self.counting.zero:
             # one that was taken to be in seconds is a day
             self.origin = float(self.counting.seconds(self.lone)[0])
             self.scale = scale_of(self.origin)
@@ -612,7 +634,7 @@ class PipeText(Stream):
             if self.shown is not None:
                 self.shown[:1] = [0.0]
         self.lone = shown[:1]
-        if self.counted and self.counting.hint:
+        if self.unit_known and self.counting.hint:
             self.complain("hint", self.counting.hint)
         return self.counting.seconds(values)
 

@@ -19,16 +19,17 @@ from jaxbound.recordings.columns import to_arrow
 from jaxbound.recordings.expressions import expression, fails, find_column
 from jaxbound.recordings.factors import known
 from jaxbound.recordings.means import (
+    FIRST,
     Grid,
+    Rows,
+    Unfinished,
     every_of,
-    grid_of,
     instants,
     is_period,
     means_of,
     midnight_of,
     recorded_model,
     refuse_every,
-    usual_step,
 )
 from jaxbound.recordings.seams import Clock, all_starts, around, aside, check_period, crossing, tick
 from jaxbound.recordings.signals import Named, SignalModel, signals_of
@@ -176,7 +177,8 @@ class Recording:
             refuse_every(model, "tables that come one by one")
         if np.size(starts):
             raise ValueError(f"every = {every!r} and starts do not go together: times show the gaps")
-        means = recorded.averaged(every, len(model.inputs))
+        left = recorded.unfinished()
+        means = recorded.averaged(left, left.grid(every), len(model.inputs))
         _, seams = tick(Clock(seconds_of(every)), means.time)
         return replace(means, starts=_union(seams, around(means.excluded)))
 
@@ -263,22 +265,39 @@ class Recording:
         excluded, index = getattr(given, "excluded", None), getattr(given, "index", None)
         return cls(u, y, seams, inputs, outputs, excluded, index, dt=dt)
 
-    def averaged(self, every: str, m: int) -> "Recording":
-        """Return the means over intervals of the clock, without starts and hints, see `means`.
+    def unfinished(self, before: Unfinished | None = None) -> Unfinished:
+        """Return the samples, none of which is in a mean yet, behind those that a recording before left over.
 
         Args:
-            every: the interval. m: number of the inputs in u, see `means_of`.
-
-        Raises:
-            ValueError: see `grid_of`.
+            before: of the recording before; it counts if this one is known to be later.
         """
         stamps = self.stamps
         if stamps is None and self.origin > SINCE_1970:
             stamps = from_epoch(self.origin + self.time, 1.0)
+        nothing = np.zeros(self.samples, bool)
+        excluded = self.excluded
+        if excluded is None:
+            excluded = nothing
+
+        def rows(origin: np.datetime64 | None) -> Rows:
+            return Rows(instants(self.time, stamps, origin), self.u, self.y, excluded, nothing)
+
+        if before is not None and np.isfinite(self.origin) and before.leads_to(self.time, stamps, self.y):
+            return before.followed(rows(before.origin))
         origin = midnight_of(stamps)
-        instant = instants(self.time, stamps, origin)
-        grid = grid_of([instant], every, usual_step(instant, every), origin)
-        samples = means_of(grid, 0, self.u, self.y, self.excluded, m)
+        alone = rows(origin)
+        return Unfinished(alone, alone.instant[:FIRST], origin)
+
+    def averaged(self, left: Unfinished, grid: Grid, m: int) -> "Recording":
+        """Return the means over intervals of the clock, without starts and hints, see `means`.
+
+        Args:
+            left: from `unfinished`. grid: its intervals. m: number of the inputs in u, see `means_of`.
+        """
+        rows, excluded = left.rows, None
+        if self.excluded is not None:
+            excluded = rows.excluded
+        samples = means_of(grid, 0, rows.u, rows.y, excluded, m)
         return self.on_grid(grid, int(grid.number[0]), samples)
 
     def on_grid(self, grid: Grid, zero: int, samples: Samples) -> "Recording":

@@ -14,6 +14,7 @@ import numpy as np
 
 from jaxbound.recordings.contents import Digests, content
 from jaxbound.recordings.hints import missing_hints, rounding_hints
+from jaxbound.recordings.means import Unfinished
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import Clock, around, irregular, seam_hints, tick, varied_hints
 from jaxbound.recordings.selection import where_hints
@@ -74,6 +75,8 @@ class Source:
     kinds leave that to `Recording.of`."""
     live = False
     """Whether samples come as time goes by: they are judged by a Monitor, see `live.LiveSource`."""
+    rest: Unfinished | None = None
+    """The samples that are in no mean of an interval yet, once they were read; None: there are no means."""
     _whole: Recording | None = None
     """The data as they were read first."""
 
@@ -96,6 +99,10 @@ class Source:
         `contents`.
         """
         return content(Path(str(data)))
+
+    def behind(self, before: Unfinished | None) -> "Source":
+        """Return the source that goes on behind the `rest` of a recording before."""
+        return self
 
     def whole(self, progress: Progress | None = None) -> Recording:
         """Read everything. progress: called with the share of the work done."""

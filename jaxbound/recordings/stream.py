@@ -4,8 +4,9 @@ A stream is a source as any other (`source.Source`, with `live`): it yields Reco
 position, so that another process can go on behind it.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
+from hashlib import blake2b
 from typing import Any
 
 import numpy as np
@@ -15,29 +16,83 @@ from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import Clock, Seam
 from jaxbound.recordings.signals import SignalModel
 
-__all__ = ["Complain", "Stream"]
+__all__ = ["Complain", "OtherSamples", "Stream", "Taken", "digests_of"]
 
 Complain = Callable[[str, str], None]
 """Called with (kind, sentence) on each sample that is left out, and each seam."""
+Named = Callable[[int], tuple[str, str]]
+"""Returns (name of a sample by its number, time of the last one that was judged), as texts."""
+BYTES = 8  # of a digest: one of a thousand million samples is like another one in 10 thousand million of them
+
+
+class OtherSamples(ValueError):
+    """A sample came that is not after the last one that was judged, and was not judged."""
+
+
+class Taken:
+    """The digests of the samples that a stream took, by which it knows what is sent again.
+
+    Args:
+        before: returns those of earlier processes, asked where some come that may be old; None: there is
+            none, and nothing is kept for a later one.
+
+    Fields: fresh: those of this process since somebody saved them.
+    """
+
+    def __init__(self, before: Callable[[], bytes] | None = None) -> None:
+        self.before, self.fresh = before, bytearray()
+        self.old: np.ndarray | None = None
+
+    def add(self, digests: np.ndarray) -> None:
+        """Take digests, (N,) from `digests_of`."""
+        if self.before is not None:
+            self.fresh += digests.tobytes()
+
+    def knows(self, digests: np.ndarray) -> np.ndarray:
+        """Return (N,) bool: whether an earlier process took these."""
+        if self.old is None:
+            earlier = self.before or bytes
+            self.old = np.unique(np.frombuffer(earlier(), np.uint64))
+        return np.isin(digests, self.old)
+
+
+def digests_of(numbers: Sequence[np.ndarray], texts: Sequence[Sequence[str | None]] = ()) -> np.ndarray:
+    """Return the digests of rows, (N,) uint64.
+
+    Args:
+        numbers, texts: columns of N cells each.
+    """
+    cells = np.stack([np.asarray(x, np.float64) for x in numbers], 1) + 0.0  # -0 is 0
+    cells[np.isnan(cells)] = np.nan  # one of many
+    words: Sequence[Sequence[str | None]] = [()] * len(cells)
+    if texts:
+        words = [*zip(*texts, strict=True)]
+    digests = bytearray()
+    for row, written in zip(cells, words, strict=True):
+        digests += blake2b(row.tobytes() + repr(written).encode(), digest_size=BYTES).digest()
+    return np.frombuffer(bytes(digests), np.uint64)
 
 
 class Stream:
     """Samples as they come.
 
     Args:
-        model: whose signals are wanted. complain: see `Complain`.
+        model: whose signals are wanted. complain: see `Complain`. taken: of all processes.
 
     Fields: raw: where they come from, an iterator, or the number of an open file; dt: sampling period in s;
     regular: whether samples have to be dt apart; else no step is a seam; clock: of all samples so far; lost:
-    samples, or lines, that could not be read; replaying: whether the sender has begun again, and all that it
-    sends was taken before.
+    samples, or lines, that could not be read; skipped: those that an earlier process had judged; replaying:
+    whether the sender has begun again, and all that it sends was taken before. units: the word for them.
     """
 
     raw: Any = ()
     replaying = False
+    units = "samples"
 
-    def __init__(self, model: SignalModel, complain: Complain) -> None:
+    def __init__(self, model: SignalModel, complain: Complain, taken: Taken | None = None) -> None:
         self.model, self.complain = model, complain
+        self.taken = taken or Taken()
+        self.skipped = 0
         self.dt = model.dt or 1.0
         self.regular: bool = getattr(model, "regular", True)
         self.clock = Clock(self.dt)
@@ -67,6 +122,34 @@ class Stream:
     def label(self, when: str | float) -> str:
         """Return a time from `when` as the owner of the samples would write it."""
         raise NotImplementedError
+
+    def old_ones(self, digests: np.ndarray, time: np.ndarray, last: float, named: Named) -> int:
+        """Return how many samples at the beginning an earlier process had judged.
+
+        Args:
+            digests, time: (N,) of samples that come behind those. last: time of the last one that was judged.
+            named: see `Named`.
+
+        Raises:
+            OtherSamples: the next one is not after the last that was judged: it says something else.
+        """
+        old = self.taken.knows(digests)
+        count = len(old)
+        if not old.all():
+            count = int(np.argmin(old))
+        self.skipped += count
+        if count < len(old) and not time[count] > last:
+            one, end = named(count)
+            raise OtherSamples(
+                f"{one} is no sample that was judged, though all up to {end} were: another recording, or one "
+                f"whose clock was set back, needs another --out or --state"
+            )
+        return count
+
+    @property
+    def skipped_text(self) -> str:
+        """The sentence on samples that are skipped."""
+        return f"{self.skipped} {self.units} were judged before and are skipped"
 
     def nothing(self) -> tuple[int, Recording]:
         """Return the piece without samples."""

@@ -25,7 +25,7 @@ import numpy as np
 from jax.typing import ArrayLike, DTypeLike
 
 from jaxbound.consistency.constant import ConstantTest
-from jaxbound.consistency.exchange import ExchangeTest, KeptFrames, Reframed
+from jaxbound.consistency.exchange import ExchangeTest
 from jaxbound.consistency.gains import GainsTest
 from jaxbound.consistency.gridding import PavingTest
 from jaxbound.consistency.interface import (
@@ -37,6 +37,7 @@ from jaxbound.consistency.interface import (
     WindowTest,
     refuse_options,
 )
+from jaxbound.consistency.kept_frames import KeptFrames, Reframed
 from jaxbound.consistency.reading import Reading
 from jaxbound.consistency.strips import StripsTest
 from jaxbound.exact import linalg

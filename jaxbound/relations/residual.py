@@ -5,6 +5,7 @@ window, an unknown first state, sensor errors and disturbances are all entries o
 """
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
@@ -194,7 +195,8 @@ class Residual(ResidualRelations):
         if length <= s:
             return jnp.full((*lead, length, count), jnp.nan, outputs.dtype)
         rows = np.arange(length - s)[:, None] + np.arange(s + 1)[None]
-        windows = [x[..., rows, :].reshape(-1, s + 1, x.shape[-1]) for x in on_device]
+        many = math.prod(lead) * len(rows)
+        windows = [x[..., rows, :].reshape(many, s + 1, x.shape[-1]) for x in on_device]
         residuals = jax.vmap(flat(self.f), (None, 0, 0))(mid(self.box), *windows)
         residuals = residuals.reshape(*lead, length - s, count)
         first = jnp.full((*lead, s, count), jnp.nan, residuals.dtype)

@@ -37,9 +37,11 @@ from jaxbound.files.checkpoint import Checkpoint
 from jaxbound.models.region import Region
 from jaxbound.recordings.expressions import TIME_SINCE_START, expression, is_expression
 from jaxbound.recordings.factors import factors_of
+from jaxbound.recordings.means import Rows, Unfinished
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import TOLERATED_STEP, around
 from jaxbound.recordings.signals import SignalModel
+from jaxbound.recordings.source import Source
 from jaxbound.relations.identity import identity
 from jaxbound.sets.floats.status import Status
 
@@ -50,7 +52,10 @@ __all__ = ["Continuation", "Joined", "carry_of", "followed", "joined_carries"]
 
 State = TypeVar("State", bound=CarriedState)
 Arrays = Mapping[str, np.ndarray]
-CONTENT, CARRY, WRITTEN = "content", "carry", "written"
+CONTENT, CARRY, WRITTEN, UNIT = "content", "carry", "written", "unit"
+REST = "rest"  # before the names of samples that are in no mean yet
+BYTES = 16  # of the digest in the name of a file: no two units share one
+FORMER_BYTES = 4  # of an earlier jaxbound: two of 20 000 units did
 ARRAYS = ("u", "y", "starts", "excluded", "time", "stamps")
 
 
@@ -74,19 +79,39 @@ class Continuation:
             the test. content: the digest of its recording, None where there is none.
 
     Raises:
-        ValueError: what is kept is damaged, or of another model, horizon, version or method.
+        ValueError: what is kept is damaged, or of another unit, model, horizon, version or method.
     """
 
     def __init__(
         self, folder: str | PathLike[str], unit: str, relations: Relations, method: str, content: str | None
     ) -> None:
-        readable = re.sub(r"[^A-Za-z0-9._-]+", "_", unit)[:60]
-        name = f"{readable}-{blake2b(unit.encode(), digest_size=4).hexdigest()}.npz"
-        self.relations, self.content = relations, content
-        self.file = Checkpoint(Path(folder) / name, identity(relations, method=method))
+        self.relations, self.content, self.unit = relations, content, unit
+        self.file = Checkpoint(Path(folder) / _file_of(unit, BYTES), identity(relations, method=method))
+        _refuse_former(Path(folder) / _file_of(unit, FORMER_BYTES), self.file.path)
         kept = self.file.load() or {}
+        if kept and str(kept.get(UNIT)) != unit:
+            raise ValueError(
+                f"{self.file.path} is of unit {str(kept.get(UNIT))!r}, not of {unit!r}: choose another "
+                f"folder, or delete it to begin anew"
+            )
         is_again = content is not None and str(kept.get(CONTENT, "")) == content
         self.past = _under("before" if is_again else "after", kept)
+        self.rest: Unfinished | None = None
+
+    def read(self, source: Source) -> Recording:
+        """Return the recording of a source, of means with the interval that the one before began.
+
+        Where no interval is over yet, its samples are kept for the next recording, too.
+        """
+        source = source.behind(_unfinished_in(self.past))
+        try:
+            return source.read()
+        except ValueError:
+            if source.rest is not None:
+                self._save(self.past | _arrays_of(source.rest))
+            raise
+        finally:
+            self.rest = source.rest
 
     def joined(self, recording: Recording) -> Joined:
         """Return a recording behind the last samples of the one before.
@@ -94,7 +119,7 @@ class Continuation:
         Where it does not follow these, one sampling period behind the last, it comes back as it is, with a
         hint.
         """
-        if not self.past:
+        if "y" not in self.past:
             return Joined(recording)
         tail = _tail_before(self.past, recording)
         apart = _why_apart(tail, recording, self.relations.model)
@@ -132,11 +157,39 @@ class Continuation:
             now[f"{CARRY}{i}"] = np.asarray(leaf)
         if tail.written is not None:
             now[WRITTEN] = _arrow_bytes(tail.written)
-        stored = {CONTENT: np.array(self.content or "")}
+        if self.rest is not None:
+            now |= _arrays_of(self.rest)
+        self._save(now)
+
+    def keep(self, joined: Joined) -> None:
+        """Keep a recording that is too short for a window, for the next."""
+        carry = joined.carry
+        if carry is None and isinstance(self.relations, Observer):
+            carry = self.relations.init()
+        self.save(joined.recording, carry)
+
+    def _save(self, now: Arrays) -> None:
+        """Keep arrays for the next recording, and those for this one again."""
+        stored = {CONTENT: np.array(self.content or ""), UNIT: np.array(self.unit)}
         stored |= {f"before {name}": x for name, x in self.past.items()}
         stored |= {f"after {name}": x for name, x in now.items()}
         self.file.path.parent.mkdir(parents=True, exist_ok=True)
         self.file.save(**stored)
+
+
+def _file_of(unit: str, size: int) -> str:
+    """Return the name of the file of a unit, with a digest of so many bytes."""
+    readable = re.sub(r"[^A-Za-z0-9._-]+", "_", unit)[:60]
+    return f"{readable}-{blake2b(unit.encode(), digest_size=size).hexdigest()}.npz"
+
+
+def _refuse_former(former: Path, now: Path) -> None:
+    """Raise ValueError for the file of an earlier jaxbound, which does not say whose it is."""
+    if former.exists() and not now.exists():
+        raise ValueError(
+            f"{former} was written by an earlier jaxbound and does not name its unit, so another's may be in "
+            f"it: choose another folder, or delete it to begin anew"
+        )
 
 
 def followed(
@@ -252,6 +305,27 @@ def _under(kind: str, kept: Arrays) -> dict[str, np.ndarray]:
     """Return {name: array} of the arrays that are kept with a word before their name."""
     prefix = f"{kind} "
     return {name.removeprefix(prefix): x for name, x in kept.items() if name.startswith(prefix)}
+
+
+def _arrays_of(rest: Unfinished) -> dict[str, np.ndarray]:
+    """Return the samples that a recording left over, and how they are counted, as arrays."""
+    number, origin = np.zeros(0, np.int64), np.zeros(0, "datetime64[ns]")
+    if rest.number is not None:
+        number = np.append(number, rest.number)
+    if rest.origin is not None:
+        origin = np.append(origin, rest.origin)
+    arrays = vars(rest.rows) | {"shown": rest.shown, "number": number, "origin": origin}
+    return {f"{REST} {name}": x for name, x in arrays.items()}
+
+
+def _unfinished_in(past: Arrays) -> Unfinished | None:
+    """Return the samples that `_arrays_of` made arrays of; None: none are kept."""
+    rest = _under(REST, past)
+    if not rest:
+        return None
+    shown, number = rest.pop("shown"), rest.pop("number").tolist()
+    origin = [*rest.pop("origin"), None][0]
+    return Unfinished(Rows(**rest), shown, origin, *number)
 
 
 def _tail_before(past: Arrays, like: Recording) -> Recording:

@@ -491,5 +491,6 @@ def _about_signals(found: Digest, folder: Path) -> _AboutSignals:
     still: list[str] = []
     for name in (*model.outputs, *model.inputs):
         still += signal_hints(name, named[name], found.label, driven=name in model.inputs)
-    missing = missing_sentences({name: samples - signal.present for name, signal in named.items()}, samples)
+    lacking = {name: samples - signal.present for name, signal in named.items()}
+    missing = missing_sentences(model, lacking, samples)
     return _AboutSignals([*missing, *rounding_hints(model, found.data.probe().y), *still, *hints], aside)

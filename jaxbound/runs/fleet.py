@@ -269,9 +269,10 @@ def detect_fleet(
             `page`, which can be pickled.
         state: folder in which continuations of units are kept; None: nowhere. The next recording of a unit,
             in a run with the same folder, is then judged as if it followed in one file: windows look back
-            into the one before, an observer carries on, each test of a monitor does. Where it begins more
-            than a step later, or earlier, or an expression of the model counts from the start of a recording,
-            it begins anew, and its hints say so. The same recording again is judged as it was.
+            into the one before, an observer carries on, each test of a monitor does, and an interval of means
+            that began in it is ended. Where it begins more than a step later, or earlier, or an expression of
+            the model counts from the start of a recording, it begins anew, and its hints say so. The same
+            recording again is judged as it was.
         margins: of the Results that pages are made from, see `detect`; those of units are exact. outside: see
             `detect`.
 
@@ -416,11 +417,8 @@ class _Reader:
         if is_monitored(model, how.method, how.horizon, how.lags):
             method, recorded = MONITOR, with_tests(model)
         source = open_source(unit.recording, recorded)
-        content = None
-        if how.state is not None:
-            content = source.content  # before it is read, so that a later change is seen
-        recording = source.read()
         if how.state is None:
+            recording = source.read()
             self._refuse_short(unit, recording, model)
         if relations is None:
             relations = relations_by(method, model, how.horizon, lags=how.lags, options=how.options)
@@ -428,8 +426,9 @@ class _Reader:
             self.models[unit.model] = model, relations
         if how.state is None:
             return _UnitData(model, relations, Joined(recording))
-        kept = Continuation(how.state, unit.name, relations, method, content)
-        return _UnitData(model, relations, kept.joined(recording), kept)
+        # the content before it is read, so that a later change is seen
+        kept = Continuation(how.state, unit.name, relations, method, source.content)
+        return _UnitData(model, relations, kept.joined(kept.read(source)), kept)
 
     def _refuse_short(self, unit: Unit, recording: Recording, model: LinearSystem) -> None:
         """Refuse a recording without a whole window, sooner than relations are worked out."""
@@ -505,6 +504,8 @@ def _judge_unit(
 ) -> tuple[UnitResult, Detected]:
     """Return the result of a unit. known: of one that was followed beside others."""
     model, relations, recording = data.model, data.relations, data.recording
+    if data.kept is not None and recording.samples <= relations.horizon:
+        data.kept.keep(data.joined)
     refuse_short(unit.recording, recording.samples, relations.horizon)
     if known is not None:
         res, carry = known

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from jaxbound.files.checkpoint import refuse_other
+from jaxbound.recordings.stream import Taken
 from jaxbound.runs.loop import Memory, Remembering
 from jaxbound.runs.refusals import Refused
 from jaxbound.runs.sink import Sink
@@ -24,6 +25,7 @@ STATE, FORMER = "monitor.sqlite", "monitor.jsonl"  # in the folder of a run; the
 OURS = 0x6A786264  # "jxbd", the mark of our files among those of SQLite
 SYNCHRONOUS = "FULL"
 TABLE = "CREATE TABLE IF NOT EXISTS checkpoint (id INTEGER PRIMARY KEY, identity TEXT, memory TEXT)"
+TAKEN = "CREATE TABLE IF NOT EXISTS taken (id INTEGER PRIMARY KEY, digests BLOB)"
 HEADER, MARK = 100, slice(68, 72)  # bytes that begin each file of SQLite, and where a program puts its mark
 NO_STATE = "{} is no state of jaxbound detect: choose another, or delete it to begin anew"
 FORMER_STATE = (
@@ -39,7 +41,8 @@ class Journal:
         path: of the file; it is made when something is saved first. identity: {what verdicts depend on:
             text}; a checkpoint with another is refused.
 
-    Fields: before: what was saved last, None if nothing was.
+    Fields: before: what was saved last, None if nothing was. taken: the samples of the source, whose digests
+    are saved with the memory, each once.
 
     Raises:
         Refused: the file is none of ours, or of an earlier jaxbound; another process has it. ValueError: a
@@ -49,6 +52,7 @@ class Journal:
     def __init__(self, path: Path, identity: Mapping[str, str]) -> None:
         self.path, self.identity = path, identity
         self.before: Any = None
+        self.taken = Taken(self._digests)
         self.database: sqlite3.Connection | None = None
 
     def __enter__(self) -> "Journal":
@@ -72,12 +76,24 @@ class Journal:
             self._open()
         assert self.database is not None
         row = json.dumps(dict(self.identity)), json.dumps(memory)
-        self.database.execute("REPLACE INTO checkpoint VALUES (1, ?, ?)", row)
+        with self.database:
+            self.database.execute("BEGIN")
+            self.database.execute("REPLACE INTO checkpoint VALUES (1, ?, ?)", row)
+            if self.taken.fresh:
+                self.database.execute("INSERT INTO taken (digests) VALUES (?)", (bytes(self.taken.fresh),))
+        self.taken.fresh.clear()
+
+    def _digests(self) -> bytes:
+        """Return the digests of all samples that were taken until now."""
+        if self.database is None:
+            return b""
+        return b"".join(digests for (digests,) in self.database.execute("SELECT digests FROM taken"))
 
     def _open(self) -> None:
         try:
             self.database = _connected(self.path)
             self.database.execute(TABLE)
+            self.database.execute(TAKEN)
             row = self.database.execute("SELECT identity, memory FROM checkpoint").fetchone()
             if row is not None:
                 identity, self.before = map(json.loads, row)

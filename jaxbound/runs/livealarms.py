@@ -16,7 +16,7 @@ from jaxbound.diagnosis.suspects import tells_causes
 from jaxbound.diagnosis.watch import BEGINS, Event, Raised
 from jaxbound.files.checkpoint import as_texts, from_texts
 from jaxbound.models.region import Departure, Region
-from jaxbound.recordings.columns import header_line, texts, write_rows
+from jaxbound.recordings.columns import header_line, moments, texts, write_rows
 from jaxbound.recordings.factors import known
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.stream import Complain
@@ -83,7 +83,11 @@ class LiveAlarms(Quiet):
         tests = speakers(verdicts)
 
         def label(k: int) -> tuple[str, float, str]:
-            return piece.column.slice(k, 1).cast(pa.string())[0].as_py(), float(piece.time[k]), tests[k]
+            return (
+                moments(piece.column.slice(k, 1)).cast(pa.string())[0].as_py(),
+                float(piece.time[k]),
+                tests[k],
+            )
 
         begin = self.watching.watch.samples
         if self.keep:

@@ -23,7 +23,7 @@ from jaxbound.files.whole import UNFINISHED, whole
 from jaxbound.recordings.parquetfiles import SUFFIXES
 from jaxbound.runs.refusals import Refused
 
-__all__ = ["OutputFolder", "made", "output_folder", "refuse_targets", "shared_folder"]
+__all__ = ["OutputFolder", "made", "output_folder", "refuse_among_inputs", "refuse_targets", "shared_folder"]
 
 LIST, WORK, LOCK = ".jaxbound.json", ".jaxbound-work", ".jaxbound-lock"
 FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -145,6 +145,7 @@ class OutputFolder:
 
     def __init__(self, path: Path, inputs: Iterable[Place] = ()) -> None:
         self.path, self.inputs = Path(path), [Path(p) for p in inputs]
+        refuse_among_inputs(self.path, self.inputs)
         self.listed = self._read()
 
     @contextmanager
@@ -336,6 +337,19 @@ def _digest(path: Path, size: int) -> str | None:
     if size > DIGESTED:
         return None
     return hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest()
+
+
+def refuse_among_inputs(folder: Path, inputs: Iterable[Place]) -> None:
+    """Raise Refused for a folder of outputs that is a folder which is read, or lies in one."""
+    for read in map(Path, inputs):
+        if not read.is_dir() or not _is_within(read, folder):
+            continue
+        place = "lies in"
+        if _is_within(folder, read):
+            place = "is"
+        raise Refused(
+            f"{folder} {place} {read}, which is read: an input is never an output, choose another folder"
+        )
 
 
 def refuse_targets(targets: Mapping[str, Path | None], inputs: Iterable[Place], force: bool) -> None:

@@ -6,7 +6,7 @@ from typing import IO, TYPE_CHECKING, Any, Protocol
 
 from jaxbound.files.disk import sync, sync_folder
 from jaxbound.files.locks import lock
-from jaxbound.recordings.columns import is_plain, write_rows
+from jaxbound.recordings.columns import is_plain, moments, write_rows
 from jaxbound.recordings.linetext import FEW
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.loop import Memory
@@ -173,6 +173,7 @@ def _row_text(written: "pa.Array", verdicts: Verdicts) -> bytes:
     """Return rows of verdicts.csv; written: the times as the recording has them, a pyarrow array."""
     import pyarrow as pa
 
+    written = moments(written)
     is_simple = is_plain(written) and _plainly_named(verdicts)
     if len(written) <= FEW and is_simple:  # by hand, which is sooner done
         return _few_rows(written.to_pylist(), verdicts)

@@ -19,7 +19,7 @@ __all__ = ["AlarmEnds", "Event", "Tally", "alarm_goes_on"]
 When = str | float
 FAULT = int(Status.FAULT)
 EVENTS = "first", "worst", "tightest"
-REMEMBERED = "counts", "samples", "aside", "recent", *EVENTS, "last"
+REMEMBERED = "counts", "samples", "aside", "recent", "looked_at", "missing", *EVENTS, "last"
 
 
 class Event(NamedTuple):
@@ -39,6 +39,8 @@ class Tally(Quiet):
         counts: of each Status. samples: how many there were. aside: windows that are MISSING because the
             model's `where` leaves out a sample of theirs. recent: whether it did so for each of the last
             samples.
+        looked_at: samples that the model's `where` does not leave out. missing: how many of these are
+            missing, of each input, factor and output; empty before there are some.
         first: the first FAULT. worst: the FAULT window with the smallest margin. tightest: the window with
             the smallest margin of all. last: time of the last sample.
         region: of training; None: it is not known. beyond: windows outside of it.
@@ -50,6 +52,8 @@ class Tally(Quiet):
     samples: int = 0
     aside: int = 0
     recent: list[bool] = field(default_factory=list)
+    looked_at: int = 0
+    missing: list[int] = field(default_factory=list)
     first: Event | None = None
     worst: Event | None = None
     tightest: Event | None = None
@@ -67,8 +71,12 @@ class Tally(Quiet):
         status, margin = verdicts.status, verdicts.margin
         fresh = np.bincount(status, minlength=len(Status))
         self.counts = [n + more for n, more in zip(self.counts, fresh.tolist(), strict=True)]
+        signals = np.concatenate([piece.u, piece.y], 1)
         if piece.excluded is not None:
             self._set_aside(piece.excluded)
+            signals = signals[~piece.excluded]
+        self.looked_at += len(signals)
+        self.missing = (np.array(self.missing or 0) + np.isnan(signals).sum(0)).tolist()
         fault = np.flatnonzero(status == FAULT)
         if len(fault):
             first = self._event(piece, margin, int(fault[0]))

@@ -332,6 +332,19 @@ class TestTroubles:
         assert len(out.splitlines()) == 18 and "the last line has no line end" in err
 
 
+def test_what_is_missing_is_counted_as_in_a_file(samples, place, pipe):
+    """A window that lacks an input has a margin, UNDECIDED: what that claims was said of files alone."""
+    t, u, y = (x[:60].copy() for x in samples)
+    u[[10, 40]] = np.nan
+    text = lines((t, u, y))
+    batch(place, text)
+    expected = [hint for hint in jb.read("run.csv", paper()).hints if "are missing" in hint]
+    assert "2 of 60 samples of u1 are missing: windows that need one are judged by what" in expected[0]
+    pipe(text[:30], state=place / "state")
+    _, _, err = pipe(text[30:], state=place / "state")
+    assert [line for line in err.splitlines() if "are missing" in line] == expected
+
+
 class Killed(BaseException):
     """Raised where a process may be killed."""
 
@@ -536,14 +549,94 @@ class TestRestart:
             pipe(lines(samples)[:5], state=place / "theirs")
         assert (place / "theirs").read_bytes() == kept
 
-    def test_another_header_is_refused_and_another_past_is_told(self, samples, place, pipe):
+    def test_another_header_is_refused(self, samples, place, pipe):
         text = lines(samples)[:50]
         pipe(text, state=place / "state")
         with pytest.raises(Refused, match="begins with another header than before, t, y2, y1, u1"):
             pipe(["t,y2,y1,u1\n", *text[1:]], state=place / "state")
-        changed = [*text[:49], text[49].replace("\n", "1\n"), "0.49,0,0,0\n"]
-        code, out, err = pipe(changed, state=place / "state")
-        assert "its line 50 is not the one that was judged" in err and len(out.splitlines()) == 1
+
+
+def untimed(text):
+    """Return lines without their first cell."""
+    return [line.partition(",")[2] for line in text]
+
+
+def dated(text):
+    """Return lines with a clock that passes midnight, and no date."""
+    begin = np.datetime64("2026-01-01T23:59:59.50")
+    stamps = [str(begin + np.timedelta64(10 * k, "ms"))[11:] for k in range(len(text) - 1)]
+    rows = [f"{stamp},{line}" for stamp, line in zip(stamps, untimed(text[1:]), strict=True)]
+    return [text[0], *rows]
+
+
+class TestSecondRecording:
+    """The same command with another recording: it was left out unread, with the verdict of the first."""
+
+    @pytest.fixture
+    def healthy(self, samples):
+        return lines(tuple(x[:90] for x in samples))
+
+    @pytest.mark.parametrize("form", [list, untimed, dated])
+    def test_the_same_again_is_skipped_and_nothing_is_concluded(self, healthy, place, pipe, form):
+        text = form(healthy)
+        for pieces in (text[:60], text):
+            assert pipe(pieces, out=place / "out")[0] == 0
+        expected = (place / "out/verdicts.csv").read_bytes()
+        for again in (text, [text[0], *text[40:]] if form is list else text, text[:30]):
+            code, out, err = pipe(again, range(5, 600, 37), out=place / "out")
+            sentence = f"nothing is concluded: {len(again) - 1} lines were judged before and are skipped"
+            assert (code, out) == (3, "") and sentence in err and "No fault" not in err
+        code, out, err = pipe("", out=place / "out")
+        assert (code, out) == (3, "") and "nothing is concluded: nothing came" in err
+        assert (place / "out/verdicts.csv").read_bytes() == expected
+
+    @pytest.mark.parametrize("first, stop", [(1, 90), (2, 60), (70, 90), (89, 90)])
+    @pytest.mark.parametrize("form", [list, untimed])
+    def test_rows_at_judged_times_with_other_values_are_refused(
+        self, healthy, place, pipe, form, first, stop
+    ):
+        """From line `first` on every value is another one; the recording before is longer or shorter."""
+        text = form(healthy)
+        if form is untimed and first == 1:
+            first = 2  # else nothing tells that the sender began again: it is judged, behind a seam
+        other = [*text[:first], *(line.replace("\n", "1\n") for line in text[first:])]
+        pipe(text[:stop], out=place / "out")
+        kept = saved(place / "out/monitor.sqlite"), (place / "out/verdicts.csv").read_bytes()
+        for again in (other, other[: max(first + 1, 5)]):
+            with pytest.raises(Refused) as refused:
+                pipe(again, out=place / "out")
+            assert str(refused.value).startswith(f"line {first + 1}") and "another --out" in str(
+                refused.value
+            )
+            assert (saved(place / "out/monitor.sqlite"), (place / "out/verdicts.csv").read_bytes()) == kept
+        assert pipe(other, out=place / "other")[0] in (0, 1)
+
+    def test_a_clock_that_restarts_is_refused_and_a_later_one_judged(self, samples, place, pipe):
+        t, u, y = (x[:90] for x in samples)
+        pipe(lines((t + 50, u, y)), out=place / "out")
+        with pytest.raises(
+            Refused, match=r"line 2, at 0.00, is no sample that was judged, though all up to 50.89"
+        ):
+            pipe(lines((t, u, y)), out=place / "out")
+        code, out, err = pipe(lines((t + 60, u, y + 5)), out=place / "out")
+        assert code == 1 and out.count("FAULT") > 50
+
+    def test_what_could_not_be_read_is_known_again_too(self, healthy, place, pipe):
+        text = [*healthy[:20], "0.19,x,1,1\n", *healthy[21:40], "0.39,?,1,1\n"]
+        code, _, err = pipe(text, state=place / "state")
+        assert "2 lines could not be read" in err
+        spoilt = [*text[:10], "0.09,!,1,1\n", *text[11:], *healthy[41:60]]
+        code, out, err = pipe(spoilt, state=place / "state")
+        assert [row.split(",")[1] for row in out.splitlines()[:2]] == ["MISSING", "CONSISTENT"]
+        assert "3 lines could not be read" in err and "39 lines were judged before and are skipped" in err
+
+    def test_the_clock_of_a_recording_may_go_back(self, samples, place, pipe):
+        text = lines(samples)
+        whole = pipe(text)[1]
+        for stop in (230, 260, 301):
+            _, out, _ = pipe(text[:stop], state=place / "state")
+            whole = whole.removeprefix(out)
+        assert whole == "" and pipe(text, state=place / "state")[0] == 3
 
 
 @pytest.mark.posix("signals between processes")

@@ -6,6 +6,8 @@ import pytest
 from systems import paper
 
 import jaxbound as jb
+from jaxbound.consistency.drive import drive
+from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import crossing
 
 
@@ -42,6 +44,22 @@ def test_pieces_are_judged_as_if_they_stood_alone(rng, horizon, method):
     ]
     np.testing.assert_array_equal(res.status, np.concatenate([p.status for p in pieces]))
     np.testing.assert_array_equal(res.margin, np.concatenate([p.margin for p in pieces]))
+
+
+@pytest.mark.parametrize("how", [{"horizon": 1}, {"horizon": 5}, {"lags": (0, 1, 4)}])
+def test_a_gap_at_any_sample_of_a_block(rng, how):
+    """Blocks of 4 windows, so that gaps fall on each of their samples, and on the ends of a recording."""
+    u = rng.uniform(-5, 5, (24, 1))
+    y = simulated(rng, u)
+    y[13] += 3
+    relations = jb.parity_relations(paper(), **how)
+    test, different = relations.test("joint", y.dtype), []
+    judged = lambda u, y, starts=(): drive(test, Recording.of(relations.model, u, y, starts), size=4).status
+    for gap in range(24):
+        parts = [judged(u[part], y[part]) for part in (slice(0, gap), slice(gap, 24))]
+        if (judged(u, y, [gap]) != np.concatenate(parts)).any():
+            different.append(gap)
+    assert not different
 
 
 def test_a_hole_raises_a_false_alarm_only_without_its_seam(rng):

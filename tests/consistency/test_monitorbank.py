@@ -199,6 +199,20 @@ def test_a_batch_is_judged_recording_by_recording(mixed, rng):
     assert first.counts["FAULT"] == (together.statuses[..., 1] == F).sum()
 
 
+def test_a_recording_of_a_batch_has_no_gap_where_the_mode_of_another_changes(mixed):
+    """The other one's pump starts just where the sensor of this one jumps."""
+    model, bank = mixed
+    u, y = np.zeros((2, 40, 1)), np.full((2, 40, 1), 0.05)
+    u[1, 20:], y[0, 20:] = 1, 1.0
+    together, alone = jb.detect(bank, u, y), jb.detect(bank, u[0], y[0])
+    assert alone.status[20] == F and alone.test_at(20) == together.test_at((0, 20)) == "state"
+    assert together.explain((0, 20)).factor == alone.explain(20).factor
+    for name in ("since", "margin"):
+        own = getattr(together.tests["state"].observation, name)
+        np.testing.assert_array_equal(own[0], getattr(alone.tests["state"].observation, name))
+    assert (together.tests["state"].observation.since[1, 20:] == -1).all()
+
+
 def test_a_model_with_tests_and_a_monitor_are_told_which_call_takes_them():
     plant = PLANT.replace(tests=TESTS[:1])
     with pytest.raises(TypeError, match=r"detect\(monitor\(model\), u, y\)"):

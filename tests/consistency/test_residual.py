@@ -160,6 +160,11 @@ def test_relation_texts_bounds_and_nominal_residuals():
     )
 
 
+def test_the_nominal_residual_of_a_plant_without_inputs():
+    r = jb.residual(lambda z, u, y: y[1, 0] - z[0] * y[0, 0], jb.interval([0.5], [1.5]), 1)
+    assert np.asarray(r.external(None, [[1.0], [2.0], [4.0]]))[1:, 0].tolist() == [1.0, 2.0]
+
+
 @pytest.mark.parametrize(
     ("call", "error", "message"),
     [

@@ -124,6 +124,35 @@ def test_few_windows_are_searched(monkeypatch):
     np.testing.assert_array_equal(few.margin, exact.margin)
 
 
+def test_what_the_search_leaves_open_is_decided_whatever_margins_are_asked_for():
+    """A sensor without noise beside a tolerance shows a signal that decays to nothing: bounds of one window
+    are 1e12 times as wide as others, and a search in floats ends nowhere.
+    """
+    A, C = np.array([[-0.79, -0.34], [0.39, 0.51]]), np.array([[-0.38, 0.83], [0.86, -0.13]])
+    model = jb.LinearSystem(A, None, C, tolerance=["0.05", "0.01"], noise=[0, "0.567"])
+    rng, x, y = np.random.default_rng(19), np.array([1.0, -2.0]), []
+    for _ in range(110):
+        gains = 1 + 1.3 * np.array([0.05, 0.01]) * rng.choice([-1, 1], 2)
+        y.append(C @ x * gains + [0, 0.7371] * rng.choice([-1, 1], 2))
+        x = A @ x
+    relations, y = jb.parity_relations(model, 20), np.array(y[80:])
+    bounded, exact = (jb.detect(relations, None, y, margins=kind) for kind in ("bounds", "exact"))
+    np.testing.assert_array_equal(exact.status, bounded.status)
+    assert (exact.status[20:] == Status.FAULT).all() and exact.margins == "exact"
+    monitor = jb.Monitor(relations)
+    np.testing.assert_array_equal(monitor.run(monitor.init(), None, y)[1].status, exact.status)
+
+
+def test_a_plant_without_inputs_has_exact_margins_where_somebody_looks():
+    model = jb.LinearSystem([["0.9", "0.1"], [0, "0.7"]], None, [[1, 0], [1, 1]], noise=["0.1", "0.1"])
+    relations, y = jb.parity_relations(model, 8), np.zeros((2, 60, 2))
+    y[1, 40:, 0] += 3
+    bounded, exact = (jb.detect(relations, None, y, margins=kind) for kind in ("bounds", "exact"))
+    assert bounded.margins == "bounds" and bounded.counts["FAULT"]
+    assert bounded.alarms() == exact.alarms() and bounded.worst == exact.worst
+    np.testing.assert_array_equal(bounded.exact, exact.margin)
+
+
 def test_results_say_which_margins_they_have():
     u, y = np.zeros((30, 1)), np.zeros((30, 2))
     short, known = jb.parity_relations(paper(), 1), jb.parity_relations(paper(), 14)

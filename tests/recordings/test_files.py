@@ -127,6 +127,15 @@ class TestMissing:
             "1 of 3 samples of y1 are missing: the windows around them are judged without them",
         )
 
+    def test_what_a_window_claims_that_lacks_an_input_is_said(self, read):
+        """UNDECIDED with a margin near 1 read as proved."""
+        r = read(text_of([(0.5 * k, "" if k == 3 else 1, 1) for k in range(9)]))
+        judged = jb.detect(jb.parity_relations(MODEL, 2), r)
+        assert judged.status.tolist() == [0, 0, 1, 1, 2, 2, 1, 1, 1]
+        (said,) = (hint for hint in r.hints if "u1" in hint)
+        assert said.startswith("1 of 9 samples of u1 are missing: windows that need one are judged as if")
+        assert said.endswith("else UNDECIDED or MISSING: their margins are of the rest only")
+
     def test_long_runs_are_fine(self, read):
         r = read(text_of([(0.5 * k, 1, "" if 10 <= k < 90 else k) for k in range(100)]))
         assert np.isnan(r.y).sum() == 80

@@ -89,6 +89,52 @@ def test_a_live_source_goes_on_where_it_was_stopped(place, capsysbinary, again):
     )
 
 
+def test_a_live_source_that_says_something_else_is_refused(place, capsysbinary):
+    """Readings at times that were judged were left out, whatever they said."""
+    command = ["detect", "model.toml", "plant.py:readings", "--out", "out"]
+    assert main.main(command) == 1
+    assert main.main(command) == 3
+    err = capsysbinary.readouterr().err.decode()
+    assert "nothing is concluded: 40 samples were judged before and are skipped" in err
+    kept = (place / "out/verdicts.csv").read_bytes()
+    source = (place / "plant.py").read_text()
+    (place / "plant.py").write_text(source.replace("y[20:] += 1.0", "y[20:] += 2.0"))
+    assert main.main(command) == 2
+    err = capsysbinary.readouterr().err.decode()
+    assert (
+        "a reading at 20 s is no sample that was judged, though all up to 89 s were: another recording" in err
+    )
+    assert (place / "out/verdicts.csv").read_bytes() == kept
+
+
+DATED = """
+import numpy as np, pandas as pd
+y = 0.5 ** np.arange(40.0)
+y[20:] += 1.0
+table = pd.DataFrame({"y1": y}, index=pd.date_range("2026-01-01", periods=40, freq="1s"))
+
+def readings(model):
+    for k in range(0, 40, 3):
+        yield table.iloc[k : k + 3]
+"""
+
+
+def test_readings_with_dates_are_judged_and_written_as_text(place, capsysbinary):
+    """A few rows with dates were no numbers: the run ended with an error."""
+    (place / "plant.py").write_text(DATED)
+    for options in ([], ["--json", "--alarm", "1/1"]):
+        command = ["detect", "model.toml", "plant.py:readings", "--out", f"out{len(options)}"]
+        assert main.main([*command, *options]) == 1
+    lines = capsysbinary.readouterr().out.decode().splitlines()
+    assert (
+        lines[40].startswith("2026-01-01 00:00:39,FAULT") and rows("\n".join(lines[:41])).count("FAULT") == 20
+    )
+    assert json.loads(lines[-1])["time"] == "2026-01-01 00:00:39"
+    assert (
+        (place / "out3/alarms.csv").read_text().splitlines()[1].startswith("2026-01-01 00:00:20,2026-01-01")
+    )
+
+
 def test_python_judges_a_generator_as_it_comes_and_as_a_whole():
     monitor = jb.Monitor(jb.parity_relations(MODEL))
     state, status = monitor.init(), []

@@ -2,7 +2,9 @@
 file.
 """
 
+import itertools
 import json
+from hashlib import blake2b
 
 import jax
 import numpy as np
@@ -119,6 +121,38 @@ def test_the_same_recording_again_is_judged_as_it_was_and_what_does_not_follow_b
     assert other.verdict == "not tested" and "is of another model" in other.summary.sentence
 
 
+ALIKE = "泵仝丄", "泵唅下"
+"""Names whose digests of 32 bits are one, with a readable part that is nothing for either."""
+
+
+def test_each_unit_has_a_file_of_its_own_that_names_it(plant, tmp_path):
+    """Two of 21 575 units shared a file: one was joined behind the samples of the other, a healthy FAULT."""
+    model, table = plant
+    state = tmp_path / "state"
+    jb.save_model(model, tmp_path / "plant.toml")
+
+    def say(first, stop, *names):
+        table.iloc[first:stop].to_csv(tmp_path / "run.csv", index=False)
+        units = [Unit(name, tmp_path / "plant.toml", tmp_path / "run.csv") for name in names]
+        return list(detect_fleet(units, horizon=3, state=state))
+
+    say(0, 10, *ALIKE)
+    files = sorted(state.iterdir())
+    assert len(files) == 2
+    files[0].write_bytes(files[1].read_bytes())
+    sentences = " ".join(r.summary.sentence for r in say(10, 20, *ALIKE) if r.verdict == "not tested")
+    assert f"{files[0]} is of unit" in sentences and "delete it to begin anew" in sentences
+    former = state / f"_-{blake2b(ALIKE[0].encode(), digest_size=4).hexdigest()}.npz"
+    files[1].rename(former)
+    files[0].unlink()
+    for found in say(10, 20, *ALIKE):
+        assert (
+            found.verdict == "not tested" and f"{former} was written by an earlier" in found.summary.sentence
+        )
+    former.unlink()
+    assert {found.verdict for found in say(10, 20, *ALIKE)} == {"no fault"}
+
+
 def test_what_rests_on_a_recording_before_says_so(plant, tmp_path, capsys, monkeypatch):
     model, table = plant
     monkeypatch.chdir(tmp_path)
@@ -177,3 +211,69 @@ def test_units_are_read_in_the_precision_of_the_caller(plant, tmp_path):
     with jax.enable_x64(False):
         _, kept = fleet(tmp_path, [table.iloc[:30]], method="observer")
     assert kept["unit 0"][0].relations.plant.dtype == np.float32
+
+
+MEANS = jb.LinearSystem(
+    [[0.5]], [[1]], [[1]], noise=0.3, dt=420, columns={"every": "7min", "where": "on > 0"}, horizon=2
+)
+
+
+@pytest.fixture(scope="module")
+def seconds():
+    """Return samples of MEANS at 10 s over midnight, with a fault, a sample that is lacking and a hole."""
+    rng = np.random.default_rng(0)
+    u, y = rng.uniform(-1, 1, 20), np.zeros(20)
+    for k in range(1, 20):
+        y[k] = 0.5 * y[k - 1] + u[k - 1]
+    y[12:15] += 3
+    table = pd.DataFrame({"time": pd.date_range("2026-03-01 22:58:30", periods=840, freq="10s"), "on": 1})
+    table = table.assign(u1=np.repeat(u, 42), y1=np.repeat(y, 42))
+    table.loc[690:694, "on"] = 0
+    return table.drop(index=[70, *range(430, 433)]).reset_index(drop=True)
+
+
+@pytest.mark.parametrize("stored", ["csv", "parquet"])
+@pytest.mark.parametrize("cuts", [[400], [170, 172, 174, 300], [427, 430, 700], [2, 5, 60, 90]])
+def test_an_interval_that_a_cut_splits_is_judged_as_in_one_file(tmp_path, seconds, stored, cuts):
+    """It was missing on both sides. In recordings that hold no interval, or no window, nothing is lost."""
+    jb.save_model(MEANS, tmp_path / "m.toml")
+    path = tmp_path / f"run.{stored}"
+
+    def say(first, stop, state):
+        part, kept = seconds.iloc[first:stop], {}
+        part.to_csv(path, index=False) if stored == "csv" else part.to_parquet(path, index=False)
+        page = lambda unit, res, recording, *about: kept.update(res=res, recording=recording) or ""
+        (found,) = detect_fleet([Unit("A", tmp_path / "m.toml", path)], state=state, page=page)
+        if not kept:
+            assert "too short" in found.summary.sentence or "one window needs 3" in found.summary.sentence
+            return {}
+        assert not any("begins anew" in hint for hint in found.summary.hints)
+        res, recording = kept["res"], kept["recording"]
+        fresh = range(res.known, recording.samples)
+        return {recording.label(k): (int(res.status[k]), str(res.margin[k])) for k in fresh}
+
+    whole = say(0, len(seconds), None)
+    assert {status for status, _ in whole.values()} == {0, 1, 3}
+    parts = {}
+    for first, stop in itertools.pairwise([0, *cuts, len(seconds)]):
+        once = say(first, stop, tmp_path / "state")
+        assert once.keys().isdisjoint(parts)
+        parts |= once
+    assert say(first, stop, tmp_path / "state") == once  # the same again
+    unsaid = [*whole][: len(whole) - len(parts)]
+    assert len(unsaid) <= 2 and not any(whole.pop(time)[0] for time in unsaid)  # warming up
+    assert parts == whole
+
+
+def test_a_recording_of_before_takes_nothing_of_what_is_kept(tmp_path, seconds):
+    jb.save_model(MEANS, tmp_path / "m.toml")
+    unit = Unit("A", tmp_path / "m.toml", tmp_path / "run.csv")
+    samples = []
+    for first, stop in ((400, 650), (0, 300), (500, 800)):
+        seconds.iloc[first:stop].to_csv(unit.recording, index=False)
+        (alone,) = detect_fleet([unit])
+        (found,) = detect_fleet([unit], state=tmp_path / "state")
+        samples.append(found.summary.found.samples - alone.summary.found.samples)
+    assert samples[:2] == [0, 0]
+    # two samples that were judged, two intervals that are not whole, between them those without a row
+    assert samples[2] == 2 + 2 + (500 - 300) // 42

@@ -13,7 +13,7 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.bounds import Number, bound
 from jaxbound.sets.intervals.interval import Interval, Operand, pair
 
-__all__ = ["contains", "disjoint", "equal", "interior", "less", "precedes", "subset"]
+__all__ = ["contains", "disjoint", "interior", "less", "precedes", "subset"]
 
 
 def _ordered(x: Interval) -> Interval:
@@ -41,12 +41,6 @@ def _relation(holds: Callable[..., jax.Array]) -> Callable[[Operand, Operand], j
     ):  # not the signature: what is lifted takes two Intervals
         setattr(relation, name, getattr(holds, name))
     return relation
-
-
-@_relation
-def equal(x: Interval, y: Interval, *_: jax.Array) -> jax.Array:
-    """Return whether both are the same set. Source: IEEE 1788 equal."""
-    return (x.lo == y.lo) & (x.hi == y.hi)
 
 
 @_relation

@@ -31,6 +31,7 @@ __all__ = [
     "abs",
     "add",
     "div",
+    "equal",
     "hull",
     "interval",
     "mag",
@@ -59,6 +60,8 @@ _abs, _min, _max, _sum = abs, min, max, sum  # the built-ins, before the operati
 class Interval(Arrays):
     """An array of closed intervals; `lo` and `hi` have one shape and dtype. Build it with `interval`, which
     checks what it is given.
+
+    `x == y` and `x != y` are those of `equal`, entry by entry; an Interval has its identity for a hash.
 
     Encloses: `x + y`, `x - y`, `x * y`, `x / y`, `x @ y`, `-x`, `abs(x)`, `x ** n` (n an integer) enclose the
     exact results, eagerly and compiled, for every two floats lo <= hi (not one and the same infinity),
@@ -137,6 +140,18 @@ class Interval(Arrays):
 
     def __pow__(self, n: int) -> Interval:
         return pown(self, n)
+
+    def __eq__(self, other: object) -> jax.Array:  # type: ignore[override]  # as of arrays
+        if other is None or isinstance(other, str):
+            return NotImplemented
+        return equal(self, other)  # type: ignore[arg-type]
+
+    def __ne__(self, other: object) -> jax.Array:  # type: ignore[override]
+        if other is None or isinstance(other, str):
+            return NotImplemented
+        return ~equal(self, other)  # type: ignore[arg-type]
+
+    __hash__ = object.__hash__  # of a class with `==` Python would take it away
 
     def __getitem__(self, index: object) -> Interval:
         return (computed if self._settled else Interval)(self.lo[index], self.hi[index])
@@ -463,3 +478,10 @@ def intersection(x: Operand, y: Operand) -> Interval:
     apart = x.is_empty | y.is_empty | above(x.lo, y.hi) | above(y.lo, x.hi)
     x, y = map(_read, (x, y))
     return _empty_where(apart, jnp.maximum(x.lo, y.lo), jnp.minimum(x.hi, y.hi))
+
+
+def equal(x: Operand, y: Operand) -> jax.Array:
+    """Return whether both are the same set. Source: IEEE 1788 equal."""
+    x, y = pair(x, y)
+    same = (rounding.order(x.lo) == rounding.order(y.lo)) & (rounding.order(x.hi) == rounding.order(y.hi))
+    return same & (x.lo == x.lo) & (x.hi == x.hi)

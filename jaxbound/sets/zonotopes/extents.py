@@ -47,7 +47,7 @@ def support(S: AnySet, direction: Operand) -> jax.Array:
 
 def interval_hull(S: AnySet) -> Interval:
     """Return a box around S, an Interval (n,): the smallest one but for rounding of a Zonotope, nearly so
-    with constraints.
+    with constraints. Of a set that is proved empty on the way it is empty.
 
     Args:
         S: a Zonotope or ConstrainedZonotope of n coordinates.
@@ -68,7 +68,9 @@ def _interval_hull(S: AnySet) -> Interval:
     (S,) = rounding.one_dtype(S)
     axes = jnp.eye(len(S.center), dtype=S.center.dtype)
     far = _supports(S, Interval(axes := jnp.concatenate([-axes, axes]), axes))
-    return Interval(-far[: len(S.center)], far[len(S.center) :])
+    lo, hi = -far[: len(S.center)], far[len(S.center) :]
+    empty = jnp.any(lo > hi)
+    return Interval(jnp.where(empty, jnp.inf, lo), jnp.where(empty, -jnp.inf, hi))
 
 
 @jax.jit

@@ -259,3 +259,18 @@ def test_contains_does_not_round_a_number_to_the_narrower_dtype():
 
 def test_contains_does_not_take_a_subnormal_for_zero():
     assert not sets.contains(interval(0.0), 5e-324) and sets.contains(interval(0.0, 1.0), 5e-324)
+
+
+def test_equality_is_that_of_sets_entry_by_entry():
+    x, y = interval([1.0, 2.0], [3.0, 4.0]), interval([1.0, 2.0], [3.0, 5.0])
+    assert (x == x).all() and (x == y).tolist() == [True, False] and (x != y).tolist() == [False, True]
+    assert jax.jit(lambda a, b: a == b)(x, y).tolist() == sets.equal(x, y).tolist()
+    assert interval(0.5) == Fraction(1, 2) and (np.ones(2) == interval(np.ones(2))).all()
+    assert interval(*EMPTY) == interval(*EMPTY) and not interval(5e-324) == interval(0.0)
+    assert not sets.Interval(jnp.array(np.nan), jnp.array(1.0)) == interval(0.0, 1.0)
+    assert (x == None) is False and x != "entire" and {x: 1}[x] == 1  # noqa: E711
+
+
+def test_equality_with_what_is_no_number_is_refused():
+    with pytest.raises(TypeError):
+        interval(0.0) == object()  # noqa: B015

@@ -12,6 +12,17 @@ def test_a_constrained_zonotope_is_a_tree_of_four_arrays():
     assert [leaf.shape for leaf in jax.tree.leaves(C)] == [(7, 2), (7, 2, 5), (7, 1, 5), (7, 1)]
 
 
+def test_the_box_around_a_set_that_is_proved_empty_is_empty():
+    """One coordinate proves it, and the other has no point either; a set that is not empty keeps its box."""
+    A, b = [[[1.0, 1.0]]] * 3, [[3.0], [2.5], [1.0]]
+    C = sets.constrained_zonotope(np.zeros((3, 2)), [[[1.0, 2.0], [0.0, 0.0]]] * 3, A, b)
+    box = jax.vmap(sets.interval_hull)(C)
+    np.testing.assert_array_equal(box.lo[:2], np.inf)
+    np.testing.assert_array_equal(box.hi[:2], -np.inf)
+    np.testing.assert_array_equal((abs(box).lo[:2], abs(box).hi[:2]), (box.lo[:2], box.hi[:2]))
+    assert box.lo[2, 0] <= 1 and 2 <= box.hi[2, 0] and box.lo[2, 1] <= 0 <= box.hi[2, 1]
+
+
 @pytest.mark.parametrize(
     ("dtype", "expected"), [(np.float32, np.float32), (np.float64, np.float64), (int, np.float64)]
 )

@@ -1,0 +1,200 @@
+"""Chebyshev fits side by side, in NumPy: of N problems, the x for which max |b - B x| is smallest.
+
+Each problem has rows and columns of its own: b (c,), B (c, q), and a row of zeros b = 0, B = e_i for each
+unknown x_i that is bounded by 1. It is the search of `separation` where nothing is shared between windows and
+all radii are 1, by the same steps; see there for the source. Problems are the first axis. No claim.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxbound.sets.floats import rounding
+
+__all__ = ["Fit", "fitted"]
+
+CLOSE = float(10 * rounding.unit(np.float64) ** 0.75)
+"""How much the largest error may exceed t where a search is done."""
+WORTH = CLOSE**0.5
+"""Share of the largest pivot below which none is taken: a small one would spoil the inverse."""
+PATIENCE = 10
+"""Exchanges per unknown after which a search is given up; it takes 2 to 4."""
+LEAVE = 8
+"""Exchanges after which a search leaves out the problems that are done."""
+
+
+class Fit(NamedTuple):
+    """The least largest errors of N problems, and where they are reached.
+
+    Fields: t (N,), the largest error; x (N, q); h (N, c), multipliers with |h b| = t (|h| 1 + sum of |h B|_i
+    over bounded x_i) and h B near 0 elsewhere; telling (N, q): the row that tells an unknown without bounds,
+    -1 for none; idle (N,): no row is left that tells anything.
+    """
+
+    t: np.ndarray
+    x: np.ndarray
+    h: np.ndarray
+    telling: np.ndarray
+    idle: np.ndarray
+
+
+@dataclass
+class _Search:
+    """The state of some problems.
+
+    Fields: rows (n, c + q, q), values, there (n, c + q): all rows, those of the x_i last; P (n, q, q) is the
+    inverse of the basis S (n, q), row numbers; signs (n, q) of its errors; leader (n,): the row beside it.
+    """
+
+    rows: np.ndarray
+    values: np.ndarray
+    there: np.ndarray
+    P: np.ndarray
+    S: np.ndarray
+    signs: np.ndarray
+    leader: np.ndarray
+
+    def of(self, some: np.ndarray) -> "_Search":
+        """Return the state of some of the problems."""
+        return _Search(*(x[some] for x in vars(self).values()))
+
+    def _picked(self, number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return one row of each problem, and its value."""
+        at = np.arange(len(number))
+        return self.rows[at, number], self.values[at, number]
+
+    def exchange_free(self, free: np.ndarray, least: float) -> np.ndarray:
+        """Exchange each unknown without bounds, where some row has at least this share of its column, for the
+        row that tells it best; return these rows (n, q), -1 for none.
+        """
+        q = free.shape[1]
+        c = self.rows.shape[1] - q
+        table, telling = self.rows[:, :c].copy(), np.full(free.shape, -1)
+        usable, largest = self.there[:, :c].copy(), np.abs(table).max(1, initial=0)
+        at = np.arange(len(free))
+        for s in np.flatnonzero(free.any(0)):
+            size = np.where(usable, np.abs(table[:, :, s]), 0)
+            j = size.argmax(1)
+            pivoted = free[:, s] & (size[at, j] > least * largest[:, s])
+            row = table[at, j] - np.eye(q)[s]
+            row *= np.where(pivoted, 1 / np.where(pivoted, table[at, j, s], 1), 0)[:, None]
+            table -= table[:, :, s, None] * row[:, None]
+            self.P -= self.P[:, :, s, None] * row[:, None]
+            self.S[pivoted, s] = telling[pivoted, s] = j[pivoted]
+            usable[at[pivoted], j[pivoted]] = False
+        return telling
+
+    def begun(self) -> np.ndarray:
+        """Begin with the row that speaks most against the basis; return which problems have none."""
+        q = self.P.shape[1]
+        c = self.rows.shape[1] - q
+        others = self.there[:, :c].copy()
+        chosen = self.S < c
+        others[np.nonzero(chosen)[0], self.S[chosen]] = False
+        T = self.rows[:, :c] @ self.P
+        on_S = np.take_along_axis(self.values, self.S, 1)
+        own = np.abs(self.values[:, :c] - (T @ on_S[:, :, None])[:, :, 0]) / (1 + np.abs(T).sum(2))
+        self.leader = np.where(others, own, -1).argmax(1)
+        idle = np.asarray(~others.any(1))
+        return idle
+
+    def reference(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return (T, t, sign of the leader's error, x) of the present references."""
+        row, value = self._picked(self.leader)
+        T = np.einsum("nj,nji->ni", row, self.P)
+        on_S = np.take_along_axis(self.values, self.S, 1)
+        own = value - (T * on_S).sum(1)
+        t = np.abs(own) / (1 + np.abs(T).sum(1))
+        self.signs = np.where(np.abs(T) > CLOSE, -np.sign(own)[:, None] * np.sign(T), self.signs)
+        x = np.einsum("nij,nj->ni", self.P, on_S - self.signs * t[:, None])
+        return T, t, np.sign(own), x
+
+    def step(self) -> np.ndarray:
+        """Exchange one row of each problem; return which are done."""
+        at = np.arange(len(self.leader))
+        T, t, sign_e, x = self.reference()
+        error = self.values - (self.rows @ x[:, :, None])[:, :, 0]
+        size = np.where(self.there, np.abs(error), -1)
+        w = size.argmax(1)
+        worst = size[at, w]
+        done = worst <= t + CLOSE * (1 + t)
+        sign_w = np.sign(error[at, w])
+        T_w = np.einsum("nj,nji->ni", self.rows[at, w], self.P)
+        shares = np.abs(T)
+        change = sign_w[:, None] * T_w * self.signs
+        rate = np.where(change > WORTH * np.abs(change).max(1, keepdims=True), change, 0)
+        multiplier = shares / np.where(rate > 0, rate, 1)
+        moved = np.abs(shares[:, None] - multiplier[:, :, None] * change[:, None])
+        after = 1 + multiplier + moved.sum(2)
+        slope = worst - t * change.sum(1)
+        gained = (t * (1 + shares.sum(1)))[:, None] + multiplier * slope[:, None]
+        factor = np.where(rate > 0, gained / after, -1)
+        best = factor.max(1)
+        near = factor >= (best * (1 - 64 * rounding.unit(np.float64)))[:, None]
+        q = np.where(near, np.abs(T_w), -1).argmax(1)
+        swap = (best >= slope / (1 + np.abs(change).sum(1))) & ~done
+        T_q, T_wq = T[at, q], T_w[at, q]
+        by_w = np.abs(T_wq) >= np.abs(T_q)
+        joins = np.where(by_w[:, None], T_w, T)
+        joins[at, q] -= 1
+        pivot = np.where(by_w, T_wq, T_q)
+        row = joins * np.where(swap, 1 / np.where(pivot == 0, 1, pivot), 0)[:, None]
+        self.P -= self.P[at, :, q][:, :, None] * row[:, None]
+        enters, sign = np.where(by_w, w, self.leader), np.where(by_w, sign_w, sign_e)
+        self.S[at[swap], q[swap]], self.signs[at[swap], q[swap]] = enters[swap], sign[swap]
+        self.leader = np.where(done | (swap & by_w), self.leader, w)
+        return done
+
+    def polished(self) -> None:
+        """Work the inverse out anew where it can be."""
+        q = self.P.shape[1]
+        basis = np.take_along_axis(self.rows, self.S[:, :, None], 1)
+        good = np.isfinite(basis).all((1, 2))
+        good[good] = np.linalg.cond(basis[good], 1) < 1 / rounding.unit(np.float64)
+        inverse = np.linalg.inv(np.where(good[:, None, None], basis, np.eye(q)))
+        self.P = np.where(good[:, None, None], inverse, self.P)
+
+
+def fitted(B: np.ndarray, b: np.ndarray, there: np.ndarray, free: np.ndarray, least: float) -> Fit:
+    """Return the Fit of N problems.
+
+    Args:
+        B: (N, c, q). b, there: (N, c), the values of rows and which there are. free: (N, q), which unknowns
+            are without bounds; the others are bounded by 1. least: share of its column that a row has to tell
+            an unknown.
+    """
+    N, c, q = B.shape
+    one = np.broadcast_to(np.eye(q), (N, q, q))
+    values = np.concatenate([np.where(there, b, 0), np.zeros((N, q))], 1)
+    S, signs = np.tile(np.arange(c, c + q), (N, 1)), np.ones((N, q))
+    rows = np.concatenate([B, one], 1)
+    whole = _Search(
+        rows, values, np.concatenate([there, ~free], 1), one.copy(), S, signs, np.zeros(N, np.intp)
+    )
+    telling = whole.exchange_free(free, least)
+    # what no row tells stays where it is
+    whole.there[:, c:] |= free & (telling < 0)
+    idle = whole.begun()
+    _exchanged(whole, np.flatnonzero(~idle))
+    whole.polished()
+    T, t, _, x = whole.reference()
+    h = np.zeros((N, c + q))
+    np.put_along_axis(h, whole.S, -T, 1)
+    np.put_along_axis(h, whole.leader[:, None], 1, 1)
+    return Fit(np.where(idle, 0, t), x, h[:, :c], telling, idle)
+
+
+def _exchanged(whole: _Search, left: np.ndarray) -> None:
+    """Search on for the problems that are left, in place."""
+    for _ in range(0, PATIENCE * (whole.P.shape[1] + 10), LEAVE):
+        if not len(left):
+            return
+        part = whole.of(left)
+        for _ in range(LEAVE):
+            done = part.step()
+            if done.all():
+                break
+        for name in ("P", "S", "signs", "leader"):
+            getattr(whole, name)[left] = getattr(part, name)
+        left = left[~done]

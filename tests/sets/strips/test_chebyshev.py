@@ -1,0 +1,44 @@
+"""Chebyshev fits against linear programs by SciPy."""
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from jaxbound.sets.strips.chebyshev import fitted
+
+
+def least(B, b, there, free):
+    """Return the least t with |b - B x| <= t where there are rows, |x_i| <= t where x_i is not free."""
+    q = B.shape[1]
+    rows = np.concatenate([B[there], np.eye(q)[~free]])
+    values = np.concatenate([b[there], np.zeros((~free).sum())])
+    ones = np.ones((len(rows), 1))
+    found = linprog(
+        [0] * q + [1],
+        np.block([[rows, -ones], [-rows, -ones]]),
+        np.r_[values, -values],
+        bounds=[(None, None)] * q + [(0, None)],
+    )
+    return found.fun
+
+
+@pytest.mark.parametrize("c, q", [(6, 1), (20, 4), (9, 7), (12, 12)])
+def test_the_largest_error_is_that_of_the_program(c, q, rng):
+    B, b = rng.normal(size=(40, c, q)), 3 * rng.normal(size=(40, c))
+    there, free = rng.random((40, c)) < 0.9, rng.random((40, q)) < 0.2
+    fit = fitted(B, b, there, free, 1e-9)
+    assert not fit.idle.all()
+    for n in np.flatnonzero(~fit.idle):
+        np.testing.assert_allclose(fit.t[n], least(B[n], b[n], there[n], free[n]), rtol=1e-7, atol=1e-9)
+        errors = np.r_[np.where(there[n], b[n] - B[n] @ fit.x[n], 0), np.where(free[n], 0, fit.x[n])]
+        np.testing.assert_allclose(np.abs(errors).max(), fit.t[n], rtol=1e-7, atol=1e-9)
+        through = fit.h[n] @ B[n]
+        width = np.abs(fit.h[n]).sum() + np.abs(np.where(free[n], 0, through)).sum()
+        np.testing.assert_allclose(abs(fit.h[n] @ np.where(there[n], b[n], 0)), fit.t[n] * width, atol=1e-7)
+        np.testing.assert_allclose(through[free[n]], 0, atol=1e-7 * max(1, width))
+
+
+def test_without_a_row_beside_those_that_tell_there_is_nothing_to_fit():
+    B = np.ones((1, 2, 2)) + np.eye(2)
+    fit = fitted(B, np.ones((1, 2)), np.ones((1, 2), bool), np.ones((1, 2), bool), 1e-9)
+    assert fit.idle.all() and (fit.telling >= 0).all()
