@@ -131,8 +131,8 @@ def heater(way, data):
     prbs, hybrid = data / "mimo_prbs_3s.csv", data / "mimo_hybrid_3s.csv"
     header, *rows = hybrid.read_text().splitlines()
     first, second = way.folder / "first.csv", way.folder / "second.csv"
-    first.write_text("\n".join([header, *rows[:HALF]]))
-    second.write_text("\n".join([header, *rows[HALF:]]))
+    first.write_text("\n".join([header, *rows[:HALF], ""]))
+    second.write_text("\n".join([header, *rows[HALF:], ""]))
     way.fit([prbs, first], *HEATERS)
 
     whole, files, kinds = pd.read_csv(second, skipinitialspace=True), [], []

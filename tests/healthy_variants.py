@@ -30,6 +30,7 @@ name = "b"
 name = "u1"
 [[outputs]]
 name = "y1"
+{y1}
 tolerance = 0.02
 noise = 0.05
 resolution = 0.0
@@ -45,6 +46,8 @@ C = [[1, 0], [1, 1]]
 """
 READERS = ("file", "pipe", "parquet", "pandas", "polars", "arrow", "xarray", "fleet", "state")
 FIRST = datetime.datetime(2024, 2, 28, 23, 59, 30)  # over midnight and into a leap day
+UNITS = {"hours": ("Time [h]", 3600), "minutes": ("time_min", 60), "milliseconds": ("time (ms)", 0.001)}
+EXCEL = 25569  # the day from which epochs count, in days of a spreadsheet
 STAMPS = (
     "%Y-%m-%d %H:%M:%S",
     "%Y-%m-%dT%H:%M:%S",
@@ -121,6 +124,12 @@ class Variant:
             (
                 "seconds",
                 "seconds",
+                "hours",
+                "minutes",
+                "milliseconds",
+                "days",
+                "digits",
+                "minutes and seconds",
                 "offset",
                 "epoch",
                 "epoch ms",
@@ -131,7 +140,7 @@ class Variant:
                 "none",
             )
         )
-        if self.reader == "state" and self.time in ("none", "clock"):
+        if self.reader == "state" and self.time in ("none", "clock", "digits", "minutes and seconds"):
             self.time = "stamps"
         keep = range(samples)
         if self.time != "none" and draw.random() < 0.4:  # gaps, which only a time shows
@@ -146,6 +155,10 @@ class Variant:
         if self.time != "none" and draw.random() < 0.08:
             self.order = draw.choice(("newest first", "shuffled"))
         self.rows = len(self.seconds)
+        # y1 as 1.234 thousandths of thousandths, where some number shows what the points are for
+        raw = [round(v[0] * 10**DIGITS) for v in self.y[:-1] if v[0] is not None]
+        shown = any(0 < abs(x) < 1000 for x in raw) and any(abs(x) >= 1000 and x % 10 == 0 for x in raw)
+        self.by_thousands = self.reader in ("file", "fleet") and shown and draw.random() < 0.5
 
     def halves(self):
         """Return two Variants, the first rows and those that follow."""
@@ -174,7 +187,7 @@ class Variant:
     def text(self):
         """Return (bytes of a CSV file, whether a line of it is spoilt on purpose)."""
         draw = self.draw
-        delimiter = draw.choice((",", ",", ";", "\t"))
+        delimiter = draw.choice((",", ",", ";", "\t")) if not self.by_thousands else draw.choice((";", "\t"))
         comma = delimiter != "," and draw.random() < 0.5
         missing = draw.choice(MISSING)
         style = draw.choice(("plain", "plain", "padded", "plus", "exponent"))
@@ -191,6 +204,10 @@ class Variant:
             "y1": [number(v[0]) for v in self.y],
             "y2": [number(v[1]) for v in self.y],
         }
+        if self.by_thousands:
+            points = lambda x: missing if x is None else f"{round(x * 10**DIGITS):,}".replace(",", ".")
+            columns["raw"] = [points(v[0]) for v in self.y]
+            del columns["y1"]
         columns |= self._times(draw)
         for i in range(draw.choice((0, 0, 1, 2))):
             columns[f"remark {i}"] = [draw.choice(REMARKS) for _ in range(self.rows)]
@@ -211,6 +228,17 @@ class Variant:
             return {}
         if self.time == "seconds":
             return {draw.choice(("t", "time", "Time (s)")): [str(s) for s in self.seconds]}
+        if self.time in UNITS:
+            name, scale = UNITS[self.time]
+            return {name: [repr(s / scale) for s in self.seconds]}
+        if self.time == "days":
+            name = draw.choice(("time", "Zeit", "Date", "Time [d]"))
+            return {name: [f"{EXCEL + (epoch + s) / 86400:.10f}" for s in self.seconds]}
+        if self.time == "digits":
+            moments = [m + datetime.timedelta(hours=8) for m in moments]
+            return {draw.choice(("time", "Time (HHMMSS)")): [str(int(m.strftime("%H%M%S"))) for m in moments]}
+        if self.time == "minutes and seconds":
+            return {"time": [m.strftime("%M:%S.0") for m in moments]}
         if self.time == "offset":
             return {"time": [f"{s + 7}.0" for s in self.seconds]}
         if self.time == "epoch":
@@ -256,6 +284,9 @@ class Variant:
         text = "".join(row + draw.choice(ends) for row in rows)
         if draw.random() < 0.2:
             text = text.rstrip("\r\n")
+            if draw.random() < 0.5:  # it was copied while somebody wrote it
+                begun = max(text.rfind("\n"), text.rfind("\r")) + 1
+                text = text[: draw.randrange(begun + 1, len(text) + 1)]
         elif draw.random() < 0.2:
             text += ends[0] * 2
         return draw.choice((b"", b"", b"\xef\xbb\xbf")) + text.encode()
@@ -275,6 +306,12 @@ class Variant:
             return columns, None
         if self.time in ("seconds", "offset"):
             return columns | {"time": [float(s) for s in self.seconds]}, None
+        if self.time in UNITS:
+            name, scale = UNITS[self.time]
+            return columns | {name: [s / scale for s in self.seconds]}, None
+        if self.time == "days":
+            epoch = FIRST.replace(tzinfo=datetime.UTC).timestamp()
+            return columns | {"time": [EXCEL + (epoch + s) / 86400 for s in self.seconds]}, None
         if self.time in ("stamps", "two columns"):
             return columns, moments
         return columns | {"time": moments}, None
@@ -287,12 +324,16 @@ class Variant:
         draw, (columns, index) = self.draw, self.frame()
         kind = pa.float32() if draw.random() < 0.2 else pa.float64()
         nulls = draw.random() < 0.5
-        made = {name: pa.array(x, kind, from_pandas=nulls) for name, x in columns.items() if name != "time"}
-        times = index if index is not None else columns.get("time")
-        if times is not None:
-            made[draw.choice(("time", "t") if self.time in ("seconds", "offset") else ("time", "when"))] = (
-                pa.array(times)
+        signals = ("u1", "y1", "y2")
+        made = {name: pa.array(columns[name], kind, from_pandas=nulls) for name in signals}
+        (name,) = [name for name in columns if name not in signals] or [None]
+        times = index if index is not None else columns.get(name)
+        if name in (None, "time"):
+            name = draw.choice(
+                ("time", "t") if self.time in ("seconds", "offset", "days") else ("time", "when")
             )
+        if times is not None:
+            made[name] = pa.array(times)
         order = pa.array(self.arranged(list(range(self.rows))))
         table = pa.table(made).take(order)
         if draw.random() < 0.5:

@@ -36,8 +36,8 @@ def test_temperature_lab(safety, least, shell, shared, tmp_path):
     """
     prbs, hybrid = shared("data/tclab/mimo_prbs_3s.csv"), shared("data/tclab/mimo_hybrid_3s.csv")
     header, *rows = hybrid.read_text().splitlines()
-    (tmp_path / "first.csv").write_text("\n".join([header, *rows[:HALF]]))
-    (tmp_path / "second.csv").write_text("\n".join([header, *rows[HALF:]]))
+    (tmp_path / "first.csv").write_text("\n".join([header, *rows[:HALF], ""]))
+    (tmp_path / "second.csv").write_text("\n".join([header, *rows[HALF:], ""]))
     signals = (
         "--inputs",
         "Q1=Heater 1,Q2=Heater 2",
@@ -76,7 +76,7 @@ def test_air_handling_unit(shell, shared, tmp_path, method):
     lines = shared("data/ahu/szvav_four_days.csv").read_text().splitlines()
     for day in (12, 20, 21, 23):
         (tmp_path / f"{day}.csv").write_text(
-            "\n".join([lines[0], *(x for x in lines if x.startswith(f"9/{day}/2017"))])
+            "\n".join([lines[0], *(x for x in lines if x.startswith(f"9/{day}/2017")), ""])
         )
     name = lambda text: f"`AHU: {text}`"
     fan, cooling = name("Supply Air Fan Speed Control Signal"), name("Cooling Coil Valve Control Signal")

@@ -22,6 +22,7 @@ from jaxbound.cli.options import (
     some_of,
 )
 from jaxbound.cli.terminal import OK, Refused, door, progress_bars, usable_device, write
+from jaxbound.text.quantities import decimal
 
 if TYPE_CHECKING:
     import numpy as np
@@ -159,7 +160,7 @@ def _factors(text: str | None) -> list[float] | None:
     if text is None:
         return None
     try:
-        return [float(part) for part in text.split(",")]
+        return [decimal(part) for part in text.split(",")]
     except ValueError:
         raise Refused(f"--factors needs numbers with commas, like 0.5,1,2, not {text!r}") from None
 

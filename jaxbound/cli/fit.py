@@ -20,6 +20,7 @@ from jaxbound.cli.options import (
 )
 from jaxbound.cli.terminal import OK, door, progress_bars, some_device, write
 from jaxbound.estimation.methods import OBSERVERS
+from jaxbound.text.quantities import decimal
 
 if TYPE_CHECKING:
     from jaxbound.recordings.recording import Recording
@@ -57,7 +58,7 @@ def weight_or_auto(text: str) -> float | str:
     if text == "auto":
         return text
     try:
-        number = float(text)
+        number = decimal(text)
     except ValueError:
         number = -1.0
     if not 0 <= number < math.inf:
@@ -117,7 +118,7 @@ def options(parser: argparse.ArgumentParser) -> None:
         "--time", metavar="COLUMN", help="of the time stamps (default: a column that looks like time)"
     )
     parser.add_argument(
-        "--dt", type=float, metavar="SECONDS", help="sampling period (default: the median step of the time)"
+        "--dt", type=decimal, metavar="SECONDS", help="sampling period (default: the median step of the time)"
     )
     add_every(parser, "as recorded")
     add_safety(parser)

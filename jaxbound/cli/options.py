@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from jaxbound.cli.terminal import NORMAL, QUIET, VERBOSE, Refused
 from jaxbound.estimation.methods import OBSERVERS, shell_options
+from jaxbound.text.quantities import decimal
 
 if TYPE_CHECKING:
     from jaxbound.diagnosis.alarmrule import AlarmRule
@@ -366,7 +367,7 @@ def add_force(parser: argparse.ArgumentParser) -> None:
 def add_safety(parser: argparse.ArgumentParser) -> None:
     """Add --safety of a command that finds bounds."""
     about = "factor on the smallest bounds (default: 1.25)"
-    parser.add_argument("--safety", type=float, default=1.25, metavar="F", help=about)
+    parser.add_argument("--safety", type=decimal, default=1.25, metavar="F", help=about)
 
 
 def add_loudness(parser: argparse.ArgumentParser) -> None:
@@ -403,12 +404,16 @@ def path(text: str) -> Path:
     return Path(named(text))
 
 
+def _is_whole(text: str) -> bool:
+    return text.isascii() and text.isdecimal()
+
+
 def whole_number(least: int, most: int = LARGEST) -> Callable[[str], int]:
     """Return a reader of whole numbers between two."""
 
     def read(text: str) -> int:
         is_long = len(text) >= DIGITS
-        if not text.isdecimal() or (not is_long and int(text) < least):
+        if not _is_whole(text) or (not is_long and int(text) < least):
             raise ArgumentTypeError(f"needs a whole number >= {least}, not {text[:40]!r}")
         if is_long or int(text) > most:
             raise ArgumentTypeError(f"needs a whole number of at most {most}, not {text[:40]}")
@@ -422,7 +427,7 @@ def some_of(k: str, example: str) -> Callable[[str], tuple[int, int]]:
 
     def read(text: str) -> tuple[int, int]:
         first, slash, n = text.partition("/")
-        if not slash or not first.isdecimal() or not n.isdecimal() or not 1 <= int(first) <= int(n):
+        if not slash or not _is_whole(first) or not _is_whole(n) or not 1 <= int(first) <= int(n):
             raise ArgumentTypeError(f"needs {k}/n with 1 <= {k} <= n, like {example}, not {text!r}")
         return int(first), int(n)
 
@@ -432,7 +437,7 @@ def some_of(k: str, example: str) -> Callable[[str], tuple[int, int]]:
 def share(text: str) -> float:
     """Return a number between 0 and 1."""
     try:
-        number = float(text)
+        number = decimal(text)
     except ValueError:
         number = -1.0
     if not 0 <= number <= 1:
@@ -453,7 +458,7 @@ def interval(text: str) -> str:
 
 def apart(text: str) -> int | str:
     """Return the distance of alarms in samples, or an interval of the clock as it is written."""
-    if text.isdecimal():
+    if _is_whole(text):
         return whole_number(0)(text)
     return interval(text)
 
@@ -464,7 +469,7 @@ def sizes(text: str) -> "float | dict[str, float]":
     for part in text.split(","):
         name, equals, number = part.rpartition("=")
         try:
-            size = float(number)
+            size = decimal(number)
         except ValueError:
             size = 0.0
         wrong = not 0 < size < float("inf") or name.strip() in least or bool(equals) != bool(name.strip())

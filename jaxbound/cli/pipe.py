@@ -93,7 +93,6 @@ def judge_input(
         return judge_stream(
             model,
             lambda stream: arrivals(stream.raw, end),
-            _is_file(),
             options,
             data=data,
             out=out,
@@ -107,7 +106,6 @@ def judge_input(
 def judge_stream(
     model: Path | str,
     chunks: Iterable[Any] | Callable[[Stream], Iterable[Any]],
-    whole: bool = True,
     options: MethodOptions | None = None,
     *,
     data: str = STDIN,
@@ -121,8 +119,7 @@ def judge_stream(
 
     Args:
         model: path of the model file. chunks: what arrives, bytes of a pipe or readings of a live source, or
-            a function of the Stream that gives it; None in it ends the run as a signal does. whole: the last
-            line is complete without a line end, as in a file; in a pipe half of a number may be.
+            a function of the Stream that gives it; None in it ends the run as a signal does.
         options: of the test. data: "-", or the name of a live source. out: folder of the verdicts; state:
             file to go on from; None: none. min_coverage: least share of decided windows. as_json: verdicts as
             JSON, else as CSV. alarm: the rule by which alarms are told; None: none are.
@@ -168,7 +165,7 @@ def judge_stream(
             folder.check(files, foreign=before is None)
             work = folder.work()
         with work as place:
-            stream = _stream(data, relations.model, _Complaints(), before and before["source"], whole, taken)
+            stream = _stream(data, relations.model, _Complaints(), before and before["source"], taken)
             if alarm is not None:
                 alarms = LiveAlarms(alarm, relations, options.method, stream.dt, stream.complain)
             lines = _PrintedLines(as_json, out is None, judge.region is not None, bool(relations.parts))
@@ -204,17 +201,16 @@ def _stream(
     model: SignalModel,
     complaints: "_Complaints",
     memory: dict[str, Any] | None,
-    whole: bool,
     taken: Taken | None,
 ) -> Stream:
     """Return the Stream of the data."""
     if every_of(model) is not None:
         before = memory and memory["reading"]
-        reading = _stream(data, recorded_model(model), complaints, before, whole, taken)
+        reading = _stream(data, recorded_model(model), complaints, before, taken)
         return MeansStream(reading, model, memory)
     if LiveSource.takes(data):
         return LiveSource(data, model).stream(complaints, memory, taken)
-    return PipeText(model, complaints, memory, whole, taken)
+    return PipeText(model, complaints, memory, taken)
 
 
 def _state_path(out: Path | None, state: Path | None) -> Path | None:

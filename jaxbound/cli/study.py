@@ -18,6 +18,7 @@ from jaxbound.cli.options import (
     whole_number,
 )
 from jaxbound.cli.terminal import LOUDNESS, OK, QUIET, Refused, door, progress_bars, say, usable_device
+from jaxbound.text.quantities import decimal
 
 NAME = "study"
 HELP = "simulate a million scenarios and count what is detected"
@@ -218,11 +219,13 @@ def _sizes(text: str | None) -> list[float] | None:
         return None
     try:
         if ":" not in text:
-            return [float(x) for x in text.split(",")]
+            return [decimal(x) for x in text.split(",")]
         lo, hi, count = text.split(":")
+        if not (count.isascii() and count.isdecimal()):
+            raise ValueError
         if int(count) > MOST_SIZES:
             raise Refused(f"--sizes asks for {int(count)} sizes of a fault: at most {MOST_SIZES} are studied")
-        sizes: list[float] = np.linspace(float(lo), float(hi), int(count)).tolist()
+        sizes: list[float] = np.linspace(decimal(lo), decimal(hi), int(count)).tolist()
         return sizes
     except ValueError:
         raise Refused(
@@ -246,7 +249,7 @@ def _pairs(option: str, text: str | None) -> list[tuple[float, ...]] | None:
     if text is None:
         return None
     try:
-        pairs = [tuple(map(float, part.split(":"))) for part in text.split(",")]
+        pairs = [tuple(map(decimal, part.split(":"))) for part in text.split(",")]
     except ValueError:
         pairs = [()]
     if any(len(pair) != 2 for pair in pairs):

@@ -7,7 +7,7 @@ from jaxbound.cli.names import parted, unquoted
 from jaxbound.models.faults import Fault
 from jaxbound.models.testmodels import model_of
 from jaxbound.studies.identification.fit_result import Fitted
-from jaxbound.text.quantities import finite
+from jaxbound.text.quantities import decimal, finite
 
 __all__ = ["disturbance_rows", "plain_tradeoff", "wanted"]
 
@@ -29,7 +29,7 @@ def wanted(text: str) -> tuple[Fault, ...]:
         parts = entry.rsplit(":", 2)
         try:
             signal, kind, size = parts
-            faults.append(Fault(unquoted(signal), kind, float(size)))
+            faults.append(Fault(unquoted(signal), kind, decimal(size)))
         except ValueError as e:
             why = "needs signal:kind:size, like T1:bias:2"
             if str(e).startswith(("kind of", "size of")):

@@ -65,6 +65,8 @@ def _fraction(x: Number) -> Fraction:
         return Fraction(x)
     if not isinstance(x, str | Decimal):
         return Fraction(repr(float(x)))
+    if isinstance(x, str) and (not x.isascii() or "_" in x):
+        raise ValueError("only Python reads underscores and digits of other scripts")
     if "/" not in str(x) and abs(Decimal(x).adjusted()) >= WIDEST_EXPONENT:
         raise OverflowError("far outside the range of floats")
     return Fraction(x)

@@ -138,7 +138,8 @@ def _document(text: str) -> dict[str, Any]:
     """Return the text of a model file as tables, decimals as texts, which lose no digit."""
     import tomllib
 
-    return tomllib.loads(text, parse_float=str)
+    # TOML's own underscores stand in numbers only: those in quotes are refused
+    return tomllib.loads(text, parse_float=lambda number: number.replace("_", ""))
 
 
 def _names_a_file(test: Mapping[str, Any]) -> bool:

@@ -24,6 +24,8 @@ def is_whole(x: object) -> TypeGuard[int]:
 
 def number(field: str, x: Number) -> Fraction:
     """Return a number of a field exactly; raise ValueError with its name."""
+    if isinstance(x, bool | np.bool_):
+        raise ValueError(f"{field} must be a number, not {x!r}")
     try:
         return linalg.rational(x)
     except ValueError as e:

@@ -1,5 +1,6 @@
 """The plant of a model: exact matrices, parameters within bounds, and what acts on it unmeasured."""
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -113,9 +114,10 @@ def plant(
     G, pairs = _disturbance(disturbance, n)
     F, D_v = unbounded_inputs(unknown_inputs, n, p)
     trusted, F, D_v = decoupled(parameters, decouple, F, D_v)
-    period = float(number("dt", dt))
-    if period <= 0:
-        raise ValueError(f"dt must be a positive number of seconds, not {dt}")
+    exact_dt = number("dt", dt)
+    if not 0 < exact_dt <= Fraction(sys.float_info.max):
+        raise ValueError(f"dt must be a positive number of seconds, not {str(dt)[:40]}")
+    period = float(exact_dt)
     return Plant(
         A=centred(exact_A, parameters, "A"),
         B=centred(exact_B, parameters, "B"),

@@ -206,7 +206,7 @@ def _options(where: str, table: Table) -> tuple[tuple[str, Any], ...]:
 
 
 def _factor(where: str, given: Number) -> Fraction:
-    factor = number(f"factor of {where}", given)
+    factor = number(f"factor of {where}", NUMBER.read("factor", where, _as_in_a_file(given)))
     if factor <= 0:
         raise ValueError(f"factor of {where} must be above 0, not {given!r}")
     return factor

@@ -399,7 +399,7 @@ def _float_array(data: Data, name: str) -> np.ndarray:
 def _converted(convert: Callable[[], np.ndarray], name: str) -> np.ndarray:
     try:
         return convert()
-    except (ValueError, TypeError) as e:
+    except (ValueError, TypeError, OverflowError) as e:
         raise ValueError(f"{name} must be numbers, NaN where a sample is missing: {e}") from None
 
 

@@ -7,7 +7,7 @@ __all__ = ["every_text", "nanoseconds", "next_interval", "seconds_of"]
 
 UNITS = {"ms": 10**6, "s": 10**9, "min": 60 * 10**9, "h": 3600 * 10**9, "d": 86400 * 10**9}
 """Nanoseconds of each."""
-INTERVAL = re.compile(r"\s*(\d+(?:\.\d+)?)?\s*(ms|s|min|h|d)\s*")
+INTERVAL = re.compile(r"\s*(\d+(?:\.\d+)?)?\s*(ms|s|min|h|d)\s*", re.ASCII)
 USUAL = {"ms": (1, 2, 5, 10, 20, 50, 100, 200, 500), "s": (1, 2, 3, 5, 10, 15, 20, 30)}
 USUAL |= {"min": USUAL["s"], "h": (1, 2, 3, 4, 6, 8, 12), "d": (1, 7, 30)}
 """Numbers of each unit that a clock is usually divided by."""

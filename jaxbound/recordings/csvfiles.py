@@ -11,14 +11,15 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from jaxbound.recordings.columns import from_arrow, valid
+from jaxbound.recordings.counting import read_numbers
 from jaxbound.recordings.csvtext import Layout, Planned, above_header, parse_columns, planned, sniff
 from jaxbound.recordings.oddcells import OddCells, error_hints, no_number, refuse_odd, unsaid_hints
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.seams import check_period, usual_period
+from jaxbound.recordings.seams import check_period, rows_apart, usual_period
 from jaxbound.recordings.selection import NO_TIME, STAMPS, TELLING, Wanted
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import Progress, Source, with_hints
-from jaxbound.recordings.timestamps import parse_stamps, read_numbers, with_day
+from jaxbound.recordings.timestamps import parse_stamps, with_day
 from jaxbound.text.progress import reporter
 
 if TYPE_CHECKING:
@@ -153,13 +154,12 @@ def _times_of(
             raise ValueError("the file has no time column, which means over intervals of a clock need")
         if dt is None:
             raise ValueError(f"the file has no time column: {NO_TIME}")
-        apart = f"the rows are taken to be dt = {dt:g} s apart, and none to be missing"
-        return _FileTimes(np.arange(count) * dt, None, f"the file has no time column: {apart}")
+        return _FileTimes(np.arange(count) * dt, None, f"the file has no time column: {rows_apart(dt)}")
     if plan.is_text:
         return _FileTimes(*parse_stamps(written, dt, layout.row))
     seconds = from_arrow(written)
     _refuse_infinite(layout, name, np.isinf(seconds), None)
-    return _FileTimes(*read_numbers(seconds, dt))
+    return _FileTimes(*read_numbers(seconds, dt, name))
 
 
 def _period_of(layout: Layout, plan: Wanted, model: SignalModel, time: np.ndarray) -> float | None:

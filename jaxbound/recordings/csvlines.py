@@ -4,7 +4,7 @@ stays open.
 A line is a row. It ends at \n, \r\n or \r, also at \r\r\n, which a program writes whose carriage returns were
 added twice; the characters that Unicode calls line ends are part of a cell, and so is a quotation mark inside
 of a cell. One that begins a cell and is not closed on its line would take the lines behind it into the cell:
-such a line is refused.
+such a line is refused. What stands behind the last end is no row: it may be cut, and a cut number is another.
 """
 
 import re
@@ -27,51 +27,52 @@ BLOCK = 1 << 20  # bytes looked at at once
 class CountedLines:
     r"""A binary file that counts its lines while somebody reads it, in which \r\r\n has become \n.
 
+    A last line without its end may have been cut while it was written, also inside of a number: it is none of
+    the lines, and nobody reads it.
+
     Args:
         file: open for reading, not yet read.
 
-    Fields: lines: how many there are, with the last even where it has no end; last: number of the last that
-    holds more than blanks; open_end: whether a block ends in a line with an open quotation mark, where a
-    parser would not notice it; has_errors: whether an error of a spreadsheet is in it.
+    Fields: lines: how many there are; last: number of the last that holds more than blanks; open_end: whether
+    a block ends in a line with an open quotation mark, where a parser would not notice it; has_errors:
+    whether an error of a spreadsheet is in it; unended: at the end, whether a line without its end was left
+    out.
     """
 
     closed = False  # what pyarrow asks of a file
 
     def __init__(self, file: IO[bytes], delimiter: str = ",") -> None:
-        self._file, self._delimiter, self._held, self._begun = file, delimiter.encode(), b"", b""
-        self._ends = self._trailing = 0
-        self._unfinished = self.open_end = self.has_errors = False
-
-    @property
-    def lines(self) -> int:
-        """The number of lines."""
-        return self._ends + self._unfinished
+        self._file, self._delimiter, self._held = file, delimiter.encode(), b""
+        self.lines = self._trailing = 0
+        self.open_end = self.has_errors = self.unended = False
 
     @property
     def last(self) -> int:
         """The number of the last line that holds more than blanks."""
-        return self._ends - self._trailing + 1
+        return self.lines - self._trailing + 1
 
     def read(self, size: int = BLOCK) -> bytes:
-        r"""Return the next bytes, about so many; nothing at the end. No \r is parted from what follows it."""
+        r"""Return the next bytes, about so many, to the end of a line; nothing at the end.
+
+        No \r is parted from what follows it.
+        """
         data = b""
         while not data:
             more = self._file.read(size)
-            data = self._held + more
-            self._held = b""
+            held = self._held + more
+            end = _last_end(held, len(held.rstrip(b"\r")) if more else len(held))
+            data, self._held = held[:end], held[end:]
             if not more:
-                self.open_end |= is_open(self._begun, self._delimiter)
+                self.unended |= bool(self._held.strip())
+                self._held = b""
                 break
-            if data.endswith(b"\r"):
-                kept = data.rstrip(b"\r")
-                data, self._held = kept, data[len(kept) :]
         if data:
             data = self._counted(data)
         return data
 
     def _counted(self, data: bytes) -> bytes:
-        if b"#" in data or b"#" in self._begun:
-            self.has_errors |= ERROR.search(self._begun + data) is not None
+        if b"#" in data:
+            self.has_errors |= ERROR.search(data) is not None
         bytes_of = np.frombuffer(data, np.uint8)
         ends = np.count_nonzero(bytes_of == 10)
         if b"\r" in data:
@@ -79,27 +80,15 @@ class CountedLines:
             if (returns[1:] & returns[:-1]).any() and b"\r\r\n" in data:
                 return self._counted(re.sub(rb"\r\r+\n", b"\n", data))
             ends += np.count_nonzero(returns) - np.count_nonzero(returns[:-1] & (bytes_of[1:] == 10))
-        self._ends += int(ends)
+        self.lines += int(ends)
         filled = data.rstrip(b" \r\n")
-        if not filled:
-            self._trailing += int(ends)
-        elif len(filled) < len(data):
+        if filled:
             self._trailing = len(_line_ends(data[len(filled) :])) - 1
         else:
-            self._trailing = 0
-        self._unfinished = not data.endswith((b"\n", b"\r"))
-        end = _last_end(data, len(data))
-        if not end:
-            self._begun += data
-            return data
-        if b'"' in data or self._begun:
-            stop = end
-            while stop and data[stop - 1] in b"\r\n":
-                stop -= 1
-            start = _last_end(data, stop)
-            last = data[start:stop] if start else self._begun + data[:stop]
-            self.open_end |= is_open(last, self._delimiter)
-        self._begun = data[end:]
+            self._trailing += int(ends)
+        if b'"' in data:
+            stop = len(data.rstrip(b"\r\n"))
+            self.open_end |= is_open(data[_last_end(data, stop) : stop], self._delimiter)
         return data
 
 
@@ -129,14 +118,11 @@ def _line_ends(data: bytes) -> list[bytes]:
 
 
 def lines_of(path: str | PathLike[str]) -> Iterator[bytes]:
-    """Yield the lines of a file, without their ends."""
+    """Yield the lines of a file, without their ends; not one that has none."""
     with open(path, "rb", buffering=0) as file:
-        counted, rest = CountedLines(file), b""
+        counted = CountedLines(file)
         while block := counted.read():
-            *whole, rest = _line_ends(rest + block)
-            yield from whole
-        if rest:
-            yield rest
+            yield from _line_ends(block)[:-1]
 
 
 def is_blank(line: bytes, columns: int, delimiter: bytes) -> bool:

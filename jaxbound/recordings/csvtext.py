@@ -16,10 +16,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from jaxbound.recordings.columns import from_arrow
 from jaxbound.recordings.csvlines import BOM, CountedLines, is_blank, is_open, lines_of
-from jaxbound.recordings.oddcells import ERRORS, OddCells, no_number
+from jaxbound.recordings.oddcells import ERRORS, OddCells, no_number, thousands
 from jaxbound.recordings.selection import Wanted, wanted
 from jaxbound.recordings.signals import SignalModel
+from jaxbound.recordings.thousands import all_grouped, in_doubt, may_be_grouped
 from jaxbound.recordings.timestamps import DIGITS, stamp_kind
 from jaxbound.text.names import listed
 
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
 __all__ = [
     "BLANK",
     "UNCLOSED",
+    "UNENDED",
     "Layout",
     "Planned",
     "above_header",
@@ -51,10 +54,11 @@ ENOUGH, LINES = 1 << 18, 8  # bytes and lines of a file that show how it is writ
 LONGEST = 1 << 26  # bytes looked at at most, for a header of many columns
 ENDS = (b"\n", b"\r")
 FURTHER = 20  # lines below the first row that show whether it is the header
-NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(inf|infinity)|nan", re.IGNORECASE)
+NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[-+]?[0-9]+)?|[-+]?(inf|infinity)|nan", re.IGNORECASE)
+UNENDED = "has no line end, as one that was being written: it is left out (if it is complete, end the line)"
 UNCLOSED = "has a quotation mark that is not closed: remove it, or close it on the same line"
 DELIMITERS = (";", "\t", ",")
-WITH_COMMA = re.compile(r"\s*[-+]?\d*,\d+([eE].*)?\s*")
+WITH_COMMA = re.compile(r"\s*[-+]?\d*,\d+([eE].*)?\s*", re.ASCII)
 BLANK = (
     "is blank, and without a column of times nothing says whether a sample is missing there: "
     "remove the line, or leave its cells blank between their delimiters"
@@ -359,11 +363,13 @@ def parse_columns(layout: Layout, plan: Planned) -> Cells:
     Raises:
         ValueError: a row that cannot be read, or is not what pyarrow took for one: which, and why.
     """
-    for convert in converting(layout, plan):
+    for decimal, convert in zip(layout.decimals, converting(layout, plan), strict=True):
         # the first rows may be whole numbers, which do not show the decimal sign of those below
         table, has_errors = _table_of(layout, plan, convert)
         if table is not None and not has_errors:
-            return Cells({name: table[f"f{i}"].combine_chunks() for name, i in plan.numbers.items()}, {})
+            columns = {name: table[f"f{i}"].combine_chunks() for name, i in plan.numbers.items()}
+            _refuse_thousands(layout, plan, columns, decimal)
+            return Cells(columns, {})
         if table is not None:
             break
     table, _ = _table_of(layout, plan, converting(layout, plan, as_texts=True)[0])
@@ -392,9 +398,47 @@ def _table_of(layout: Layout, plan: Planned, convert: "pc.ConvertOptions") -> "t
         try:
             table = pc.read_csv(lines, read, parsing(layout), convert)
         except (pa.ArrowInvalid, pa.ArrowKeyError, UnicodeError):
+            if lines.unended and lines.lines <= layout.skip:
+                _note_unended(layout, lines.lines + 1)
             return None, False
+    if lines.unended:
+        _note_unended(layout, lines.lines + 1)
     _refuse_lost_rows(layout, lines, table.num_rows, plan.wanted.time is not None)
     return table, lines.has_errors
+
+
+def _refuse_thousands(layout: Layout, plan: Planned, columns: dict[str, "pa.Array"], decimal: str) -> None:
+    """Raise ValueError for a column whose decimal signs may be signs for thousands."""
+    doubted: dict[str, np.ndarray] = {}
+    for name in columns:
+        if layout.delimiter == "," or name in plan.texts or name == plan.wanted.time:
+            continue  # cells that are parted by commas have decimal points
+        values = from_arrow(columns[name])
+        if may_be_grouped(values):
+            doubted[name] = values
+    if not doubted:
+        return
+    texts, _ = _table_of(layout, plan, converting(layout, plan, as_texts=True)[0])
+    assert texts is not None, "it was read before"
+    for name, values in doubted.items():
+        cells = texts[f"f{plan.numbers[name]}"].combine_chunks()
+        places = in_doubt(cells, values, decimal, decimal == "." and layout.decimal == ",")
+        if places:
+            found = [f"{cells[k].as_py().strip()} in {layout.row(k)}" for k in places]
+            raise ValueError(thousands(name, found))
+        like = all_grouped(cells)
+        if like:
+            decimals = f"column {name!r} is read as decimals, like {like}"
+            layout.hints.append(f"{decimals}: if points are for thousands, write it without them")
+
+
+def _note_unended(layout: Layout, number: int) -> None:
+    """Say once that the last line has no end; refuse a file without any row before it."""
+    if number <= layout.skip + 1:
+        raise ValueError(f"row {number}, the only one, {UNENDED}")
+    note = f"row {number}, the last, {UNENDED}"
+    if note not in layout.hints:
+        layout.hints.append(note)
 
 
 def _numbers_among(layout: Layout, plan: Planned, texts: dict[str, "pa.Array"]) -> Cells:

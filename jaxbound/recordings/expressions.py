@@ -17,7 +17,7 @@ from typing import NoReturn
 import numpy as np
 
 from jaxbound.text.names import listed, quoted
-from jaxbound.text.units import same_unit, without_unit
+from jaxbound.text.units import UNITS_OF_TIME, same_unit, without_unit
 
 __all__ = """
     CLOCK TIMES TIME_SINCE_START Expression derived expression fails find_column is_expression likely
@@ -28,6 +28,7 @@ TIMES = (
     r"(date[ _-]?time|time[ _-]?stamp|time|zeit(stempel|punkt)?|horodatage|heure|fecha y "
     r"hora|hora|tiempo|tijd|tijdstip|tid|czas)\b.*",
     r"t(\s*[\[(/,].*)?",
+    rf"(time|time[ _-]?stamp|zeit)_({UNITS_OF_TIME})|t_([mun]s|sec)|hh:?mm(:?ss)?",  # T_min is a temperature
     r"(date|datum|fecha|data)\b.*",
 )
 """What a column of times is called, the likeliest first; in a language that is not here, dates are known by

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,8 +21,9 @@ from jaxbound.recordings.csvtext import (
     planned,
     sniff,
 )
-from jaxbound.recordings.oddcells import no_number
+from jaxbound.recordings.oddcells import no_number, thousands
 from jaxbound.recordings.signals import SignalModel
+from jaxbound.recordings.thousands import Doubt
 from jaxbound.recordings.timestamps import with_day
 
 if TYPE_CHECKING:
@@ -30,7 +32,7 @@ if TYPE_CHECKING:
 __all__ = ["FEW", "SOURCE", "Cells", "LineReader", "WrongCells"]
 
 FEW = 8  # lines that are read one by one
-PLAIN = re.compile(r" *[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)? *")
+PLAIN = re.compile(r" *[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)? *", re.ASCII)
 SOURCE = "standard input"
 Cells = tuple[dict[str, np.ndarray], "pa.Array | None"]
 """({column: (N,) numbers or texts}, the time as texts or None where it is a column of numbers or none)."""
@@ -67,6 +69,9 @@ class LineReader:
         self.plan, self.index, self.is_text, self.texts = plan
         if not self.fits(head[-1]) or layout.is_open(head[-1]):
             raise WrongCells(self.trouble(head[-1]))
+        self.doubts: dict[str, Doubt] = {}
+        if layout.delimiter != ",":
+            self.doubts = {name: Doubt() for name in self.index if name not in {*self.texts, self.plan.time}}
         # one thread: lines come a few at a time
         names = numbered_columns(layout)
         self.reading = pc.ReadOptions(column_names=names, encoding=layout.encoding, use_threads=False)
@@ -76,6 +81,10 @@ class LineReader:
         """Return the cells of a line as texts."""
         text = line.decode(self.layout.encoding, "replace")
         return cells_of(text, self.layout.delimiter, spaced=False)
+
+    def _cell(self, lines: Sequence[bytes], number: int, k: int) -> str:
+        """Return the cell of a column in line k."""
+        return self.cells(lines[k])[number]
 
     def is_row(self, line: bytes) -> bool:
         """Return whether a line is a row, or where no time shows that one is missing, may have been meant for
@@ -102,6 +111,10 @@ class LineReader:
         for name, x in cells[0].items():
             if x.dtype != object and np.isinf(x).any():
                 raise ValueError(f"of column {name!r} is infinite")
+            if name in self.doubts:
+                odd = self.doubts[name].next_odd(x, partial(self._cell, lines, self.index[name]))
+                if odd:
+                    raise ValueError(f"of {thousands(name, [f'{odd} behind whole numbers'])}")
         return cells
 
     def numbers_in(self, line: bytes) -> Cells:

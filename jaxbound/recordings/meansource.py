@@ -89,7 +89,8 @@ class MeansSource(Source):
         means = recorded.averaged(left, grid, self.model.m)
         if means.stamps is not None:
             means = replace(means, written=moments(to_arrow(means.stamps)))
-        means = with_hints(self.model, means, "sample {}".format, self.model.columns.get("where", ""))
+        where = self.model.columns.get("where", "")
+        means = with_hints(self.model, means, "sample {}".format, where, recorded.hints)
         self.rest = left.behind(grid)
         return means
 

@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from jaxbound.recordings.thousands import GROUPED
 from jaxbound.text.names import listed
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["ERRORS", "OddCells", "error_hints", "no_number", "odd_of_frame", "refuse_odd", "unsaid_hints"]
+__all__ = """
+    ERRORS OddCells error_hints no_number odd_of_frame refuse_odd thousands unsaid_hints
+""".split()
 
 ERRORS = ("#VALUE!", "#DIV/0!", "#N/A", "#REF!", "#NUM!", "#NAME?", "#NULL!")
 """The errors of a spreadsheet."""
@@ -59,7 +62,17 @@ Odd = Mapping[str, OddCells]
 def no_number(where: str, column: str, word: str) -> str:
     """Return a sentence on one cell. where: it is, like "row 7"."""
     held = f"{where} of column {column!r} holds {word[:LONGEST]!r}, which is not a number"
+    if GROUPED.fullmatch(word):
+        return f"{held}: write it without signs for thousands"
     return f"{held}: leave a missing sample blank, or leave the row out by `where`"
+
+
+def thousands(column: str, found: Sequence[str]) -> str:
+    """Return a sentence on a column with signs for thousands, or decimals. found: cells, like "998 in row
+    7".
+    """
+    held = f"column {column!r} holds {' and '.join(found)}"
+    return f"{held}: write whole numbers without signs for thousands, and decimals all with as many digits"
 
 
 def refuse_odd(odd: Odd, excluded: np.ndarray | None, row: Callable[[int], str]) -> None:
@@ -115,7 +128,10 @@ def odd_of_frame(cells: "pd.Series") -> tuple["pd.Series", OddCells]:
     """Return (the numbers of a column, NaN where there is none, its cells that are no numbers)."""
     import pandas as pd
 
-    numbers = pd.to_numeric(cells, errors="coerce")
+    try:
+        numbers = pd.to_numeric(cells, errors="coerce")
+    except OverflowError:
+        raise ValueError(f"column {cells.name!r} holds a number that is too large to compute with") from None
     odd = np.flatnonzero((cells.notna() & numbers.isna()).to_numpy(bool))
     words = [str(word).strip() for word in cells.iloc[odd]]
     return numbers, OddCells(odd, words)

@@ -15,6 +15,7 @@ import numpy as np
 
 from jaxbound.recordings.columns import from_arrow, valid
 from jaxbound.recordings.contents import Contents
+from jaxbound.recordings.counting import SECONDS, Counting, counting_of
 from jaxbound.recordings.expressions import Expression
 from jaxbound.recordings.parquetfiles import (
     PARTIAL,
@@ -30,11 +31,19 @@ from jaxbound.recordings.parquetfiles import (
     spans_of,
 )
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.seams import Clock, around, check_period, tick, usual_period
+from jaxbound.recordings.seams import Clock, around, check_period, rows_apart, tick, usual_period
 from jaxbound.recordings.selection import NO_TIME, Wanted, source_columns
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import Progress, Source, overlapping, with_hints
-from jaxbound.recordings.timestamps import EPOCHS, epoch_scale, from_epoch, since_epoch, time_label
+from jaxbound.recordings.timestamps import (
+    EPOCHS,
+    epoch_scale,
+    from_epoch,
+    in_ns,
+    iso_stamps,
+    since_epoch,
+    time_label,
+)
 from jaxbound.text.progress import reporter
 
 if TYPE_CHECKING:
@@ -74,7 +83,7 @@ class ParquetSource(Source):
         dtype: float32 if an output, or what it is computed from, is stored so, else float64: what was rounded
             away is counted in the type it was recorded in.
         begin: time of the first sample in s. origin: what the time is counted from; scale: units a second of
-            a numeric time column that is an epoch, or None.
+            a numeric time column that is an epoch, or None; counting: how its numbers count before that.
         hints: sentences on how the files were read.
         states: (bytes, time of the last change) of each file when it was opened.
     """
@@ -88,6 +97,7 @@ class ParquetSource(Source):
     dt: float
     origin: Origin = None
     scale: float | None = None
+    counting: Counting = SECONDS
     hints: tuple[str, ...] = ()
     states: tuple[tuple[int, int], ...] = ()
     begin: float = 0.0
@@ -132,6 +142,7 @@ class ParquetSource(Source):
         if self.path.is_dir():
             names = list(map(self.name, self.files))
         files = [(name, size) for name, (size, _) in zip(names, self.states, strict=True)]
+        counting = (self.counting,) if self.counting.unit else ()
         return repr(
             (
                 files,
@@ -141,6 +152,7 @@ class ParquetSource(Source):
                 str(self.dtype),
                 str(self.origin),
                 self.scale,
+                *counting,
             )
         )
 
@@ -335,16 +347,34 @@ class ParquetSource(Source):
 
         if not _is_numeric(written.type):
             self._refuse_untimed(start, valid(written))
-            stamps = _stamps(written, self.path, self.time_name)
+            stamps = self._stamps(start, written)
             origin = stamps[0]
             if self.origin is not None:
                 origin = self.origin
             return (stamps - origin) / np.timedelta64(1, "s"), stamps
         values = since_epoch(from_arrow(written.cast(pa.float64(), safe=False)))
         self._refuse_untimed(start, np.isfinite(values))
+        values = self.counting.seconds(values)
         if self.scale is None:
             return values, None
         return (values - self.origin) / self.scale, from_epoch(values, self.scale)
+
+    def _stamps(self, start: int, written: "pa.Array") -> np.ndarray:
+        """Return datetime64[ns] of a piece of a column of time stamps, dates or ISO 8601 texts."""
+        import pyarrow as pa
+
+        def where(k: int) -> str:
+            return f"{self.path}: {self.row(start + k)}"
+
+        if pa.types.is_timestamp(written.type):
+            return in_ns(from_arrow(written), where)
+        if pa.types.is_date(written.type):
+            return in_ns(from_arrow(written.cast(pa.timestamp("s"))), where)
+        stamps = iso_stamps(written, where)
+        if stamps is None:
+            holds = f"the time column {self.time_name!r} holds texts like {written[0].as_py()!r}"
+            raise ValueError(f"{self.path}: {holds}: write it as time stamps, or as ISO 8601")
+        return stamps
 
     def _refuse_untimed(self, start: int, known: np.ndarray) -> None:
         """Refuse a piece, which begins at sample `start`, in which some time is not known."""
@@ -503,22 +533,6 @@ def _is_numeric(kind: "pa.DataType") -> bool:
     return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind))
 
 
-def _stamps(written: "pa.Array", path: Path, name: str | None) -> np.ndarray:
-    """Return datetime64[ns] of a column of time stamps, dates or ISO 8601 texts."""
-    import pyarrow as pa
-
-    if pa.types.is_timestamp(written.type):
-        return from_arrow(written).astype("datetime64[ns]")
-    for kind in (pa.timestamp("ns"), pa.timestamp("ns", "UTC")):
-        try:
-            return from_arrow(written.cast(kind)).astype("datetime64[ns]")
-        except pa.ArrowInvalid:
-            continue
-    first = written[0].as_py()
-    holds = f"the time column {name!r} holds texts like {first!r}"
-    raise ValueError(f"{path}: {holds}: write it as time stamps, or as ISO 8601")
-
-
 def _clocked(source: ParquetSource) -> ParquetSource:
     """Return the source with its time understood; refuse files in the wrong order and another period than the
     model's.
@@ -529,16 +543,20 @@ def _clocked(source: ParquetSource) -> ParquetSource:
             return source
         if dt is None:
             raise ValueError(f"{source.path}: there is no time column: {NO_TIME}")
-        apart = f"the rows are taken to be dt = {dt:g} s apart, and none to be missing"
-        return replace(source, hints=(f"the recording has no time column: {apart}",))
+        return replace(source, hints=(f"the recording has no time column: {rows_apart(dt)}",))
     time, stamps = source.first_times()
     if stamps is not None:
         source = replace(source, origin=stamps[0])
     else:
+        counting = counting_of(time, dt, str(source.time_name))
+        source = replace(source, counting=counting, hints=(*source.hints, *filter(None, [counting.hint])))
+        time, _ = source.first_times()
         scale = epoch_scale(time, dt)
         if scale is not None:
-            hints = () if scale == 1 else (f"the time column is read as an epoch in {EPOCHS[scale]}",)
-            source = replace(source, origin=float(time[0]), scale=scale, hints=hints)
+            if scale != 1:
+                epoch = f"the time column is read as an epoch in {EPOCHS[scale]}"
+                source = replace(source, hints=(*source.hints, epoch))
+            source = replace(source, origin=float(time[0]), scale=scale)
             time, _ = source.first_times()
     source = replace(source, begin=float(time[0]))
     try:

@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from jaxbound.recordings.columns import to_arrow
+from jaxbound.recordings.counting import SECONDS, Counting, counting_of
 from jaxbound.recordings.csvlines import BOM, split_lines
-from jaxbound.recordings.csvtext import is_number
+from jaxbound.recordings.csvtext import UNENDED, is_number
 from jaxbound.recordings.factors import known
 from jaxbound.recordings.linetext import SOURCE, Cells, LineReader, WrongCells
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.seams import TOLERATED_STEP, check_period, tick
+from jaxbound.recordings.seams import TOLERATED_STEP, check_period, rows_apart, tick
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stream import Complain, OtherSamples, Stream, Taken, digests_of
 from jaxbound.recordings.timestamps import (
@@ -89,9 +90,8 @@ class PipeText(Stream):
     Args:
         model: whose signals are wanted. complain: called with (kind, sentence) on each line that is left out
             and each seam.
-        memory: from `.memory()` of another PipeText, to go on where that ended; None: a new stream. whole:
-            the last line is complete without a line end, as in a file; in a pipe half of a number may be.
-        taken: of all processes, by which lines are known that are sent again.
+        memory: from `.memory()` of another PipeText, to go on where that ended; None: a new stream. taken: of
+            all processes, by which lines are known that are sent again.
 
     Fields: raw: the number of standard input.
     """
@@ -104,11 +104,9 @@ class PipeText(Stream):
         model: SignalModel,
         complain: Complain,
         memory: dict[str, Any] | None = None,
-        whole: bool = True,
         taken: Taken | None = None,
     ) -> None:
         super().__init__(model, complain, taken)
-        self.whole = whole
         self.tail = self.rest = b""  # half a line; half a line of a process before
         self.reader: LineReader | None = None  # as soon as there is a row of data
         self.begun: list[Line] = []  # lines before that
@@ -117,6 +115,11 @@ class PipeText(Stream):
         self.texts: list[str] = []  # the first and the last time, where it is written as text
         self.origin: float | None = None  # of a time that is an epoch, with units a second in .scale
         self.scale: float | None = None
+        self.counting, self.unit_known = (
+            SECONDS,
+            False,
+        )  # how numbers of a time count, and whether that is known
+        self.lone = np.zeros(0)  # the first number, as long as it is the only one
         self.began = np.nan  # the instant at which `time` is 0, in s, see `Recording.origin`
         self.broken = self.aside = self.repeated = False
         self.counted: int | None = None  # samples that are sent again, where no time tells them
@@ -140,6 +143,9 @@ class PipeText(Stream):
             self.rest, self.returns = b"", 1
         self._resume_clock(memory)
         self.origin, self.scale, self.texts = memory["origin"], memory["scale"], memory["texts"]
+        if "counting" in memory:  # of a version that knew seconds and epochs only
+            self.counting, self.unit_known = Counting(*memory["counting"]), memory["unit_known"]
+            self.lone = np.array(memory["lone"], float)
         self.aside, self.broken, self.resumed = memory["aside"], memory["broken"], memory["number"]
         self.was_broken, self.shown = self.broken, None
 
@@ -164,6 +170,9 @@ class PipeText(Stream):
             **self._clock_memory(),
             "origin": self.origin,
             "scale": self.scale,
+            "counting": [*self.counting],
+            "lone": self.lone.tolist(),
+            "unit_known": self.unit_known,
             "texts": self.texts,
             "broken": broken,
             "aside": self.aside,
@@ -179,10 +188,8 @@ class PipeText(Stream):
             if data is None:  # a signal: the line that was begun is remembered
                 return
             yield self._numbered(self.take(data))
-        if self.whole:
-            yield self._numbered(self.take(b"", end=True))
-        elif self.tail.strip():
-            self._lose("the last line has no end: it is not judged")
+        if self.tail.strip():
+            self._lose(f"the last line {UNENDED}")
         self.refuse_empty()
 
     def _numbered(self, piece: Recording | None) -> tuple[int, Recording]:
@@ -190,24 +197,24 @@ class PipeText(Stream):
             return self.nothing()
         return self.clock.samples - piece.samples, piece
 
-    def take(self, data: bytes, end: bool = False) -> Recording | None:
+    def take(self, data: bytes) -> Recording | None:
         """Return the Recording of the lines that these bytes complete, or None where there is none.
 
         Args:
-            data: bytes. end: the last line needs no line end.
+            data: bytes; a line without its end waits for more.
 
         Raises:
             ValueError: no header, a column that is missing, another sampling period than the model's, a
                 megabyte without a line end.
         """
-        rows = self._rows(self._lines(data, end))
+        rows = self._rows(self._lines(data))
         if not rows:
             return None
         pieces = [piece for piece in self._pieces(rows) if len(piece.time)]
         if not pieces:
             return None
         samples = pieces[0] if len(pieces) == 1 else _in_one(pieces)
-        self._refuse_period(samples.time, end)
+        self._refuse_period(samples.time)
         return self._recording(samples)
 
     def when(self, piece: Recording, k: int) -> str | float:
@@ -235,12 +242,12 @@ class PipeText(Stream):
                 raise ValueError(f"{SOURCE} ended before the first row of data")
             raise ValueError(f"{SOURCE} is empty")
 
-    def _refuse_period(self, time: np.ndarray, end: bool) -> None:
+    def _refuse_period(self, time: np.ndarray) -> None:
         """Refuse another sampling period than the model's, once enough samples show theirs."""
         if self.shown is None:
             return
         self.shown.extend(time[: SHOWN - len(self.shown)].tolist())
-        if len(self.shown) == SHOWN or end:
+        if len(self.shown) == SHOWN:
             check_period(np.array(self.shown), self.dt)
             self.shown = None
 
@@ -269,12 +276,10 @@ class PipeText(Stream):
         self.lost += 1
         self.complain("line", sentence)
 
-    def _lines(self, data: bytes, end: bool) -> list[Line]:
+    def _lines(self, data: bytes) -> list[Line]:
         """Return the complete lines, with their numbers; the bytes behind them wait for more."""
-        data = self.tail + self._continued(data, end)
-        cut = len(data)
-        if not end:
-            cut = max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
+        data = self.tail + self._continued(data)
+        cut = max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
         lines, tail = split_lines(data[:cut]), data[cut:]
         if len(tail) > LONGEST:
             raise ValueError(f"{SOURCE}: a megabyte without a line end is no CSV")
@@ -304,7 +309,7 @@ class PipeText(Stream):
             rows = self._resume(rows)
         return rows
 
-    def _continued(self, data: bytes, end: bool) -> bytes:
+    def _continued(self, data: bytes) -> bytes:
         r"""Return bytes behind those before, without those that belong to the end of the last line.
 
         That end may be \r, \r\n or \r\r\n. A line is taken as soon as \r ends it; other \r behind it wait for
@@ -315,14 +320,12 @@ class PipeText(Stream):
             behind = data.lstrip(b"\r")
             if behind.startswith(b"\n"):
                 data = behind[1:]
-            elif behind or end:
+            elif behind:
                 data = data[1:]
             else:
                 self.returns = len(data)
                 return b""
-        complete = data
-        if not end:
-            complete = data.rstrip(b"\r")
+        complete = data.rstrip(b"\r")
         self.returns = len(data) - len(complete)
         if self.returns:
             return complete + b"\r"
@@ -351,6 +354,8 @@ class PipeText(Stream):
             if not self.regular and reader.plan.time is None:
                 raise ValueError(f"{SOURCE} has no column of times: means over intervals need one")
             self.reader = reader
+            if reader.plan.time is None:
+                self.complain("hint", f"{SOURCE} has no time column: {rows_apart(self.dt)}")
             rows, self.begun = self.begun[header + 1 :], []
             return [row for row in rows if row[0] >= number or not reader.layout.is_blank(row[1])]
         return []
@@ -399,7 +404,8 @@ class PipeText(Stream):
         if self._known_reader.is_text:
             time, _, _ = parse_stamps(pa.array([*self.texts, cell]), self.dt, str)
             return float(time[-1] - time[-2])
-        value = float(since_epoch(np.array([float(cell.replace(",", "."))]))[0])
+        number = since_epoch(np.array([float(cell.replace(",", "."))]))
+        value = float(self.counting.seconds(number)[0])
         if self.scale is not None and self.origin is not None:
             value = (value - self.origin) / self.scale
         return value - self.clock.last
@@ -600,7 +606,7 @@ class PipeText(Stream):
         """Return times that are written as numbers: seconds, or an epoch."""
         if np.isnan(cells).any():
             raise ValueError("has no time")
-        values = since_epoch(cells)
+        values = self._in_seconds(since_epoch(cells))
         if self.origin is None:
             self.origin = float(values[0])
             self.scale = scale_of(self.origin)
@@ -610,6 +616,27 @@ class PipeText(Stream):
         self.began = self.origin / self.scale
         time = (values - self.origin) / self.scale
         return _LineTimes(time, from_epoch(values, self.scale), cells, self.clock.last)
+
+    def _in_seconds(self, values: np.ndarray) -> np.ndarray:
+        """Return numbers of the time in s: how they count, the first two of them say."""
+        if self.unit_known:
+            return self.counting.seconds(values)
+        shown, dt = np.append(self.lone, values), None
+        if self.regular:
+            dt = self.dt
+        self.counting = counting_of(shown, dt, str(self._known_reader.plan.time))
+        self.unit_known = len(shown) > 1
+        if self.unit_known and len(self.lone) and self.counting.zero:
+            # one that was taken to be in seconds is a day
+            self.origin = float(self.counting.seconds(self.lone)[0])
+            self.scale = scale_of(self.origin)
+            self.clock = replace(self.clock, last=0.0)
+            if self.shown is not None:
+                self.shown[:1] = [0.0]
+        self.lone = shown[:1]
+        if self.unit_known and self.counting.hint:
+            self.complain("hint", self.counting.hint)
+        return self.counting.seconds(values)
 
     def _text_times(self, cells: "pa.Array") -> _LineTimes:
         """Return times that are written as text; they are read behind the first and the last, by which the

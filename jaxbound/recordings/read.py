@@ -18,7 +18,7 @@ from jaxbound.recordings.means import every_of, with_every
 from jaxbound.recordings.meansource import means_source
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.seams import TOLERATED_DT, varied_steps
+from jaxbound.recordings.seams import FEW, TOLERATED_DT, UNITS, varied_steps
 from jaxbound.recordings.signals import Named, Signals, signals_of
 from jaxbound.recordings.source import KINDS, Source
 from jaxbound.text.progress import Progress, in_part, reporter
@@ -35,8 +35,9 @@ def read(path: object, model: Named, progress: Progress | None = None) -> Record
 
     CSV: delimiter `,`, `;` or tab; decimal comma with the latter two. Blank, NaN, null and NA cells are
     missing samples, and so is a blank line where there is one column. Every line is a row: a cell in
-    quotation marks ends on its line. Columns that the model does not name are ignored. Time in seconds, as
-    time stamps or as an epoch; without a time column the samples are dt apart.
+    quotation marks ends on its line. Columns that the model does not name are ignored. Time as time
+    stamps, as an epoch, or in seconds, unless its name ends in another unit, like `Time [h]` or `t_ms`, or it
+    counts days; without a time column the samples are dt apart. A last line without a line end is left out.
 
     Args:
         path: of the file or folder, or of a pipe like bash's <(zcat run.csv.gz).
@@ -160,6 +161,8 @@ def read_signals(
         raise ValueError("there is no output: give at least one")
     columns = dict(columns or {})
     columns |= {signal[0]: signal[1] for signal in (*inputs, *outputs) if not isinstance(signal, str)}
+    if dt is not None and not 0 < dt < np.inf:
+        raise ValueError(f"dt must be a positive number of seconds, not {dt:g}")
     columns, dt = with_every(columns, dt, None)
     model = Signals(tuple(map(_name_of, inputs)), tuple(map(_name_of, outputs)), columns, dt)
     recordings: list[Recording] = []
@@ -198,7 +201,12 @@ def _refuse_other_periods(paths: Sequence[object], recordings: Sequence[Recordin
             raise ValueError(f"{path}: {varied}")
     thin = "or bring them to one period first"
     if abs(fold - round(fold)) < TOLERATED_DT:
-        means = f"or let the samples of all be means (--every {every_text(high)})"
-        thin = f"keep one of every {round(fold)} rows of {quick} first, {means}"
+        thin = f"or let the samples of all be means (--every {every_text(high)})"
+        if fold <= FEW:
+            thin = f"keep one of every {round(fold)} rows of {quick} first, {thin}"
+    for other, factor in ((slow, fold), (quick, 1 / fold)):
+        unit = next((unit for scale, unit in UNITS.items() if abs(factor / scale - 1) < TOLERATED_DT), "")
+        if unit:
+            thin += f"; or, if the time of {other} is in {unit}, call its column so, like 'time [{unit}]'"
     several = f"{slow} has a sample every {high:g} s, {quick} every {low:g} s"
     raise ValueError(f"{several}, and a model has one sampling period: fit a model to each, {thin}")

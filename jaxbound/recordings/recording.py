@@ -290,7 +290,7 @@ class Recording:
         alone = rows(origin)
         return Unfinished(alone, alone.instant[:FIRST], origin)
 
-    def averaged(self, left: Unfinished, grid: Grid, m: int) -> "Recording":
+    def averaged(self, left: Unfinished, grid: Grid, m: int) -> Recording:
         """Return the means over intervals of the clock, without starts and hints, see `means`.
 
         Args:

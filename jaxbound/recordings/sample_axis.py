@@ -17,6 +17,7 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.source import Source
 from jaxbound.recordings.tabletime import RowTime, plain_labels, row_time
 from jaxbound.recordings.timestamps import EPOCH, SECOND, instant_of, row_label
+from jaxbound.text.quantities import decimal
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -87,7 +88,12 @@ class SampleAxis:
         sample; else "".
         """
         text = text.strip()
-        if not text.isdecimal() or self.is_stamped or not self.label(0).endswith(" s"):
+        if (
+            not _is_number(text)
+            or text.startswith("-")
+            or self.is_stamped
+            or not self.label(0).endswith(" s")
+        ):
             return ""
         if not self._axis(0)[0] <= int(text) <= self._axis(self.samples - 1)[0]:
             return ""
@@ -99,7 +105,7 @@ class SampleAxis:
         try:
             if self.is_stamped:
                 return _moment(text.replace(" ", "T").removesuffix("Z"))
-            return float(text.removesuffix("s"))
+            return decimal(text.removesuffix("s"))
         except ValueError:
             like = f"its time as alarms.csv has it, like {self.label(0)}"
             raise ValueError(f"--at {text} names no sample: give its number, or {like}") from None
@@ -229,7 +235,7 @@ def _seconds(at: Place) -> float:
 
 def _is_number(text: str) -> bool:
     """Return whether text is a whole number."""
-    return text.strip().removeprefix("-").isdecimal()
+    return text.isascii() and text.strip().removeprefix("-").isdecimal()
 
 
 def _no_number(number: int, count: int, what: str = "sample") -> str:

@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike
 from jaxbound.recordings.clockintervals import every_text, next_interval
 
 __all__ = [
+    "FEW",
+    "UNITS",
     "Clock",
     "Seam",
     "all_starts",
@@ -23,6 +25,7 @@ __all__ = [
     "check_period",
     "crossing",
     "irregular",
+    "rows_apart",
     "seam_hints",
     "tick",
     "usual_period",
@@ -60,7 +63,9 @@ SENTENCES = {
     ),
 }
 """{kind: (of one seam, of several)}."""
-UNITS = {1e3: "ms", 1e6: "us", 1e9: "ns"}
+UNITS = {1e3: "ms", 1e6: "us", 1e9: "ns", 1 / 60: "min", 1 / 3600: "h", 1 / 86400: "d"}
+"""{units a second: what they are called}."""
+FEW = 60  # rows of which one may be kept: of more, hardly anything is left
 
 
 @dataclass(frozen=True)
@@ -220,6 +225,11 @@ def all_starts(given: ArrayLike, samples: int) -> np.ndarray:
     return starts
 
 
+def rows_apart(dt: float) -> str:
+    """Return the end of a sentence on a recording without times. dt: sampling period in s."""
+    return f"the rows are taken to be dt = {dt:g} s apart, and none to be missing"
+
+
 def usual_period(time: np.ndarray) -> float:
     """Return the median step of a time axis in s, to as few digits as are within 0.2 % of it: a logger's
     jitter is no information.
@@ -282,17 +292,20 @@ def _advice(median: float, dt: float, varied: str) -> str:
     """Return the likely reason of another sampling period, and the remedy, as the end of a sentence."""
     if median == 0:
         return REPEATED
-    for factor, unit in UNITS.items():
-        if _is_near(median / factor, dt):
-            return f": is its time in {unit}?"
     if varied:
         return f"; {varied}"
-    again = f"fit again, with healthy recordings {median:.3g} s apart"
-    fold = round(dt / median)
+    fold, remedy = round(dt / median), f"fit again, with healthy recordings {median:.3g} s apart"
     if fold > 1 and abs(dt / median - fold) <= TOLERATED_DT * fold:
-        means = f"let samples be means (--every {every_text(dt)})"
-        return f": keep one of every {fold} rows, {means}, or {again}"
-    return f": {again}"
+        remedy = f"let samples be means (--every {every_text(dt)}), or {remedy}"
+        if fold <= FEW:
+            remedy = f"keep one of every {fold} rows, {remedy}"
+    for factor, unit in UNITS.items():
+        if _is_near(median / factor, dt):
+            named = f"is its time in {unit}? Then call its column so, like 'time [{unit}]'"
+            if fold > 1:
+                return f": {named}; else {remedy}"
+            return f": {named}"
+    return f": {remedy}"
 
 
 def varied_steps(time: np.ndarray) -> str:

@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
+from jaxbound.recordings.counting import read_numbers
 from jaxbound.recordings.csvtext import is_number
 from jaxbound.recordings.seams import TOLERATED_STEP, Clock, check_period, irregular, tick, usual_period
 from jaxbound.recordings.selection import columns_of_signals, time_column
 from jaxbound.recordings.signals import Named
-from jaxbound.recordings.timestamps import DIGITS, EPOCH, SECOND, read_numbers, stamp_kind, time_like
+from jaxbound.recordings.timestamps import DIGITS, EPOCH, SECOND, in_ns, stamp_kind, time_like
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -108,12 +109,13 @@ def plain_labels(labels: "pd.Index") -> "pd.Index":
         return pd.DatetimeIndex(labels)
     if kind == "m":
         return pd.TimedeltaIndex(labels)
+    labels = _decoded(labels)
     first = _first_label(labels)
     if kind != "O" or first is None or isinstance(first, datetime.time):
         return labels
-    if isinstance(first, datetime.timedelta):
+    if isinstance(first, datetime.timedelta | np.timedelta64):
         return pd.TimedeltaIndex(labels)
-    if hasattr(first, "isoformat"):
+    if hasattr(first, "isoformat") or isinstance(first, np.datetime64):
         try:
             return pd.DatetimeIndex(labels)
         except (TypeError, ValueError):
@@ -127,6 +129,18 @@ def plain_labels(labels: "pd.Index") -> "pd.Index":
         return pd.Index(pd.to_numeric(labels), name=labels.name)
     except (TypeError, ValueError):
         return labels
+    except OverflowError:
+        raise ValueError("the index holds a number that is too large to compute with") from None
+
+
+def _decoded(labels: "pd.Index") -> "pd.Index":
+    """Return an index whose texts are texts, where they are bytes, as HDF5 and fields of NumPy hold them."""
+    import pandas as pd
+
+    if labels.dtype.kind != "O" or not isinstance(next(iter(labels.dropna()), None), bytes):
+        return labels
+    texts = [x.decode("utf-8", "replace") if isinstance(x, bytes) else x for x in labels]
+    return pd.Index(texts, dtype=object, name=labels.name)
 
 
 def with_time(frame: "pd.DataFrame", model: Named) -> "pd.DataFrame":
@@ -160,7 +174,11 @@ def with_time(frame: "pd.DataFrame", model: Named) -> "pd.DataFrame":
         return frame
     if day is None:
         return frame.set_axis(_in_seconds(_labels_of_rows(frame, time), time))
-    return frame.set_axis(_of_day_and_clock(_labels_of_rows(frame, day), _labels_of_rows(frame, time)))
+    days, clocks = plain_labels(_labels_of_rows(frame, day)), plain_labels(_labels_of_rows(frame, time))
+    for name, labels, turn in ((day, days, "to_datetime"), (time, clocks, "to_timedelta")):
+        if isinstance(_first_label(labels), str):
+            raise ValueError(f"the column {name!r} holds text: turn it into times with pandas.{turn} first")
+    return frame.set_axis(_of_day_and_clock(days, clocks))
 
 
 def row_time(index: "pd.Index", dt: float | None, whose: str, regular: bool) -> RowTime:
@@ -182,7 +200,7 @@ def row_time(index: "pd.Index", dt: float | None, whose: str, regular: bool) -> 
         period, seams = _period_and_seams(time, index, dt, whose, regular)
         stamps = None
         if kind == "M":
-            stamps = plain.to_numpy("datetime64[ns]")
+            stamps = in_ns(_dates(plain), lambda k: f"the index of row {k}")
         return RowTime(time, origin, period, stamps, seams)
     if kind not in ("i", "u", "f"):
         return RowTime(None, np.nan, None, None, _changes(plain))
@@ -195,7 +213,7 @@ def row_time(index: "pd.Index", dt: float | None, whose: str, regular: bool) -> 
         time = labels * (dt or 1.0)
         _, seams = _period_and_seams(time, index, dt or 1.0, whose, regular)
         return RowTime(time, 0.0, None, None, seams)
-    time, stamps, _ = read_numbers(labels, dt)
+    time, stamps, _ = read_numbers(labels, dt, str(index.name or ""))
     origin = 0.0
     if stamps is not None:
         origin = float((stamps[0] - EPOCH) / SECOND)
@@ -298,7 +316,7 @@ def _of_day_and_clock(days: "pd.Index", clocks: "pd.Index") -> "pd.Index":
         since = pd.to_timedelta([clock.isoformat() for clock in clocks])
     if days.dtype.kind in ("i", "u"):
         days = pd.to_datetime(days.astype(str), format="%Y%m%d")
-    return pd.DatetimeIndex(plain_labels(days) + pd.TimedeltaIndex(since), name=clocks.name)
+    return pd.DatetimeIndex(days + pd.TimedeltaIndex(since), name=clocks.name)
 
 
 def _since_first_label(index: "pd.Index") -> tuple[np.ndarray, float]:
@@ -309,8 +327,13 @@ def _since_first_label(index: "pd.Index") -> tuple[np.ndarray, float]:
     if index.dtype.kind == "m":
         origin = index[:1].to_numpy()[0]
     else:
-        origin = index[:1].to_numpy("datetime64[ns]")[0] - EPOCH
+        origin = in_ns(_dates(index[:1]), lambda k: "the index")[0] - EPOCH
     return np.asarray(index - index[0]) / SECOND, float(origin / SECOND)
+
+
+def _dates(index: "pd.Index") -> np.ndarray:
+    """Return a DatetimeIndex as datetime64 of its own unit, in UTC."""
+    return index.to_numpy(f"datetime64[{index.unit}]")
 
 
 def _without_missing(labels: T, gone: Callable[[T], np.ndarray]) -> T:
@@ -373,6 +396,11 @@ def _changes(labels: "pd.Index") -> np.ndarray:
         raise ValueError(f"the index holds times without a day: add the days, {drop}")
     if isinstance(first, numbers.Number) or (isinstance(first, str) and is_number(first, ",")):
         raise ValueError(f"the index holds numbers and other labels: give the times of the rows, {drop}")
+    if first is not None and not isinstance(first, str | bool | np.bool_):
+        kind = type(first).__name__
+        raise ValueError(
+            f"the index holds labels of type {kind}, of which none tells a time: {TO_DATETIME}, {drop}"
+        )
     if labels.is_unique:
         return np.zeros(0, np.int64)
     codes = labels.factorize()[0]

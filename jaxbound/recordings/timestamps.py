@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxbound.recordings.columns import from_arrow
 from jaxbound.recordings.seams import TOLERATED_DT, TOLERATED_STEP
+from jaxbound.text.quantities import decimal
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -23,10 +24,11 @@ __all__ = [
     "SECOND",
     "epoch_scale",
     "from_epoch",
+    "in_ns",
+    "iso_stamps",
     "instant_of",
     "label_text",
     "parse_stamps",
-    "read_numbers",
     "row_label",
     "scale_of",
     "since_epoch",
@@ -55,10 +57,13 @@ DATES = (
 )
 CLOCKS = ("%H:%M:%S", "%H:%M", "%I:%M:%S %p", "%I:%M %p", "%H%M%S")
 FORMATS = [f"{date}{gap}{clock}" for date in DATES for gap in (" ", "T") for clock in CLOCKS]
-FORMATS += DATES[:-1] + CLOCKS[:4]
+MINUTES = "%M:%S"  # as Excel writes a time that it shows as 08:30.0
+FORMATS += [*DATES[:-1], *CLOCKS[:4], MINUTES]
 LONGEST = 64  # letters of a time stamp
 DIGITS = re.compile(r"\d{8}")  # of a day that is written without separators
 COMPACT = {14: "%Y%m%d%H%M%S", 12: "%Y%m%d%H%M"}  # by their digits
+YEARS = 1678, 2261  # that a count of ns since 1970 holds
+FAR = f"only the years {YEARS[0]} to {YEARS[1]} can be told"
 CENTURIES = 1970, 2200  # years that a number of so many digits may begin with
 EPOCHS = {1.0: "s", 1e3: "ms", 1e6: "us", 1e9: "ns"}
 EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
@@ -82,23 +87,23 @@ def parse_stamps(
     Raises:
         ValueError: no known format, or a cell that does not follow that of the first.
     """
-    import pyarrow as pa
-
-    for kind in (pa.timestamp("ns"), pa.timestamp("ns", "UTC")):  # ISO 8601, with or without a zone
-        try:
-            stamps = from_arrow(cells.cast(kind))
-        except pa.ArrowInvalid:
-            continue
-        return _since_first(stamps), stamps, ""
+    iso = iso_stamps(cells, where)
+    if iso is not None:
+        return _since_first(iso), iso, ""
     read = _in_formats(cells, where)
     seams = [_seams(stamps, dt) for _, stamps in read]
     # 3/4/2017 is a day in March or in April: time runs evenly in one of the two orders only
     smoothest = [one for one, count in zip(read, seams, strict=True) if count == min(seams)]
     form, stamps = smoothest[0]
     like = f"time stamps like {cells[0].as_py()!r}"
+    if form == MINUTES:
+        hint = f"{like} are read as minutes and seconds: a gap of whole hours cannot be seen"
+        return _since_first(stamps) + _rounds(stamps, 3600.0), None, hint
     if "%d" not in form:
         hint = f"{like} have no day: a gap of whole days cannot be seen"
-        return _since_midnights(stamps), None, hint
+        if smoothest[-1][0] == MINUTES:
+            hint = f"{hint}; they are read as hours and minutes: write 0:08:30 for minutes and seconds"
+        return _since_first(stamps) + _rounds(stamps, 86400.0), None, hint
     hint = ""
     if len(smoothest) > 1 and stamps[0] != smoothest[1][1][0]:
         other = _order_in_words(smoothest[1][0])
@@ -110,7 +115,10 @@ def _in_formats(cells: "pa.Array", where: Callable[[int], str]) -> list[tuple[st
     """Return (format, stamps) of each known format that all cells have; refuse cells without any."""
     whole, fraction = _split_fraction(cells)
     first = whole[0].as_py()
-    read = [(form, _stamps_in(whole, fraction, form)) for form in FORMATS if _has_format(first, form)]
+    forms = [form for form in FORMATS if _has_format(first, form)]
+    if fraction is not None:  # of a second: none of 08:30.5 is an hour
+        forms = [form for form in forms if "%S" in form]
+    read = [(form, _stamps_in(whole, fraction, form, where)) for form in forms]
     if not read:
         raise ValueError(
             f"{where(0)} of the time column is {cells[0].as_py()!r}: neither seconds nor a known time stamp "
@@ -144,7 +152,7 @@ def instant_of(time: object) -> float:
 
     text = str(time).strip()
     try:
-        value = float(text.removesuffix("s"))
+        value = decimal(text.removesuffix("s"))
     except ValueError:
         pass
     else:
@@ -189,7 +197,7 @@ def stamp_kind(cell: str | None) -> str:
     whole = _split_fraction(pa.array([cell]))[0][0].as_py()
     if any(_has_format(whole, form) for form in DATES):
         return "day"
-    if any(_has_format(whole, form) for form in CLOCKS):
+    if any(_has_format(whole, form) for form in (*CLOCKS, MINUTES)):
         return "clock"
     return "stamp"
 
@@ -221,7 +229,7 @@ def since_epoch(values: np.ndarray) -> np.ndarray:
         return values
     if (values != np.floor(values)).any():
         return values
-    stamps = _stamps_in(pa.array(values.astype(np.int64)).cast(pa.string()), None, form)
+    stamps = _stamps_in(pa.array(values.astype(np.int64)).cast(pa.string()), None, form, str)
     if np.isnat(stamps).any():
         return values
     return (stamps - EPOCH) / SECOND
@@ -246,25 +254,15 @@ def epoch_scale(values: np.ndarray, dt: float | None) -> float | None:
 
 
 def scale_of(value: float) -> float | None:
-    """Return how many units a second has of which a number may be an epoch of these years, or None."""
+    """Return how many units a second has of which a number may be an epoch of these years, or None.
+
+    In seconds that is from 2001 to 2128. In smaller units it is from 1973 on: such numbers are no seconds.
+    """
     for scale in EPOCHS:
-        if 1e9 * scale <= value < 5e9 * scale:
+        least = 1e9 if scale == 1 else 1e8 * scale
+        if least <= value < 5e9 * scale:
             return scale
     return None
-
-
-def read_numbers(values: np.ndarray, dt: float | None) -> tuple[np.ndarray, np.ndarray | None, str]:
-    """Return (time, stamps, hint) of a numeric time column: seconds, an epoch in s, ms, us or ns, or the
-    digits of time stamps.
-    """
-    values = since_epoch(values)
-    scale = epoch_scale(values, dt)
-    if scale is None:
-        return values, None, ""
-    hint = ""
-    if scale != 1:
-        hint = f"the time column is read as an epoch in {EPOCHS[scale]}"
-    return (values - values[0]) / scale, from_epoch(values, scale), hint
 
 
 def time_label(seconds: float, stamp: np.datetime64 | None, step: float) -> str:
@@ -318,6 +316,40 @@ def _split_fraction(cells: "pa.Array") -> tuple["pa.Array", np.ndarray | None]:
     return pc.coalesce(pc.struct_field(parts, "whole"), ""), fraction
 
 
+def iso_stamps(cells: "pa.Array", where: Callable[[int], str]) -> np.ndarray | None:
+    """Return datetime64[ns] of texts in ISO 8601, with or without a zone; None where some are not.
+
+    Args, raises: as `in_ns`.
+    """
+    import pyarrow as pa
+
+    for unit in ("ns", "us"):  # a far year fits into the second only, by which it is named
+        for zone in (None, "UTC"):
+            try:
+                stamps = from_arrow(cells.cast(pa.timestamp(unit, zone)))
+            except pa.ArrowInvalid:
+                continue
+            return in_ns(stamps, where)
+    return None
+
+
+def in_ns(stamps: np.ndarray, where: Callable[[int], str]) -> np.ndarray:
+    """Return datetime64 of any unit in ns.
+
+    Args:
+        where: called with an index, returns "row 7" of the file.
+
+    Raises:
+        ValueError: a year that does not fit: NumPy would take another for it.
+    """
+    years = stamps.astype("datetime64[Y]").astype(np.int64) + 1970
+    far = ~np.isnat(stamps) & ((years < YEARS[0]) | (years > YEARS[1]))
+    if far.any():
+        k = int(np.argmax(far))
+        raise ValueError(f"{where(k)} has the time {stamps[k]}: {FAR}")
+    return stamps.astype("datetime64[ns]")
+
+
 def _has_format(text: str, form: str) -> bool:
     try:
         datetime.strptime(text, form)
@@ -326,11 +358,13 @@ def _has_format(text: str, form: str) -> bool:
     return True
 
 
-def _stamps_in(whole: "pa.Array", fraction: np.ndarray | None, form: str) -> np.ndarray:
+def _stamps_in(
+    whole: "pa.Array", fraction: np.ndarray | None, form: str, where: Callable[[int], str]
+) -> np.ndarray:
     import pyarrow.compute as pc
 
     seconds = pc.strptime(whole, format=form, unit="s", error_is_null=True)
-    stamps = from_arrow(seconds).astype("datetime64[ns]")
+    stamps = in_ns(from_arrow(seconds), where)
     if fraction is not None:
         stamps += fraction
     return stamps
@@ -352,10 +386,12 @@ def _since_first(stamps: np.ndarray) -> np.ndarray:
     return seconds
 
 
-def _since_midnights(stamps: np.ndarray) -> np.ndarray:
-    """Return seconds since the first sample of a clock without a date, which goes back at midnight."""
-    time = _since_first(stamps)
-    return time + 86400.0 * np.concatenate([[0], np.cumsum(np.diff(time) < -43200)])
+def _rounds(stamps: np.ndarray, length: float) -> np.ndarray:
+    """Return the seconds of the rounds before each stamp of a clock that begins again after so many: at
+    midnight, or with the hour.
+    """
+    back = np.diff(_since_first(stamps)) < -length / 2
+    return length * np.concatenate([[0], np.cumsum(back)])
 
 
 def _order_in_words(form: str) -> str:

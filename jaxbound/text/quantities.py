@@ -3,6 +3,7 @@
 import math
 
 __all__ = [
+    "decimal",
     "duration",
     "factor",
     "finite",
@@ -17,6 +18,21 @@ UNITS = (("d", 86400, 172800), ("h", 3600, 7200), ("min", 60, 120))
 """A unit of time, its seconds, and the seconds from which on it is used."""
 YEAR = 3.2e7
 """Seconds."""
+
+
+def decimal(text: str) -> float:
+    """Return the number that a text writes in digits 0 to 9, as files and other programs read it.
+
+    Raises:
+        ValueError: it is none, or written as only Python reads it: 1_0, or digits of another script.
+
+    Example:
+        >>> decimal(" -1.5e3 ")
+        -1500.0
+    """
+    if not text.isascii() or "_" in text:
+        raise ValueError(f"{text!r} is no number")
+    return float(text)
 
 
 def factor(x: float) -> str:

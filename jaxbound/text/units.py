@@ -2,7 +2,7 @@
 
 import re
 
-__all__ = ["same_unit", "without_unit"]
+__all__ = ["TIME_UNITS", "UNITS_OF_TIME", "same_unit", "time_unit", "without_unit"]
 
 BRACKETS = re.compile(r"\s*(\S.*?)\s*\[\s*([^\[\]]+?)\s*\]\s*")
 PARENTHESES = re.compile(r"\s*(\S.*?)\s*\(\s*([^()]+?)\s*\)\s*")
@@ -21,6 +21,39 @@ SPELLED = {
     "m²": "m2",
     "m³": "m3",
 }
+
+
+TIME_UNITS = {
+    "ns": "ns nanosecond nanoseconds",
+    "us": "us \u00b5s \u03bcs usec microsecond microseconds micros",
+    "ms": "ms msec millisecond milliseconds millis",
+    "s": "s sec secs second seconds sek sekunde sekunden",
+    "min": "min mins minute minutes minuten",
+    "h": "h hr hrs hour hours std stunde stunden",
+    "d": "d day days tag tage",
+}
+"""Units of times and their spellings, in lower case."""
+UNITS_OF_TIME = "|".join(" ".join(TIME_UNITS.values()).split())
+"""All spellings, as a part of a regular expression."""
+ENDS_IN_UNIT = re.compile(rf"(?:.*[\s_/.,;:\-\[(])?({UNITS_OF_TIME})\s*[\])]?")
+OF_A_DAY = re.compile(r".*of[ _](the[ _])?day")
+
+
+def time_unit(column: str) -> str:
+    """Return the unit in which the name of a column of times ends, "" where it ends in none.
+
+    Example:
+        >>> [time_unit(c) for c in ("Time [h]", "t_ms", "Zeit in Minuten", "time of day", "timestamp")]
+        ['h', 'ms', 'min', '', '']
+    """
+    name = column.strip().lower()
+    found = ENDS_IN_UNIT.fullmatch(name)
+    if found is None or OF_A_DAY.fullmatch(name):
+        return ""
+    for unit, words in TIME_UNITS.items():
+        if found[1] in words.split():
+            return unit
+    return ""
 
 
 def without_unit(column: str) -> tuple[str, str]:

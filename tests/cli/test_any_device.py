@@ -71,6 +71,6 @@ def test_a_fleet_and_a_pipe_say_so_too(place, capsys):
     code, _ = summary(capsys, "fleet", "fleet.csv", "--out", "units")
     assert code == 1 and NOT_REFUTED in (place / "units" / "fleet.html").read_text()
     with unexamined(), lying(0.02):
-        assert judge_stream("model.toml", [(place / "run.csv").read_bytes()], True) == 1
+        assert judge_stream("model.toml", [(place / "run.csv").read_bytes()]) == 1
     out, err = capsys.readouterr()
     assert NOT_REFUTED in err and "CONSISTENT" not in out

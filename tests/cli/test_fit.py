@@ -30,8 +30,10 @@ def place(tmp_path, monkeypatch, rng):
         [2.0 * np.arange(120), u, room + x + rng.uniform(-0.1, 0.1, 120), room, np.arange(120) < 110]
     )
     header = "Time (s),Heater (%),T out,T room,on\n"
-    (tmp_path / "run.csv").write_text(header + "\n".join(",".join(f"{v:.4f}" for v in row) for row in rows))
-    (tmp_path / "still.csv").write_text(header + "\n".join(f"{2 * k},1,20,20,1" for k in range(50)))
+    (tmp_path / "run.csv").write_text(
+        header + "\n".join(",".join(f"{v:.4f}" for v in row) for row in rows) + "\n"
+    )
+    (tmp_path / "still.csv").write_text(header + "\n".join(f"{2 * k},1,20,20,1" for k in range(50)) + "\n")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(main, "_configure", lambda: None)
     return tmp_path
@@ -89,7 +91,7 @@ def test_time_stamps_without_separators_are_no_seconds(place, capsys):
     digits = [str(t).replace("-", "").replace("T", "").replace(":", "") + "0000" for t in stamps]
     assert digits[0] == "20240101080000"
     lines = [digit + row[row.index(",") :] for digit, row in zip(digits, rows, strict=True)]
-    (place / "run.csv").write_text("\n".join([header, *lines]))
+    (place / "run.csv").write_text("\n".join([header, *lines, ""]))
     assert main.main(FIT) == 0
     assert jb.load_model("tank.toml").dt == 3600.0, "it was 10000"
 

@@ -105,7 +105,7 @@ class TestDetect:
         assert written == [jb.Status(int(s)).name for s in res.status]
 
     def test_too_little_evidence_is_3(self, place, capsys):
-        (place / "holes.csv").write_text("\n".join([HEADER, *rows(missing=range(5, 50))]))
+        (place / "holes.csv").write_text("\n".join([HEADER, *rows(missing=range(5, 50)), ""]))
         args = ("detect", "model.toml", "holes.csv", "--out", "out")
         code, out, _ = run(place, *args, capsys=capsys)
         assert code == 3 and out.startswith("Too little evidence: only 13 of 59 windows (22 %)")
@@ -134,7 +134,7 @@ class TestDetect:
     def test_all_fault_says_what_does_not_fit(self, place, capsys):
         save_model(paper(tolerance=0, noise="0.000001"), place / "model.toml")
         lines = [f"{k / 100},0,{k % 7},{k % 3}" for k in range(50)]
-        (place / "wild.csv").write_text("\n".join([HEADER, *lines]))
+        (place / "wild.csv").write_text("\n".join([HEADER, *lines, ""]))
         code, out, _ = run(place, "detect", "model.toml", "wild.csv", "--out", "out", capsys=capsys)
         assert code == 1 and re.search(
             r"the model or its bounds do not fit this recording: all bounds times .* would", out
@@ -217,7 +217,7 @@ class TestDetect:
             for k, line in enumerate(lines)
         ]
         for name, text, expected in (("good.csv", lines, 0), ("jump.csv", jump, 1)):
-            (tmp_path / name).write_text("\n".join(text))
+            (tmp_path / name).write_text("\n".join([*text, ""]))
             assert (
                 run(tmp_path, "detect", "model.toml", name, "--out", "out", "--horizon", 4, capsys=capsys)[0]
                 == expected
@@ -308,6 +308,9 @@ BAD_USAGE = {
         "'linearized' is for models with uncertain parameters",
     ),
     "horizon in words": ([*DETECT, "--horizon", "two"], "--horizon needs a whole number >= 0"),
+    "horizon of another script": ([*DETECT, "--horizon", "\u0663"], "--horizon needs a whole number >= 0"),
+    "coverage with an underscore": ([*DETECT, "--min-coverage", "0_0.5"], "--min-coverage needs a share"),
+    "sizes with an underscore": ([*DETECT, "--least", "1_0"], "--least needs a size > 0"),
     "coverage of 2": ([*DETECT, "--min-coverage", "2"], "--min-coverage needs a share"),
     "chunks of CSV": ([*DETECT, "--chunk", "9"], "--chunk is for Parquet: good.csv is read as a whole"),
     "chunk of nothing": ([*DETECT, "--chunk", "0"], "--chunk needs a whole number >= 1"),

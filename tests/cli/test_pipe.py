@@ -68,7 +68,7 @@ def pipe(capsysbinary, place):
     stderr).
     """
 
-    def send(text, cuts=(), chunks=None, whole=True, **changes):
+    def send(text, cuts=(), chunks=None, **changes):
         data = ("".join(text) if not isinstance(text, bytes) else text) if text is not None else b""
         data = data if isinstance(data, bytes) else data.encode()
         cuts = [0, *sorted(cuts), len(data)]
@@ -76,7 +76,7 @@ def pipe(capsysbinary, place):
         pieces = chunks or [data[a:b] for a, b in zip(cuts, cuts[1:], strict=False)]
         model = changes.pop("model", "model.toml")
         test = {name: changes.pop(name) for name in ("method", "horizon", "lags") if name in changes}
-        code = piped.judge_stream(model, pieces, whole, MethodOptions(**test), **changes)
+        code = piped.judge_stream(model, pieces, MethodOptions(**test), **changes)
         out, err = (x.decode() for x in capsysbinary.readouterr())
         return code, out.removeprefix("time,status,margin\n"), err.replace("jaxbound: ", "")
 
@@ -328,10 +328,8 @@ class TestTroubles:
         assert "--state is for samples that come through a pipe" in capsys.readouterr().err
 
     def test_half_a_line_at_the_end_of_a_pipe_is_not_judged(self, samples, place, pipe):
-        text = "".join(lines(samples)[:20])[:-4]
-        assert len(pipe(text)[1].splitlines()) == 19
-        code, out, err = pipe(text, whole=False)
-        assert len(out.splitlines()) == 18 and "the last line has no end: it is not judged" in err
+        code, out, err = pipe("".join(lines(samples)[:20])[:-4])
+        assert len(out.splitlines()) == 18 and "the last line has no line end" in err
 
 
 def test_what_is_missing_is_counted_as_in_a_file(samples, place, pipe):

@@ -61,7 +61,7 @@ def send(capsysbinary, place):
     def sent(lines, size=1000, rule=None, **changes):
         capsysbinary.readouterr()
         pieces = ["".join(lines[k : k + size]).encode() for k in range(0, len(lines), size)]
-        piped.judge_stream("model.toml", pieces, True, MethodOptions(), alarm=rule, **changes)
+        piped.judge_stream("model.toml", pieces, MethodOptions(), alarm=rule, **changes)
         return capsysbinary.readouterr().out.decode().splitlines()
 
     return sent
@@ -152,7 +152,7 @@ def test_an_operator_acknowledges_while_samples_come(text, place, capsysbinary):
             if k == 110:
                 seen.write_text("soon\n53.5\n")
 
-    assert piped.judge_stream("model.toml", pieces, True, MethodOptions(), alarm=rule, as_json=True) == 1
+    assert piped.judge_stream("model.toml", pieces, MethodOptions(), alarm=rule, as_json=True) == 1
     out, err = capsysbinary.readouterr()
     told = [line for line in map(json.loads, out.decode().splitlines()) if "alarm" in line]
     ends = [(line["time"], line["ended"]) for line in told if line["alarm"] == "end"]

@@ -117,7 +117,7 @@ WRONG = [
     (("--bounds", "noises"), "there is no bound 'noises' to move"),
     (("--optimizer", "newton"), "--optimizer must be one of adam"),
     (("--safety", "0.5"), "factor >= 1"),
-    (("--safety", "x"), "--safety invalid float value"),
+    (("--safety", "x"), "--safety invalid decimal value"),
     (("--steps", "-3"), "--steps needs a whole"),
     (("--faulty", "a.csv"), "faulty recording 1 is the same as healthy recording 1"),
     (("--out", "no/where.toml"), "in a folder that exists"),

@@ -39,7 +39,7 @@ def place(tmp_path):
         for k, column in blank:
             text[k][column] = ""
         rows = [",".join(row) for k, row in enumerate(text) if k not in drop]
-        (tmp_path / "run.csv").write_text("\n".join(["t,u1,y1,y2", *rows]))
+        (tmp_path / "run.csv").write_text("\n".join(["t,u1,y1,y2", *rows, ""]))
         return [str(tmp_path / "model.toml"), str(tmp_path / "run.csv"), "--out", str(tmp_path / "out")]
 
     return write

@@ -189,7 +189,14 @@ def test_the_cause_of_an_alarm_is_that_of_the_window_in_which_it_begins():
 
 
 @pytest.mark.parametrize(
-    "text, message", [(None, "is no file"), ("1\n2", "has no end"), ("1\nsoon, I said\n", "'soon'")]
+    "text, message",
+    [
+        (None, "is no file"),
+        ("1\n2", "has no end"),
+        ("1\nsoon, I said\n", "'soon'"),
+        ("1_0\n", "'1_0'"),
+        ("\u0661\n", "'\u0661'"),
+    ],
 )
 def test_a_file_of_acknowledgements_is_checked_before_it_is_followed(tmp_path, text, message):
     if text is not None:

@@ -29,6 +29,11 @@ C = [[1]]
 """
 
 
+def stated(field):
+    """Return a table of a test with this field, and the head of the next table."""
+    return f'[[test]]\nname = "slow"\n{field}\n[matrices]'
+
+
 @pytest.fixture
 def load(tmp_path):
     """Return a function that loads a model from text."""
@@ -106,6 +111,10 @@ class TestRoundTrip:
 
 
 class TestTemplate:
+    def test_underscores_of_toml_stand_in_its_numbers(self, load):
+        m = load(GOOD.replace("A = [[0.9]]", "A = [[1_0.0_1]]").replace("noise = 0.1", "noise = 1_0"))
+        assert m.A == ((Fraction(1001, 100),),) and m.noise == (10,)
+
     def test_loads_as_it_is(self, load):
         m = load(template())
         assert m.inputs == ("pump",) and m.column("pump") == "Pump [%]" and m.tolerance[0] == Fraction(1, 100)
@@ -309,7 +318,17 @@ class TestReading:
         ("noise = 0.1", "noise = nan", "noise of 'height'.*not a finite number"),
         ("noise = 0.1", "noise = [0.1]", "noise of number 1 of outputs, 'height' must be a number"),
         ("noise = 0.1", "noise = 1979-05-27", "must be a number"),
+        ("noise = 0.1", 'noise = "1_0"', "noise of 'height': '1_0' is not a finite number"),
+        ("noise = 0.1", 'noise = "1e1_0"', "'1e1_0' is not a finite number"),
+        ("noise = 0.1", 'noise = "\u0661\u0660"', "'\u0661\u0660' is not a finite number"),
+        ("A = [[0.9]]", 'A = [["1/\u0663"]]', "A: '1/\u0663' is not a finite number"),
+        ("dt = 0.5", 'dt = "\uff11"', "dt: '\uff11' is not a finite number"),
+        ("[matrices]", stated("factor = true"), "factor of test 'slow' must be a number, not True"),
+        ("[matrices]", stated('factor = "1_0"'), "factor of test 'slow': '1_0' is not a finite number"),
+        ("[matrices]", stated(f"factor = {'9' * 400}"), "factor of test 'slow' is 9+, which is too large"),
+        ("[matrices]", stated('observer = "joint"\nweight = [true]'), "weight .* a number, not True"),
         ("dt = 0.5", "dt = 0", "dt must be a positive number"),
+        ("dt = 0.5", f"dt = {'9' * 400}", "dt is 9+, which is too large or too small"),
         ("dt = 0.5", "", "dt is missing"),
         ("dt = 0.5", "dt = 1 2", r"not valid TOML: .*line 3"),
         ("dt = 0.5", "dt = 0,5  # s", r"not valid TOML: .*line 3.*; write 0.5 with a point"),

@@ -81,7 +81,7 @@ def test_a_pipe_that_another_process_goes_on_with(tmp_path, time, size):
     data = table.to_csv(index=False).encode()
     memory, u, excluded = None, [], []
     for first in range(0, len(data), size):
-        pipe = PipeText(MODEL, lambda kind, sentence: None, memory, whole=False)
+        pipe = PipeText(MODEL, lambda kind, sentence: None, memory)
         piece = pipe.take(data[first : first + size])
         memory = pipe.memory() or memory
         assert memory is not None, "there is a row in the first bytes"
@@ -113,7 +113,7 @@ def test_seconds_begin_with_the_first_sample(tmp_path, kind):
     elif kind == "pipe":
         pipe = PipeText(model, lambda kind, sentence: None)
         data = table.to_csv(index=False).encode()
-        pieces = [pipe.take(data[:5000]), pipe.take(data[5000:], end=True)]
+        pieces = [pipe.take(data[:5000]), pipe.take(data[5000:])]
         np.testing.assert_allclose(np.concatenate([p.u[:, 1] for p in pieces]), 60.0 * np.arange(T))
         return
     else:

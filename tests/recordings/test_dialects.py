@@ -9,6 +9,7 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.recordings.csvlines import CountedLines, is_open, split_lines
+from jaxbound.recordings.csvtext import UNENDED
 from jaxbound.recordings.pipetext import PipeText
 from jaxbound.runs.fleet import read_manifest
 
@@ -82,7 +83,12 @@ MISSING = {
     "one column, blank lines, both": 1,
     "text in quotes": 1,
 }
-LENGTHS = {"a row of tabs alone": 41, "one column that ends in blank lines": 42}
+LENGTHS = {
+    "a row of tabs alone": 41,
+    "one column that ends in blank lines": 42,
+    "no last end": 39,
+    "no last end, carriage returns": 39,
+}
 
 OPEN = "has a quotation mark that is not closed"
 BAD = {  # (text, model, number of the line, what is said of it): refused in a file, left out of a pipe
@@ -141,9 +147,7 @@ def from_pipe(text, model, cuts=()):
     said = []
     pipe = PipeText(model, lambda kind, sentence: said.append((kind, sentence)))
     edges = [0, *cuts, len(text)]
-    found = [pipe.take(text[a:b]) for a, b in zip(edges, edges[1:], strict=False)] + [
-        pipe.take(b"", end=True)
-    ]
+    found = [pipe.take(text[a:b]) for a, b in zip(edges, edges[1:], strict=False)]
     pipe.refuse_empty()
     return [piece for piece in found if piece is not None], said
 
@@ -163,10 +167,45 @@ def test_a_file_and_a_pipe_read_the_same_rows(path, case, step):
     for name in ("u", "y", "time"):
         np.testing.assert_array_equal(getattr(r, name), join(pieces, name))
     known = ~np.isnan(r.y[:40, 0])
-    np.testing.assert_array_equal(r.y[:40, 0][known], np.array(ROWS)[known, 2])
+    np.testing.assert_array_equal(r.y[:40, 0][known], np.array(ROWS[: len(known)])[known, 2])
     assert np.count_nonzero(~known) == MISSING.get(case, 0) and len(r.starts) == (
         2 if case == "text in quotes" else 0
     )
+
+
+@pytest.mark.parametrize("case", ["plain", "carriage returns", "both", "quotes", "one column", "semicolons"])
+def test_a_last_line_cut_anywhere_is_left_out_and_said_by_both(path, case):
+    """Of `..,4.875` that is cut to `..,4.8`, nothing shows that a digit is missing."""
+    text, model = READ[case]
+    body = text.rstrip("\r\n")
+    last = max(body.rfind("\n"), body.rfind("\r")) + 1
+    for stop in range(last + 1, len(body) + 1):
+        path.write_text(body[:stop], newline="")
+        r = jb.read(path, model)
+        assert r.samples == 39 and [h for h in r.hints if "line end" in h] == [f"row 41, the last, {UNENDED}"]
+        said = []
+        pipe = PipeText(model, lambda kind, sentence, said=said: said.append((kind, sentence)))
+        assert sum(piece.samples for _, piece in pipe.pieces([body[:stop].encode()])) == 39
+        assert [x for x in said if x[0] == "line"] == [("line", f"the last line {UNENDED}")]
+
+
+def test_a_complete_last_line_is_taken_and_a_blank_one_not_missed(path):
+    for end in ("\n", "\r", "\r\n", "\n  ", "\n\n"):
+        path.write_text(PLAIN[:-1] + end, newline="")
+        r = jb.read(path, TIMED)
+        assert r.samples == 40 and not [h for h in r.hints if "line end" in h], end
+
+
+def test_means_say_it_too(path):
+    path.write_text(PLAIN[:-1])
+    means = jb.read(path, TIMED.replace(dt=2, columns={"every": "2s"}))
+    assert f"row 41, the last, {UNENDED}" in means.hints
+
+
+def test_a_file_whose_only_row_has_no_line_end_is_refused(path):
+    path.write_text("t,u1,y1\n0,1,2")
+    with pytest.raises(ValueError, match="row 2, the only one, has no line end"):
+        jb.read(path, TIMED)
 
 
 @pytest.mark.parametrize("case", BAD)
@@ -217,13 +256,14 @@ def test_no_row_of_a_long_file_is_lost(path, text):
 def test_lines_are_counted_wherever_blocks_end(tmp_path, end, size):
     rows = [f"{k}" * (k % 5) for k in range(300)] + ["x"]
     data = (end.join(rows)).encode()
-    for tail, more in ((b"", 0), (end.encode(), 0), (end.encode() * 3, 2)):
+    for tail, more in ((b"", -1), (end.encode(), 0), (end.encode() * 3, 2), ((end + "y").encode(), 0)):
         (tmp_path / "x").write_bytes(data + tail)
         with open(tmp_path / "x", "rb") as f:
             counted = CountedLines(f)
             blocks = b"".join(iter(partial(counted.read, size), b""))
-        assert (counted.lines, counted.last) == (301 + more, 301), (tail, end)
-        assert split_lines(blocks)[:301] == [row.encode() for row in rows]
+        whole = 301 + min(more, 0)
+        assert (counted.lines, counted.last, counted.unended) == (301 + more, whole, tail[-1:] in b"y"), tail
+        assert split_lines(blocks)[:301] == [row.encode() for row in rows[:whole]]
 
 
 @pytest.mark.parametrize(

@@ -62,7 +62,9 @@ class TestFormats:
     @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
     def test_line_ends(self, read, end):
         self.check(read(text_of().replace("\n", end)))
-        self.check(read(text_of().rstrip("\n").replace("\n", end)))
+        unended = read(text_of([*ROWS, (2, 0, 0)]).rstrip("\n").replace("\n", end))
+        self.check(unended)
+        assert unended.hints[0].startswith("row 6, the last, has no line end")
 
     @pytest.mark.parametrize("delimiter", [";", "\t"])
     @pytest.mark.parametrize("decimal", [",", "."])

@@ -304,7 +304,7 @@ def streamed(text, cuts, kill=False, model=MODEL):
     """
     complain = lambda kind, sentence: None
     raw = recorded_model(model)
-    stream, pieces, firsts, starts = MeansStream(PipeText(raw, complain, whole=False), model), [], [], []
+    stream, pieces, firsts, starts = MeansStream(PipeText(raw, complain), model), [], [], []
     for begin, end in itertools.pairwise([0, *cuts, len(text)]):
         arrivals = [text[begin:end], None]  # a signal behind it
         for first, piece in stream.pieces(iter(arrivals)):
@@ -315,7 +315,7 @@ def streamed(text, cuts, kill=False, model=MODEL):
         memory = stream.memory()
         if kill and memory is not None:
             memory = json.loads(json.dumps(memory))
-            reading = PipeText(raw, complain, memory["reading"], whole=False)
+            reading = PipeText(raw, complain, memory["reading"])
             stream = MeansStream(reading, model, memory)
     assert firsts == [0, *np.cumsum([piece.samples for piece in pieces])[:-1]]
     return functools.reduce(lambda one, other: one.followed(other), pieces), starts
@@ -338,7 +338,7 @@ def test_a_pipe_gives_the_means_of_the_file_as_intervals_end(tmp_path, rng, kill
 def test_an_interval_comes_when_the_next_one_begins():
     frame = minutes(200, "2024-03-01 08:00").drop(columns="fan").assign(fan=1.0)
     lines = frame.to_csv(index=False).encode().splitlines(keepends=True)
-    stream = MeansStream(PipeText(recorded_model(MODEL), print, whole=False), MODEL)
+    stream = MeansStream(PipeText(recorded_model(MODEL), print), MODEL)
     came = [(n, p.samples) for n, (_, p) in enumerate(stream.pieces(iter(lines))) if p.samples]
     assert came[0] == (100, 6)  # a hundred rows: 90 minutes are over
     assert came[1:] == [(minute + 1, 1) for minute in range(105, 200, 15)]

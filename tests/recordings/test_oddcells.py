@@ -42,7 +42,7 @@ def from_table(text, model, tmp_path):
 def from_pipe(text, model, tmp_path):
     sentences = []
     pipe = PipeText(model, lambda kind, sentence: sentences.append(sentence))
-    r = pipe.take(text.encode(), end=True)
+    r = pipe.take(text.encode())
     assert not sentences, sentences
     return r
 
@@ -98,10 +98,24 @@ def test_a_word_that_counts_is_refused_with_its_place(tmp_path, door):
         door(text, EVERY_ROW, tmp_path)
 
 
+@pytest.mark.parametrize("word", ["1_0", "1e1_0", "\u0661\u0660", "\uff11\uff10", "0x10", "1 0"])
+def test_what_only_python_takes_for_a_number_is_none(tmp_path, word):
+    text = table({(12, "y1"): word})
+    for door in (from_file, from_table):
+        with pytest.raises(ValueError, match=f"of column 'y1' holds '{word}', which is not a number"):
+            door(text, EVERY_ROW, tmp_path)
+    for cut in (len(text), 40):  # many lines at once, and few
+        sentences = []
+        pipe = PipeText(EVERY_ROW, lambda kind, sentence, said=sentences: said.append(sentence))
+        for at in range(0, len(text.encode()), cut):
+            pipe.take(text.encode()[at : at + cut])
+        assert sentences[0].startswith(f"line 12 of column 'y1' holds '{word}', which is not a number")
+
+
 def test_a_line_of_a_pipe_that_counts_is_left_out_with_a_sentence(tmp_path):
     sentences = []
     pipe = PipeText(MODEL, lambda kind, sentence: sentences.append(sentence))
-    r = pipe.take(table({(12, "y1"): "Bad", (20, "y1"): "Bad"}).encode(), end=True)
+    r = pipe.take(table({(12, "y1"): "Bad", (20, "y1"): "Bad"}).encode())
     assert r.samples == 29 and len(sentences) == 2  # the line, and the seam behind it
     assert sentences[0].startswith("line 20 of column 'y1' holds 'Bad', which is not a number")
 
@@ -112,7 +126,7 @@ def test_a_pipe_cut_anywhere_says_the_same(tmp_path):
     for size in (1, 17, 60):
         pipe = PipeText(MODEL, lambda kind, sentence: pytest.fail(sentence))
         pieces = [pipe.take(data[k : k + size]) for k in range(0, len(data), size)]
-        pieces = [piece for piece in (*pieces, pipe.take(b"", end=True)) if piece is not None]
+        pieces = [piece for piece in pieces if piece is not None]
         np.testing.assert_array_equal(np.concatenate([piece.y for piece in pieces]), whole.y)
         np.testing.assert_array_equal(np.concatenate([piece.u for piece in pieces]), whole.u)
         np.testing.assert_array_equal(np.concatenate([piece.excluded for piece in pieces]), whole.excluded)

@@ -109,7 +109,14 @@ class TestSentences:
                 "the model has dt = 1 s, but the rows of the recording are 2 s apart: fit again, "
                 "with healthy recordings 2 s apart$",
             ),
-            (np.arange(9) * 1000.0, "apart: is its time in ms"),
+            (np.arange(9) * 1000.0, "apart: is its time in ms\\? Then call its column so, like 'time .ms.'$"),
+            (
+                np.arange(9) / 60,
+                "apart: is its time in min.*'time .min.'; else keep one of every 60 rows, let",
+            ),
+            (np.arange(9) / 3600, "apart: is its time in h.*'time .h.'; else let samples be means"),
+            (np.arange(9) / 86400, "apart: is its time in d.*'time .d.'; else let samples be means"),
+            (np.arange(9) / 100, "apart: let samples be means .*, or take a model with dt = 0.01$"),
             (np.arange(9) // 3 * 1.0, "0 s apart: more than half of the rows repeat the time"),
             (
                 np.arange(9) / 3,

@@ -36,6 +36,9 @@ TIMES = {
     "dates of Arrow": ("when", arrow),
     "time spans": ("elapsed", lambda: pd.to_timedelta(COUNTS, "s")),
     "time spans of Python": ("time", lambda: objects(datetime.timedelta(seconds=int(k)) for k in COUNTS)),
+    "dates of NumPy": ("when", lambda: objects(DATES.to_numpy("datetime64[s]"))),
+    "time spans of NumPy": ("time", lambda: objects(COUNTS.astype("timedelta64[s]"))),
+    "numbers as bytes": ("Time (s)", lambda: objects(str(k).encode() for k in COUNTS)),
     "periods": ("when", lambda: pd.PeriodIndex(DATES, freq="s")),
     "digits": ("time", lambda: DATES.strftime("%Y%m%d%H%M%S").astype(int)),
 }
@@ -43,6 +46,7 @@ COUNTING = (
     "whole seconds",
     "epoch in ms",
     "numbers as text",
+    "numbers as bytes",
     "categories of numbers",
     "numbers as objects",
     "numbers that may be null",
@@ -167,6 +171,36 @@ class TestRefused:
             (
                 lambda: signals().set_axis([*map(str, range(T - 1)), "end"]),
                 "the index holds numbers and other labels: give the times of the",
+            ),
+            (
+                lambda: signals().set_axis(pd.Index([str(t).encode() for t in DATES], dtype=object)),
+                "the index holds times as text: turn it into times with pandas.to_datetime first",
+            ),
+            (
+                lambda: signals().set_axis(
+                    pd.Index([DATES[k].timetuple()[:6] for k in range(T)], tupleize_cols=False)
+                ),
+                "the index holds labels of type tuple, of which none tells a time: turn them into times",
+            ),
+            (
+                lambda: signals().assign(day=DATES.date, clock=DATES.strftime("%H:%M:%S")),
+                "the column 'clock' holds text: turn it into times with pandas.to_timedelta first",
+            ),
+            (
+                lambda: signals().assign(day=DATES.strftime("%Y-%m-%d"), clock=DATES.time),
+                "the column 'day' holds text: turn it into times with pandas.to_datetime first",
+            ),
+            (
+                lambda: signals().assign(T1=pd.Series([10**400] * T, dtype=object)),
+                "column 'T1' holds a number that is too large to compute with",
+            ),
+            (
+                lambda: signals().assign(time=pd.Series([10**400 + k for k in range(T)], dtype=object)),
+                "the index holds a number that is too large to compute with",
+            ),
+            (
+                lambda: signals().set_axis(DATES.as_unit("s") + np.timedelta64(500 * 365, "D")),
+                "the index has the time 2523-.*: only the years 1678 to 2261 can be told",
             ),
             (
                 lambda: [signals(), signals()],

@@ -89,6 +89,17 @@ class TestSplit:
         r = read([60 * k for k in [*range(100, 130), *range(20)]], "t")
         assert r.starts.tolist() == [30] and r.label(29) == "7740 s"
 
+    @pytest.mark.parametrize(
+        "form", ["%Y-%m-%d %H:%M:%S", "%Y-%m-%dT%H:%M:%SZ", "%d.%m.%Y %H:%M", "%Y%m%d %H%M%S"]
+    )
+    def test_years_that_cannot_be_told_are_refused_with_their_row(self, read, form):
+        """NumPy and pyarrow take another year for them, and the time of day with it."""
+        for far in (1677, 2262, 2500, 9999):
+            stamps = minutes(form, (0, 20))
+            stamps[7] = START.replace(year=far).strftime(form)
+            with pytest.raises(ValueError, match=f"row 9 has the time {far}-.*: only the years 1678 to 2261"):
+                read(stamps)
+
     def test_jitter_is_none(self, read, rng):
         r = read(60 * np.arange(200) + rng.uniform(-5, 5, 200), "t")
         assert len(r.starts) == 0 and r.hints == ()

@@ -1,0 +1,118 @@
+"""Signs for thousands: 1.002 beside 998 is a thousand and two, or little more than one.
+
+Decimals that a program writes as short as it can have three digits now and then, and some have fewer; whole
+numbers by thousands always have three, of which some end in 0. Where a column shows no decimal of another
+length, nothing is guessed: files of one plant must not be read in two ways.
+"""
+
+import math
+import re
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+__all__ = ["GROUPED", "Doubt", "all_grouped", "in_doubt", "may_be_grouped"]
+
+GROUPED = re.compile(r"[-+]?[0-9]{1,3}([.,' \u00a0\u202f][0-9]{3})+([.,][0-9]+)?")
+"""A number with signs for thousands, as spreadsheets show it."""
+CLOSER = 10  # times that one reading must be closer to the samples around it to be the one
+
+
+def may_be_grouped(values: np.ndarray) -> bool:
+    """Return whether numbers, read as decimals, may be whole ones with signs for thousands: only then their
+    texts are looked at.
+    """
+    x = np.abs(values[np.isfinite(values)])
+    thousandths = 1000 * x
+    if (x >= 1000).any() or ((x > 0) & (x < 1)).any():
+        return False
+    return bool((np.abs(thousandths - np.round(thousandths)) < 1e-6).all())
+
+
+def in_doubt(cells: "pa.Array", values: np.ndarray, sign: str, is_other: bool = False) -> list[int]:
+    """Return the places of two cells of a column that can be read in two ways: one with the sign, one
+    without; the first alone where the sign is not the file's; [] where there is no doubt.
+
+    Args:
+        cells: (N,) texts. values: (N,) as decimals. sign: "." or ",". is_other: whether other cells of the
+            file show that its decimal sign is another.
+    """
+    import pyarrow.compute as pc
+
+    cells = pc.fill_null(pc.utf8_trim_whitespace(cells), "")
+    point = re.escape(sign)
+    signed = _where(cells, point)
+    groups = _where(cells, rf"^[-+]?[1-9][0-9]{{0,2}}({point}[0-9]{{3}})+$")
+    small = _where(cells, r"^[-+]?0*[1-9][0-9]{0,2}$")
+    large = _where(cells, r"^[-+]?0*[1-9][0-9]{3,}$")
+    if (signed & ~groups).any() or large.any() or not groups.any():
+        return []
+    first = int(np.argmax(groups))
+    if is_other:
+        return [first]
+    if not small.any():
+        return []
+    if not _where(cells, rf"{point}[0-9]*0$").any() and _closer_as_decimals(values, groups, small):
+        return []
+    beside = np.flatnonzero(small)
+    return [first, int(beside[np.argmin(np.abs(beside - first))])]
+
+
+def all_grouped(cells: "pa.Array") -> str:
+    """Return the first cell of a column of which every number could be a whole one with points for
+    thousands, "" of any other: nothing tells them from decimals.
+    """
+    import pyarrow.compute as pc
+
+    known = pc.utf8_trim_whitespace(pc.drop_null(cells))
+    if not len(known) or not _where(known, r"^[-+]?[1-9][0-9]{0,2}(\.[0-9]{3})+$").all():
+        return ""
+    return str(known[0].as_py())
+
+
+class Doubt:
+    """The doubt on one column of a stream, whose lines come a few at a time: a cell with a sign is left out
+    behind one without, unless it lies close to it as a decimal, until some decimal has another length.
+    """
+
+    def __init__(self) -> None:
+        self.small, self.over = 0.0, False  # the last number without a sign; whether the doubt is over
+
+    def next_odd(self, values: np.ndarray, cells: Callable[[int], str]) -> str:
+        """Return the first cell that is in doubt, "" where none is, and take the numbers before it.
+
+        Args:
+            values: (N,) the next numbers, as decimals. cells: number of one of them -> its text.
+        """
+        for k in np.flatnonzero(np.isfinite(values) & (values != 0)):
+            if self.over:
+                break
+            x = abs(float(values[k]))
+            if x == math.floor(x):
+                self.small, self.over = x, x >= 1000
+                continue
+            self.over = re.fullmatch(r"[-+]?[1-9][0-9]{0,2}[.,][0-9]{3}", cells(int(k)).strip()) is None
+            is_close = CLOSER * abs(x - self.small) < abs(1000 * x - self.small)
+            if self.small and not self.over and not is_close:
+                return cells(int(k)).strip()
+        return ""
+
+
+def _where(cells: "pa.Array", pattern: str) -> np.ndarray:
+    import pyarrow.compute as pc
+
+    return np.asarray(pc.match_substring_regex(cells, pattern).to_numpy(zero_copy_only=False), bool)
+
+
+def _closer_as_decimals(values: np.ndarray, groups: np.ndarray, small: np.ndarray) -> bool:
+    """Return whether numbers with a sign lie closer to those without, next to them, as decimals."""
+    known = groups | small
+    x, kind = values[known], groups[known]
+    beside = kind[1:] != kind[:-1]
+    apart = np.abs(np.diff(x))[beside].sum()
+    by_thousands = np.abs(np.diff(np.where(kind, 1000 * x, x)))[beside].sum()
+    return bool(CLOSER * apart < by_thousands)
