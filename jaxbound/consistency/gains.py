@@ -108,15 +108,16 @@ class GainsTest(ExchangeTest):
         self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress
     ) -> None:
         """Cut the box of gains of those windows that it does not decide as a whole, with frames that fit the
-        samples that are there.
+        samples that are there. Windows for which none is made stay open.
         """
         (margin,), s = outs, self.horizon
+        before = margin[left + s]
+        margin[left + s] = 0
         for frame, chosen in self._frames(u, y, left):
             shape = _rounded(self.relations, frame, self.dtype)
             reading = dataclasses.replace(self.reading, shape=shape)
-            at = left[chosen] + s
+            at, first = left[chosen] + s, before[chosen]
             us, ys = self._gather(u, y, left[chosen])
-            first = margin[at]
             margin[at] = self._search(reading, us, ys, first)
             self._confirm(reading, us, ys, margin, at, first)
 
