@@ -17,6 +17,8 @@ __all__ = ["SensorError", "rounded_up", "rounded_witness", "smallest_error"]
 
 DIGITS = (4, 8, 12, 17)
 ZERO = Fraction(0)
+LARGEST = Fraction(10**300)
+"""Of a number that is rounded for readers."""
 Slopes: TypeAlias = list[tuple[Fraction, Fraction]]
 """(a, c) of terms a f(c + e) in an error e, f(v) = v / (1 -+ sigma): see `exact_window`."""
 
@@ -56,6 +58,8 @@ def smallest_error(window: ExactWindow, i: int, explanation: Explanation) -> Sen
 def rounded_witness(window: ExactWindow, z: Vector) -> Vector:
     """Return z with as few digits as still explain the window."""
     states = window.model.n
+    if any(abs(v) > LARGEST for v in z):
+        return z  # beyond floats
     for digits in DIGITS:
         short = [Fraction(f"{float(v):.{digits}g}") for v in z]
         for j, (lo, hi) in enumerate(window.disturbance * window.horizon, states):

@@ -1,5 +1,5 @@
-"""The cause of an alarm among named faults: which of them alone explain it, with the smallest size that does,
-and of which it is proved that they do not.
+"""The cause of an alarm among named faults: which of them alone explain it, with the sizes that do, and
+of which it is proved that they do not.
 
 A fault may begin at any sample of a window and keeps its size from there on; before it there is none. What
 explains a window is ranked by its size beside a usual one: `most` of the fault, the range of its actuator in
@@ -10,7 +10,7 @@ none does is not. Such a parameter is left open, among those that were not weigh
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import Any
 
@@ -36,7 +36,7 @@ class Diagnosis:
         model. windows: the samples at which the windows end that each candidate has to explain.
         of: so many FAULT windows the alarm has.
         explains: a FaultSize for each fault that alone explains every window, the most plausible first; of
-            several windows that of the largest size. The size is the smallest,
+            several windows those that explain each. The size is the smallest, .largest the largest,
             of a parameter the smallest found.
         excluded: a FaultSize for each that does not, a proof. shares: {fault: its size beside a usual one},
             of those whose usual size is known.
@@ -90,7 +90,7 @@ class Diagnosis:
         """Return the answer in a sentence or two."""
         if not self.explains:
             return f"none of the named faults explains this{self._partly()}{self._left_over()}"
-        answer = f"{self.first} explains it (the smallest)"
+        answer = f"{self.first} explains it"
         others = []
         for weighed in self.explains[1:]:
             others.append(f"{weighed.fault.name} ({size_text(self.model, weighed)})")
@@ -102,10 +102,15 @@ class Diagnosis:
 
     def span(self, name: str) -> str:
         """Return the sizes, in words, of a fault that explains some of the windows alone."""
-        least, most = (size_text(self.model, weighed) for weighed in self.ends[name])
-        if least == most:
-            return least
-        return f"{least.split()[0]} to {most}"
+        least, _ = self.ends[name]
+        return size_text(self.model, replace(least, largest=self._largest_of_part(name), tried=0))
+
+    def _largest_of_part(self, name: str) -> Fraction | None:
+        """Return the largest size of a fault that explains some of the windows alone; None: without end."""
+        most = self.ends[name][1]
+        if most.tried:  # of a parameter the smallest sizes are known
+            return most.size
+        return most.largest
 
     def _partly(self) -> str:
         counts = []
@@ -140,6 +145,9 @@ class Diagnosis:
         explains, excluded = [], []
         for weighed in self.explains:
             entry: dict[str, Any] = {"fault": weighed.fault.name, "size": float(weighed.size or 0)}
+            entry["largest"] = weighed.largest
+            if weighed.largest is not None:
+                entry["largest"] = float(weighed.largest)
             entry |= {"words": size_text(self.model, weighed), "share": None}
             if weighed.tried:
                 entry["tried"] = weighed.tried
@@ -160,10 +168,13 @@ class Diagnosis:
             "outside": self.outside,
         }
 
-    def _sizes_of_parts(self) -> dict[str, list[float]]:
-        sizes = {}
-        for name, ends in self.ends.items():
-            sizes[name] = [float(weighed.size or 0) for weighed in ends]
+    def _sizes_of_parts(self) -> dict[str, list[float | None]]:
+        sizes: dict[str, list[float | None]] = {}
+        for name, (least, _) in self.ends.items():
+            sizes[name] = [float(least.size or 0), None]
+            largest = self._largest_of_part(name)
+            if largest is not None:
+                sizes[name][1] = float(largest)
         return sizes
 
     def and_of(self, other: "Diagnosis") -> "Diagnosis":
@@ -179,10 +190,8 @@ class Diagnosis:
             one, two = weighed.size or Fraction(0), theirs[name].size or Fraction(0)
             if one * two < 0:
                 excluded[name] = FaultSize(weighed.fault, None)
-            elif abs(two) > abs(one):
-                explains.append(theirs[name])
             else:
-                explains.append(weighed)
+                explains.append(weighed.and_of(theirs[name]))
         shares = {}
         for name in (weighed.fault.name for weighed in explains):
             known = [each.shares[name] for each in (self, other) if name in each.shares]
@@ -293,13 +302,20 @@ def _usual(fault: NamedFault, window: ExactWindow) -> Fraction | None:
 
 
 def size_text(model: LinearSystem, weighed: FaultSize) -> str:
-    """Return the size of a fault that explains a window, with its unit and its signal."""
-    fault, size = weighed.fault, weighed.size
+    """Return the sizes of a fault that explain a window, with their unit and its signal."""
+    fault, size, largest = weighed.fault, weighed.size, weighed.largest
     assert size is not None
     text = amount(model, fault, size)
     if weighed.tried:
-        text += f" (the smallest found in {weighed.tried} trials)"
-    return text
+        return f"{text} (the smallest found in {weighed.tried} trials)"
+    if weighed.varies:
+        return f"up to {text}, of no one size"
+    if largest is None:
+        return f"{text} or more"
+    least, most = (amount(model, fault, x).split()[0] for x in (size, largest))
+    if least == most:
+        return text
+    return f"{least} to {amount(model, fault, largest)}"
 
 
 def amount(model: LinearSystem, fault: NamedFault, size: Fraction) -> str:

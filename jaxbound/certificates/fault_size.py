@@ -1,34 +1,39 @@
-"""The smallest size of one named fault alone that explains a window, exactly, or the proof that no size does.
+"""The sizes of one named fault alone that explain a window, exactly: the smallest and the largest, or the
+proof that no size does.
 
-A fault of an unknown x adds x push to the rows of a window (`supposed`). A relation h with h E = 0 that is r
--+ width without the fault is r - x h push -+ width with it, so it leaves an interval of x. Relations are
-collected: where those that are there leave an x, the window with the x nearest to 0 is solved exactly, and
-what is violated there is one more relation, for all faults and all onsets of this window. The end is an x
-that explains the window while no smaller one does, or two relations that leave no x: a proof. There are
-finitely many relations that a window can violate most, so there is an end.
+A relation h with h E = 0 lies between two ends that samples and bounds give; 0 has to lie there, too. With a
+fault of an unknown x that is supposed (`supposed`) the upper end is
 
-Where a square of x moves the window (`cool` and `cool2`), x goes away from 0 on either side, over whatever a
-relation rules out: r - x h first - x^2 h second leaves x up to a root, and from another on. Roots are rounded
-away from 0 in the last of 12 digits, so such a size explains, and none smaller by more than that does.
+    c + m x + q x^2 + sum_i |h_i| F_i(a_i + b_i x),
+
+where the sum is over rows whose ends x moves, and so it is of -h. It is piecewise linear, or a parabola, so
+the x that a relation leaves are known exactly. From 0 on, in either direction, x goes to the next that all
+relations leave which are there; the window with that x is solved exactly, and what is violated there is one
+more relation, for all faults and all onsets of this window. The end is an x that explains the window while no
+smaller one does, or a relation that leaves no x farther on: with those that were passed a proof. There are
+finitely many relations that a window can violate most, so there is an end. The largest size is found from the
+other side.
+
+Roots of a parabola (a square of x moves the window: `cool` and `cool2`) are rounded on in the last of 12
+digits, so such a size explains, and none smaller by more than that does.
 """
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from math import isqrt
+from types import MappingProxyType
+from typing import NamedTuple
 
 from jaxbound.certificates.blame import rounded_up, rounded_witness
 from jaxbound.certificates.exact_window import ExactWindow, Explanation
-from jaxbound.certificates.supposed import Push, limits_of, push_of, size_at, unknown_at
-from jaxbound.exact import linalg
-from jaxbound.exact.linalg import Vector
+from jaxbound.certificates.supposed import Line, Path, at_any_size, paths_of
+from jaxbound.exact.linalg import Vector, dot
 from jaxbound.models.named_faults import NamedFault
 
 __all__ = ["FaultSize", "Scale"]
 
 ZERO, ONE = Fraction(0), Fraction(1)
-MOST_GAIN = 10**6
-"""The largest gain error of a sensor that is looked at: at an infinite one nothing of the reading is left."""
 DIGITS = 12
 """Of a root that is no fraction."""
 
@@ -37,10 +42,12 @@ DIGITS = 12
 class FaultSize:
     """A named fault, and whether it alone explains a window.
 
-    Fields: fault; size: the smallest that does, signed, exact; None: none does, proved; since: the sample of
+    Fields: fault; size: the smallest that does, signed, exact; None: none does, proved; largest: of the same
+    sign, that does, exact; None: there is no end, or it is not known; varies: of several windows, no one size
+    explains all: `size` is the most that one of them takes; since: the sample of
     the window from which on it is constant, None for an excluded one: from none; beyond: of an excluded one,
     the smallest size that would explain the window although its sign or bounds rule it out, None where none
-    does; proof: the relations h, ((h, h), ..), two or one for each onset, that leave no smaller size;
+    does; proof: the relations h, ((h, h, ..), ..), for each onset, that leave no size;
     z: unknowns that explain the window with it. tried: of a parameter how many pairs of a size and an onset
     were tried: its size is the smallest of those that explain, and None is no proof.
     """
@@ -52,100 +59,97 @@ class FaultSize:
     proof: tuple[tuple[Vector, ...], ...] = ()
     z: Vector | None = None
     tried: int = 0
+    largest: Fraction | None = None
+    varies: bool = False
+
+    def and_of(self, other: "FaultSize") -> "FaultSize":
+        """Return the FaultSize of two windows with sizes of one sign: those that explain both."""
+        one, two = self, other
+        if abs(two.size or ZERO) > abs(one.size or ZERO):
+            one, two = other, self
+        ends = [each.largest for each in (one, two) if each.largest is not None]
+        largest = min(ends, key=abs, default=None)
+        varies = one.varies or two.varies or (largest is not None and abs(largest) < abs(one.size or ZERO))
+        return replace(one, largest=largest, varies=varies)
 
 
-@dataclass(frozen=True, eq=False)
-class Cut:
-    """A relation of a window without a fault. Fields: h; places, weights: where it is not 0, and its numbers
-    there; residual, width.
-    """
+class Cut(NamedTuple):
+    """A relation of a window without a fault. Fields: h; residual, width."""
 
     h: Vector
-    places: tuple[int, ...]
-    weights: tuple[Fraction, ...]
     residual: Fraction
     width: Fraction
 
-    def share(self, push: Vector) -> Fraction:
-        """Return h push."""
-        return linalg.dot(self.weights, [push[j] for j in self.places])
-
-    def leaves(self, push: Vector) -> tuple[Fraction, Fraction] | None:
-        """Return the (lowest, highest) x that the relation leaves, None where x does not touch it: it then
-        leaves all or none.
-        """
-        share = self.share(push)
-        if not share:
-            return None
-        ends = (self.residual - self.width) / share, (self.residual + self.width) / share
-        return min(ends), max(ends)
-
-
-@dataclass(eq=False)
-class Range:
-    """The x that relations leave. Fields: low, high: its ends, None: without end; by_low, by_high: the
-    relations that set them, None where the sign or bounds of the size do; empty: no x is left.
-    """
-
-    low: Fraction | None
-    high: Fraction | None
-    by_low: Cut | None = None
-    by_high: Cut | None = None
-
-    @property
-    def empty(self) -> bool:
-        """Whether no x is left."""
-        return self.low is not None and self.high is not None and self.low > self.high
-
-    @property
-    def nearest(self) -> Fraction:
-        """The x nearest to 0."""
-        if self.low is not None and self.low > 0:
-            return self.low
-        if self.high is not None and self.high < 0:
-            return self.high
-        return ZERO
-
-    def meet(self, low: Fraction | None, high: Fraction | None, by: Cut | None) -> None:
-        """Keep the x between two ends too, those that a relation leaves; None: those that are stated."""
-        if low is not None and (self.low is None or low > self.low):
-            self.low, self.by_low = low, by
-        if high is not None and (self.high is None or high < self.high):
-            self.high, self.by_high = high, by
-
-    def side(self, sign: int) -> "Range":
-        """Return the part of it with x of one sign."""
-        part = Range(self.low, self.high)
-        if sign > 0:
-            part.meet(ZERO, None, None)
-        else:
-            part.meet(None, ZERO, None)
-        return part
-
-    def farthest(self, sign: int) -> Fraction | None:
-        """Return the magnitude of its far end on one side of 0; None: without end."""
-        end = self.high
-        if sign < 0:
-            end = self.low
-        if end is None:
-            return None
-        return abs(end)
-
-    @property
-    def proof(self) -> tuple[Vector, ...]:
-        """The relations that set its ends."""
-        return tuple(cut.h for cut in (self.by_low, self.by_high) if cut is not None)
-
 
 @dataclass(frozen=True, eq=False)
-class Least:
-    """The x nearest to 0 that explains a window. Fields: x; z: unknowns with it, None where none explains;
-    proof: relations that leave none.
+class End:
+    """The upper end of a relation as a fault grows along a Path: at t it is c + m t + q t^2 + the terms.
+
+    Fields: c, m, q; terms: (weight, Line in t) of rows whose ends the fault moves.
     """
 
-    x: Fraction
-    z: Vector | None
-    proof: tuple[Vector, ...] = ()
+    c: Fraction
+    m: Fraction
+    q: Fraction
+    terms: tuple[tuple[Fraction, Line], ...]
+
+    def next_kept(self, t: Fraction) -> Fraction | None:
+        """Return the first t' >= t at which the end is not below 0; None: there is none."""
+        kinks = {-line.a / line.b for _, line in self.terms if line.b and line.sigma}
+        for stop in [*sorted(kink for kink in kinks if kink > t), None]:
+            c, m = self._piece(t, stop)
+            if c + m * t + self.q * t * t >= 0:
+                return t
+            root = _root_above(self.q, m, c, t)
+            if root is not None and (stop is None or root <= stop):
+                return root
+            if stop is not None:
+                t = stop
+        return None
+
+    def _piece(self, begin: Fraction, stop: Fraction | None) -> tuple[Fraction, Fraction]:
+        """Return (c, m) between two kinks, with the terms: each is linear there."""
+        c, m = self.c, self.m
+        inside = begin + 1
+        if stop is not None:
+            inside = (begin + stop) / 2
+        for weight, line in self.terms:
+            slope = weight / (ONE - line.sigma)
+            if line.a + line.b * inside < 0:
+                slope = weight / (ONE + line.sigma)
+            c += slope * line.a
+            m += slope * line.b
+        return c, m
+
+
+def ends_of(cut: Cut, path: Path, window: ExactWindow) -> tuple[End, End]:
+    """Return the End of a relation h, and that of -h."""
+    push, forward = path.push, path.forward
+    m, q = -forward * dot(cut.h, push.first), ZERO
+    if push.second:
+        q = -dot(cut.h, push.second)
+    most = {1: cut.residual + cut.width, -1: cut.width - cut.residual}
+    terms: dict[int, list[tuple[Fraction, Line]]] = {1: [], -1: []}
+    for row, (low, high) in push.ends.items():
+        h = cut.h[row]
+        if not h:
+            continue
+        lo, hi = window.known_limits(row)
+        for side in (1, -1):
+            most[side] -= max(side * h * lo, side * h * hi)  # what the terms say instead
+            line = (high, low)[side * h < 0]
+            terms[side].append((abs(h), line._replace(b=forward * line.b)))
+    return End(most[1], m, q, tuple(terms[1])), End(most[-1], -m, -q, tuple(terms[-1]))
+
+
+class Reached(NamedTuple):
+    """The first t of a path that explains a window. Fields: t, z: unknowns with it; None where none explains.
+    proof: relations that leave none, by their numbers.
+    """
+
+    t: Fraction = ZERO
+    z: Vector | None = None
+    proof: Mapping[int, Vector] = MappingProxyType({})
 
 
 @dataclass(eq=False)
@@ -170,114 +174,98 @@ class Scale:
                 constant; before that there is none.
 
         Raises:
-            NotImplementedError: as `push_of`.
+            NotImplementedError: as `paths_of`.
         """
-        best: tuple[Fraction, Fraction, int, Vector] | None = None
+        onsets = tuple(onsets)
+        best: tuple[Fraction, int, Path, Fraction, Vector] | None = None
         beyond: Fraction | None = None
         proofs = []
         for since in onsets:
-            push = push_of(fault, self.window, since)
-            limits = limits_of(fault, self.window, since)
-            for ends in _ranges(fault):
-                ends.meet(*limits, None)
-                least = self._least(push, ends)
-                if least.z is None:
-                    proofs.append(least.proof)
+            proof: dict[int, Vector] = {}
+            for path in paths_of(fault, self.window, since):
+                if best is not None:
+                    nearer = path.of_sizes_to(abs(best[0]))
+                    if nearer is None:
+                        continue
+                    path = nearer
+                reached = self._reached(path)
+                if reached.z is None:
+                    proof |= reached.proof
                     continue
-                size = size_at(fault, least.x)
-                if best is None or abs(size) < best[0]:
-                    best = abs(size), least.x, since, least.z
+                size = path.size(reached.t)
+                if best is None or abs(size) < abs(best[0]):
+                    best = size, since, path, reached.t, reached.z
+            proofs.append(tuple(proof.values()))
             if best is None and _is_bounded(fault):
-                free = self._least(push, Range(*_widest(fault)))
-                size = size_at(fault, free.x)
-                if free.z is not None and (beyond is None or abs(size) < abs(beyond)):
-                    beyond = size
+                beyond = self._beyond(fault, since, beyond)
         if best is None:
             return FaultSize(fault, None, None, beyond, tuple(proofs))
-        _, x, since, z = best
-        here = self.window.moved(push_of(fault, self.window, since).at(x))
-        return FaultSize(fault, size_at(fault, x), since, None, tuple(proofs), rounded_witness(here, z))
+        size, since, path, t, z = best
+        here = path.push.window(self.window, path.x(t))
+        largest = self._largest(fault, onsets, size)
+        return FaultSize(fault, size, since, z=rounded_witness(here, z), largest=largest)
 
-    def _least(self, push: Push, ends: Range) -> "Least":
-        """Return the x nearest to 0 of a range that explains the window."""
-        if push.second:
-            sides = []
-            for sign in (1, -1):
-                side = ends.side(sign)
-                if not side.empty:
-                    sides.append(self._curved(push, side, sign))
-            explaining = [side for side in sides if side.z is not None]
-            if explaining:
-                return min(explaining, key=lambda least: abs(least.x))
-            return Least(ZERO, None, tuple(h for side in sides for h in side.proof))
-        left = ends
-        for cut in self.cuts:
-            if not _keeps(cut, push.first, left):
-                return Least(ZERO, None, left.proof)
-        while not left.empty:
-            best = self.window.moved(push.at(left.nearest)).solve(self.explanation.reference)
-            if best.factor <= 1:
-                return Least(left.nearest, best.z)
-            if not _keeps(self._add(best.h), push.first, left):
-                break
-        return Least(ZERO, None, left.proof)
+    def _largest(self, fault: NamedFault, onsets: Sequence[int], size: Fraction) -> Fraction | None:
+        """Return the largest size of the sign of the smallest that explains, whatever its onset; None:
+        without end.
+        """
+        for since in onsets:
+            for path in paths_of(fault, self.window, since):
+                farther = path.of_sizes_from(abs(size))
+                if farther is None or path.sign * size < 0:
+                    continue
+                back = farther.reversed
+                reached = self._reached(back)
+                if reached.z is None:
+                    continue
+                if farther.stop is None and reached.t == back.start:
+                    return None
+                size = back.size(reached.t)
+        return size
 
-    def _curved(self, push: Push, side: Range, sign: int) -> "Least":
-        """Return the same on one side of 0, where x is squared, going away from 0."""
-        size, most = abs(side.nearest), side.farthest(sign)
-        used: dict[int, Vector] = {}
-        while True:
-            here = size
-            for i, cut in enumerate(self.cuts):
-                farther = _next_left(cut, push, sign, size)
-                if farther != size:
-                    used[i] = cut.h
-                if farther is None or (most is not None and farther > most):
-                    return Least(ZERO, None, tuple(used.values()))
-                size = farther
-            if size > here:
+    def _beyond(self, fault: NamedFault, since: int, known: Fraction | None) -> Fraction | None:
+        """Return the smaller of a size and of the smallest that explains, whatever is stated of it."""
+        for path in paths_of(at_any_size(fault), self.window, since):
+            reached = self._reached(path)
+            if reached.z is None:
                 continue
-            best = self.window.moved(push.at(sign * size)).solve(self.explanation.reference)
+            size = path.size(reached.t)
+            if known is None or abs(size) < abs(known):
+                known = size
+        return known
+
+    def _reached(self, path: Path) -> Reached:
+        """Return the first t of a path that explains the window."""
+        t, ends = path.start, list[End]()
+        passed: dict[int, Vector] = {}
+        while True:
+            for cut in self.cuts[len(ends) // 2 :]:
+                ends += ends_of(cut, path, self.window)
+            here = t
+            for i, end in enumerate(ends):
+                farther = end.next_kept(t)
+                if farther != t:
+                    passed[i // 2] = self.cuts[i // 2].h
+                if farther is None or (path.stop is not None and farther > path.stop):
+                    return Reached(proof=passed)
+                t = farther
+            if t > here:
+                continue
+            best = path.push.window(self.window, path.x(t)).solve(self.explanation.reference)
             if best.factor <= 1:
-                return Least(sign * size, best.z)
+                return Reached(t, best.z)
             self._add(best.h)
 
-    def _add(self, h: Vector) -> Cut:
+    def _add(self, h: Vector) -> None:
         """Collect one more relation."""
         _, residual, width = self.window.relation(h)
-        places = tuple(j for j, x in enumerate(h) if x)
-        cut = Cut(h, places, tuple(h[j] for j in places), residual, width)
-        self.cuts.append(cut)
-        return cut
-
-
-def _keeps(cut: Cut, push: Vector, left: Range) -> bool:
-    """Return whether a relation leaves some of the x that are left; they become fewer."""
-    ends = cut.leaves(push)
-    if ends is not None:
-        left.meet(*ends, cut)
-        return not left.empty
-    if abs(cut.residual) <= cut.width:
-        return True
-    left.low, left.high, left.by_low, left.by_high = ONE, ZERO, cut, None  # violated whatever x is
-    return False
-
-
-def _next_left(cut: Cut, push: Push, sign: int, size: Fraction) -> Fraction | None:
-    """Return the first |x| from a size on, on one side of 0, that a relation leaves; None: there is none."""
-    slope, bend = sign * cut.share(push.first), cut.share(push.second)
-    off = cut.residual - slope * size - bend * size * size
-    if abs(off) <= cut.width:
-        return size
-    # the residual has to come to the end of the width that is nearer
-    end = cut.residual - cut.width
-    if off < 0:
-        end = cut.residual + cut.width
-    return _root_above(bend, slope, -end, size)
+        self.cuts.append(Cut(h, residual, width))
 
 
 def _root_above(a: Fraction, b: Fraction, c: Fraction, low: Fraction) -> Fraction | None:
-    """Return the first root of a s^2 + b s + c above low >= 0, rounded up; None where there is none."""
+    """Return the first root of a t^2 + b t + c above low, rounded up where it is no fraction; None where
+    there is none.
+    """
     if not a:
         if not b or -c / b <= low:
             return None
@@ -303,37 +291,3 @@ def _root_above(a: Fraction, b: Fraction, c: Fraction, low: Fraction) -> Fractio
 def _is_bounded(fault: NamedFault) -> bool:
     stated = (fault.sign, fault.least, fault.most, fault.between)
     return any(value is not None for value in stated)
-
-
-def _widest(fault: NamedFault) -> tuple[Fraction | None, Fraction | None]:
-    """Return the ends of x where nothing is stated of the size."""
-    if fault.kind == "gain" and fault.output is not None:
-        return unknown_at(fault, Fraction(MOST_GAIN)), None
-    return None, None
-
-
-def _ranges(fault: NamedFault) -> list[Range]:
-    """Return the x that the sign and the bounds of a size leave: one range, or one on each side of 0."""
-    if fault.sign is None and fault.least is None and fault.most is None:
-        return [Range(*_widest(fault))]
-    least = fault.least or ZERO
-    signs = [1, -1]
-    if fault.sign is not None:
-        signs = [1 - 2 * (fault.sign == "-")]
-    ranges = []
-    for sign in signs:
-        ends: list[Fraction | None] = [unknown_at(fault, sign * least), None]
-        if fault.most is not None:
-            ends[1] = unknown_at(fault, sign * fault.most)
-        elif fault.kind == "gain" and fault.output is not None and sign > 0:
-            ends[1] = unknown_at(fault, Fraction(MOST_GAIN))
-        if (sign < 0) == _reversing(fault):
-            ranges.append(Range(ends[0], ends[1]))
-        else:
-            ranges.append(Range(ends[1], ends[0]))
-    return ranges
-
-
-def _reversing(fault: NamedFault) -> bool:
-    """Return whether x falls where the size grows."""
-    return fault.kind == "gain" and fault.output is not None

@@ -4,9 +4,10 @@ of each kind.
 
 import json
 from collections.abc import Mapping, Sequence
+from copy import copy
 from fractions import Fraction
 from functools import singledispatch
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol, Self, TypeAlias
 
 import numpy as np
 
@@ -55,11 +56,19 @@ class Judgement(Protocol):
 class WindowCertificate:
     """A proof of the verdict of one window, for people (`str`) and for whoever checks it (`to_json`).
 
-    Fields: status: of the window, as detected. at: the index at which it ends, a tuple.
+    Fields: status: of the window, as detected. at: the index at which it ends, a tuple. test: of a monitor
+    the name of the test that it is of, else "".
     """
 
     status: Status
     at: Index
+    test: str = ""
+
+    def of_test(self, name: str) -> Self:
+        """Return the same certificate, of a test of a monitor: what it says is of the model of this test."""
+        own = copy(self)
+        vars(own)["test"] = name
+        return own
 
     @property
     def proves(self) -> Status:
@@ -86,8 +95,8 @@ class WindowCertificate:
         return self.candidates
 
     def diagnose(self, faults: Sequence[NamedFault] | None = None) -> Diagnosis:
-        """Return the Diagnosis of a FAULT window: which named faults alone explain it, with the smallest size
-        that does, and of which it is proved that they do not. Exact.
+        """Return the Diagnosis of a FAULT window: which named faults alone explain it, with the smallest and
+        the largest size that do, and of which it is proved that they do not. Exact.
 
         Args:
             faults: a list of NamedFault; None: those of the model, or a bias of every sensor and an offset
@@ -101,7 +110,7 @@ class WindowCertificate:
             >>> import jaxbound as jb
             >>> m = jb.LinearSystem([[0.5]], None, [[1]], noise="1/10", outputs=["T1"])
             >>> print(jb.detect(jb.parity_relations(m), None, [[1.0], [0.8]]).explain(1).diagnose())
-            bias of T1: +0.15 of T1 explains it (the smallest)
+            bias of T1: +0.15 to +0.9 of T1 explains it
         """
         raise NotImplementedError(
             f"named faults are weighed on windows of models without uncertain parameters, not by a "

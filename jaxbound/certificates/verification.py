@@ -2,6 +2,8 @@
 `checker`, without JAX.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,10 +20,13 @@ from jaxbound.certificates.plain import (
     plain_samples,
 )
 from jaxbound.models.system import LinearSystem
-from jaxbound.models.testmodels import model_of
+from jaxbound.models.testmodels import model_of, with_tests
+from jaxbound.models.watched import NO, UNKNOWN, modes_at
+from jaxbound.recordings.factors import known, masked
 from jaxbound.recordings.recording import Recording
+from jaxbound.sets.floats.status import Status
 
-__all__ = ["of_test", "verify", "window_of"]
+__all__ = ["Tested", "of_test", "verify", "window_of"]
 
 
 def verify(
@@ -52,9 +57,9 @@ def verify(
         Traceback (most recent call last):
         ValueError: the certificate is about something else: numbers.y[1][0] is 0.8, model and data say 1/2
     """
-    document, model = of_test(document, model)
+    document, tested = of_test(document, model)
     sample, last, count = window_of(document)
-    recording = Recording.of(model, u, y)
+    recording = Recording.of(tested.recorded, u, y)
     place: tuple[int, ...] = ()
     if isinstance(sample, list):
         place = tuple(sample[:-1])
@@ -75,10 +80,12 @@ def verify(
                 "x0"
             )
         first = _bounds_of_state(x0)
-    plain = plain_model(model)
+    plain, model = plain_model(tested.model), tested.model
     u = np.asarray(recording.u)[place][start:stop]
+    tested.insist_watched(u, document["certificate"], [recording.label(j) for j in range(start, stop)])
+    u = u[:, [known(tested.recorded).index(name) for name in known(model)]]
     inputs, factors = plain_samples(u[:, : model.m]), plain_factors(model, u)
-    outputs = plain_samples(np.asarray(recording.y)[place][start:stop])
+    outputs = plain_samples(masked(model, u, np.asarray(recording.y)[place][start:stop]))
     precision, lags = str(recording.y.dtype), stated_lags(document, plain)
     about = fewer_averages(document, plain)
     claim = claimed(about, inputs, outputs, precision, lags, first, factors)
@@ -88,20 +95,60 @@ def verify(
     confirm(document, plain_names(model, sample, times), claim)
 
 
-def of_test(document: dict[str, Any], model: LinearSystem) -> tuple[dict[str, Any], LinearSystem]:
-    """Return (a certificate without the name of its test, the model of this test); both as they are where it
-    names none.
+@dataclass(frozen=True, eq=False)
+class Tested:
+    """The subject of a certificate. Fields: model: the plant with the bounds of its test. recorded: the model
+    by which recordings are read. conditions: of all tests of it; when: of this test, None: it always watches.
+    name: of this test.
+    """
+
+    model: LinearSystem
+    recorded: LinearSystem
+    conditions: tuple[str, ...] = ()
+    when: str | None = None
+    name: str = ""
+
+    def insist_watched(self, u: np.ndarray, verdict: str, labels: Sequence[str]) -> None:
+        """Raise ValueError unless the condition of the test holds at all samples of a window.
+
+        Where nobody knows it, a behaviour that explains is one of the mode of the test, while a FAULT of one
+        test proves nothing: another mode may hold.
+
+        Args:
+            u: (s + 1, .), as recorded. verdict: of the certificate. labels: the times of the samples.
+        """
+        if self.when is None:
+            return
+        own = modes_at(self.recorded, self.conditions, u)[:, self.conditions.index(self.when)]
+        for mode, why in ((NO, "does not hold"), (UNKNOWN, "has no value, so that another mode may hold,")):
+            if mode in own and (mode == NO or verdict == Status.FAULT.name):
+                where = labels[own.tolist().index(mode)]
+                raise ValueError(f"test {self.name!r} watches when {self.when}, which {why} at {where}")
+
+
+def of_test(document: dict[str, Any], model: LinearSystem) -> tuple[dict[str, Any], Tested]:
+    """Return (a certificate without the name of its test, its subject): of a model without tests that
+    model, whatever its monitor called the windows.
 
     Raises:
-        ValueError: the model states no such test.
+        ValueError: the model states no such test; it states tests, and the certificate names none.
     """
     if "test" not in document:
-        return document, model
+        if model.tests:
+            raise ValueError(
+                "the certificate names no test, and the model states tests with bounds of their own: of a "
+                "report give tested_model.toml in its folder, of other windows the model without its tests"
+            )
+        return document, Tested(model, model)
     certificate = dict(document)
     name = certificate.pop("test")
+    if not model.tests:
+        return certificate, Tested(model, model)
+    conditions = tuple(dict.fromkeys(test.when for test in model.tests if test.when is not None))
     for test in model.tests:
         if test.name == name:
-            return certificate, model_of(model, test)
+            own = model_of(model, test)
+            return certificate, Tested(own, with_tests(model), conditions, test.when, test.name)
     raise ValueError(f"the certificate is of test {name!r}, which the model does not state")
 
 

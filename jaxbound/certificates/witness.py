@@ -32,6 +32,7 @@ class Witnessed:
     z: Vector | None
     status: Status
     at: Index
+    test: str
 
     @property
     def state(self) -> Vector | None:
@@ -111,12 +112,10 @@ class Witnessed:
             sample = list(self.at)
         names = plain_names(model, sample, times)
         sentence = statement(verdict.name, names, numbers)
-        return {
-            "certificate": verdict.name,
-            "statement": sentence,
-            "names": names,
-            "numbers": texts(numbers),
-        }
+        document: dict[str, Any] = {"certificate": verdict.name, "statement": sentence, "names": names}
+        if self.test:
+            document["test"] = self.test
+        return document | {"numbers": texts(numbers)}
 
     def _sums(self) -> Numbers:
         """Return the bounded sums, their runs in the window, and all samples that they weigh."""

@@ -77,8 +77,8 @@ def _error_text(certificate: Certificate, name: str, error: Fraction | float) ->
         return "no error of this sensor alone explains the window"
     size = six_digits(error) + _unit(certificate, name)
     return (
-        f"an error of {size} of this sensor alone would explain the window, no smaller one: the least, not "
-        f"the size of the fault"
+        f"errors of up to {size} of this sensor alone, another at each sample, would explain the window, no "
+        f"smaller ones; a constant one takes more"
     )
 
 

@@ -5,7 +5,6 @@ exact rationals.
 """
 
 import argparse
-import json
 
 from jaxbound.cli.command import swift_imports
 from jaxbound.cli.options import path
@@ -78,8 +77,6 @@ def run(args: argparse.Namespace) -> int:
             show_cause(cause_of(certificate, k, args.faults), labels, args.json)
             return OK
         text = certificate.to_json(labels, k)
-        if explained.test:
-            text = json.dumps(json.loads(text) | {"test": explained.test}, indent=1)
     if args.json:
         write(text + "\n")
         return OK
@@ -90,8 +87,8 @@ def run(args: argparse.Namespace) -> int:
     except Refused as e:
         raise Refused(f"{e}; --json prints the certificate instead") from e
     headline, rows, table = certificate_text(certificate, k, labels, explained.outgrown)
-    if explained.test:
-        rows.insert(0, ("test", explained.test))
+    if certificate.test:
+        rows.insert(0, ("test", certificate.test))
     is_whole = args.all or LOUDNESS.get() == VERBOSE
     if not is_whole:
         rows = [(name, main_terms(text)) for name, text in rows]

@@ -32,7 +32,6 @@ class Explained:
         certificate: that `certify` gives. sample: the last of the window. labels: the times of its samples.
         outgrown: its bounds were found from data for shorter windows, so that a FAULT proves no fault.
         training: whether its inputs lie in the region of training, in words; "": the model states no ranges.
-        test: of a monitor the name of the test that the certificate is of, else "".
         ambiguity: a sentence, or "", where the number that was asked for could be meant as a time.
     """
 
@@ -42,7 +41,6 @@ class Explained:
     outgrown: bool
     training: str
     ambiguity: str
-    test: str
 
 
 def explain_window(directory: str | Path, at: str) -> Explained:
@@ -72,14 +70,13 @@ def explain_window(directory: str | Path, at: str) -> Explained:
         raise ValueError(
             f"sample {k} is too early: the first window ends at sample {horizon}, {axis.label(horizon)}"
         )
-    test = ""
     try:
         relations = relations_by(method, model, _asked_horizon(model, method, horizon), options=options)
         if method in (OBSERVER, MONITOR):
             spoken = NOBODY
             if method == MONITOR:
                 spoken = spoken_of(Path(directory), k)
-            certificate, part, test = refuted_again(relations, source, k, spoken)
+            certificate, part = refuted_again(relations, source, k, spoken)
         else:
             part = source.read(k - horizon, k + 1)
             if part.across(horizon)[horizon]:
@@ -90,10 +87,9 @@ def explain_window(directory: str | Path, at: str) -> Explained:
     first = part.samples - certificate.window.horizon - 1
     labels = [part.label(j) for j in range(first, part.samples)]
     beyond = is_outgrown(Path(directory))
-    if test:  # the bounds are its own
-        beyond = outgrown_by(relations, test)
-    about = beyond, _training(relations, part), axis.also_a_time(at), test
-    return Explained(certificate, k, labels, *about)
+    if certificate.test:  # the bounds are its own
+        beyond = outgrown_by(relations, certificate.test)
+    return Explained(certificate, k, labels, beyond, _training(relations, part), axis.also_a_time(at))
 
 
 def _training(relations: Relations, part: Recording) -> str:

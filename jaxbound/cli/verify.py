@@ -57,9 +57,10 @@ def run(args: argparse.Namespace) -> int:
     with door():
         model = stated_model(args.model, args.every)
     try:
-        document, model = of_test(load(args.certificate), model)
+        document = load(args.certificate)
+        _, tested = of_test(document, model)
         with door():
-            source = open_source(args.data, model)
+            source = open_source(args.data, tested.recorded)
         _, last, count = window_of(document)
         begin = last + 1 - count
         if begin < 0 or (source.samples is not None and last >= source.samples):

@@ -20,6 +20,7 @@ from jax.typing import DTypeLike
 from jaxbound.consistency.constant import gain_bounds, gain_tolerance, narrowed, own_factor, signed
 from jaxbound.consistency.easy_gains import EasyGains, nominal
 from jaxbound.consistency.exchange import PATIENCE, ExchangeTest, Settings
+from jaxbound.consistency.holes import HolesTest
 from jaxbound.consistency.interface import (
     Again,
     Array,
@@ -108,18 +109,37 @@ class GainsTest(ExchangeTest):
         self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress
     ) -> None:
         """Cut the box of gains of those windows that it does not decide as a whole, with frames that fit the
-        samples that are there. Windows for which none is made stay open.
+        samples that are there.
         """
         (margin,), s = outs, self.horizon
-        before = margin[left + s]
-        margin[left + s] = 0
+        left = self._past_holes(u, y, margin, left, again)
         for frame, chosen in self._frames(u, y, left):
             shape = _rounded(self.relations, frame, self.dtype)
             reading = dataclasses.replace(self.reading, shape=shape)
-            at, first = left[chosen] + s, before[chosen]
+            at = left[chosen] + s
             us, ys = self._gather(u, y, left[chosen])
+            first = margin[at]
             margin[at] = self._search(reading, us, ys, first)
             self._confirm(reading, us, ys, margin, at, first)
+
+    def _past_holes(
+        self, u: np.ndarray, y: np.ndarray, margin: np.ndarray, left: np.ndarray, again: Again
+    ) -> np.ndarray:
+        """Decide windows that lack samples and need no search for gains, in place; return the starts of the
+        others.
+
+        What gains of 1 explain is consistent; what no gains explain that differ from sample to sample is not.
+        """
+        reading = self.relations.reading(np.float64)
+        nominal = dataclasses.replace(reading, tolerance=jnp.zeros_like(reading.tolerance))
+        lacking = self._lacking(u, y, left)
+        at = left[lacking] + self.horizon
+        again(HolesTest(self.relations, self.dtype, nominal), at - self.horizon)
+        first = margin[at]
+        refuted = at[first <= 0]
+        again(HolesTest(self.relations, self.dtype), refuted - self.horizon)
+        margin[refuted] = np.where(margin[refuted] < 0, first[first <= 0], 0)
+        return np.concatenate([left[~lacking], refuted[margin[refuted] == 0] - self.horizon])
 
     def _confirm(
         self,

@@ -55,20 +55,17 @@ class HolesTest(LinearTest):
     Recordings in float32, too, are worked out in float64.
 
     Args:
-        relations, dtype: as of `ExchangeTest`.
+        relations, dtype: as of `ExchangeTest`. reading: how windows are read in float64; None: as the
+            relations do.
     """
 
     sharded = padded = False
     twice = True
     block = 64
 
-    def __init__(self, relations: LinearRelations, dtype: DTypeLike) -> None:
+    def __init__(self, relations: LinearRelations, dtype: DTypeLike, reading: Reading | None = None) -> None:
         super().__init__(relations, "joint", dtype)
-
-    @cached_property
-    def reading(self) -> Reading:
-        """How windows are read in float64."""
-        return self.relations.reading(np.float64)
+        self.reading = relations.reading(np.float64) if reading is None else reading
 
     @property
     def outputs(self) -> Outputs:

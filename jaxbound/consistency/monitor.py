@@ -112,9 +112,8 @@ class Monitor:
 
     Bit for bit with strips, and with the exchange search for windows without missing samples; where samples
     are missing in windows that need the search, margins agree to 1e-9. A sample costs about 0.1 ms, an
-    exchange search 0.5 to 1 ms, over missing samples too; slow, tens of milliseconds: uncertain parameters,
-    constant_tolerance. The first whole window compiles, and the first burst; the first window that lacks
-    certain samples takes some milliseconds, the first that lacks one, two or more inputs compiles.
+    exchange search 0.5 to 1 ms, over missing samples 3 to 6 ms; slow, tens of milliseconds: uncertain
+    parameters, constant_tolerance. The first whole window compiles, and the first burst.
 
     Raises:
         TypeError: no relations. ValueError: a method, budget or compensation that they cannot be tested by;

@@ -38,8 +38,8 @@ from jaxbound.consistency.monitor import Monitor
 from jaxbound.models.region import Departure
 from jaxbound.models.statedtests import OTHERWISE
 from jaxbound.models.system import LinearSystem
-from jaxbound.models.watched import watched
-from jaxbound.recordings.factors import IN_PART, Condition, factors_of, known, masked
+from jaxbound.models.watched import NO, UNKNOWN, YES, modes_at, watched
+from jaxbound.recordings.factors import factors_of, known, masked
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.probe import default_device
 from jaxbound.sets.floats.status import Status
@@ -48,10 +48,8 @@ from jaxbound.text.objects import readable
 
 __all__ = ["NO", "UNKNOWN", "YES", "BankState", "BankVerdicts", "MonitorBank", "Watch", "claimed", "combined"]
 
-NO, YES, UNKNOWN = np.int8(0), np.int8(1), np.int8(2)
-"""Whether a condition holds at a sample."""
 BEFORE = np.int8(-1)
-"""In place of these before the first sample."""
+"""In place of NO, YES and UNKNOWN before the first sample."""
 SIDE_BY_SIDE = 2**14
 """Samples up to which the tests judge on a thread each: of so few, compiling takes longest."""
 
@@ -320,24 +318,8 @@ class MonitorBank(Observer[BankState]):
         return tuple(places)
 
     def modes_of(self, u: np.ndarray) -> np.ndarray:
-        """Return (T, C) int8: whether each condition holds at each sample; NO, YES or UNKNOWN.
-
-        NO to all, "otherwise" among them, where one is `IN_PART`: no mode holds all along.
-        """
-        modes = np.full((len(u), len(self.conditions)), UNKNOWN, np.int8)
-        names, in_part = known(self.model), np.zeros(len(u), bool)
-        for c, text in enumerate(self.conditions):
-            if text != OTHERWISE:
-                value = u[:, names.index(Condition(text=text).name)]
-                modes[:, c] = np.where(np.isnan(value), UNKNOWN, np.where(value != 0, YES, NO))
-                in_part |= value == IN_PART
-        if self.complete:
-            c = self.conditions.index(OTHERWISE)
-            others = np.delete(modes, c, 1)
-            modes[(others == NO).all(1), c] = YES
-            modes[(others == YES).any(1), c] = NO
-        modes[in_part] = NO
-        return modes
+        """Return (T, C) int8: whether each condition holds at each sample, as `models.watched.modes_at`."""
+        return modes_at(self.plant, self.conditions, u)
 
     def seen_by(
         self, number: int, piece: Recording, modes: np.ndarray, before: np.ndarray | None = None

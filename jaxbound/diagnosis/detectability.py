@@ -49,7 +49,7 @@ from jaxbound.relations.sentence import relation_text
 from jaxbound.text.names import listed
 
 __all__ = """
-    GuaranteedSize always_seen detectable operating_reach row_widths visible_sizes window_shift
+    GuaranteedSize always_seen detectable is_affordable operating_reach row_widths visible_sizes window_shift
 """.split()
 
 ZERO = Fraction(0)
@@ -326,11 +326,10 @@ def always_seen(
         >>> {signal: round(size, 6) for signal, size in sizes.items()}
         {'y1': 0.4, 'y2': 0.4}
     """
-    if not isinstance(relations, ParityRelation) or method != "joint":
+    if not isinstance(relations, ParityRelation) or method != "joint" or not is_affordable(relations):
         return None
-    model, s = relations.model, relations.horizon
-    signals, rows = model.outputs + model.inputs, (s + 1) * model.p + s * model.g
-    if model.uncertainties or model.factors or rows**3 * (1 + model.d) * len(signals) > EFFORT:
+    model = relations.model
+    if model.uncertainties or model.factors:
         return None
     reach = None
     if any(model.tolerance):
@@ -340,9 +339,20 @@ def always_seen(
         deviations = abs(np.asarray(readings, float) - offset)
         reach = np.fmax.reduce(deviations, axis=0, initial=np.finfo(np.float32).tiny).tolist()
     sizes = {}
-    for signal in signals:
+    for signal in model.outputs + model.inputs:
         sizes[signal] = float(detectable(model, signal, operating_range=reach, **relations.window))
     return sizes
+
+
+def is_affordable(relations: Relations) -> bool:
+    """Return whether windows are so short that sizes of all signals take no more than about a second; of
+    others nothing is asked.
+    """
+    if not isinstance(relations, ParityRelation):
+        return True
+    model, s = relations.model, relations.horizon
+    rows = (s + 1) * model.p + s * model.g
+    return bool(rows**3 * (1 + model.d) * (model.p + model.m) <= EFFORT)
 
 
 def _text(model: LinearSystem, s: int, h: Vector) -> str:

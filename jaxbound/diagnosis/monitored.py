@@ -162,7 +162,8 @@ class MonitorResult(Result):
         """
         if self.status[at] == Status.MISSING:
             raise ValueError(f"window {at} is MISSING: there is nothing to explain")
-        return self.tests[self.test_at(at)].explain(at)
+        test = self.test_at(at)
+        return self.tests[test].explain(at).of_test(test)
 
     def to_pandas(self) -> "pd.DataFrame":
         """Return the DataFrame of a Result with the columns test, the name of the test that speaks (None

@@ -346,8 +346,9 @@ class Result:
         proved that they do not.
 
         Looked at are the window of the smallest margin and four more that are spread over the alarm; a fault
-        has to explain each of them, beginning at any sample of it. One that does not is excluded by proof;
-        that one explains the windows in between as well is not looked at.
+        has to explain each of them, beginning at any sample of it; its sizes are those that explain each,
+        from the smallest to the largest. One that does not is excluded by proof; that one explains the
+        windows in between as well is not looked at.
 
         Args:
             start, end: the samples at which the first and the last window end, as of an Alarm; end None: one
@@ -362,7 +363,7 @@ class Result:
             >>> m = jb.LinearSystem([[0.5]], [[1]], [[1], [1]], noise=0.1, outputs=["T1", "T2"])
             >>> y = [[1.0, 1.0], [0.5, 1.0], [0.25, 0.75]]
             >>> print(jb.detect(jb.parity_relations(m, 1), [[0.0]] * 3, y).diagnose(1, 2))
-            bias of T2: +0.35 of T2 explains it (the smallest); excluded: bias of T1, offset of u1
+            bias of T2: +0.35 to +0.65 of T2 explains it; excluded: bias of T1, offset of u1
         """
         if end is None:
             end = start

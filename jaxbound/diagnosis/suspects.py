@@ -33,7 +33,7 @@ class Suspect(NamedTuple):
     """Fields: names: of the signals that alone could be wrong, the most plausible first; empty: none alone,
     or not known. size: the smallest error of the first that explains the window, in its unit, NaN where it is
     no sensor. jump: 1 up, -1 down, 0 not known. cause: the most plausible of the faults that the model names
-    and the smallest size of it that explains the window, in words; "" where the model names none.
+    and the sizes of it that explain the window, in words; "" where the model names none.
     """
 
     names: tuple[str, ...] = ()

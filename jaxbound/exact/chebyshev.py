@@ -167,7 +167,10 @@ def _search(
     m, N = len(E), len(E[0])
     if N == m:
         return ()
-    F, c = _in_floats(E, b, r, common)
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        F, c = _in_floats(E, b, r, common)
+    if not np.isfinite(F).all() or not np.isfinite(c).all():
+        return _plain(m, independent)
     # Many multipliers are zero where rows are sparse. A nudge, the same for all references, decides which of
     # them leaves: no cycles.
     nudge = np.append(1e-9 * np.random.default_rng(0).uniform(0.5, 1, N), 1)
@@ -293,7 +296,11 @@ def _settle(
 
 
 def _circuit(E: System, b: Integers, S: list[int], q: int) -> dict[int, int] | None:
-    """Return the integers h with h E = 0 on rows S, q and h b >= 0; None where rows S are dependent."""
+    """Return the integers h with h E = 0 on rows S, q and h b >= 0; None where rows S are dependent, or q is
+    one of them: floats may take a row twice, with either sign.
+    """
+    if q in S:
+        return None
     solved = _solve(linalg.transpose([E[i] for i in S]), E[q])
     if solved is None:
         return None

@@ -19,7 +19,8 @@ class Fault:
     Args:
         signal: the name of an output or input of the model. An actuator's fault changes what the plant
             receives, not what is recorded.
-        kind: "bias": + size. "drift": + size per sample since the start. "gain": times 1 + size. "noise": + a
+        kind: "bias": + size. "drift": + size per sample since the start. "gain": times 1 + size, and of an
+            output the noise stays as it is (`NamedFault` has the equations). "noise": + a
             value uniform in [-size, size] each sample. "tolerance": theta is drawn in [-size, size] instead
             of the model's tolerance (outputs only). "stuck": keeps its first value. "dropout": an output is
             missing (NaN), an input is 0.

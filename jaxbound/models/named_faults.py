@@ -1,11 +1,13 @@
 """Faults with a name, of a size that nobody knows: what an alarm is explained by.
 
-    (output) a reading shows y + f g, or y (1 + f)
+    (output) a reading shows (1 + theta) t + f g + e, or (1 + f) (1 + theta) t + e
     (input)  the plant receives u + f g, or u (1 + f)
     (states) x+ = A x + B u + f g F
     (A, B, C) x+ = (A + f dA) x + (B + f dB) u,  y = (C + f dC) x + D u
 
-f is the size, constant while the fault lasts; g is 1, or a recorded input.
+f is the size, constant while the fault lasts; g is 1, or a recorded input; t is the true value, its offset
+included for a gain, theta and e are within tolerance and noise, which no fault of a sensor changes. These are
+the faults of `simulate`, `with_faults` and studies as well; `certificates.supposed` inverts them.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -50,7 +52,8 @@ class NamedFault:
         A, B, C: of a parameter of the plant that is another than the model says: what its size
             multiplies in the matrix of that letter, of its shape, as of an `Uncertainty`; A or C is needed,
             and `most`.
-        kind: of a sensor "bias" (+ size, the usual one) or "gain" (times 1 + size); of an actuator "offset"
+        kind: of a sensor "bias" (+ size, the usual one) or "gain" (the value times 1 + size, with the
+            noise that it always had); of an actuator "offset"
             (+ size, the usual one) or "gain"; of states "leak" (+ size times the share at each sample);
             of matrices "parameter".
         times: an input whose recorded value multiplies the size: an error that grows with the flow, or an

@@ -438,11 +438,12 @@ def _recorded(
     if places:
         within = bounds["noise"], bounds["lo"], bounds["hi"]
         noise, w = kept_averages(places, bounds["averages"], noise, w, within)
-    applied = _faulty(channels, sizes, active, u, extra, [c.input for c in channels], 0.0)
+    exact = np.zeros(u.shape, u.dtype)
+    applied = _faulty(channels, sizes, active, u, exact, extra, [c.input for c in channels], 0.0)
     along = tuple(_recordings_last(x) for x in (applied, w, v, theta, noise, parameters))
     states, outputs = _trajectory(numbers, x0.T, along)
     y = _recordings_first(outputs)
-    y = _faulty(channels, sizes, active, y, extra, [c.output for c in channels], np.nan)
+    y = _faulty(channels, sizes, active, y, noise, extra, [c.output for c in channels], np.nan)
     return _recordings_first(states), u, y, theta, noise, w, v, parameters
 
 
@@ -548,6 +549,7 @@ def _faulty(
     sizes: Array,
     active: Array,
     signals: Array,
+    errors: Array,
     extra: Array,
     columns: Sequence[int | None],
     dropped: float,
@@ -555,8 +557,9 @@ def _faulty(
     """Apply faults, in order, to signals (N, T, c).
 
     Args:
-        extra: (N, T, faults), the noise of faults. columns: the number of the signal that each fault acts
-            on; None: it acts on none of these. dropped: what is left of a missing sample.
+        errors: (N, T, c), what a gain does not multiply. extra: (N, T, faults), the noise of faults.
+        columns: the number of the signal that each fault acts on; None: it acts on none of these. dropped:
+            what is left of a missing sample.
     """
     xp = _library(signals, extra)
     for i, (channel, c) in enumerate(zip(channels, columns, strict=True)):
@@ -564,23 +567,24 @@ def _faulty(
             continue
         on = active[i]
         with np.errstate(over="ignore", invalid="ignore"):
-            changed = _changed(xp, channel.kind, signals[:, :, c], sizes[i], on, extra[:, :, i], dropped)
+            x, error = signals[:, :, c], errors[:, :, c]
+            changed = _changed(xp, channel.kind, x, error, sizes[i], on, extra[:, :, i], dropped)
         here = on[:, None] & (np.arange(signals.shape[2]) == c)[None]
         signals = xp.where(here[None], changed[:, :, None], signals)
     return signals
 
 
 def _changed(
-    xp: ModuleType, kind: str, x: Array, size: Array, on: Array, extra: Array, dropped: float
+    xp: ModuleType, kind: str, x: Array, error: Array, size: Array, on: Array, extra: Array, dropped: float
 ) -> Array:
-    """Return one signal (N, T) with its fault."""
+    """Return one signal (N, T) with its fault, as `models.named_faults` defines it; error: its noise."""
     changed: Array
     if kind == "stuck":
         changed = xp.broadcast_to(xp.take(x, xp.argmax(on), 1)[:, None], x.shape)
     elif kind == "dropout":
         changed = xp.full_like(x, dropped)
     elif kind == "gain":
-        changed = x * (1 + size)
+        changed = x + size * (x - error)
     elif kind == "bias":
         changed = x + size
     elif kind == "drift":

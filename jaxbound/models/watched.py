@@ -3,12 +3,17 @@
 from collections.abc import Sequence
 from functools import cached_property
 
+import numpy as np
+
 from jaxbound.models.statedtests import OTHERWISE
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.factors import Condition, Factor, factors_of
+from jaxbound.recordings.factors import IN_PART, Condition, Factor, factors_of, known
 from jaxbound.recordings.signals import SignalModel
 
-__all__ = ["WatchedSystem", "watched"]
+__all__ = ["NO", "UNKNOWN", "YES", "WatchedSystem", "modes_at", "watched"]
+
+NO, YES, UNKNOWN = np.int8(0), np.int8(1), np.int8(2)
+"""Whether a condition holds at a sample."""
 
 
 class WatchedSystem(LinearSystem):
@@ -50,3 +55,27 @@ def watched(
     same = WatchedSystem.__new__(WatchedSystem)
     vars(same).update(vars(model), carried=columns, factors=columns)
     return same
+
+
+def modes_at(model: LinearSystem, conditions: Sequence[str], u: np.ndarray) -> np.ndarray:
+    """Return (T, C) int8: whether each condition holds at each sample; NO, YES or UNKNOWN.
+
+    NO to all, "otherwise" among them, where one is `IN_PART`: no mode holds all along.
+
+    Args:
+        model: `watched`, for these conditions among others. u: (T, .), of its recordings.
+    """
+    modes = np.full((len(u), len(conditions)), UNKNOWN, np.int8)
+    names, in_part = known(model), np.zeros(len(u), bool)
+    for c, text in enumerate(conditions):
+        if text != OTHERWISE:
+            value = u[:, names.index(Condition(text=text).name)]
+            modes[:, c] = np.where(np.isnan(value), UNKNOWN, np.where(value != 0, YES, NO))
+            in_part |= value == IN_PART
+    if OTHERWISE in conditions:
+        c = conditions.index(OTHERWISE)
+        others = np.delete(modes, c, 1)
+        modes[(others == NO).all(1), c] = YES
+        modes[(others == YES).any(1), c] = NO
+    modes[in_part] = NO
+    return modes

@@ -20,8 +20,8 @@ __all__ = [
 FIRST = 20_000
 """Samples of which the different values are looked at first."""
 WITHOUT_INPUT = (
-    "windows that need one are judged by what needs none, FAULT where that proves it, else UNDECIDED or "
-    "MISSING: their margins are of that part only"
+    "windows that need one are judged as if it could be anything, FAULT where that proves it, CONSISTENT "
+    "where a search finds what it may be, else UNDECIDED or MISSING: their margins are of the rest only"
 )
 
 

@@ -33,13 +33,11 @@ NOBODY = Spoken()
 class Refuted(NamedTuple):
     """A sample that an observer refuted.
 
-    Fields: certificate: of the sample. part: the Recording up to it, as far as it was read. test: of a
-    monitor the name of the test that the certificate is of, else "".
+    Fields: certificate: of the sample. part: the Recording up to it, as far as it was read.
     """
 
     certificate: Any
     part: Recording
-    test: str = ""
 
 
 def refuted_again(observer: Relations, source: Source, k: int, spoken: Spoken = NOBODY) -> Refuted:
@@ -68,7 +66,7 @@ def refuted_again(observer: Relations, source: Source, k: int, spoken: Spoken = 
         test = spoken.test
     if not test:
         return Refuted(res.explain(last), part)  # says why there is none
-    return Refuted(res.tests[test].explain(last), part, test)
+    return Refuted(res.tests[test].explain(last).of_test(test), part)
 
 
 def _is_said(res: Result, spoken: Spoken) -> bool:

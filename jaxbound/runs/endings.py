@@ -8,13 +8,14 @@ import numpy as np
 
 from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.alarms import BEGAN_ANEW, GAP, NO_LONGER, ONSET_LEFT, Alarm
-from jaxbound.diagnosis.detectability import always_seen
+from jaxbound.diagnosis.detectability import always_seen, is_affordable
 from jaxbound.diagnosis.memory import slowest
 from jaxbound.diagnosis.result import Result
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.sentence import looked_at
 from jaxbound.runs.digest import Digest
 from jaxbound.runs.summary import evidence
+from jaxbound.text.names import listed
 
 __all__ = ["ending_hints", "endings_said", "sizes_seen", "sizes_text"]
 
@@ -116,8 +117,12 @@ def sizes_text(res: Result | Digest, sizes: Mapping[str, float] | None) -> str:
         f"{name} {size:.3g} {unit(name)}".strip() for name, size in sizes.items() if np.isfinite(size)
     )
     never = ", ".join(name for name, size in sizes.items() if not np.isfinite(size))
+    untold = [name for name, test in res.relations.parts.items() if not is_affordable(test)]
     if not seen:
         return f"{these} are sure of no constant error that lasts, whatever its size"
     if never:
         never = f", of {never} at no size"
-    return f"{these} are sure to show a constant error that lasts from {seen} on{never}"
+    said = f"{these} are sure to show a constant error that lasts from {seen} on{never}"
+    if untold:
+        said += f"; {listed(untold)} may show smaller ones: jaxbound info tells from which size on"
+    return said

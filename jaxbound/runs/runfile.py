@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from jaxbound.consistency.interface import MONITOR
 from jaxbound.models.modelfile import load_model, model_text
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.read import kind_of
@@ -56,6 +57,8 @@ def save_run(
         method, horizon: of the test; options: of an observer.
         outgrown: its windows were longer than those that the bounds were found for.
     """
+    if method != MONITOR:
+        model = model.replace(tests=None)  # none of them was tested
     data, directory, text = Path(data).resolve(), Path(directory).resolve(), model_text(model).encode()
     named = str(data)
     if data.parent == directory:  # a report that holds its recording may be moved

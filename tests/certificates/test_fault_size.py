@@ -42,10 +42,11 @@ VARIANTS = {
 
 def smallest(model, u, y, fault, since):
     """Return the least |size| of a fault from a sample on that explains (u, y), or None: on either side of 0
-    one linear program each, whose unknowns are all states, noises, disturbances, unknown inputs and x.
+    one linear program each, whose unknowns are all states, noises, disturbances, unknown inputs and x; one
+    more of a sensor whose gain is below 0.
     """
     sizes = []
-    for side in (1, -1):
+    for side in (1, -1, -2)[: 3 if fault.name == "sensor gain" else 2]:
         x = program_of(model, u, y, fault, since, side)
         if x is not None:
             sizes.append(1 / (1 + x) - 1 if fault.name == "sensor gain" else x)
@@ -53,14 +54,14 @@ def smallest(model, u, y, fault, since):
 
 
 def program_of(model, u, y, fault, since, side):
-    """Return the x of least magnitude on one side, or None."""
+    """Return the x of least magnitude on one side, or None; of side -2 the least x below -1."""
     A, B, C, D, G, F = ([[float(v) for v in row] for row in getattr(model, k)] for k in "ABCDGF")
     s, n, p = len(y) - 1, 2, 2
     h = solver()
     infinite = highspy.kHighsInf
     add = lambda lo=-infinite, hi=infinite: (h.addVar(lo, hi), h.getNumCol() - 1)[1]
     lowest = -0.999999 if fault.name == "sensor gain" else -infinite
-    x = add(0, infinite) if side > 0 else add(lowest, 0)
+    x = add(*{1: (0, infinite), -1: (lowest, 0), -2: (-1e7, -1.000001)}[side])
     states = [[add() for _ in range(n)] for _ in range(s + 1)]
     noise = [[add(-float(b), float(b)) for b in model.noise] for _ in range(s + 1)]
     w = [[add(float(lo), float(hi)) for lo, hi in model.disturbance] for _ in range(s)]
@@ -101,6 +102,12 @@ def program_of(model, u, y, fault, since, side):
             if fault.output == model.outputs[i]:
                 terms[x] += -y[k][i] * (k >= since) if fault.kind == "gain" else share(k)
             row(terms, y[k][i] - D[i][0] * u[k][0] - D[i][1] * u[k][1])
+            if fault.name == "sensor gain" and fault.output == model.outputs[i] and k >= since:
+                slope = float(model.noise[i]) * (1 if side > -2 else -1)
+                h.changeColBounds(noise[k][i], -infinite, infinite)  # |noise| <= b |1 + x|
+                for sign in (1.0, -1.0):
+                    columns = np.array([noise[k][i], x], np.int32)
+                    h.addRow(-infinite, slope, 2, columns, np.array([sign, -slope]))
     for average in model.averages:
         length = len(average.weights)
         for first in range(s + 2 - length):
@@ -108,7 +115,7 @@ def program_of(model, u, y, fault, since, side):
                 run = np.array([noise[k][0] for k in range(first, first + length)], np.int32)
                 bound = float(average.bound)
                 h.addRow(-bound, bound, length, run, np.full(length, 1 / length))
-    h.changeColCost(x, float(side))
+    h.changeColCost(x, 1.0 if side != -1 else -1.0)
     h.run()
     if h.getModelStatus() == highspy.HighsModelStatus.kInfeasible:
         return None
@@ -204,7 +211,7 @@ def weighed(fault, u=0.5, y=1.0, **model):
         (NamedFault("b", output="y1"), Fraction(2, 5)),
         (NamedFault("o", input="u"), Fraction(2, 5)),
         (NamedFault("g", input="u", kind="gain"), Fraction(4, 5)),
-        (NamedFault("s", output="y1", kind="gain"), Fraction(2, 3)),
+        (NamedFault("s", output="y1", kind="gain"), Fraction(4, 5)),
         (NamedFault("t", output="y1", times="u"), Fraction(4, 5)),
         (NamedFault("m", input="u", most=0.5), Fraction(2, 5)),
         (NamedFault("l", input="u", sign="+", least=0.45), Fraction(9, 20)),
@@ -223,13 +230,17 @@ def test_a_size_beyond_its_sign_or_bounds_is_excluded_and_told(stated):
 
 def test_the_gain_of_a_sensor_stated_too_small_is_excluded():
     gain = lambda **stated: weighed(NamedFault("s", output="y1", kind="gain", **stated)).size
-    assert gain(most=0.6) is None and gain(sign="-") is None
-    assert abs(gain(most=0.7, sign="+") - Fraction(2, 3)) < Fraction(1, 10**12)
+    assert gain(most=0.7) is None and gain(sign="-") is None
+    assert abs(gain(most=0.9, sign="+") - Fraction(4, 5)) < Fraction(1, 10**12)
+    assert gain(sign="-", most=1) is None and gain(least=1).numerator > 0
 
 
 def test_what_cannot_be_weighed_says_why():
-    with pytest.raises(NotImplementedError, match="the gain of y1 and its tolerance are one number"):
-        weighed(NamedFault("s", output="y1", kind="gain"), tolerance=0.01)
+    with pytest.raises(NotImplementedError, match="its gain shows in the bounds on averages of y1"):
+        means = dict(A=[[0.5]], B=[[1]], C=[[1]], D=None, averages={"y1": {2: 0.01}})
+        m = jb.LinearSystem(**{**STATIC, **means})
+        c = certify(jb.parity_relations(m, 3), np.ones((4, 1)), np.array([[2.0]] * 3 + [[9]]))
+        Scale(c.window, c.explanation).weigh(NamedFault("s", output="y1", kind="gain"))
     m = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1, inputs=["u"])
     c = certify(jb.parity_relations(m, 1), np.ones((2, 1)), np.array([[1.0], [9]]))
     with pytest.raises(NotImplementedError, match="a sample of u is missing"):

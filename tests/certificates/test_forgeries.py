@@ -12,7 +12,9 @@ from uncertain_systems import relations
 
 import jaxbound as jb
 from jaxbound.certificates import verify
+from jaxbound.certificates.checker.script import main as checker
 from jaxbound.certificates.interface import certify
+from jaxbound.cli import main
 
 MEANS = jb.LinearSystem([[0.9]], [[0.5]], [[1]], noise=0.2, averages={"y1": {4: 0.05}})
 BIASED = np.full((8, 1), 0.15)
@@ -120,3 +122,125 @@ def test_a_tolerance_that_keeps_its_value_needs_a_gain(gains):
     assert refused(summed(document))
     with pytest.raises((TypeError, ValueError)):
         verify(document, constant, None, y)
+
+
+MODES = """
+name = "plant"
+dt = 1
+[[outputs]]
+name = "y"
+noise = 0.1
+[matrices]
+A = [["0.9"]]
+C = [[1]]
+[[test]]
+name = "cooling"
+horizon = 2
+when = "valve > 0"
+[[test]]
+name = "rest"
+horizon = 2
+when = "otherwise"
+[test.model.matrices]
+A = [["0.5"]]
+"""
+
+
+@pytest.fixture
+def at_rest(tmp_path):
+    """Return (its folder, result): a plant at rest, which the model of another mode contradicts, that cools
+    from sample 8 on; of three samples nobody knows the mode.
+    """
+    (tmp_path / "m.toml").write_text(MODES)
+    y = [8 * 0.5**k for k in range(8)] + [5 * 0.9**k for k in range(8)]
+    valve = ["0"] * 8 + [""] * 3 + ["1"] * 5
+    rows = [f"{k},{a!r},{v}" for k, (a, v) in enumerate(zip(y, valve, strict=True))]
+    (tmp_path / "d.csv").write_text("time,y,valve\n" + "\n".join(rows) + "\n")
+    bank = jb.monitor(tmp_path / "m.toml")
+    return tmp_path, jb.detect(bank, jb.read(tmp_path / "d.csv", bank.model))
+
+
+def both_say(folder, document):
+    """Return the exit code of `jaxbound verify`, and that of the checker beside it."""
+    (folder / "c.json").write_text(json.dumps(document))
+    about = [str(folder / "c.json"), "--model", str(folder / "m.toml"), "--data", str(folder / "d.csv")]
+    return main.main(["verify", *about]), checker(about)
+
+
+def test_a_certificate_of_a_monitor_names_its_test_and_is_confirmed(at_rest, capsys):
+    folder, result = at_rest
+    assert result.counts["FAULT"] == 0
+    for k, test, beside in ((5, "rest", 1), (14, "cooling", 0)):
+        document = json.loads(result.explain(k).to_json())
+        assert document["test"] == result.test_at(k) == test
+        assert both_say(folder, document) == (0, beside)
+    assert "model of a test is more than this script reads" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "k, test, why", [(5, "cooling", "does not hold at 3 s"), (10, "rest", "another mode may hold, at 8 s")]
+)
+def test_a_fault_by_a_test_whose_condition_is_not_known_to_hold_is_refused(at_rest, k, test, why, capsys):
+    folder, result = at_rest
+    stated = {"A": [["0.9"]]} if test == "cooling" else {"A": [["0.5"]]}
+    own = jb.LinearSystem(**stated, B=None, C=[[1]], noise="0.1", outputs=["y"], dt=1, name="plant")
+    y = np.asarray(result.y)
+    document = jb.detect(jb.parity_relations(own, 2), None, y).explain(k).to_dict()
+    assert document["certificate"] == "FAULT"
+    assert both_say(folder, document | {"test": test}) == (1, 1)
+    err = capsys.readouterr().err
+    assert why in err and ("not known to hold at sample 3" in err) == (test == "cooling")
+    assert both_say(folder, document) == (1, 1)
+    assert "the certificate names no test" in capsys.readouterr().err
+
+
+def test_certificates_in_python_are_of_the_bounds_of_their_test():
+    plant = dict(A=[["0.9"]], B=None, C=[[1]], noise="0.1")
+    y = [[1.0], [0.9], [0.81], [2.0], [0.7]]
+    stated = jb.LinearSystem(**plant, tests=[{"name": "a", "horizon": 1, "factor": "0.5"}, {"name": "b"}])
+    for model in (stated, jb.LinearSystem(**plant)):  # of a model without tests one is made
+        certificate = jb.detect(jb.monitor(model), None, y).explain(3)
+        assert certificate.test in ("a", "windows")
+        verify(json.loads(certificate.to_json()), model, None, y)
+
+
+CLOCKS = {
+    "seconds": ("time", [str(k + 600 * (k > 4)) for k in range(10)]),
+    "stamps": ("logged", [f"2026-03-01T00:00:{k + 20 * (k > 4):02}" for k in range(10)]),
+    "an hour back": ("t", [f"2026-03-01T00:00:0{k}+0{1 + (k > 4)}:00" for k in range(10)]),
+    "an offset that begins": ("t", [f"2026-03-01T00:00:0{k}" + "+00:00" * (k > 4) for k in range(10)]),
+    "not read here": ("when", [f"1.3.2026 00:00:{k + 20 * (k > 4):02}" for k in range(10)]),
+}
+
+
+STEADY = {
+    "no gap": ("Time [s]", [str(k) for k in range(10)]),
+    "an epoch": ("timestamp", [str(1_772_323_200_000 + 1000 * k) for k in range(10)]),
+    "one offset": ("stamped", [f"2026-03-01T00:00:0{k}+01:00" for k in range(10)]),
+    "a count": ("shift", [str(10 + 2 * k) for k in range(10)]),
+}
+
+
+@pytest.mark.parametrize("kind", [*CLOCKS, *STEADY])
+def test_the_checker_beside_jaxbound_sees_a_gap_that_no_name_tells(kind, tmp_path, capsys):
+    called, times = {**CLOCKS, **STEADY}[kind]
+    y = [3 * 0.9**k for k in range(5)] + [50 * 0.9**k for k in range(5)]
+    rows = [f"{time},{a!r},{k % 3}" for k, (time, a) in enumerate(zip(times, y, strict=True))]
+    (tmp_path / "d.csv").write_text(f"{called},y,state\n" + "\n".join(rows) + "\n")
+    (tmp_path / "m.toml").write_text(MODES.split("[[test]]")[0])
+    model = jb.load_model(tmp_path / "m.toml")
+    document = jb.detect(jb.parity_relations(model, 2), None, np.array(y)[:, None]).explain(5).to_dict()
+    assert document["certificate"] == "FAULT"
+    codes = both_say(tmp_path, document)
+    assert codes == ((0, 0) if kind in STEADY else (1, 1)), capsys.readouterr().err
+
+
+def test_windows_of_a_model_with_tests_are_confirmed_by_the_model_of_their_report(at_rest, capsys):
+    folder, _ = at_rest
+    run = ["detect", str(folder / "m.toml"), str(folder / "d.csv"), "--out", str(folder / "r"), "-q"]
+    main.main([*run, "--horizon", "2"])
+    assert main.main(["explain", str(folder / "r"), "--at", "5"]) == 0
+    about = [str(folder / "r/certificate-5.json"), "--data", str(folder / "d.csv")]
+    for model, code in ((folder / "r/tested_model.toml", 0), (folder / "m.toml", 1)):
+        assert main.main(["verify", *about, "--model", str(model)]) == code
+        assert checker([*about, "--model", str(model)]) == code

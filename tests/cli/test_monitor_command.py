@@ -145,7 +145,7 @@ def test_a_certificate_is_verified_by_the_bounds_of_the_test_that_it_names(plant
     file = tmp_path / "r" / "certificate-40.json"
     verify = ["verify", str(file), "--model", str(model), "--data", str(data)]
     assert main.main(verify) == 0
-    for other, why in (("jumps", "about something else"), ("rest", "does not state")):
+    for other, why in (("jumps", "mode == 1, which does not hold"), ("rest", "does not state")):
         changed = json.loads(file.read_text()) | {"test": other}
         file.write_text(json.dumps(changed))
         assert main.main(verify) == 1

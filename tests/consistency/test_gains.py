@@ -10,9 +10,7 @@ from agreement import certificates_hold, monitor_agrees
 from scipy.optimize import linprog
 
 import jaxbound as jb
-from jaxbound.consistency import kept_frames
 from jaxbound.consistency.gains import GainsTest
-from jaxbound.sets.floats.status import Status
 
 PLANT = dict(
     A=[["0.9", "0.1"], [0, "0.8"]],
@@ -121,16 +119,6 @@ def test_a_gain_that_moves_is_a_fault_that_free_gains_do_not_see():
 
 def test_a_monitor_says_the_same():
     monitor_agrees(relations("plain"), *detected("plain"))
-
-
-def test_a_window_for_which_no_frame_is_made_is_open(monkeypatch):
-    """A margin that a search leaves open has no sign: of windows that nobody searches on it was a FAULT."""
-    monkeypatch.setattr(kept_frames, "WORK", 0)
-    u, y, _ = detected("plain")
-    u = u[:30].copy()
-    u[14] = np.nan
-    status = jb.detect(relations("plain"), u, y[:30], margins="exact").status
-    assert (status[HORIZON:] == Status.UNDECIDED).all()
 
 
 @pytest.mark.parametrize("kind", KINDS)

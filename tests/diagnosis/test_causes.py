@@ -26,10 +26,11 @@ def test_faults_that_explain_some_of_the_windows_are_counted(two_faults):
     found = two_faults.diagnose(1, 4)
     assert not found.explains and found.windows == (1, 2, 3, 4)
     assert found.partly == {"u is off": (1, 2), "y2 is off": (3, 4)}
-    said = "4 windows that were looked at; of these u is off 2 (+0.9 of u), y2 is off 2 (+1.9 of y2)"
+    sizes = "u is off 2 (+0.9 to +1.1 of u), y2 is off 2 (+1.9 to +2.1 of y2)"
+    said = f"4 windows that were looked at; of these {sizes}"
     assert str(found).startswith(f"{NONE} {said}")
     sizes = found.to_dict()["partly_sizes"]
-    assert sizes == {"u is off": approx([0.9, 0.9]), "y2 is off": approx([1.9, 1.9])}
+    assert sizes == {"u is off": approx([0.9, 1.1]), "y2 is off": approx([1.9, 2.1])}
 
 
 def test_what_explains_some_windows_has_the_sizes_that_they_ask_for():
@@ -38,7 +39,7 @@ def test_what_explains_some_windows_has_the_sizes_that_they_ask_for():
     )
     y = [[1.5, 1.5], [2.5, 2.5], [5.0, 0.0]]  # off by 1 and by 2; the last one nothing explains
     found = jb.detect(jb.parity_relations(model, 0), [[0.5]] * 3, y).diagnose(0, 2)
-    assert "of these u is off 2 (+0.9 to +1.9 of u)" in str(found)
+    assert "of these u is off 2 (+0.9 to +2.1 of u)" in str(found)
 
 
 def test_windows_that_are_looked_at_are_spread_over_the_alarm_beside_the_worst():
@@ -52,5 +53,5 @@ def test_windows_that_are_looked_at_are_spread_over_the_alarm_beside_the_worst()
 def test_a_cause_that_rests_on_extrapolation_says_so(two_faults):
     assert two_faults.diagnose(1, 2).outside == ""
     found = two_faults.diagnose(3, 4)
-    assert found.first == "y2 is off: +1.9 of y2"
+    assert found.first == "y2 is off: +1.9 to +2.1 of y2"
     assert str(found).endswith("rest on extrapolation, u at 3, training up to 1")

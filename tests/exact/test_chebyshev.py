@@ -140,3 +140,21 @@ def test_numbers_beyond_what_floats_hold_are_solved_too():
     one, huge = Fraction(1), Fraction(10) ** 400
     best = chebyshev([[one], [one], [one]], [0 * one, 3 * huge, one * huge], [huge, huge, huge])
     assert best.t == Fraction(3, 2) and best.z == (Fraction(3, 2) * huge,)
+
+
+def test_a_row_that_floats_take_twice_is_no_circuit():
+    """Radii of 1e-2 beside 1e-15: the search ends in a row with both of its signs."""
+    first = ["0.9", "-0.1", "0.18", "-0.02", "0.036", "-0.004", "0.0072", "-0.0008"]
+    E = [tuple(map(Fraction, row)) for row in zip(first, [0] * 6 + ["0.18", "-0.02"], strict=True)]
+    b = [28.790000000000003, -3.2, 5.7700000000000005, -0.64, 1.1620000000000004, -0.128]
+    b = list(map(Fraction, [*b, -0.020488471716176352, 0.002400000000000004]))
+    r = [0.010000000000023665, 1.4210854715202005e-15] * 3
+    r = list(map(Fraction, [*r, 0.0011115282838108926, 1.4210854715202005e-15]))
+    best = chebyshev(E, b, r, ((7, -1), (1, -1), (6, -1)))
+    assert_optimal(E, b, r, best)
+
+
+def test_radii_beyond_each_other_in_floats_are_left_to_the_exact_steps():
+    E = [[Fraction(1)], [Fraction(2)], [Fraction(1)]]
+    b, r = [Fraction(0), Fraction(10) ** 300, Fraction(1)], [Fraction(10) ** -9] * 3
+    assert_optimal(E, b, r, chebyshev(E, b, r))

@@ -16,10 +16,10 @@ ON = {
 }  # four samples each, one healthy sample between
 OFF = np.setdiff1d(np.arange(T), np.concatenate([np.arange(T)[on] for on in ON.values()]))
 EFFECT = {
-    "bias": lambda v: v + SIZE,
-    "drift": lambda v: v + SIZE * np.arange(4),
-    "gain": lambda v: v * (1 + SIZE),
-    "stuck": lambda v: np.broadcast_to(v[:, :1], v.shape),
+    "bias": lambda v, noise: v + SIZE,
+    "drift": lambda v, noise: v + SIZE * np.arange(4),
+    "gain": lambda v, noise: (v - noise) * (1 + SIZE) + noise,
+    "stuck": lambda v, noise: np.broadcast_to(v[:, :1], v.shape),
 }
 
 
@@ -46,9 +46,8 @@ def received(t):
 
 @pytest.mark.parametrize("kind", EFFECT)
 def test_sensor_fault_changes_its_samples_as_described(kind, run):
-    np.testing.assert_allclose(
-        run.y[:, ON[kind], 1], EFFECT[kind](healthy(run)[:, ON[kind], 1]), rtol=1e-13, atol=1e-14
-    )
+    faultless, noise = healthy(run)[:, ON[kind], 1], run.noise[:, ON[kind], 1]
+    np.testing.assert_allclose(run.y[:, ON[kind], 1], EFFECT[kind](faultless, noise), rtol=1e-13, atol=1e-14)
 
 
 def test_sensor_dropout_leaves_nan(run):
@@ -86,7 +85,7 @@ def test_actuator_fault_changes_what_the_plant_receives(kind, run):
     if kind == "noise":
         assert (abs(got - commanded) <= SIZE + 1e-12).all() and abs(got - commanded).max() > 0.9 * SIZE
     else:
-        expected = np.zeros_like(commanded) if kind == "dropout" else EFFECT[kind](commanded)
+        expected = np.zeros_like(commanded) if kind == "dropout" else EFFECT[kind](commanded, 0)
         np.testing.assert_allclose(got, expected, atol=1e-14)
 
 

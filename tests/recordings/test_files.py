@@ -131,8 +131,8 @@ class TestMissing:
         judged = jb.detect(jb.parity_relations(MODEL, 2), r)
         assert judged.status.tolist() == [0, 0, 1, 1, 2, 2, 1, 1, 1]
         (said,) = (hint for hint in r.hints if "u1" in hint)
-        assert said.startswith("1 of 9 samples of u1 are missing: windows that need one are judged by what")
-        assert said.endswith("else UNDECIDED or MISSING: their margins are of that part only")
+        assert said.startswith("1 of 9 samples of u1 are missing: windows that need one are judged as if")
+        assert said.endswith("else UNDECIDED or MISSING: their margins are of the rest only")
 
     def test_long_runs_are_fine(self, read):
         r = read(text_of([(0.5 * k, 1, "" if 10 <= k < 90 else k) for k in range(100)]))

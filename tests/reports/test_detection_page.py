@@ -72,7 +72,7 @@ class TestAlarmsTable:
         first, *rest = deepest.candidates
         assert (
             f"{first} {float(deepest.errors[first]):.3g}" in page[0].text
-            and "one sensor wrong by" in page[0].text
+            and "one sensor wrong, another error at each sample: " in page[0].text
         )
 
     def test_says_where_no_single_sensor_explains_it(self, tmp_path):
@@ -227,7 +227,7 @@ def test_an_alarm_names_its_cause_where_the_model_names_faults(tmp_path):
     res = jb.detect(jb.parity_relations(model, 0), [[0.5]] * 3, [[0.5, 0.5], [1.5, 1.5], [1.5, 1.6]])
     write(tmp_path, res, recording_of(res), res.alarms())
     reader = Reader((tmp_path / "report.html").read_text())
-    assert "cause: valve <leaks>: +1 of u" in reader.text
+    assert "cause: valve <leaks>: +1 to +1.1 of u" in reader.text
     assert "y1 is off: excluded: no size of it, from no sample on, explains this" in reader.text
     assert "both at once: excluded" in reader.text and "Cause: the named faults" in reader.text
 

@@ -14,9 +14,10 @@ from systems import paper
 
 import jaxbound as jb
 from jaxbound.cli import evaluation, fleet_table, main
+from jaxbound.diagnosis import detectability
 from jaxbound.diagnosis.alarms import ENDINGS, NO_LONGER, ONSET_LEFT
 from jaxbound.diagnosis.detectability import always_seen
-from jaxbound.runs.endings import ending_hints, sizes_text
+from jaxbound.runs.endings import ending_hints, sizes_seen, sizes_text
 
 N, ONSET = 100, 50
 HEATER = jb.LinearSystem(
@@ -163,3 +164,18 @@ def test_sizes_that_are_not_known_and_those_that_no_size_is(rng):
         "that lasts from y1 2 degC on, of u1 at no size"
     )
     assert ending_hints(res, []) == []
+
+
+def test_sizes_of_a_monitor_name_the_tests_that_may_see_less(monkeypatch):
+    """A long test sees smaller errors; its sizes are not worked out while somebody waits."""
+    u, y = recorded(HEATER, jb.Fault("y1", "bias", 5, ONSET))
+    tests = [{"name": "short", "horizon": 3}, {"name": "long", "horizon": 12}]
+    res = jb.detect(jb.monitor(HEATER, tests), u, y)
+    both = sizes_seen(res, res.alarms())
+    assert sizes_text(res, both).endswith(" on") and "long" not in sizes_text(res, both)
+    monkeypatch.setattr(detectability, "EFFORT", 20_000)
+    short = sizes_seen(res, res.alarms())
+    assert short["y1"] > both["y1"] and short == always_seen(res.relations.parts["short"])
+    assert sizes_text(res, short).endswith(
+        " on; 'long' may show smaller ones: jaxbound info tells from which size on"
+    )

@@ -2,26 +2,56 @@
 is refused, never guessed.
 
 A model is TOML as the page on model files describes it, without [matrices] E, decouple, where, every, factors
-on noise, and columns that are expressions. Data are a UTF-8 CSV file with a header, a row for each sample,
-and an empty cell or nan for a missing one.
+on noise, columns that are expressions, and conditions that are more than a column beside a number. Data are a
+UTF-8 CSV file with a header, a row for each sample, and an empty cell or nan for a missing one.
 """
 
 import csv
+import operator
+import re
 import struct
 import tomllib
-from collections.abc import Iterable, Sequence
-from datetime import datetime
+from collections.abc import Callable, Iterable, Sequence
+from datetime import UTC, datetime
 from fractions import Fraction as F
 from pathlib import Path
+from typing import NamedTuple
 
 from jaxbound.certificates.checker.claim import DOUBLE
 from jaxbound.certificates.checker.words import Document, Ends, Matrix, Samples, Vector, insist
 
-__all__ = ["insist_plain_test", "read_model", "read_samples"]
+__all__ = ["Condition", "read_condition", "read_model", "read_samples"]
 
 ZERO = F(0)
 LATE = F(1, 2)
 """Share of a sampling period by which a step of time may differ from it, else it is a gap."""
+EPOCHS = (10**11, 10**3), (10**14, 10**6), (10**17, 10**9)
+"""(a number from which on a time is no longer in seconds, how many of its unit a second has)."""
+CONDITION = re.compile(
+    r"(?P<name>[A-Za-z_]\w*)\s*(?P<sense>[<>]=?|[=!]=)\s*(?P<number>[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d{1,2})?)"
+)
+COMPARED = {
+    "<": operator.lt,
+    "<=": operator.le,
+    "==": operator.eq,
+    "!=": operator.ne,
+    ">=": operator.ge,
+    ">": operator.gt,
+}
+CLOCK = ("time_of_day", "time_since_start", "pi")
+"""Names in a condition that need no column."""
+CALLED = re.compile(
+    r"(date[ _-]?time|time[ _-]?stamp|time|zeit(stempel|punkt)?|horodatage|heure|fecha|hora|tiempo|tijd|"
+    r"tijdstip|tid|czas|date|datum|data)\b|t(\s*[\[(/,].*)?$"
+)
+STAMP = re.compile(
+    r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}|\d{8}T|\d{1,2}:\d{2}|(19|2[01])\d{10}(\d\d)?$|"
+    r"\d{1,2}[- ][a-z]{3}[- ]\d{2,4}|[a-z]{3} \d{1,2},? \d{4}",
+    re.IGNORECASE,
+)
+"""What a column of times is called, and what its cells look like: of any format, so that none is overlooked
+that jaxbound reads.
+"""
 
 
 def read_model(path: Path) -> tuple[Document, Document, list[str], str | None, F]:
@@ -91,16 +121,56 @@ def _shapes(matrices: Document, disturbances: int) -> dict[str, tuple[int, int]]
     }
 
 
-def insist_plain_test(path: Path, name: object) -> None:
-    """Raise ValueError unless a model file states a test of this name, by the numbers of the file itself."""
+class Condition(NamedTuple):
+    """A condition of a test: a column beside a number. Fields: column; holds: asked with both; number; text:
+    as the model states it.
+    """
+
+    column: str
+    holds: Callable[[F, F], bool]
+    number: F
+    text: str
+
+    def insist_holds(self, cell: F | None, k: int) -> None:
+        """Raise ValueError unless it holds at sample k."""
+        known = cell is not None and self.holds(cell, self.number)
+        insist(known, f"the test watches when {self.text}, which is not known to hold at sample {k}")
+
+
+def read_condition(path: Path, test: object, columns: Sequence[str]) -> Condition | None:
+    """Return the condition of a test that has the numbers of the model file itself; None: it always watches,
+    or the file states no tests.
+
+    Args:
+        test: its name; None: the certificate names none. columns: of the inputs and outputs.
+
+    Raises:
+        ValueError: no such test, or none that this reader understands.
+    """
     table = tomllib.loads(path.read_text(encoding="utf-8-sig"), parse_float=str)
-    found = [test for test in table.get("test", []) if test["name"] == name]
-    insist(len(found) == 1, f"the certificate is of test {name!r}, which the model does not state")
+    tests = table.get("test", [])
+    if not tests:
+        return None
+    insist(
+        test is not None,
+        f"the certificate names no test, and {path} states tests with bounds of their own: give "
+        f"tested_model.toml of the report",
+    )
+    found = [one for one in tests if one["name"] == test]
+    insist(len(found) == 1, f"the certificate is of test {test!r}, which the model does not state")
+    more = "of a test is more than this script reads; jaxbound verify reads it"
     for field in ("factor", "lags", "model"):
-        insist(
-            field not in found[0],
-            f"{path}: {field} of a test is more than this script reads; jaxbound verify reads it",
-        )
+        insist(field not in found[0], f"{path}: {field} {more}")
+    text = found[0].get("when")
+    if text is None:
+        return None
+    stated = CONDITION.fullmatch(text.strip())
+    if stated is None or stated["name"] in CLOCK:
+        raise ValueError(f"{path}: when = {text!r} {more}")
+    name, sense, number = stated.group("name", "sense", "number")
+    inputs = [signal["name"] for signal in table.get("inputs", [])]
+    column = {name: name, **dict(zip(inputs, columns, strict=False))}[name]
+    return Condition(column, COMPARED[sense], F(float(number)), text)
 
 
 def _names(table: Document, n: int, m: int, p: int) -> Document:
@@ -132,22 +202,27 @@ def read_samples(
     last: int,
     count: int,
     precision: str = DOUBLE,
+    condition: Condition | None = None,
 ) -> tuple[Samples, list[str] | None]:
     """Return (count rows of samples that end at sample `last`, the text of their times or None).
 
     Args:
-        columns: of the signals. time: column of the time; None: the data have none. dt: sampling period in
-            seconds. precision: float type
-        to which a number of the file is rounded.
+        columns: of the signals. time: column of the time; None: the one that looks like it, if there is one.
+            dt: sampling period in seconds. precision: float type to which a number of the file is rounded.
+        condition: that has to hold at each of them; None: there is none.
 
     Raises:
         OSError, ValueError: no such column or sample, a cell that is no number, a row of another width,
-            samples across a gap in time.
+            samples across a gap in time, or at which the condition is not known to hold.
     """
     with open(path, encoding="utf-8-sig", newline="") as file:
         header, *rows = csv.reader(file, strict=True)
     header = [name.strip() for name in header]
     wanted = list(columns)
+    if condition is not None:
+        wanted.append(condition.column)
+    if time is None:
+        time = _likely_time(header, rows, columns)
     if time is not None:
         wanted.append(time)
     for column in wanted:
@@ -166,14 +241,17 @@ def read_samples(
             f"{path}: sample {k} has {len(rows[k])} cells, the header {len(header)}",
         )
         samples.append([_cell(rows[k][header.index(column)], precision, path, k) for column in columns])
+        if condition is not None:
+            condition.insist_holds(_cell(rows[k][header.index(condition.column)], DOUBLE, path, k), k)
         if time is not None:
             times.append(rows[k][header.index(time)].strip())
     if time is None:
         return samples, None
     for one, other in zip(times, times[1:], strict=False):
-        step = _seconds(other) - _seconds(one)
+        (begin, zoned), (end, also) = _seconds(one), _seconds(other)
+        insist(zoned == also, f"{path}: of {one} and {other} one alone has an offset from UTC")
         insist(
-            abs(step - dt) <= LATE * dt,
+            abs(end - begin - dt) <= LATE * dt,
             f"{path}: from {one} to {other} is no step of {dt} s: the samples lie across a gap in time",
         )
     return samples, times
@@ -193,14 +271,48 @@ def _cell(text: str, precision: str, path: Path, k: int) -> F | None:
     return F(*struct.unpack("<f", struct.pack("<f", value)))
 
 
-def _seconds(text: str) -> F:
-    """Return a time of the data in seconds: a number, or a time stamp in ISO 8601."""
+def _likely_time(header: Sequence[str], rows: Sequence[Sequence[str]], columns: Sequence[str]) -> str | None:
+    """Return the column that is called like a time, or else holds time stamps; None: there is none.
+
+    Raises:
+        ValueError: there are several.
+    """
+    free = [i for i, name in enumerate(header) if name not in columns]
+    called = [header[i] for i in free if CALLED.match(header[i].lower())]
+    if not called:
+        stamped = {i for row in rows for i, cell in enumerate(row) if STAMP.match(cell.strip())}
+        called = [header[i] for i in free if i in stamped]
+    insist(len(called) < 2, f"{' and '.join(called)} look like times: name the column of the time by --time")
+    if not called:
+        return None
+    return called[0]
+
+
+def _seconds(text: str) -> tuple[F, bool]:
+    """Return (a time of the data in seconds, whether it has an offset from UTC): a number of seconds, or of
+    milliseconds and less since 1970, or a time stamp in ISO 8601.
+
+    Raises:
+        ValueError: another one.
+    """
     try:
-        return F(text)
+        number = F(text)
     except ValueError:
         pass
-    moment = datetime.fromisoformat(text)
-    return F(str((moment - datetime(1970, 1, 1, tzinfo=moment.tzinfo)).total_seconds()))
+    else:
+        finer = [unit for least, unit in EPOCHS if abs(number) >= least]
+        return number / max(finer, default=1), False
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        raise ValueError(
+            f"{text!r} is a time that this script does not read: jaxbound verify may, --time names the column"
+        ) from None
+    since = datetime(1970, 1, 1)
+    zoned = moment.tzinfo is not None
+    if zoned:
+        since = since.replace(tzinfo=UTC)  # an instant, whatever the offset of its clock
+    return F(str((moment - since).total_seconds())), zoned
 
 
 def _width(rows: Sequence[Sequence[object]]) -> int:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from jaxbound.certificates.checker.claim import DOUBLE, SINGLE, claimed
-from jaxbound.certificates.checker.files import insist_plain_test, read_model, read_samples
+from jaxbound.certificates.checker.files import read_condition, read_model, read_samples
 from jaxbound.certificates.checker.proof import confirm
 from jaxbound.certificates.checker.words import Document, insist
 
@@ -37,7 +37,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument(
         "--time",
         metavar="COLUMN",
-        help="of the time stamps, where the model names none and the certificate shows times",
+        help="of the time, where the model names none (default: the one that looks like it, if there is one)",
     )
     parser.add_argument(
         "--precision",
@@ -114,8 +114,8 @@ def _check(document: Document, args: argparse.Namespace) -> None:
         "a certificate of a window is checked against --model and --data",
     )
     model, names, columns, stated_time, dt = read_model(args.model)
+    condition = read_condition(args.model, document.get("test"), columns)
     if "test" in document:
-        insist_plain_test(args.model, document["test"])
         document = {name: value for name, value in document.items() if name != "test"}
     sample, shown = document["names"]["sample"], document["names"]["times"]
     last = sample
@@ -123,13 +123,13 @@ def _check(document: Document, args: argparse.Namespace) -> None:
         last = sample[0]
     insist(type(last) is int and last >= 0, f"it names no sample of one recording: {sample}")
     time = args.time or stated_time
-    insist(shown is None or time is not None, "the certificate shows times: name their column by --time")
     insist(
         "first_state" not in document["numbers"],
         "bounds of a first state are neither in the model nor in the data: check it in Python",
     )
     count = len(document["numbers"]["y"])
-    rows, times = read_samples(args.data, columns, time, dt, last, count, args.precision)
+    rows, times = read_samples(args.data, columns, time, dt, last, count, args.precision, condition)
+    insist(shown is None or times is not None, "the certificate shows times: name their column by --time")
     m = len(model["offset_u"])
     u, y = [row[:m] for row in rows], [row[m:] for row in rows]
     claim = claimed(fewer_averages(document, model), u, y, args.precision, stated_lags(document, model))

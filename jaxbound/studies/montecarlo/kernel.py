@@ -11,6 +11,7 @@ and some 170 on floats for a sample and its window; with vectors of 256 bits and
 million windows a second and core at 2.5 GHz.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -123,28 +124,30 @@ def move(
     on = (since >= 0) & (since < act.length)
     p = plant.shape[2]
 
-    def faulty(values: list[Array], channel: Array, dropped: float) -> list[Array]:
-        """Return signals with the fault, where it is one of theirs; keep the value that one sticks to."""
+    def faulty(values: list[Array], errors: Sequence[Array], channel: Array, dropped: float) -> list[Array]:
+        """Return signals with the fault, where it is one of theirs; keep the value that one sticks to.
+        errors: what a gain does not multiply.
+        """
         nonlocal stuck
         if act.kind in ("none", "tolerance"):
             return values
         out: list[Array] = []
-        for i, value in enumerate(values):
+        for i, (value, error) in enumerate(zip(values, errors, strict=True)):
             mine = on & (channel == i)
             if act.kind == "stuck":
                 stuck = jnp.where(mine & (since == 0), value, stuck)
-            changed = scenarios.changed(act, value, size, since, extra, stuck, dropped)
+            changed = scenarios.changed(act, value, error, size, since, extra, stuck, dropped)
             out.append(jnp.where(mine, changed, value))
         return out
 
     tolerances = [plant.tolerance[i] for i in range(p)]
     if act.kind == "tolerance":
         tolerances = [jnp.where(on & (act.output == i), size, t) for i, t in enumerate(tolerances)]
-    applied = faulty(u, act.input, 0.0)
+    applied = faulty(u, [jnp.zeros_like(v) for v in u], act.input, 0.0)
     theta = [b * r for b, r in zip(tolerances, theta, strict=True)]
     noise = [b * r for b, r in zip(plant.noise, delta, strict=True)]
     x, y, truth = recursion.step(plant, x, applied, theta, noise, share)
-    shown = faulty(y, act.output, jnp.nan)
+    shown = faulty(y, noise, act.output, jnp.nan)
     return x, shown, stuck, truth
 
 

@@ -154,22 +154,22 @@ def simulate_block(
     k_run, k_extra = jax.random.split(own)
     extra = jax.random.uniform(k_extra, since.shape, size.dtype, -1, 1)
 
-    def faulty(values: jax.Array, channel: Array, dropped: float) -> jax.Array:
-        """Return signals (N, T, c) with the fault, where it is one of theirs."""
+    def faulty(values: jax.Array, errors: jax.Array, channel: Array, dropped: float) -> jax.Array:
+        """Return signals (N, T, c) with the fault, where it is one of theirs. errors: their noise."""
         i = int(channel)
         if i < 0 or act.kind in ("none", "tolerance"):
             return values
         value = values[..., i]
         held = jnp.take_along_axis(value, jnp.minimum(onset, T - 1), 1)
-        changed = scenarios.changed(act, value, size, since, extra, held, dropped)
+        changed = scenarios.changed(act, value, errors[..., i], size, since, extra, held, dropped)
         return values.at[..., i].set(jnp.where(on, changed, value))
 
-    applied = faulty(jnp.asarray(recorded), act.input, 0.0)
+    applied = faulty(jnp.asarray(recorded), jnp.zeros(recorded.shape), act.input, 0.0)
     if model.factors:  # they follow what was recorded, whatever an actuator does
         factors = Recording.of(model, recorded, np.zeros((*recorded.shape[:-1], model.p))).u[..., model.m :]
         applied = jnp.concatenate([applied, factors.astype(applied.dtype)], -1)
     run = simulate(model, applied, k_run, at="vertices" if course.vertices else "uniform")
-    y = faulty(run.y, act.output, jnp.nan)
+    y = faulty(run.y, run.noise, act.output, jnp.nan)
     if act.kind == "tolerance":
         i = int(act.output)
         offset = float(model.offset["y"][i])

@@ -114,19 +114,27 @@ def _number_of(signal: str | None, names: tuple[str, ...]) -> int:
 
 
 def changed(
-    act: Act, value: Array, size: Array, since: Array, extra: Array | None, held: Array, dropped: float
+    act: Act,
+    value: Array,
+    error: Array,
+    size: Array,
+    since: Array,
+    extra: Array | None,
+    held: Array,
+    dropped: float,
 ) -> Array:
     """Return a value as the fault leaves it, `since` samples after its onset.
 
     Args:
-        extra: a number in [-1, 1] for kind "noise". held: the value at the onset. dropped: what is left of a
-            missing sample.
+        error: its noise, which no gain multiplies. extra: a number in [-1, 1] for kind "noise". held: the
+            value at the onset. dropped: what is left of a missing sample.
     """
     if act.kind == "noise":
         assert extra is not None, "a noise fault draws"
         return value + size * extra
     if act.kind == "shift":
-        return value + size * (act.bias + act.drift * since.astype(value.dtype) + act.gain * value)
+        grown = act.bias + act.drift * since.astype(value.dtype) + act.gain * (value - error)
+        return value + size * grown
     if act.kind == "stuck":
         return held
     assert act.kind == "dropout", act.kind
