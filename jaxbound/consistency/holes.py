@@ -96,9 +96,9 @@ class _Given:
 
     Fields: R, K: of the frame; lo, hi (c + k, N): ends of the outer rows, then of the inner ones, NaN without
     a sample; known (l, N): inputs, 0 where missing; lost (l, N): which are missing and used by a row that is
-    there; off (c, N): how far rows may be off since inputs were rounded; size (c + k, N), known_size (l, N): what
-    rounding errors are relative to; gamma, floor (N,): of `rounding.search_error`; most: inputs that a window
-    has lost.
+    there; off (c, N): how far rows may be off since inputs were rounded; size (c + k, N), known_size (l, N):
+    what rounding errors are relative to; gamma, floor (N,): of `rounding.search_error`; most: inputs that a
+    window has lost.
     """
 
     R: np.ndarray

@@ -358,6 +358,11 @@ def _highest(x: np.ndarray) -> np.ndarray:
     return np.asarray(np.fmax.reduce(x, -1, initial=0.0))
 
 
+def _largest_of(x: np.ndarray) -> np.ndarray:
+    """Return the largest magnitudes (n, N) of windows (samples, n, N), missing samples left out."""
+    return np.fmax.reduce(np.abs(x), 0, initial=0.0).astype(np.float64)
+
+
 def _factor(reading: Reading, u: np.ndarray, i: int) -> np.ndarray:
     """Return the factor (s + 1, N) on the noise of an output that has one, from windows u (s + 1, m, N)."""
     factor = reading.factor(u, i)
@@ -385,7 +390,7 @@ class HostRows:
         unit, self._tiny = float(rounding.unit(y.dtype)), float(rounding.tiny(y.dtype))
         self._recorded = RECORDER_ULPS * unit
         self._y = reading.seen(y)
-        largest = np.fmax.reduce(np.abs(self._y), 0, initial=0.0).astype(np.float64)
+        largest = _largest_of(self._y)
         self._sigma, self._offset, noise = map(_doubles, (reading.tolerance, reading.offset_y, reading.noise))
         noises = noise[None, :, None]
         if reading.times:
@@ -406,7 +411,7 @@ class HostRows:
         self._above = [part.above for part in self._sums]
         u, offset_u = reading.inputs(u), _doubles(reading.offset_u)
         self.known = (u - offset_u[:, None]).reshape(-1, y.shape[2]).astype(np.float64, copy=False)
-        self._inputs = np.fmax.reduce(np.abs(u), 0, initial=0.0) + np.abs(offset_u)[:, None]
+        self._inputs, self._lags = _largest_of(u) + np.abs(offset_u)[:, None], len(u)
 
     def sizes(self, together: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Return (rows, N), (l, N), what rounding errors of rows and inputs are relative to: of the largest
@@ -419,7 +424,7 @@ class HostRows:
         count = outputs.shape[1]
         single = np.tile(outputs, (len(self._y), 1)), np.repeat(disturbances[:, None], count, 1)
         summed = [np.tile(x, (len(part.below), 1)) for x, part in zip(runs, self._sums, strict=True)]
-        return np.concatenate([*single, *summed]), np.tile(inputs, (len(self.known) // max(1, len(inputs)), 1))
+        return np.concatenate([*single, *summed]), np.tile(inputs, (self._lags, 1))
 
     def _runs(self, reading: Reading, number: int, y: np.ndarray) -> _Runs:
         """Return the runs of a bounded sum, as `Reading.block` has them."""
@@ -429,7 +434,7 @@ class HostRows:
         reach: Ends = 0.0
         if values.measured:
             used = np.where(reading.window.used[:, :, None], y, np.nan)
-            largest = np.fmax.reduce(np.abs(used), 0, initial=0.0).astype(np.float64)
+            largest = _largest_of(used)
             slips = _doubles(reading.resolution)[:, None] + self._recorded * (
                 largest + _doubles(reading.noise)[:, None]
             )

@@ -171,3 +171,13 @@ def test_an_infinite_sample_beside_holes_is_refused(relations, rng, value):
         (u, y)[i][20, 0] = value
         with pytest.raises(ValueError, match="finite"):
             jb.detect(relations, u, y)
+
+
+def test_a_coefficient_that_floats_cannot_hold_proves_nothing():
+    """What is left of the first state after six samples is below any float: it is read as the smallest."""
+    model = jb.LinearSystem([["1e-60"]], None, [[1], [1]], noise=["1e-9", "1e-9"])
+    relations = jb.parity_relations(model, horizon=20)
+    assert relations.frame is not None
+    y = np.full((21, 2), np.nan)
+    y[5:8, 0] = 1, 0, 0
+    assert jb.detect(relations, None, y).status[-1] != Status.FAULT
