@@ -246,8 +246,9 @@ class ExchangeTest(LinearTest):
         starts = np.flatnonzero(margin == 0) - self.horizon
         if not len(starts):
             return
-        thin = whole_numbers.thin(self.reading, *self._gather(u, y, starts))
-        starts = starts[thin | self._lacking(u, y, starts)]
+        windows = self._gather(u, y, starts)
+        lacking = self._lacking(u, y, starts) & whole_numbers.finite(*windows)
+        starts = starts[whole_numbers.thin(self.reading, *windows) | lacking]
         for frame, chosen in self._frames(u, y, starts):
             windows = gather(u, y, starts[chosen], self.lags, self.horizon)
             proved = whole_numbers.exact_search(self.relations, self.reading, frame, *windows)

@@ -45,8 +45,8 @@ TOLD = 1e-9
 """Share of its column that a pivot has at least: less tells nothing."""
 FEW, WORK = 24, 2**11
 """Unknowns, and coefficients, with which one combination is worked out in fractions: milliseconds."""
-UNIT = float(rounding.unit(np.float64))
-"""The unit roundoff in which all is worked out here."""
+UNIT, LEAST = float(rounding.unit(np.float64)), float(rounding.tiny(np.float64))
+"""The unit roundoff in which all is worked out here, and the smallest normal number."""
 
 
 class HolesTest(LinearTest):
@@ -96,9 +96,9 @@ class _Given:
 
     Fields: R, K: of the frame; lo, hi (c + k, N): ends of the outer rows, then of the inner ones, NaN without
     a sample; known (l, N): inputs, 0 where missing; lost (l, N): which are missing and used by a row that is
-    there; off (c, N): how far rows may be off since inputs were rounded; size (c + k,), known_size (l,): what
-    rounding errors are relative to; gamma, floor: of `rounding.search_error`; most: inputs that a window has
-    lost.
+    there; off (c, N): how far rows may be off since inputs were rounded; size (c + k, N), known_size (l, N):
+    what rounding errors are relative to; gamma, floor (N,): of `rounding.search_error`; most: inputs that a
+    window has lost.
     """
 
     R: np.ndarray
@@ -111,7 +111,7 @@ class _Given:
     size: np.ndarray
     known_size: np.ndarray
     gamma: float
-    floor: float
+    floor: np.ndarray
     most: int
 
     @classmethod
@@ -121,28 +121,29 @@ class _Given:
         R, K = np.asarray(frame.R), np.asarray(frame.K)
         (c, k), order = R.shape, np.concatenate([frame.outer, frame.inner])
         lo, hi = (x[order] for x in rows.ends())
-        lo[:c][~np.asarray(frame.used)] = np.nan
+        lo[:c][~np.asarray(frame.used)] = hi[:c][~np.asarray(frame.used)] = np.nan
         missing = np.isnan(rows.known)
-        used = (K != 0).T.astype(float) @ ~np.isnan(lo[:c]) > 0
+        used = (K != 0).T.astype(float) @ ~(np.isnan(lo) & np.isnan(hi))[:c] > 0
         gamma, floor = map(float, rounding.search_error(c, k, K.shape[1], np.float64))
-        size, known_size = rows.size[order], rows.known_size
+        sizes, known_size = rows.sizes()
+        size = sizes[order]
         largest = 1 + max(np.abs(R).max(initial=0), np.abs(K).max(initial=0))
-        floor *= largest * largest * (1 + size.sum() + known_size.sum())
+        least = floor * largest * largest * (1 + size.sum(0) + known_size.sum(0))
         known, lost = np.where(missing, 0, rows.known), missing & used
         most = int(lost.sum(0).max(initial=0))
         slip = np.nan_to_num(input_slip(reading.inputs(u)).astype(float)).reshape(known.shape)
         off = (1 + gamma) * (np.abs(K) @ slip)
-        return cls(R, K, lo, hi, known, lost, off, size, known_size, gamma, floor, most)
+        return cls(R, K, lo, hi, known, lost, off, size, known_size, gamma, least, most)
 
     def of_windows(self, part: np.ndarray) -> "_Given":
         """Return the rows of some windows."""
-        own = {name: getattr(self, name)[:, part] for name in ("lo", "hi", "known", "lost", "off")}
-        return replace(self, **own)
+        names = "lo", "hi", "known", "lost", "off", "size", "known_size", "floor"
+        return replace(self, **{name: getattr(self, name)[..., part] for name in names})
 
     @cached_property
     def there(self) -> np.ndarray:
-        """(c + k, N): which rows have a sample."""
-        return np.asarray(~np.isnan(self.lo))
+        """(c + k, N): which rows have a sample; an infinite one has an end, and nothing is proved of it."""
+        return np.asarray(~(np.isnan(self.lo) & np.isnan(self.hi)))
 
     @cached_property
     def middle(self) -> np.ndarray:
@@ -162,7 +163,7 @@ class _Given:
 
     @cached_property
     def magnitude(self) -> np.ndarray:
-        """(c,): what the rounding errors of z are relative to."""
+        """(c, N): what the rounding errors of z are relative to."""
         c = len(self.R)
         through = np.abs(self.R) @ self.size[c:] + np.abs(self.K) @ self.known_size
         return np.asarray(self.size[:c] + through)
@@ -197,7 +198,7 @@ def _decided(given: _Given, frame: ExactFrame, dtype: np.dtype) -> np.ndarray:
     least = np.finfo(dtype).eps
     free, columns = given.free & given.columns.any(1), given.columns
     # in units of the radii: of unknowns without bounds, of their largest coefficient
-    unit = np.maximum(given.radius[:c].T, np.finfo(float).tiny)
+    unit = np.maximum(given.radius[:c].T, LEAST)
     bounded = np.concatenate([given.radius[c:].T, np.ones_like(free[:, k:], float)], 1)
     largest = np.abs(columns / unit[:, :, None]).max(1)
     scale = np.where(given.free, 1 / np.where(largest > 0, largest, 1), bounded)
@@ -235,7 +236,7 @@ def _explained(given: _Given, x: np.ndarray) -> np.ndarray:
     known, inner = known[:-1], given.middle[c:] + x[:k]
     values = np.concatenate([given.R @ inner + given.K @ known, inner])
     sizes = np.abs(given.R) @ np.abs(inner) + np.abs(given.K) @ np.abs(known)
-    sizes = given.size[:, None] + np.concatenate([sizes, np.abs(inner)])
+    sizes = np.concatenate([given.magnitude + sizes, given.size[c:] + np.abs(inner)])
     error = given.gamma * sizes + given.floor * (1 + sizes.sum(0))
     error[:c] += given.off
     within = (given.lo + error <= values) & (values <= given.hi - error)
@@ -253,14 +254,17 @@ def _contradicted(given: _Given, h: np.ndarray, free: np.ndarray, reach: np.ndar
     below, above = (np.where(weights == 0, 0, weights * x) for x in (given.lo, given.hi))
     value = ((given.K.T @ h) * given.known).sum(0)
     least, most = np.minimum(below, above).sum(0) - value, np.maximum(below, above).sum(0) - value
-    off = 2 * given.gamma * given.magnitude[:, None] + given.floor + given.off
+    off = 2 * given.gamma * given.magnitude + given.floor + given.off
     error = (np.abs(h) * off).sum(0) + given.floor
     F = np.where(free[:, None, :], given.columns, 0)
     through = np.abs(np.einsum("jn,njf->nf", h, F))
-    through += 4 * (c + 4) * UNIT * np.einsum("jn,njf->nf", np.abs(h), np.abs(F))
+    # entries of F may be off by LEAST, see `rounding.nearest_normals`
+    rounded = UNIT * np.abs(F) + LEAST * (F != 0)
+    through += 4 * (c + 4) * np.einsum("jn,njf->nf", np.abs(h), rounded)
+    through += LEAST * np.einsum("jn,njf->nf", h != 0, F != 0)
     error += np.where(through * reach > 0, through * reach, 0).sum(1)
     error *= 1 + 64 * (c + k) * UNIT
-    # NaN where the reach of an unknown is not known
+    # infinite where the reach of an unknown is not known
     return np.asarray((least > error) | (most < -error))
 
 
@@ -317,11 +321,12 @@ def _reach(given: _Given, telling: np.ndarray, free: np.ndarray) -> np.ndarray:
     usable = np.isfinite(F).all((1, 2)) & (np.linalg.cond(F, 1) < 1 / UNIT)
     P = np.linalg.inv(np.where(usable[:, None, None], F, np.eye(q)))
     size = np.abs(given.z) + given.radius[:c] + np.abs(given.R) @ given.radius[c:]
-    size = size + given.gamma * given.magnitude[:, None] + given.floor + given.off
+    size = size + given.gamma * given.magnitude + given.floor + given.off
     size = np.where(own, np.take_along_axis(size.T, rows, 1), 0)
     c_bound = (np.abs(P) @ size[:, :, None])[:, :, 0]
-    c_bound = np.where(own, c_bound * (1 + 8 * q * UNIT) + np.finfo(float).tiny, 0)
-    G = np.abs(np.eye(q) - P @ F) + 4 * (q + 4) * UNIT * (np.abs(P) @ np.abs(F) + np.eye(q))
+    c_bound = np.where(own, c_bound * (1 + 8 * q * UNIT) + LEAST, 0)
+    rounded = np.abs(P) @ (UNIT * np.abs(F) + LEAST * (F != 0))
+    G = np.abs(np.eye(q) - P @ F) + 4 * (q + 4) * (rounded + UNIT * np.eye(q))
     G = np.where(both, G, 0)
     # what has no telling row has no bound, and what shares rows with it neither
     blind = (free & (telling < 0)).any(1) | ~usable

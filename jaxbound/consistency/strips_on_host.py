@@ -313,8 +313,9 @@ def contradicted_by(
     windows = HostRows(reading, u, y)
     gamma, floor = map(float, rounding.search_error(len(R), len(R.T), len(K.T), y.dtype))
     largest = 1 + max(np.abs(R).max(initial=0), np.abs(K).max(initial=0))
-    floor *= largest * largest * (1 + windows.size.sum() + windows.known_size.sum())
-    size = windows.size[outer] + np.abs(R) @ windows.size[inner] + np.abs(K) @ windows.known_size
+    sizes, known_sizes = (x[:, 0] for x in windows.sizes(together=True))
+    floor *= largest * largest * (1 + sizes.sum() + known_sizes.sum())
+    size = sizes[outer] + np.abs(R) @ sizes[inner] + np.abs(K) @ known_sizes
     if np.count_nonzero(h) > h.size // FULL:
         error = _times((gamma * size + floor)[None], np.abs(h))[0] + floor
         return windows.contradicted(outer, inner, h, -_times(R.T, h), _times(K.T, h), error)
@@ -357,6 +358,11 @@ def _highest(x: np.ndarray) -> np.ndarray:
     return np.asarray(np.fmax.reduce(x, -1, initial=0.0))
 
 
+def _largest_of(x: np.ndarray) -> np.ndarray:
+    """Return the largest magnitudes (n, N) of windows (samples, n, N), missing samples left out."""
+    return np.fmax.reduce(np.abs(x), 0, initial=0.0).astype(np.float64)
+
+
 def _factor(reading: Reading, u: np.ndarray, i: int) -> np.ndarray:
     """Return the factor (s + 1, N) on the noise of an output that has one, from windows u (s + 1, m, N)."""
     factor = reading.factor(u, i)
@@ -365,8 +371,8 @@ def _factor(reading: Reading, u: np.ndarray, i: int) -> np.ndarray:
 
 
 class _Runs(NamedTuple):
-    """Rows of a bounded sum: their ends below, above (runs, N); size (runs,), what rounding errors are
-    relative to.
+    """Rows of a bounded sum: their ends below, above (runs, N); size (N,), what rounding errors are relative
+    to.
     """
 
     below: np.ndarray
@@ -377,15 +383,14 @@ class _Runs(NamedTuple):
 class HostRows:
     """The rows of N windows in float64, worked out where they are asked for.
 
-    Fields: known (l, N): inputs, NaN where missing; size (rows,), known_size (l,): what rounding errors are
-    relative to, of the largest samples.
+    Fields: known (l, N): inputs, NaN where missing.
     """
 
     def __init__(self, reading: Reading, u: np.ndarray, y: np.ndarray) -> None:
         unit, self._tiny = float(rounding.unit(y.dtype)), float(rounding.tiny(y.dtype))
         self._recorded = RECORDER_ULPS * unit
         self._y = reading.seen(y)
-        largest = np.fmax.reduce(np.abs(self._y), 0, initial=0.0).astype(np.float64)
+        largest = _largest_of(self._y)
         self._sigma, self._offset, noise = map(_doubles, (reading.tolerance, reading.offset_y, reading.noise))
         noises = noise[None, :, None]
         if reading.times:
@@ -396,31 +401,40 @@ class HostRows:
             noises + _doubles(reading.resolution)[:, None] + RECORDER_ULPS * unit * noises + 4 * self._tiny
         )
         self._rho = (bound + RECORDER_ULPS * unit * largest) * SLIGHTLY
-        widest = _highest(self._rho).max(0)
+        sizes = largest + np.abs(self._offset)[:, None] + self._rho.max(0)
+        self._outputs = sizes / (1 - self._sigma)[:, None]
         self._rho = np.broadcast_to(self._rho, y.shape)  # the same at all samples, where no factor differs
-        outputs = (_highest(largest) + np.abs(self._offset) + widest) / (1 - self._sigma)
         disturbance = _doubles(reading.disturbance)
-        disturbances = np.abs(disturbance).sum(1) + self._tiny
         self._ends = np.tile(disturbance, (reading.horizon, 1))
-        single = [np.tile(outputs, len(y)), np.tile(disturbances, reading.horizon)]
-        runs = [self._runs(reading, number, y) for number in range(len(reading.window.sums))]
-        self._below = [part.below for part in runs]
-        self._above = [part.above for part in runs]
-        self.size = np.concatenate([*single, *[part.size for part in runs]])
+        self._sums = [self._runs(reading, number, y) for number in range(len(reading.window.sums))]
+        self._below = [part.below for part in self._sums]
+        self._above = [part.above for part in self._sums]
         u, offset_u = reading.inputs(u), _doubles(reading.offset_u)
         self.known = (u - offset_u[:, None]).reshape(-1, y.shape[2]).astype(np.float64, copy=False)
-        inputs = _highest(_highest(np.abs(u)).T.astype(np.float64)) + np.abs(offset_u)
-        self.known_size = np.tile(inputs, len(u))
+        self._inputs, self._lags = _largest_of(u) + np.abs(offset_u)[:, None], len(u)
+
+    def sizes(self, together: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """Return (rows, N), (l, N), what rounding errors of rows and inputs are relative to: of the largest
+        samples of each window, or of all windows `together`, N = 1.
+        """
+        disturbances = np.abs(self._ends).sum(1) + self._tiny
+        outputs, inputs, runs = self._outputs, self._inputs, [part.size for part in self._sums]
+        if together:
+            outputs, inputs, *runs = (_highest(x)[..., None] for x in (outputs, inputs, *runs))
+        count = outputs.shape[1]
+        single = np.tile(outputs, (len(self._y), 1)), np.repeat(disturbances[:, None], count, 1)
+        summed = [np.tile(x, (len(part.below), 1)) for x, part in zip(runs, self._sums, strict=True)]
+        return np.concatenate([*single, *summed]), np.tile(inputs, (self._lags, 1))
 
     def _runs(self, reading: Reading, number: int, y: np.ndarray) -> _Runs:
         """Return the runs of a bounded sum, as `Reading.block` has them."""
         values, count = reading.window.sums[number], len(reading.window.runs(number))
         bound, share = float(reading.average[number]), 2 + values.terms / AVERAGING
         mid, width = np.zeros((count, y.shape[2])), np.full(y.shape[2], bound)
-        reach = 0.0
+        reach: Ends = 0.0
         if values.measured:
             used = np.where(reading.window.used[:, :, None], y, np.nan)
-            largest = np.fmax.reduce(np.abs(used), 0, initial=0.0).astype(np.float64)
+            largest = _largest_of(used)
             slips = _doubles(reading.resolution)[:, None] + self._recorded * (
                 largest + _doubles(reading.noise)[:, None]
             )
@@ -428,10 +442,9 @@ class HostRows:
                 for sample, weight in enumerate(map(float, weights)):
                     mid += weight * (y[sample : sample + count, i] - self._offset[i])
                 width = width + _size(weights) * slips[i]
-                reach += _size(weights) * (float(_highest(largest[i])) + abs(self._offset[i]))
+                reach = reach + _size(weights) * (largest[i] + abs(self._offset[i]))
         width = width * SLIGHTLY + self._tiny * (values.terms + float(values.size)) * 8
-        size = share * (reach + float(_highest(width)))
-        return _Runs(mid - width, mid + width, np.full(count, size))
+        return _Runs(mid - width, mid + width, share * (reach + width))
 
     def reached(self, k: np.ndarray, of: np.ndarray) -> np.ndarray:
         """Return k times inputs (entries,), k (entries, l) of so many windows; a missing input counts only

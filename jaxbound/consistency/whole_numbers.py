@@ -34,7 +34,7 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips import separation
 from jaxbound.sets.strips.strips import status_of
 
-__all__ = ["exact_search", "exact_strips", "settle", "thin"]
+__all__ = ["exact_search", "exact_strips", "finite", "settle", "thin"]
 
 THIN = {np.dtype(np.float64): 2.0**26, np.dtype(np.float32): 2.0**12}
 """A bound is thin where it is less than so many roundoffs of its sample: a margin is then uncertain by 1e-6,
@@ -70,8 +70,14 @@ def thin(reading: Reading, u: np.ndarray, y: np.ndarray) -> np.ndarray:
     small = ~(bound > THIN[y.dtype] * rounding.unit(y.dtype) * (size + np.abs(offset))).all(0)
     small |= (size > np.sqrt(np.finfo(y.dtype).max)).any(0)
     small |= (bound < 2.0**40 * rounding.tiny(y.dtype)).any(0)
-    infinite = np.isinf(y).any((0, 1)) | np.isinf(u).any((0, 1))
-    return np.asarray(small & ~infinite)
+    return np.asarray(small & finite(u, y))
+
+
+def finite(u: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Say which windows u (lags, m, N), y (s + 1, p, N) have no infinite sample, of which there is no whole
+    number.
+    """
+    return np.asarray(~(np.isinf(y).any((0, 1)) | np.isinf(u).any((0, 1))))
 
 
 def _least_factors(reading: Reading, u: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import linprog
 
 import jaxbound as jb
-from jaxbound.consistency import holes
+from jaxbound.consistency import holes, kept_frames
 from jaxbound.consistency.gains import GainsTest
 from jaxbound.sets.floats.status import Status
 
@@ -151,3 +151,33 @@ def test_holes_under_constant_gains_say_what_the_search_for_gains_says(rng, monk
         np.testing.assert_array_equal(quick[both], slow[both])
         assert (quick[both] > Status.UNDECIDED).sum() or not fault
     assert {Status.CONSISTENT, Status.FAULT} <= seen
+
+
+def test_a_sample_says_nothing_of_windows_without_it(relations, rng, monkeypatch):
+    """Rounding errors are those of each window: else a spike would open all that are judged beside it."""
+    monkeypatch.setattr(kept_frames, "WORK", 0)
+    u, y = recording(rng, 60, 0.1, fault=1.5)
+    alone = jb.detect(relations, u[:-1], y[:-1]).status
+    assert {Status.CONSISTENT, Status.FAULT} <= set(alone.tolist())
+    for x in (u[:, 0], y[:, 1]):
+        x[-1] = 1e19
+    np.testing.assert_array_equal(jb.detect(relations, u, y).status[:-1], alone)
+
+
+@pytest.mark.parametrize("value", [np.inf, -np.inf])
+def test_an_infinite_sample_beside_holes_is_refused(relations, rng, value):
+    for i in range(2):
+        u, y = recording(rng, 40, 0.1)
+        (u, y)[i][20, 0] = value
+        with pytest.raises(ValueError, match="finite"):
+            jb.detect(relations, u, y)
+
+
+def test_a_coefficient_that_floats_cannot_hold_proves_nothing():
+    """What is left of the first state after six samples is below any float: it is read as the smallest."""
+    model = jb.LinearSystem([["1e-60"]], None, [[1], [1]], noise=["1e-9", "1e-9"])
+    relations = jb.parity_relations(model, horizon=20)
+    assert relations.frame is not None
+    y = np.full((21, 2), np.nan)
+    y[5:8, 0] = 1, 0, 0
+    assert jb.detect(relations, None, y).status[-1] != Status.FAULT
