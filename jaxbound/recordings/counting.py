@@ -224,7 +224,7 @@ def _clock_seconds(values: np.ndarray, hour: int) -> np.ndarray | None:
     if (minutes > 59).any() or (seconds > 59).any():
         return None
     time = 3600 * hours + 60 * minutes + seconds
-    return time + DAY * np.concatenate([[0], np.cumsum(np.diff(time) < -DAY / 2)])
+    return np.asarray(time + DAY * np.concatenate([[0], np.cumsum(np.diff(time) < -DAY / 2)]))
 
 
 def _seams(time: np.ndarray, dt: float | None) -> int:

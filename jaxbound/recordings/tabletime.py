@@ -333,7 +333,7 @@ def _since_first_label(index: "pd.Index") -> tuple[np.ndarray, float]:
 
 def _dates(index: "pd.Index") -> np.ndarray:
     """Return a DatetimeIndex as datetime64 of its own unit, in UTC."""
-    return index.to_numpy(f"datetime64[{index.unit}]")
+    return np.asarray(index.to_numpy(f"datetime64[{index.unit}]"))
 
 
 def _without_missing(labels: T, gone: Callable[[T], np.ndarray]) -> T:
