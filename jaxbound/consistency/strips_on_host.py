@@ -360,7 +360,7 @@ def _highest(x: np.ndarray) -> np.ndarray:
 
 def _largest_of(x: np.ndarray) -> np.ndarray:
     """Return the largest magnitudes (n, N) of windows (samples, n, N), missing samples left out."""
-    return np.fmax.reduce(np.abs(x), 0, initial=0.0).astype(np.float64)
+    return np.asarray(np.fmax.reduce(np.abs(x), 0, initial=0.0), np.float64)
 
 
 def _factor(reading: Reading, u: np.ndarray, i: int) -> np.ndarray:
