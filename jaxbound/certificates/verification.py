@@ -57,8 +57,8 @@ def verify(
         Traceback (most recent call last):
         ValueError: the certificate is about something else: numbers.y[1][0] is 0.8, model and data say 1/2
     """
+    sample, last, count = window_of(document)  # refuses what nobody can check
     document, tested = of_test(document, model)
-    sample, last, count = window_of(document)
     recording = Recording.of(tested.recorded, u, y)
     place: tuple[int, ...] = ()
     if isinstance(sample, list):

@@ -93,13 +93,21 @@ def drive(
 def _folded(observer: Observer[Any], given: Recording) -> Verdicts:
     """Return the verdicts of an observer on one recording, or on each recording of a batch.
 
-    A gap ends what is carried: a batch is followed as one recording, with a gap before each of its own.
+    A gap ends what is carried: a batch is followed as one recording, with a gap before each of its own,
+    unless the observer knows more of a first sample than of one behind a gap.
     """
     *lead, length, _ = given.y.shape
     if not lead or observer.batched:
         return observer.followed(observer.begin(), given)[1]
-    if observer.begun is not None:
-        raise ValueError("an observer that goes on from a carry follows one recording, not a batch")
+    if given.y.size and (observer.informed or observer.begun is not None):
+        each = []
+        for at in np.ndindex(*lead):
+            one = replace(given, u=np.asarray(given.u)[at], y=np.asarray(given.y)[at])
+            each.append(observer.followed(observer.begin(), one)[1])
+        stacked: Verdicts = jax.tree.map(
+            lambda *parts: np.stack(parts).reshape(*lead, *np.shape(parts[0])), *each
+        )
+        return stacked
     begins = length * np.arange(math.prod(lead))
     starts = (np.concatenate([[0], given.starts]) + begins[:, None]).ravel()
     excluded = given.excluded

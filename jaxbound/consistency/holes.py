@@ -235,9 +235,9 @@ def _explained(given: _Given, x: np.ndarray) -> np.ndarray:
     np.put_along_axis(known, given.slots, x[k:], 0)
     known, inner = known[:-1], given.middle[c:] + x[:k]
     values = np.concatenate([given.R @ inner + given.K @ known, inner])
-    sizes = np.abs(given.R) @ np.abs(inner) + np.abs(given.K) @ np.abs(known)
+    sizes, unknown = np.abs(given.R) @ np.abs(inner) + np.abs(given.K) @ np.abs(known), np.abs(known).sum(0)
     sizes = np.concatenate([given.magnitude + sizes, given.size[c:] + np.abs(inner)])
-    error = given.gamma * sizes + given.floor * (1 + sizes.sum(0))
+    error = given.gamma * sizes + given.floor * (1 + sizes.sum(0) + unknown)
     error[:c] += given.off
     within = (given.lo + error <= values) & (values <= given.hi - error)
     return np.asarray(np.all(within | ~given.there, 0))

@@ -236,6 +236,11 @@ class Relations:
             raise NotImplementedError
 
         @property
+        def informed(self) -> bool:
+            """Whether an observer knows more of the first sample of a recording than of one behind a gap."""
+            raise NotImplementedError
+
+        @property
         def parts(self) -> Mapping[str, Relations]:
             """The tests of a monitor by their names; empty: this is one test."""
             raise NotImplementedError
@@ -247,7 +252,7 @@ class Relations:
         methods = METHODS[:1]
         count = 1
         notes = ()
-        searched = False
+        searched = informed = False
         restart = True
 
     @property

@@ -188,6 +188,11 @@ class MonitorBank(Observer[BankState]):
         return not any(watch.relations.latched for watch in self.watches)
 
     @property
+    def informed(self) -> bool:
+        """Whether some observer knows more of the first sample of a recording than of one behind a gap."""
+        return any(watch.relations.informed for watch in self.watches)
+
+    @property
     def searched(self) -> bool:
         """Whether a search decides windows of some test."""
         return any(watch.relations.searched for watch in self.watches)

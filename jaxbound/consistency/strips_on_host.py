@@ -313,7 +313,7 @@ def contradicted_by(
     windows = HostRows(reading, u, y)
     gamma, floor = map(float, rounding.search_error(len(R), len(R.T), len(K.T), y.dtype))
     largest = 1 + max(np.abs(R).max(initial=0), np.abs(K).max(initial=0))
-    sizes, known_sizes = (x[:, 0] for x in windows.sizes(together=True))
+    sizes, known_sizes = map(_highest, windows.sizes())
     floor *= largest * largest * (1 + sizes.sum() + known_sizes.sum())
     size = sizes[outer] + np.abs(R) @ sizes[inner] + np.abs(K) @ known_sizes
     if np.count_nonzero(h) > h.size // FULL:
@@ -371,8 +371,8 @@ def _factor(reading: Reading, u: np.ndarray, i: int) -> np.ndarray:
 
 
 class _Runs(NamedTuple):
-    """Rows of a bounded sum: their ends below, above (runs, N); size (N,), what rounding errors are relative
-    to.
+    """Rows of a bounded sum: their ends below, above (runs, N); size (runs, N), what rounding errors are
+    relative to.
     """
 
     below: np.ndarray
@@ -406,25 +406,22 @@ class HostRows:
         self._rho = np.broadcast_to(self._rho, y.shape)  # the same at all samples, where no factor differs
         disturbance = _doubles(reading.disturbance)
         self._ends = np.tile(disturbance, (reading.horizon, 1))
-        self._sums = [self._runs(reading, number, y) for number in range(len(reading.window.sums))]
-        self._below = [part.below for part in self._sums]
-        self._above = [part.above for part in self._sums]
+        runs = [self._runs(reading, number, y) for number in range(len(reading.window.sums))]
+        self._below = [part.below for part in runs]
+        self._above = [part.above for part in runs]
+        self._sums = [part.size for part in runs]
         u, offset_u = reading.inputs(u), _doubles(reading.offset_u)
         self.known = (u - offset_u[:, None]).reshape(-1, y.shape[2]).astype(np.float64, copy=False)
         self._inputs, self._lags = _largest_of(u) + np.abs(offset_u)[:, None], len(u)
 
-    def sizes(self, together: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    def sizes(self) -> tuple[np.ndarray, np.ndarray]:
         """Return (rows, N), (l, N), what rounding errors of rows and inputs are relative to: of the largest
-        samples of each window, or of all windows `together`, N = 1.
+        samples of each window.
         """
         disturbances = np.abs(self._ends).sum(1) + self._tiny
-        outputs, inputs, runs = self._outputs, self._inputs, [part.size for part in self._sums]
-        if together:
-            outputs, inputs, *runs = (_highest(x)[..., None] for x in (outputs, inputs, *runs))
-        count = outputs.shape[1]
-        single = np.tile(outputs, (len(self._y), 1)), np.repeat(disturbances[:, None], count, 1)
-        summed = [np.tile(x, (len(part.below), 1)) for x, part in zip(runs, self._sums, strict=True)]
-        return np.concatenate([*single, *summed]), np.tile(inputs, (self._lags, 1))
+        outputs = np.tile(self._outputs, (len(self._y), 1))
+        single = outputs, np.repeat(disturbances[:, None], outputs.shape[1], 1)
+        return np.concatenate([*single, *self._sums]), np.tile(self._inputs, (self._lags, 1))
 
     def _runs(self, reading: Reading, number: int, y: np.ndarray) -> _Runs:
         """Return the runs of a bounded sum, as `Reading.block` has them."""
@@ -444,7 +441,8 @@ class HostRows:
                 width = width + _size(weights) * slips[i]
                 reach = reach + _size(weights) * (largest[i] + abs(self._offset[i]))
         width = width * SLIGHTLY + self._tiny * (values.terms + float(values.size)) * 8
-        return _Runs(mid - width, mid + width, share * (reach + width))
+        size = np.broadcast_to(share * (reach + width), mid.shape)
+        return _Runs(mid - width, mid + width, size)
 
     def reached(self, k: np.ndarray, of: np.ndarray) -> np.ndarray:
         """Return k times inputs (entries,), k (entries, l) of so many windows; a missing input counts only

@@ -161,6 +161,11 @@ class SetObserver(Observer[State], Generic[State]):
         return signals_of(self.model)
 
     @property
+    def informed(self) -> bool:
+        """Whether it knows the first state of a recording."""
+        return self.x0 is not None
+
+    @property
     def horizon(self) -> int:
         """How many samples at the start have no verdict."""
         if self.x0 is not None:

@@ -79,6 +79,11 @@ class ValidationObserver(Observer[ValidationState]):
             self.model, self._slide = prepared_slide(model, horizon, method, correction)
         self.horizon, self.x0 = self._slide.s, x0
 
+    @property
+    def informed(self) -> bool:
+        """Whether it knows the first state of a recording."""
+        return self.x0 is not None
+
     def init(self) -> ValidationState:
         """Return the state before the first sample."""
         m = self._slide.m

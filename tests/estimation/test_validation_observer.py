@@ -6,6 +6,7 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.consistency.drive import drive
+from jaxbound.consistency.monitorbank import MonitorBank, Watch
 from jaxbound.estimation.validation_observer import ValidationObserver
 from jaxbound.recordings.recording import Recording
 
@@ -112,3 +113,21 @@ def test_a_missing_input_beside_a_sample_is_refused_in_a_sentence():
     observer = ValidationObserver(MODEL)
     with pytest.raises(ValueError, match="validation needs every input: 1 samples of u are missing"):
         observer.fold(observer.init(), Recording.of(observer.signals, [[np.nan]], [[1.0, 1.0]]))
+
+
+def test_a_first_state_is_that_of_each_recording_of_a_batch(rng):
+    u, y = (x[:9] for x in recorded(rng))
+    observer = ValidationObserver(MODEL, x0=jb.Interval(np.array([0.9]), np.array([1.1])))
+    alone = drive(observer, Recording.of(observer.signals, u, y))
+    both = drive(observer, Recording.of(observer.signals, np.stack([u, u]), np.stack([y, y])))
+    for i in range(2):
+        agree(jax.tree.map(lambda x, i=i: x[i], both), alone)
+
+
+def test_a_monitor_whose_observer_knows_a_first_state_knows_it_of_each_recording_of_a_batch(rng):
+    model = jb.LinearSystem([["0.9"]], [[1]], [[1], [1]], noise="0.1")
+    observer = jb.observer(model, x0=jb.Interval(np.array([0.9]), np.array([1.1])))
+    bank = MonitorBank(model, [Watch("set", observer)])
+    u, y = np.ones((3, 6, 1)), np.full((3, 6, 2), 5.0)
+    u[:2], y[:2] = (x[:6] for x in recorded(rng))
+    assert (jb.detect(bank, u, y).status[:, 0] == jb.detect(observer, u, y).status[:, 0]).all()

@@ -66,23 +66,31 @@ class _Search:
 
     def exchange_free(self, free: np.ndarray, least: float) -> np.ndarray:
         """Exchange each unknown without bounds, where some row has at least this share of its column, for the
-        row that tells it best; return these rows (n, q), -1 for none.
+        row that tells it best, the best told one first; return these rows (n, q), -1 for none.
+
+        In any other order unknowns that rows do not tell apart would be told by what rounding leaves.
         """
-        q = free.shape[1]
+        at, q = np.arange(len(free)), free.shape[1]
         c = self.rows.shape[1] - q
         table, telling = self.rows[:, :c].copy(), np.full(free.shape, -1)
-        usable, largest = self.there[:, :c].copy(), np.abs(table).max(1, initial=0)
-        at = np.arange(len(free))
-        for s in np.flatnonzero(free.any(0)):
-            size = np.where(usable, np.abs(table[:, :, s]), 0)
-            j = size.argmax(1)
-            pivoted = free[:, s] & (size[at, j] > least * largest[:, s])
-            row = table[at, j] - np.eye(q)[s]
+        size = np.abs(table)
+        largest = size.max(1, initial=0)
+        share = np.where(free & (largest > 0), 1 / np.where(largest > 0, largest, 1), 0)
+        weight = self.there[:, :c, None] * share[:, None, :]
+        for _ in range(int(free.sum(1).max(initial=0))):
+            np.multiply(np.abs(table, out=size), weight, out=size)
+            j, s = np.divmod(size.reshape(len(free), -1).argmax(1), q)
+            pivoted = size[at, j, s] > least
+            if not pivoted.any():
+                break
+            row = table[at, j]
+            row[at, s] -= 1
             row *= np.where(pivoted, 1 / np.where(pivoted, table[at, j, s], 1), 0)[:, None]
-            table -= table[:, :, s, None] * row[:, None]
-            self.P -= self.P[:, :, s, None] * row[:, None]
-            self.S[pivoted, s] = telling[pivoted, s] = j[pivoted]
-            usable[at[pivoted], j[pivoted]] = False
+            table -= table[at, :, s][:, :, None] * row[:, None]
+            self.P -= self.P[at, :, s][:, :, None] * row[:, None]
+            own, row_of, slot = at[pivoted], j[pivoted], s[pivoted]
+            self.S[own, slot] = telling[own, slot] = row_of
+            weight[own, row_of] = weight[own, :, slot] = 0
         return telling
 
     def begun(self) -> np.ndarray:

@@ -42,3 +42,11 @@ def test_without_a_row_beside_those_that_tell_there_is_nothing_to_fit():
     B = np.ones((1, 2, 2)) + np.eye(2)
     fit = fitted(B, np.ones((1, 2)), np.ones((1, 2), bool), np.ones((1, 2), bool), 1e-9)
     assert fit.idle.all() and (fit.telling >= 0).all()
+
+
+def test_unknowns_that_rows_do_not_tell_apart_are_not_told_by_rounding(rng):
+    """Inputs in a gap, of which rows behind it see what is left of two modes: one goes fast."""
+    left = np.array([[0.9], [0.1]]) ** np.arange(20)[::-1]
+    F, all_rows = rng.normal(size=(50, 12, 2)) @ left, np.ones((50, 12), bool)
+    fit = fitted(F, rng.normal(size=(50, 12)), all_rows, np.ones((50, 20), bool), 1e-9)
+    assert not fit.idle.any() and ((fit.telling >= 0).sum(1) == 2).all()
