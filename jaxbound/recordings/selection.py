@@ -296,7 +296,7 @@ def _column_for(signal: str, names: Sequence[str], model: SignalModel) -> str | 
     try:
         if computed is not None:
             return computed.among(names)
-        used = (*columns_of_signals(model), *likely(names, TIMES))
+        used = (*columns_of_signals(model), *likely(names, TIMES)[:1])
         return find_column(stated, names, "the recording", used)
     except ValueError:
         if signal in names and signal != stated and (computed is not None or stated not in names):
