@@ -88,6 +88,8 @@ OF_SETS = {
 
 EXACT_OR_UNPROVED = {
     # values; their methods speak of what was proved already, or in exact rationals
+    "AlarmRule",
+    "Result",
     "Fault",
     "NamedFault",
     "LinearSystem",

@@ -388,4 +388,6 @@ def test_the_test_that_a_run_names_is_the_one_that_is_explained(tmp_path, capsys
     assert main.main(["explain", str(tmp_path / "r"), "--at", "191", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["test"] == last["test"] == "state"
     bank = jb.monitor(model)
-    assert refuted_again(bank, open_source(data, bank.model), 191).test == "jumps", "the case bites"
+    assert refuted_again(bank, open_source(data, bank.model), 191).certificate.test == "jumps", (
+        "the case bites"
+    )
