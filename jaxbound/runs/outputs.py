@@ -20,7 +20,7 @@ from typing import Any
 
 from jaxbound.files.locks import let_go, locked, refuse_link, unshared
 from jaxbound.files.whole import UNFINISHED, whole
-from jaxbound.recordings.parquetfiles import SUFFIXES, files_of
+from jaxbound.recordings.parquetfiles import SUFFIXES
 from jaxbound.runs.refusals import Refused
 
 __all__ = ["OutputFolder", "made", "output_folder", "refuse_among_inputs", "refuse_targets", "shared_folder"]
@@ -340,24 +340,10 @@ def _digest(path: Path, size: int) -> str | None:
 
 
 def refuse_among_inputs(folder: Path, inputs: Iterable[Place]) -> None:
-    """Raise Refused for a folder of outputs that is a folder of recordings which is read, or lies in one."""
+    """Raise Refused for a folder of outputs that is a folder which is read; a report in one is no data."""
     for read in map(Path, inputs):
-        if not read.is_dir() or not _is_within(read, folder) or not _holds_recordings(read):
-            continue
-        place = "lies in"
-        if _is_within(folder, read):
-            place = "is"
-        raise Refused(
-            f"{folder} {place} {read}, which is read: an input is never an output, choose another folder"
-        )
-
-
-def _holds_recordings(folder: Path) -> bool:
-    """Say whether a folder is read: another one is refused by who should read it."""
-    try:
-        return bool(files_of(folder))
-    except ValueError:
-        return False
+        if read.is_dir() and folder.exists() and folder.samefile(read):
+            raise Refused(f"{folder} is read: an input is never an output, choose another folder")
 
 
 def refuse_targets(targets: Mapping[str, Path | None], inputs: Iterable[Place], force: bool) -> None:
