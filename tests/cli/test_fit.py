@@ -172,7 +172,7 @@ def test_a_number_for_a_missing_sample_is_refused_by_its_time(place, capsys):
     lines = (place / "run.csv").read_text().splitlines()
     cells = lines[41].split(",")
     lines[41] = ",".join([*cells[:3], "-999", cells[4]])
-    (place / "run.csv").write_text("\n".join(lines))
+    (place / "run.csv").write_text("\n".join([*lines, ""]))
     assert main.main(FIT) == 2
     sentence = capsys.readouterr().err
     assert f"run.csv: {cells[0]}" in sentence or f"({float(cells[0]):g} s)" in sentence

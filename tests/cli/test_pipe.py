@@ -339,7 +339,7 @@ def test_what_is_missing_is_counted_as_in_a_file(samples, place, pipe):
     text = lines((t, u, y))
     batch(place, text)
     expected = [hint for hint in jb.read("run.csv", paper()).hints if "are missing" in hint]
-    assert "2 of 60 samples of u1 are missing: windows that need one are judged by what" in expected[0]
+    assert "2 of 60 samples of u1 are missing: windows that need one are judged as if" in expected[0]
     pipe(text[:30], state=place / "state")
     _, _, err = pipe(text[30:], state=place / "state")
     assert [line for line in err.splitlines() if "are missing" in line] == expected

@@ -139,7 +139,7 @@ def test_a_number_for_a_missing_sample_is_refused_by_its_time(plant, capsys):
     for k in (80, 200):
         cells = lines[k + 1].split(",")
         lines[k + 1] = ",".join([*cells[:2], "-999", cells[3]])
-    (plant / "a.csv").write_text("\n".join(lines))
+    (plant / "a.csv").write_text("\n".join([*lines, ""]))
     assert tune(plant, "--steps", "0") == 2
     sentence = capsys.readouterr().err
     assert "y1 is -999 in 2 of 600 samples" in sentence and '"y1 != -999"' in sentence
