@@ -225,7 +225,12 @@ def test_verdicts_do_not_depend_on_the_block_or_the_position_in_it(rng):
         np.testing.assert_array_equal(part.status[20:], whole.status[a + 20 : b + 20])
         part = jb.detect(r, u[a : b + 20], y[a : b + 20], margins="exact")
         np.testing.assert_array_equal(part.status[20:], whole.status[a + 20 : b + 20])
-        np.testing.assert_array_equal(part.margin[20:], whole.margin[a + 20 : b + 20])
+        found, expected = part.margin[20:], whole.margin[a + 20 : b + 20]
+        gone = np.isnan(y[a : b + 20]).any(1)
+        lacking = np.array([gone[k - 20 : k + 1].any() for k in range(20, len(gone))], bool)
+        np.testing.assert_array_equal(found[~lacking], expected[~lacking])
+        # sums in NumPy may round otherwise for another number of windows
+        np.testing.assert_allclose(found[lacking], expected[lacking], rtol=1e-9)
 
 
 def test_nothing_is_traced_again_for_another_recording_or_model(rng):

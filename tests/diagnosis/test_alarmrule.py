@@ -179,11 +179,13 @@ def test_a_monitor_of_observers_names_no_suspects():
 
 
 def test_the_cause_of_an_alarm_is_that_of_the_window_in_which_it_begins():
-    """Off by 1.2: a bias from the last sample on moves 2 y[k] alone, so one of (1.2 - .3) / 2, by hand."""
+    """Off by 1.2: a bias from the last sample on moves 2 y[k] alone, so one of (1.2 - .3) / 2, and one from
+    the first on both, so one of 1.2 + .3, by hand.
+    """
     named = jb.NamedFault("probe slips", output="T1")
     r = jb.parity_relations(one().model.replace(faults=[named]))
     (alarm,) = jb.detect(r, None, [[2.0], [0.4], [0.2]]).alarms(rule=AlarmRule(suspects=True))
-    assert alarm.cause == "probe slips: -0.45 of T1"
+    assert alarm.cause == "probe slips: -0.45 to -1.5 of T1"
     (plain,) = jb.detect(one(), None, [[2.0], [0.4], [0.2]]).alarms(rule=AlarmRule(suspects=True))
     assert plain.cause == ""
 
