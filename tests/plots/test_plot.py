@@ -172,7 +172,7 @@ def test_a_diagnosis_has_a_bar_for_each_fault_that_explains_and_words_for_the_ot
     assert [tick.get_text() for tick in axes.get_yticklabels()] == ["valve leaks", "y1 is off"]
     (bar,) = axes.patches
     assert bar.get_width() == pytest.approx(0.45)  # 0.9 of 2
-    assert [text.get_text().split(":")[0] for text in axes.texts] == ["+0.9 of u", "excluded"]
+    assert [text.get_text().split(":")[0] for text in axes.texts] == ["+0.9 to +1.1 of u", "excluded"]
 
 
 def test_a_notebook_that_never_heard_of_pyplot_shows_the_picture():
