@@ -9,7 +9,7 @@ from jaxbound.exact.frames import ExactFrame, reframe
 __all__ = ["KeptFrames", "Reframed"]
 
 KEPT = 128
-"""Frames that are kept: those used last."""
+"""Frames that are kept: those made last."""
 WORK = 2**14
 """Fractions that an elimination may change: some 5 us each, more in long windows. Beyond, none is made."""
 
