@@ -2,8 +2,7 @@
 `sets.strips.separation` over blocks of windows.
 
 Windows are gathered into blocks of one fixed size. Those that a first, short search leaves open are gathered
-again and searched on; those that lack a sample on which the search is built get an exact frame without it,
-shared by all windows that it fits.
+again and searched on; those that lack a sample on which the search is built are decided in NumPy (`holes`).
 """
 
 import copy

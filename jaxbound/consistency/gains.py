@@ -133,13 +133,14 @@ class GainsTest(ExchangeTest):
         reading = self.relations.reading(np.float64)
         nominal = dataclasses.replace(reading, tolerance=jnp.zeros_like(reading.tolerance))
         lacking = self._lacking(u, y, left)
-        at = left[lacking] + self.horizon
-        again(HolesTest(self.relations, self.dtype, nominal), at - self.horizon)
-        first = margin[at]
-        refuted = at[first <= 0]
-        again(HolesTest(self.relations, self.dtype), refuted - self.horizon)
-        margin[refuted] = np.where(margin[refuted] < 0, first[first <= 0], 0)
-        return np.concatenate([left[~lacking], refuted[margin[refuted] == 0] - self.horizon])
+        starts, others = left[lacking], left[~lacking]
+        again(HolesTest(self.relations, self.dtype, nominal), starts)
+        starts = starts[margin[starts + self.horizon] <= 0]
+        at = starts + self.horizon
+        sizes = margin[at]
+        again(HolesTest(self.relations, self.dtype), starts)
+        margin[at] = np.where(margin[at] < 0, sizes, 0)
+        return np.concatenate([others, starts[margin[at] == 0]])
 
     def _confirm(
         self,

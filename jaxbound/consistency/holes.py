@@ -30,7 +30,7 @@ from jax.typing import DTypeLike
 
 from jaxbound.consistency.interface import Arrays, LinearRelations, LinearTest, Outputs, Run
 from jaxbound.consistency.reading import Block, Reading
-from jaxbound.consistency.strips_on_host import HostRows
+from jaxbound.consistency.strips_on_host import HostRows, contradicts, row_errors
 from jaxbound.exact.frames import ExactFrame
 from jaxbound.exact.linalg import dot, row_reduce
 from jaxbound.models.sensor import input_slip
@@ -96,9 +96,9 @@ class _Given:
 
     Fields: R, K: of the frame; lo, hi (c + k, N): ends of the outer rows, then of the inner ones, NaN without
     a sample; known (l, N): inputs, 0 where missing; lost (l, N): which are missing and used by a row that is
-    there; off (c, N): how far rows may be off since inputs were rounded; size (c + k, N), known_size (l, N):
-    what rounding errors are relative to; gamma, floor (N,): of `rounding.search_error`; most: inputs that a
-    window has lost.
+    there; off (c, N): how far rows may be off since inputs were rounded; size (k, N), magnitude (c, N): what
+    rounding errors of inner rows, and of z, are relative to; gamma, floor (N,): of `rounding.search_error`;
+    most: inputs that a window has lost.
     """
 
     R: np.ndarray
@@ -109,7 +109,7 @@ class _Given:
     lost: np.ndarray
     off: np.ndarray
     size: np.ndarray
-    known_size: np.ndarray
+    magnitude: np.ndarray
     gamma: float
     floor: np.ndarray
     most: int
@@ -119,25 +119,23 @@ class _Given:
         """Return the rows of windows with inputs u (lags, m, N), as the frame of a reading orders them."""
         frame = reading.frame
         R, K = np.asarray(frame.R), np.asarray(frame.K)
-        (c, k), order = R.shape, np.concatenate([frame.outer, frame.inner])
+        c, order = len(R), np.concatenate([frame.outer, frame.inner])
         lo, hi = (x[order] for x in rows.ends())
         lo[:c][~np.asarray(frame.used)] = hi[:c][~np.asarray(frame.used)] = np.nan
         missing = np.isnan(rows.known)
         used = (K != 0).T.astype(float) @ ~(np.isnan(lo) & np.isnan(hi))[:c] > 0
-        gamma, floor = map(float, rounding.search_error(c, k, K.shape[1], np.float64))
         sizes, known_size = rows.sizes()
         size = sizes[order]
-        largest = 1 + max(np.abs(R).max(initial=0), np.abs(K).max(initial=0))
-        least = floor * largest * largest * (1 + size.sum(0) + known_size.sum(0))
+        gamma, floor, magnitude = row_errors(R, K, (size[:c], size[c:], known_size), np.float64)
         known, lost = np.where(missing, 0, rows.known), missing & used
         most = int(lost.sum(0).max(initial=0))
         slip = np.nan_to_num(input_slip(reading.inputs(u)).astype(float)).reshape(known.shape)
         off = (1 + gamma) * (np.abs(K) @ slip)
-        return cls(R, K, lo, hi, known, lost, off, size, known_size, gamma, least, most)
+        return cls(R, K, lo, hi, known, lost, off, size[c:], magnitude, gamma, floor, most)
 
-    def of_windows(self, part: np.ndarray) -> "_Given":
+    def of_windows(self, part: np.ndarray | slice) -> "_Given":
         """Return the rows of some windows."""
-        names = "lo", "hi", "known", "lost", "off", "size", "known_size", "floor"
+        names = "lo", "hi", "known", "lost", "off", "size", "magnitude", "floor"
         return replace(self, **{name: getattr(self, name)[..., part] for name in names})
 
     @cached_property
@@ -160,13 +158,6 @@ class _Given:
         """(c, N): what outer rows are beyond those that the middles of inner ones give."""
         c = len(self.R)
         return np.asarray(self.middle[:c] - self.R @ self.middle[c:] - self.K @ self.known)
-
-    @cached_property
-    def magnitude(self) -> np.ndarray:
-        """(c, N): what the rounding errors of z are relative to."""
-        c = len(self.R)
-        through = np.abs(self.R) @ self.size[c:] + np.abs(self.K) @ self.known_size
-        return np.asarray(self.size[:c] + through)
 
     @cached_property
     def slots(self) -> np.ndarray:
@@ -208,22 +199,32 @@ def _decided(given: _Given, frame: ExactFrame, dtype: np.dtype) -> np.ndarray:
     top = np.abs(h).max(0, initial=0)
     h /= np.where(top > 0, top, 1)
     inside = _explained(given, (fit.x * scale).T)
+    open_ = np.flatnonzero((fit.t > 1) & ~inside & ~fit.idle)
     outside = np.zeros_like(inside)
-    some = np.flatnonzero((fit.t > 1) & ~inside & ~fit.idle)
-    if len(some):
-        part = given.of_windows(some)
-        reach = _reach(part, fit.telling[some], free[some])
-        outside[some] = _contradicted(part, h[:, some], free[some], reach)
-        for w in some[~outside[some]]:
-            exact = _exactly(given, frame, h[:, w], fit.telling[w], free[w], w)
-            if exact is not None:
-                one = np.array([w])
-                outside[one] = _contradicted(
-                    given.of_windows(one), exact[:, None], free[one], np.zeros((1, 1))
-                )
+    if len(open_):
+        outside[open_] = _refuted(
+            given.of_windows(open_), frame, h[:, open_], fit.telling[open_], free[open_]
+        )
     margin = np.nan_to_num(1 - fit.t, nan=0.0)
     margin = np.where(outside, np.minimum(margin, -least), np.where(inside, np.maximum(margin, least), 0))
     return np.where(fit.idle, np.nan, margin).astype(dtype)
+
+
+def _refuted(
+    given: _Given, frame: ExactFrame, h: np.ndarray, telling: np.ndarray, free: np.ndarray
+) -> np.ndarray:
+    """Return (N,) bool: which windows combinations h (c, N) contradict, or those near them that are exact.
+
+    Args:
+        telling: (N, k + n), the outer row that tells each unknown. free: which are without bounds.
+    """
+    outside = _contradicted(given, h, free, _reach(given, telling, free))
+    for w in np.flatnonzero(~outside):
+        exact = _exactly(given, frame, h[:, w], telling[w], free[w], int(w))
+        if exact is not None:
+            one = slice(w, w + 1)
+            outside[one] = _contradicted(given.of_windows(one), exact[:, None], free[one], np.zeros((1, 1)))
+    return outside
 
 
 def _explained(given: _Given, x: np.ndarray) -> np.ndarray:
@@ -236,7 +237,7 @@ def _explained(given: _Given, x: np.ndarray) -> np.ndarray:
     known, inner = known[:-1], given.middle[c:] + x[:k]
     values = np.concatenate([given.R @ inner + given.K @ known, inner])
     sizes, unknown = np.abs(given.R) @ np.abs(inner) + np.abs(given.K) @ np.abs(known), np.abs(known).sum(0)
-    sizes = np.concatenate([given.magnitude + sizes, given.size[c:] + np.abs(inner)])
+    sizes = np.concatenate([given.magnitude + sizes, given.size + np.abs(inner)])
     error = given.gamma * sizes + given.floor * (1 + sizes.sum(0) + unknown)
     error[:c] += given.off
     within = (given.lo + error <= values) & (values <= given.hi - error)
@@ -251,9 +252,8 @@ def _contradicted(given: _Given, h: np.ndarray, free: np.ndarray, reach: np.ndar
     """
     c, k = given.R.shape
     weights = np.concatenate([h, np.where(given.there[c:], -(given.R.T @ h), 0)])
-    below, above = (np.where(weights == 0, 0, weights * x) for x in (given.lo, given.hi))
+    lo, hi = (np.where(weights == 0, 0, x) for x in (given.lo, given.hi))
     value = ((given.K.T @ h) * given.known).sum(0)
-    least, most = np.minimum(below, above).sum(0) - value, np.maximum(below, above).sum(0) - value
     off = 2 * given.gamma * given.magnitude + given.floor + given.off
     error = (np.abs(h) * off).sum(0) + given.floor
     F = np.where(free[:, None, :], given.columns, 0)
@@ -265,7 +265,7 @@ def _contradicted(given: _Given, h: np.ndarray, free: np.ndarray, reach: np.ndar
     error += np.where(through * reach > 0, through * reach, 0).sum(1)
     error *= 1 + 64 * (c + k) * UNIT
     # infinite where the reach of an unknown is not known
-    return np.asarray((least > error) | (most < -error))
+    return contradicts(weights, lo, hi, value, error)
 
 
 def _exactly(

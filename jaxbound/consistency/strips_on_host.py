@@ -32,7 +32,7 @@ from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.strips.separation import Frame
 
-__all__ = ["HostRows", "HostStrips", "contradicted_by", "host_strips"]
+__all__ = ["HostRows", "HostStrips", "contradicted_by", "contradicts", "host_strips", "row_errors"]
 
 BLOCK = 2**13
 """Windows at once: their rows stay in the cache."""
@@ -311,11 +311,8 @@ def contradicted_by(
     R, K, h = _doubles(frame.R), _doubles(frame.K), _doubles(h)
     outer, inner, N = np.asarray(frame.outer), np.asarray(frame.inner), h.shape[1]
     windows = HostRows(reading, u, y)
-    gamma, floor = map(float, rounding.search_error(len(R), len(R.T), len(K.T), y.dtype))
-    largest = 1 + max(np.abs(R).max(initial=0), np.abs(K).max(initial=0))
     sizes, known_sizes = map(_highest, windows.sizes())
-    floor *= largest * largest * (1 + sizes.sum() + known_sizes.sum())
-    size = sizes[outer] + np.abs(R) @ sizes[inner] + np.abs(K) @ known_sizes
+    gamma, floor, size = row_errors(R, K, (sizes[outer], sizes[inner], known_sizes), y.dtype)
     if np.count_nonzero(h) > h.size // FULL:
         error = _times((gamma * size + floor)[None], np.abs(h))[0] + floor
         return windows.contradicted(outer, inner, h, -_times(R.T, h), _times(K.T, h), error)
@@ -330,6 +327,32 @@ def contradicted_by(
     value = np.bincount(of, h * windows.reached(K[here], of), N)
     error = np.bincount(of, np.abs(h) * (gamma * size[here] + floor), N) + floor
     return _excludes_0(least - value, most - value, error)
+
+
+def row_errors(
+    R: np.ndarray, K: np.ndarray, sizes: tuple[np.ndarray, np.ndarray, np.ndarray], dtype: DTypeLike
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """Return (gamma, floor, M (c, ..)) of the outer rows of a frame, see `rounding.search_error`.
+
+    Args:
+        R, K: of the frame. sizes: of outer rows (c, ..), inner rows (k, ..) and inputs (l, ..), as
+            `HostRows.sizes` has them, of each window or the largest. dtype: in which rows are worked out.
+    """
+    outer, inner, known = sizes
+    gamma, floor = map(float, rounding.search_error(len(R), len(R.T), len(K.T), dtype))
+    largest = 1 + max(np.abs(R).max(initial=0), np.abs(K).max(initial=0))
+    all_sizes = outer.sum(0) + inner.sum(0) + known.sum(0)
+    return gamma, floor * largest * largest * (1 + all_sizes), outer + np.abs(R) @ inner + np.abs(K) @ known
+
+
+def contradicts(weights: np.ndarray, lo: np.ndarray, hi: np.ndarray, value: Ends, error: Ends) -> np.ndarray:
+    """Return (N,) bool: whether sums of weighted rows (rows, N) between lo and hi, less a value, are never 0,
+    even off by an error.
+    """
+    below, above = weights * lo, weights * hi
+    return _excludes_0(
+        np.minimum(below, above).sum(0) - value, np.maximum(below, above).sum(0) - value, error
+    )
 
 
 def _excludes_0(least: Ends, most: Ends, error: Ends) -> np.ndarray:
@@ -466,14 +489,9 @@ class HostRows:
         """Return (N,) bool: which windows are contradicted by combinations h of outer rows, back of inner
         ones, k of inputs; of one that lacks a sample nothing is said.
         """
-        lo, hi = self.ends()
-        least, most = np.zeros(h.shape[1]), np.zeros(h.shape[1])
-        for rows, weights in ((outer, h), (inner, back)):
-            below, above = weights * lo[rows], weights * hi[rows]
-            least += np.minimum(below, above).sum(0)
-            most += np.maximum(below, above).sum(0)
+        lo, hi = (x[np.concatenate([outer, inner])] for x in self.ends())
         value = np.einsum("bn,bn->n", k, self.known)
-        return _excludes_0(least - value, most - value, error)
+        return contradicts(np.concatenate([h, back]), lo, hi, value, error)
 
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the ends (rows, N) of all rows."""
