@@ -120,7 +120,8 @@ class _Given:
         frame = reading.frame
         R, K = np.asarray(frame.R), np.asarray(frame.K)
         c, order = len(R), np.concatenate([frame.outer, frame.inner])
-        lo, hi = (x[order] for x in rows.ends())
+        lo, hi = rows.ends()
+        lo, hi = lo[order], hi[order]
         lo[:c][~np.asarray(frame.used)] = hi[:c][~np.asarray(frame.used)] = np.nan
         missing = np.isnan(rows.known)
         used = (K != 0).T.astype(float) @ ~(np.isnan(lo) & np.isnan(hi))[:c] > 0

@@ -489,9 +489,9 @@ class HostRows:
         """Return (N,) bool: which windows are contradicted by combinations h of outer rows, back of inner
         ones, k of inputs; of one that lacks a sample nothing is said.
         """
-        lo, hi = (x[np.concatenate([outer, inner])] for x in self.ends())
+        (lo, hi), order = self.ends(), np.concatenate([outer, inner])
         value = np.einsum("bn,bn->n", k, self.known)
-        return contradicts(np.concatenate([h, back]), lo, hi, value, error)
+        return contradicts(np.concatenate([h, back]), lo[order], hi[order], value, error)
 
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the ends (rows, N) of all rows."""
