@@ -4,6 +4,7 @@
 - docs/pictures/verdicts.svg: what windows, means, lags and a monitor of two say of that jump
 - docs/pictures/sizes.svg: the smallest faults that tests see, as `python -m benchmarks.memory` measures them
 - docs/pictures/which.svg: which test for which fault
+- docs/pictures/check.svg: what is searched for a window, and what is proved
 
 What stands in FOLDER already is used. SVG files are light or dark, as the reader's system is.
 """
@@ -16,7 +17,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-__all__ = ["sizes", "verdicts", "which", "write"]
+__all__ = ["check", "sizes", "verdicts", "which", "write"]
 
 PICTURES = Path(__file__).parents[1] / "docs" / "pictures"
 SIGNALS = ["--inputs", "Q1=Heater 1,Q2=Heater 2", "--outputs", "T1=Temperature 1,T2=Temperature 2"]
@@ -95,6 +96,44 @@ def which():
             words(left + 14, y + 40, command, "code"),
         ]
     return drawing(716, top + step * len(TREE), "which test for which fault", parts)
+
+
+STEPS = (
+    ("image", "rows of a window", "z, R, r: samples", "and bounds, NumPy"),
+    ("search", "any device or solver", "plain floats,", "nothing is claimed"),
+    ("hint", "an array, no more", "multipliers h,", "or unknowns d"),
+    ("check", "one bound of rounding", "from the samples:", "NumPy, or fractions"),
+)
+"""(noun, what it is, two lines more) of each box."""
+PROOFS = (
+    ("FAULT", "FAULT: no d explains it", "|h z| &gt; sum |h_j| r_j + sum |h R|_i r_i + error"),
+    ("CONSISTENT", "CONSISTENT: this d does", "|z - R d| + error &lt;= r,  |d| + error &lt;= r"),
+    ("MISSING", "UNDECIDED: neither holds", "a worse hint, never a wrong verdict"),
+)
+"""(colour, what is proved, by which inequality) of each verdict."""
+
+
+def check():
+    """Return the drawing of search, hint and check."""
+    wide, gap, top = 172, 30, 24
+    parts = []
+    for i, (noun, what, *more) in enumerate(STEPS):
+        x = 16 + (wide + gap) * i
+        parts += [box(x, top, wide, 96, "card", 8), words(x + 12, top + 24, noun, "head")]
+        for j, text in enumerate((what, *more)):
+            parts.append(words(x + 12, top + 44 + 19 * j, text, "soft"))
+        if i:
+            parts.append(
+                f'<path class="line" d="M {x - gap + 5} {top + 48} H {x - 6} l -7 -4 m 7 4 l -7 4"/>'
+            )
+    for i, (kind, claim, inequality) in enumerate(PROOFS):
+        y = top + 126 + 34 * i
+        parts += [
+            box(16, y, 12, 12, kind),
+            words(36, y + 11, claim),
+            words(258, y + 11, inequality, "code"),
+        ]
+    return drawing(16 + (wide + gap) * len(STEPS), top + 126 + 34 * len(PROOFS), "search, hint, check", parts)
 
 
 def verdicts(reading, rows):
@@ -216,6 +255,7 @@ def write(folder):
     """Write all pictures; folder: where the commands run."""
     PICTURES.mkdir(exist_ok=True)
     (PICTURES / "which.svg").write_text(which())
+    (PICTURES / "check.svg").write_text(check())
     (PICTURES / "sizes.svg").write_text(sizes())
     (PICTURES / "verdicts.svg").write_text(verdicts(*recorded(folder)))
     (PICTURES / "report.png").write_bytes(page(folder / "report_plant" / "report.html"))
