@@ -129,7 +129,7 @@ class BankTest(LinearTest):
     @cached_property
     def _host(self) -> HostStrips:
         r = self.relations
-        return host_strips(r.reading(np.float64, "box"), r.W, r.K, self.dtype)
+        return host_strips(r.reading(np.float64, "box"), r.W, r.K)
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T) of the relation of each window that is tightest; see
