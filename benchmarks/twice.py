@@ -58,7 +58,7 @@ def once():
     """Return patches that leave the second decision out."""
     return (
         patch("jaxbound.consistency.drive.decided_twice", lambda test, judged, *_: judged),
-        patch("jaxbound.consistency.twice.Twice.decided", lambda self, margin, *_: np.asarray(margin)),
+        patch("jaxbound.consistency.drive._Gathering._proved", lambda self, part, block, judged: judged[:2]),
         patch(
             "jaxbound.estimation.second_look._doubtful",
             lambda watch, carry, piece, status: np.zeros(status.shape, bool),

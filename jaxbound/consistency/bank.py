@@ -9,6 +9,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from jaxbound.consistency import whole_numbers
+from jaxbound.consistency.folded import tested
 from jaxbound.consistency.interface import Arrays, Judged, LinearRelations, LinearTest, Outputs, Run
 from jaxbound.consistency.reading import Block, Reading, gather
 from jaxbound.consistency.strips import StripsTest
@@ -17,7 +18,8 @@ from jaxbound.consistency.unproved import stretch_block
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.status import Status
-from jaxbound.sets.strips.bank import PACKED, bank_of, bank_verdicts, unpacked, verdict_dtypes
+from jaxbound.sets.strips.bank import PACKED, bank_verdicts, unpacked, verdict_dtypes
+from jaxbound.sets.strips.strips import strips_of
 
 __all__ = ["HIGH", "BankTest", "bank_windows"]
 
@@ -56,7 +58,8 @@ class BankTest(LinearTest):
     def reading(self) -> Reading:
         """How the kernel reads a window, and the strips of the bank."""
         r = self.relations
-        return dataclasses.replace(r.reading(self.dtype, "box"), shape=bank_of(r.W, r.K, self.dtype))
+        every = strips_of(r.W, r.K, unrolled=MOST).astype(self.dtype)
+        return dataclasses.replace(r.reading(self.dtype, "box"), shape=every)
 
     @property
     def block(self) -> int:
@@ -66,7 +69,7 @@ class BankTest(LinearTest):
     @property
     def outputs(self) -> Outputs:
         """The packed arrays of `bank_verdicts`."""
-        first, *others = verdict_dtypes(self.reading.bank, self.dtype)
+        first, *others = verdict_dtypes(self.relations.count, self.dtype)
         return (first, np.nan), *((dtype, 0) for dtype in others)
 
     def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
@@ -129,7 +132,7 @@ class BankTest(LinearTest):
     @cached_property
     def _host(self) -> HostStrips:
         r = self.relations
-        return host_strips(r.reading(np.float64, "box"), r.W, r.K, self.dtype)
+        return host_strips(r.reading(np.float64, "box"), r.W, r.K)
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T) of the relation of each window that is tightest; see
@@ -141,8 +144,7 @@ class BankTest(LinearTest):
 @kernel
 def bank_windows(reading: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ...]:
     """Return the verdicts of every relation over a stretch and the margin of the tightest one, packed."""
-    mid, rad, scale, known, known_scale = reading.stretch(u, y)
-    return bank_verdicts(reading.bank, mid, rad, scale, known, known_scale, reading.lift)
+    return bank_verdicts(tested(reading, u, y), y[reading.horizon :, 0])
 
 
 def status_of_words(words: np.ndarray, count: int) -> np.ndarray:

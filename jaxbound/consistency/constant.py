@@ -103,7 +103,7 @@ class ConstantTest(LinearTest):
     def _host(self) -> HostStrips:
         r = self.relations
         reading = r.reading(np.float64, self.method)
-        return host_strips(reading, *r.strips(self.method), self.dtype, constant=True)
+        return host_strips(reading, *r.strips(self.method), constant=True)
 
     def margins(self, given: Recording) -> jax.Array:
         """Raise: the best gains are found by a search that has no derivative."""

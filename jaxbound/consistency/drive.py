@@ -11,7 +11,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, TypeVar, overload
 
@@ -33,7 +33,7 @@ from jaxbound.consistency.interface import (
 )
 from jaxbound.consistency.reading import Block, gather
 from jaxbound.consistency.searched import only_searched
-from jaxbound.consistency.twice import decided_twice
+from jaxbound.consistency.twice import decided_twice, warn_of
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import crossing
 from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
@@ -167,7 +167,7 @@ def _decided(
 ) -> Judged:
     """Return the verdicts (*shape) of samples that are laid end to end, each FAULT decided twice."""
     judged = test.judged(_filled(test, u, y, shape, starts, progress, size))
-    if test.twice or is_outside_xla():
+    if test.hinted or is_outside_xla():
         return judged
 
     def contradicted(ends: np.ndarray) -> np.ndarray:
@@ -219,7 +219,7 @@ def _contradicted(
     """Return which windows that start at these samples contradict their bounds, without XLA."""
     refuted = test.contradicted(u, y, starts)
     if not test.replayed:
-        return test.exactly(refuted, u, y, starts)
+        return refuted
     left = np.flatnonzero(~refuted)
     if len(left) >= AGAIN and test.block < AGAIN:  # each size is another program to write down
         size = max(size, AGAIN)
@@ -327,52 +327,62 @@ def _gathered(
     ends = np.delete(np.arange(length), endless)
     if 0 < length < len(y):
         ends = (ends + np.arange(0, len(y), length)[:, None]).ravel()
-    every = ends
+    every, filling = ends, _Filling(u, y, outs)
     if test.easy_first and test.easy is not None and not is_outside_xla():
-        ends = _past_easy(test, test.easy, u, y, length, outs, ends, size, partial(in_part, report, 0, EASY))
+        ends = _past_easy(test, test.easy, filling, length, ends, size, partial(in_part, report, 0, EASY))
         report = partial(in_part, report, EASY, 1 - EASY)
     total, done = max(len(ends), 1), 0
 
     def again(other: WindowTest, chosen: np.ndarray) -> np.ndarray:
-        return _Gathering(other, u, y, outs, other.block, reporter(None)).judge_all(chosen)
+        return _Gathering(other, filling, other.block, reporter(None)).judge_all(chosen)
 
     for case, starts in test.cases(u, y, ends - s):
         # Nine tenths of the progress of a case go to judging, the rest to settling.
         share = len(starts) / total
         judging = partial(in_part, report, done / total, 0.9 * share)
         own = size if case is test else case.block
-        left = _Gathering(case, u, y, outs, own, judging).judge_all(starts)
+        left = _Gathering(case, filling, own, judging).judge_all(starts)
         settling = partial(in_part, report, done / total + 0.9 * share, 0.1 * share)
         case.settle(u, y, outs, left, again, settling)
         done += len(starts)
     if not is_outside_xla():
-        _last_look(test, u, y, outs, every, size)
+        _last_look(test, filling, every, size)
+        _doubted(test, filling)
     return outs
 
 
-def _last_look(
-    test: WindowTest, u: np.ndarray, y: np.ndarray, outs: list[np.ndarray], ends: np.ndarray, size: int
-) -> None:
+def _last_look(test: WindowTest, filling: "_Filling", ends: np.ndarray, size: int) -> None:
     """Ask easy windows of what the search leaves open: verdicts do not depend on who is asked first, nor on
     the windows beside.
     """
-    margin = outs[0]
+    margin = filling.outs[0]
     if test.easy_first and test.easy is None:
         return
     left = ends[margin[ends] == 0]
     if not len(left) or test.easy is None:
         return
     own = min(size, test.easy.windows.block)
-    _Gathering(test.easy.windows, u, y, outs, own, reporter(None)).judge_all(left - test.horizon)
+    _Gathering(test.easy.windows, filling, own, reporter(None)).judge_all(left - test.horizon)
+
+
+def _doubted(test: WindowTest, filling: "_Filling") -> None:
+    """Ask whole numbers of windows that are FAULT by XLA alone, and that nothing after it decides."""
+    margin, ends = filling.outs[0], np.unique(np.concatenate([NOWHERE, *filling.doubtful]))
+    ends = ends[margin[ends] == 0]
+    if not len(ends):
+        return
+    exact = test.exactly(filling.u, filling.y, ends - test.horizon)
+    proved = exact < 0
+    margin[ends[proved]] = exact[proved]
+    if not proved.all():
+        warn_of(ends[~proved], len(ends))
 
 
 def _past_easy(
     test: WindowTest,
     easy: Easy,
-    u: np.ndarray,
-    y: np.ndarray,
+    filling: "_Filling",
     length: int,
-    outs: list[np.ndarray],
     ends: np.ndarray,
     size: int,
     report: Progress,
@@ -383,15 +393,16 @@ def _past_easy(
     if size == test.block:
         own = (stretches or windows).block
     if stretches is not None and length >= 2 * s:  # of shorter recordings most windows would lie across two
+        u, y = filling.u, filling.y
         found = _stretches(stretches, u, y, len(y), slice(0, s), own, partial(in_part, report, 0, 0.5))
-        for out, values in zip(outs, found, strict=True):
+        for out, values in zip(filling.outs, found, strict=True):
             out[ends] = values[ends]
         ends = ends[~(found[0][ends] > 0)]
     left, total = [NOWHERE], len(ends)
     for first in range(0, total, TOGETHER):
         part = ends[first : first + TOGETHER]
         done = partial(in_part, report, 0.5 + 0.5 * first / total, 0.5 * len(part) / total)
-        gathering = _Gathering(windows, u, y, outs, min(own, windows.block), done)
+        gathering = _Gathering(windows, filling, min(own, windows.block), done)
         some = gathering.judge_all(part[:ASKED] - s) + s
         left.append(some)
         rest = part[ASKED:]
@@ -402,17 +413,26 @@ def _past_easy(
 
 
 @dataclass(frozen=True)
-class _Gathering:
-    """The work on windows that are gathered, group by group of blocks.
-
-    Fields: test; u, y: all samples; outs: the arrays that are filled; size: of a block; report: takes the
-    share of the windows done.
+class _Filling:
+    """The windows of a recording. Fields: u, y: all samples; outs: the arrays that are filled; doubtful: ends
+    of those whose FAULT no hint proves.
     """
 
-    test: WindowTest
     u: np.ndarray
     y: np.ndarray
     outs: list[np.ndarray]
+    doubtful: list[np.ndarray] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class _Gathering:
+    """The work on windows that are gathered, group by group of blocks.
+
+    Fields: test; filling: the windows; size: of a block; report: takes the share of the windows done.
+    """
+
+    test: WindowTest
+    filling: _Filling
     size: int
     report: Progress
 
@@ -479,14 +499,32 @@ class _Gathering:
         for part in parts:
             if test.padded:  # the last window again and again
                 part = part.take(np.arange(size), mode="clip")
-            blocks.append(gather(self.u, self.y, part, test.lags, test.horizon))
-        return list(zip(parts, test.judge(run, blocks), strict=True))
+            blocks.append(gather(self.filling.u, self.filling.y, part, test.lags, test.horizon))
+        judged = test.judge(run, blocks)
+        if test.hinted and not is_outside_xla():
+            judged = [self._proved(*all_of) for all_of in zip(parts, blocks, judged, strict=True)]
+        return list(zip(parts, judged, strict=True))
+
+    def _proved(self, part: np.ndarray, block: Block, judged: Arrays) -> Arrays:
+        """Return (margin, open) of a block, with each FAULT left open that its hints do not prove."""
+        margin, open_, *hints = judged
+        margin, open_ = np.asarray(margin)[: len(part)], np.asarray(open_)[: len(part)]
+        faulty = np.flatnonzero(margin < 0)
+        if not len(faulty):
+            return margin, open_
+        proved = self.test.refuted(*(np.asarray(x)[..., faulty] for x in (*block, *hints)))
+        wrong = faulty[~proved]
+        if len(wrong):
+            margin, open_ = margin.copy(), open_.copy()
+            margin[wrong], open_[wrong] = 0, True
+            self.filling.doubtful.append(part[wrong] + self.test.horizon)
+        return margin, open_
 
     def _write(self, chosen: np.ndarray, arrays: Arrays) -> np.ndarray:
         """Write the values of the windows that start at `chosen`; return the starts left open."""
         values = [np.asarray(x)[..., : len(chosen)] for x in arrays]
-        count = len(self.outs)
-        self.test.write(self.outs, chosen + self.test.horizon, values[:count])
+        count = len(self.filling.outs)
+        self.test.write(self.filling.outs, chosen + self.test.horizon, values[:count])
         if len(values) == count:
             return chosen[:0]
         left: np.ndarray = chosen[values[-1]]

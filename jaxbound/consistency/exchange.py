@@ -7,7 +7,7 @@ again and searched on; those that lack a sample on which the search is built are
 
 import copy
 from collections.abc import Callable, Sequence
-from functools import cached_property, partial
+from functools import cached_property
 from typing import NamedTuple, Self
 
 import jax
@@ -34,7 +34,6 @@ from jaxbound.consistency.kept_frames import KeptFrames
 from jaxbound.consistency.projection import easy_by
 from jaxbound.consistency.reading import Block, Reading, RowValues, gather
 from jaxbound.consistency.strips_on_host import contradicted_by
-from jaxbound.consistency.twice import Twice
 from jaxbound.consistency.unproved import unproved_margins
 from jaxbound.exact.frames import ExactFrame
 from jaxbound.recordings.recording import Recording
@@ -48,7 +47,6 @@ __all__ = [
     "Settings",
     "candidates",
     "exchange_margins",
-    "imaged",
     "verdicts",
 ]
 
@@ -85,7 +83,7 @@ class ExchangeTest(LinearTest):
             from call to call; None: none yet.
     """
 
-    threads = twice = True
+    threads = hinted = True
     short = 16  # the work grows with the block
 
     def __init__(
@@ -174,37 +172,20 @@ class ExchangeTest(LinearTest):
         return lacking
 
     def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
-        """Return (margin, open): proofs, in a second kernel, of the hints of a first one; between them are
+        """Return (margin, open, h): proofs, in a second kernel, of the hints of a first one; between them are
         real arrays, as proofs need.
         """
         ones = [np.ones(y.shape[-1], self.dtype) for _, y in blocks]
         searched = run(candidates, [(one, *block) for one, block in zip(ones, blocks, strict=True)])
         proved = run(verdicts, [(one, *hints) for one, hints in zip(ones, searched, strict=True)])
         judged = []
-        for block, hints, (margin, settled) in zip(blocks, searched, proved, strict=True):
-            again = partial(self._by_hints, block, hints)
-            decided = self._twice.decided(margin, again, partial(self._contradicted, block, hints))
-            judged.append((decided, ~np.asarray(settled)))
+        for (h, *_), (margin, settled) in zip(searched, proved, strict=True):
+            judged.append((margin, ~np.asarray(settled), h))
         return judged
 
-    @cached_property
-    def _twice(self) -> Twice:
-        return Twice(self.block)
-
-    def _by_hints(self, block: Block, hints: Arrays, at: np.ndarray) -> np.ndarray:
-        """Return the margins of some windows of a block, in NumPy from their samples, by the hints of a
-        search.
-        """
-        one = np.ones(len(at), self.dtype)
-        u, y = (x[..., at] for x in block)
-        h, d, done = (np.asarray(x)[..., at] for x in hints[:3])
-        margin: np.ndarray = verdicts(self.constants, one, h, d, done, *imaged(self.constants, one, u, y))[0]
-        return margin
-
-    def _contradicted(self, block: Block, hints: Arrays, at: np.ndarray) -> np.ndarray:
-        """Return which windows of a block the combinations of a search contradict; see `contradicted_by`."""
-        u, y = (x[..., at] for x in block)
-        return contradicted_by(self.reading, self.reading.frame, u, y, np.asarray(hints[0])[:, at])
+    def refuted(self, u: np.ndarray, y: np.ndarray, *hints: np.ndarray) -> np.ndarray:
+        """Return which windows the combinations of a search contradict; see `contradicted_by`."""
+        return contradicted_by(self.reading, self.reading.frame, u, y, hints[0])
 
     def write(self, outs: Sequence[np.ndarray], at: np.ndarray, values: Sequence[np.ndarray]) -> None:
         """Write margins; a proof stays one."""
@@ -246,12 +227,20 @@ class ExchangeTest(LinearTest):
         if not len(starts):
             return
         windows = self._gather(u, y, starts)
-        lacking = self._lacking(u, y, starts) & whole_numbers.finite(*windows)
-        starts = starts[whole_numbers.thin(self.reading, *windows) | lacking]
-        for frame, chosen in self._frames(u, y, starts):
-            windows = gather(u, y, starts[chosen], self.lags, self.horizon)
-            proved = whole_numbers.exact_search(self.relations, self.reading, frame, *windows)
-            margin[starts[chosen] + self.horizon] = proved
+        starts = starts[whole_numbers.thin(self.reading, *windows) | self._lacking(u, y, starts)]
+        margin[starts + self.horizon] = self.exactly(u, y, starts)
+
+    def exactly(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """Return (N,) margins in whole numbers, 0 where these do not tell either."""
+        margin = np.zeros(len(starts), self.dtype)
+        finite = np.zeros(0, int)
+        if len(starts):
+            finite = np.flatnonzero(whole_numbers.finite(*self._gather(u, y, starts)))
+        for frame, chosen in self._frames(u, y, starts[finite]):
+            at = finite[chosen]
+            windows = gather(u, y, starts[at], self.lags, self.horizon)
+            margin[at] = whole_numbers.exact_search(self.relations, self.reading, frame, *windows)
+        return margin
 
     def _gather(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Block:
         u, y = gather(u, y, starts, self.lags, self.horizon)
@@ -354,9 +343,6 @@ def _imaged(given: Settings, one: jax.Array, u: jax.Array, y: jax.Array) -> sepa
     test = given.reading
     mid, rad, scale, known, known_scale = (x / one[None] for x in test.block(u, y))
     return separation.separation_image(test.frame, mid, rad, scale, known, known_scale, test.lift, one)
-
-
-imaged = kernel(_imaged)
 
 
 @kernel

@@ -24,7 +24,7 @@ from jaxbound.models.rows import Kind, Row
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.strips.strips import Strips
 
-__all__ = ["folded_margin", "folded_verdict", "folds", "known_columns"]
+__all__ = ["folded_margin", "folded_verdict", "folds", "known_columns", "tested"]
 
 ROOM = 4
 """Magnitudes are summed so many times as large: where they are finite, nothing else of their strip
@@ -81,12 +81,8 @@ def folded_verdict(reading: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
     strip whose magnitudes overflow has an infinite error bound: its ratio is 1 or NaN, and the window is not
     inside.
     """
-    strips = reading.strips
-    gamma, least = rounding.folded_error(strips.h.shape[1] + strips.k.shape[1], y.dtype)
-    floor = least * (1 + jnp.max(jnp.abs(strips.h)) * jnp.max(_factors(reading)))
     gauge, largest = jnp.full((), -1, y.dtype), jnp.zeros((), y.dtype)
-    for residual, width, size in _strips(reading, u, y):
-        error = gamma / ROOM * (size + ROOM * width) + floor
+    for residual, width, error in tested(reading, u, y):
         value = jnp.abs(residual)
         # beyond its error bound a computed ratio is on the right side of 1
         ratio = jnp.where(jnp.abs(value - width) <= error, 1, value / width)
@@ -95,6 +91,17 @@ def folded_verdict(reading: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
         largest = jnp.where(error > largest, error, largest)
     margin = jnp.where((gauge < 1) & (largest == jnp.inf), 0, 1 - gauge)
     return _each(jnp.where(largest > 0, margin, jnp.nan), reading, y)
+
+
+def tested(reading: Reading, u: jax.Array, y: jax.Array) -> Iterator[tuple[jax.Array, jax.Array, jax.Array]]:
+    """Yield (residual, width, error bound of their comparison) of each strip, as `rounding.folded_error` has
+    it; NaN where a datum is missing.
+    """
+    strips = reading.strips
+    gamma, least = rounding.folded_error(strips.h.shape[1] + strips.k.shape[1], y.dtype)
+    floor = least * (1 + jnp.max(jnp.abs(strips.h)) * jnp.max(_factors(reading)))
+    for residual, width, size in _strips(reading, u, y):
+        yield residual, width, gamma / ROOM * (size + ROOM * width) + floor
 
 
 def _each(margin: jax.Array, reading: Reading, y: jax.Array) -> jax.Array:
@@ -108,12 +115,13 @@ def _factors(reading: Reading) -> jax.Array:
 
 
 def _strips(reading: Reading, u: jax.Array, y: jax.Array) -> Iterator[_Strip]:
-    """Yield the strips of all circuits that the windows of a stretch look at."""
+    """Yield the strips of all circuits, NaN where one needs what windows do not look at."""
     strips, top = reading.strips, np.finfo(y.dtype).max
     rows, inputs = _rows(reading, u, y), _inputs(reading, u, y)
     assert strips.supports is not None and strips.inputs is not None
     for c, support in enumerate(strips.supports):
         if not all(reading.window.all[i].seen for i in support):
+            yield _Strip(*[jnp.full((), jnp.nan, y.dtype)] * 3)
             continue
         coefficients: dict[int, jax.Array] = {}
         for place, i in enumerate(support):  # a circuit that was filled up has a row more than once

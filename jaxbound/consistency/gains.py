@@ -10,7 +10,7 @@ FAULT; what is left is cut in two. A behaviour is one of given gains, a cut is t
 
 import dataclasses
 from collections.abc import Sequence
-from functools import cached_property, partial
+from functools import cached_property
 
 import jax
 import jax.numpy as jnp
@@ -70,40 +70,41 @@ class GainsTest(ExchangeTest):
         return WindowTest.cases(self, u, y, starts)
 
     def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
-        """Return (margin, open): of each window by one box of gains."""
-        bounds = gain_bounds(self.reading, np)
-        boxes = []
-        for u, y in blocks:
-            count = y.shape[-1]
-            lo, hi = (np.repeat(np.asarray(x)[:, None], count, 1) for x in (bounds.lo, bounds.hi))
-            boxes.append((np.ones(count, self.dtype), u, y, lo, hi))
+        """Return (margin, open, *hints): of each window by one box of gains."""
+        boxes = [self._boxed(*block) for block in blocks]
         searched = run(candidates, boxes)
         to_conclude = []
         for (one, _, _, lo, hi), found in zip(boxes, searched, strict=True):
             to_conclude.append((one, lo, hi, *found))
         judged = []
         conclusions = run(concluded, to_conclude)
-        for box, found, (margin, settled, _) in zip(boxes, searched, conclusions, strict=True):
-            judged.append(self._decided(box, found, np.asarray(margin), np.asarray(settled)))
+        for found, (margin, settled, _) in zip(searched, conclusions, strict=True):
+            judged.append((margin, ~np.asarray(settled), settled, *found[4:7]))
         return judged
 
-    def _decided(
-        self, box: Arrays, found: Arrays, margin: np.ndarray, settled: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return (margin, open) of a block; the margin of a window that is left open has no sign yet."""
-        proved = self._twice.decided(np.where(settled, margin, 0), partial(self._again, box, found))
-        return np.where(settled, proved, margin), ~settled
-
-    def _again(self, box: Arrays, found: Arrays, at: np.ndarray) -> np.ndarray:
-        """Return the margins of some windows of a block, in NumPy from their samples, by the hints of a
-        search; 0: open.
+    def refuted(self, u: np.ndarray, y: np.ndarray, *hints: np.ndarray) -> np.ndarray:
+        """Return which windows no gains explain, by the hints of a search; and those that are left open,
+        whose margins have no sign yet.
         """
-        one, u, y, lo, hi = (x[..., at] for x in box)
-        hints = (np.asarray(x)[..., at] for x in found[4:7])
-        gains, mid, rad, known, image = prepared(self.constants, one, u, y, lo, hi)
-        rows = gains, mid, rad, known
-        margin, settled, _ = concluded(self.constants, one, lo, hi, *rows, *hints, *image)
-        return np.where(settled, margin, 0)
+        settled, *found = hints
+        some = np.flatnonzero(settled)
+        if not len(some):
+            return ~settled
+        at = np.resize(some, max(self.block, len(some)))  # one size, so that the program is written down once
+        with outside_xla():
+            one, *box = self._boxed(u[..., at], y[..., at])
+            *rows, image = prepared(self.constants, one, *box)
+            of = (x[..., at] for x in found)
+            margin, proved, _ = concluded(self.constants, one, *box[2:], *rows, *of, *image)
+        refuted = ~settled
+        refuted[some] = (np.asarray(proved) & (np.asarray(margin) < 0))[: len(some)]
+        return refuted
+
+    def _boxed(self, u: np.ndarray, y: np.ndarray) -> Arrays:
+        """Return (ones, u, y, lo, hi): windows, each with the whole box of gains."""
+        bounds, count = gain_bounds(self.reading, np), y.shape[-1]
+        lo, hi = (np.repeat(np.asarray(x)[:, None], count, 1) for x in (bounds.lo, bounds.hi))
+        return np.ones(count, self.dtype), u, y, lo, hi
 
     def settle(
         self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress

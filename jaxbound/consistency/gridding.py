@@ -126,7 +126,7 @@ class PavingTest(BoxTest, LinearTest):
         r = self.relations
         method = "joint" if r.frame is None else "box"
         reading, constant = r.reading(np.float64, method), r.model.constant_tolerance
-        host = host_strips(reading, *r.strips(method), self.dtype, constant)
+        host = host_strips(reading, *r.strips(method), constant)
         return np.asarray(host.contradicted(u, y, starts).any(0))
 
     def _judged(self, U: np.ndarray, Y: np.ndarray) -> np.ndarray:

@@ -60,7 +60,6 @@ class HolesTest(LinearTest):
     """
 
     sharded = padded = False
-    twice = True
     block = 64
 
     def __init__(self, relations: LinearRelations, dtype: DTypeLike, reading: Reading | None = None) -> None:
@@ -253,7 +252,6 @@ def _contradicted(given: _Given, h: np.ndarray, free: np.ndarray, reach: np.ndar
     """
     c, k = given.R.shape
     weights = np.concatenate([h, np.where(given.there[c:], -(given.R.T @ h), 0)])
-    lo, hi = (np.where(weights == 0, 0, x) for x in (given.lo, given.hi))
     value = ((given.K.T @ h) * given.known).sum(0)
     off = 2 * given.gamma * given.magnitude + given.floor + given.off
     error = (np.abs(h) * off).sum(0) + given.floor
@@ -266,7 +264,7 @@ def _contradicted(given: _Given, h: np.ndarray, free: np.ndarray, reach: np.ndar
     error += np.where(through * reach > 0, through * reach, 0).sum(1)
     error *= 1 + 64 * (c + k) * UNIT
     # infinite where the reach of an unknown is not known
-    return contradicts(weights, lo, hi, value, error)
+    return contradicts(weights, given.lo, given.hi, value, error)
 
 
 def _exactly(

@@ -399,11 +399,10 @@ class WindowTest:
     """Whether `judge` runs its kernels by `run`; else it is called on one device after the other."""
     threads: ClassVar[bool] = False
     """Whether several blocks are judged at once: where the host waits between two kernels."""
-    twice: ClassVar[bool] = False
-    """Whether `judge` and `settle` decide each FAULT a second time themselves."""
+    hinted: ClassVar[bool] = False
+    """Whether `judge` hands over hints, by which `refuted` proves each FAULT."""
     replayed: ClassVar[bool] = True
-    """Whether kernels are evaluated in NumPy for a FAULT that `contradicted` does not see; else `exactly` is
-    asked."""
+    """Whether kernels are evaluated in NumPy for a FAULT that `contradicted` does not see."""
 
     short: int = 64
     """How many windows are judged at once where there are few."""
@@ -477,7 +476,7 @@ class WindowTest:
 
         Returns:
             For each block the arrays of `outputs`, the windows on their last axis. One more array of bool
-            may say which windows are left open.
+            may say which windows are left open; of a test that is `hinted` those of hints follow.
         """
         raise NotImplementedError
 
@@ -504,13 +503,21 @@ class WindowTest:
         (T, p) and without XLA.
 
         A FAULT that is not seen here is decided again by `judge` and `settle`, with kernels evaluated in
-        NumPy; by `exactly` where `replayed` is False. See `twice`.
+        NumPy, where `replayed` says so. See `twice`.
         """
         return np.zeros(len(starts), bool)
 
-    def exactly(self, seen: np.ndarray, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
-        """Return `seen`, the result of `contradicted`, with the windows that it left open decided exactly."""
-        return seen
+    def refuted(self, u: np.ndarray, y: np.ndarray, *hints: np.ndarray) -> np.ndarray:
+        """Return (N,) bool: which windows u (lags, m, N), y (s + 1, p, N), called FAULT, the hints of `judge`
+        refute in NumPy, whatever they are.
+        """
+        raise NotImplementedError(f"{type(self).__name__} hands over no hints")
+
+    def exactly(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """Return (N,) margins in whole numbers, < 0 where FAULT is proved: of windows that `refuted` left
+        open, and all that came after it.
+        """
+        return np.zeros(len(starts), self.dtype)
 
     def withdrawn(
         self, judged: Judged, at: np.ndarray, contradicted: np.ndarray, u: np.ndarray, y: np.ndarray

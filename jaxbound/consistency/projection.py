@@ -7,7 +7,7 @@ the whole window: what it proves CONSISTENT is.
 """
 
 from collections.abc import Callable, Sequence
-from functools import cached_property, lru_cache, partial
+from functools import lru_cache, partial
 from operator import mul
 from typing import NamedTuple, TypeAlias
 
@@ -19,7 +19,6 @@ from jax.typing import DTypeLike
 from jaxbound.consistency.interface import Array, Arrays, Easy, LinearRelations, LinearTest, Outputs, Run
 from jaxbound.consistency.reading import AVERAGING, Block, Reading
 from jaxbound.consistency.strips_on_host import contradicted_by
-from jaxbound.consistency.twice import Twice
 from jaxbound.exact import linalg
 from jaxbound.models import sensor, window
 from jaxbound.models.rows import Kind, Row, WeightedSum
@@ -81,8 +80,6 @@ class _Easy(LinearTest):
         relations, dtype: as of `ExchangeTest`. given: from `projection`. reading: how windows are read.
     """
 
-    twice = True
-
     def __init__(
         self, relations: LinearRelations, dtype: DTypeLike, given: Projection, reading: Reading
     ) -> None:
@@ -114,7 +111,7 @@ class EasyStretches(_Easy):
 class EasyWindows(_Easy):
     """Decides windows by a few steps of a clipped search; both verdicts are proofs."""
 
-    threads = True
+    threads = hinted = True
     block = BLOCK // 4
 
     @property
@@ -123,30 +120,15 @@ class EasyWindows(_Easy):
         return _of_windows
 
     def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
-        """Return (margin, open) of windows."""
-        judged = []
-        for block, (margin, h) in zip(blocks, run(self.steps, blocks), strict=True):
-            again = partial(self._again, block)
-            decided = self._twice.decided(margin, again, partial(self._contradicted, block, h))
-            judged.append((decided, decided == 0))
-        return judged
+        """Return (margin, open, h) of windows."""
+        return [(margin, np.asarray(margin) == 0, h) for margin, h in run(self.steps, blocks)]
 
-    @cached_property
-    def _twice(self) -> Twice:
-        return Twice(self.block)
-
-    def _again(self, block: Block, at: np.ndarray) -> np.ndarray:
-        """Return the margins of some windows of a block, in NumPy."""
-        u, y = block
-        return np.asarray(self.steps(self.constants, u[..., at], y[..., at])[0])
-
-    def _contradicted(self, block: Block, h: Array, at: np.ndarray) -> np.ndarray:
-        """Return which windows of a block the combinations of the search contradict: `contradicted_by`."""
-        u, y = block
-        frame = self.reading.frame
-        whole = np.zeros((len(frame.outer), len(at)), self.dtype)
-        whole[np.isin(frame.outer, self.projection.outer)] = np.asarray(h)[:, at]
-        return contradicted_by(self.reading, frame, u[..., at], y[..., at], whole)
+    def refuted(self, u: np.ndarray, y: np.ndarray, *hints: np.ndarray) -> np.ndarray:
+        """Return which windows the combinations of the search contradict: `contradicted_by`."""
+        frame, (h,) = self.reading.frame, hints
+        whole = np.zeros((len(frame.outer), y.shape[2]), self.dtype)
+        whole[np.isin(frame.outer, self.projection.outer)] = h
+        return contradicted_by(self.reading, frame, u, y, whole)
 
 
 @kernel(wide=True)

@@ -15,7 +15,6 @@ import numpy as np
 from jaxbound.models import sensor
 from jaxbound.models.rows import WindowRows
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.strips.bank import Bank
 from jaxbound.sets.strips.separation import Frame
 from jaxbound.sets.strips.strips import Strips
 
@@ -50,14 +49,14 @@ class RowValues(NamedTuple, Generic[Values]):
 class Reading:
     """Everything a kernel needs of a relation: arrays are traced, so models of one shape share a compilation.
 
-    Fields: shape, the Strips of a few circuits, the Frame of an exchange search or a Bank; tolerance, noise,
+    Fields: shape, the Strips of circuits or relations or the Frame of an exchange search; tolerance, noise,
     resolution, offset_y (p,); disturbance (g, 2); offset_u (m,); window: its rows; lags, the samples of u in
     a window; average (a,): bounds of the sums of the window.
     times: numbers of the outputs whose noise is times a factor of each sample: the columns of u behind its m
     inputs are these factors. acting: of the lags, those at which inputs act; None: all.
     """
 
-    shape: Strips | Frame | Bank
+    shape: Strips | Frame
     tolerance: jax.Array
     noise: jax.Array
     resolution: jax.Array
@@ -120,12 +119,6 @@ class Reading:
     def frame(self) -> Frame:
         """The frame, of a reading for an exchange search."""
         assert isinstance(self.shape, Frame)
-        return self.shape
-
-    @property
-    def bank(self) -> Bank:
-        """The bank, of a reading that has one."""
-        assert isinstance(self.shape, Bank)
         return self.shape
 
     def seen(self, y: Samples) -> Samples:

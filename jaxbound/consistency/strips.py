@@ -49,11 +49,10 @@ class StripsTest(LinearTest):
         whole_numbers.settle(self.relations, self.reading, self.method, u, y, status, margin, progress)
 
     def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
-        """Return (N,) bool: which windows one strip contradicts, in NumPy; see `WindowTest.contradicted`."""
-        return np.asarray(self._host.contradicted(u, y, starts).any(0))
-
-    def exactly(self, seen: np.ndarray, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
-        """Return the same, in whole numbers where NumPy sees nothing."""
+        """Return (N,) bool: which windows one strip contradicts, in NumPy, else in whole numbers; see
+        `WindowTest.contradicted`.
+        """
+        seen = np.asarray(self._host.contradicted(u, y, starts).any(0))
         left = np.flatnonzero(~seen)
         for first in range(0, len(left), whole_numbers.BLOCK):
             part = left[first : first + whole_numbers.BLOCK]
@@ -69,7 +68,7 @@ class StripsTest(LinearTest):
     @cached_property
     def _host(self) -> HostStrips:
         h, k = self._exact
-        return host_strips(self.relations.reading(np.float64, self.method), h, k, self.dtype)
+        return host_strips(self.relations.reading(np.float64, self.method), h, k)
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""

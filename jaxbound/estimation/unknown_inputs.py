@@ -16,13 +16,13 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
 from math import comb
-from typing import cast
 
 import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.consistency.drive import raw_outputs
+from jaxbound.consistency.folded import tested
 from jaxbound.consistency.interface import Arrays, Block, LinearRelations, LinearTest, Run
 from jaxbound.consistency.reading import Reading
 from jaxbound.consistency.unproved import stretch_block
@@ -40,7 +40,8 @@ from jaxbound.relations.parity import SUBSETS, stated_relations
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.intervals.interval import Interval
-from jaxbound.sets.strips.bank import Bank, bank_of, bank_range
+from jaxbound.sets.strips.bank import bank_range
+from jaxbound.sets.strips.strips import strips_of
 from jaxbound.text.objects import readable
 from jaxbound.text.progress import Progress, in_part, reporter
 
@@ -215,7 +216,8 @@ class _RangeTest(LinearTest):
 
     def __init__(self, relations: LinearRelations, ways: Matrix, known: Matrix, dtype: np.dtype) -> None:
         super().__init__(relations, "box", dtype)
-        self.reading = dataclasses.replace(relations.reading(dtype, "box"), shape=bank_of(ways, known, dtype))
+        shape = strips_of(ways, known, unrolled=KEPT).astype(dtype)
+        self.reading = dataclasses.replace(relations.reading(dtype, "box"), shape=shape)
 
     @property
     def block(self) -> int:
@@ -235,6 +237,4 @@ class _RangeTest(LinearTest):
 @kernel
 def _ranges(reading: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return (lo, hi) (N,) of what the strips say together."""
-    mid, rad, scale, known, known_scale = reading.stretch(u, y)
-    ways = cast(Bank, reading.shape)  # put there by the test, in place of what relations have
-    return bank_range(ways, mid, rad, scale, known, known_scale, reading.lift)
+    return bank_range(tested(reading, u, y), y[reading.horizon :, 0])

@@ -35,13 +35,15 @@ def test_strips_say_what_the_program_says(name, dtype, rng):
     model, horizon = SHORT[name]
     r, oracle, u, y = prepared(model, horizon, 120, rng, dtype)
     assert r.frame is None
-    host = host_strips(r.reading(np.float64), r.circuits, r.circuits_known, dtype)
+    host = host_strips(r.reading(np.float64), r.circuits, r.circuits_known)
     starts = np.arange(120) * (horizon + 1)
     ends = (u.reshape(-1, u.shape[2]), y.reshape(-1, y.shape[2]))
     found = host.contradicted(*ends, starts)
     agrees(found.any(0), oracle.slack(u, y), dtype)
     np.testing.assert_array_equal(host.contradicted(*ends, np.arange(starts[-1] + 1))[:, starts], found)
-    np.testing.assert_array_equal(host.contradicted(*ends, starts[::9]), found[:, ::9])
+    few = host.contradicted(*ends, starts[::9])  # of windows alone, whose largest samples are no larger
+    assert (few >= found[:, ::9]).all()
+    agrees(few.any(0), oracle.slack(u, y)[::9], dtype)
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
@@ -50,20 +52,11 @@ def test_combinations_say_what_the_program_says_whatever_they_are(dtype, rng):
     r, oracle, u, y = prepared(MODELS["paper"], 20, 90, rng, dtype)
     slack = oracle.slack(u, y)
     test = r.test("joint", np.dtype(dtype))
-    found = {}
-    twice = type(test._twice).decided
     samples = np.moveaxis(u, 0, -1)[: test.lags], np.moveaxis(y, 0, -1)
     block = [x[..., np.arange(1024) % 90] for x in samples]  # as many as `detect` has: compiled once
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            type(test._twice),
-            "decided",
-            lambda self, margin, again, seen: (
-                found.setdefault("seen", seen) and twice(self, margin, again, seen)
-            ),
-        )
-        test.judge(lambda kernel, blocks: [kernel(test.constants, *block) for block in blocks], [block])
-    agrees(found["seen"](np.arange(90)), slack, dtype)
+    run = lambda kernel, blocks: [kernel(test.constants, *block) for block in blocks]
+    ((_, _, found),) = test.judge(run, [block])
+    agrees(test.refuted(*samples, np.asarray(found)[:, :90]), slack, dtype)
     frame = test.reading.shape
     for _ in range(20):
         h = rng.normal(size=(len(frame.outer), 90)) * (rng.random((len(frame.outer), 90)) < 0.2)
@@ -72,7 +65,7 @@ def test_combinations_say_what_the_program_says_whatever_they_are(dtype, rng):
 
 def test_missing_samples_contradict_nothing_that_needs_them(rng):
     r, _, u, y = prepared(MODELS["paper"], 1, 60, rng)
-    host = host_strips(r.reading(np.float64), r.circuits, r.circuits_known, np.float64)
+    host = host_strips(r.reading(np.float64), r.circuits, r.circuits_known)
     ends, starts = [u.reshape(-1, 1), 50 + y.reshape(-1, 2)], np.arange(60) * 2
     assert host.contradicted(*ends, starts).any(0).mean() > 0.8
     ends[1][:] = np.nan
@@ -88,6 +81,6 @@ def test_means_and_lags_are_rows_like_others(rng):
         y = np.array(jb.simulate(model.replace(noise="0.05", averages={}), u, 3).y)
         y[200:] += 0.6
         res = jb.detect(r, u, y)
-        host = host_strips(r.reading(np.float64), r.circuits, r.circuits_known, np.float64)
+        host = host_strips(r.reading(np.float64), r.circuits, r.circuits_known)
         found = host.contradicted(u, y, np.arange(396)).any(0)
         assert found.any() and (found == (res.status[4:] == jb.Status.FAULT)).all() and not found[:190].any()

@@ -66,8 +66,8 @@ class Strips:
         return Strips(self.rows, self.h.astype(dtype), self.k.astype(dtype), self.supports, self.inputs)
 
 
-def strips_of(exact_h: Rows, exact_k: Rows) -> Strips:
-    """Build Strips from exact rows h (over the box) and k (over the known values)."""
+def strips_of(exact_h: Rows, exact_k: Rows, unrolled: int = UNROLLED) -> Strips:
+    """Build Strips from exact rows h (over the box) and k (over the known values), static up to so many."""
     widest = max(sum(1 for x in h if x) for h in exact_h)
     rows, coefficients, of_inputs = [], [], []
     for h, k in zip(exact_h, exact_k, strict=True):
@@ -81,7 +81,7 @@ def strips_of(exact_h: Rows, exact_k: Rows) -> Strips:
         of_inputs.append([rounding.fraction_to_float(x) for x in k])
     known = np.array(of_inputs).reshape(len(rows), -1)
     supports = inputs = None
-    if len(rows) <= UNROLLED:
+    if len(rows) <= unrolled:
         supports = tuple(map(tuple, rows))
         inputs = tuple(tuple(np.flatnonzero(row).tolist()) for row in known)
     return Strips(np.array(rows, np.int32), np.array(coefficients), known, supports, inputs)
