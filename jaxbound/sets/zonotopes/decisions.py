@@ -15,6 +15,7 @@ below the smallest normal number, which compiled code reads as 0.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import singledispatch
@@ -324,7 +325,7 @@ def separate(X: AnySet, Y: AnySet) -> Separation:
     apart = Decision(-meet.answer, -meet.margin, meet.question, meet.direction, meet.point)
     (c, G, A, b), (c2, G2, A2, b2) = first, second
     xp, n, k, q = proof.library(c), c.shape[-1], b.shape[-1], G.shape[-1]
-    settled = kernels.settled if xp is jnp else lambda *x: x
+    settled: Callable = kernels.settled if xp is jnp else lambda *x: x
     direction: Any = meet.direction  # of NumPy or of jax
     (l,) = settled(proof.unit(direction))
     normal, of_first, of_second = l[..., :n], l[..., n : n + k], l[..., n + k :]

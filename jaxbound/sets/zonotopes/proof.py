@@ -235,6 +235,7 @@ def unscaled(l: Array, powers: Array) -> Array:
     xp, some = library(l), l != 0
     top = xp.where(some, powers[:, None], -np.inf).max(2, initial=-np.inf, keepdims=True)
     shift = xp.where(some, powers[:, None] - top, 0)
+    if xp is jnp:
+        return cast(Array, xp.where(some, rounding.scale(cast(jax.Array, l), shift), 0))
     with np.errstate(under="ignore"):
-        out = np.ldexp(l, shift.astype(int)) if xp is np else xp.where(some, rounding.scale(l, shift), 0)
-    return cast(Array, out)
+        return cast(Array, np.ldexp(l, shift.astype(int)))
