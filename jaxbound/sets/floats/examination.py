@@ -100,14 +100,15 @@ def examination(
             "products that two_prod loses digits of": map(operator.mul, C, D),
             "sums of inexact numbers that two_sum loses digits of": map(operator.add, inexact, D),
         }
-        for (name, want), pair in zip(wanted.items(), compensated[:3], strict=True):
-            never(name, [s + e != w for s, e, w in zip(*map(_exact, pair), want, strict=True)])
+        for (name, sums), pair in zip(wanted.items(), compensated[:3], strict=True):
+            never(name, [s + e != w for s, e, w in zip(*map(_exact, pair), sums, strict=True)])
         small, half = numbers(info.minexp + 1, info.minexp + 4), numbers(-6, -1)
         near = numbers(info.minexp + 1, info.minexp + 4)
         for name, other in {"difference": near, "product": half, "quotient": 1 / half}.items():
             f = EXACTLY[name]
-            pairs = zip(_exact(run(f, small, other)), map(f, _exact(small), _exact(other)), strict=True)
-            over = max(abs(got - want) - 2 * u * abs(got) for got, want in pairs)
+            want = list(map(f, _exact(small), _exact(other)))
+            got = _exact(run(f, small, other))
+            over = max(abs(g - w) - 2 * u * abs(g) for g, w in zip(got, want, strict=True))
             claims[f"error of a {name} that underflows, in smallest numbers"] = float(over / smallest), 1.0
         signed = run(operator.truediv, small, np.full(count, 2.0 ** (info.maxexp // 2), dtype))
         never("underflows that lose their sign", np.signbit(signed) != np.signbit(small))

@@ -34,19 +34,20 @@ def contained(
     directions: Callable[[Array], Array],
     settled: Callable[..., tuple[Array, ...]],
 ) -> tuple[Any, Any, Any, Any]:
-    """Return (lower, upper, l, X) for zonotopes D [1, z], columns D (S, 1 + p, m): not held if lower (S, 1)
-    is above 1, held if upper (S, 1) is not; what proves it are l (S, 1, m) and X (S, 1 + p, q).
+    """Return (lower, upper, l, X) for zonotopes D [1, z], columns D (S, 1 + p, m) as they are given: not held
+    if lower (S, 1) is above 1, held if upper (S, 1) is not, by l (S, 1, m) and X (S, 1 + p, q).
 
     Args:
         directions: gives to points (S, N, m) those that show them to be outside most, entries at most 1.
             settled: see `kernels.settled`.
     """
-    xp = library(D)
+    xp, D = library(D), image.scaled(D)
     l, corner, off, reach = _climbed(image, D, directions)
     X = _encoded(image, D, ~(reach > 1) & xp.isfinite(image.loss))
     l, corner, X = settled(l, corner, X)
     lower, upper = proof.gauge_above(image, corner, l, off), proof.gauge_below(image, D, X, together=True)
-    return lower, upper, xp.where((l * D[:, :1]).sum(2)[..., None] < 0, -l, l), X
+    l = xp.where((l * D[:, :1]).sum(2)[..., None] < 0, -l, l)
+    return lower, upper, proof.unscaled(l, image.powers), X
 
 
 def _climbed(

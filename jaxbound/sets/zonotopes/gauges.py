@@ -97,11 +97,10 @@ def bounds(M: np.ndarray, d: np.ndarray, tight: bool = False) -> tuple[np.ndarra
 
 
 def contained(M: np.ndarray, D: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return (lower, upper, l, X) as `containment.contained`, for rows as they are given."""
+    """Return (lower, upper, l, X) as `containment.contained`."""
     image = proof.image(M)
     directions = lambda far: proof.unit(gauge_bounds(image, far, tight=True).l)
-    lower, upper, l, X = containment.contained(image, image.scaled(D), directions, lambda *x: x)
-    return lower, upper, proof.unscaled(l, image.powers), X
+    return containment.contained(image, D, directions, lambda *x: x)
 
 
 def _gathered(left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

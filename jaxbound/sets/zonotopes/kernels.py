@@ -68,7 +68,7 @@ def bounds(
         zero = jnp.zeros((S, N), M.dtype)
         return zero, zero, d, jnp.zeros((S, N, q), M.dtype)
     body = image(M)
-    d, off = _scaled(body, d), _scaled(body, jnp.broadcast_to(jnp.asarray(off, M.dtype), d.shape))
+    d, off = (body.scaled(jnp.broadcast_to(jnp.asarray(v, M.dtype), d.shape)) for v in (d, off))
     l, x = settled(*_candidates(body, d, tight))
     lower, upper = proof.gauge_above(body, d, l, off), proof.gauge_below(body, d, x, off)
     return lower, upper, proof.unscaled(l, body.powers), x
@@ -76,13 +76,9 @@ def bounds(
 
 @jax.jit
 def contained(M: jax.Array, D: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Return (lower, upper, l, X) of zonotopes in sets: as `containment.contained` does, for rows as they are
-    given.
-    """
+    """Return (lower, upper, l, X) of zonotopes in sets: as `containment.contained` does."""
     body = image(M)
-    directions = lambda far: _candidates(body, far, True)[0]
-    lower, upper, l, X = containment.contained(body, _scaled(body, D), directions, settled)
-    return lower, upper, proof.unscaled(l, body.powers), X
+    return containment.contained(body, D, lambda far: _candidates(body, far, True)[0], settled)
 
 
 def _candidates(body: proof.Image[jax.Array], d: jax.Array, tight: ArrayLike) -> tuple[jax.Array, jax.Array]:
@@ -124,11 +120,6 @@ def _candidates(body: proof.Image[jax.Array], d: jax.Array, tight: ArrayLike) ->
     # under vmap, too, the stage does not run where nothing in the batch wants it, as it would with cond
     found = search.repeated(near, found, 1, lambda found: jnp.any(unsettled(found)))
     return _clean(found[2]), _clean(found[3])
-
-
-def _scaled(body: proof.Image[jax.Array], d: jax.Array) -> jax.Array:
-    """Return points d (S, N, m) in the rows' own scale."""
-    return rounding.scale(d, jnp.broadcast_to(body.powers[:, None], d.shape))
 
 
 def _clean(x: jax.Array) -> jax.Array:

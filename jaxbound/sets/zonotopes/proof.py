@@ -118,13 +118,16 @@ class Image(Generic[Array]):
     loss: Array
     sums: Array
 
-    def scaled(self, d: np.ndarray) -> np.ndarray:
-        """Return points d (S, N, m) in the rows' own scale; NaN for a number that it would turn into 0 or
-        infinity.
+    def scaled(self, d: Array) -> Array:
+        """Return points d (S, N, m) in the rows' own scale; on the host NaN for a number that it would turn
+        into 0 or infinity.
         """
+        if library(d) is jnp:
+            powers = jnp.broadcast_to(cast(jax.Array, self.powers)[:, None], d.shape)
+            return cast(Array, rounding.scale(cast(jax.Array, d), powers))
         with np.errstate(over="ignore", under="ignore"):
             out = np.ldexp(d, self.powers[:, None])
-        return np.where(((out == 0) & (d != 0)) | ~np.isfinite(out), np.nan, out)
+        return cast(Array, np.where(((out == 0) & (d != 0)) | ~np.isfinite(out), np.nan, out))
 
     def of(self, sets: np.ndarray) -> Image[Array]:
         """Return the Image of some of the sets, by number."""

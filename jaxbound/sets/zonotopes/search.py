@@ -65,8 +65,7 @@ def project(
         together: the points are columns of one matrix, with sums of |x| along its rows of at most 1.
     """
     xp, turned, back = library(z), M.swapaxes(1, 2), R.swapaxes(1, 2)
-    least = product(d, back)
-    onto = lambda x: x + least - product(product(x, turned), back)
+    onto = lambda x: x + product(d - product(x, turned), back)
     within = _row_balls if together else lambda x: xp.clip(x, -1, 1)
 
     def step(z):
