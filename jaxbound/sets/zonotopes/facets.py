@@ -26,7 +26,7 @@ __all__ = ["FEW", "by_facets", "exact_strips", "membership", "strips"]
 FEW = 500
 """How many subsets of n - 1 generators are looked through for facets: a second or so in exact numbers."""
 
-BLOCK = 2**17
+BLOCK = 2**15
 """Products of points and strips that are worked out at a time."""
 
 
@@ -183,12 +183,11 @@ def _farthest(rows: Sequence[Sequence[Fraction]], d: np.ndarray) -> tuple[np.nda
     """
     H = np.array([[rounding.fraction_to_float(x) for x in row] for row in rows]).reshape(-1, d.shape[1])
     gamma, floor = rounding.product_error(d.shape[1] + 4, float)
-    far, size, high = (np.zeros(len(d)) for _ in range(3))
+    far, size, high, turned = np.zeros(len(d)), np.zeros(len(d)), abs(d).max(1), np.ascontiguousarray(d.T)
     block = BLOCK // max(len(H), 1)
-    for part in (slice(i, i + block) for i in range(0, len(d), block)):
-        far[part] = abs(d[part] @ H.T).max(1, initial=0)
-        size[part] = (abs(d[part]) @ abs(H).T).max(1, initial=0)
-        high[part] = abs(d[part]).max(1)
+    for part in (slice(i, i + block) for i in range(0, len(d), block)):  # points side by side in memory
+        far[part] = abs(H @ turned[:, part]).max(0, initial=0)
+        size[part] = (abs(H) @ abs(turned[:, part])).max(0, initial=0)
     return far, gamma * (1 + size) + floor * (1 + abs(H).max(initial=0)) * (1 + high)
 
 
