@@ -12,6 +12,7 @@ from typing import TypeAlias
 import numpy as np
 
 from jaxbound.consistency.interface import Judged, WindowTest
+from jaxbound.sets.floats.kinds import named
 from jaxbound.sets.floats.probe import examination_of, kind_of_device, searching_device, usable_devices
 from jaxbound.sets.floats.status import Status
 
@@ -65,7 +66,7 @@ def judging_device(remembers: bool = False) -> str:
         kind = kind_of_device(device)
         if kind["platform"] == "cpu":
             continue
-        name = " ".join(x for x in (kind["platform"], kind["capability"]) if x)
+        name = named(kind)
         record = examination_of(device)
         if record is not None:
             name = f"{record['card']} (driver {record['driver']}, examined on {record['date']})"

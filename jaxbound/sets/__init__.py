@@ -10,9 +10,17 @@ from jaxbound.sets.intervals.interval import *  # noqa: F403
 from jaxbound.sets.intervals.interval import __all__ as _interval
 from jaxbound.sets.linear_systems.solve import Solution, Solvability, solve_interval
 from jaxbound.sets.paving.paving import Paving, pave
+from jaxbound.sets.strips import __name__ as _strips  # noqa: F401  # before `strips`, which it hides
 from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope, constrained_zonotope
-from jaxbound.sets.zonotopes.containment import contains
-from jaxbound.sets.zonotopes.decisions import Answer, Decision, Separation, intersects, is_empty, separate
+from jaxbound.sets.zonotopes.decisions import (
+    Answer,
+    Decision,
+    Separation,
+    contains,
+    intersects,
+    is_empty,
+    separate,
+)
 from jaxbound.sets.zonotopes.extents import interval_hull, support
 from jaxbound.sets.zonotopes.facets import membership, strips
 from jaxbound.sets.zonotopes.intersections import eliminate_constraints, intersection, strip_intersection

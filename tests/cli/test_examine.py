@@ -37,7 +37,7 @@ def card(monkeypatch, tmp_path):
 
 
 def test_a_card_proves_once_its_user_examined_it(card, capsys, tmp_path):
-    assert not probe.verified(card) and probe.searching_device() == "NVIDIA 12.3"
+    assert probe._doubt(card) and probe.searching_device() == "NVIDIA 12.3"
     assert main.main(["examine"]) == 0
     shown = " ".join(capsys.readouterr().out.split())
     assert "NVIDIA H900: may prove" in shown and "assumed float32: a quotient may be off" in shown
@@ -45,14 +45,14 @@ def test_a_card_proves_once_its_user_examined_it(card, capsys, tmp_path):
     record = json.loads(file.read_text())
     assert record["outcome"] == "passed" and record["driver"] == "PJRT C API cuda 13000"
     assert {"card", "capability", "jaxlib", "date"} <= set(record)
-    assert probe.verified(card) and not probe.searching_device()
+    assert not probe._doubt(card) and not probe.searching_device()
     words = searched.judging_device()
     assert words == f"NVIDIA H900 (driver PJRT C API cuda 13000, examined on {record['date']})"
 
 
 @pytest.mark.parametrize("changed", ["driver", "jaxlib", "card", "jaxbound"])
 def test_a_changed_driver_or_jaxlib_asks_for_another_examination(card, changed, monkeypatch):
-    assert main.main(["examine", "-q"]) == 0 and probe.verified(card)
+    assert main.main(["examine", "-q"]) == 0 and not probe._doubt(card)
     if changed == "driver":
         monkeypatch.setattr(Client, "platform_version", "of next year")
     elif changed == "jaxlib":
@@ -62,7 +62,7 @@ def test_a_changed_driver_or_jaxlib_asks_for_another_examination(card, changed, 
     else:
         monkeypatch.setattr(examined, "__version__", "99.0")
     probe._found.cache_clear()
-    assert not probe.verified(card) and probe.searching_device() == "NVIDIA 12.3"
+    assert probe._doubt(card) and probe.searching_device() == "NVIDIA 12.3"
 
 
 def test_a_card_that_breaks_a_premise_goes_on_searching(card, capsys, monkeypatch):
@@ -70,7 +70,7 @@ def test_a_card_that_breaks_a_premise_goes_on_searching(card, capsys, monkeypatc
     assert main.main(["examine", "--json"]) == 1
     (record,) = json.loads(capsys.readouterr().out)["devices"]
     assert record["outcome"].startswith("NaN that are lost, float32: 3, at most 0 assumed; ")
-    assert not probe.verified(card)
+    assert probe._doubt(card)
     said = probe._doubt(card)
     assert f"examined on {record['date']}, it broke what proofs assume (NaN that are lost" in said
 
@@ -81,7 +81,7 @@ def test_a_record_that_somebody_damaged_admits_nothing(card, tmp_path):
     for text in ("", "[]", file.read_text().replace("H900", "H100"), '{"outcome": "passed"}'):
         file.write_text(text)
         probe._found.cache_clear()
-        assert not probe.verified(card)
+        assert probe._doubt(card)
 
 
 def test_switches_that_change_arithmetic_are_refused_in_one_sentence(card, capsys, monkeypatch):

@@ -16,7 +16,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from jaxbound.sets.floats import rounding, unrolled
-from jaxbound.sets.floats.kinds import most_of_a_quotient
+from jaxbound.sets.floats.kinds import most_of_a_quotient, plainly_on
 
 __all__ = ["examination", "premises", "reductions"]
 
@@ -52,25 +52,26 @@ def examination(
         >>> all(value <= most for value, most in found.values())
         True
     """
-    rng, info, claims = np.random.default_rng(seed), np.finfo(dtype), {}
+    rng, info = np.random.default_rng(seed), np.finfo(dtype)
     u, smallest = Fraction(float(info.eps)) / 2, Fraction(float(info.tiny))
     limits = dict.fromkeys(EXACTLY, ONE) | {"quotient": most_of_a_quotient(device, dtype)}
-    numbers = lambda low, high: (np.exp2(rng.uniform(low, high, count)) * rng.choice([-1, 1], count)).astype(
-        dtype
-    )
-    run = lambda f, *x: jax.tree.map(np.asarray, jax.jit(f)(*(jax.device_put(v, device) for v in x)))
-    error = lambda got, want: max(
-        float(abs(f - w) / abs(f) / u) if f else float(w != 0) * np.inf
-        for f, w in zip(got, want, strict=True)
-    )
+    claims: dict[str, tuple[float, float]] = {}
 
-    with (
-        jax.ensure_compile_time_eval(),
-        jax.default_device(device),
-        jax.debug_nans(False),
-        jax.debug_infs(False),
-        jax.disable_jit(False),
-    ):
+    def numbers(low, high):
+        return (np.exp2(rng.uniform(low, high, count)) * rng.choice([-1, 1], count)).astype(dtype)
+
+    def run(f, *x):
+        return jax.tree.map(np.asarray, jax.jit(f)(*(jax.device_put(v, device) for v in x)))
+
+    def off(name, got, want, most):
+        pairs = zip(got, want, strict=True)
+        errors = [float(abs(f - w) / abs(f) / u) if f else float(w != 0) * np.inf for f, w in pairs]
+        claims[f"error of {name}"] = max(errors), most
+
+    def never(name, wrong):
+        claims[name] = float(np.sum(wrong)), 0.0
+
+    with plainly_on(device):
         a, b = numbers(-40, 40), numbers(-40, 40)
         forms: dict[str, tuple[Callable, np.ndarray]] = {
             "": (lambda f: run(f, a, b), b),
@@ -81,80 +82,56 @@ def examination(
         for form, (go, other) in forms.items():
             pairs = list(zip(_exact(a), _exact(np.broadcast_to(other, a.shape)), strict=True))
             for name, f in EXACTLY.items():
-                claims[f"error of a {name}{form}"] = (
-                    error(_exact(go(f)), [f(x, y) for x, y in pairs]),
-                    limits[name],
-                )
+                off(f"a {name}{form}", _exact(go(f)), [f(x, y) for x, y in pairs], limits[name])
         positive = [abs(numbers(-8, 8)) for _ in range(3)]
         for name, f in CHAINS.items():
             want = [f(*x) for x in zip(*map(_exact, positive), strict=True)]
-            most = limits["quotient"] if "/" in name else ONE
-            claims[f"error of {name}"] = error(_exact(run(f, *positive)), want), 2 * most
+            off(name, _exact(run(f, *positive)), want, 2 * (limits["quotient"] if "/" in name else ONE))
         by_one = run(operator.truediv, a, np.ones(count, dtype))  # by which searches keep roundings apart
-        claims["quotients by one that are another number"] = float((by_one != a).sum()), 0.0
-        roots = _exact(run(jnp.sqrt, x := abs(numbers(info.minexp + 1, info.maxexp - 1))))
-        claims["error of the square of a root"] = error([r * r for r in roots], _exact(x)), SQUARE
+        never("quotients by one that are another number", by_one != a)
+        x = abs(numbers(info.minexp + 1, info.maxexp - 1))
+        roots = _exact(run(jnp.sqrt, x))
+        off("the square of a root", [r * r for r in roots], _exact(x), SQUARE)
         c, d = numbers(-12, 12), numbers(-12, 12)
-        compensated = run(
-            lambda c, d: (
-                rounding.two_sum(c, d),
-                rounding.two_prod(c, d),
-                rounding.two_sum(c * d + c, d),
-                c * d + c,
-            ),
-            c,
-            d,
-        )
-        lost = lambda pair, want: float(
-            sum(s + e != w for s, e, w in zip(*map(_exact, pair), want, strict=True))
-        )
+        compensated = run(_compensated, c, d)
         C, D, inexact = _exact(c), _exact(d), _exact(compensated[3])
-        claims["sums that two_sum loses digits of"] = lost(compensated[0], map(operator.add, C, D)), 0.0
-        claims["products that two_prod loses digits of"] = lost(compensated[1], map(operator.mul, C, D)), 0.0
-        claims["sums of inexact numbers that two_sum loses digits of"] = (
-            lost(compensated[2], map(operator.add, inexact, D)),
-            0.0,
-        )
+        wanted = {
+            "sums that two_sum loses digits of": map(operator.add, C, D),
+            "products that two_prod loses digits of": map(operator.mul, C, D),
+            "sums of inexact numbers that two_sum loses digits of": map(operator.add, inexact, D),
+        }
+        for (name, sums), pair in zip(wanted.items(), compensated[:3], strict=True):
+            never(name, [s + e != w for s, e, w in zip(*map(_exact, pair), sums, strict=True)])
         small, half = numbers(info.minexp + 1, info.minexp + 4), numbers(-6, -1)
-        for name, other in {
-            "difference": numbers(info.minexp + 1, info.minexp + 4),
-            "product": half,
-            "quotient": 1 / half,
-        }.items():
-            got, exact = (
-                _exact(run(EXACTLY[name], small, other)),
-                map(EXACTLY[name], _exact(small), _exact(other)),
-            )
-            over = [abs(f - w) - Fraction(float(info.eps)) * abs(f) for f, w in zip(got, exact, strict=True)]
-            claims[f"error of a {name} that underflows, in smallest numbers"] = (
-                float(max(over) / smallest),
-                1.0,
-            )
+        near = numbers(info.minexp + 1, info.minexp + 4)
+        for name, other in {"difference": near, "product": half, "quotient": 1 / half}.items():
+            f = EXACTLY[name]
+            want = list(map(f, _exact(small), _exact(other)))
+            got = _exact(run(f, small, other))
+            over = max(abs(g - w) - 2 * u * abs(g) for g, w in zip(got, want, strict=True))
+            claims[f"error of a {name} that underflows, in smallest numbers"] = float(over / smallest), 1.0
         signed = run(operator.truediv, small, np.full(count, 2.0 ** (info.maxexp // 2), dtype))
-        claims["underflows that lose their sign"] = (
-            float((np.signbit(signed) != np.signbit(small)).sum()),
-            0.0,
-        )
+        never("underflows that lose their sign", np.signbit(signed) != np.signbit(small))
         top = run(lambda x: x + x, np.array([info.max, -info.max], dtype))
-        claims["overflows that are finite"] = float((top != [np.inf, -np.inf]).sum()), 0.0
+        never("overflows that are finite", top != [np.inf, -np.inf])
         many = numbers(-4, 4)
         total, terms = _exact([run(jnp.sum, many)])[0], _exact(many)
-        claims["error of a sum of many, in units a term"] = (
-            float(abs(total - sum(terms)) / (count * u * sum(map(abs, terms)))),
-            1.01,
-        )
+        share = float(abs(total - sum(terms)) / (count * u * sum(map(abs, terms))))
+        claims["error of a sum of many, in units a term"] = share, 1.01
         whole = np.concatenate([rng.uniform(-2000, 2000, count), [0.5, 1.5, -0.5, 0.49, -2.51]]).astype(dtype)
-        claims["distance of a rounded number"] = (
-            float(abs(run(jnp.round, whole).astype(float) - whole.astype(float)).max()),
-            0.5,
-        )
+        away = abs(run(jnp.round, whole).astype(float) - whole.astype(float)).max()
+        claims["distance of a rounded number"] = float(away), 0.5
         odd = np.where(np.arange(count) % 2, np.nan, np.inf).astype(dtype)
-        claims["NaN that are lost"] = float((~np.isnan(run(lambda x: (x - x) + 1, odd))).sum()), 0.0
-        claims["comparisons with NaN that are true"] = (
-            float(sum(map(np.sum, run(_comparisons, np.full(count, np.nan, dtype))))),
-            0.0,
-        )
+        never("NaN that are lost", ~np.isnan(run(lambda x: (x - x) + 1, odd)))
+        compared = run(_comparisons, np.full(count, np.nan, dtype))
+        never("comparisons with NaN that are true", compared)
     return claims | premises(device, dtype, seed)
+
+
+def _compensated(c, d):
+    """Return sums and products in two parts, and a number that is free to be fused into one of the sums."""
+    inexact = c * d + c
+    return rounding.two_sum(c, d), rounding.two_prod(c, d), rounding.two_sum(inexact, d), inexact
 
 
 SIZES = 16, 300, 5000
@@ -173,13 +150,7 @@ def premises(device: jax.Device, dtype: DTypeLike, seed: int = 0) -> dict[str, t
     """
     rng, claims = np.random.default_rng(seed), {}
     run = lambda f, *x: jax.tree.map(np.asarray, jax.jit(f)(*(jax.device_put(v, device) for v in x)))
-    with (
-        jax.ensure_compile_time_eval(),
-        jax.default_device(device),
-        jax.debug_nans(False),
-        jax.debug_infs(False),
-        jax.disable_jit(False),
-    ):
+    with plainly_on(device):
         for count in SIZES:
             a, b, c = (rng.uniform(1, 2, count).astype(dtype) for _ in range(3))
             kept = {

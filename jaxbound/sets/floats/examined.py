@@ -23,9 +23,8 @@ from jaxbound.text.warned import warn
 __all__ = ["Record", "admitted", "doubt_of", "examine", "record_of"]
 
 PASSED = "passed"
-CARDS = "cards"
 Record = dict[str, str]
-"""Of an examined card: {"card", "platform", "capability", "driver", "jaxlib", "jax", "jaxbound", "date",
+"""Of an examined device: {"card", "platform", "capability", "driver", "jaxlib", "jax", "jaxbound", "date",
 "outcome"}, the outcome "passed" or the claims that do not hold, in words."""
 
 
@@ -47,28 +46,24 @@ def doubt_of(device: jax.Device, kind: dict[str, str], unknown: Sequence[str]) -
         reasons.insert(0, f"jaxlib {kind['jaxlib']} is not among the versions that were examined")
     if not reasons:
         return ""
-    about = {
-        "jaxbound": __version__,
-        "jax": jax.__version__,
-        "device": kind,
-        "processor": settings.processor(),
-        "unknown": list(unknown),
+    about = _identity(device, kind) | {
+        "processor": " ".join(settings.processor()),
+        "unknown": " and ".join(unknown),
     }
-    path = _file_of(about)
-    if path is not None and _kept(path, about):
+    if admitted(_read(about)):
         return ""
-    why = " and ".join(reasons)
+    why, path = " and ".join(reasons), _file_of(about)
     where = "nowhere, for want of a home folder" if path is None else f"in {path}"
     asked = "all that proofs rest on is examined before anything is proved, once; it takes some seconds"
     warn(f"{why}: {asked}, and that it passed is kept {where}")
-    if broken := _broken(device):
+    record = _examined(device, about)
+    if not admitted(record):
         return (
-            f"{why}, and an examination found what proofs do not allow ({'; '.join(broken)}), "
+            f"{why}, and an examination found what proofs do not allow ({record['outcome']}), "
             f"so nothing can be proved: install a jaxlib that was examined ({settings.examined_versions()}), "
             "and start without such settings"
         )
-    if path is not None:
-        _keep(path, about)
+    _keep(about, record)
     return ""
 
 
@@ -83,18 +78,12 @@ def examine(
     Returns:
         (Record, the file that it is kept in, None where there is no place for it).
     """
-    broken = _broken(device, progress)
     about = _identity(device, kind)
-    outcome = "; ".join(broken) or PASSED
-    record = about | {"date": datetime.date.today().isoformat(), "outcome": outcome}
-    path = _card_file(about)
+    record = _examined(device, about, progress)
     if kind["platform"] == "cpu":  # known by its version
-        path = None
-    if path is not None:
-        _keep(path, record)
-        if _read(path) != record:
-            path = None
-    return record, path
+        return record, None
+    _keep(about, record)
+    return record, _file_of(about) if _read(about) == record else None
 
 
 def record_of(device: jax.Device, kind: dict[str, str]) -> Record | None:
@@ -103,16 +92,11 @@ def record_of(device: jax.Device, kind: dict[str, str]) -> Record | None:
     Args:
         device: of jax. kind: its `kinds.kind_of_device`.
     """
-    about = _identity(device, kind)
-    path = _card_file(about)
-    record = None if path is None else _read(path)
-    if record is None or any(record.get(name) != value for name, value in about.items()):
-        return None
-    return record
+    return _read(_identity(device, kind))
 
 
 def admitted(record: Record | None) -> bool:
-    """Return whether a card with this Record may prove."""
+    """Return whether a device with this Record may prove."""
     return record is not None and record.get("outcome") == PASSED and bool(record.get("date"))
 
 
@@ -122,51 +106,48 @@ def _identity(device: jax.Device, kind: dict[str, str]) -> Record:
     return {"card": card, **kind, "jax": jax.__version__, "jaxbound": __version__}
 
 
-def _card_file(about: Record) -> Path | None:
-    return _file_of(about, CARDS)
-
-
-def _read(path: Path) -> Record | None:
-    """Return the record in a file, None if it cannot be read."""
-    try:
-        record = json.loads(path.read_text())
-    except (OSError, ValueError):
-        return None
-    return record if isinstance(record, dict) else None
-
-
-def _broken(device: jax.Device, progress: Callable[[float], object] | None = None) -> list[str]:
-    """Return the claims of an examination, in both types, that do not hold, each in words."""
-    found = []
-    report = reporter(progress)
+def _examined(device: jax.Device, about: Record, progress: Callable[[float], object] | None = None) -> Record:
+    """Return the Record of an examination now, in both types."""
+    broken, report = [], reporter(progress)
     with jax.enable_x64(True):
         for done, dtype in enumerate((np.float32, np.float64)):
             report(done / 2)
             for claim, (value, most) in examination(device, dtype).items():
                 if not value <= most:
-                    found.append(f"{claim}, {np.dtype(dtype).name}: {value:.3g}, at most {most:g} assumed")
+                    broken.append(f"{claim}, {np.dtype(dtype).name}: {value:.3g}, at most {most:g} assumed")
     report(1.0)
-    return found
+    return about | {"date": datetime.date.today().isoformat(), "outcome": "; ".join(broken) or PASSED}
 
 
-def _file_of(about: dict, *folder: str) -> Path | None:
+def _file_of(about: Record) -> Path | None:
+    """Return the file for the Record of this very thing, None where there is no place for it."""
     name = hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()[:32]
-    try:
-        return cache_folder().joinpath("examined", *folder, f"{name}.json")
-    except RuntimeError:
+    folder = "" if "unknown" in about else "cards"
+    with suppress(RuntimeError):
+        return cache_folder() / "examined" / folder / f"{name}.json"
+    return None
+
+
+def _read(about: Record) -> Record | None:
+    """Return the Record that is kept of this very thing, which the name of its file alone does not prove."""
+    path = _file_of(about)
+    if path is None:
         return None
+    try:
+        record = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return None
+    same = isinstance(record, dict) and all(record.get(name) == value for name, value in about.items())
+    return record if same else None
 
 
-def _keep(path: Path, about: dict) -> None:
-    """Write down what passed; in a folder that cannot be written, or beside another process that writes, it
-    is examined anew next time.
+def _keep(about: Record, record: Record) -> None:
+    """Write down what came out; in a folder that cannot be written, or beside another process that writes,
+    it is examined anew next time.
     """
+    path = _file_of(about)
     with suppress(OSError, ValueError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with whole(path) as file:
-            file.write(json.dumps(about, sort_keys=True, indent=1).encode())
-
-
-def _kept(path: Path, about: dict) -> bool:
-    """Return whether a file says that this very thing passed: its name alone, a digest, proves nothing."""
-    return _read(path) == json.loads(json.dumps(about))
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with whole(path) as file:
+                file.write(json.dumps(record, sort_keys=True, indent=1).encode())

@@ -1,6 +1,7 @@
 """Kinds of devices: the facts that distinguish them, and how far a quotient may be off on each."""
 
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from importlib.metadata import version
 
@@ -8,7 +9,15 @@ import jax
 import numpy as np
 from jax.typing import DTypeLike
 
-__all__ = ["extra_units", "has_coarse_quotients", "is_cpu_default", "kind_of_device", "most_of_a_quotient"]
+__all__ = [
+    "extra_units",
+    "has_coarse_quotients",
+    "is_cpu_default",
+    "kind_of_device",
+    "most_of_a_quotient",
+    "named",
+    "plainly_on",
+]
 
 FINE, COARSE = 2.84, 4.84
 """Units that a quotient may be off by: anywhere, and in float32 on a card of NVIDIA (4, PTX ISA)."""
@@ -43,6 +52,11 @@ def kind_of_device(device: jax.Device) -> dict[str, str]:
     }
 
 
+def named(kind: dict[str, str]) -> str:
+    """Return a kind of device in words, like "NVIDIA 9.0"."""
+    return " ".join(x for x in (kind["platform"], kind["capability"]) if x)
+
+
 @cache
 def _jaxlib() -> str:
     """Return the version of jaxlib: looking it up takes a millisecond."""
@@ -54,6 +68,19 @@ def most_of_a_quotient(device: jax.Device, dtype: DTypeLike) -> float:
     if _is_single(dtype) and kind_of_device(device)["platform"] == "NVIDIA":
         return COARSE
     return FINE
+
+
+@contextmanager
+def plainly_on(device: jax.Device) -> Iterator[None]:
+    """Compute on a device, compiled, whatever JAX is to look for in the results."""
+    with (
+        jax.ensure_compile_time_eval(),
+        jax.default_device(device),
+        jax.debug_nans(False),
+        jax.debug_infs(False),
+        jax.disable_jit(False),
+    ):
+        yield
 
 
 def extra_units(dtype: DTypeLike) -> float:

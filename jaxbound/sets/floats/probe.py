@@ -31,7 +31,13 @@ from jax.typing import DTypeLike
 
 from jaxbound.sets.floats import rounding, unrolled
 from jaxbound.sets.floats.examined import Record, admitted, doubt_of, examine, record_of
-from jaxbound.sets.floats.kinds import is_cpu_default, kind_of_device, most_of_a_quotient
+from jaxbound.sets.floats.kinds import (
+    is_cpu_default,
+    kind_of_device,
+    most_of_a_quotient,
+    named,
+    plainly_on,
+)
 from jaxbound.sets.floats.settings import (
     examined_versions,
     loose_flags,
@@ -58,7 +64,6 @@ __all__ = [
     "searching",
     "searching_device",
     "usable_devices",
-    "verified",
     "where_proofs_hold",
 ]
 
@@ -170,14 +175,14 @@ def searching_device() -> str:
         return ""
     for device in usable_devices():
         if _doubt(device) and kind_of_device(device)["platform"] != "cpu":
-            return _named(kind_of_device(device))
+            return named(kind_of_device(device))
     return ""
 
 
 def examination_of(device: jax.Device) -> Record | None:
     """Return the Record of the examination by which a device that no table knows may prove; else None."""
     kind = kind_of_device(device)
-    if _named(kind) in EXAMINED:
+    if named(kind) in EXAMINED:
         return None
     record = record_of(device, kind)
     return record if admitted(record) else None
@@ -212,7 +217,7 @@ def examined_devices(progress: Callable[[float], object] | None = None) -> list[
     kinds = {}
     for device in usable_devices():
         name = str(getattr(device, "device_kind", ""))
-        kinds[name, _named(kind_of_device(device))] = device
+        kinds[name, named(kind_of_device(device))] = device
     found: list[Examined] = []
     for device in kinds.values():
         kind = kind_of_device(device)
@@ -239,11 +244,6 @@ def _host_beside(card: str) -> jax.Device:
             f"what is to be proved is done on the CPU, since {card} was not examined, and this process has "
             f"no CPU device: name it too, as in JAX_PLATFORMS=cuda,cpu"
         ) from None
-
-
-def _named(kind: dict[str, str]) -> str:
-    """Return a kind of device in words."""
-    return " ".join(x for x in (kind["platform"], kind["capability"]) if x)
 
 
 def refuse_other_modes() -> None:
@@ -284,11 +284,6 @@ def usable_devices() -> tuple[jax.Device, ...]:
     return tuple(jax.local_devices(backend=chosen)[:1]) if isinstance(chosen, str) else (chosen,)
 
 
-def verified(device: jax.Device) -> bool:
-    """Return whether results of a device may carry a proof; the first call takes a tenth of a second."""
-    return not _doubt(device)
-
-
 def _switches_of(device: jax.Device) -> tuple[str, ...]:
     """Return the switches of the environment that a device minds."""
     return set_switches() if device.platform != "cpu" else ()
@@ -306,11 +301,11 @@ def _found(
     device: jax.Device, flags: str, x64: bool, switches: tuple[str, ...] = (), options: tuple[str, ...] = ()
 ) -> str:
     kind = kind_of_device(device)
-    named = _named(kind)
+    words = named(kind)
     if switches:
         return _loosened(kind, "", switches)
-    if named not in EXAMINED and not admitted(record := record_of(device, kind)):
-        return _why_unexamined(named, record)
+    if words not in EXAMINED and not admitted(record := record_of(device, kind)):
+        return _why_unexamined(words, record)
     if loosened := _loosened(kind, flags, ()):
         return loosened
     measured = measure(device, jnp.result_type(float))
@@ -338,7 +333,7 @@ def _loosened(kind: dict[str, str], flags: str, switches: tuple[str, ...]) -> st
     """Return which switches or flags give arithmetic up, in a sentence; empty where none does."""
     if switches:
         return (
-            f"the environment has {' and '.join(switches)}, by which libraries of {_named(kind)} compute "
+            f"the environment has {' and '.join(switches)}, by which libraries of {named(kind)} compute "
             f"otherwise: start without"
         )
     if loose := loose_flags(flags):
@@ -349,13 +344,13 @@ def _loosened(kind: dict[str, str], flags: str, switches: tuple[str, ...]) -> st
     return ""
 
 
-def _why_unexamined(named: str, record: Record | None) -> str:
+def _why_unexamined(words: str, record: Record | None) -> str:
     """Return why a kind of device proves nothing that nobody has examined, or that failed."""
     failed = ""
     if record is not None:
         failed = f"; examined on {record['date']}, it broke what proofs assume ({record['outcome']})"
     return (
-        f"proofs need a device whose rounding was verified, so far only CPU, not {named}: set "
+        f"proofs need a device whose rounding was verified, so far only CPU, not {words}: set "
         f"JAX_PLATFORMS=cpu, examine it with `jaxbound examine`, or give "
         f'NumPy arrays under `with jax.default_device("cpu")`; margins gives unproved values anywhere{failed}'
     )
@@ -382,13 +377,7 @@ def measure(device: jax.Device, dtype: DTypeLike) -> dict[str, tuple[float, floa
     small, top = numbers(0.732, info.minexp + 1, info.minexp + 3.9), np.full(COUNT, info.max, dtype)
     odd, divisor = np.where(k % 4 == 0, np.nan, np.inf).astype(dtype), np.full(1, -17.3, dtype)
     given = a, b, divisor, small, top, odd, np.where(EVEN, a * b, a * a), EVEN
-    with (
-        jax.ensure_compile_time_eval(),
-        jax.default_device(device),
-        jax.debug_nans(False),
-        jax.debug_infs(False),
-        jax.disable_jit(False),
-    ):
+    with plainly_on(device):
         errors = np.asarray(_kernel(*(jax.device_put(x, device) for x in given)))
     *exact, A, B, least = (list(map(Fraction, x.astype(float).tolist())) for x in (*errors[:6], a, b, small))
     total, rest, quotient, share, root, flushed = exact

@@ -53,10 +53,8 @@ __all__ = [
     "outward",
     "outward_sum",
     "product_error",
-    "positive",
     "power_of_two",
     "quotient",
-    "raised",
     "readable",
     "residual_error",
     "root",
@@ -106,13 +104,6 @@ def outward(lo: ArrayLike, hi: ArrayLike, units: float | np.floating = 4) -> tup
     lo_out = jnp.where(lo == jnp.inf, top, lo - (u4 * jnp.abs(lo) + t2))
     hi_out = jnp.where(hi == -jnp.inf, -top, hi + (u4 * jnp.abs(hi) + t2))
     return lo_out, hi_out
-
-
-def raised(x: np.ndarray) -> np.ndarray:
-    """Return a float above the exact result of one operation of NumPy, on the host, that gave x: as wide as
-    `outward`.
-    """
-    return x + (4 * unit(x.dtype) * np.abs(x) + 2 * tiny(x.dtype))
 
 
 @partial(jax.jit, static_argnums=2)
@@ -278,11 +269,6 @@ def one_dtype(*trees: Any) -> Any:
     """Return the trees of arrays, a tuple of them, all in the widest dtype of any: exactly, see `widened`."""
     dtype = jnp.result_type(*jax.tree.leaves(trees))
     return jax.tree.map(lambda x: widened(x, dtype), trees)
-
-
-def positive(x: jax.Array) -> jax.Array:
-    """Return whether x > 0, subnormal numbers included, which compiled comparisons take for 0."""
-    return jax.lax.bitcast_convert_type(x, _layout(x.dtype)[0]) > 0
 
 
 def product_error(terms: int, dtype: DTypeLike) -> tuple[np.floating, np.floating]:

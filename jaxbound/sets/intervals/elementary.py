@@ -134,7 +134,7 @@ def _emptied(empty: jax.Array, lo: jax.Array, hi: jax.Array) -> Interval:
 @_elementary
 def sqrt(x: Interval) -> Interval:
     """Return the square root of the numbers >= 0 in x. Source: IEEE 1788 sqrt."""
-    empty = rounding.positive(-x.hi)
+    empty = rounding.order(-x.hi) > 0
     low, high = (_root(jnp.where(empty, jnp.nan, jnp.maximum(end, 0))) for end in (x.lo, x.hi))
     lo, hi = _widen("sqrt", low, high, least=0)
     return Interval(
@@ -181,7 +181,7 @@ def exp10(x: Interval) -> Interval:
 
 
 def _logarithm(name: str, x: Interval) -> Interval:
-    f, low, high = getattr(approximations, name), rounding.positive(x.lo), rounding.positive(x.hi)
+    f, low, high = getattr(approximations, name), rounding.order(x.lo) > 0, rounding.order(x.hi) > 0
     lo, hi = _widen(name, f(jnp.where(low, x.lo, 1)), f(jnp.where(high, x.hi, 1)))
     lo, hi = jnp.where(x.lo == 1, 0, lo), jnp.where(x.hi == 1, 0, hi)
     return _emptied(~high, jnp.where(low, lo, -jnp.inf), hi)

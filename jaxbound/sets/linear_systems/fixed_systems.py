@@ -12,15 +12,19 @@ Source: Neumaier 1999, theorem 2.1 (Hansen-Bliek-Rohn).
 """
 
 from dataclasses import dataclass
+from typing import cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.kernel import kernel, outside_xla
 from jaxbound.sets.floats.unrolled import most, stored, total
 from jaxbound.sets.intervals.interval import Interval, mag, mid, rad
 from jaxbound.sets.linear_systems.ends import upward
+from jaxbound.sets.linear_systems.kernels import comparison_inverse, hansen_bliek_rohn
+from jaxbound.sets.linear_systems.products import over, preconditioner, reciprocal, times
 
 __all__ = ["Prepared", "prepare", "solutions"]
 
@@ -44,72 +48,28 @@ def prepare(M: Interval, systems: int = 1) -> Prepared:
     """Prepare `systems` systems of M (r, n, K): the first r - systems rows, and one of the last rows each. On
     the host.
     """
+    with outside_xla():
+        prepared: Prepared = _prepared(jax.tree.map(np.asarray, M), systems)
+    return prepared
+
+
+@kernel(static_argnums=1)
+def _prepared(M: Interval, systems: int) -> Prepared:
     r, n, _ = M.shape
     chosen = np.array([[*range(r - systems), last] for last in range(r - systems, r)])
-    ends = (np.moveaxis(np.asarray(end)[chosen], -1, 1) for end in (M.lo, M.hi))  # (q, K, c, n)
-    with np.errstate(all="ignore"):
-        C, lo, hi = _preconditioned(*ends)
-        weight, scale, proved = _bounds(lo, hi)
-    last = lambda a: np.moveaxis(a, 1, -1)
-    weight = np.where(np.eye(n, dtype=bool) | ~proved[..., None], 0, weight)
-    return Prepared(last(C), last(weight), Interval(*(last(np.where(proved, end, np.nan)) for end in scale)))
-
-
-def _preconditioned(lo: np.ndarray, hi: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return C near the (pseudo-)inverse of the middle of M (..., c, n), and the ends of C M."""
-    C = _inverse(0.5 * lo + 0.5 * hi)
-    return C, *_times(C, lo, hi)
-
-
-def _inverse(A: np.ndarray) -> np.ndarray:
-    """Return numbers near the (pseudo-)inverse; 0 where A is not finite."""
-    return np.linalg.pinv(np.where(np.all(np.isfinite(A), axis=(-1, -2), keepdims=True), A, 0))
-
-
-def _times(C: np.ndarray, lo: np.ndarray, hi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Enclose C M for numbers C: the ball of `products.times`."""
-    gamma, floor = rounding.product_error(lo.shape[-2], lo.dtype)
-    middle = 0.5 * lo + 0.5 * hi
-    radius = np.maximum(middle - lo, hi - middle) + gamma * np.maximum(abs(lo), abs(hi)) + np.sqrt(floor)
-    centre, reach = C @ middle, (abs(C) + np.sqrt(floor)) @ radius
-    return centre - reach, centre + reach
-
-
-def _bounds(lo: np.ndarray, hi: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray], np.ndarray]:
-    """Return (weight, ends of scale, where they are proved), see `Prepared`, of matrices A (..., n, n).
-
-    |N - near| <= v omega' entry by entry, as in `kernels.comparison_inverse`.
-    """
-    n, tiny, up = lo.shape[-1], rounding.tiny(lo.dtype), rounding.raised
-    down = lambda x: -up(-x)
-    eye = np.eye(n, dtype=lo.dtype)
-    least = np.maximum(np.maximum(lo, -hi), 0)
-    S = np.where(eye > 0, least, -np.maximum(abs(lo), abs(hi)))
-    near = _inverse(S)
-    v = np.maximum(near.sum(-1), tiny)
-    both = np.concatenate([near, v[..., None]], -1)
-    below, above = _times(S, both, both)
-    w = below[..., n, None]
-    off = np.maximum(abs(below[..., :n] - eye), abs(above[..., :n] - eye)) + 4 * tiny
-    omega = up(up(up(off) / w).max(-2))
-    regular = np.all(w > 0, axis=(-1, -2)) & np.all(omega < np.inf, axis=-1)
-    slack = up(v[..., None] * omega[..., None, :])
-    most = np.maximum(up(near + slack), 0)
-    diagonal = lambda X: np.diagonal(X, axis1=-2, axis2=-1)
-    low = np.maximum(down(diagonal(near - slack)), down(1 / diagonal(least)))
-    alpha = np.maximum(up(diagonal(least) - down(1 / diagonal(most))), 0)
-    divisor = down(diagonal(lo) - alpha), up(diagonal(hi) + alpha)
-    weight = up(most / low[..., None])
-    scale = down(1 / divisor[1]), up(1 / divisor[0])
-    proved = (
-        np.asarray(regular)[..., None]
-        & np.isfinite(weight).all(-1)
-        & (low > 0)
-        & (divisor[0] > 0)
-        & (scale[0] > 0)
-        & (scale[1] < np.inf)
-    )
-    return weight, scale, proved
+    together = lambda a: jnp.moveaxis(a[chosen], 0, -2).reshape(chosen.shape[1], n, -1)
+    lanes = jax.tree.map(together, M)
+    C = cast(jax.Array, preconditioner(lanes))
+    A = times(C, lanes)
+    above, low, divisor = hansen_bliek_rohn(A, comparison_inverse(A))
+    weight = over(Interval(above, above), Interval(low, low)[:, None]).hi
+    scale = reciprocal(divisor)
+    proved = (low > 0) & (divisor.lo > 0) & (scale.lo > 0) & (scale.hi < jnp.inf)
+    proved &= jnp.isfinite(weight).all(1)
+    weight = jnp.where(jnp.eye(n, dtype=bool)[..., None] | ~proved[:, None], 0, weight)
+    scale = jax.tree.map(lambda end: jnp.where(proved, end, jnp.nan), scale)
+    apart = lambda a: jnp.moveaxis(a.reshape(*a.shape[:-1], systems, -1), -2, 0)
+    return jax.tree.map(apart, Prepared(jnp.where(jnp.isfinite(C), C, 0), weight, scale))
 
 
 def solutions(systems: Prepared, h: Interval) -> jax.Array:

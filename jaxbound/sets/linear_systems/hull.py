@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.floats.unrolled import most, stored, total
+from jaxbound.sets.floats.unrolled import largest, stored, total
 from jaxbound.sets.intervals.interval import Interval, intersection
 from jaxbound.sets.linear_systems.kernels import product
 
@@ -174,12 +174,7 @@ def _largest(rows: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return the largest of the rows and the number of the first row that has it."""
     if len(rows) > 64:  # written out, they would take minutes to compile
         return jnp.max(rows, 0), jnp.argmax(rows, 0).astype(jnp.int32)
-    each = list(rows)
-    top = stored(most(each))
-    first = jnp.full_like(top, len(each) - 1)
-    for i in reversed(range(len(each) - 1)):
-        first = jnp.where(each[i] == top, i, first)
-    return top, stored(first).astype(jnp.int32)
+    return largest(list(rows), jnp.where(rows[0] == rows[0], np.ones((), rows.dtype), 0))
 
 
 def _half_spaces(M: Interval, h: Interval, X: Interval) -> tuple[jax.Array, jax.Array, jax.Array]:

@@ -43,6 +43,7 @@ __all__ = [
     "contract",
     "enclose",
     "factor",
+    "hansen_bliek_rohn",
     "minus",
     "over",
     "preconditioner",
@@ -208,10 +209,18 @@ def _hansen_bliek_rohn(F: Factored, b: Interval) -> tuple[Interval, Interval]:
     With N = <A>^-1: alpha_i = <A>_ii - 1 / N_ii and beta_i = (sum over k != i of N_ik |b_k|) / N_ii. Source:
     Neumaier 1999, theorem 2.1.
     """
-    above = _above(*F.inverse)
-    low, divisor = _divisor(F.A, *F.inverse)
+    above, low, divisor = hansen_bliek_rohn(F.A, F.inverse)
     all_of, beside = _sums(above, b)
     return _hbr_box(b, beside, low, divisor), _around(all_of)
+
+
+def hansen_bliek_rohn(
+    A: Interval, inverse: tuple[jax.Array, jax.Array, jax.Array]
+) -> tuple[jax.Array, jax.Array, Interval]:
+    """Return upper bounds of N, lower bounds of N_ii, and A_ii + [-alpha_i, alpha_i], see `enclose`, for N as
+    `comparison_inverse` gives it.
+    """
+    return _above(*inverse), *_divisor(A, *inverse)
 
 
 def _slack(v: jax.Array, omega: jax.Array) -> jax.Array:

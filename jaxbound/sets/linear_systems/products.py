@@ -12,7 +12,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.floats.unrolled import apart, most, total
+from jaxbound.sets.floats.unrolled import apart, largest, total
 from jaxbound.sets.intervals.interval import Interval, mag, mig
 
 __all__ = [
@@ -81,10 +81,7 @@ def inverse(a: jax.Array) -> jax.Array:
 def _largest(column: jax.Array, free: jax.Array) -> jax.Array:
     """Return the row (N,) of the largest of a column (n, N) among those that are free (1, not 0)."""
     sizes = [jnp.abs(c) * f - (1 - f) for c, f in zip(column, free, strict=True)]
-    top, place = most(sizes), jnp.full(column.shape[1:], len(sizes) - 1, jnp.int32)
-    for i in reversed(range(len(sizes) - 1)):
-        place = jnp.where(sizes[i] == top, i, place)
-    return place
+    return largest(sizes, jnp.ones((), column.dtype))[1]
 
 
 _picked = apart(lambda place, free: (place[None] == jnp.arange(len(free))[:, None]).astype(free.dtype))

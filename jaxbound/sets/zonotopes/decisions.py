@@ -8,16 +8,18 @@ Each question asks whether some x in [-1, 1]^q has M x = d:
     two of them meet                         M = [G1 -G2; A1 0; 0 A2],          d = [c2 - c1; b1; b2]
 
 and t, the least max|x_j| with M x = d, says how far it is from the other answer. The work is
-`gauges.gauge_bounds`; what is left of a single question, on the boundary or in a flat set, is settled in
+`gauges.bounds`; what is left of a single question, on the boundary or in a flat set, is settled in
 exact numbers (`feasibility`), of a batch it stays UNDECIDED. Inside jit and vmap the work is
 `kernels.bounds`, in the dtype of the sets, and what is left stays UNDECIDED, as do all sets with an entry
 below the smallest normal number, which compiled code reads as 0.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from functools import singledispatch
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -26,25 +28,26 @@ from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_unverified
-from jaxbound.sets.intervals.interval import interval, mid, rad
-from jaxbound.sets.zonotopes import certificate, kernels, proof
-from jaxbound.sets.zonotopes.constrained import AnySet
-from jaxbound.sets.zonotopes.gauges import gauge_bounds
+from jaxbound.sets.intervals.comparisons import contains as contains_number
+from jaxbound.sets.intervals.interval import Interval, interval, mid, rad
+from jaxbound.sets.zonotopes import certificate, gauges, kernels, proof
+from jaxbound.sets.zonotopes.constrained import AnySet, ConstrainedZonotope
+from jaxbound.sets.zonotopes.facets import FEW, by_facets
 from jaxbound.sets.zonotopes.questions import Question, flat, normal, numbers, traced
-from jaxbound.sets.zonotopes.zonotope import refuse_infinite
+from jaxbound.sets.zonotopes.zonotope import Zonotope, refuse_infinite
 from jaxbound.text.objects import readable
 
 __all__ = [
     "Answer",
     "Decision",
     "Separation",
-    "contains_points",
+    "contains",
     "intersects",
     "is_empty",
     "separate",
-    "unscaled",
 ]
 
+Pair: TypeAlias = tuple[np.ndarray | jax.Array, np.ndarray | jax.Array]
 EXACT = 100_000
 """How large m^2 (m + q) may be for exact numbers: a second or so."""
 
@@ -133,7 +136,57 @@ class Decision:
         return f"Decision({self.yes.sum()} yes, {self.no.sum()} no, {(self.answer == 0).sum()} undecided)"
 
 
-def contains_points(Z: AnySet, points: ArrayLike) -> Decision:
+@singledispatch
+def contains(
+    Z: AnySet | Interval, inner: AnySet | ArrayLike
+) -> Any:  # a Decision, or of an Interval an array of bool
+    """Decide whether a set holds points, or a whole zonotope.
+
+    Args:
+        Z: a Zonotope or ConstrainedZonotope of n dimensions, or a batch of them with leading axes (...); an
+            Interval.
+        inner: points (..., N, n), any number of axes after those of the batch, or a Zonotope (with the same
+            leading axes).
+
+    Returns:
+        A Decision with an answer a point, or a set. Its margin points in the answer's direction and does not
+        overstate it: 1 - t, t the factor on the generators at which the point just belongs to Z; exact ones
+            are worked out by `membership`. For a zonotope the
+        condition for YES is sufficient, not necessary: what is neither that nor NO stays UNDECIDED unless the
+            facets of Z are few.
+        For an Interval: an array of bool, IEEE 1788 isMember. Inside jit and vmap: the same answer or
+            UNDECIDED, without certificate.
+
+    Raises:
+        ValueError: shapes that do not fit, NaN or infinity.
+
+    Example:
+        >>> from jaxbound.sets import zonotope
+        >>> Z = zonotope([0.0, 0.0], [[1.0, 1.0], [0.0, 1.0]])
+        >>> contains(Z, [[0.5, 0.5], [3.0, 0.0]]).yes
+        array([ True, False])
+        >>> bool(contains(Z, zonotope([0.5, 0.0], [[0.5], [0.5]])))
+        True
+    """
+    raise TypeError(
+        f"an interval, a zonotope or a constrained zonotope is needed: this is {type(Z).__name__}"
+    )
+
+
+contains.register(Interval, contains_number)
+
+
+@contains.register(Zonotope)
+@contains.register(ConstrainedZonotope)
+def _(Z: AnySet, inner: AnySet | ArrayLike) -> Decision:
+    return (
+        _contains_set(Z, inner)
+        if isinstance(inner, (Zonotope, ConstrainedZonotope))
+        else _contains_points(Z, inner)
+    )
+
+
+def _contains_points(Z: AnySet, points: ArrayLike) -> Decision:
     """Decide for each point whether the set holds it; see `contains`."""
     points = points if isinstance(points, jax.Array) else np.asarray(points)
     (sets,) = numbers(Z, points=points)
@@ -160,6 +213,26 @@ def contains_points(Z: AnySet, points: ArrayLike) -> Decision:
         (points,) = kernels.settled(rounding.widened(normal(points), dtype))
     question = Question("contains", (flat(sets, batch),), points.reshape(math.prod(batch), -1, n))
     return _decide(question, lead, Answer.YES, off)
+
+
+def _contains_set(Z: AnySet, inner: AnySet) -> Decision:
+    """Decide whether a set holds a whole zonotope: see `contains`."""
+    outer, inside = numbers(Z, inner)
+    if inside[3].shape[-1]:
+        raise ValueError(
+            "the inner set must be a zonotope: for one with constraints ask `intersects`, or enclose it first"
+        )
+    if outer[0].shape[-1] != inside[0].shape[-1]:
+        raise ValueError(
+            f"two sets must have one dimension: they have {outer[0].shape[-1]} and {inside[0].shape[-1]}"
+        )
+    batch = outer[0].shape[:-1]
+    if inside[0].shape[:-1] != batch:
+        raise ValueError(
+            f"a batch needs as many inner as outer sets: leading axes are {batch} and {inside[0].shape[:-1]}"
+        )
+    question = Question("contains_set", (flat(outer, batch), flat(inside, batch)), None)
+    return _decide(question, batch, Answer.YES)
 
 
 def is_empty(Z: AnySet) -> Decision:
@@ -252,23 +325,16 @@ def separate(X: AnySet, Y: AnySet) -> Separation:
     apart = Decision(-meet.answer, -meet.margin, meet.question, meet.direction, meet.point)
     (c, G, A, b), (c2, G2, A2, b2) = first, second
     xp, n, k, q = proof.library(c), c.shape[-1], b.shape[-1], G.shape[-1]
+    settled: Callable = kernels.settled if xp is jnp else lambda *x: x
     direction: Any = meet.direction  # of NumPy or of jax
-    l = proof.unit(direction)
-    (l,) = (l,) if xp is np else kernels.settled(l)
+    (l,) = settled(proof.unit(direction))
     normal, of_first, of_second = l[..., :n], l[..., n : n + k], l[..., n + k :]
-    row = lambda v, W: (v[..., None, :] @ W)[..., 0, :]
-    dot = lambda v, w: (v * w).sum(-1)
     with np.errstate(all="ignore"):
-        top = dot(normal, c) + abs(row(normal, G) + row(of_first, A)).sum(-1) - dot(of_first, b)
-        bottom = dot(normal, c2) - abs(row(normal, G2) - row(of_second, A2)).sum(-1) + dot(of_second, b2)
-        offset, point = (top + bottom) / 2, c + (G @ meet.point[..., :q, None])[..., 0]
-        pairs = (normal, c, G), (of_first, b, A), (normal, c2, G2), (of_second, b2, A2)
-        size = sum(dot(abs(v), abs(w) + abs(W).sum(-1)) for v, w, W in pairs)
-        largest = sum(abs(w).max(-1, initial=0) + abs(W).max((-1, -2), initial=0) for _, w, W in pairs)
-        gamma, floor = rounding.product_error(2 * (n + k + b2.shape[-1]) + q + G2.shape[-1], l.dtype)
-        slack = gamma * size + floor * 2 * (1 + q + G2.shape[-1]) * (1 + largest)
-        between = xp.minimum(bottom - offset, offset - top) > slack
-    proved, shared = meet.no & between, meet.yes
+        top = _reach((normal, of_first), (c, -b), (G, A))
+        bottom = -_reach((-normal, of_second), (c2, -b2), (G2, A2))
+        top, bottom, offset = settled(top, bottom, (top + bottom) / 2)
+        point = c + (G @ meet.point[..., :q, None])[..., 0]
+    proved, shared = meet.no & (top < offset) & (offset < bottom), meet.yes
     return Separation(
         apart,
         xp.where(proved[..., None], normal, np.nan),
@@ -277,43 +343,66 @@ def separate(X: AnySet, Y: AnySet) -> Separation:
     )
 
 
+def _reach(l: Pair, e: Pair, W: Pair) -> np.ndarray | jax.Array:
+    """Return an upper bound of l (e + W x) for every |x| <= 1, l of entries of at most 1, each in two
+    parts.
+    """
+    xp = proof.library(e[0])
+    sides, middle, rows = xp.concatenate(l, -1), xp.concatenate(e, -1), xp.concatenate(W, -2)
+    (m, q), dot = rows.shape[-2:], lambda v, w: (v * w).sum(-1)
+    gamma, floor = rounding.product_error(m + q + 4, rows.dtype)
+    size = abs(middle) + abs(rows).sum(-1)
+    error = gamma * dot(abs(sides), size) + floor * 2 * (1 + q) * (1 + size.max(-1, initial=0))
+    return dot(sides, middle) + abs((sides[..., None, :] @ rows)[..., 0, :]).sum(-1) + error
+
+
 def _decide(question: Question, shape: tuple[int, ...], meets: Answer, off: ArrayLike = 0.0) -> Decision:
     """Answer a question; `meets` is the answer where there is an x; its points are off by at most `off`
     beyond one rounding.
     """
     refuse_unverified()
-    (M, d), finite = question.equations(), question.known()
-    lay = lambda v: v.reshape((*shape, *v.shape[2:]))
-    if traced(question):
-        lower, upper, direction, x = kernels.bounds(M, d, off, False)
-        inside, outside = (upper <= 1) & finite, (lower > 1) & finite
-        room = jnp.where(inside, 1 - upper, jnp.where(outside, 1 - lower, 0))
-        said = jnp.where(inside, int(meets), jnp.where(outside, -int(meets), 0)).astype(jnp.int8)
-        return Decision(lay(said), lay(room * int(meets)), None, lay(direction), lay(x))
-    image = proof.image(np.where(np.isfinite(M), M, 0))
-    gauges = gauge_bounds(image, image.scaled(np.where(finite[..., None], d, 0)))
-    inside, outside = (gauges.upper <= 1) & finite, (gauges.lower > 1) & finite
-    margin = np.where(inside, 1 - gauges.upper, np.where(outside, 1 - gauges.lower, 0.0))
-    direction = unscaled(gauges.l, image.powers)
-    m, q = M.shape[1:]
-    if inside.size == 1 and finite.all() and not (inside | outside).any() and m * m * (m + q) <= EXACT:
-        x, l = certificate.exactly(question, (0, 0), gauges.x[0, 0])
-        inside, outside = np.full((1, 1), x is not None), np.full((1, 1), l is not None)
-        if x is not None:
-            gauges.x[0, 0] = [float(v) for v in x]
-        if l is not None:
-            top = max(map(abs, l))
-            direction[0, 0] = [float(v / top) for v in l]
-    answer = np.where(inside, meets, np.where(outside, -meets, Answer.UNDECIDED)).astype(np.int8)
-    return Decision(lay(answer), lay(margin * meets), question, lay(direction), lay(gauges.x))
+    (M, D), known, inside_jit = question.equations(), question.known(), traced(question)
+    whole, xp = question.name == "contains_set", proof.library(M)
+    if inside_jit:
+        lower, upper, l, x = kernels.contained(M, D) if whole else kernels.bounds(M, D, off, False)
+    else:
+        M, D = np.where(np.isfinite(M), M, 0), np.where(known[..., None], D, 0)
+        lower, upper, l, x = gauges.contained(M, D) if whole else gauges.bounds(M, D)
+    met, missed = (upper <= 1) & known, (lower > 1) & known
+    room = xp.where(met, 1 - upper, xp.where(missed, 1 - lower, 0.0))
+    if not inside_jit:
+        _exactly(question, known & ~(met | missed), met, missed, room, l, x)
+    answer = xp.where(met, int(meets), xp.where(missed, -int(meets), 0)).astype(np.int8)
+    if whole:
+        l, x = l[:, 0], x.swapaxes(1, 2)
+    lay = lambda v: v.reshape((*shape, *v.shape[1 if whole else 2 :]))
+    answer, room = (v.reshape(shape) for v in (answer, room * int(meets)))
+    return Decision(answer, room, None if inside_jit else question, lay(l), lay(x))
 
 
-def unscaled(l: np.ndarray, powers: np.ndarray) -> np.ndarray:
-    """Return directions (S, N, m) for the rows as they were given, of a size near 1."""
-    mantissa, exponent = np.frexp(l)
-    exponent = exponent + powers[:, None]
-    top = np.where(l != 0, exponent, np.iinfo(np.int32).min).max(
-        2, initial=np.iinfo(np.int32).min, keepdims=True
-    )
-    with np.errstate(under="ignore"):
-        return np.where(l != 0, np.ldexp(mantissa, np.where(l != 0, exponent - top, 0)), 0.0)
+def _exactly(
+    question: Question,
+    left: np.ndarray,
+    met: np.ndarray,
+    missed: np.ndarray,
+    room: np.ndarray,
+    l: np.ndarray,
+    x: np.ndarray,
+) -> None:
+    """Decide open questions (S, N) in exact numbers: a single one, or containment in a set of few
+    facets.
+    """
+    c, G, A, _ = question.sets[0]
+    m, q = l.shape[2], x.shape[2]
+    if question.name == "contains_set":
+        few = not A.shape[1] and math.comb(q, c.shape[1] - 1) <= FEW
+        for i in np.flatnonzero(left) if few else ():  # x stays: exact numbers may still make a certificate
+            met[i], room[i], l[i] = by_facets(*(tuple(v[i] for v in part) for part in question.sets))
+            missed[i] = ~met[i]
+    elif left.size == 1 and left.all() and m * m * (m + q) <= EXACT:
+        point, direction = certificate.exactly(question, (0, 0), x[0, 0])
+        if point is not None:
+            met[:], x[0, 0] = True, [float(v) for v in point]
+        if direction is not None:
+            top = max(map(abs, direction))
+            missed[:], l[0, 0] = True, [float(v / top) for v in direction]

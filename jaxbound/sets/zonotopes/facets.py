@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from fractions import Fraction
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -16,20 +17,17 @@ from jaxbound.exact.circuits import circuits
 from jaxbound.exact.price import refuse_or_say
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_unverified
-from jaxbound.sets.floats.sizes import power
-from jaxbound.sets.strips.strips import UNROLLED, Strips, strip_verdict
-from jaxbound.sets.zonotopes import kernels, proof
-from jaxbound.sets.zonotopes.gauges import gauge_bounds
+from jaxbound.sets.zonotopes import gauges, kernels
 from jaxbound.sets.zonotopes.questions import numbers, traced
 from jaxbound.sets.zonotopes.zonotope import Zonotope, refuse_infinite
 
-__all__ = ["FEW", "exact_strips", "membership", "strips"]
+__all__ = ["FEW", "by_facets", "exact_strips", "membership", "strips"]
 
 FEW = 500
 """How many subsets of n - 1 generators are looked through for facets: a second or so in exact numbers."""
 
-AT_ONCE = 64
-"""Points that are worked out together where there are no more."""
+BLOCK = 2**15
+"""Products of points and strips that are worked out at a time."""
 
 
 def strips(Z: Zonotope) -> tuple[np.ndarray, np.ndarray]:
@@ -65,7 +63,7 @@ def exact_strips(Z: Zonotope) -> list[tuple[list[Fraction], Fraction]]:
     if isinstance(Z.generators, jax.core.Tracer):
         raise TypeError("strips need concrete generators: build them outside jit, grad and vmap")
     refuse_infinite(center=Z.center, generators=Z.generators)
-    G = [[Fraction(x) for x in row] for row in _floats(Z.generators).tolist()]
+    G = _exact(_floats(Z.generators))
     n, q = np.shape(Z.generators)
     flat = (
         linalg.left_null_space(G) if q else tuple(tuple(Fraction(i == j) for j in range(n)) for i in range(n))
@@ -98,8 +96,32 @@ def _price(q: int, rank: int) -> None:
     refuse_or_say(seconds, f"strips by {subsets} subsets of {q} generators", do)
 
 
+def _exact(G: np.ndarray) -> list[list[Fraction]]:
+    return [[Fraction(x) for x in row] for row in G.tolist()]
+
+
 def _floats(x: ArrayLike) -> np.ndarray:
     return np.asarray(x, float)
+
+
+def by_facets(outer: Sequence[np.ndarray], inner: Sequence[np.ndarray]) -> tuple[bool, float, np.ndarray]:
+    """Return (whether it is held, margin, direction) by all facets of the outer zonotope, in exact
+    numbers.
+    """
+    (c, G, _, _), (c2, G2, _, _) = outer, inner
+    exact = lambda v: [Fraction(x) for x in v.tolist()]
+    shift = [a - b for a, b in zip(exact(c2), exact(c), strict=True)]
+    columns = [exact(g) for g in G2.T]
+    dot = lambda v, w: sum((a * b for a, b in zip(v, w, strict=True)), Fraction(0))
+    worst, direction = Fraction(0), np.zeros(len(c))
+    for normal, width in exact_strips(Zonotope(cast(jax.Array, c), cast(jax.Array, G))):
+        reach = abs(dot(normal, shift)) + sum((abs(dot(normal, g)) for g in columns), Fraction(0))
+        sign = -1 if dot(normal, shift) < 0 else 1
+        if reach > width and not width:
+            return False, -np.inf, np.array([float(sign * v) for v in normal])
+        if width and reach / width > worst:
+            worst, direction = reach / width, np.array([float(sign * v) for v in normal])
+    return worst <= 1, float(1 - worst), direction
 
 
 def membership(Z: Zonotope, points: ArrayLike) -> np.ndarray | jax.Array:
@@ -137,11 +159,36 @@ def membership(Z: Zonotope, points: ArrayLike) -> np.ndarray | jax.Array:
         return _traced(Z, points)
     points = np.asarray(points)
     refuse_infinite(center=Z.center, generators=Z.generators, points=points)
-    if math.comb(Z.generators.shape[1], n - 1) > FEW:
-        return _searched(Z, points)
-    found = exact_strips(Z)
-    margin = _margins([row for row in found if row[1]], Z, points)
-    return _beside_the_plane([row for row in found if not row[1]], Z, points, margin)
+    with np.errstate(all="ignore"):
+        away, G = points.astype(float) - _floats(Z.center), _floats(Z.generators)
+        if math.comb(G.shape[1], n - 1) > FEW:
+            lower, upper, *_ = gauges.bounds(G[None], away[None], tight=True)
+            margin = np.where(lower > 1, 1 - lower, np.maximum(1 - upper, 0))[0]
+            solid = ((upper > 0) & (upper < np.inf)).all()  # no flat set has such a bound
+            flat = () if solid else linalg.left_null_space(_exact(G))
+        else:
+            found = exact_strips(Z)
+            far, slack = _farthest([[x / width for x in normal] for normal, width in found if width], away)
+            margin = np.where((far + slack <= 1) | (far - slack > 1), 1 - far, 0)
+            flat = tuple(tuple(normal) for normal, width in found if not width)
+        if flat:
+            far, slack = _farthest(flat, away)
+            margin = np.where(far > slack, -np.inf, np.minimum(margin, 0))
+    return margin.astype(Z.center.dtype)
+
+
+def _farthest(rows: Sequence[Sequence[Fraction]], d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return max_k |h_k d| (N,) for exact rows h and points d (N, n), and more than it may be off by and a
+    few roundings of 1: by `rounding.product_error`, whose gamma holds that h and d were rounded once.
+    """
+    H = np.array([[rounding.fraction_to_float(x) for x in row] for row in rows]).reshape(-1, d.shape[1])
+    gamma, floor = rounding.product_error(d.shape[1] + 4, float)
+    far, size, high, turned = np.zeros(len(d)), np.zeros(len(d)), abs(d).max(1), np.ascontiguousarray(d.T)
+    block = BLOCK // max(len(H), 1)
+    for part in (slice(i, i + block) for i in range(0, len(d), block)):  # points side by side in memory
+        far[part] = abs(H @ turned[:, part]).max(0, initial=0)
+        size[part] = (abs(H) @ abs(turned[:, part])).max(0, initial=0)
+    return far, gamma * (1 + size) + floor * (1 + abs(H).max(initial=0)) * (1 + high)
 
 
 def _traced(Z: Zonotope, points: ArrayLike) -> jax.Array:
@@ -149,62 +196,3 @@ def _traced(Z: Zonotope, points: ArrayLike) -> jax.Array:
     (points,) = kernels.settled(rounding.widened(jnp.asarray(points), c.dtype))
     lower, upper, *_ = kernels.bounds(G[None], (points - c[None])[None], 0.0, True)
     return jnp.where(lower > 1, 1 - lower, jnp.maximum(1 - upper, 0))[0]
-
-
-def _searched(Z: Zonotope, points: np.ndarray) -> np.ndarray:
-    """Return the margins by the search for the gauge; where a set is flat, its plane is found in exact
-    numbers.
-    """
-    c, G = (_floats(x)[None] for x in (Z.center, Z.generators))
-    image = proof.image(G)
-    with np.errstate(over="ignore"):
-        found = gauge_bounds(image, image.scaled(points.astype(float)[None] - c[:, None]), tight=True)
-    margin = np.where(found.lower > 1, 1 - found.lower, np.maximum(1 - found.upper, 0))[0].astype(
-        Z.center.dtype
-    )
-    if np.isfinite(image.loss[0]):
-        return margin
-    flat = linalg.left_null_space([[Fraction(x) for x in row] for row in G[0].tolist()])
-    return _beside_the_plane([(normal, Fraction(0)) for normal in flat], Z, points, margin)
-
-
-def _beside_the_plane(
-    flat: Sequence[tuple[Sequence[Fraction], Fraction]], Z: Zonotope, points: np.ndarray, margin: np.ndarray
-) -> np.ndarray:
-    """Return the margins, -inf for points proved to be beside one of the strips without width, and no margin
-    above 0 if there are any.
-    """
-    return np.where(_margins(flat, Z, points) < 0, -np.inf, np.minimum(margin, 0)) if flat else margin
-
-
-def _margins(
-    rows: Sequence[tuple[Sequence[Fraction], Fraction]], Z: Zonotope, points: np.ndarray
-) -> np.ndarray:
-    given, count = np.asarray(points, Z.center.dtype), len(points)
-    if not rows:
-        return np.ones(count, given.dtype)
-    if count <= AT_ONCE:  # little to work out: few sizes are compiled
-        given = np.concatenate([given, np.zeros((AT_ONCE - count, given.shape[1]), given.dtype)])
-        rows = [*rows, *[rows[-1]] * (power(len(rows)) - len(rows))]
-    table = _table([(*normal, width) for normal, width in rows]).astype(given.dtype)
-    return np.asarray(_membership(table, Z.center, given))[:count]
-
-
-def _table(exact_rows: Sequence[Sequence[Fraction]]) -> Strips:
-    """Return strips over all of (p, 1), zero coefficients included: zonotopes of one shape then share one
-    compilation.
-    """
-    scaled = [[x / max(map(abs, row)) for x in row] for row in exact_rows]
-    h = np.array([[rounding.fraction_to_float(x) for x in row] for row in scaled])
-    rows = np.tile(np.arange(h.shape[1], dtype=np.int32), (len(h), 1))
-    return Strips(
-        rows, h, np.zeros((len(h), 0)), tuple(map(tuple, rows.tolist())) if len(h) <= UNROLLED else None
-    )
-
-
-@jax.jit
-def _membership(table: Strips, center: jax.Array, points: jax.Array) -> jax.Array:
-    zero, one = jnp.zeros_like(points[:, 0]), jnp.ones_like(points[:, 0])
-    mid = [points[:, i] - center[i] for i in range(points.shape[1])] + [zero]
-    scale = [abs(points[:, i]) + abs(center[i]) for i in range(points.shape[1])] + [one]
-    return strip_verdict(table, mid, [zero] * points.shape[1] + [one], scale, [], [], 1)

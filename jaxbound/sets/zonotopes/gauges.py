@@ -1,18 +1,19 @@
 """Proved bounds of the gauge of points in M [-1, 1]^q: easy points first, only the others go on.
 
 A few steps of projections for all points of a set at once (`search.project`), then interior points and the
-vertex that they point to (`search.advance`, `proof.vertices`) for what is left, in blocks. Proofs are looked
+vertex that they point to (`search.advance`, `search.vertices`) for what is left, in blocks. Proofs are looked
 at between the stages. All of it is NumPy: nothing is compiled, so the first question takes no longer than the
 next.
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from jaxbound.sets.zonotopes import proof, search
+from jaxbound.sets.zonotopes import containment, proof, search
 
-__all__ = ["Bounds", "gauge_bounds"]
+__all__ = ["Bounds", "bounds", "contained", "gauge_bounds"]
 
 STEPS = (6, 20)
 """Steps of projections between two looks at the proofs; at |gauge - 1| = 0.05 some 20 suffice in 5 to 100
@@ -61,9 +62,13 @@ class Bounds:
             where = tuple(v[better] for v in np.broadcast_arrays(*at))
             bound[where], proves[where] = new[better], what[better]
 
+    def left(self, tight: bool) -> np.ndarray:
+        """Return (S, N), true where a point is not settled: both bounds are wanted, or which side of 1."""
+        return self.upper > 0 if tight else ~((self.lower > 1) | (self.upper <= 1))
+
 
 def gauge_bounds(image: proof.Image[np.ndarray], d: np.ndarray, tight: bool = False) -> Bounds:
-    """Return Bounds for points d (S, N, m), scaled as by `Image.scaled`.
+    """Return Bounds for points d (S, N, m), scaled as by `Image.scaled`; none for points that are NaN.
 
     Args:
         image: an Image of S sets. tight: work out both bounds up to rounding; otherwise stop where one is on
@@ -73,40 +78,29 @@ def gauge_bounds(image: proof.Image[np.ndarray], d: np.ndarray, tight: bool = Fa
     found = Bounds(
         np.zeros((S, N)), np.full((S, N), np.inf), *(np.zeros((S, k, N)).swapaxes(1, 2) for k in (m, q))
     )
-    d = _beside(d)
+    d, some = _beside(d), np.isfinite(d).all(2)
     with np.errstate(all="ignore"):
-        z = _start(image, d, found)
-        if tight or (~_settled(found, False)).any():
-            if not tight:
-                _projected(image, d, z, found)
-            _interior(image, d, found, tight)
+        _projected(image, d, found, some, () if tight else STEPS)
+        left = found.left(tight) & some
+        if left.any():
+            _interior(image, d, found, left, tight)
     return found
 
 
-def _settled(found: Bounds, tight: bool) -> np.ndarray:
-    return (found.lower > 1) | (found.upper <= 1) if not tight else found.upper == 0
-
-
-def _start(image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds) -> np.ndarray:
-    """Try the point of least norm and the direction that its clipped entries point to; return it (S, N,
-    q).
+def bounds(M: np.ndarray, d: np.ndarray, tight: bool = False) -> tuple[np.ndarray, ...]:
+    """Return (lower, upper, l, x) as `gauge_bounds`, of finite M (S, m, q) and d (S, N, m) as they are given,
+    as is l.
     """
-    back, turned = image.R.swapaxes(1, 2), image.M.swapaxes(1, 2)
-    z = proof.product(d, back)
-    y = np.clip(z, -1, 1)
-    near = y + proof.product(d - proof.product(y, turned), back)
-    x = np.where(
-        (abs(near).max(2, initial=0) < abs(2 * near - z).max(2, initial=0))[..., None], near, 2 * near - z
-    )
-    l = proof.product(z - y, image.R)
-    if not np.isfinite(image.loss).all():  # flat sets: points may be beside the plane
-        beside = d - proof.product(z, turned)
-        flat = abs(beside).max(2, initial=0) > 2.0**-30 * abs(d).max(2, initial=0)
-        flat &= ~np.isfinite(image.loss)[:, None]
-        l, x = np.where(flat[..., None], beside, l), np.where(flat[..., None], z, x)
-    sets, points = np.ogrid[: d.shape[0], : d.shape[1]]
-    found.take((sets, points), image, d, l, x)
-    return z
+    image = proof.image(M)
+    found = gauge_bounds(image, image.scaled(d), tight)
+    return found.lower, found.upper, proof.unscaled(found.l, image.powers), found.x
+
+
+def contained(M: np.ndarray, D: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return (lower, upper, l, X) as `containment.contained`."""
+    image = proof.image(M)
+    directions = lambda far: proof.unit(gauge_bounds(image, far, tight=True).l)
+    return containment.contained(image, D, directions, lambda *x: x)
 
 
 def _gathered(left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -117,28 +111,31 @@ def _gathered(left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return i[:, None], np.argsort(~left[i], axis=1, kind="stable")[:, : left.sum(1).max()]
 
 
-def _projected(image: proof.Image[np.ndarray], d: np.ndarray, z: np.ndarray, found: Bounds) -> None:
-    """Run the projections, on what they leave open of each set."""
-    before = d.size
-    for steps in STEPS:
-        left = ~_settled(found, False)
-        fruitless = (
-            d.shape[1] > 1 and left.sum() > FRUITLESS * before
-        )  # of one point a set: others are none of its business
-        if not left.any() or (steps > STEPS[0] and fruitless):
-            break  # they are near the boundary, where projections take too long
-        before = left.sum()
-        at = _gathered(left)
-        some, points = _of(image, at[0]), _beside(d[at])
-        x, l, z[at] = search.project(some.M, some.R, points, _beside(z[at]), steps)
-        found.take(at, some, points, l, x)
+def _projected(
+    image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds, some: np.ndarray, stages: tuple[int, ...]
+) -> None:
+    """Try the points of least norm, and run the projections on what is left open of each set."""
+    z, before = proof.product(d, image.R.swapaxes(1, 2)), np.inf
+    at = np.ogrid[: len(d), :1][0], np.ogrid[:1, : d.shape[1]][1]
+    for steps in (0, *stages):
+        if steps:
+            left = found.left(False) & some
+            # near the boundary projections take too long; of one point a set, others are none of its business
+            if not left.any() or (d.shape[1] > 1 and left.sum() > FRUITLESS * before):
+                break
+            at, before = _gathered(left), left.sum()
+        chosen, points = (_of(image, at[0]), _beside(d[at])) if steps else (image, d)
+        x, l, z[at] = search.project(chosen.M, chosen.R, points, _beside(z[at]), steps)
+        if not steps:  # beyond the nearest point of the box the other side of it, as far
+            far, l = 2 * x - z, search.beside(image.M, d, z, l)
+            x = np.where((abs(x).max(2, initial=0) < abs(far).max(2, initial=0))[..., None], x, far)
+        found.take(at, chosen, points, l, x)
 
 
-def _interior(image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds, tight: bool) -> None:
+def _interior(
+    image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds, left: np.ndarray, tight: bool
+) -> None:
     """Run interior points on what is left, in blocks: of sets, or of points of one set."""
-    left = ~_settled(found, tight)
-    if not left.any():
-        return
     sets, points = _gathered(left)
     most = min(max(1, BLOCK // max(image.M[0].size, 1)), LARGEST)
     wide = min(points.shape[1], most)
@@ -158,28 +155,20 @@ def _vertices(
     """Look at the vertices that the points `at` tend to, now and then: most are known long before the
     optimum.
     """
-    (m, q), enough, rows = image.M.shape[1:], np.inf if tight else CLEAR, lambda v: v.reshape(-1, v.shape[2])
+    (m, q), enough = image.M.shape[1:], np.inf if tight else CLEAR
     some, points = _of(image, at[0]), _beside(d[at])
     state = search.start(some.M, some.R, points)
-    few = m > proof.SMALL  # a look inverts a matrix a point, which takes longer than a step
-    for steps in (
-        ((search.STEPS,) if few else TIGHT) if tight else (6 + m // 16, *((search.STEPS,) if few else LATER))
-    ):
-        for _ in range(steps):
-            if state[-1].all():
-                break
-            state = search.advance(some.M, points, state, enough)
+    stages = TIGHT if tight else (6 + m // 16, *LATER)
+    for steps in stages[:1] + (search.STEPS,) if m > search.SMALL else stages:  # where a look takes long
+        going = lambda state: not state[-1].all()
+        step = partial(search.advance, some.M, points, enough=enough)
+        state = search.repeated(step, state, steps, going)
         x, l, s = search.reached(state)
         found.take(at, some, points, l, _onto(some, points, x))
         if m <= q:
-            one = (
-                len(some.M) == 1 and points.shape[1] > 1
-            )  # a set of one point is worked out as if others stood beside it
-            M = some.M[0] if one else np.repeat(some.M, points.shape[1], 0)
-            x, l = proof.vertices(M, rows(points), rows(x), rows(s))
-            x, l = x.reshape(*points.shape[:2], q), l.reshape(points.shape)
+            x, l = search.vertices(some.M, points, x, s)
             found.take(at, some, points, l, _onto(some, points, x))
-        left = ~state[-1] & ~_settled(found, tight)[at]
+        left = ~state[-1] & found.left(tight)[at]
         if not left.any():
             break
         sets, _ = keep = _gathered(left)

@@ -1,4 +1,4 @@
-"""Decisions about zonotopes inside jit, vmap and scan: a search of few steps, then its proof, rounded outward
+"""Bounds of gauges inside jit, vmap and scan: a search of few steps, then its proof, rounded outward
 in the dtype of the sets.
 
 The stages are those of `gauges`: projections for all points, interior points and their vertex while some are
@@ -12,17 +12,12 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.zonotopes import proof, search
-from jaxbound.sets.zonotopes.proof import Array
+from jaxbound.sets.zonotopes import containment, proof, search
 
-__all__ = ["bounds", "contained", "farthest", "image", "settled", "starts"]
+__all__ = ["bounds", "contained", "image", "settled"]
 
 STEPS = 24
 """Of projections."""
-STARTS, CLIMBS = 16, 6
-"""Directions along the axes, and others as many; how often they change."""
-CHUNK, CHUNKS = 16, 21
-"""Projections of a matrix between two looks at it, and how many of them."""
 
 
 def settled(*arrays: jax.Array) -> tuple[jax.Array, ...]:
@@ -73,22 +68,22 @@ def bounds(
         zero = jnp.zeros((S, N), M.dtype)
         return zero, zero, d, jnp.zeros((S, N, q), M.dtype)
     body = image(M)
-    d, off = _scaled(body, d), _scaled(body, jnp.broadcast_to(jnp.asarray(off, M.dtype), d.shape))
-    lower, upper, l, x = gauge_bounds(body, d, off, tight)
-    return lower, upper, _given(l, body.powers), x
+    d, off = (body.scaled(jnp.broadcast_to(jnp.asarray(v, M.dtype), d.shape)) for v in (d, off))
+    l, x = settled(*_candidates(body, d, tight))
+    lower, upper = proof.gauge_above(body, d, l, off), proof.gauge_below(body, d, x, off)
+    return lower, upper, proof.unscaled(l, body.powers), x
 
 
-def gauge_bounds(
-    body: proof.Image[jax.Array], d: jax.Array, off: jax.Array | float = 0.0, tight: ArrayLike = False
-) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Return (lower, upper, l, x) as `bounds` does, for an Image and points in its own scale."""
-    l, x = settled(*map(_clean, _candidates(body, d, tight)))
-    return proof.gauge_above(body, d, l, off), proof.gauge_below(body, d, x, off), l, x
+@jax.jit
+def contained(M: jax.Array, D: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Return (lower, upper, l, X) of zonotopes in sets: as `containment.contained` does."""
+    body = image(M)
+    return containment.contained(body, D, lambda far: _candidates(body, far, True)[0], settled)
 
 
 def _candidates(body: proof.Image[jax.Array], d: jax.Array, tight: ArrayLike) -> tuple[jax.Array, jax.Array]:
     """Return (l, x): the best directions and points found, in plain floats; no claim is made."""
-    (S, m, q), N = body.M.shape, d.shape[1]
+    m, q = body.M.shape[1:]
     turned, back = body.M.swapaxes(1, 2), body.R.swapaxes(1, 2)
     enough = jnp.where(tight, np.inf, rounding.unit(d.dtype) ** 0.5)
 
@@ -116,117 +111,17 @@ def _candidates(body: proof.Image[jax.Array], d: jax.Array, tight: ArrayLike) ->
         x, l, s = search.interior_point(body.M, body.R, hidden, enough)
         if m > q:
             return better(found, (l, x))[0]
-        flat = lambda v: v.reshape(S * N, -1)
-        M = body.M[0] if S == 1 else jnp.repeat(body.M, N, 0)
-        corner, normal = proof.vertices(M, flat(d), flat(x), flat(s))
-        both = jnp.stack([l, normal.reshape(l.shape)]), jnp.stack([x, corner.reshape(x.shape)])
-        return jax.lax.scan(better, found, both)[0]
+        corner, normal = search.vertices(body.M, d, x, s)
+        return jax.lax.scan(better, found, (jnp.stack([l, normal]), jnp.stack([x, corner])))[0]
 
     z = d @ back
     x, l, _ = search.project(body.M, body.R, d, z, STEPS)
-    beside = d - z @ turned  # points may be beside the plane of a flat set
-    flat = jnp.max(jnp.abs(beside), 2) > rounding.unit(d.dtype) ** 0.5 * jnp.max(jnp.abs(d), 2)
-    found = rated(jnp.where(flat[..., None], beside, l), x)
-    return _once(lambda found: jnp.any(unsettled(found)), near, found)[2:]
-
-
-@jax.jit
-def contained(M: jax.Array, D: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Return (l, X, least, most) for zonotopes D [1, z], D (S, m, 1 + p), in sets M (S, m, q): not held if
-    least > 1, held if most <= 1.
-    """
-    body = image(M)
-    D = _scaled(body, D.swapaxes(1, 2)).swapaxes(1, 2)
-    l, reach = _climbed(body, D)
-    X = _encoded(body, D, ~(reach > 1))
-    l, X = settled(_clean(l), _clean(X))
-    return _given(l, body.powers)[:, 0], X, proof.reach_above(body, D, l)[:, 0], proof.rows_below(body, D, X)
-
-
-def starts(R: Array) -> Array:
-    """Return directions (S, N, m) to start from: any will do, the same ones each time."""
-    S, _, m = R.shape
-    xp = proof.library(R)
-    fixed: np.ndarray = np.concatenate(
-        [np.eye(m)[:STARTS], np.random.default_rng(0).normal(size=(STARTS, m))]
-    ).astype(R.dtype)
-    return xp.concatenate([xp.broadcast_to(fixed[None], (S, *fixed.shape)), R.sum(1)[:, None]], 1)
-
-
-def farthest(D: Array, l: Array) -> tuple[Array, Array]:
-    """Return (l (S, N, m), points (S, N, m)): directions, turned round where D [1, z] is farther that way,
-    and its corners there.
-    """
-    xp = proof.library(D)
-    l = xp.where((l @ D)[..., :1] < 0, -l, l)
-    along = l @ D
-    return l, D[:, None, :, 0] + xp.where(along[..., 1:] < 0, -1, 1) @ D[..., 1:].swapaxes(1, 2)
-
-
-def _climbed(body: proof.Image[jax.Array], D: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return (l (S, 1, m), how far D [1, z] reaches along it in terms of M x, about)."""
-    S, m, _ = D.shape
-
-    def climb(carry):
-        count, l, best, reach, going = carry
-        l = proof.unit(_candidates(body, farthest(D, l)[1], True)[0])
-        along = l @ D
-        now = (jnp.abs(along[..., 0]) + jnp.sum(jnp.abs(along[..., 1:]), 2)) / jnp.sum(jnp.abs(l @ body.M), 2)
-        now = jnp.where(jnp.isfinite(now), now, 0)
-        l = jnp.where(along[..., :1] < 0, -l, l)
-        at = jnp.argmax(now, 1)[:, None]
-        top, chosen = jnp.take_along_axis(now, at, 1)[:, 0], jnp.take_along_axis(l, at[..., None], 1)
-        better = going & (top > reach * (1 + rounding.unit(D.dtype) ** 0.5))
-        best, reach = jnp.where(better[:, None, None], chosen, best), jnp.where(better, top, reach)
-        return count + 1, l, best, reach, better & ~(reach > 1 + rounding.unit(D.dtype) ** 0.5)
-
-    none = jnp.zeros((S, 1, m), D.dtype), jnp.zeros(S, D.dtype), jnp.ones(S, bool)
-    going = lambda carry: (carry[0] < CLIMBS) & jnp.any(carry[-1])
-    return jax.lax.while_loop(going, climb, (jnp.int32(0), starts(body.R), *none))[2:4]
-
-
-def _encoded(body: proof.Image[jax.Array], D: jax.Array, wanted: jax.Array) -> jax.Array:
-    """Return X (S, q, 1 + p) with M X = D nearly, and rows with sums of |X| of at most 1 where they were
-    found; only where wanted.
-    """
-
-    def more(carry):
-        count, Z, best, least = carry
-        X, Z = search.project_rows(body.M, body.R, D, Z, CHUNK)
-        X = X + body.R @ (D - body.M @ X)
-        sums = proof.largest(jnp.sum(jnp.abs(X), 2), 1)
-        better = sums < least
-        return count + 1, Z, jnp.where(better[:, None, None], X, best), jnp.where(better, sums, least)
-
-    X = body.R @ D
-    least = proof.largest(jnp.sum(jnp.abs(X), 2), 1)
-    open_at = lambda least: wanted & (least > 1 - rounding.unit(D.dtype) ** 0.5) & jnp.isfinite(body.loss)
-    going = lambda carry: (carry[0] < CHUNKS) & jnp.any(open_at(carry[-1]))
-    return jax.lax.while_loop(going, more, (jnp.int32(0), X, X, least))[2]
-
-
-def _scaled(body: proof.Image[jax.Array], d: jax.Array) -> jax.Array:
-    return rounding.scale(d, jnp.broadcast_to(body.powers[:, None], d.shape))
-
-
-def _once(wanted, stage, found):
-    """Run a stage if it is wanted; under vmap too it does not run where nothing in the batch wants it, as it
-    would with cond.
-    """
-    going = lambda carry: carry[0] & wanted(carry[1])
-    return jax.lax.while_loop(
-        going, lambda carry: (jnp.zeros_like(carry[0]), stage(carry[1])), (jnp.ones((), bool), found)
-    )[1]
+    found = rated(search.beside(body.M, d, z, l), x)
+    # under vmap, too, the stage does not run where nothing in the batch wants it, as it would with cond
+    found = search.repeated(near, found, 1, lambda found: jnp.any(unsettled(found)))
+    return _clean(found[2]), _clean(found[3])
 
 
 def _clean(x: jax.Array) -> jax.Array:
     """Return candidates without subnormal numbers, which some operations read as 0 and others do not."""
     return jnp.where(jnp.abs(x) < 4 * rounding.tiny(x.dtype), 0, x)
-
-
-def _given(l: jax.Array, powers: jax.Array) -> jax.Array:
-    """Return directions (S, N, m) for the rows as they were given, of a size near 1."""
-    exponent = rounding.mantissa_exponent(jnp.where(jnp.abs(l) > 0, jnp.abs(l), 1))[1] + powers[:, None]
-    top = jnp.max(jnp.where(l != 0, exponent, -jnp.inf), 2, keepdims=True)
-    shift = jnp.where(l != 0, powers[:, None] - top, 0)
-    return jnp.where(l != 0, rounding.scale(l, shift), 0)

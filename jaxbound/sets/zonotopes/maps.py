@@ -248,18 +248,8 @@ def scale(S: AnySet, factor: Operand) -> AnySet:
 
 @jax.jit
 def _scaled(S: AnySet, factor: Interval) -> AnySet:
-    S, factor = rounding.one_dtype(S, factor)
-    c, G, A, b = parts(S)
-    middle, spread = (jnp.broadcast_to(x, c.shape) for x in (mid(factor), rad(factor)))
-    gamma, least = rounding.product_error(1, c.dtype)
-    floor = (
-        least
-        * (G.shape[1] + 1)
-        * (1 + jnp.abs(middle) + spread)
-        * (1 + jnp.max(jnp.abs(c)) + jnp.max(jnp.abs(G), initial=0))
-    )
-    error = up(up(up(gamma * jnp.abs(middle) + spread) * reach(c, G)) + floor)
-    return whole(middle * c, middle[:, None] * G, A, b, error)
+    n = parts(S)[0].shape
+    return _linear_map(Interval(*(jnp.diag(jnp.broadcast_to(x, n)) for x in (factor.lo, factor.hi))), S, None)
 
 
 def cartesian_product(S: AnySet, T: AnySet) -> AnySet:

@@ -18,9 +18,8 @@ r = d - M x. Then y with M R y = r exists, max|y| <= max|r| / (1 - rho), and M (
 most reach_j max|y|, reach_j = sum_i |R_ji|. So min max|x| <= max_j (|x_j| + reach_j max|r| / (1 - rho)). A
 set that is flat, or flat but for rounding, has no such R.
 
-**A zonotope** D [1, z], D (m, 1 + p): outside by l with l'D_0 + sum_k |l'D_k| > sum_j |l'M_j|
-(`reach_above`); inside by X (q, 1 + p) with M X = D and row sums of |X| of at most 1, a column at a time as
-above (`rows_below`).
+**A zonotope** D [1, z], D (m, 1 + p): outside by one of its corners; inside by X (q, 1 + p) with M X = D and
+row sums of |X| of at most 1, a column at a time as above (`gauge_below`, together).
 """
 
 from __future__ import annotations
@@ -36,7 +35,6 @@ from numpy.typing import ArrayLike
 from jaxbound.sets.floats import rounding
 
 __all__ = [
-    "SMALL",
     "Image",
     "gauge_above",
     "gauge_below",
@@ -46,10 +44,9 @@ __all__ = [
     "measured",
     "more",
     "product",
-    "reach_above",
-    "rows_below",
+    "solved",
     "unit",
-    "vertices",
+    "unscaled",
 ]
 
 
@@ -58,11 +55,6 @@ Array = TypeVar("Array", np.ndarray, jax.Array)
 SINGLE = 2**18
 """Products of numbers for which OpenBLAS stays on one thread; with two, 1000 points of 20 coordinates took
 five times as long.
-"""
-
-SMALL = 24
-"""Rows up to which equations are solved many at a time on the host; larger ones one by one, while they are in
-the processor's cache.
 """
 
 
@@ -126,13 +118,16 @@ class Image(Generic[Array]):
     loss: Array
     sums: Array
 
-    def scaled(self, d: np.ndarray) -> np.ndarray:
-        """Return points d (S, N, m) in the rows' own scale; NaN for a number that it would turn into 0 or
-        infinity.
+    def scaled(self, d: Array) -> Array:
+        """Return points d (S, N, m) in the rows' own scale; on the host NaN for a number that it would turn
+        into 0 or infinity.
         """
+        if library(d) is jnp:
+            powers = jnp.broadcast_to(cast(jax.Array, self.powers)[:, None], d.shape)
+            return cast(Array, rounding.scale(cast(jax.Array, d), powers))
         with np.errstate(over="ignore", under="ignore"):
             out = np.ldexp(d, self.powers[:, None])
-        return np.where(((out == 0) & (d != 0)) | ~np.isfinite(out), np.nan, out)
+        return cast(Array, np.where(((out == 0) & (d != 0)) | ~np.isfinite(out), np.nan, out))
 
     def of(self, sets: np.ndarray) -> Image[Array]:
         """Return the Image of some of the sets, by number."""
@@ -169,7 +164,7 @@ def _right_inverse(M: np.ndarray) -> np.ndarray:
     R, bad = np.zeros((S, q, m)), np.ones(S, bool)
     with np.errstate(all="ignore"):
         if m <= q:
-            R = turned @ _inverse(M @ turned)[0]
+            R = turned @ solved(M @ turned, np.broadcast_to(np.eye(m), (S, m, m)))
             R = 2 * R - R @ (M @ R)  # a Newton step: what is lost by squaring the condition
             bad = ~(abs(M @ R - np.eye(m)).sum(2).max(1) < 2.0**-10)
         if bad.any():
@@ -177,17 +172,19 @@ def _right_inverse(M: np.ndarray) -> np.ndarray:
     return R
 
 
-def _inverse(W: Array) -> tuple[Any, Any]:
-    """Return (inverses of W (N, m, m), which of them there are)."""
-    if library(W) is jnp:
-        Q, U = jnp.linalg.qr(W)  # compiles in a third of the time that elimination takes
-        inverse = jax.scipy.linalg.solve_triangular(U, Q.swapaxes(1, 2))
-        return inverse, jnp.isfinite(inverse).all((1, 2))
+def solved(W: Array, B: Array) -> Array:
+    """Return W^-1 B, (..., m, m) by (..., m, k), of numbers that say nothing where there is no inverse: no
+    claim is made.
+    """
+    xp = library(W)
+    if xp is jnp:
+        Q, U = xp.linalg.qr(W)  # compiles in a third of the time that elimination takes
+        return cast(Array, jax.scipy.linalg.solve_triangular(U, Q.swapaxes(-1, -2) @ B))
     try:
-        return np.linalg.inv(W), np.ones(len(W), bool)
+        return cast(Array, xp.linalg.solve(W, B))
     except np.linalg.LinAlgError:
-        regular = np.linalg.slogdet(W)[0] != 0
-        return np.linalg.inv(np.where(regular[:, None, None], W, np.eye(W.shape[1]))), regular
+        regular = xp.linalg.slogdet(W)[0] != 0
+        return cast(Array, xp.linalg.solve(np.where(regular[..., None, None], W, np.nan), B))
 
 
 def gauge_above(image: Image[Array], d: Array, l: Array, off: Array | float = 0.0) -> Array:
@@ -210,105 +207,38 @@ def gauge_above(image: Image[Array], d: Array, l: Array, off: Array | float = 0.
         return xp.where(xp.isfinite(ahead) & xp.isfinite(width) & xp.isfinite(slack), bound, 0)
 
 
-def gauge_below(image: Image[Array], d: Array, x: Array, off: Array | float = 0.0) -> Array:
+def gauge_below(
+    image: Image[Array], d: Array, x: Array, off: Array | float = 0.0, together: bool = False
+) -> Array:
     """Return upper bounds (S, N) of the gauges of d (S, N, m), off by at most `off` and one rounding; at most
     1 only if proved inside.
 
     Args:
-        x: (S, N, q), any points.
+        x: (S, N, q), any points. together: x and d are columns of matrices X and D: bounds (S, 1) of the
+            largest row sum of |X| with M X = D.
     """
-    xp, q = library(d), image.M.shape[2]
+    xp, (_, N, q) = library(d), x.shape
     gamma, floor = rounding.product_error(q + 4, d.dtype)
     with np.errstate(all="ignore"):
         size = largest(x, 2)[..., None]
         error = gamma * (size * image.sums[:, None] + abs(d)) + floor * 2 * (1 + size) + off
-        left = (
-            largest(abs(d - product(x, image.M.swapaxes(1, 2))) + error, 2)
-            / (1 - image.loss[:, None])
-            * more(d)
-        )
-        bound = largest(abs(x) + image.reach[:, None] * left[..., None], 2) * more(d)
+        short = abs(d - product(x, image.M.swapaxes(1, 2))) + error
+        left = largest(short, 2) / (1 - image.loss[:, None]) * more(d)
+        sizes, far = abs(x) + image.reach[:, None] * left[..., None], largest(d, 2)
+        if together:
+            up = 1 + rounding.product_error(N + 4, d.dtype)[0]
+            sizes, far = sizes.sum(1)[:, None] * up, far.max(1)[:, None]
+        bound = largest(sizes, 2) * more(d)
         bound = xp.where(xp.isfinite(bound) & xp.isfinite(image.loss)[:, None], bound, np.inf)
-        return (
-            cast(Array, np.where(abs(d).max(2, initial=0) == 0, 0, bound)) if xp is np else bound
-        )  # inside jit, what is read as 0 may not be
+        return xp.where(far == 0, 0, bound) if xp is np else bound  # inside jit, what is read as 0 may not be
 
 
-def reach_above(image: Image[Array], D: Array, l: Array) -> Array:
-    """Return lower bounds (S, N) of how far D [1, z] reaches in terms of M x, along directions l (S, N, m) of
-    entries of at most 1.
-    """
-    xp, (_, m, p), q = library(D), D.shape, image.M.shape[2]
-    gamma, floor = rounding.product_error(m + p + q + 4, D.dtype)
-    with np.errstate(all="ignore"):
-        along, width = l @ D, abs(l @ image.M).sum(2)
-        ahead = along[..., 0] + abs(along[..., 1:]).sum(2)
-        slack = gamma * (abs(l) * (image.sums + abs(D).sum(2))[:, None]).sum(2)
-        slack += (floor * 2 * (p + q + 1) * (3 + largest(D, (1, 2))))[:, None]
-        bound = xp.maximum((ahead - slack) / (width + slack) / more(D), 0)
-        bound = xp.where(
-            ahead - width > slack, xp.maximum(bound, 1 + 2 * rounding.unit(D.dtype)), xp.minimum(bound, 1)
-        )
-        return xp.where(xp.isfinite(ahead) & xp.isfinite(width) & xp.isfinite(slack), bound, 0)
-
-
-def rows_below(image: Image[Array], D: Array, X: Array) -> Array:
-    """Return upper bounds (S,) of the largest row sum of |X| with M X = D, of one near X (S, q, 1 + p)."""
-    xp = library(D)
-    gamma, floor = rounding.product_error(X.shape[1] + 4, D.dtype)
-    with np.errstate(all="ignore"):
-        size = largest(X, 1)[:, None]
-        error = gamma * (image.sums[..., None] * size + abs(D)) + floor * 2 * (1 + size)
-        left = largest(abs(D - image.M @ X) + error, 1).sum(1) / (1 - image.loss) * more(D)
-        up = (1 + rounding.product_error(X.shape[2] + 4, D.dtype)[0]) * more(D)
-        bound = largest(abs(X).sum(2) + image.reach * left[:, None], 1) * up
-        return xp.where(xp.isfinite(bound) & xp.isfinite(image.loss), bound, np.inf)
-
-
-def vertices(M: Array, d: Array, x: Array, s: Array) -> tuple[Array, Array]:
-    """Return (x, l): the vertices of both programs that the near-optimal x (N, q) and freedom s (N, q) point
-    to; no claim.
-
-    The m - 1 freest entries are unknown, the others are at +-t: m equations for them and t. The last row of
-    the inverse is l.
-
-    Args: M (m, q) or (N, m, q), m <= q; d (N, m).
-    """
-    xp, (_, m), q = library(d), d.shape, x.shape[1]
-    order = xp.argsort(-s, axis=1)
-    rank = xp.argsort(order, axis=1)
-    sign = xp.where(rank < m - 1, 0, xp.where(x < 0, -1.0, 1.0)).astype(d.dtype)
-    chosen = xp.take_along_axis(xp.broadcast_to(M, (len(d), *M.shape[-2:])), order[:, None, : m - 1], 2)
-    W = xp.concatenate([chosen, (M @ sign[..., None] if M.ndim == 3 else (sign @ M.T)[..., None])], 2)
-    with np.errstate(all="ignore"):
-        y, normal, regular = _solved(W, d)
-        places = xp.where(rank < m - 1, q + rank, xp.arange(q)[None])
-        out = xp.take_along_axis(xp.concatenate([sign * y[:, -1:], y[:, :-1]], 1), places, 1)
-    return xp.where(regular[:, None], out, x), xp.where(regular[:, None], normal, 0)
-
-
-def _solved(W: Array, d: Array) -> tuple[Any, Any, Any]:
-    """Return (W^-1 d, the last rows of W^-1, which of W (N, m, m) are regular) for d (N, m)."""
-    if library(W) is np and W.shape[1] > SMALL:
-        return _solved_alone(cast(np.ndarray, W), cast(np.ndarray, d))
-    inverse, regular = _inverse(W)
-    y = inverse @ d[..., None]
-    return (y + inverse @ (d[..., None] - W @ y))[..., 0], inverse[:, -1], regular
-
-
-def _solved_alone(W: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    from scipy.linalg.lapack import dgetrf, dgetrs
-
-    y, normal, regular = np.zeros_like(d), np.zeros_like(d), np.zeros(len(d), bool)
-    last = np.eye(W.shape[1])[-1]
-    for i, (A, v) in enumerate(zip(W, d, strict=True)):
-        factor, pivots, singular = dgetrf(
-            A.T, overwrite_a=False
-        )  # of the transpose: no copy in another order
-        regular[i] = not singular
-        if regular[i]:
-            solve = lambda r, trans, factor=factor, pivots=pivots: dgetrs(factor, pivots, r, trans=trans)[0]
-            y[i] = solve(v, 1)
-            y[i] += solve(v - A @ y[i], 1)
-            normal[i] = solve(last, 0)
-    return y, normal, regular
+def unscaled(l: Array, powers: Array) -> Array:
+    """Return directions (S, N, m), of entries of at most 1, for the rows as they were given."""
+    xp, some = library(l), l != 0
+    top = xp.where(some, powers[:, None], -np.inf).max(2, initial=-np.inf, keepdims=True)
+    shift = xp.where(some, powers[:, None] - top, 0)
+    if xp is jnp:
+        return cast(Array, xp.where(some, rounding.scale(cast(jax.Array, l), shift), 0))
+    with np.errstate(under="ignore"):
+        return cast(Array, np.ldexp(l, shift.astype(int)))

@@ -38,73 +38,54 @@ class Question:
     points: np.ndarray | jax.Array | None
 
     def equations(self) -> tuple[Any, Any]:
-        """Return M (S, m, q) and d (S, N, m), the latter rounded once."""
-        c, G, A, b = self.sets[0]
-        xp = library(c)
+        """Return M (S, m, q) and D (S, N, m), the latter rounded once, for all points at once.
+
+        Of "contains_set" D holds the difference of the centers, then the generators of the inner set.
+        """
+        (c, G, A, b), *others = self.sets
+        xp, (S, k) = library(c), b.shape
         if self.name == "is_empty":
             return A, b[:, None]
-        if self.points is not None:
-            beside = xp.broadcast_to(b[:, None], (*self.points.shape[:2], b.shape[-1]))
-            with np.errstate(over="ignore", invalid="ignore"):
-                return xp.concatenate([G, A], 1), xp.concatenate([self.points - c[:, None], beside], 2)
-        c2, G2, A2, b2 = self.sets[1]
-        zeros = lambda rows, columns: xp.zeros((len(c), rows.shape[1], columns.shape[2]), c.dtype)
-        M = xp.concatenate(
-            [xp.concatenate(row, 2) for row in ([G, -G2], [A, zeros(A, G2)], [zeros(A2, G), A2])], 1
-        )
+        M = xp.concatenate([G, A], 1)
         with np.errstate(over="ignore", invalid="ignore"):
-            return M, xp.concatenate([c2 - c, b, b2], 1)[:, None]
+            if self.points is not None:
+                beside = xp.broadcast_to(b[:, None], (*self.points.shape[:2], k))
+                return M, xp.concatenate([self.points - c[:, None], beside], 2)
+            c2, G2, A2, b2 = others[0]
+            apart = xp.concatenate([c2 - c, b], 1)[:, None]
+            p = G2.shape[2]
+            if self.name == "contains_set":
+                columns = xp.concatenate([G2, xp.zeros((S, k, p), c.dtype)], 1)
+                return M, xp.concatenate([apart, columns.swapaxes(1, 2)], 1)
+        first = xp.concatenate([M, xp.zeros((S, len(A2[0]), M.shape[2]), c.dtype)], 1)
+        second = xp.concatenate([-G2, xp.zeros((S, k, p), c.dtype), A2], 1)
+        return xp.concatenate([first, second], 2), xp.concatenate([apart, b2[:, None]], 2)
 
-    def known(self) -> Any:
+    def known(self) -> np.ndarray | jax.Array:
         """Return (S, N), true where all numbers are finite: an overflow or NaN in a set, or a point, decides
-        nothing.
+        nothing. Inside jit, too, where centers and points differ by less than what may be read as 0.
         """
-        known: Any = True
+        c, points = self.sets[0][0], self.points
+        xp, known = library(c), np.ones(len(c), bool)
         for v in (v for x in self.sets for v in x):
-            known = known & library(v).isfinite(v).all(tuple(range(1, v.ndim)))
-        known = known[:, None] & self._distinct()
-        return known if self.points is None else known & library(self.points).isfinite(self.points).all(2)
-
-    def _distinct(self) -> Any:
-        """Return (S, N) or True: inside jit, where centers and points differ by no less than what may be read
-        as 0, or not at all.
-        """
-        c, *_ = self.sets[0]
-        if library(c) is not jnp or (self.points is None and len(self.sets) < 2):
-            return True
-        others = self.sets[1][0][:, None] if self.points is None else self.points
+            known = known & xp.isfinite(v).all(tuple(range(1, v.ndim)))
+        others = self.sets[-1][0][:, None] if points is None else points
+        known = known[:, None] & xp.isfinite(others).all(2)
+        if xp is np:
+            return known
         away = jnp.abs(others - c[:, None])
-        return jnp.all((away >= 4 * rounding.tiny(c.dtype)) | (others == c[:, None]), 2)
+        return known & jnp.all((away >= 4 * rounding.tiny(c.dtype)) | (others == c[:, None]), 2)
 
     def exact(self, at: tuple[int, int]) -> tuple[list[list[Fraction]], list[list[Fraction]]]:
-        """Return M and D of one question (set i, point j) in Fractions, nothing rounded: d is the first
-        column of D.
-
-        Of "contains_set" each generator of the inner set is one more column.
-        """
+        """Return M and the columns D of one question (set i, point j) in Fractions, nothing rounded."""
         i, j = at
-        (c, G, A, b), *others = [tuple(_exact(v[i]) for v in x) for x in self.sets]
-        zero_rows = lambda rows, columns: [[Fraction(0)] * columns for _ in rows]
-        less = lambda v, w: [x - y for x, y in zip(v, w, strict=True)]
-        if self.name == "is_empty":
-            return A, [[v] for v in b]
-        if self.points is not None:
-            return G + A, [[v] for v in less(_exact(np.asarray(self.points[i, j])), c) + b]
-        ((c2, G2, A2, b2),) = others
-        if self.name == "contains_set":
-            columns = len(G2[0])
-            return G + A, [
-                [v, *row] for v, row in zip(less(c2, c) + b, G2 + zero_rows(b, columns), strict=True)
-            ]
-        q, q2 = len(G[0]), len(G2[0])
-        M = [[*row, *(-v for v in other)] for row, other in zip(G, G2, strict=True)]
-        M += [[*row, *zeros] for row, zeros in zip(A, zero_rows(A, q2), strict=True)]
-        M += [[*zeros, *row] for row, zeros in zip(A2, zero_rows(A2, q), strict=True)]
-        return M, [[v] for v in less(c2, c) + b + b2]
+        sets: Any = tuple(tuple(_fractions(v[i : i + 1]) for v in x) for x in self.sets)
+        points = None if self.points is None else _fractions(self.points[i : i + 1, j : j + 1])
+        M, D = Question(self.name, sets, points).equations()
+        return M[0].tolist(), D[0].T.tolist()
 
 
-def _exact(x: np.ndarray) -> list[Any]:
-    return [_exact(row) for row in x] if x.ndim > 1 else [Fraction(v) for v in x.tolist()]
+_fractions = np.vectorize(Fraction, otypes=[object])
 
 
 def numbers(*sets: AnySet, points: ArrayLike | None = None) -> list[Parts]:

@@ -13,83 +13,102 @@ Rachford 1956; Bauschke, Combettes, Luke 2004 for what it does where they do not
 **Interior points** (`interior_point`). A predictor-corrector method (Mehrotra 1992) for the pair of linear
 programs, with slacks a = t - x, b = t + x and multipliers u, w >= 0, u - w = M' l, sum(u + w) = 1. With s = a
 b / (u b + w a), a Newton step solves (M diag(s) M') dl = f. Ten to twenty steps, whatever the size. At the
-end s is large where |x_j| < t: the vertex is known (`vertex_basis` in `proof`).
+end s is large where |x_j| < t: the vertex is known (`vertices`).
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxbound.sets.zonotopes.proof import SMALL, Array, largest, library, product
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.zonotopes.proof import Array, largest, library, product, solved
 
-__all__ = ["State", "advance", "interior_point", "project", "project_rows", "reached", "start"]
+__all__ = [
+    "SMALL",
+    "State",
+    "advance",
+    "beside",
+    "interior_point",
+    "project",
+    "reached",
+    "repeated",
+    "start",
+    "vertices",
+]
 
+T = TypeVar("T")
 STEPS = 40
 """At most so many steps of interior points; ten to twenty are the rule."""
 OUTER = 2**15
 """Numbers in the products of all pairs of rows of a matrix, up to which they are kept for all its points."""
 MANY = 64
 """From so many small matrices on they are factored side by side on the host."""
+SMALL = 24
+"""Rows up to which equations are solved many at a time on the host; larger ones one by one, while they are in
+the processor's cache.
+"""
 
 
-def project(M: Array, R: Array, d: Array, z: Array, steps: int) -> tuple[Array, Array, Array]:
+def project(
+    M: Array, R: Array, d: Array, z: Array, steps: int, together: bool = False
+) -> tuple[Array, Array, Array]:
     """Return (x, l, z) for each point after so many steps: a candidate point, a candidate direction, and
     where to go on from.
 
     Args:
         M: (S, m, q). R: right inverses of M, nearly, (S, q, m). d: (S, N, m). z: (S, N, q), R d at first.
             NumPy arrays stay on the host, where some steps take less time than to hand them to a device.
+        together: the points are columns of one matrix, with sums of |x| along its rows of at most 1.
     """
     xp, turned, back = library(z), M.swapaxes(1, 2), R.swapaxes(1, 2)
-    least = product(d, back)
-    onto = lambda x: x + least - product(product(x, turned), back)
+    onto = lambda x: x + product(d - product(x, turned), back)
+    within = _row_balls if together else lambda x: xp.clip(x, -1, 1)
 
-    def step(_, z):
-        y = xp.clip(z, -1, 1)
+    def step(z):
+        y = within(z)
         return z + onto(2 * y - z) - y
 
-    z = _repeated(step, z, steps)
-    y = xp.clip(z, -1, 1)
+    z = repeated(step, z, steps)
+    y = within(z)
     return onto(y), product(z - y, R), z
 
 
-def project_rows(M: Array, R: Array, D: Array, Z: Array, steps: int) -> tuple[Array, Array]:
-    """Return (X, Z) for each set after so many steps between M X = D (S, m, p) and rows of |X| with sums of
-    at most 1: as `project`.
-    """
-    xp = library(Z)
-    onto = lambda X: X + R @ (D - M @ X)
-
-    def step(_, Z):
-        Y = _row_balls(Z)
-        return Z + onto(2 * Y - Z) - Y
-
-    Z = _repeated(step, Z, steps)
-    Y = _row_balls(Z)
-    near, reflected = onto(Y), onto(2 * Y - Z)
-    sums = lambda X: abs(X).sum(2).max(1)
-    return xp.where((sums(near) < sums(reflected))[:, None, None], near, reflected), Z
+def beside(M: Array, d: Array, z: Array, l: Array) -> Array:
+    """Return directions l, but towards the point where it is beside the plane of a flat set: z is R d."""
+    away = d - product(z, M.swapaxes(1, 2))
+    flat = abs(away).max(2, initial=0) > rounding.unit(d.dtype) ** 0.5 * abs(d).max(2, initial=0)
+    return library(d).where(flat[..., None], away, l)
 
 
 def _row_balls(X: Array) -> Array:
-    """Return the nearest rows with sums of |x| of at most 1 (Held, Wolfe, Crowder 1974)."""
+    """Return the nearest columns (S, N, q) whose sums of |x| over all are at most 1 (Held, Wolfe, Crowder
+    1974).
+    """
     xp, size = library(X), abs(X)
-    falling = -xp.sort(-size, 2)
-    rank = xp.arange(1, X.shape[2] + 1, dtype=X.dtype)[None, None]
-    level = ((xp.cumsum(falling, 2) - 1) / rank).max(2)[..., None]
+    falling = -xp.sort(-size, 1)
+    rank = xp.arange(1, X.shape[1] + 1, dtype=X.dtype)[None, :, None]
+    level = ((xp.cumsum(falling, 1) - 1) / rank).max(1)[:, None]
     return xp.sign(X) * xp.maximum(size - xp.maximum(level, 0), 0)
 
 
-def _repeated(step: Callable[[Any, Array], Array], z: Array, steps: int) -> Array:
-    if isinstance(z, jax.Array):
-        return jax.lax.fori_loop(0, steps, step, z)
-    for i in range(steps):
-        z = step(i, z)
-    return z
+def repeated(
+    step: Callable[[T], T], state: T, most: int, going: Callable[[T], object] = lambda state: True
+) -> T:
+    """Return the state after at most so many steps, as long as it is going: on the host, or inside jit."""
+    if isinstance(jax.tree.leaves(state)[0], jax.Array):
+        counted = lambda carry: (carry[0] + 1, step(carry[1]))
+        goes_on = lambda carry: (carry[0] < most) & going(carry[1])
+        last: T = jax.lax.while_loop(goes_on, counted, (jnp.int32(0), state))[1]
+        return last
+    for _ in range(most):
+        if not going(state):
+            break
+        state = step(state)
+    return state
 
 
 State: TypeAlias = tuple[Array, ...]
@@ -108,9 +127,8 @@ def interior_point(
         M, R, d: as for `project`. enough: a point for which t < 1 - enough or l' d > 1 + enough is settled;
             inf to go on to the optimum.
     """
-    going = lambda carry: (carry[1] < STEPS) & jnp.any(~carry[0][-1])
-    advanced = lambda carry: (advance(M, d, carry[0], enough), carry[1] + 1)
-    return reached(jax.lax.while_loop(going, advanced, (start(M, R, d), jnp.int32(0)))[0])
+    advanced = lambda state: advance(M, d, state, enough)
+    return reached(repeated(advanced, start(M, R, d), STEPS, lambda state: jnp.any(~state[-1])))
 
 
 def start(M: Array, R: Array, d: Array) -> State:
@@ -211,8 +229,8 @@ def _solver(M: Array, s: Array, room: float) -> Callable[[Any], Any]:
     if xp is jnp:
         L = jnp.linalg.cholesky(normal)
         return lambda r: jax.scipy.linalg.cho_solve((L, True), r[..., None])[..., 0]
-    if N == 1:  # each by itself: the same bits whatever stands beside it
-        return lambda r: _each_alone(normal, r)
+    if N == 1 or S * N < MANY:  # each by itself: the same bits whatever stands beside it
+        return lambda r: solved(normal, r[..., None])[..., 0]
     solve = _factored(normal.reshape(S * N, m, m))
     return lambda r: solve(r.reshape(S * N, m)).reshape(S, N, m)
 
@@ -238,27 +256,10 @@ def _one_by_one(M: np.ndarray, s: np.ndarray, room: float) -> Callable[[np.ndarr
     )
 
 
-def _each_alone(normal: np.ndarray, r: np.ndarray) -> np.ndarray:
-    """Return f with normal f = r, (.., m, m) by (.., m); NaN where there is none."""
-    try:
-        return np.linalg.solve(normal, r[..., None])[..., 0]
-    except np.linalg.LinAlgError:
-        regular = (np.linalg.slogdet(normal)[0] != 0)[..., None]
-        one = np.where(regular[..., None], normal, np.eye(normal.shape[-1]))
-        return np.where(regular, np.linalg.solve(one, r[..., None])[..., 0], np.nan)
-
-
 def _factored(N: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a solver of N f = r for r (P, m), N (P, m, m) positive definite: many side by side, few one by
-    one.
-    """
-    P, m, _ = N.shape
-    if P < MANY:
-        from scipy.linalg.lapack import dpotrf, dpotrs
-
-        factors = [dpotrf(A)[0] for A in N]
-        return lambda r: np.array([dpotrs(L, v)[0] for L, v in zip(factors, r, strict=True)])
+    """Return a solver of N f = r for r (P, m), N (P, m, m) positive definite, side by side."""
     L = np.array(N.transpose(1, 2, 0), order="C")
+    m = len(L)
     for k in range(m):
         L[k:, k] -= np.einsum("ijp,jp->ip", L[k:, :k], L[k, :k])
         L[k:, k] /= np.sqrt(L[k, k])
@@ -274,3 +275,31 @@ def _factored(N: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         return x.T
 
     return solve
+
+
+def vertices(M: Array, d: Array, x: Array, s: Array) -> tuple[Array, Array]:
+    """Return (x, l): the vertices of both programs that the near-optimal x (S, N, q) and freedom s (S, N, q)
+    point to; no claim.
+
+    The m - 1 freest entries are unknown, the others are at +-t: m equations for them and t. The last row of
+    the inverse is l.
+
+    Args: M (S, m, q), m <= q; d (S, N, m).
+    """
+    xp, shapes, (S, N, m), q = library(d), (x.shape, d.shape), d.shape, x.shape[2]
+    d, x, s = (v.reshape(S * N, -1) for v in (d, x, s))
+    # a set of one point is worked out as if others stood beside it
+    each: Any = M[0] if S == 1 and N > 1 else xp.repeat(M, N, 0)
+    order = xp.argsort(-s, axis=1)
+    rank = xp.argsort(order, axis=1)
+    sign = xp.where(rank < m - 1, 0, xp.where(x < 0, -1.0, 1.0)).astype(d.dtype)
+    chosen = xp.take_along_axis(xp.broadcast_to(each, (len(d), m, q)), order[:, None, : m - 1], 2)
+    W = xp.concatenate(
+        [chosen, (each @ sign[..., None] if each.ndim == 3 else (sign @ each.T)[..., None])], 2
+    )
+    with np.errstate(all="ignore"):
+        y = solved(W, d[..., None])[..., 0]
+        normal = solved(W.swapaxes(1, 2), xp.broadcast_to(xp.eye(m, dtype=d.dtype)[:, -1:], (len(d), m, 1)))
+        places = xp.where(rank < m - 1, q + rank, xp.arange(q)[None])
+        out = xp.take_along_axis(xp.concatenate([sign * y[:, -1:], y[:, :-1]], 1), places, 1)
+    return out.reshape(shapes[0]), normal.reshape(shapes[1])

@@ -13,7 +13,6 @@ from zonotope_cases import degenerate, each_dtype, margin, program
 from jaxbound import sets
 from jaxbound.sets import support
 from jaxbound.sets import zonotope as factory
-from jaxbound.sets.zonotopes.facets import _membership
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
 # strips
@@ -220,15 +219,6 @@ def test_points_beyond_the_range_of_floats_are_never_inside():
 def test_coefficients_that_a_float_cannot_span_are_refused():
     with pytest.raises(ValueError, match="coefficients .* float64"):
         sets.membership(factory([0.0], [[1e-310]]), [[0.0]])
-
-
-def test_membership_traces_once_for_one_shape_and_few_sizes_for_few_points():
-    Z, points = factory([0.0, 0.0], [[1.0, 0.25, 7.0], [0.5, 1.0, -3.0]]), np.zeros((17, 2))
-    sets.membership(Z, points)
-    traced = _membership._cache_size()
-    sets.membership(factory([1.0, 2.0], [[3.0, 0.5, 1.0], [0.25, 2.0, 5.0]]), points + 1)
-    four = factory([1.0, 2.0], [[3.0, 0.5, 1.0, 0.0], [0.25, 2.0, 5.0, 1.0]])  # four strips, three before
-    assert sets.membership(four, points[:5]).shape == (5,) and _membership._cache_size() == traced
 
 
 # support and hull
