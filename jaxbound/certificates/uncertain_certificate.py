@@ -269,7 +269,7 @@ def _(
     assert case is not None  # a single pattern of missing samples
     p = polynomial_window(case, u, y)
     budget = 1
-    if method == "paving" or status == Status.FAULT:
+    if status in (Status.FAULT, Status.CONSISTENT):
         budget = BOXES
     proof, explained = _proof(p, u, y, status, budget)
     window: ExactWindow = p.window
@@ -277,11 +277,9 @@ def _(
     if explained is not None:
         window, z = explained
     elif proof is None:
-        hint = "; method 'paving' goes on where this one stops"
-        if method == "paving":
-            hint = ""
         raise NotImplementedError(
-            f"neither a contradiction nor a behaviour is at hand for window {at[-1]}{hint}"
+            f"neither a contradiction nor a behaviour is at hand for window {at[-1]}; a larger budget= of "
+            f"boxes goes on where detect stopped"
         )
     if status is None:
         status = Status.CONSISTENT

@@ -15,7 +15,6 @@ from jaxbound.consistency.interface import (
     Arrays,
     Budget,
     Cases,
-    Compensation,
     Open,
     Outs,
     Progress,
@@ -42,33 +41,28 @@ from jaxbound.sets.floats.kernel import is_outside_xla
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips.polynomials import multiaffine
 
-__all__ = ["BUDGET", "ParametricTest"]
+__all__ = ["ParametricTest"]
 
 LACKING = 2**5
 """Windows at once that lack the same samples."""
-
-BUDGET = 10_000
-"""Boxes that "paving" may evaluate for a window."""
 
 
 class ParametricTest(WindowTest):
     """Tests windows of a model with uncertain parameters; see `parametric_windows`.
 
     The sign of the margin is the verdict's. Its size is that of the zonotope, with which the neglected
-    monomials grow as one: for an UNDECIDED window the true margin is not above it. For "linearized" it is the
-    gauge of the paper's set, and no proof.
+    monomials grow as one: for an UNDECIDED window the true margin is not above it.
 
     No fixed projection settles easy windows first (`WindowTest.easy`): the nominal model explains few of them
     (none of the example of Ploix 2006, whose parameters move outputs by far more than the noise), and a point
     of least squares in parameters and errors costs as much to prove as the one that is searched for.
 
     Args:
-        budget: boxes a window that "paving" may evaluate; None: `BUDGET`. allowance: what each relation may
-            be off by, for "linearized".
+        budget: boxes into which the parameters of a window that stays open may be cut; None: one.
         whole: for windows that lack samples, the test of those that lack none.
 
     Raises:
-        ValueError: a budget that is no whole number >= 1, an allowance that is none.
+        ValueError: a budget that is no whole number >= 1.
     """
 
     relations: PolynomialRelations
@@ -81,18 +75,10 @@ class ParametricTest(WindowTest):
         method: str,
         dtype: DTypeLike,
         budget: Budget = None,
-        allowance: Compensation = 0.0,
         whole: "ParametricTest | None" = None,
     ) -> None:
         super().__init__(relations, method, dtype)
-        self.budget = BUDGET if budget is None else whole_budget(budget)
-        self.allowance = np.asarray(allowance, float)
-        fits = self.allowance.shape in ((), (relations.count,)) and bool((self.allowance >= 0).all())
-        if not fits or not np.isfinite(self.allowance).all():
-            raise ValueError(
-                f"compensation must be one finite number >= 0, or one for each of {relations.count} "
-                f"relations, not {allowance!s}"
-            )
+        self.budget = 1 if budget is None else whole_budget(budget)
         self.kind, self.proved = judged_by(relations, method), relations.complete == "proved"
         self.whole = whole
 
@@ -147,28 +133,25 @@ class ParametricTest(WindowTest):
     def _of(self, case: PolynomialRelations) -> "ParametricTest":
         """Return the test of windows that lack the same samples, or none."""
         whole = None if case is self.relations else self
-        allowance = self.allowance
-        if case.count != self.relations.count:
-            allowance = allowance.max()
-        return ParametricTest(case, self.method, self.dtype, self.budget, allowance, whole)
+        return ParametricTest(case, self.method, self.dtype, self.budget, whole)
 
     def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
-        """Return (status, margin, open) of blocks of windows; open is what paving may decide."""
+        """Return (status, margin, open) of blocks of windows; open is what more boxes may decide."""
         # all blocks are under way before the host waits for the first
         judged = [self._judged_whole(block) for block in blocks]
-        if self.method != "paving":
+        if self.budget == 1:
             return judged
         return [(status, margin, np.asarray(status) == Status.UNDECIDED) for status, margin in judged]
 
     def _judged_whole(self, block: Block) -> tuple[jax.Array, jax.Array]:
         """Return (status, margin) of a block of windows, each by its whole box of parameters."""
-        return judged_whole(self._read, finite(block), self.kind, self.proved, self.allowance)
+        return judged_whole(self._read, finite(block), self.kind, self.proved)
 
     def settle(
         self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress
     ) -> None:
         """Bisect the parameters of windows that were left open."""
-        if self.method != "paving":
+        if self.budget == 1:
             return
         status, margin = outs
         for first in range(0, len(left), SEARCHED):

@@ -7,8 +7,8 @@ A window is a system of polynomials p(v, e) = 0 in parameters v and noises e wit
 FAULT: a direction separates 0 from a zonotope around all values of p, each neglected monomial a variable of
 its own, or 0 is outside the range of a single multi-affine relation. CONSISTENT: a zero of p is proved to
 exist near a point that a search found, or the range of a single relation has both signs; both need relations
-that are proved to say all. What is neither is UNDECIDED; `paving` cuts the box of parameters until one of the
-two proofs holds on every part.
+that are proved to say all. What is neither is UNDECIDED; a budget of boxes cuts the parameters until one of
+the two proofs holds on every part.
 
 A window that lacks samples is tested by relations made for it: those without the lost rows, the lost inputs
 being unknown. All that are no more than those of a whole window, in monomials that the loss of one sample
@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency.covers import status_of_cover
-from jaxbound.consistency.interface import Array, Compensation
+from jaxbound.consistency.interface import Array
 from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations
 from jaxbound.consistency.reading import Block, gather
 from jaxbound.sets.floats.kernel import kernel
@@ -50,7 +50,6 @@ __all__ = [
     "finite",
     "judged_by",
     "judged_whole",
-    "linear_image",
     "on_boxes",
     "on_whole",
     "samples_of",
@@ -145,8 +144,8 @@ def finite(windows: Block) -> Block:
 
 
 def judged_by(relations: PolynomialRelations, method: str) -> str:
-    """Return how a block is judged: "vertices", "zonotope", "linearized" or "box"."""
-    if method in ("linearized", "box"):
+    """Return how a block is judged: "vertices", "zonotope" or "box"."""
+    if method == "box":
         return method
     few = relations.count == 1 and len(relations.variables) <= VERTICES
     if few and polynomials.multiaffine(relations.exponents):
@@ -159,9 +158,7 @@ def block_of(kind: str) -> int:
     return SEARCHED if kind == "zonotope" else BLOCK
 
 
-def judged_whole(
-    reading: PolynomialReading, samples: Block, kind: str, proved: bool, allowance: Compensation
-) -> StatusAndMargin:
+def judged_whole(reading: PolynomialReading, samples: Block, kind: str, proved: bool) -> StatusAndMargin:
     """Return (status, margin) of a block of windows."""
     judged: StatusAndMargin
     terms = terms_of(reading, *samples)
@@ -169,8 +166,6 @@ def judged_whole(
         judged = at_vertices(reading, terms, proved)
     elif kind == "box":
         judged = _box(reading, terms, proved)
-    elif kind == "linearized":
-        judged = _suspected(*_linear(reading, terms, allowance))
     else:
         status, margin, *_ = on_whole(reading, terms, proved)
         judged = status, margin
@@ -196,37 +191,6 @@ def terms_of(reading: PolynomialReading, u: jax.Array, y: jax.Array) -> Terms:
     """Return the polynomials of windows, and one bound on the error of each row."""
     value, error, spread, rad = reading.polynomials(u, y)
     return Terms(value, spread, rad, polynomials.row_error(value, error, spread, rad, reading.exponents))
-
-
-def linear_image(
-    reading: PolynomialReading, terms: Terms, allowance: Compensation
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return (c, G, error) of the whole box of parameters without all that is of order 2; `allowance` is a
-    generator in each row.
-    """
-    value, spread, rad, error = terms
-    c, G = polynomials.image(value, spread, rad, reading.exponents, linear=True)
-    own = jnp.broadcast_to(jnp.asarray(allowance, c.dtype), (len(c),))[:, None] * jnp.ones_like(c)
-    columns = jnp.where(np.eye(len(c), dtype=bool)[:, :, None], own[:, None], 0)
-    return c, jnp.concatenate([G, columns], 1), error
-
-
-@kernel
-def _linear(
-    reading: PolynomialReading, terms: Terms, allowance: Compensation
-) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array | None]:
-    """Return (c, G, error, h) of the linearized test: see `linear_image`; h: None where strips are few."""
-    c, G, error = linear_image(reading, terms, allowance)
-    r, q, _ = G.shape
-    if varying.strip_count(r, q, alone=True):
-        return c, G, error, None
-    return c, G, error, farthest(c, G)[0]
-
-
-@kernel
-def _suspected(c: jax.Array, G: jax.Array, error: jax.Array, h: jax.Array | None) -> StatusAndMargin:
-    margin = _outside(c, G, error, h)
-    return jnp.where(jnp.isnan(margin), Status.MISSING, Status.UNDECIDED).astype(jnp.int8), margin
 
 
 @kernel
@@ -262,13 +226,11 @@ def _box(reading: PolynomialReading, terms: Terms, proved: bool) -> StatusAndMar
     return _status(worst, inside), worst
 
 
-def _outside(c: jax.Array, G: jax.Array, error: jax.Array, h: jax.Array | None) -> jax.Array:
-    """Return the margin, < 0 is a proof: by all strips where they are few or h is None, else by the direction
-    h, an array.
-    """
+def _outside(c: jax.Array, G: jax.Array, error: jax.Array, h: jax.Array) -> jax.Array:
+    """Return the margin, < 0 is a proof: by all strips where they are few, else by h, an array."""
     margin: jax.Array
     r, q, _ = G.shape
-    if h is None or varying.strip_count(r, q):
+    if varying.strip_count(r, q):
         margin = varying.strip_margins(c, G, error)
     else:
         margin = varying.refutes(c, G, error, h)

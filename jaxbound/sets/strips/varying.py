@@ -4,11 +4,10 @@ The set lies in a strip across every direction h, |h c| <= sum_j |h g_j|, and is
 strips whose h is orthogonal to r - 1 generators. Here the generators depend on the data, so that h does too.
 Source: Ploix, Adrot 2006, (15)-(17).
 
-**Few rows** (`strip_margins`). Up to three rows all strips are unrolled into one pass, or, many of them,
-tested one by one. |h g| for h orthogonal to a and b is the determinant |a b g|: worked out once, it counts in
-three strips. Generators may be parallel, zero, fewer than r - 1 or span less than R^r: where they may, unit
-vectors without weight stand beside them, so that a subset that is too small is
-completed: one of them lies outside any plane.
+**Few rows** (`strip_margins`). Up to three rows all strips are unrolled into one pass. |h g| for h
+orthogonal to a and b is the determinant |a b g|: worked out once, it counts in three strips. Generators may
+be parallel, zero, fewer than r - 1 or span less than R^r: where they may, unit vectors without weight stand
+beside them, so that a subset that is too small is completed: one of them lies outside any plane.
 
 **Many rows**: a search (`gauge.gauge_search`) proposes one h (`refutes`).
 
@@ -30,7 +29,6 @@ there is room. The same for curved images, whose J is G at z.
 import math
 from collections.abc import Callable, Iterable
 from functools import partial
-from itertools import combinations
 from typing import TypeAlias
 
 import jax
@@ -41,7 +39,7 @@ from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import kernel
-from jaxbound.sets.floats.unrolled import most, stored, summed, total
+from jaxbound.sets.floats.unrolled import most, summed, total
 from jaxbound.sets.strips.clipped import Hints, clipped_hints, explains, gram_inverse, symmetric_inverse
 from jaxbound.sets.strips.gauge import gauge_search
 
@@ -60,10 +58,6 @@ __all__ = [
 UNROLLED = {1: 300, 2: 300, 3: 60}
 """Determinants, by rows, up to which strips are written out; beyond, compiling takes longer than a search
 loses.
-"""
-LOOPED = 220
-"""Determinants of three rows up to which a loop over all strips is faster than a search, where nothing else
-needs one.
 """
 FLAT = 2.0**10
 """How many times its error the widest strip must measure for the generators to span three dimensions."""
@@ -85,14 +79,11 @@ Test: TypeAlias = tuple[jax.Array, jax.Array | int, jax.Array]
 """|h c|, sum |h g_j| and the slack of their comparison."""
 
 
-def strip_count(r: int, q: int, alone: bool = False) -> int:
+def strip_count(r: int, q: int) -> int:
     """Return how many strips `strip_margins` tests for r rows and q generators, unit vectors included; 0
     where a search is to be preferred.
-
-    alone: whether no search is made anyhow.
     """
-    most = LOOPED if alone and r == 3 else UNROLLED.get(r, -1)
-    return math.comb(q + r, r - 1) if math.comb(q, r) <= most else 0
+    return math.comb(q + r, r - 1) if math.comb(q, r) <= UNROLLED.get(r, -1) else 0
 
 
 def affine_error(
@@ -130,8 +121,6 @@ def strip_margins(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array:
 
 @kernel
 def _strip_margins(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array:
-    if len(c) == 3 and math.comb(G.shape[1], 3) > UNROLLED[3]:
-        return _looped_strips(c, G, error)
     margin = _strips(c, G, error)
     if len(c) < 3:
         return margin
@@ -197,54 +186,6 @@ def _completed_strips(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array
             )
         tests.append((jnp.abs(c[m]), total(jnp.abs(G[m, j]) for j in range(q)), slack(unit[a] * unit[b])))
     return _worst(tests, slack(0), c[0])
-
-
-def _looped_strips(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array:
-    """Return the margin of all strips in three dimensions, one after the other; unit vectors fix some where
-    generators may be flat.
-    """
-    across, unit, slack = _scales(c, G, error)
-    q, floor = G.shape[1], slack(0)
-    vectors = jnp.concatenate(
-        [G, jnp.broadcast_to(jnp.eye(3, dtype=G.dtype)[:, :, None], (3, 3, c.shape[1]))], 1
-    )
-    sizes, pairs = (
-        jnp.stack([*across, *unit]),
-        sorted(combinations(range(q + 3), 2), key=lambda pair: pair[1]),
-    )
-    own, first, second = (
-        math.comb(q, 2),
-        *(jnp.asarray(np.array(x, np.int32)) for x in zip(*pairs, strict=True)),
-    )
-    times = lambda h, g: jnp.abs(h[0] * g[0] + h[1] * g[1] + h[2] * g[2])
-    flat = lambda excess, solid: (solid <= 0) & ~(excess > 0)
-    picked = lambda x, i, axis: jax.lax.dynamic_index_in_dim(
-        x, i, axis, keepdims=False, allow_negative_indices=False
-    )
-
-    def strip(carry):
-        number, excess, gauge, solid = carry
-        j, k = first[number], second[number]
-        (a, s), (b, t) = ((picked(vectors, i, 1), picked(sizes, i, 0)) for i in (j, k))
-        h = stored(
-            [a[m - 2] * b[m - 1] - a[m - 1] * b[m - 2] for m in range(3)]
-        )  # else looked up and worked out for each use
-        width = stored(total(jnp.where((i == j) | (i == k), 0, times(h, G[:, i])) for i in range(q)))
-        loss = stored(slack(s * t))
-        short, counts = stored(times(h, c) - loss), (number < own) | flat(excess, solid)
-        gauge = jnp.where(counts, jnp.maximum(gauge, short / (width + floor)), gauge)
-        excess = jnp.where(counts, jnp.maximum(excess, short - width), excess)
-        return (
-            number + 1,
-            excess,
-            gauge,
-            jnp.where(number < own, jnp.maximum(solid, width - FLAT * loss), solid),
-        )
-
-    least = jnp.full_like(c[0], -jnp.inf)
-    going = lambda carry: (carry[0] < own) | ((carry[0] < len(pairs)) & jnp.any(flat(carry[1], carry[3])))
-    _, excess, gauge, _ = jax.lax.while_loop(going, strip, (0, least, jnp.zeros_like(c[0]), least))
-    return _signed(gauge, excess)
 
 
 def _scales(c, G, error):
