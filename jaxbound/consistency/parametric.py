@@ -12,6 +12,7 @@ from jax.typing import DTypeLike
 from jaxbound.consistency.bisection import whole_budget
 from jaxbound.consistency.interface import (
     Again,
+    Array,
     Arrays,
     Budget,
     Cases,
@@ -25,19 +26,22 @@ from jaxbound.consistency.parametric_margins import parametric_margins
 from jaxbound.consistency.parametric_windows import (
     LEAST,
     SEARCHED,
+    Leaves,
     bisected,
     block_of,
     cases,
     finite,
     judged_by,
     judged_whole,
+    refuted,
 )
 from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations
 from jaxbound.consistency.reading import Block, gather
+from jaxbound.consistency.twice import warn_doubtful
 from jaxbound.consistency.unproved import within
 from jaxbound.recordings.arrays import refuse_infinite
 from jaxbound.recordings.recording import Recording
-from jaxbound.sets.floats.kernel import is_outside_xla
+from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips.polynomials import multiaffine
 
@@ -66,7 +70,7 @@ class ParametricTest(WindowTest):
     """
 
     relations: PolynomialRelations
-    sharded = False
+    sharded, twice = False, True
     constants = None
 
     def __init__(
@@ -138,29 +142,60 @@ class ParametricTest(WindowTest):
     def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return (status, margin, open) of blocks of windows; open is what more boxes may decide."""
         # all blocks are under way before the host waits for the first
-        judged = [self._judged_whole(block) for block in blocks]
-        if self.budget == 1:
-            return judged
-        return [(status, margin, np.asarray(status) == Status.UNDECIDED) for status, margin in judged]
+        whole = [judged_whole(self._read, finite(block), self.kind, self.proved) for block in blocks]
+        judged: list[Arrays] = []
+        for block, (said, margin, h) in zip(blocks, whole, strict=True):
+            status, doubtful = np.array(said), self._doubtful(finite(block), said, h)
+            status[doubtful] = Status.UNDECIDED
+            left = (status == Status.UNDECIDED) & (self.budget > 1)
+            judged.append((status, np.where(doubtful, 0, margin), left))
+        return judged
 
-    def _judged_whole(self, block: Block) -> tuple[jax.Array, jax.Array]:
-        """Return (status, margin) of a block of windows, each by its whole box of parameters."""
-        return judged_whole(self._read, finite(block), self.kind, self.proved)
+    def _doubtful(self, samples: Block, status: Array, h: Array | None) -> np.ndarray:
+        """Return (N,) bool: which FAULT windows of a block NumPy does not refute from their samples."""
+        fault: np.ndarray = np.asarray(status) == Status.FAULT
+        if is_outside_xla() or not fault.any():
+            return np.zeros(len(fault), bool)
+        at = np.flatnonzero(fault)
+        if h is None:
+            chosen = np.resize(at, len(fault))
+            with outside_xla():
+                u, y = samples
+                again = judged_whole(self.reading, (u[..., chosen], y[..., chosen]), self.kind, False)
+            proved = np.asarray(again[0])[: len(at)] == Status.FAULT
+        else:
+            one = np.ones((len(self.reading.size), len(at)), self.dtype)
+            proved = refuted(self.reading, samples, Leaves(at, -one, one, np.asarray(h)[:, at]))
+        fault[at[proved]] = False
+        if fault.any():
+            warn_doubtful(f"{fault.sum()} windows of a block are FAULT by XLA")
+        return fault
 
     def settle(
         self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress
     ) -> None:
         """Bisect the parameters of windows that were left open."""
-        if self.budget == 1:
-            return
         status, margin = outs
         for first in range(0, len(left), SEARCHED):
             at = left[first : first + SEARCHED] + self.horizon
             windows = finite(gather(u, y, at - self.horizon, self.lags, self.horizon))
-            status[at] = now = bisected(self.reading, windows, self.proved, self.budget)
+            now, leaves, _ = bisected(self.reading, windows, self.proved, self.budget)
+            now = self._confirmed(now, windows, leaves)
+            status[at] = now
             margin[at] = np.where(now == Status.FAULT, np.minimum(margin[at], -LEAST), margin[at])
             margin[at] = np.where(now == Status.CONSISTENT, np.maximum(margin[at], LEAST), margin[at])
             progress((first + len(at)) / len(left))
+
+    def _confirmed(self, status: np.ndarray, samples: Block, leaves: Leaves) -> np.ndarray:
+        """Return the status of windows, UNDECIDED where NumPy does not refute each leaf of a FAULT."""
+        if is_outside_xla():
+            return status
+        leaves = leaves.chosen(status[leaves.owner] == Status.FAULT)
+        doubtful = leaves.owner[~refuted(self.reading, samples, leaves)]
+        if len(doubtful):
+            status[doubtful] = Status.UNDECIDED
+            warn_doubtful(f"{len(np.unique(doubtful))} windows are FAULT by boxes that XLA refuted")
+        return status
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""

@@ -19,7 +19,6 @@ from jaxbound.consistency.parametric_windows import (
     at_vertices,
     block_of,
     cases,
-    farthest,
     judged_by,
     on_whole,
     samples_of,
@@ -27,7 +26,7 @@ from jaxbound.consistency.parametric_windows import (
 )
 from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations
 from jaxbound.consistency.unproved import is_traced
-from jaxbound.sets.strips import polynomials
+from jaxbound.sets.strips import polynomials, varying
 
 __all__ = ["parametric_margins"]
 
@@ -114,7 +113,7 @@ def _smooth_margins(reading: PolynomialReading, u: Array, y: Array, kind: str) -
         t = polynomials.vertex_gauge(value, spread, rad, reading.exponents)[0]
     else:
         c, G = polynomials.image(value, spread, rad, reading.exponents)
-        h, z = jax.lax.stop_gradient(farthest(*jax.lax.stop_gradient((c, G))))
+        h, z = jax.lax.stop_gradient(varying.farthest(*jax.lax.stop_gradient((c, G, 0 * c))))
         residual, width = jax.lax.stop_gradient(_across(h, c, G))
         change = jnp.sum(h * (c + jnp.sum(G * z[None], 1)), 0) * jnp.where(jnp.sum(h * c, 0) < 0, -1, 1)
         t = _ratio(residual, width) + _ratio(change - jax.lax.stop_gradient(change), width)
