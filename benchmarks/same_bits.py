@@ -165,23 +165,11 @@ for _name, _options in OBSERVERS.items():
     observer_cases(_name, _options)
 
 
-@case("detect short paving")
-def short_paving():
-    plant = model(PAPER, ERRORS)
-    return jb.detect(jb.parity_relations(plant), *recording(plant, 60), method="paving", budget=(3, 200))
-
-
-@case("detect uncertain linearized")
-def uncertain_linearized():
-    plant = FAMILIES["uncertain"][0]()
-    return jb.detect(jb.parity_relations(plant, horizon=2), *recording(plant, 60), method="linearized")
-
-
-@case("detect uncertain paving")
-def uncertain_paving():
+@case("detect uncertain by boxes")
+def uncertain_boxes():
     plant = FAMILIES["uncertain"][0]()
     relations = jb.parity_relations(plant, horizon=2)
-    return jb.detect(relations, *recording(plant, 40), method="paving", budget=200)
+    return jb.detect(relations, *recording(plant, 40), budget=200)
 
 
 @case("bank")

@@ -47,8 +47,6 @@ CASES = {  # name: (relations, method, windows)
     "constant, short": (lambda: jb.parity_relations(CONSTANT, 2), "joint", 20_000),
     "constant, long": (lambda: jb.parity_relations(CONSTANT, 20), "joint", 5_000),
     "uncertain": (lambda: jb.parity_relations(SHAKY), "joint", 20_000),
-    "uncertain, paving": (lambda: jb.parity_relations(SHAKY), "paving", 5_000),
-    "paving": (lambda: jb.parity_relations(SECTION_5), "paving", 2_000),
     "observer": (lambda: jb.observer(DISTURBED), "observer", 12_000),
     "observer, joint": (lambda: jb.observer(DISTURBED, method="joint"), "observer", 6_000),
 }

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     )
     from jaxbound.consistency.monitor import Monitor
     from jaxbound.diagnosis.alarmrule import AlarmRule
-    from jaxbound.diagnosis.compensation import compensation
     from jaxbound.diagnosis.detectability import detectable
     from jaxbound.diagnosis.detection import detect, margins
     from jaxbound.diagnosis.isolability import isolability
@@ -76,7 +75,6 @@ __all__ = [
     "Status",
     "Uncertainty",
     "assess",
-    "compensation",
     "detect",
     "detect_dataset",
     "detectable",
@@ -125,7 +123,6 @@ __version__ = "0.2.0"
 _HOMES = {
     "consistency.monitor": "Monitor",
     "diagnosis.alarmrule": "AlarmRule",
-    "diagnosis.compensation": "compensation",
     "diagnosis.detectability": "detectable",
     "diagnosis.detection": "detect margins",
     "diagnosis.isolability": "isolability",

@@ -20,11 +20,6 @@ BY_DAY = {
     "cli/test_streaming_command": {
         "killed_at_half_and_resumed_in_little_memory": "interrupted_is_130_and_says_how_to_go_on"
     },
-    "consistency/test_constant": {
-        "searching_gains_alone_takes_a_hundredth_of_the_boxes_of_paving_everything": (
-            "the_verdicts_are_those_of_the_linear_program_in_states_and_gains"
-        )
-    },
     "consistency/test_gains": {"no_healthy_window_is_a_fault": "verdicts_are_those_of_a_linear_program"},
     "consistency/test_long_windows": {
         "gradients_of_margins_are_those_of_finite_differences": (
@@ -33,11 +28,6 @@ BY_DAY = {
     },
     "consistency/test_searched": {
         "no_lie_makes_a_fault_of_a_million_windows": "a_lying_device_makes_no_verdict"
-    },
-    "consistency/test_uncertain_windows": {
-        "linearised_alarms_of_all_golden_systems_are_as_many_as_golden_says": (
-            "linearised_alarms_on_healthy_data_are_as_many_as_golden_says"
-        )
     },
     "diagnosis/test_uncertain_margins": {
         "margins_of_several_relations_change_with_bounds_and_data": "margins_change_with_bounds_and_data"

@@ -46,8 +46,8 @@ class Steps(Relations):
         self.model, self.bounds = model, {"step": np.asarray(limit)}
         self.made = ("steps",)
 
-    def test(self, method, dtype, budget=None, compensation=0.0):
-        refuse_options("joint" if method == "steps" else method, budget, compensation)
+    def test(self, method, dtype, budget=None):
+        refuse_options("joint" if method == "steps" else method, budget)
         return StepTest(self, method, dtype)
 
 

@@ -104,7 +104,8 @@ class PolynomialWindow:
         P, Q = self.parts
         whole, noise = _mixed(h, P), [_mixed(h, q) for q in Q if any(q)]
         if vertices:
-            return _extremes_at_vertices(whole, noise, lo, hi)
+            least, most = _extremes_at_vertices(whole, noise, lo, hi)
+            return least[0], most[0]
         middles = [(a + b) / 2 for a, b in zip(lo, hi, strict=True)]
         radii = [(b - a) / 2 for a, b in zip(lo, hi, strict=True)]
         low, high = _span(_on_box(whole, middles, radii))
@@ -128,19 +129,21 @@ class PolynomialWindow:
         fields["drive"] = multiply(K, known_inputs(model, w.u))
         return FixedWindow(**fields, fixed=(tuple(rows), K), variables=tuple(v))
 
-    def zero_between(self, lowest: Point, highest: Point) -> Vector:
-        """Return v where the single relation vanishes on the way from (v, e) with p <= 0 to (v, e) with p >=
-        0, nearly.
+    def zero(self) -> Vector:
+        """Return v where the single relation, multi-affine, nearly vanishes on the way from its least to its
+        largest value over the box.
         """
+        P, Q = self.parts
+        lowest, highest = _extremes_at_vertices(P[0], [q[0] for q in Q], scale(self.size, -1), self.size)
         below, above = ZERO, ONE
         for _ in range(HALVINGS):
             t = (below + above) / 2
-            v, e = (_between(a, b, t) for a, b in zip(lowest, highest, strict=True))
+            v, e = (_between(a, b, t) for a, b in zip(lowest[1], highest[1], strict=True))
             if self._value(0, v, e) > 0:
                 above = t
             else:
                 below = t
-        return _between(lowest[0], highest[0], below)
+        return _between(lowest[1][0], highest[1][0], below)
 
     def _value(self, k: int, v: Vector, e: Vector) -> Fraction:
         """Return p_k(v, e) = P_k(v) + sum_j e_j Q_kj(v)."""
@@ -150,24 +153,6 @@ class PolynomialWindow:
             if x and q[k]:
                 value += x * _at(q[k], v)
         return value
-
-    def ends(self) -> tuple[Point, Point]:
-        """Return ((v, e) where the single relation is least over the box, (v, e) where it is largest):
-        multi-affine relations only.
-        """
-        P, Q = self.parts
-        least: tuple[Fraction, Point] | None = None
-        most: tuple[Fraction, Point] | None = None
-        for v in product(*((-x, x) for x in self.size)):
-            middle, slopes = _at(P[0], v), [_at(q[0], v) for q in Q]
-            toward = tuple(Fraction((x > 0) - (x < 0)) for x in slopes)
-            reach = sum(map(abs, slopes), ZERO)
-            if least is None or middle - reach < least[0]:
-                least = middle - reach, (v, scale(toward, -1))
-            if most is None or middle + reach > most[0]:
-                most = middle + reach, (v, toward)
-        assert least is not None and most is not None, "a box has a vertex"
-        return least[1], most[1]
 
     def near(self, v: np.ndarray, e: np.ndarray) -> tuple[Fraction, ...] | None:
         """Return v near the given one, within its box, where p(v, e) = 0 almost exactly for some e, or None:
@@ -180,8 +165,7 @@ class PolynomialWindow:
         for _ in range(REFINEMENTS):
             point, noise = self._in_box(x[:n]), tuple(x[n:])
             p = [self._value(k, point, noise) for k in range(self.relations.count)]
-            at = list(map(float, x))
-            J, room = self._slopes(at), np.maximum(1 - np.abs(at), 0)
+            J, room = self._slopes(point, noise), 1 - np.abs(np.array(x, float))
             size = np.abs(J) @ room
             if not (size > 0).all():
                 return None
@@ -198,40 +182,26 @@ class PolynomialWindow:
         """Return parameters from units of their bounds."""
         return tuple(a * s for a, s in zip(v, self.size, strict=True))
 
-    def _slopes(self, x: list[float]) -> np.ndarray:
+    def _slopes(self, v: Vector, e: Vector) -> np.ndarray:
         """Return the derivative of p by (v / size, e), floats (count, n + rows)."""
         P, Q = self.parts
-        size = list(map(float, self.size))
-        n = len(size)
-        v, e = [a * s for a, s in zip(x[:n], size, strict=True)], x[n:]
         rows = []
         for k, f in enumerate(P):
+            parts = [(ONE, f), *((b, q[k]) for b, q in zip(e, Q, strict=True) if b)]
             row = []
-            for i in range(n):
-                noise = sum(b * (_slope(q[k], v, i) * size[i]) for b, q in zip(e, Q, strict=True) if b)
-                row.append(_slope(f, v, i) * size[i] + noise)
-            for q in Q:
-                row.append(sum(float(c) * _power(alpha, v) for alpha, c in q[k].items()))
-            rows.append(row)
+            for i, s in enumerate(self.size):
+                row.append(s * sum((b * _at(_derivative(q, i), v) for b, q in parts), ZERO))
+            rows.append([float(x) for x in (*row, *(_at(q[k], v) for q in Q))])
         return np.array(rows)
 
 
-def _power(alpha: Exponents, v: Sequence[float], but: int | None = None) -> float:
-    """Return the monomial at v, one of its variables left out."""
-    value = 1.0
-    for i, (a, b) in enumerate(zip(v, alpha, strict=True)):
-        if b and i != but:
-            value *= a**b
-    return value
-
-
-def _slope(f: Polynomial, v: Sequence[float], i: int) -> float:
-    """Return the derivative by v_i in floats."""
-    slope = 0.0
-    for alpha, c in f.items():
+def _derivative(polynomial: Polynomial, i: int) -> Polynomial:
+    """Return the derivative by v_i."""
+    out = {}
+    for alpha, c in polynomial.items():
         if alpha[i]:
-            slope += float(c) * alpha[i] * v[i] ** (alpha[i] - 1) * _power(alpha, v, i)
-    return slope
+            out[*alpha[:i], alpha[i] - 1, *alpha[i + 1 :]] = c * alpha[i]
+    return out
 
 
 def _between(a: Vector, b: Vector, t: Fraction) -> Vector:
@@ -239,12 +209,15 @@ def _between(a: Vector, b: Vector, t: Fraction) -> Vector:
     return add_multiple(a, t, add_multiple(b, -1, a))
 
 
-def _extremes_at_vertices(P: Polynomial, Q: Iterable[Polynomial], lo: Vector, hi: Vector) -> Ends:
-    """Return the extremes of P -+ sum_j |Q_j| over the vertices of a box."""
-    ends = []
+def _extremes_at_vertices(
+    P: Polynomial, Q: Sequence[Polynomial], lo: Vector, hi: Vector
+) -> tuple[tuple[Fraction, Point], tuple[Fraction, Point]]:
+    """Return the extremes of P + sum_j e_j Q_j over the vertices of a box, each with a place where it is."""
+    ends: list[tuple[Fraction, Point]] = []
     for v in product(*zip(lo, hi, strict=True)):
-        middle, reach = _at(P, v), sum((abs(_at(q, v)) for q in Q), ZERO)
-        ends += [middle - reach, middle + reach]
+        middle, slopes = _at(P, v), [_at(q, v) for q in Q]
+        reach, toward = sum(map(abs, slopes), ZERO), tuple(Fraction((x > 0) - (x < 0)) for x in slopes)
+        ends += [(middle - reach, (v, scale(toward, -1))), (middle + reach, (v, toward))]
     return min(ends), max(ends)
 
 

@@ -34,7 +34,6 @@ __all__ = ["Leaf", "UncertainCertificate"]
 
 BOXES = 2000
 """Boxes that the proof of one FAULT may look at."""
-PART = parametric_windows.SEARCHED
 
 
 @dataclass(frozen=True)
@@ -65,8 +64,6 @@ class Cut:
 
 
 Tree: TypeAlias = Leaf | Cut
-_Place: TypeAlias = list[Any]
-"""A part of a proof that is being built: [], [Leaf] or [variable, at, place, place]."""
 Explained: TypeAlias = tuple[FixedWindow, Vector]
 """A window at chosen parameters, and unknowns that explain it."""
 
@@ -269,7 +266,7 @@ def _(
     assert case is not None  # a single pattern of missing samples
     p = polynomial_window(case, u, y)
     budget = 1
-    if method == "paving" or status == Status.FAULT:
+    if status in (Status.FAULT, Status.CONSISTENT):
         budget = BOXES
     proof, explained = _proof(p, u, y, status, budget)
     window: ExactWindow = p.window
@@ -277,11 +274,9 @@ def _(
     if explained is not None:
         window, z = explained
     elif proof is None:
-        hint = "; method 'paving' goes on where this one stops"
-        if method == "paving":
-            hint = ""
         raise NotImplementedError(
-            f"neither a contradiction nor a behaviour is at hand for window {at[-1]}{hint}"
+            f"neither a contradiction nor a behaviour is at hand for window {at[-1]}; a larger budget= of "
+            f"boxes goes on where detect stopped"
         )
     if status is None:
         status = Status.CONSISTENT
@@ -296,34 +291,51 @@ def _proof(
     """Return (a proof of FAULT, None), or (None, parameters and unknowns that explain the window), or (None,
     None) if neither was found.
 
-    The cheapest ways come first: each relation alone over the whole box, the zero of a single one, then the
-    direction and the point that floats propose, then a bisection.
+    Each relation alone over the whole box comes first, which is the shortest proof, and the zero of a single
+    one; then the boxes, directions and the point that `bisected` found, in fractions.
     """
-    count, lo = p.relations.count, tuple(-x for x in p.size)
-    few = polynomials.multiaffine(p.relations.exponents) and len(p.size) <= parametric_windows.VERTICES
-    fault, consistent = status != Status.CONSISTENT, status != Status.FAULT
-    if fault:
-        for h in identity(count):
+    r, lo = p.relations, tuple(-x for x in p.size)
+    few = polynomials.multiaffine(r.exponents) and len(p.size) <= parametric_windows.VERTICES
+    if status != Status.CONSISTENT:
+        for h in identity(r.count):
             leaf = _leaf(p, h, lo, p.size, few)
             if leaf is not None:
                 return leaf, None
-    if consistent and count == 1 and few:
-        explained = _explained(p, p.zero_between(*p.ends()))
+    if status != Status.FAULT and r.count == 1 and few:
+        explained = _explained(p, p.zero())
         if explained is not None:
             return None, explained
-    boxes = _Boxes(p, u, y)
-    start, direction = boxes.whole()
-    if fault:
-        leaf = _directed(p, direction, lo, p.size)
-        if leaf is not None:
-            return leaf, None
-    if consistent:
-        explained = boxes.point(start)
-        if explained is not None:
-            return None, explained
-    if budget <= 1:
+    reading = r.reading(y.dtype)
+    samples = np.nan_to_num(u[: reading.lags])[..., None], np.nan_to_num(y)[..., None]
+    found, leaves, points = parametric_windows.bisected(reading, samples, status != Status.FAULT, budget)
+    if found[0] == Status.FAULT:
+        return _tree_of(p, leaves), None
+    if status == Status.FAULT:
         return None, None
-    return boxes.cut(budget, fault, consistent)
+    n, noise = len(p.size), np.zeros(len(p.window.limits))
+    start = points[:, 0]
+    noise[list(reading.noisy)] = start[n:]
+    near = _explained(p, p.near(start[:n], noise))
+    return None, near or _explained(p, p.near(np.zeros(n), 0 * noise))
+
+
+def _tree_of(p: PolynomialWindow, leaves: parametric_windows.Leaves) -> Tree | None:
+    """Return the proof that leaves, whose boxes fill one box, are; None where one of them proves nothing."""
+    lo, hi = leaves.lo.min(1), leaves.hi.max(1)
+    if len(leaves.owner) == 1:
+        ends = [[Fraction(float(x)) * s for x, s in zip(end, p.size, strict=True)] for end in (lo, hi)]
+        return _directed(p, leaves.h[:, 0], *map(tuple, ends))
+    middle = 0.5 * (lo + hi)
+    for i, at in enumerate(middle):
+        below, above = leaves.hi[i] <= at, leaves.lo[i] >= at
+        if not (below | above).all():
+            continue
+        first = _tree_of(p, leaves.chosen(below))
+        rest = _tree_of(p, leaves.chosen(above))
+        if first is None or rest is None:
+            return None
+        return Cut(i, Fraction(float(at)) * p.size[i], first, rest)
+    raise AssertionError("boxes of a bisection are halves of halves")
 
 
 def _leaf(p: PolynomialWindow, h: Vector, lo: Vector, hi: Vector, few: bool = False) -> Leaf | None:
@@ -363,114 +375,6 @@ def _explained(p: PolynomialWindow, v: Vector | None) -> Explained | None:
         if best.factor <= 1:
             return window, rounded_witness(window, best.z)
     return None
-
-
-class _Boxes:
-    """Proposals of floats for boxes of the parameters of one window, by the kernels of the detection."""
-
-    def __init__(self, p: PolynomialWindow, u: np.ndarray, y: np.ndarray) -> None:
-        self.p, self.test = p, p.relations.reading(y.dtype)
-        inputs, outputs = np.nan_to_num(u[: self.test.window.lags]), np.nan_to_num(y)
-        self.samples = inputs[..., None], outputs[..., None]
-
-    def terms(self, count: int) -> Any:  # arrays of a kernel
-        """Return the terms of the window, so many times."""
-        u, y = (np.repeat(x, count, -1) for x in self.samples)
-        return parametric_windows.terms_of(self.test, u, y)
-
-    def whole(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return (start of a search for a zero, direction) of the whole box."""
-        boxes = parametric_windows.on_whole(self.test, self.terms(parametric_windows.SEARCHED), False)
-        _, _, _, _, start, h, _ = boxes
-        return np.asarray(start)[..., 0], np.asarray(h)[..., 0]
-
-    def point(self, start: np.ndarray) -> Explained | None:
-        """Return (FixedWindow, z) near a start or near the middle, or None."""
-        n = len(self.p.size)
-        noise = np.zeros(len(self.p.window.limits))
-        noise[list(self.test.noisy)] = np.clip(start[n:], -1, 1)
-        near = self.p.near(np.clip(start[:n], -1, 1), noise)
-        return _explained(self.p, near) or _explained(self.p, self.p.near(np.zeros(n), 0 * noise))
-
-    def cut(self, budget: int, fault: bool, consistent: bool) -> tuple[Tree | None, Explained | None]:
-        """Return a proof or a point as `_proof` does, from a bisection of the box.
-
-        Boxes of one generation are judged together. A place is where the part of the proof for a box is to
-        stand: it gets a Leaf, or (variable, at) and two places for the halves of the box.
-        """
-        one = np.ones((len(self.p.size), 1), self.test.N.dtype)
-        root: _Place = []
-        lo, hi, places, seen = -one, one, [root], 0
-        terms = self.terms(PART)
-        while places and seen < budget:
-            seen += len(places)
-            margin, start, h, axis, inside = self._judged(terms, lo, hi, consistent)
-            halves: list[tuple[int, int, float]] = []  # (box, variable, where it is cut)
-            after: list[_Place] = []
-            for k, place in enumerate(places):
-                if fault and margin[k] < 0:
-                    leaf = _directed(self.p, h[:, k], self._exact(lo[:, k]), self._exact(hi[:, k]))
-                    if leaf is not None:
-                        place.append(leaf)
-                        continue
-                if inside[k]:
-                    explained = self.point(start[:, k])
-                    if explained is not None:
-                        return None, explained
-                i = int(axis[k])
-                middle = 0.5 * (lo[i, k] + hi[i, k])
-                below: _Place = []
-                above: _Place = []
-                place += [i, Fraction(float(middle)) * self.p.size[i], below, above]
-                halves.append((k, i, middle))
-                after += [below, above]
-            if not halves:
-                return _assembled(root), None
-            lo, hi, places = *_halved(lo, hi, halves), after
-        return None, None
-
-    def _exact(self, ends: np.ndarray) -> Vector:
-        """Return a corner of a box from units of the bounds."""
-        return tuple(Fraction(float(x)) * s for x, s in zip(ends, self.p.size, strict=True))
-
-    def _judged(self, terms: Any, lo: np.ndarray, hi: np.ndarray, consistent: bool) -> list[np.ndarray]:
-        """Return [margin, start, h, axis, whether a point is proved to exist] of boxes (n, N), some at a
-        time.
-        """
-        parts = []
-        for k in range(0, lo.shape[1], PART):
-            parts.append(self._part(terms, lo[:, k : k + PART], hi[:, k : k + PART], consistent))
-        return [np.concatenate(columns, -1) for columns in zip(*parts, strict=True)]
-
-    def _part(self, terms: Any, lo: np.ndarray, hi: np.ndarray, consistent: bool) -> list[np.ndarray]:
-        """Return the same of at most PART boxes, filled up so that no kernel is compiled anew."""
-        count = lo.shape[1]
-        fill = ((0, 0), (0, PART - count))
-        mid, radius = np.pad(0.5 * (lo + hi), fill, mode="edge"), np.pad(0.5 * (hi - lo), fill, mode="edge")
-        owner = np.arange(PART, dtype=np.int32)
-        boxes = parametric_windows.on_boxes(self.test, terms, mid, radius, owner, consistent)
-        _, margin, inside, _, start, h, axis = boxes
-        return [np.asarray(x)[..., :count] for x in (margin, start, h, axis, inside)]
-
-
-def _halved(
-    lo: np.ndarray, hi: np.ndarray, halves: Sequence[tuple[int, int, float]]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return (lo, hi) of the two halves of some boxes, side by side."""
-    cut = [k for k, _, _ in halves]
-    lo, hi = np.repeat(lo[:, cut], 2, 1), np.repeat(hi[:, cut], 2, 1)
-    for j, (_, i, middle) in enumerate(halves):
-        hi[i, 2 * j] = lo[i, 2 * j + 1] = middle
-    return lo, hi
-
-
-def _assembled(place: _Place) -> Tree:
-    """Return the Leaf or Cut of a place of the bisection."""
-    if len(place) == 1:
-        leaf: Leaf = place[0]
-        return leaf
-    variable, at, below, above = place
-    return Cut(variable, at, _assembled(below), _assembled(above))
 
 
 def _leaves(proof: Tree) -> Iterator[Leaf]:

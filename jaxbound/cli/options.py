@@ -54,7 +54,7 @@ __all__ = [
 OBSERVER = "observer"
 # A text of its own, because the home of these methods imports jax, for which a help does not wait. A test
 # compares it with `consistency.interface.METHODS`.
-METHODS = "windows, box, paving, linearized"
+METHODS = "windows, box"
 WINDOWS = "windows", "joint"
 """The exact test of windows: as the command line calls it, and as the library does."""
 MARGINS = "auto", "bounds", "exact"  # likewise
@@ -80,8 +80,10 @@ def refuse_unknown_method(method: str, known: str) -> None:
     """Raise Refused for a method that is neither among `known`, with commas, nor registered as a family."""
     if method in (*known.split(", "), *WINDOWS):
         return
-    from jaxbound.consistency.interface import FAMILIES  # only now: a help is to be there at once
+    from jaxbound.consistency.interface import FAMILIES, GONE  # only now: a help is to be there at once
 
+    if method in GONE:
+        raise Refused(f"--method {method!r} is gone: {GONE[method].replace('joint', WINDOWS[0])}")
     if method not in FAMILIES:
         raise Refused(f"--method must be one of {', '.join((known, *FAMILIES))}, not {method!r}")
 

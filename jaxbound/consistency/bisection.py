@@ -6,7 +6,7 @@ last digits put outside is UNDECIDED.
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
-from jaxbound.consistency.gridding import BoxTest
-from jaxbound.consistency.interface import Budget, Relations
+from jaxbound.consistency.interface import Arrays, Budget, Cases, Open, Relations, Run, WindowTest
+from jaxbound.consistency.reading import Block
 from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
@@ -26,7 +26,7 @@ from jaxbound.sets.inclusion.inclusion import inclusion
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.paving.paving import Paving, pave
 
-__all__ = ["BUDGET", "BisectionTest", "Thick", "flat", "search", "whole_budget"]
+__all__ = ["BUDGET", "BisectionTest", "Thick", "flat", "search", "span", "whole_budget"]
 
 BUDGET = 1000
 """Boxes that may be evaluated for a window."""
@@ -70,7 +70,7 @@ class Thick:
         return enclosure
 
 
-class BisectionTest(BoxTest):
+class BisectionTest(WindowTest):
     """Bisects the unknowns of a residual: FAULT and CONSISTENT are proofs. No gauge is measured, the margin
     is NaN.
 
@@ -83,6 +83,8 @@ class BisectionTest(BoxTest):
 
     relations: ResidualRelations
     block, short = 2**13, 2**8
+    padded = sharded = False
+    constants = None
 
     def __init__(
         self, relations: ResidualRelations, method: str, dtype: DTypeLike, budget: Budget = None
@@ -103,6 +105,27 @@ class BisectionTest(BoxTest):
             "found"
         )
 
+    def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Cases:
+        """Leave out windows that miss samples; what is infinite leaves them open."""
+        samples = np.concatenate([u, y], 1)
+        lacking = span(np.isnan(samples), starts, self.lags)
+        endless = span(np.isinf(samples), starts, self.lags)
+        cases: list[tuple[WindowTest, np.ndarray]] = []
+        whole = starts[~lacking & ~endless]
+        if len(whole):
+            cases.append((self, whole))
+        if endless.any():
+            cases.append((Open(self, np.nan), starts[endless]))
+        return cases
+
+    def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
+        """Return (status, margin) of windows."""
+        judged = []
+        for u, y in blocks:
+            status = self._judged(np.moveaxis(u, -1, 0), np.moveaxis(y, -1, 0))
+            judged.append((status, np.full(len(status), np.nan, self.dtype)))
+        return judged
+
     def _judged(self, U: np.ndarray, Y: np.ndarray) -> np.ndarray:
         """Return the status of windows (N, s + 1, channels), their number filled up to one of two sizes,
         which alone are compiled.
@@ -113,6 +136,12 @@ class BisectionTest(BoxTest):
         if len(outside):
             status[outside] = _exclude(self.relations, U[outside], Y[outside], self.budget, size).status
         return status
+
+
+def span(bad: np.ndarray, starts: np.ndarray, length: int) -> np.ndarray:
+    """Return whether any of so many samples from each of `starts` on is bad (T, channels)."""
+    counted = np.concatenate([[0], np.cumsum(bad.any(1))])
+    return np.asarray(counted[starts + length] > counted[starts])
 
 
 def whole_budget(budget: object) -> int:

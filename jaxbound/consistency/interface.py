@@ -45,8 +45,8 @@ __all__ = [
     "Arrays",
     "Block",
     "Budget",
+    "GONE",
     "Cases",
-    "Compensation",
     "Easy",
     "Judged",
     "LinearRelations",
@@ -71,7 +71,12 @@ __all__ = [
     "with_margins",
 ]
 
-METHODS = ("joint", "box", "paving", "linearized")
+METHODS = ("joint", "box")
+GONE = {
+    "paving": '"joint" decides the same windows exactly; with uncertain parameters, budget= boxes a window',
+    "linearized": '"joint" neglects nothing; it decides the same windows with a proof',
+}
+"""{method of the papers that is none any more: the way on}; notebooks show what they see."""
 OBSERVER = "observer"
 MONITOR = "monitor"
 """The method of several tests behind one verdict."""
@@ -83,10 +88,8 @@ MANY = 2**17
 Array: TypeAlias = np.ndarray | jax.Array
 Bounds: TypeAlias = Mapping[str, Array]
 """{"noise": (p,), ..}: the half-widths, or lowest and highest values, that verdicts rest on."""
-Budget: TypeAlias = int | tuple[int, int] | None
-"""Effort for each window: a number of boxes, or (q, boxes) for "paving"; None: the default."""
-Compensation: TypeAlias = ArrayLike
-"""Of "linearized", a number that each relation may be off by, or one for each."""
+Budget: TypeAlias = int | None
+"""Effort for each window, a number of boxes; None: the default."""
 Starts: TypeAlias = ArrayLike
 """Numbers of the samples that do not follow the one before."""
 Arrays: TypeAlias = Sequence[Array]
@@ -267,14 +270,11 @@ class Relations:
         """
         return self, Recording.of(self.model, u, y, starts)
 
-    def test(
-        self, method: str, dtype: DTypeLike, budget: Budget = None, compensation: Compensation = 0.0
-    ) -> WindowTest | Observer[Any]:
+    def test(self, method: str, dtype: DTypeLike, budget: Budget = None) -> WindowTest | Observer[Any]:
         """Return the test by which a method decides windows of samples in a float dtype; see `detect`.
 
         Raises:
-            ValueError: a method, budget or compensation that these relations cannot be tested by; see
-                `refuse_options`.
+            ValueError: a method or budget that these relations cannot be tested by; see `refuse_options`.
         """
         raise NotImplementedError(f"{type(self).__name__} needs a method test(method, dtype, ..)")
 
@@ -609,25 +609,20 @@ class Easy(NamedTuple):
     windows: WindowTest
 
 
-def refuse_options(
-    method: str, budget: object, compensation: Compensation, adaptive: bool = False, linear: bool = False
-) -> None:
-    """Raise ValueError for a method, budget or compensation that relations cannot be tested by.
+def refuse_options(method: str, budget: object, adaptive: bool = False) -> None:
+    """Raise ValueError for a method or budget that relations cannot be tested by.
 
     Args:
-        adaptive: whether every method of theirs takes a budget. linear: whether they have something to
-            neglect.
+        adaptive: whether they are decided by boxes, of which there may be more.
     """
+    if method in GONE:
+        raise ValueError(f"method {method!r} is gone: {GONE[method]}")
     if method not in METHODS:
         raise ValueError(f"method must be one of {', '.join(METHODS)}, not {method!r}")
-    if method == "linearized" and not linear:
+    if budget is not None and not adaptive:
         raise ValueError(
-            "method 'linearized' is for models with uncertain parameters: use 'joint', which is exact here"
+            f"budget belongs to residuals and uncertain parameters; here {method!r} always finishes"
         )
-    if method != "linearized" and np.any(np.asarray(compensation) != 0):
-        raise ValueError(f"compensation belongs to method='linearized'; {method!r} neglects nothing")
-    if budget is not None and method != "paving" and not adaptive:
-        raise ValueError(f"budget belongs to method='paving'; {method!r} always finishes")
 
 
 Carry = TypeVar("Carry")
@@ -717,19 +712,15 @@ class Observer(Relations, Generic[Carry]):
         method: str = METHODS[0],
         dtype: DTypeLike | None = None,
         budget: Budget = None,
-        compensation: Compensation = 0.0,
     ) -> Self:
         """Return this observer, which knows one method.
 
         Raises:
-            ValueError: another method than its own (or "joint", the default of every verb), a budget or a
-                compensation.
+            ValueError: another method than its own (or "joint", the default of every verb), or a budget.
         """
         known = method in (METHODS[0], self.method)
-        if not known or budget is not None or np.any(np.asarray(compensation) != 0):
-            raise ValueError(
-                "an observer takes neither method nor budget nor compensation: they belong to windows"
-            )
+        if not known or budget is not None:
+            raise ValueError("an observer takes neither method nor budget: they belong to windows")
         return self
 
     def margins(self, given: Recording) -> jax.Array:

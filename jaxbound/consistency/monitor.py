@@ -22,7 +22,6 @@ from jaxbound.consistency.interface import (
     EXACT,
     OBSERVER,
     Budget,
-    Compensation,
     Judged,
     Observer,
     Relations,
@@ -106,7 +105,7 @@ class Monitor:
         relations: from `parity_relations` or `residual` (whose signals have names), or a bank, as for
             `detect`; or an Observer, whose carry is then the state, and what it judges, of one sample or of
             N, the verdict.
-        method, budget, compensation, outside: as for `detect`.
+        method, budget, outside: as for `detect`.
         margins: "exact", or "bounds", as for `detect`.
         dtype: of the samples, float64 or float32; None: as JAX is configured. Outputs of a wider type are
             rounded to it; a narrower type is refused, since more was rounded away than the verdicts would
@@ -118,7 +117,7 @@ class Monitor:
     parameters, constant_tolerance. The first whole window compiles, and the first burst.
 
     Raises:
-        TypeError: no relations. ValueError: a method, budget or compensation that they cannot be tested by;
+        TypeError: no relations. ValueError: a method or budget that they cannot be tested by;
             outside="undecided" of an Observer that is no `jb.monitor`: its verdicts are its own.
         RuntimeError: on a device where rounding has not been verified, see `detect`.
 
@@ -143,7 +142,6 @@ class Monitor:
         method: str = "joint",
         dtype: DTypeLike | None = None,
         budget: Budget = None,
-        compensation: Compensation = 0.0,
         outside: str = CLAIMED,
         margins: str = EXACT,
     ) -> None:
@@ -167,7 +165,7 @@ class Monitor:
         relations_of(relations, "a Monitor", "Monitor(parity_relations(model))")
         refuse_unusable()
         self.dtype = np.dtype(jax.dtypes.canonicalize_dtype(float if dtype is None else dtype))
-        test = relations.test(method, self.dtype, budget, compensation)
+        test = relations.test(method, self.dtype, budget)
         assert isinstance(test, WindowTest)
         self._test = test
         if margins_for(margins, 0) == EXACT:

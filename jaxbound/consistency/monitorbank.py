@@ -31,7 +31,6 @@ from jaxbound.consistency.interface import (
     MONITOR,
     Bounds,
     Budget,
-    Compensation,
     Observer,
     Relations,
     WindowTest,
@@ -243,10 +242,9 @@ class MonitorBank(Observer[BankState]):
         method: str = "joint",
         dtype: DTypeLike | None = None,
         budget: Budget = None,
-        compensation: Compensation = 0.0,
     ) -> Self:
         """Return the bank for samples in a float dtype; it knows one method."""
-        super().test(method, dtype, budget, compensation)
+        super().test(method, dtype, budget)
         return self if dtype is None else self.typed(dtype)
 
     def _changed(self, exact: bool, dtype: DTypeLike) -> Self:

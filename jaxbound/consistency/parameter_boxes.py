@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
-from jaxbound.consistency.parametric_windows import BLOCK, SEARCHED, Terms, farthest, samples_of, terms_of
+from jaxbound.consistency.parametric_windows import BLOCK, SEARCHED, Terms, samples_of, terms_of
 from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.uncertainty import Uncertainty
@@ -110,7 +110,7 @@ class PolynomialBoxes(ParameterBoxes):
             c, G, lean = _image_on(self.reading, own, mid[:, at], radius[:, at])
             h = None
             if searched:
-                h = _directions(c, G)
+                h = _directions(c, G, own.error)
                 hints.append((h, count))
             margin = _refuting(c, G, own.error, h)
             margins.append((margin, count))
@@ -202,7 +202,7 @@ def _is_searched(reading: PolynomialReading) -> bool:
     noises = len(reading.noisy)
     if noises and n:
         noises += r  # how they change with the parameters
-    return not varying.strip_count(r, monomials + noises)
+    return not varying.few_strips(r, monomials + noises)
 
 
 def blocks_of(total: int, size: int) -> Iterator[tuple[np.ndarray, int]]:
@@ -241,9 +241,9 @@ def _image_on(
 
 
 @kernel
-def _directions(c: jax.Array, G: jax.Array) -> jax.Array:
+def _directions(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array:
     """Return directions (r, P) that may separate 0 from c + G [-1, 1]^q."""
-    return farthest(c, G)[0]
+    return varying.farthest(c, G, error)[0]
 
 
 @kernel
@@ -254,10 +254,10 @@ def _refuting(c: jax.Array, G: jax.Array, error: jax.Array, h: jax.Array | None)
     if h is not None:
         return varying.refutes(c, G, error, h)
     r, q, _ = G.shape
-    if varying.strip_count(r, q):
+    if varying.few_strips(r, q):
         return varying.strip_margins(c, G, error)
     rows = 1
-    if varying.strip_count(2, q):
+    if varying.few_strips(2, q):
         rows = 2
     parts = []
     for first in range(0, r, rows):

@@ -12,10 +12,10 @@ from jax.typing import DTypeLike
 from jaxbound.consistency.bisection import whole_budget
 from jaxbound.consistency.interface import (
     Again,
+    Array,
     Arrays,
     Budget,
     Cases,
-    Compensation,
     Open,
     Outs,
     Progress,
@@ -26,53 +26,51 @@ from jaxbound.consistency.parametric_margins import parametric_margins
 from jaxbound.consistency.parametric_windows import (
     LEAST,
     SEARCHED,
+    Leaves,
     bisected,
     block_of,
     cases,
     finite,
     judged_by,
     judged_whole,
+    refuted,
 )
 from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations
 from jaxbound.consistency.reading import Block, gather
+from jaxbound.consistency.twice import warn_doubtful
 from jaxbound.consistency.unproved import within
 from jaxbound.recordings.arrays import refuse_infinite
 from jaxbound.recordings.recording import Recording
-from jaxbound.sets.floats.kernel import is_outside_xla
+from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips.polynomials import multiaffine
 
-__all__ = ["BUDGET", "ParametricTest"]
+__all__ = ["ParametricTest"]
 
 LACKING = 2**5
 """Windows at once that lack the same samples."""
-
-BUDGET = 10_000
-"""Boxes that "paving" may evaluate for a window."""
 
 
 class ParametricTest(WindowTest):
     """Tests windows of a model with uncertain parameters; see `parametric_windows`.
 
     The sign of the margin is the verdict's. Its size is that of the zonotope, with which the neglected
-    monomials grow as one: for an UNDECIDED window the true margin is not above it. For "linearized" it is the
-    gauge of the paper's set, and no proof.
+    monomials grow as one: for an UNDECIDED window the true margin is not above it.
 
     No fixed projection settles easy windows first (`WindowTest.easy`): the nominal model explains few of them
     (none of the example of Ploix 2006, whose parameters move outputs by far more than the noise), and a point
     of least squares in parameters and errors costs as much to prove as the one that is searched for.
 
     Args:
-        budget: boxes a window that "paving" may evaluate; None: `BUDGET`. allowance: what each relation may
-            be off by, for "linearized".
+        budget: boxes into which the parameters of a window that stays open may be cut; None: one.
         whole: for windows that lack samples, the test of those that lack none.
 
     Raises:
-        ValueError: a budget that is no whole number >= 1, an allowance that is none.
+        ValueError: a budget that is no whole number >= 1.
     """
 
     relations: PolynomialRelations
-    sharded = False
+    sharded, twice = False, True
     constants = None
 
     def __init__(
@@ -81,18 +79,10 @@ class ParametricTest(WindowTest):
         method: str,
         dtype: DTypeLike,
         budget: Budget = None,
-        allowance: Compensation = 0.0,
         whole: "ParametricTest | None" = None,
     ) -> None:
         super().__init__(relations, method, dtype)
-        self.budget = BUDGET if budget is None else whole_budget(budget)
-        self.allowance = np.asarray(allowance, float)
-        fits = self.allowance.shape in ((), (relations.count,)) and bool((self.allowance >= 0).all())
-        if not fits or not np.isfinite(self.allowance).all():
-            raise ValueError(
-                f"compensation must be one finite number >= 0, or one for each of {relations.count} "
-                f"relations, not {allowance!s}"
-            )
+        self.budget = 1 if budget is None else whole_budget(budget)
         self.kind, self.proved = judged_by(relations, method), relations.complete == "proved"
         self.whole = whole
 
@@ -147,37 +137,65 @@ class ParametricTest(WindowTest):
     def _of(self, case: PolynomialRelations) -> "ParametricTest":
         """Return the test of windows that lack the same samples, or none."""
         whole = None if case is self.relations else self
-        allowance = self.allowance
-        if case.count != self.relations.count:
-            allowance = allowance.max()
-        return ParametricTest(case, self.method, self.dtype, self.budget, allowance, whole)
+        return ParametricTest(case, self.method, self.dtype, self.budget, whole)
 
     def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
-        """Return (status, margin, open) of blocks of windows; open is what paving may decide."""
+        """Return (status, margin, open) of blocks of windows; open is what more boxes may decide."""
         # all blocks are under way before the host waits for the first
-        judged = [self._judged_whole(block) for block in blocks]
-        if self.method != "paving":
-            return judged
-        return [(status, margin, np.asarray(status) == Status.UNDECIDED) for status, margin in judged]
+        whole = [judged_whole(self._read, finite(block), self.kind, self.proved) for block in blocks]
+        judged: list[Arrays] = []
+        for block, (said, margin, h) in zip(blocks, whole, strict=True):
+            status, doubtful = np.array(said), self._doubtful(finite(block), said, h)
+            status[doubtful] = Status.UNDECIDED
+            left = (status == Status.UNDECIDED) & (self.budget > 1)
+            judged.append((status, np.where(doubtful, 0, margin), left))
+        return judged
 
-    def _judged_whole(self, block: Block) -> tuple[jax.Array, jax.Array]:
-        """Return (status, margin) of a block of windows, each by its whole box of parameters."""
-        return judged_whole(self._read, finite(block), self.kind, self.proved, self.allowance)
+    def _doubtful(self, samples: Block, status: Array, h: Array | None) -> np.ndarray:
+        """Return (N,) bool: which FAULT windows of a block NumPy does not refute from their samples."""
+        fault: np.ndarray = np.asarray(status) == Status.FAULT
+        if is_outside_xla() or not fault.any():
+            return np.zeros(len(fault), bool)
+        at = np.flatnonzero(fault)
+        if h is None:
+            chosen = np.resize(at, len(fault))
+            with outside_xla():
+                u, y = samples
+                again = judged_whole(self.reading, (u[..., chosen], y[..., chosen]), self.kind, False)
+            proved = np.asarray(again[0])[: len(at)] == Status.FAULT
+        else:
+            one = np.ones((len(self.reading.size), len(at)), self.dtype)
+            proved = refuted(self.reading, samples, Leaves(at, -one, one, np.asarray(h)[:, at]))
+        fault[at[proved]] = False
+        if fault.any():
+            warn_doubtful(f"{fault.sum()} windows of a block are FAULT by XLA")
+        return fault
 
     def settle(
         self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress
     ) -> None:
         """Bisect the parameters of windows that were left open."""
-        if self.method != "paving":
-            return
         status, margin = outs
         for first in range(0, len(left), SEARCHED):
             at = left[first : first + SEARCHED] + self.horizon
             windows = finite(gather(u, y, at - self.horizon, self.lags, self.horizon))
-            status[at] = now = bisected(self.reading, windows, self.proved, self.budget)
+            now, leaves, _ = bisected(self.reading, windows, self.proved, self.budget)
+            now = self._confirmed(now, windows, leaves)
+            status[at] = now
             margin[at] = np.where(now == Status.FAULT, np.minimum(margin[at], -LEAST), margin[at])
             margin[at] = np.where(now == Status.CONSISTENT, np.maximum(margin[at], LEAST), margin[at])
             progress((first + len(at)) / len(left))
+
+    def _confirmed(self, status: np.ndarray, samples: Block, leaves: Leaves) -> np.ndarray:
+        """Return the status of windows, UNDECIDED where NumPy does not refute each leaf of a FAULT."""
+        if is_outside_xla():
+            return status
+        leaves = leaves.chosen(status[leaves.owner] == Status.FAULT)
+        doubtful = leaves.owner[~refuted(self.reading, samples, leaves)]
+        if len(doubtful):
+            status[doubtful] = Status.UNDECIDED
+            warn_doubtful(f"{len(np.unique(doubtful))} windows are FAULT by boxes that XLA refuted")
+        return status
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""

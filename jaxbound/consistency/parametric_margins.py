@@ -1,21 +1,13 @@
-"""Numbers to tune by, for models with uncertain parameters: how far out a window is, and what the linearized
-test lacks. No proofs.
+"""Numbers to tune by, for models with uncertain parameters: how far out a window is. No
+proofs.
 
 The margin is that of the joint test, 1 - t with t = min { max_j |z_j| : c + G z = 0 } = max over h of |h c| /
 sum_j |h g_j|. Its derivative is that of a linear program, h (dc + dG z) / sum_j |h g_j| with both optima
-held. The compensation that a window needs is the largest excess of |h c| over sum_j |h g_j| beside sum_i
-|h_i|,
-
-    e = max over h of (|h c| - sum_j |h g_j|) / sum_i |h_i|,
-
-found by Newton's method: h is the worst direction of the set widened by the e so far, a convex problem with
-finitely many h.
-Source: Dinkelbach 1967.
+held.
 """
 
 import math
 from collections.abc import Callable, Iterable
-from functools import partial
 from typing import TypeAlias
 
 import jax
@@ -27,25 +19,16 @@ from jaxbound.consistency.parametric_windows import (
     at_vertices,
     block_of,
     cases,
-    farthest,
     judged_by,
-    linear_image,
     on_whole,
     samples_of,
     terms_of,
 )
 from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations
 from jaxbound.consistency.unproved import is_traced
-from jaxbound.recordings.recording import Recording
-from jaxbound.sets.strips import polynomials
+from jaxbound.sets.strips import polynomials, varying
 
-__all__ = ["needed_compensation", "parametric_margins"]
-
-STEPS = 30
-"""Newton steps of a compensation; 3 to 5 are usual."""
-Newton: TypeAlias = tuple[jax.Array, jax.Array, int]
-"""(e so far, which of it still grow, number of the step)."""
-
+__all__ = ["parametric_margins"]
 
 Measure: TypeAlias = Callable[[PolynomialReading, Array, Array, str], jax.Array]
 """Of (reading, u (lags, m, N), y (s + 1, p, N), kind): a number (N,) for each window."""
@@ -78,29 +61,6 @@ def parametric_margins(relations: PolynomialRelations, u: Array, y: Array) -> ja
             found = _over_blocks(_margins, case, u, y, starts[own])
         out = out.at[starts[own] + s].set(found)
     return out.reshape(shape)
-
-
-def needed_compensation(relations: PolynomialRelations, given: Recording, share: float) -> float:
-    """Return the least compensation that is enough for all windows of a Recording but a share of them; see
-    `compensation`.
-    """
-    u, y, across = np.asarray(given.u), np.asarray(given.y), given.across(relations.horizon)
-    T = y.shape[-2]
-    u, y = (x.reshape(math.prod(y.shape[:-1]), x.shape[-1]) for x in (u, y))
-    across[: relations.horizon] = True
-    starts = np.flatnonzero(~np.tile(across, len(y) // T)) - relations.horizon
-    parts = [np.zeros(0)]
-    for case, own in cases(relations, u, y, starts):
-        if case is None:
-            parts.append(np.zeros(len(own)))
-        else:
-            parts.append(np.asarray(_over_blocks(_needs, case, u, y, starts[own])))
-    needs = np.sort(np.concatenate(parts))
-    if not len(needs):
-        raise ValueError(
-            f"no window of {relations.horizon + 1} samples has data: nothing says what compensation is needed"
-        )
-    return float(needs[len(needs) - 1 - math.floor(share * len(needs))])
 
 
 def _over_blocks(
@@ -153,34 +113,11 @@ def _smooth_margins(reading: PolynomialReading, u: Array, y: Array, kind: str) -
         t = polynomials.vertex_gauge(value, spread, rad, reading.exponents)[0]
     else:
         c, G = polynomials.image(value, spread, rad, reading.exponents)
-        h, z = jax.lax.stop_gradient(farthest(*jax.lax.stop_gradient((c, G))))
+        h, z = jax.lax.stop_gradient(varying.farthest(*jax.lax.stop_gradient((c, G, 0 * c))))
         residual, width = jax.lax.stop_gradient(_across(h, c, G))
         change = jnp.sum(h * (c + jnp.sum(G * z[None], 1)), 0) * jnp.where(jnp.sum(h * c, 0) < 0, -1, 1)
         t = _ratio(residual, width) + _ratio(change - jax.lax.stop_gradient(change), width)
     return jnp.where(jnp.any(gone, 0), jnp.nan, 1 - t)
-
-
-@partial(jax.jit, static_argnums=3)
-def _needs(reading: PolynomialReading, u: jax.Array, y: jax.Array, kind: str) -> jax.Array:
-    """Return the compensation (N,) that each window needs."""
-    c, G, _ = linear_image(reading, terms_of(reading, u, y), 0.0)
-    G = G[:, : G.shape[1] - len(c)]  # without the compensation's own columns
-    needed = jnp.max(jnp.maximum(jnp.abs(c) - jnp.sum(jnp.abs(G), 1), 0), 0)
-
-    def step(carry: Newton) -> Newton:
-        e, _, count = carry
-        own = jnp.where(np.eye(len(c), dtype=bool)[:, :, None], e[None, None], 0)
-        h, _ = farthest(c, jnp.concatenate([G, own], 1))
-        residual, width = _across(h, c, G)
-        more = jnp.maximum(e, _ratio(residual - width, jnp.sum(jnp.abs(h), 0)))
-        return more, more > e * (1 + 4 * np.finfo(e.dtype).eps), count + 1
-
-    def going(carry: Newton) -> jax.Array:
-        _, growing, count = carry
-        return jnp.any(growing) & (count < STEPS)
-
-    most: jax.Array = jax.lax.while_loop(going, step, (needed, needed >= 0, 0))[0]
-    return most
 
 
 def _across(h: jax.Array, c: jax.Array, G: jax.Array) -> tuple[jax.Array, jax.Array]:

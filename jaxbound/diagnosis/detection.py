@@ -14,7 +14,6 @@ from jaxbound.consistency.drive import drive
 from jaxbound.consistency.interface import (
     AUTO,
     Budget,
-    Compensation,
     Relations,
     Starts,
     relations_of,
@@ -41,7 +40,6 @@ def detect(
     budget: Budget = None,
     progress: Callable[[float], object] | None = None,
     starts: Starts = (),
-    compensation: Compensation = 0.0,
     margins: str = AUTO,
     outside: str = CLAIMED,
 ) -> Result:
@@ -54,14 +52,12 @@ def detect(
             tables, see `Recording.of`. NaN: a missing sample. y None: u has both; u None: no inputs.
         method: "joint": the exact set of all relations together, FAULT and CONSISTENT are proofs; with
             uncertain parameters some windows stay UNDECIDED. "box": each relation alone; CONSISTENT only of a
-            single one. "paving": bisection of the unknowns, or of uncertain parameters; a residual is always
-            decided so. "linearized": the paper's test, which proves nothing.
-        budget: of "paving" (q, boxes a window), stop at r > q - 1, default (3, 100_000); boxes a window of a
-            residual, default 1000, and of uncertain parameters, default 10 000.
+            single one.
+        budget: boxes a window into which unknowns are cut: of a residual, default 1000; of uncertain
+            parameters, those of windows that would stay UNDECIDED, default 1.
         progress: called with the share of the work done.
         starts: numbers of the samples that do not follow the one before: windows across are MISSING. Gaps
             that the times of a table show are found.
-        compensation: for "linearized", what each relation may be off by for the terms that it neglects.
         margins: "exact", or "bounds": a tenth of the work where a search decides; "auto": bounds from 131 072
             windows on. Alarms, .worst and .explain have exact ones.
         outside: of windows outside the region of training, the model's `ranges`: "fault", or "undecided".
@@ -96,7 +92,7 @@ def detect(
     named, recording = relations.recording(u, y, starts)
     refuse_unusable()
     recording = replace(recording, u=np.asarray(recording.u), y=np.asarray(recording.y))
-    test = named.test(method, recording.y.dtype, budget, compensation)
+    test = named.test(method, recording.y.dtype, budget)
     test = with_margins(test, margins, window_count(recording.y.shape[:-1], test.horizon))
     judged = drive(test, recording, report)
     if (judged.status == Status.UNDECIDED).any():  # an infinite sample cannot come out as anything else

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.consistency.gridding import span
+from jaxbound.consistency.bisection import span
 from jaxbound.consistency.interface import Observer, Relations, relations_of
 from jaxbound.consistency.parameter_boxes import ParameterBoxes, PolynomialBoxes
 from jaxbound.consistency.parameter_residual import ResidualBoxes

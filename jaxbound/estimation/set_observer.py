@@ -18,7 +18,6 @@ from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 import jax
 import numpy as np
 from jax.typing import DTypeLike
-from numpy.typing import ArrayLike
 
 from jaxbound.certificates.interface import evidence
 from jaxbound.consistency.interface import Budget, Judged, Observer
@@ -211,14 +210,13 @@ class SetObserver(Observer[State], Generic[State]):
         method: str = "joint",
         dtype: DTypeLike | None = None,
         budget: Budget = None,
-        compensation: ArrayLike = 0.0,
     ) -> Self:
         """Return the observer that gives verdicts alone; an observer knows one method.
 
         Raises:
-            ValueError: another method than "observer" (or "joint", the default), a budget or a compensation.
+            ValueError: another method than "observer" (or "joint", the default), or a budget.
         """
-        return super().test(method, dtype, budget, compensation).telling(enclosures=False)
+        return super().test(method, dtype, budget).telling(enclosures=False)
 
     def telling(self, enclosures: bool) -> Self:
         """Return the same observer, whose `fold` returns an Observation, or verdicts alone."""

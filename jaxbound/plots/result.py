@@ -49,6 +49,4 @@ def plot_result(
     line.add(0, x, res.status, drawn_margins(res))
     line.mark([a.worst for a in alarms])
     observes = res.relations.observes
-    return plot_timeline(
-        line, res.relations.model.name, res.method, len(alarms), ax, draws_bounds(res), observes
-    )
+    return plot_timeline(line, res.relations.model.name, len(alarms), ax, draws_bounds(res), observes)

@@ -76,13 +76,12 @@ class Timeline:
 def plot_timeline(
     line: Timeline,
     name: str,
-    method: str,
     alarms: int,
     ax: "Axes | None" = None,
     bounded: bool = False,
     observes: bool = False,
 ) -> "Figure | Axes":
-    """Draw a complete Timeline of a model of that name, judged by `method`; `alarms` is how many there are;
+    """Draw a complete Timeline of a model of that name, `alarms` is how many there are;
     into `ax` the margin alone; `bounded`: margins of CONSISTENT windows are bounds, which the title says;
     `observes`: UNDECIDED is what healthy samples are.
     """
@@ -91,24 +90,25 @@ def plot_timeline(
     assert line.x is not None, "a Timeline is drawn when all its samples were added"
     at, label, dates = time_axis(line.x)
     if ax is not None:
-        _chart(ax, line, at, name, method, alarms)
+        _chart(ax, line, at, name, alarms)
         label_time(ax, at, label, dates)
         return ax
     with style():
         fig, (margin, ribbon) = stacked(2, (11, 4.3), [12, 1])
-        _chart(margin, line, at, name, method, alarms)
+        _chart(margin, line, at, name, alarms)
         _ribbon(ribbon, at, line.status, observes)
         finish(fig, [margin, ribbon], at, label, dates)
     return fig
 
 
-def _chart(ax: "Axes", line: Timeline, at: np.ndarray, name: str, method: str, alarms: int) -> None:
+def _chart(ax: "Axes", line: Timeline, at: np.ndarray, name: str, alarms: int) -> None:
     """Draw the margin and the alarms."""
     shade(ax, at, line.status == Status.FAULT)
     if np.isnan(line.low).all():
-        ax.text(
-            0.5, 0.5, _no_margin(method), ha="center", va="center", transform=ax.transAxes, color="#57606a"
-        )
+        words = "no margin is measured"
+        if (line.status == Status.MISSING).all():
+            words = "no window has usable data"
+        ax.text(0.5, 0.5, words, ha="center", va="center", transform=ax.transAxes, color="#57606a")
         ax.set_yticks([])
     else:
         _margin(ax, at, line.low, line.high, line.samples > SAMPLES)
@@ -205,9 +205,3 @@ def _ribbon(ax: "Axes", x: np.ndarray, status: np.ndarray, observes: bool) -> No
     present = [s for s in Status if (status == s).any()]
     handles = [Patch(color=colours[s], label=names[s]) for s in present]
     ax.figure.legend(handles=handles, loc="lower left", ncols=4, fontsize=9, bbox_to_anchor=(0.066, 0.0))
-
-
-def _no_margin(method: str) -> str:
-    if method == "paving":
-        return "paving proves FAULT but measures no margin"
-    return "no window has usable data"

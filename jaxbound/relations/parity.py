@@ -29,11 +29,9 @@ from jax.typing import ArrayLike, DTypeLike
 from jaxbound.consistency.constant import ConstantTest
 from jaxbound.consistency.exchange import ExchangeTest
 from jaxbound.consistency.gains import GainsTest
-from jaxbound.consistency.gridding import PavingTest
 from jaxbound.consistency.interface import (
     METHODS,
     Budget,
-    Compensation,
     LinearRelations,
     Starts,
     WindowTest,
@@ -50,7 +48,6 @@ from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
-from jaxbound.models.times import refuse_factors
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.bounds import Bounds, changed_bounds, model_bounds, reading
 from jaxbound.relations.cost import affordable, refuse_many_states
@@ -127,12 +124,8 @@ class ParityRelation(LinearRelations):
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """The methods of `test`: "joint" alone knows bounds of averages, "paving" no factors on noise."""
-        if self.model.averages:
-            return METHODS[:1]
-        if self.model.factors:
-            return METHODS[:2]
-        return METHODS[:3]
+        """The methods of `test`: "joint" alone knows bounds of averages."""
+        return METHODS[:1] if self.model.averages else METHODS
 
     @property
     def searched(self) -> bool:
@@ -193,22 +186,17 @@ class ParityRelation(LinearRelations):
             shape = self._rounded_frame(dtype)
         return reading(shape, self.model, self.horizon, self.bounds, dtype, self.lags)
 
-    def test(
-        self, method: str, dtype: DTypeLike, budget: Budget = None, compensation: Compensation = 0.0
-    ) -> WindowTest:
+    def test(self, method: str, dtype: DTypeLike, budget: Budget = None) -> WindowTest:
         """Return the WindowTest by which a method decides windows; see `detect`.
 
         Raises:
-            ValueError: a method, budget or compensation that these relations cannot be tested by.
+            ValueError: a method or budget that these relations cannot be tested by.
         """
-        refuse_options(method, budget, compensation)
+        refuse_options(method, budget)
         if self._moving is not None:
-            return self._moving.test(method, dtype, budget, compensation)
+            return self._moving.test(method, dtype, budget)
         if window.bounded_sums(self.model) and method != "joint":
             raise ValueError(f"averages are tested by method 'joint': {method!r} looks at single samples")
-        if method == "paving":
-            refuse_factors(self.model)
-            return PavingTest(self, dtype, budget)
         constant = self.model.constant_tolerance
         if method == "joint" and self.frame is not None:
             kind = GainsTest if constant else ExchangeTest

@@ -26,7 +26,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from jaxbound.consistency.bank import BankTest
-from jaxbound.consistency.interface import Budget, Compensation, Relations, Starts, WindowTest, refuse_options
+from jaxbound.consistency.interface import Budget, Relations, Starts, WindowTest, refuse_options
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models import window
@@ -130,19 +130,13 @@ class Redundancy(Relations):
         """
         return stated_relations(self.model, self.horizon, *self.windows())
 
-    def test(
-        self, method: str, dtype: DTypeLike, budget: Budget = None, compensation: Compensation = 0.0
-    ) -> WindowTest:
+    def test(self, method: str, dtype: DTypeLike, budget: Budget = None) -> WindowTest:
         """Return the WindowTest by which a method decides windows; see `detect`.
 
         Raises:
-            ValueError: a method, budget or compensation that these relations cannot be tested by.
+            ValueError: a method or budget that these relations cannot be tested by.
         """
-        if method not in ("joint", "box"):
-            raise ValueError(
-                f"the relations of a bank are tested one by one: method {method!r} does not apply"
-            )
-        refuse_options(method, budget, compensation)
+        refuse_options(method, budget)
         return BankTest(self.relations, dtype)
 
     def recording(self, u: object, y: object = None, starts: Starts = ()) -> tuple[Self, Recording]:

@@ -18,7 +18,7 @@ import numpy as np
 from jax.typing import ArrayLike, DTypeLike
 
 from jaxbound.consistency.bisection import BisectionTest, ResidualRelations, flat
-from jaxbound.consistency.interface import METHODS, Budget, Compensation, Starts, WindowTest, refuse_options
+from jaxbound.consistency.interface import Budget, Starts, WindowTest, refuse_options
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.signals import Signals
 from jaxbound.recordings.table import as_table, is_table
@@ -106,8 +106,6 @@ class Residual(ResidualRelations):
     horizon: int
     model: Channels
 
-    methods = METHODS[0], METHODS[2]
-
     @property
     def bounds(self) -> dict[str, np.ndarray]:
         """{"parameters": (n, 2)}: lo and hi of every unknown."""
@@ -140,17 +138,15 @@ class Residual(ResidualRelations):
         signals = Signals(model.inputs, model.outputs, {})
         return dataclasses.replace(self, model=model), Recording.of(signals, u, y, starts)
 
-    def test(
-        self, method: str, dtype: DTypeLike, budget: Budget = None, compensation: Compensation = 0.0
-    ) -> WindowTest:
+    def test(self, method: str, dtype: DTypeLike, budget: Budget = None) -> WindowTest:
         """Return the WindowTest by which a method decides windows; see `detect`.
 
         Raises:
-            ValueError: a method, budget or compensation that these relations cannot be tested by.
+            ValueError: a method or budget that these relations cannot be tested by.
         """
         if method == "box":
             raise ValueError("method 'box' is for parity relations: a residual is decided as a whole")
-        refuse_options(method, budget, compensation, adaptive=True)
+        refuse_options(method, budget, adaptive=True)
         return BisectionTest(self, method, dtype, budget)
 
     def shape(self, m: int, p: int) -> int:

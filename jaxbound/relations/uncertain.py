@@ -24,7 +24,6 @@ from jaxbound.consistency.interface import (
     METHODS,
     Array,
     Budget,
-    Compensation,
     Starts,
     WindowTest,
     refuse_options,
@@ -132,16 +131,14 @@ class UncertainRelations(PolynomialRelations):
         N, K = (cast("jax.Array", _floats(matrix, alphas, dtype)) for matrix in (self.N, self.K))
         return PolynomialReading(read, N, K, size, alphas, self._noisy())
 
-    def test(
-        self, method: str, dtype: DTypeLike, budget: Budget = None, compensation: Compensation = 0.0
-    ) -> WindowTest:
+    def test(self, method: str, dtype: DTypeLike, budget: Budget = None) -> WindowTest:
         """Return the WindowTest by which a method decides windows; see `detect`.
 
         Raises:
-            ValueError: a method, budget or compensation that these relations cannot be tested by.
+            ValueError: a method or budget that these relations cannot be tested by.
         """
-        refuse_options(method, budget, compensation, linear=True)
-        return ParametricTest(self, method, dtype, budget, compensation)
+        refuse_options(method, budget, adaptive=method == "joint")
+        return ParametricTest(self, method, dtype, budget)
 
     def recording(self, u: object, y: object = None, starts: Starts = ()) -> tuple[Self, Recording]:
         """Return (relations, Recording) of what is given: see `Recording.of`."""

@@ -197,7 +197,7 @@ def plot_digest(found: Digest, ax: Axes | None = None) -> Figure | Axes:
     """Draw the whole recording as a Result of its verdicts would be drawn."""
     name, bounded = found.relations.model.name, found.margins == BOUNDS
     observes = found.relations.observes
-    return plot_timeline(found.line, name, found.method, found.alarm_count, ax, bounded, observes)
+    return plot_timeline(found.line, name, found.alarm_count, ax, bounded, observes)
 
 
 @evidence.register(Digest)

@@ -22,14 +22,14 @@ PROOF = ("h", "g", "k", "direction", "low", "high", "at", "state", "outputs")
 long = lambda *x: pytest.param(*x, marks=pytest.mark.long)
 
 
-def detected(rng, name, method="joint", budget=None, runs=2, **changes):
+def detected(rng, name, budget=None, runs=2, **changes):
     """Return the Result of recordings that are faulty in part."""
     dC = np.zeros((len(relations(name).model.C), relations(name).model.n))
     dC[0] += rng.uniform(-0.5, 0.5, len(dC[0]))
     u, y = record(rng, name, runs, "uniform", **(changes or dict(dC=dC)))
     if changes or name == TWO:
         y[:, 40:70] += rng.uniform(-1, 1, (runs, 30, y.shape[-1])) * (0.5 if name == TWO else 2)
-    return jb.detect(relations(name, **changes), u, y, method=method, budget=budget)
+    return jb.detect(relations(name, **changes), u, y, budget=budget)
 
 
 def check_round_trips(rng, res, count, status):
@@ -108,17 +108,17 @@ def test_a_witness_settles_windows_whose_relations_are_not_proved_to_say_all(rng
 
 @pytest.mark.parametrize("name", [TWO, long("n3p2_mixed3_h3")])
 def test_a_bisection_is_confirmed_box_by_box(rng, name):
-    joint, paved = (detected(np.random.default_rng(5), name, *how, runs=2) for how in ((), ("paving", 300)))
+    joint, paved = (detected(np.random.default_rng(5), name, budget, runs=2) for budget in (None, 300))
     won = (paved.status == Status.FAULT) & (joint.status == Status.UNDECIDED)
     assert won.sum() > 5
     with pytest.raises(
         NotImplementedError,
-        match="neither a contradiction nor a behaviour is at hand .* method 'paving' goes on",
+        match="neither a contradiction nor a behaviour is at hand .* a larger budget= of boxes goes on",
     ):
         joint.explain(tuple(np.argwhere(won)[0].tolist()))
     leaves = check_round_trips(
         rng,
-        jb.Result(np.where(won, paved.status, 0), paved.margin, "paving", paved.relations, paved.u, paved.y),
+        jb.Result(np.where(won, paved.status, 0), paved.margin, "joint", paved.relations, paved.u, paved.y),
         5,
         3,
     )
@@ -127,7 +127,7 @@ def test_a_bisection_is_confirmed_box_by_box(rng, name):
     if found.any():
         check_round_trips(
             rng,
-            jb.Result(np.where(found, 1, 0), paved.margin, "paving", paved.relations, paved.u, paved.y),
+            jb.Result(np.where(found, 1, 0), paved.margin, "joint", paved.relations, paved.u, paved.y),
             1,
             1,
         )

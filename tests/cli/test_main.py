@@ -119,18 +119,6 @@ class TestDetect:
             == 3
         )
 
-    @pytest.mark.slow
-    def test_paving(self, place, capsys):
-        save_model(
-            jb.LinearSystem([["0.5"]], [[1]], [[1]], dt=0.01, noise=0.1, columns={"y1": "y2"}),
-            place / "model.toml",
-        )
-        (place / "good.csv").write_text(csv_text(rows(12)))
-        code, out, _ = run(
-            place, "detect", "model.toml", "good.csv", "--out", "out", "--method", "paving", capsys=capsys
-        )
-        assert code == 1 and "Fault proved" in out and "the paving test over 2 samples" in out
-
     def test_all_fault_says_what_does_not_fit(self, place, capsys):
         save_model(paper(tolerance=0, noise="0.000001"), place / "model.toml")
         lines = [f"{k / 100},0,{k % 7},{k % 3}" for k in range(50)]
@@ -302,10 +290,10 @@ BAD_USAGE = {
     ),
     "alarm 3/2": ([*DETECT, "--alarm", "3/2"], "--alarm needs k/n with 1 <= k <= n, like 3/5, not '3/2'"),
     "alarm without n": ([*DETECT, "--alarm", "3"], "--alarm needs k/n"),
-    "unknown method": ([*DETECT, "--method", "best"], "--method must be one of windows, box, paving"),
-    "a method for other models": (
-        [*DETECT, "--method", "linearized"],
-        "'linearized' is for models with uncertain parameters",
+    "unknown method": ([*DETECT, "--method", "best"], "--method must be one of windows, box, observer"),
+    "a method that is gone": (
+        [*DETECT, "--method", "paving"],
+        "'paving' is gone: \"windows\" decides the same",
     ),
     "horizon in words": ([*DETECT, "--horizon", "two"], "--horizon needs a whole number >= 0"),
     "horizon of another script": ([*DETECT, "--horizon", "\u0663"], "--horizon needs a whole number >= 0"),

@@ -223,14 +223,15 @@ def test_integers_and_lists_are_numbers(rng):
         (
             dict(method="zonotope"),
             ValueError,
-            "method must be one of joint, box, paving, linearized, not 'zonotope'",
+            "method must be one of joint, box, not 'zonotope'",
         ),
         (
             dict(method="linearized"),
             ValueError,
-            "method 'linearized' is for models with uncertain parameters: use 'joint'",
+            "method 'linearized' is gone: \"joint\" neglects nothing",
         ),
-        (dict(budget=(3, 100)), ValueError, "budget belongs to method='paving'"),
+        (dict(method="paving"), ValueError, "'paving' is gone: \"joint\" decides the same windows exactly"),
+        (dict(budget=3), ValueError, "budget belongs to residuals and uncertain parameters"),
         (
             dict(r="relations"),
             TypeError,

@@ -142,24 +142,6 @@ def test_the_margin_is_the_factor_at_which_the_program_changes_its_mind(rng, s):
     assert (reached > 0).mean() > 0.8  # and seldom much less
 
 
-@pytest.mark.parametrize(
-    "s", [pytest.param(2, marks=pytest.mark.long), pytest.param(4, marks=pytest.mark.long)]
-)
-def test_searching_gains_alone_takes_a_hundredth_of_the_boxes_of_paving_everything(s, rng, monkeypatch):
-    u, y = draw(rng, s, 64, 10.0, spoiled=1.0)
-    boxes, explore = [], constant.explore
-    monkeypatch.setattr(constant, "explore", lambda *a, **k: boxes.append(explore(*a, **k)) or boxes[-1])
-    status, _ = verdicts(u, y)
-    ours = len(y) + sum(int(b.evaluated.sum()) for b in boxes)
-    budget = 100 * ours
-    everything, _ = verdicts(u, y, method="paving", budget=(9, budget))
-    decided = (status != Status.UNDECIDED).mean(), (everything != Status.UNDECIDED).mean()
-    print(f"{ours} boxes decide {decided[0]:.0%}, {budget} boxes of all variables {decided[1]:.0%}")
-    assert (
-        decided[0] >= 0.99 and decided[1] < 0.9 and (status[everything == Status.FAULT] == Status.FAULT).all()
-    )
-
-
 def test_missing_samples_are_left_out_and_a_missing_input_proves_no_consistency(rng):
     u, y = draw(rng, 1, 300, 30.0)
     whole, _ = verdicts(u, y)

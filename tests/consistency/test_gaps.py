@@ -27,7 +27,6 @@ def simulated(rng, u):
         (None, "joint"),
         (3, "joint"),
         (1, "box"),
-        pytest.param(1, "paving", marks=pytest.mark.long),
         pytest.param(16, "joint", marks=pytest.mark.long),
     ],
 )

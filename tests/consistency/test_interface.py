@@ -38,8 +38,8 @@ class Steps(Relations):
     def __init__(self, limit):
         self.limit = limit
 
-    def test(self, method, dtype, budget=None, compensation=0.0):
-        refuse_options(method, budget, compensation)
+    def test(self, method, dtype, budget=None):
+        refuse_options(method, budget)
         return StepTest(self, method, dtype)
 
 
@@ -87,6 +87,6 @@ def test_what_it_does_not_have_is_a_sentence(rng):
         NotImplementedError, match="certificates are given for relations that detect knows, not Steps"
     ):
         jb.detect(Steps(1.0), u, y).explain(300)
-    with pytest.raises(ValueError, match="budget belongs to method='paving'"):
+    with pytest.raises(ValueError, match="budget belongs to residuals and uncertain parameters"):
         jb.detect(Steps(1.0), u, y, budget=3)
     assert isinstance(Steps(1.0).test("joint", float).judged([np.zeros(1, np.int8), np.zeros(1)]), Judged)

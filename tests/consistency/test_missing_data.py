@@ -127,7 +127,7 @@ def test_a_missing_newest_input_does_not_matter_without_feedthrough(rng):
     np.testing.assert_array_equal(jb.detect(r, u, y).margin, jb.detect(r, holes, y).margin)
 
 
-@pytest.mark.parametrize("method", ["joint", "box", pytest.param("paving", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("method", ["joint", "box"])
 def test_windows_without_any_output_are_missing(method, rng):
     u, y = rng.uniform(-1, 1, (9, 1)), rng.normal(size=(9, 2)) / 100
     y[3:6] = np.nan
@@ -141,7 +141,6 @@ def test_windows_without_any_output_are_missing(method, rng):
     [
         (1, "joint"),
         (1, "box"),
-        pytest.param(1, "paving", marks=pytest.mark.slow),
         (3, "joint"),
         (3, "box"),
     ],
@@ -153,7 +152,6 @@ def test_the_first_samples_are_missing(horizon, method, rng):
         u,
         y,
         method=method,
-        budget=(2, 10_000) if method == "paving" else None,
     )
     assert (res.status[:, :horizon] == Status.MISSING).all() and np.isnan(res.margin[:, :horizon]).all()
     assert (res.status[:, horizon:] != Status.MISSING).all()

@@ -24,8 +24,6 @@ RELATIONS = {
     "constant": lambda: jb.parity_relations(paper().replace(constant_tolerance=True), 2),
     "gains": lambda: jb.parity_relations(paper().replace(constant_tolerance=True), 20),
     "uncertain": lambda: jb.parity_relations(paper().replace(uncertainties=SHAKY)),
-    "uncertain paving": lambda: jb.parity_relations(paper().replace(uncertainties=SHAKY)),
-    "paving": lambda: jb.parity_relations(paper()),
     # of the sizes that tests of observers compile
     "observer": lambda: jb.observer(DISTURBED),
     "constrained": lambda: jb.observer(DISTURBED, method="constrained"),
@@ -38,7 +36,7 @@ DISTURBED = jb.LinearSystem(
     noise="0.1",
     disturbance=([[1], ["0.5"]], "0.02"),
 )
-METHODS = {"bank": "box", "paving": "paving", "uncertain paving": "paving"}
+METHODS = {"bank": "box"}
 
 
 class Corrupted:
@@ -138,7 +136,7 @@ def test_no_corruption_makes_a_fault_of_a_million_windows(rng, corrupted):
     assert total > 10**6 and changed > 10**4
 
 
-@pytest.mark.parametrize("name", [name for name in RELATIONS if "paving" not in name])
+@pytest.mark.parametrize("name", RELATIONS)
 def test_faults_of_faulty_recordings_are_confirmed(name, rng):
     """The same verdicts as from XLA alone, no warning: warnings are errors here."""
     relations, method = RELATIONS[name](), METHODS.get(name, "joint")

@@ -34,19 +34,19 @@ def answers(name, u, y, **changes):
     return np.array([answer for answer, _ in found]), np.array([used for _, used in found])
 
 
-def verdicts(name, u, y, answer, method, budget=None):
+def verdicts(name, u, y, answer, budget=None):
     """Return the status of each window; none may contradict the oracle."""
-    status = jb.detect(relations(name), u, y, method=method, budget=budget).status[:, -1]
+    status = jb.detect(relations(name), u, y, budget=budget).status[:, -1]
     for verdict, never in ((Status.FAULT, "feasible"), (Status.CONSISTENT, "infeasible")):
         wrong = np.flatnonzero((status == verdict) & (answer == never))
-        assert not len(wrong), f"{name}, {method} {budget}: windows {wrong} are {verdict.name} but {never}"
+        assert not len(wrong), f"{name}, {budget}: windows {wrong} are {verdict.name} but {never}"
     return status
 
 
 def test_no_verdict_contradicts_the_oracle(rng):
     u, y = windows(rng, "n3p2_var3_h2", "vertices", 116)
     answer, _ = answers("n3p2_var3_h2", u, y)
-    status = verdicts("n3p2_var3_h2", u, y, answer, "joint")
+    status = verdicts("n3p2_var3_h2", u, y, answer)
     assert (answer != "open").all() and (status != Status.UNDECIDED).all() and (answer == "infeasible").any()
 
 
@@ -57,10 +57,10 @@ long = lambda *x: pytest.param(*x, marks=pytest.mark.long)
     "name, at, count",
     [("n3p2_var3_h2", "vertices", 58), *(long("n3p2_mixed3_h3", at, 84) for at in ("uniform", "vertices"))],
 )
-def test_paving_decides_every_window_within_1000_boxes(rng, name, at, count):
+def test_boxes_decide_every_window_within_1000_boxes(rng, name, at, count):
     u, y = windows(rng, name, at, count)
     answer, _ = answers(name, u, y)
-    status = verdicts(name, u, y, answer, "paving", 1000)
+    status = verdicts(name, u, y, answer, 1000)
     assert (
         (answer != "open").all()
         and (status != Status.UNDECIDED).mean() > 0.95
@@ -86,18 +86,18 @@ def test_the_oracle_explains_healthy_windows_and_never_drops_their_parameters(rn
         *(long(n, at, 600) for n in ("n3p2_mixed3_h3", "n3p2_var3_h2") for at in ("uniform", "vertices")),
     ],
 )
-def test_paving_finds_nine_tenths_of_the_infeasible_windows(rng, name, at, count):
+def test_boxes_find_nine_tenths_of_the_infeasible_windows(rng, name, at, count):
     u, y = windows(rng, name, at, count)
     answer, used = answers(name, u, y)
     counts = ", ".join(f"{(answer == a).sum()} {a}" for a in ("infeasible", "feasible", "open"))
     print(f"\n{name}, {at}: {counts}; the oracle used {used.mean():.1f} boxes a window, at most {used.max()}")
     infeasible = answer == "infeasible"
-    for method, budget in [("joint", None), *(("paving", b) for b in BUDGETS)]:
-        status = verdicts(name, u, y, answer, method, budget)
+    for budget in (1, *BUDGETS):
+        status = verdicts(name, u, y, answer, budget)
         left = [(status[answer == a] == Status.UNDECIDED).sum() for a in ("infeasible", "feasible")]
         power = (status[infeasible] == Status.FAULT).mean()
         print(
-            f"{method} {budget or '':>5}: {power:6.1%} of the infeasible are FAULT; {left[0]} infeasible, "
+            f"{budget:>5} boxes: {power:6.1%} of the infeasible are FAULT; {left[0]} infeasible, "
             f"{left[1]} feasible UNDECIDED"
         )
     assert infeasible.any() and (answer != "open").mean() > 0.99

@@ -17,16 +17,13 @@ METHODS = {
     "short": "joint",
     "box": "box",
     "long": "joint",
-    "paving": "paving",
     "constant": "joint",
     "long constant": "joint",
     "uncertain": "joint",
-    "uncertain paving": "paving",
-    "linearized": "linearized",
     "bank": "joint",
     "residual": "joint",
 }
-RARELY = {"paving": "slow", "long": "long", "long constant": "long"}  # for the time that they take to compile
+RARELY = {"long": "long", "long constant": "long"}  # for the time that they take to compile
 FAMILIES = [
     pytest.param(name, marks=getattr(pytest.mark, RARELY[name])) if name in RARELY else name
     for name in METHODS
@@ -38,7 +35,7 @@ def relations(name):
     if name == "residual":
         grow = lambda z, u, y: y[1, 0] - (0.5 + z[0]) * y[0, 0] - u[0, 0] - z[1]
         return jb.residual(grow, jb.interval([-0.05, -0.2], [0.05, 0.2]), 1, inputs=["u1"], outputs=["y1"])
-    if name in ("uncertain", "uncertain paving", "linearized"):
+    if name == "uncertain":
         return jb.parity_relations(
             jb.LinearSystem(**GAIN, uncertainties=[jb.Uncertainty("a", A=[[0.05]])]), 1
         )
@@ -68,10 +65,7 @@ def detected(name):
 def test_detect_proves_what_the_family_can(name):
     _, _, res = detected(name)
     assert res.counts["MISSING"] >= relations(name).horizon
-    if name == "linearized":
-        assert res.counts["FAULT"] == 0 and res.suspect[30:].any()
-    else:
-        assert (res.status[:30] != jb.Status.FAULT).all() and (res.status[30:] == jb.Status.FAULT).any()
+    assert (res.status[:30] != jb.Status.FAULT).all() and (res.status[30:] == jb.Status.FAULT).any()
 
 
 @pytest.mark.parametrize("name", FAMILIES)
@@ -89,7 +83,7 @@ def test_a_monitor_says_the_same_at_once_and_sample_by_sample(name):
     assert said[s:] == res.status[28 + s : 34].tolist()
 
 
-@pytest.mark.parametrize("name", [name for name in FAMILIES if name != "linearized"])  # which proves nothing
+@pytest.mark.parametrize("name", FAMILIES)
 def test_a_fault_has_a_certificate_for_people_and_as_json(name):
     _, _, res = detected(name)
     at = int(np.argmax(res.status == jb.Status.FAULT))
@@ -123,18 +117,16 @@ def test_margins_are_given_or_a_sentence_says_why_not(name):
         & ~np.isnan(margin)
         & (abs(margin) > 1e-6)
     )
-    if METHODS[name] != "paving":  # which may prove more than the joint test of uncertain parameters
-        np.testing.assert_array_equal(margin[proved] < 0, res.status[proved] == jb.Status.FAULT)
+    np.testing.assert_array_equal(margin[proved] < 0, res.status[proved] == jb.Status.FAULT)
 
 
 def test_a_budget_is_that_of_a_window_whatever_stands_beside_it():
     """Hard windows among easy ones get no more, and none of theirs is taken."""
-    u, y, _ = detected("uncertain paving")
-    r = relations("uncertain paving")
-    whole = jb.detect(r, u, y, method="paving", budget=20).status
+    u, y, _ = detected("uncertain")
+    r = relations("uncertain")
+    whole = jb.detect(r, u, y, budget=20).status
     alone = [
-        int(jb.detect(r, u[k - 1 : k + 1], y[k - 1 : k + 1], method="paving", budget=20).status[1])
-        for k in range(1, len(y))
+        int(jb.detect(r, u[k - 1 : k + 1], y[k - 1 : k + 1], budget=20).status[1]) for k in range(1, len(y))
     ]
     assert whole[1:].tolist() == alone
 

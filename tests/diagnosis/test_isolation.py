@@ -187,8 +187,6 @@ def test_a_single_relation_proves_consistent(rng):
     assert (both.status[2:] == Status.UNDECIDED).all() and (both.of(0)[2:] == Status.CONSISTENT).all()
     with pytest.raises(ValueError, match="the bank has the relations 0 to 1, not 2"):
         both.of(2)
-    with pytest.raises(ValueError, match="tested one by one: method 'paving' does not apply"):
-        jb.detect(bank, np.zeros((9, 1)), np.zeros((9, 2)), method="paving")
     with pytest.raises(NotImplementedError, match="leave constant_tolerance out"):
         jb.detect(jb.redundancy(paper(constant_tolerance=True)), np.zeros((9, 1)), np.zeros((9, 2)))
 

@@ -50,7 +50,7 @@ def test_a_residual_does_not_take_narrowed_inputs_as_exact():
     no_fault(lambda u, y: jb.detect(jb.residual(growth, jb.interval([-1e-4], [1e-4]), 1), u, y).status)
 
 
-@pytest.mark.parametrize("method", ["box", pytest.param("paving", marks=pytest.mark.long)])
+@pytest.mark.parametrize("method", ["box"])
 def test_no_method_takes_narrowed_inputs_as_exact(method):
     no_fault(
         lambda u, y: jb.detect(jb.parity_relations(jb.LinearSystem(**DRIVEN), 1), u, y, method=method).status

@@ -106,7 +106,6 @@ def test_verbs_that_need_windows_say_so(watch):
     res = jb.detect(watch, u, y + [20, -3])
     for work, kind, says in (
         (lambda: jb.margins(watch, u, y), NotImplementedError, "margins are those of windows"),
-        (lambda: jb.compensation(watch, u, y), TypeError, "for relations with uncertain parameters"),
         (
             lambda: plot_residuals(res),
             TypeError,

@@ -283,13 +283,6 @@ def test_validate(given):
     assert (status != jb.Status.FAULT).all() and np.isfinite(np.asarray(state.lo)[~begin]).all()
 
 
-def test_compensation(given):
-    u, y, starts = given
-    r = jb.parity_relations(plant(uncertainties=GAIN), 1)
-    plain = clean(*course()[::2])
-    assert jb.compensation(r, u, y, starts=starts) == jb.compensation(r, *plain[:2], starts=plain[2]) < 1
-
-
 def test_tune(given):
     r = jb.parity_relations(plant(), 1)
     healthy = given if given[1] is not None else given[0]
@@ -333,7 +326,6 @@ VERBS = {
     "validate": lambda table: jb.validate(plant(), table, horizon=2, method="sequential"),
     "observe": lambda table: jb.observe(plant(), table),
     "unknown_inputs": lambda table: jb.unknown_inputs(plant(unknown_inputs=[[1], [0]]), table, horizon=1),
-    "compensation": lambda table: jb.compensation(jb.parity_relations(plant(uncertainties=GAIN), 1), table),
     "tune": lambda table: jb.tune(jb.parity_relations(plant(), 1), table, steps=0),
     "fit": lambda table: jb.fit(table, **FITTED, dt=1.0),
     "a source": lambda table: open_source(table, plant()).read(),

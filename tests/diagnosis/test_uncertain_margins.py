@@ -1,4 +1,4 @@
-"""Margins and compensations of models with uncertain parameters."""
+"""Margins of models with uncertain parameters."""
 
 import jax
 import numpy as np
@@ -72,35 +72,3 @@ def test_margins_are_those_of_detect_with_lost_samples_too(rng):
     y[0, 30] = np.nan
     u[0, 60] = np.nan
     check_margins(r, u, y)
-
-
-def test_the_compensation_is_the_smallest(rng):
-    r, (u, y) = relations("n2p1_Btwo_h3"), record(rng, "n2p1_Btwo_h3", 20, "vertices")
-    y[3, 20] = np.nan
-    windows = int((jb.detect(r, u, y, method="linearized").status != Status.MISSING).sum())
-    for share in (0.0, 0.02):
-        least = jb.compensation(r, u, y, share)
-        alarms = lambda c: int(jb.detect(r, u, y, method="linearized", compensation=c).suspect.sum())
-        assert least > 0 and alarms(least) <= share * windows < alarms(least * (1 - 1e-9))
-
-
-@pytest.mark.parametrize("name, changes", [(TWO, {}), long("n3p2_mixed3_h3", dict(noise=0.01))])
-def test_the_compensation_of_several_relations_is_the_smallest(rng, name, changes):
-    r, (u, y) = relations(name, **changes), record(rng, name, 30, "vertices", **changes)
-    if name == TWO:  # whose errors leave nothing to compensate
-        y[:, 50] += 1
-    for share in (0.0, 0.01):
-        least = jb.compensation(r, u, y, share)
-        alarms = lambda c: int(jb.detect(r, u, y, method="linearized", compensation=c).suspect.sum())
-        assert least > 0 and alarms(least) <= share * 30 * (100 - r.horizon) < alarms(least * (1 - 1e-7))
-
-
-def test_what_has_no_compensation_is_said(rng):
-    r = relations("n2p1_paper_h3")
-    certain = jb.parity_relations(jb.LinearSystem([[0.5]], None, [[1]], noise=0.1))
-    with pytest.raises(TypeError, match="others neglect nothing"):
-        jb.compensation(certain, None, np.zeros((5, 1)))
-    with pytest.raises(ValueError, match="0 <= share < 1, not 2"):
-        jb.compensation(r, np.zeros((5, 1)), np.zeros((5, 1)), 2)
-    with pytest.raises(ValueError, match="no window of 3 samples has data"):
-        jb.compensation(r, np.zeros((5, 1)), np.full((5, 1), np.nan))

@@ -248,7 +248,7 @@ def test_what_an_observer_cannot_take_is_said():
             jb.observer(*args, **more)
     assert jb.observer(hidden, x0=jb.interval([-1.0, -1.0], [1.0, 1.0])).horizon == 0
     with pytest.raises(ValueError, match="belong to windows"):
-        jb.detect(jb.observer(PLANT), np.ones((3, 1)), np.ones((3, 1)), method="paving")
+        jb.detect(jb.observer(PLANT), np.ones((3, 1)), np.ones((3, 1)), method="box")
     with pytest.raises(TypeError, match="LinearSystem"):
         jb.observer(3)
 

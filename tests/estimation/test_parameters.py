@@ -233,7 +233,7 @@ def test_a_bias_of_a_sensor_leaves_none_though_each_window_alone_is_explained(rn
     u, y = simulated(plant, drawn(plant, rng), rng, 150, extreme=False)
     assert jb.parameters(RELATIONS[plant], u, y).status == "found"
     y = y + 1.5
-    each = jb.detect(RELATIONS[plant], u, y, method="paving").status[s:]
+    each = jb.detect(RELATIONS[plant], u, y, budget=10_000).status[s:]
     found = jb.parameters(RELATIONS[plant], u, y)
     assert found.status == "FAULT" and (each == jb.Status.FAULT).mean() < 0.5
 

@@ -101,7 +101,6 @@ CALLS = {
     "structured_relations": lambda m, u, y: jb.structured_relations(m),
     "isolability": lambda m, u, y: jb.isolability(m),
     "suggest_lags": lambda m, u, y: jb.suggest_lags(m),
-    "detect by paving": lambda m, u, y: jb.detect(jb.parity_relations(m), u, y, method="paving"),
 }
 KNOWN = """
     parity_relations detect margins Monitor detect_dataset tune detectable save_model load_model plot read
@@ -112,7 +111,7 @@ KNOWN = """
 estimation/test_observer_times.py, estimation/test_unknown_input_estimates.py,
 studies/montecarlo/test_study_times.py."""
 WITHOUT_A_MODEL = """
-    AlarmRule Fault NamedFault Result Status Uncertainty compensation evaluate fit from_control
+    AlarmRule Fault NamedFault Result Status Uncertainty evaluate fit from_control
     from_scipy inclusion interval interval_system linearize membership parameters pave residual sets
     signatures solve_interval strips use_cache zonotope
 """.split()

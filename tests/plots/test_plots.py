@@ -94,9 +94,9 @@ class TestPlot:
             np.testing.assert_allclose(ax.lines[0].get_ydata(), envelope.lo[:, j])
             np.testing.assert_allclose(ax.lines[1].get_ydata(), envelope.hi[:, j])
 
-    def test_paving_without_margins_and_all_missing(self):
+    def test_verdicts_without_margins_and_all_missing(self):
         for status in ([MISSING] + [FAULT] * 9 + [UNDECIDED] * 10, [MISSING] * 20):
-            res = synthetic(status, np.full(20, np.nan), method="paving")
+            res = synthetic(status, np.full(20, np.nan))
             assert to_png(plot(res)) and to_png(plot_residuals(res))
 
     def test_shifted_copies_are_drawn_once(self):

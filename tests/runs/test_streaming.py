@@ -407,6 +407,6 @@ class TestResume:
 
     def test_a_method_that_does_not_apply_is_refused_before_anything_is_written(self, case, tmp_path):
         r, folder, _, _ = case("section 5")
-        with pytest.raises(ValueError, match="method 'linearized' is for models with uncertain parameters"):
+        with pytest.raises(ValueError, match="method 'linearized' is gone"):
             detect_dataset(r, folder, tmp_path / "out", method="linearized")
         assert not (tmp_path / "out").exists()

@@ -36,7 +36,6 @@ STUDIED = {
     "long": (TWICE, lambda model: jb.parity_relations(model, 24), "joint"),
     "short": (EXACT, jb.parity_relations, "joint"),
     "box": (EXACT, jb.parity_relations, "box"),
-    "paving": (EXACT, jb.parity_relations, "paving"),
     "constant": (STEADY, jb.parity_relations, "joint"),
     "uncertain": (MOVING, jb.parity_relations, "joint"),
     "bank": (EXACT, jb.redundancy, "joint"),
@@ -48,7 +47,6 @@ RARELY = {
     "uncertain": "slow",
     "constant": "long",
     "long": "long",
-    "paving": "long",
     "residual": "long",
 }  # for the time that they take
 
@@ -77,11 +75,6 @@ def test_a_study_finds_what_is_large_and_alarms_nobody_else(family):
 def test_the_joint_test_guarantees_what_no_other_does():
     joint, box = (studied(family).trials[0] for family in ("short", "box"))
     assert joint.guaranteed > 0 and np.isnan(box.guaranteed)
-
-
-def test_a_study_of_the_linearised_test_is_refused():
-    with pytest.raises(ValueError, match="proves no FAULT, which is what a study counts"):
-        jb.study(MOVING, "y1:bias", 4, 0, jb.parity_relations(MOVING), samples=12, method="linearized")
 
 
 def test_a_study_of_a_residual_cannot_be_taken_up(tmp_path):

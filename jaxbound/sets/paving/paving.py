@@ -32,7 +32,7 @@ from jaxbound.sets.paving.frontier import BLOCKS, Boxes, Kernel, Verdicts, explo
 from jaxbound.text.objects import readable
 from jaxbound.text.progress import Progress, reporter
 
-__all__ = ["Paving", "pave", "reaches"]
+__all__ = ["Paving", "pave"]
 
 CUTS = ("alternate", "widest", "smear")
 SOLUTIONS = ("none", "one", "all")
@@ -40,8 +40,6 @@ EXCLUDED = 2**12
 """Boxes at once where boxes are only excluded: that is little work a box, beside what it costs to start a
 kernel.
 """
-FOLLOWED = 16
-"""Boxes of a target that `reaches` follows first."""
 MANY = 2**62
 
 
@@ -254,42 +252,6 @@ def pave(
     again = partial(_images, f, left_lo, left_hi, owner, arguments, goal.shape[1] if goal is not None else 0)
     witness, witness_owner = (None, None) if proofs is None else (turned(*proofs[:2]), proofs[2])
     return Paving(status, turned(left_lo, left_hi), owner, evaluated, witness, witness_owner, levels, again)
-
-
-def reaches(
-    f: Callable[..., Any], box: Interval, target: Interval, q: int, max_boxes: int, args: Sequence[np.ndarray]
-) -> np.ndarray:
-    """Return the status (B,) that `pave` gives by excluding alone, and no boxes, which takes a fraction of
-    the time.
-
-    Of each target a few boxes are followed first: where one of them is left at the end, it is UNDECIDED
-    whatever the others are.
-
-    Args:
-        f, box, target, q, max_boxes, args: as of `pave`; `target` is an Interval (B, m).
-
-    Raises:
-        ValueError: q or max_boxes < 1.
-    """
-    refuse_unverified(box, target, args)
-    _check_options("adaptive", q, "alternate", max_boxes, None, "none", False)
-    lo, hi = np.asarray(box.lo), np.asarray(box.hi)
-    status, depth = np.full(target.shape[0], Status.FAULT, np.int8), len(lo) * (int(q) - 1)
-    for followed in (FOLLOWED, None):
-        left = np.flatnonzero(status == Status.FAULT)
-
-        def own(x, left=left):
-            if x.strides[0] == 0:  # all targets share one entry
-                return np.broadcast_to(x[:1], (len(left), *x.shape[1:]))
-            return x[left]
-
-        goal = Interval(own(np.asarray(target.lo)), own(np.asarray(target.hi)))
-        kernel = _of_targets(partial(_meets, f), goal, tuple(map(own, args)))
-        most = max_boxes if followed is None else MANY
-        found = explore(kernel, lo, hi, len(left), depth, most, sizes=(EXCLUDED,), followed=followed)
-        if followed is None or found.levels == depth:
-            status[left[found.owner]] = Status.UNDECIDED
-    return status
 
 
 def _check_options(

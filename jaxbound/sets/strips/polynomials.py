@@ -73,7 +73,6 @@ def image(
     exponents: Exponents,
     mid: jax.Array | None = None,
     radius: jax.Array | None = None,
-    linear: bool = False,
 ) -> tuple[jax.Array, jax.Array]:
     """Return (c (r, N), G (r, q, N)): p(v, e) is in c + G [-1, 1]^q, up to `row_error`, for all v in mid +-
     radius and e.
@@ -83,12 +82,11 @@ def image(
     n variables; further monomials, of a box those of `closure`; m noises; r lumps.
 
     Args:
-        mid, radius: (n, N); None: the whole of [-1, 1]^n. linear: only variables and noise, guaranteeing
-            nothing.
+        mid, radius: (n, N); None: the whole of [-1, 1]^n.
 
     Source: Ploix, Adrot 2006, (14), with what it neglects.
     """
-    r, n, m, degrees = value.shape[0], len(exponents[0]), rad.shape[0], closure(exponents)
+    r, m, degrees = value.shape[0], rad.shape[0], closure(exponents)
     if mid is None or radius is None:
         degrees = tuple(d for d in degrees if d in exponents or sum(d) == 1)
     value, spread = _among(value, exponents, degrees), _among(spread, exponents, degrees)
@@ -99,15 +97,15 @@ def image(
         own, far, at = (_powers(v, degrees) for v in (radius, jnp.abs(mid) + radius, mid))
         columns = [x * _row(own[k]) for k, x in enumerate(_moved(columns, degrees, mid))]
         change = [x - jnp.abs(y) for x, y in zip(far, at, strict=True)]
-    c, G = columns[0], columns[1 : n + 1] if linear else columns[1:]
-    for k, d in enumerate(degrees[1 : len(G) + 1]):
+    c, G = columns[0], columns[1:]
+    for k, d in enumerate(degrees[1:]):
         if all(e % 2 == 0 for e in d):
             G[k] = 0.5 * G[k]
             c = c + G[k]
     if m:
         noise = _noise(spread, rad, at)
         G += [noise[:, j] for j in range(m)]
-        if len(degrees) > 1 and not linear:
+        if len(degrees) > 1:
             within = jnp.sum(jnp.abs(spread)[..., None] * rad[None, None], 2)
             lump = total(within[:, k] * _row(change[k]) for k in range(1, len(degrees)))
             G += [jnp.where(np.arange(r)[:, None] == k, lump, 0) for k in range(r)]

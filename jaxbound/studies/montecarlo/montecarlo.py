@@ -134,7 +134,7 @@ def study(
         hold: samples that each of these levels lasts.
         input_range: (lo, hi), or one such pair an input, in the unit of the inputs; None: the
             model's `ranges` (`fit` writes them), else from 1 below the offset to 1 above.
-        method: of the monitor, as for `detect`; all but "linearized", which proves nothing.
+        method: of the monitor, as for `detect`.
         confidence: of the intervals.
         progress: called with the share of the work done.
         out: a folder where the state is kept every few seconds: the same call goes on where a killed one
@@ -339,11 +339,6 @@ def _check_study(
         raise ValueError(f"method is for one test, and a monitor has tests of its own: leave out {method!r}")
     if isinstance(relations, MonitorBank):
         _refuse_columns(relations)
-    if method == "linearized":
-        raise ValueError(
-            "method 'linearized' neglects terms and proves no FAULT, which is what a study counts: use "
-            "'joint' or 'paving'"
-        )
     if (relations.model.inputs, relations.model.outputs) != (model.inputs, model.outputs):
         raise ValueError("the relations speak of other signals than the model of the study")
     for name, value in (("n", n), ("samples", samples), ("hold", hold)):

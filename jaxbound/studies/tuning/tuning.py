@@ -130,7 +130,7 @@ def tune(
 
     Args:
         relations: from `parity_relations`; their bounds are the start. Those at 0 stay 0. What the joint test
-            explains, "box", "paving" and a bank do not refute either: bounds tuned by it hold for them too.
+            explains, "box" and a bank do not refute either: bounds tuned by it hold for them too.
             Or a set observer of a LinearSystem: one factor on all bounds, by bisection, at which no sample is
             FAULT. Or a `jb.monitor`: one factor a test on the bounds that it scales, found as for this test
             alone; it takes neither optimizer, bounds, weights nor state, and makes no steps.

@@ -13,7 +13,6 @@ from corners import Counted
 from jaxbound import sets
 from jaxbound.sets import Status, interval
 from jaxbound.sets.intervals.interval import Interval
-from jaxbound.sets.paving import paving
 
 LO, HI = (-1, 1), (2, 3)  # the box of Adrot 2000, figure 1
 
@@ -169,17 +168,6 @@ def test_a_batch_equals_its_targets_one_by_one(rng):
         assert (alone.status, alone.evaluated) == (found.status[k], found.evaluated[k]) and boxes_of(
             alone, 0
         ) == boxes_of(found, k)
-
-
-@pytest.mark.parametrize("followed", [1, 16])
-def test_the_verdict_alone_is_that_of_the_boxes(rng, monkeypatch, followed):
-    """With one box the solutions are missed at times, and all boxes are looked at."""
-    monkeypatch.setattr(paving, "FOLLOWED", followed)
-    targets = rng.uniform([0, -5], [12, 2], (60, 2))
-    for q, most in ((1, 100), (5, 100), (7, 20), (7, 10**6)):
-        found = sets.pave(figure, box(), targets, q=q, max_boxes=most, solutions="none").status
-        assert (paving.reaches(figure, box(), interval(targets, targets), q, most, ()) == found).all()
-        assert q < 5 or 5 < (found == Status.FAULT).sum() < 50
 
 
 def test_the_widest_edge_is_cut_and_the_first_of_equal_ones():
