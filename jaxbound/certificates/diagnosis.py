@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import Any
 
-from jaxbound.certificates.exact_window import ExactWindow, Explanation
+from jaxbound.certificates.exact_window import ExactWindow
 from jaxbound.certificates.fault_size import FaultSize, Scale
 from jaxbound.certificates.parameter_size import found_size
 from jaxbound.models.named_faults import PARAMETER, NamedFault, default_faults, named_faults
@@ -214,23 +214,20 @@ def candidates_of(model: LinearSystem) -> tuple[NamedFault, ...]:
     return model.faults or default_faults(model.inputs, model.outputs)
 
 
-def diagnose_window(
-    window: ExactWindow, explanation: Explanation, at: int, faults: Sequence[NamedFault] | None = None
-) -> Diagnosis:
+def diagnose_window(scale: Scale, at: int, faults: Sequence[NamedFault] | None = None) -> Diagnosis:
     """Return the Diagnosis of one FAULT window.
 
     Args:
-        window: of a certain model. explanation: of it without a fault. at: the sample at which it ends.
+        scale: of a window of a certain model. at: the sample at which it ends.
         faults: as of `WindowCertificate.diagnose`.
 
     Raises:
         ValueError: a fault names a signal that the model does not have.
     """
-    model = window.model
+    window, model = scale.window, scale.window.model
     candidates = candidates_of(model)
     if faults is not None:
         candidates = named_faults(faults, model.inputs, model.outputs, model.states)
-    scale = Scale(window, explanation)
     explains, excluded = [], []
     shares, unweighed = {}, {}
     for fault in candidates:

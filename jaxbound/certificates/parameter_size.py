@@ -8,22 +8,19 @@ what it finds. Nothing found is no proof, so no parameter is ever excluded.
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import replace
 from fractions import Fraction
 from typing import TypeAlias
 
 import numpy as np
 
-from jaxbound.certificates.blame import rounded_witness
-from jaxbound.certificates.exact_window import ExactWindow, Explanation, known_inputs
+from jaxbound.certificates.exact_window import ExactWindow, Explanation, known_inputs, rounded_witness
 from jaxbound.certificates.fault_size import FaultSize
 from jaxbound.exact import linalg
-from jaxbound.exact.chebyshev import Subspace, subspace
-from jaxbound.exact.linalg import Matrix
 from jaxbound.models.named_faults import NamedFault
 from jaxbound.models.window import ParameterForm
 
-__all__ = ["ChangedWindow", "changed_window", "found_size"]
+__all__ = ["changed_window", "found_size"]
 
 STEPS = 8
 """Sizes of each sign that are tried at first, as many steps to `most`."""
@@ -37,32 +34,12 @@ Trial: TypeAlias = tuple[int, int]
 """(size in the finest steps, number of the onset)."""
 
 
-@dataclass(frozen=True, eq=False)
-class ChangedWindow(ExactWindow):
-    """An ExactWindow in which a parameter is another. own: (E, K) of its rows."""
-
-    own: tuple[Matrix, Matrix] = ((), ())
-
-    @property
-    def forms(self) -> tuple[Matrix, Matrix]:
-        """(E, K): (Y, w) = E z + K U."""
-        return self.own
-
-    def space(self, rows: Iterable[int]) -> Subspace:
-        """Return the Subspace of some rows over all unknowns."""
-        E = self.unknown_columns()
-        return subspace([E[i] for i in rows])
-
-
-def changed_window(window: ExactWindow, fault: NamedFault, size: Fraction, since: int) -> ChangedWindow:
+def changed_window(window: ExactWindow, fault: NamedFault, size: Fraction, since: int) -> ExactWindow:
     """Return the window whose parameter is another by a size from a sample on."""
     E, K = ParameterForm(window.model, window.horizon, fault.coefficients, Fraction)(size, since)
     own = tuple(map(tuple, E.tolist())), tuple(map(tuple, K.tolist()))
-    given = {field.name: getattr(window, field.name) for field in fields(ExactWindow)}
-    given["drive"] = linalg.multiply(own[1], known_inputs(window.model, window.u))
-    changed = ChangedWindow(**given, own=own)
-    vars(changed)["limits"] = window.limits  # bounds know nothing of what is supposed
-    return changed
+    drive = linalg.multiply(own[1], known_inputs(window.model, window.u))
+    return replace(window, own=own, drive=drive).with_limits(window.limits)
 
 
 def found_size(
