@@ -200,10 +200,7 @@ class Certificate(Witnessed, WindowCertificate):
             errors: False leaves out the smallest single-sensor errors of a FAULT, which take most of the
                 time.
         """
-        numbers: Numbers = {}
-        if self.window.constant:
-            numbers["constant"] = Fraction(1)
-        numbers["relation"] = None
+        numbers: Numbers = {"relation": None}
         if any(self.h):
             numbers["relation"] = self._relation_dict(self.h, self.window)
         numbers["errors"] = []

@@ -259,7 +259,8 @@ class Scale:
         if not size:
             return SensorError(i, size, h)
         enough = rounded_up(size)
-        z = rounded_witness(with_fault(self.window, push, enough), z)
+        wider = with_fault(self.window, push, enough)
+        z = rounded_witness(wider, wider.solve(self.explanation.reference).z)  # fewer digits than at `size`
         return SensorError(i, size, h, enough, with_fault(self.window, push, size), z)
 
     def weigh(self, fault: NamedFault, onsets: Iterable[int] = (0,)) -> FaultSize:
