@@ -17,6 +17,7 @@ import numpy as np
 from jaxbound.certificates.exact_window import ExactWindow, Explanation, known_inputs, rounded_witness
 from jaxbound.certificates.fault_size import FaultSize
 from jaxbound.exact import linalg
+from jaxbound.exact.chebyshev import exchanged
 from jaxbound.models.named_faults import NamedFault
 from jaxbound.models.window import ParameterForm
 
@@ -30,6 +31,8 @@ HALVINGS = 6
 """How often steps are halved around the best, and towards 0."""
 SURE = 1 - 1e-7
 """A factor in floats up to which a size is worth a proof."""
+TOLD = 1e-12
+"""Share of the largest singular value up to which a direction of unknowns counts as none."""
 Trial: TypeAlias = tuple[int, int]
 """(size in the finest steps, number of the onset)."""
 
@@ -149,20 +152,17 @@ class _Search:
         return self.factors[trial]
 
     def _factor(self, size: float, since: int) -> float:
-        """Return the factor on all bounds at which the window is explained, about: a linear program."""
-        from scipy.optimize import linprog
-
-        window = self.window
+        """Return the factor on all bounds at which the window is explained, about."""
         E, K = self.form(size, since)
-        z = np.concatenate([E, K[:, list(window.missing_inputs)]], 1)[self.rows] / self.radii[:, None]
+        z = np.concatenate([E, K[:, list(self.window.missing_inputs)]], 1)[self.rows] / self.radii[:, None]
         off = (self.middles - (K @ self.inputs)[self.rows]) / self.radii
         if not np.isfinite(z).all():
             return np.inf  # so far from the model that numbers end
-        grow = -np.ones((len(off), 1))
-        sides = np.concatenate([np.concatenate([z, grow], 1), np.concatenate([-z, grow], 1)])
-        cost = np.append(np.zeros(z.shape[1]), 1.0)
-        ends = [(None, None)] * z.shape[1] + [(0, None)]
-        best = linprog(cost, sides, np.concatenate([off, -off]), bounds=ends, method="highs")
-        if best.status != 0:
+        span, sizes, _ = np.linalg.svd(z, full_matrices=False)
+        span = span[:, sizes > TOLD * sizes.max(initial=0)]
+        if span.shape[1] == len(off):
+            return 0.0
+        found = exchanged(span, off)
+        if found is None:
             return np.inf
-        return float(best.fun)
+        return found[1]
