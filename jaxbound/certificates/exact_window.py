@@ -141,24 +141,14 @@ class ExactWindow:
         readings: list[tuple[Fraction | None, Fraction]] = []
         for j, v in enumerate(self.y):
             i = j % p
-            rho = self.noise_at(j) + self._rounded_at(j) + self.floor
+            rho = self.noise[i] + self.rounded[i] + self.floor
+            if self.factors:
+                rho += (self.factors[j] - 1) * self.noise[i] * (1 + RECORDER_ULPS * self.unit)
             if v is None:
                 readings.append((None, rho))
             else:
                 readings.append((v - offset[i], rho))
         return readings
-
-    def noise_at(self, j: int) -> Fraction:
-        """Return the noise bound of sample j of all: times its factor, where it has one."""
-        noise = self.noise[j % self.model.p]
-        if not self.factors:
-            return noise
-        return noise * self.factors[j]
-
-    def _rounded_at(self, j: int) -> Fraction:
-        """Return the largest |delta| of sample j beyond its noise."""
-        i = j % self.model.p
-        return self.rounded[i] + RECORDER_ULPS * self.unit * (self.noise_at(j) - self.noise[i])
 
     @cached_property
     def rounded(self) -> list[Fraction]:
@@ -179,30 +169,22 @@ class ExactWindow:
             rounded.append(self.resolution[i] + RECORDER_ULPS * self.unit * (most + self.noise[i]))
         return rounded
 
-    def has_samples(self, row: Row) -> bool:
-        """Return whether a sum is looked at and has all its samples."""
-        if not row.values.measured:
-            return True
-        return row.seen and all(self.whole[x.row] is not None for x in self.rows.terms(row))
-
     def _ends_of_sum(self, row: Row) -> Ends | None:
         """Return (lo, hi) of a sum, None where a sample of it is missing or it is not looked at.
 
         The bound is one on the sum of noises. What resolution, recorder and an error add to each reading is
         added by its weight; the floors are for numbers that a kernel rounds to zero on the way.
         """
-        if not self.has_samples(row):
-            return None
         values, middle = row.values, ZERO
         rad = self.average[row.number] + 10 * (values.terms + values.size) * self.floor
         if values.measured:
             for i, _ in values.parts:
                 rad += values.size_of(i) * self.rounded[i]
-            weights, deviations = [], []
             for x in self.rows.terms(row):
-                weights.append(x.weight)
-                deviations.append((self.whole[x.row] or ZERO) - self.model.offset["y"][x.number])
-            middle = dot(weights, deviations)
+                reading = self.whole[x.row]
+                if reading is None or not row.seen:
+                    return None
+                middle += x.weight * (reading - self.model.offset["y"][x.number])
         return middle - rad, middle + rad
 
     @cached_property
