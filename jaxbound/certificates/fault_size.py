@@ -117,7 +117,7 @@ class Path(NamedTuple):
 
     @property
     def forward(self) -> int:
-        """1 where x grows with the magnitude, else -1."""
+        """The sign of x along growing magnitudes, 1 or -1."""
         if self.is_gain:
             return -self.sign
         return self.sign

@@ -140,8 +140,8 @@ def _behaviour(w: ExactWindow, z: Vector) -> _Behaviour:
     model, s, missing = w.model, w.horizon, w.missing_inputs
     n, g = model.n, model.g * s
     state, disturbances, rest = z[:n], z[n : n + g], z[n + g :]
-    known = len(rest) - len(missing)
-    unknown = dict(zip(missing, rest[known:], strict=True))
+    free = len(rest) - len(missing)
+    unknown = dict(zip(missing, rest[free:], strict=True))
     filled = []
     for j, v in enumerate(w.u):
         if v is None:
@@ -153,7 +153,7 @@ def _behaviour(w: ExactWindow, z: Vector) -> _Behaviour:
     return _Behaviour(
         state,
         rows_of(disturbances, model.g) or ((),) * s,
-        rows_of(rest[:known], model.d),
+        rows_of(rest[:free], model.d),
         rows_of(filled, model.m),
         rows_of(outputs, model.p),
     )

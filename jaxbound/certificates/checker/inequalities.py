@@ -165,7 +165,7 @@ def multipliers(
     there = {row.place for row in rows}
     lost = "the relation needs a reading that is missing, or what has no bounds"
     insist(all(place in there for place in wanted), lost)
-    found = []
+    weights = []
     gained = dict.fromkeys(there, ZERO)  # minus what readings leave of each gain
     for row in rows:
         x = wanted.get(row.place, ZERO)
@@ -174,11 +174,11 @@ def multipliers(
         if row.lo is None or row.hi is None:
             i = row.place[2]
             gained["gain", 0, i] -= x * row.terms.terms.get((f"g{i}",), ZERO)
-        found.append(x)
+        weights.append(x)
     for k, row in enumerate(rows):
         if row.place[0] == "gain":
-            found[k] = gained[row.place]
-    return found
+            weights[k] = gained[row.place]
+    return weights
 
 
 def added_up(rows: Iterable[Row], found: Iterable[Any]) -> Polynomial:

@@ -24,7 +24,7 @@ Term: TypeAlias = tuple[bool, int, int, F]
 
 
 def backward(c: Claim, r: Relation, v: Sequence[Value]) -> list[list[Any]]:
-    """Return what a relation sum_j h_j t_j + g_j w_j - k_j u_j + a S leaves of the state after each sample.
+    """Return the q that a relation sum_j h_j t_j + g_j w_j - k_j u_j + a S leaves after each sample.
 
     Backward in time, t_j = C x_j + D u_j + D_v v_j and x_(j+1) = A x_j + B u_j + G w_j + F v_j are put in.
     The samples after j then depend on x_(j+1) alone, by q x_(j+1).
