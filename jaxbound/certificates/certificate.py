@@ -16,10 +16,10 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from jaxbound.certificates.blame import SensorError, rounded_witness, smallest_error
 from jaxbound.certificates.constant_window import ConstantWindow
 from jaxbound.certificates.diagnosis import Diagnosis, diagnose_window
-from jaxbound.certificates.exact_window import ExactWindow, Explanation, exact_window
+from jaxbound.certificates.exact_window import ExactWindow, Explanation, exact_window, rounded_witness
+from jaxbound.certificates.fault_size import Scale, SensorError
 from jaxbound.certificates.interface import Index, Sample, WindowCertificate, certify, nothing_to_explain
 from jaxbound.certificates.witness import Numbers, Witnessed, rows_of
 from jaxbound.exact.linalg import Vector
@@ -87,6 +87,11 @@ class Certificate(Witnessed, WindowCertificate):
         return _proved(self.explanation)
 
     @cached_property
+    def _scale(self) -> Scale:
+        """The relations that faults and errors of sensors violate, collected once for all of them."""
+        return Scale(self.window, self.explanation)
+
+    @cached_property
     def sensor_errors(self) -> tuple[SensorError, ...]:
         """A SensorError for each output: the smallest error of that sensor alone that would explain the
         window.
@@ -98,7 +103,7 @@ class Certificate(Witnessed, WindowCertificate):
             return ()
         found = []
         for i in range(self.window.model.p):
-            found.append(smallest_error(self.window, i, self.explanation))
+            found.append(self._scale.error(i))
             report((i + 1) / self.window.model.p)
         return tuple(found)
 
@@ -167,7 +172,7 @@ class Certificate(Witnessed, WindowCertificate):
             raise NotImplementedError(
                 "named faults are not weighed beside constant_tolerance: give the tolerance as noise"
             )
-        return diagnose_window(self.window, self.explanation, self.at[-1], faults)
+        return diagnose_window(self._scale, self.at[-1], faults)
 
     def _widest(self, i: int) -> Fraction:
         """Return the largest width that bounds allow a reading of output i."""
@@ -195,10 +200,7 @@ class Certificate(Witnessed, WindowCertificate):
             errors: False leaves out the smallest single-sensor errors of a FAULT, which take most of the
                 time.
         """
-        numbers: Numbers = {}
-        if self.window.constant:
-            numbers["constant"] = Fraction(1)
-        numbers["relation"] = None
+        numbers: Numbers = {"relation": None}
         if any(self.h):
             numbers["relation"] = self._relation_dict(self.h, self.window)
         numbers["errors"] = []
@@ -208,7 +210,7 @@ class Certificate(Witnessed, WindowCertificate):
 
     def _error_dict(self, error: SensorError) -> Numbers:
         """Return the numbers of a sensor's error, its relation in the window with that error."""
-        window = self.window.with_error(error.output, error.size or Fraction(0))
+        window = error.window or self.window
         witness = None
         if error.z is not None:
             witness = self._witness_dict(error.z)

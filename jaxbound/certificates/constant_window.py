@@ -15,8 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 
-from jaxbound.certificates.blame import DIGITS
-from jaxbound.certificates.exact_window import Ends, ExactWindow, Explanation, readable_relation
+from jaxbound.certificates.exact_window import DIGITS, Ends, ExactWindow, Explanation, readable_relation
 from jaxbound.exact.chebyshev import Reference, chebyshev
 from jaxbound.exact.linalg import Vector, dot, scale
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import Any
 
-from jaxbound.certificates.exact_window import ExactWindow, Explanation
+from jaxbound.certificates.exact_window import ExactWindow
 from jaxbound.certificates.fault_size import FaultSize, Scale
 from jaxbound.certificates.parameter_size import found_size
 from jaxbound.models.named_faults import PARAMETER, NamedFault, default_faults, named_faults
@@ -135,29 +135,24 @@ class Diagnosis:
         return f"{type(self).__name__} of {len(self.windows)} of {self.of} windows"
 
     def _rows(self) -> dict[str, str]:
-        rows = {}
-        for weighed in self.explains:
-            rows[weighed.fault.name] = size_text(self.model, weighed)
-        for weighed in self.excluded:
-            rows[weighed.fault.name] = why_excluded(self.model, weighed)
-        return rows | dict(self.unweighed)
+        return {name: words for name, words, _ in self.lines}
 
     def to_dict(self) -> dict[str, Any]:
         """Return the diagnosis ready for JSON; sizes as floats, `sizes` has them exactly."""
         explains, excluded = [], []
         for weighed in self.explains:
-            entry: dict[str, Any] = {"fault": weighed.fault.name, "size": float(weighed.size or 0)}
-            entry["largest"] = weighed.largest
-            if weighed.largest is not None:
-                entry["largest"] = float(weighed.largest)
-            entry |= {"words": size_text(self.model, weighed), "share": None}
+            name = weighed.fault.name
+            entry: dict[str, Any] = {"fault": name, "size": _float(weighed.size)}
+            entry |= {"largest": _float(weighed.largest), "words": size_text(self.model, weighed)}
+            entry["share"] = _float(self.shares.get(name))
             if weighed.tried:
                 entry["tried"] = weighed.tried
-            if weighed.fault.name in self.shares:
-                entry["share"] = float(self.shares[weighed.fault.name])
             explains.append(entry)
         for weighed in self.excluded:
             excluded.append({"fault": weighed.fault.name, "why": why_excluded(self.model, weighed)})
+        sizes = {}
+        for name, (least, _) in self.ends.items():
+            sizes[name] = [_float(least.size), _float(self._largest_of_part(name))]
         return {
             "answer": str(self),
             "windows": list(self.windows),
@@ -166,18 +161,9 @@ class Diagnosis:
             "excluded": excluded,
             "not_weighed": dict(self.unweighed),
             "partly": {name: list(windows) for name, windows in self.partly.items()},
-            "partly_sizes": self._sizes_of_parts(),
+            "partly_sizes": sizes,
             "outside": self.outside,
         }
-
-    def _sizes_of_parts(self) -> dict[str, list[float | None]]:
-        sizes: dict[str, list[float | None]] = {}
-        for name, (least, _) in self.ends.items():
-            sizes[name] = [float(least.size or 0), None]
-            largest = self._largest_of_part(name)
-            if largest is not None:
-                sizes[name][1] = float(largest)
-        return sizes
 
     def and_of(self, other: Diagnosis) -> Diagnosis:
         """Return the Diagnosis of the windows of both: a fault has to explain each of them, of one sign."""
@@ -207,6 +193,12 @@ class Diagnosis:
         return Diagnosis(self.model, windows, of, ranked, kept, shares, unweighed, outside=outside)
 
 
+def _float(x: Fraction | None) -> float | None:
+    if x is None:
+        return None
+    return float(x)
+
+
 def candidates_of(model: LinearSystem) -> tuple[NamedFault, ...]:
     """Return the faults that a model names; a bias of every sensor and an offset of every actuator where it
     names none.
@@ -214,23 +206,20 @@ def candidates_of(model: LinearSystem) -> tuple[NamedFault, ...]:
     return model.faults or default_faults(model.inputs, model.outputs)
 
 
-def diagnose_window(
-    window: ExactWindow, explanation: Explanation, at: int, faults: Sequence[NamedFault] | None = None
-) -> Diagnosis:
+def diagnose_window(scale: Scale, at: int, faults: Sequence[NamedFault] | None = None) -> Diagnosis:
     """Return the Diagnosis of one FAULT window.
 
     Args:
-        window: of a certain model. explanation: of it without a fault. at: the sample at which it ends.
+        scale: of a window of a certain model. at: the sample at which it ends.
         faults: as of `WindowCertificate.diagnose`.
 
     Raises:
         ValueError: a fault names a signal that the model does not have.
     """
-    model = window.model
+    window, model = scale.window, scale.window.model
     candidates = candidates_of(model)
     if faults is not None:
         candidates = named_faults(faults, model.inputs, model.outputs, model.states)
-    scale = Scale(window, explanation)
     explains, excluded = [], []
     shares, unweighed = {}, {}
     for fault in candidates:

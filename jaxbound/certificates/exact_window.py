@@ -10,7 +10,8 @@ The sensors' intervals are those of `models.sensor`, here as lo, hi: a reading y
 / (1 + sigma).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
@@ -30,9 +31,16 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import window_rows
 from jaxbound.sets.floats import rounding
 
-__all__ = ["Ends", "ExactWindow", "Explanation", "exact_samples", "exact_window", "known_inputs", "stretched"]
+__all__ = """
+    DIGITS Ends ExactWindow Explanation exact_samples exact_window known_inputs rounded_up rounded_witness
+    stretched unstretched
+""".split()
 
 ZERO = Fraction(0)
+DIGITS = (4, 8, 12, 17)
+"""Of numbers that are rounded for readers, as few as will do."""
+LARGEST = Fraction(10**300)
+"""Of a number that is rounded for readers."""
 Ends: TypeAlias = tuple[Fraction, Fraction]
 """(lo, hi) of a number."""
 Samples: TypeAlias = tuple[Fraction | None, ...]
@@ -84,10 +92,10 @@ class ExactWindow:
 
     Fields: model, horizon; u (l,) and y ((s+1)p,): the recorded samples time-major, None where missing;
     tolerance, noise, resolution (p,); disturbance (g, 2); unit: the roundoff of the recording's float type;
-    floor: its smallest normal number, in every bound; drive: what the inputs that are there make of each row;
-    error (p,): what is allowed to a sensor beyond its bounds. average (a,): bounds of averages; whole
-    ((s+1)p,): all samples, also those that only averages look at; lags: of the relations. factors ((s+1)p,):
-    on the noise of each sample, 1 where there is none; empty: the model has none.
+    floor: its smallest normal number, in every bound; drive: what the inputs that are there make of each row.
+    average (a,): bounds of averages; whole ((s+1)p,): all samples, also those that only averages look at;
+    lags: of the relations. factors ((s+1)p,): on the noise of each sample, 1 where there is none; empty: the
+    model has none. own: (E, K) of its rows, where a parameter is another; None: those of the model.
     """
 
     model: LinearSystem
@@ -101,23 +109,17 @@ class ExactWindow:
     unit: Fraction
     floor: Fraction
     drive: Vector
-    error: Vector = ()
     average: Vector = ()
     whole: Samples = ()
     lags: tuple[int, ...] | None = None
     factors: Vector = ()
+    own: tuple[Matrix, Matrix] | None = None
 
-    def with_error(self, i: int, e: Fraction) -> Self:
-        """Return the window with an error of up to e allowed to output i."""
-        error = [ZERO] * self.model.p
-        error[i] = e
-        return replace(self, error=tuple(error))
-
-    def moved(self, push: Vector) -> Self:
-        """Return the window with (Y, w) = E z + K U + push: what a fault that is supposed adds."""
-        moved = replace(self, drive=linalg.add_multiple(self.drive, 1, push))
-        vars(moved)["limits"] = self.limits  # bounds know nothing of what is supposed
-        return moved
+    def with_limits(self, limits: Iterable[Ends | None]) -> Self:
+        """Return the window with other limits of its rows: what is supposed, bounds do not know."""
+        other = copy(self)
+        vars(other)["limits"] = list(limits)
+        return other
 
     def without_input(self, i: int) -> Self:
         """Return the window with every sample of input i missing: whatever the actuator did."""
@@ -139,30 +141,19 @@ class ExactWindow:
         readings: list[tuple[Fraction | None, Fraction]] = []
         for j, v in enumerate(self.y):
             i = j % p
-            rho = self.noise_at(j) + self._rounded_at(j) + self.floor
+            rho = self.noise[i] + self.rounded[i] + self.floor
+            if self.factors:
+                rho += (self.factors[j] - 1) * self.noise[i] * (1 + RECORDER_ULPS * self.unit)
             if v is None:
                 readings.append((None, rho))
             else:
                 readings.append((v - offset[i], rho))
         return readings
 
-    def noise_at(self, j: int) -> Fraction:
-        """Return the noise bound of sample j of all: times its factor, where it has one."""
-        noise = self.noise[j % self.model.p]
-        if not self.factors:
-            return noise
-        return noise * self.factors[j]
-
-    def _rounded_at(self, j: int) -> Fraction:
-        """Return the largest |delta| of sample j beyond its noise."""
-        i = j % self.model.p
-        return self.rounded[i] + RECORDER_ULPS * self.unit * (self.noise_at(j) - self.noise[i])
-
     @cached_property
     def rounded(self) -> list[Fraction]:
-        """The largest |delta| of each output beyond its noise, where that is times no factor: resolution,
-        what the recorder rounds away of the largest sample that is looked at, and the error that is allowed
-        to it.
+        """The largest |delta| of each output beyond its noise, where that is times no factor: resolution, and
+        what the recorder rounds away of the largest sample that is looked at.
         """
         p = self.model.p
         largest = [ZERO] * p
@@ -175,17 +166,8 @@ class ExactWindow:
                     largest[x.number] = max(largest[x.number], abs(self.whole[x.row] or ZERO))
         rounded = []
         for i, most in enumerate(largest):
-            slip = self.resolution[i] + RECORDER_ULPS * self.unit * (most + self.noise[i])
-            if self.error:
-                slip += self.error[i]
-            rounded.append(slip)
+            rounded.append(self.resolution[i] + RECORDER_ULPS * self.unit * (most + self.noise[i]))
         return rounded
-
-    def has_samples(self, row: Row) -> bool:
-        """Return whether a sum is looked at and has all its samples."""
-        if not row.values.measured:
-            return True
-        return row.seen and all(self.whole[x.row] is not None for x in self.rows.terms(row))
 
     def _ends_of_sum(self, row: Row) -> Ends | None:
         """Return (lo, hi) of a sum, None where a sample of it is missing or it is not looked at.
@@ -193,18 +175,16 @@ class ExactWindow:
         The bound is one on the sum of noises. What resolution, recorder and an error add to each reading is
         added by its weight; the floors are for numbers that a kernel rounds to zero on the way.
         """
-        if not self.has_samples(row):
-            return None
         values, middle = row.values, ZERO
         rad = self.average[row.number] + 10 * (values.terms + values.size) * self.floor
         if values.measured:
             for i, _ in values.parts:
                 rad += values.size_of(i) * self.rounded[i]
-            weights, deviations = [], []
             for x in self.rows.terms(row):
-                weights.append(x.weight)
-                deviations.append((self.whole[x.row] or ZERO) - self.model.offset["y"][x.number])
-            middle = dot(weights, deviations)
+                reading = self.whole[x.row]
+                if reading is None or not row.seen:
+                    return None
+                middle += x.weight * (reading - self.model.offset["y"][x.number])
         return middle - rad, middle + rad
 
     @cached_property
@@ -248,7 +228,7 @@ class ExactWindow:
     @property
     def forms(self) -> tuple[Matrix, Matrix]:
         """(E, K): (Y, w) = E z + K U, with z = (first state, disturbances, unknown inputs)."""
-        return _forms(self.model, self.horizon)
+        return self.own or _forms(self.model, self.horizon)
 
     def unknown_columns(self) -> Matrix:
         """Return E with the columns of the missing inputs, which are unknowns as well, behind it."""
@@ -258,6 +238,9 @@ class ExactWindow:
 
     def space(self, rows: Sequence[int]) -> Subspace:
         """Return the Subspace of some rows over all unknowns."""
+        if self.own is not None:
+            E = self.unknown_columns()
+            return subspace([E[i] for i in rows])
         return _subspace(self.model, self.horizon, tuple(rows), self.missing_inputs)
 
     @property
@@ -323,6 +306,33 @@ def stretched(v: Fraction, sigma: Fraction) -> Fraction:
     if v > 0:
         return v / (1 - sigma)
     return v / (1 + sigma)
+
+
+def unstretched(v: Fraction, sigma: Fraction) -> Fraction:
+    """Return the number of which f of `stretched` is v."""
+    if v > 0:
+        return v * (1 - sigma)
+    return v * (1 + sigma)
+
+
+def rounded_witness(window: ExactWindow, z: Vector) -> Vector:
+    """Return z with as few digits as still explain the window."""
+    states = window.model.n
+    if any(abs(v) > LARGEST for v in z):
+        return z  # beyond floats
+    for digits in DIGITS:
+        short = [Fraction(f"{float(v):.{digits}g}") for v in z]
+        for j, (lo, hi) in enumerate(window.disturbance * window.horizon, states):
+            short[j] = max(lo, min(short[j], hi))
+        if window.explained_by(short):
+            return tuple(short)
+    return z
+
+
+def rounded_up(x: Fraction, digits: int = 4) -> Fraction:
+    """Return a number of few digits that is not below x > 0."""
+    unit = Fraction(10) ** (len(str(x.numerator)) - len(str(x.denominator)) - digits)
+    return -(-x // unit) * unit
 
 
 def known_inputs(model: LinearSystem, u: Sequence[Fraction | None]) -> Vector:

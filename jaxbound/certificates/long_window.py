@@ -22,10 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxbound.certificates.blame import SensorError
 from jaxbound.certificates.certificate import Certificate
 from jaxbound.certificates.diagnosis import Diagnosis
 from jaxbound.certificates.exact_window import Ends, ExactWindow, Explanation, exact_samples, known_inputs
+from jaxbound.certificates.fault_size import SensorError
 from jaxbound.certificates.interface import Index, Sample, certify
 from jaxbound.certificates.witness import Numbers
 from jaxbound.consistency.interface import Bounds

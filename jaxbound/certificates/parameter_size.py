@@ -8,22 +8,20 @@ what it finds. Nothing found is no proof, so no parameter is ever excluded.
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import replace
 from fractions import Fraction
 from typing import TypeAlias
 
 import numpy as np
 
-from jaxbound.certificates.blame import rounded_witness
-from jaxbound.certificates.exact_window import ExactWindow, Explanation, known_inputs
+from jaxbound.certificates.exact_window import ExactWindow, Explanation, known_inputs, rounded_witness
 from jaxbound.certificates.fault_size import FaultSize
 from jaxbound.exact import linalg
-from jaxbound.exact.chebyshev import Subspace, subspace
-from jaxbound.exact.linalg import Matrix
+from jaxbound.exact.chebyshev import exchanged
 from jaxbound.models.named_faults import NamedFault
 from jaxbound.models.window import ParameterForm
 
-__all__ = ["ChangedWindow", "changed_window", "found_size"]
+__all__ = ["changed_window", "found_size"]
 
 STEPS = 8
 """Sizes of each sign that are tried at first, as many steps to `most`."""
@@ -33,36 +31,18 @@ HALVINGS = 6
 """How often steps are halved around the best, and towards 0."""
 SURE = 1 - 1e-7
 """A factor in floats up to which a size is worth a proof."""
+TOLD = 1e-12
+"""Share of the largest singular value up to which a direction of unknowns counts as none."""
 Trial: TypeAlias = tuple[int, int]
 """(size in the finest steps, number of the onset)."""
 
 
-@dataclass(frozen=True, eq=False)
-class ChangedWindow(ExactWindow):
-    """An ExactWindow in which a parameter is another. own: (E, K) of its rows."""
-
-    own: tuple[Matrix, Matrix] = ((), ())
-
-    @property
-    def forms(self) -> tuple[Matrix, Matrix]:
-        """(E, K): (Y, w) = E z + K U."""
-        return self.own
-
-    def space(self, rows: Iterable[int]) -> Subspace:
-        """Return the Subspace of some rows over all unknowns."""
-        E = self.unknown_columns()
-        return subspace([E[i] for i in rows])
-
-
-def changed_window(window: ExactWindow, fault: NamedFault, size: Fraction, since: int) -> ChangedWindow:
+def changed_window(window: ExactWindow, fault: NamedFault, size: Fraction, since: int) -> ExactWindow:
     """Return the window whose parameter is another by a size from a sample on."""
     E, K = ParameterForm(window.model, window.horizon, fault.coefficients, Fraction)(size, since)
     own = tuple(map(tuple, E.tolist())), tuple(map(tuple, K.tolist()))
-    given = {field.name: getattr(window, field.name) for field in fields(ExactWindow)}
-    given["drive"] = linalg.multiply(own[1], known_inputs(window.model, window.u))
-    changed = ChangedWindow(**given, own=own)
-    vars(changed)["limits"] = window.limits  # bounds know nothing of what is supposed
-    return changed
+    drive = linalg.multiply(own[1], known_inputs(window.model, window.u))
+    return replace(window, own=own, drive=drive).with_limits(window.limits)
 
 
 def found_size(
@@ -172,20 +152,17 @@ class _Search:
         return self.factors[trial]
 
     def _factor(self, size: float, since: int) -> float:
-        """Return the factor on all bounds at which the window is explained, about: a linear program."""
-        from scipy.optimize import linprog
-
-        window = self.window
+        """Return the factor on all bounds at which the window is explained, about."""
         E, K = self.form(size, since)
-        z = np.concatenate([E, K[:, list(window.missing_inputs)]], 1)[self.rows] / self.radii[:, None]
+        z = np.concatenate([E, K[:, list(self.window.missing_inputs)]], 1)[self.rows] / self.radii[:, None]
         off = (self.middles - (K @ self.inputs)[self.rows]) / self.radii
         if not np.isfinite(z).all():
             return np.inf  # so far from the model that numbers end
-        grow = -np.ones((len(off), 1))
-        sides = np.concatenate([np.concatenate([z, grow], 1), np.concatenate([-z, grow], 1)])
-        cost = np.append(np.zeros(z.shape[1]), 1.0)
-        ends = [(None, None)] * z.shape[1] + [(0, None)]
-        best = linprog(cost, sides, np.concatenate([off, -off]), bounds=ends, method="highs")
-        if best.status != 0:
+        span, sizes, _ = np.linalg.svd(z, full_matrices=False)
+        span = span[:, sizes > TOLD * sizes.max(initial=0)]
+        if span.shape[1] == len(off):
+            return 0.0
+        found = exchanged(span, off)
+        if found is None:
             return np.inf
-        return float(best.fun)
+        return found[1]

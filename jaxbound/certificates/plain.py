@@ -20,7 +20,8 @@ def plain_model(model: LinearSystem) -> dict[str, Any]:
     """Return the numbers of a LinearSystem, matrices at the middle of its parameters, as
     `checker.claim.claimed` takes them.
     """
-    plain: dict[str, Any] = plain_plant(model)
+    plain: dict[str, Any] = {letter: getattr(model, letter) for letter in MATRICES}
+    plain |= {"offset_u": model.offset["u"], "offset_y": model.offset["y"]}
     for name in ("tolerance", "noise", "resolution", "disturbance", "lags"):
         plain[name] = getattr(model, name)
     bounded = bounded_sums(model)
@@ -32,12 +33,6 @@ def plain_model(model: LinearSystem) -> dict[str, Any]:
         change: dict[str, Any] = {letter: parameter.on(letter) for letter in "ABCD"}
         plain["uncertainties"].append(change | {"varying": parameter.varying})
     return plain
-
-
-def plain_plant(model: LinearSystem) -> dict[str, Any]:
-    """Return the matrices and offsets of a LinearSystem."""
-    plain = {letter: getattr(model, letter) for letter in MATRICES}
-    return plain | {"offset_u": model.offset["u"], "offset_y": model.offset["y"]}
 
 
 def plain_sums(sums: Iterable[WeightedSum], bounds: Iterable[Fraction]) -> list[dict[str, Any]]:

@@ -1,25 +1,23 @@
-"""A named fault that is supposed: what it does to the rows of a window, in exact rationals.
+"""A named fault that is supposed: where it puts the ends of the rows of a window, in exact rationals.
 
-    (Y, w) = E z + K U + x first + x^2 second,    -F(a + b x) <= a row <= F(a' + b' x)
+    (Y, w) = E z + K U,    -F(a + b x + c x^2) <= a row <= F(a' + b' x + c' x^2)
 
 The rows stay linear in the unknowns z. x is the size f of the fault; of the gain of a sensor it is 1 / (1 +
-f). What a faulty sensor shows is defined in `models.named_faults`: with |delta| <= rho a reading y says of
-the true value, in deviations from an offset o,
+f). A fault that moves a row as a whole moves both of its ends. What a faulty sensor shows is defined in
+`models.named_faults`: with |delta| <= rho a reading y says of the true value, in deviations from an offset o,
 
     (bias)  (1 + theta) t = y - o - f - delta        (gain)  (1 + theta) t = x (y - delta) - o
 
-so ends are F(rho + y - o - f) and F(x y + |x| rho - o), F that of `exact_window`. A bias beside no tolerance
-moves the row as a whole. An actuator moves every signal that is computed from its column
-(`models.shared_columns`); an output that is computed from it was recorded wrong by as much.
+so ends are F(rho + y - o - f) and F(x y + |x| rho - o), F that of `exact_window`. An error of either sign in
+each sample of a sensor moves both ends outward. An actuator moves every signal that is computed from its
+column (`models.shared_columns`); an output that is computed from it was recorded wrong by as much.
 """
 
 from collections.abc import Mapping, Sequence
-from copy import copy
-from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from typing import NamedTuple, Self, TypeAlias
+from typing import NamedTuple, TypeAlias
 
-from jaxbound.certificates.exact_window import ExactWindow, stretched
+from jaxbound.certificates.exact_window import Ends, ExactWindow, stretched, unstretched
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Vector
 from jaxbound.models.named_faults import NamedFault
@@ -27,197 +25,46 @@ from jaxbound.models.shared_columns import Follower, Polynomial, followers
 from jaxbound.recordings.expressions import expression
 from jaxbound.text.names import listed
 
-__all__ = ["Line", "Path", "Push", "at_any_size", "paths_of", "push_of"]
+__all__ = ["Moves", "Push", "Side", "error_of", "limits_of", "moves_of", "push_of", "with_fault"]
 
 ZERO, ONE = Fraction(0), Fraction(1)
-MOST_GAIN = Fraction(10**6)
-"""The largest gain error of a sensor that is looked at."""
-DEAD = Fraction(10**400)
-"""1 / |1 + f| from which on a gain of a sensor counts as 0: no float is smaller."""
-FAR = Fraction(10**12)
-"""The largest size that is looked at of a fault without any bound."""
 Recorded: TypeAlias = list[Fraction | None]
 """Samples of a signal, None where one is missing."""
+Moves: TypeAlias = tuple[Vector, Vector]
+"""How far x moves each row, and how far its square does: () where x is not squared."""
 
 
-class Line(NamedTuple):
-    """F(a + b x), F of a tolerance sigma."""
+class Side(NamedTuple):
+    """F(a + b x + c x^2), F of a tolerance sigma; c is 0 beside one."""
 
     a: Fraction
     b: Fraction
-    sigma: Fraction
+    c: Fraction = ZERO
+    sigma: Fraction = ZERO
 
     def at(self, x: Fraction) -> Fraction:
         """Return its value at x."""
-        return stretched(self.a + self.b * x, self.sigma)
+        return stretched(self.a + self.b * x + self.c * x * x, self.sigma)
 
 
-@dataclass(frozen=True, eq=False)
-class Push:
-    """How a fault moves the rows of a window. Fields: first, second: for x and for its square; second is
-    empty where x is not squared. ends: {row: (low, high)} of the rows whose ends x moves: [-low, high].
-    """
-
-    first: Vector
-    second: Vector = ()
-    ends: Mapping[int, tuple[Line, Line]] = field(default_factory=dict)
-
-    def at(self, x: Fraction) -> Vector:
-        """Return how far an x moves each row."""
-        moved = linalg.scale(self.first, x)
-        if self.second:
-            moved = linalg.add_multiple(moved, x * x, self.second)
-        return moved
-
-    def window(self, window: ExactWindow, x: Fraction) -> ExactWindow:
-        """Return the window with the fault."""
-        moved = window.moved(self.at(x))
-        if self.ends:
-            limits = list(window.limits)
-            for row, (low, high) in self.ends.items():
-                limits[row] = -low.at(x), high.at(x)
-            vars(moved)["limits"] = limits
-        return moved
+Push: TypeAlias = Mapping[int, tuple[Side, Side]]
+"""{row: (low, high)} of the rows whose ends [-low, high] a fault moves."""
 
 
-@dataclass(frozen=True, eq=False)
-class Path:
-    """Sizes of one sign of a fault, the smallest magnitude first: the unknown is x = forward t, and t grows
-    from `start` to `stop`.
-
-    Fields: push; sign: of the sizes; forward: 1 or -1; start, stop: t, stop None: without end. is_gain:
-    whether x is 1 / (1 + f).
-    """
-
-    push: Push
-    sign: int
-    forward: int
-    start: Fraction
-    stop: Fraction | None
-    is_gain: bool = False
-
-    def x(self, t: Fraction) -> Fraction:
-        """Return the unknown at t."""
-        return self.forward * t
-
-    def size(self, t: Fraction) -> Fraction:
-        """Return the size f at t."""
-        if self.is_gain:
-            return ONE / self.x(t) - ONE
-        return self.x(t)
-
-    def until(self, stop: Fraction | None) -> Self:
-        """Return the part of it up to a t; None: all."""
-        if stop is None or (self.stop is not None and self.stop <= stop):
-            return self
-        return replace(self, stop=stop)
-
-    def of_sizes_to(self, most: Fraction) -> Self | None:
-        """Return the part of it of sizes up to a magnitude; None: there is none."""
-        end = self._at(most)
-        if end is None:
-            return self
-        if end < self.start:
-            return None
-        return self.until(end)
-
-    def of_sizes_from(self, least: Fraction) -> Self | None:
-        """Return the part of it of sizes from a magnitude on; None: there is none."""
-        begin = self._at(least)
-        if begin is None or (self.stop is not None and self.stop < begin):
-            return None
-        return replace(self, start=max(begin, self.start))
-
-    def _at(self, magnitude: Fraction) -> Fraction | None:
-        """Return t of a size of a magnitude, below `start` where it comes before; None: behind the end."""
-        x = self.sign * magnitude
-        if self.is_gain:
-            left, inverted = ONE + x, self.x(self.start) < 0
-            if left <= 0 and not inverted:
-                return None
-            if left >= 0 and inverted:
-                return self.start - 1
-            x = ONE / left
-        return self.forward * x
-
-    @property
-    def reversed(self) -> Self:
-        """The same sizes, the largest magnitude first."""
-        far = self.stop
-        if far is None:
-            far = max(self.start, ONE) * FAR
-        return replace(self, forward=-self.forward, start=-far, stop=-self.start)
+def with_fault(window: ExactWindow, push: Push, x: Fraction) -> ExactWindow:
+    """Return the window with a fault."""
+    limits = list(window.limits)
+    for row, (low, high) in push.items():
+        limits[row] = -low.at(x), high.at(x)
+    return window.with_limits(limits)
 
 
-def at_any_size(fault: NamedFault) -> NamedFault:
-    """Return the same fault with nothing stated of its size."""
-    free = copy(fault)
-    vars(free).update(sign=None, least=None, most=None, between=None)
-    return free
-
-
-def paths_of(fault: NamedFault, window: ExactWindow, since: int = 0) -> list[Path]:
-    """Return the sizes of a fault on a window as paths, those of the smallest magnitudes first.
-
-    Args:
-        since: the sample of the window at which it begins.
-
-    Raises:
-        NotImplementedError: as `push_of`.
-    """
-    least, most = fault.least or ZERO, fault.most
-    signs = [1, -1]
-    if fault.sign is not None:
-        signs = [1 - 2 * (fault.sign == "-")]
-    paths = []
-    if fault.kind == "gain" and fault.output is not None:
-        for sign in signs:
-            paths += _gain_paths(push_of(fault, window, since), sign, least, most)
-        if -1 in signs and (most is None or most >= 1):
-            paths.append(_inverted_path(push_of(fault, window, since, inverted=True), least, most))
-        return paths
-    push = push_of(fault, window, since)
-    ends = _limits_of(fault, window, since)
-    for sign in signs:
-        begin, end = ends[::sign]
-        start = least
-        if begin is not None:
-            start = max(start, sign * begin)
-        path = Path(push, sign, sign, start, most)
-        if end is not None:
-            path = path.until(sign * end)
-        if path.stop is None or path.stop >= start:
-            paths.append(path)
-    return paths
-
-
-def _gain_paths(push: Push, sign: int, least: Fraction, most: Fraction | None) -> list[Path]:
-    """Return the path of a sensor's gain 1 + f > 0, in x = 1 / (1 + f), or none."""
-    start = ONE + sign * least
-    if start <= 0:
-        return []
-    if sign > 0:
-        largest = MOST_GAIN
-        if most is not None:
-            largest = most
-        return [Path(push, sign, -1, -1 / start, -1 / (ONE + largest), is_gain=True)]
-    path = Path(push, sign, 1, 1 / start, None, is_gain=True)
-    if most is not None and most < 1:
-        path = path.until(1 / (ONE - most))
-    return [path]
-
-
-def _inverted_path(push: Push, least: Fraction, most: Fraction | None) -> Path:
-    """Return the path of a sensor's gain 1 + f <= 0."""
-    start, largest = -DEAD, MOST_GAIN
-    if least > 1:
-        start = max(start, 1 / (ONE - least))
-    if most is not None:
-        largest = most
-    stop = start
-    if largest > 1:
-        stop = max(start, 1 / (ONE - largest))
-    return Path(push, -1, 1, start, stop, is_gain=True)
+def _sides(
+    ends: Ends, sigma: Fraction, low: tuple[Fraction, Fraction], high: tuple[Fraction, Fraction]
+) -> tuple[Side, Side]:
+    """Return the sides of a row with these ends, and the (b, c) of each."""
+    lo, hi = ends
+    return Side(unstretched(-lo, sigma), *low, sigma), Side(unstretched(hi, sigma), *high, sigma)
 
 
 def push_of(fault: NamedFault, window: ExactWindow, since: int = 0, inverted: bool = False) -> Push:
@@ -227,39 +74,36 @@ def push_of(fault: NamedFault, window: ExactWindow, since: int = 0, inverted: bo
         since: the sample of the window at which it begins. inverted: of the gain of a sensor, it is below 0.
 
     Raises:
-        NotImplementedError: an input that its size is multiplied by is missing; the gain of a sensor whose
-            averages are bounded; a signal that is computed from the actuator's column in a way that is not
-            followed.
+        NotImplementedError: as `moves_of`; the gain of a sensor whose averages are bounded.
     """
-    model = window.model
-    if fault.output is not None and fault.kind == "gain":
-        return _push_of_gain(fault.output, window, since, inverted)
-    shares = _shares(fault, window)
-    shares[:since] = [ZERO] * since
-    if fault.input is not None:
-        return _push_of_actuator(fault.input, window, shares)
-    on_states: Vector = (ZERO,) * model.n
-    on_outputs: Vector = (ZERO,) * model.p
+    sigma = ZERO
     if fault.output is not None:
-        i = model.outputs.index(fault.output)
-        if window.tolerance[i]:
-            return _push_behind_tolerance(i, window, shares)
-        on_outputs = linalg.identity(model.p)[i]
-    else:
-        shares_of = dict(fault.states)
-        on_states = tuple(shares_of.get(name, ZERO) for name in model.states)
-    return Push(_response(window, on_states, on_outputs, shares))
+        if fault.kind == "gain":
+            return _push_of_gain(fault.output, window, since, inverted)
+        sigma = window.tolerance[window.model.outputs.index(fault.output)]
+    first, second = moves_of(fault, window, since)
+    push = {}
+    for row, (ends, b, c) in enumerate(
+        zip(window.limits, first, second or (ZERO,) * len(first), strict=True)
+    ):
+        if ends is not None and (b or c):
+            push[row] = _sides(ends, sigma, (b, c), (-b, -c))
+    return push
 
 
-def _push_behind_tolerance(i: int, window: ExactWindow, shares: Sequence[Fraction]) -> Push:
-    """Return the Push of a bias of an output that has a tolerance, whose averages have no bounds."""
-    ends = {}
-    for j, (d, rho) in enumerate(window.readings()):
-        share = shares[j // window.model.p]
-        if j % window.model.p == i and d is not None and share:
-            sigma = window.tolerance[i]
-            ends[j] = Line(rho - d, share, sigma), Line(rho + d, -share, sigma)
-    return Push((ZERO,) * len(window.limits), (), ends)
+def error_of(i: int, window: ExactWindow) -> Push:
+    """Return the Push of an error of up to x, of either sign, in each sample of output i."""
+    grows = dict.fromkeys(range(i, len(window.y), window.model.p), ONE)
+    for number, row in enumerate(window.rows.of_sums, window.rows.single):
+        if row.values.measured:
+            grows[number] = row.values.size_of(i)
+    push = {}
+    for number, by in grows.items():
+        ends = window.limits[number]
+        if ends is not None and by:
+            sigma = window.tolerance[i]  # 0 where averages have bounds
+            push[number] = _sides(ends, sigma, (by, ZERO), (by, ZERO))
+    return push
 
 
 def _push_of_gain(name: str, window: ExactWindow, since: int, inverted: bool) -> Push:
@@ -278,11 +122,56 @@ def _push_of_gain(name: str, window: ExactWindow, since: int, inverted: bool) ->
         if inverted:
             rho = -rho  # |x| = -x
         y = d + offset
-        ends[j] = Line(offset, rho - y, sigma), Line(-offset, rho + y, sigma)
-    return Push((ZERO,) * len(window.limits), (), ends)
+        ends[j] = Side(offset, rho - y, ZERO, sigma), Side(-offset, rho + y, ZERO, sigma)
+    return ends
 
 
-def _limits_of(fault: NamedFault, window: ExactWindow, since: int) -> tuple[Fraction | None, Fraction | None]:
+def moves_of(fault: NamedFault, window: ExactWindow, since: int = 0) -> Moves:
+    """Return how a fault moves the rows of a window; of a sensor its readings, before any tolerance.
+
+    Args:
+        since: the sample of the window at which it begins.
+
+    Raises:
+        NotImplementedError: an input that its size is multiplied by is missing; a signal that is computed
+            from the actuator's column in a way that is not followed.
+    """
+    model, shares = window.model, _shares(fault, window)
+    shares[:since] = [ZERO] * since
+    if fault.input is not None:
+        return _moves_of_actuator(fault.input, window, shares)
+    on_states: Vector = (ZERO,) * model.n
+    on_outputs: Vector = (ZERO,) * model.p
+    if fault.output is not None:
+        on_outputs = linalg.identity(model.p)[model.outputs.index(fault.output)]
+    else:
+        shares_of = dict(fault.states)
+        on_states = tuple(shares_of.get(name, ZERO) for name in model.states)
+    return _response(window, on_states, on_outputs, shares), ()
+
+
+def _moves_of_actuator(name: str, window: ExactWindow, shares: Sequence[Fraction]) -> Moves:
+    """Return the moves of an input that is another than was recorded, and of what is computed from it."""
+    model = window.model
+    moves: list[Vector] = [(), ()]
+    for signal in followers(model, name):
+        on_states: Vector = (ZERO,) * model.n
+        if signal.is_input:
+            on_states = tuple(row[signal.number] for row in model.B)
+            on_outputs = tuple(row[signal.number] for row in model.D)
+        elif window.tolerance[signal.number]:
+            raise NotImplementedError(
+                f"{signal.signal} is computed from the same column and has a tolerance: give it as noise"
+            )
+        else:  # recorded from the same column, so wrong by as much
+            on_outputs = linalg.scale(linalg.identity(model.p)[signal.number], -1)
+        for i, by in enumerate(_powers(window, signal, shares)):
+            moved = _response(window, on_states, on_outputs, by)
+            moves[i] = linalg.add_multiple(moves[i] or (ZERO,) * len(moved), 1, moved)
+    return moves[0], moves[1]
+
+
+def limits_of(fault: NamedFault, window: ExactWindow, since: int) -> tuple[Fraction | None, Fraction | None]:
     """Return the lowest and the highest x that leave an actuator between what it can do; None: no end."""
     low: Fraction | None = None
     high: Fraction | None = None
@@ -299,30 +188,6 @@ def _limits_of(fault: NamedFault, window: ExactWindow, since: int) -> tuple[Frac
         if high is None or ends[1] < high:
             high = ends[1]
     return low, high
-
-
-def _push_of_actuator(name: str, window: ExactWindow, shares: Sequence[Fraction]) -> Push:
-    """Return the Push of an input that is another than was recorded, and of what is computed from it."""
-    model = window.model
-    first: Vector = (ZERO,) * len(window.limits)
-    second: Vector = ()
-    for signal in followers(model, name):
-        by_power = _powers(window, signal, shares)
-        on_states: Vector = (ZERO,) * model.n
-        if signal.is_input:
-            on_states = tuple(row[signal.number] for row in model.B)
-            on_outputs = tuple(row[signal.number] for row in model.D)
-        elif window.tolerance[signal.number]:
-            raise NotImplementedError(
-                f"{signal.signal} is computed from the same column and has a tolerance: give it as noise"
-            )
-        else:  # recorded from the same column, so wrong by as much
-            on_outputs = linalg.scale(linalg.identity(model.p)[signal.number], -1)
-        first = linalg.add_multiple(first, 1, _response(window, on_states, on_outputs, by_power[0]))
-        if len(by_power) > 1:
-            moved = _response(window, on_states, on_outputs, by_power[1])
-            second = linalg.add_multiple(second or (ZERO,) * len(first), 1, moved)
-    return Push(first, second)
 
 
 def _powers(window: ExactWindow, signal: Follower, shares: Sequence[Fraction]) -> list[list[Fraction]]:

@@ -15,9 +15,8 @@ from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
-from jaxbound.certificates.blame import DIGITS, rounded_witness
 from jaxbound.certificates.exact_polynomials import FixedWindow, PolynomialWindow, polynomial_window
-from jaxbound.certificates.exact_window import ExactWindow
+from jaxbound.certificates.exact_window import DIGITS, ExactWindow, rounded_witness
 from jaxbound.certificates.interface import Index, Sample, WindowCertificate, certify, nothing_to_explain
 from jaxbound.certificates.witness import Numbers, Witnessed, rows_of
 from jaxbound.consistency import parametric_windows

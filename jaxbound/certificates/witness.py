@@ -1,17 +1,16 @@
 """The parts that all certificates share: a behaviour that explains a window, and exact numbers as text."""
 
 from collections.abc import Iterator, Sequence
-from copy import copy
 from decimal import Decimal, localcontext
 from fractions import Fraction
-from typing import Any, Self, TypeAlias, TypeVar
+from functools import cached_property
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
-from jaxbound.certificates.checker.claim import statement
+from jaxbound.certificates.checker.claim import PRECISIONS, claimed, statement
 from jaxbound.certificates.exact_window import ExactWindow
 from jaxbound.certificates.interface import Index, Sample
-from jaxbound.certificates.plain import plain_names, plain_plant, plain_sums
+from jaxbound.certificates.plain import plain_model, plain_names, plain_sums
 from jaxbound.exact.linalg import Matrix, Vector, dot
-from jaxbound.models.sensor import RECORDER_ULPS
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["Numbers", "Witnessed", "rows_of", "texts"]
@@ -34,54 +33,38 @@ class Witnessed:
     at: Index
     test: str
 
+    @cached_property
+    def _witness(self) -> "_Behaviour":
+        if self.z is None:
+            return _Behaviour(None, None, None, None, None)
+        return _behaviour(self.window, self.z)
+
     @property
     def state(self) -> Vector | None:
         """The first state of the witness, or None."""
-        if self.z is None:
-            return None
-        return self.z[: self.window.model.n]
+        return self._witness.state
 
     @property
     def outputs(self) -> Matrix | None:
         """The true outputs of the witness, a tuple of s + 1 rows, or None."""
-        if self.z is None:
-            return None
-        p, offset = self.window.model.p, self.window.model.offset["y"]
-        true = self.window.rows_at(self.z)[: len(self.window.y)]
-        return rows_of([v + offset[i % p] for i, v in enumerate(true)], p)
+        return self._witness.outputs
 
     @property
     def disturbances(self) -> Matrix | None:
         """The disturbances of the witness, a tuple of s rows, or None."""
-        if self.z is None:
-            return None
-        n, g, s = self.window.model.n, self.window.model.g, self.window.horizon
-        return rows_of(self.z[n : n + g * s], g) or ((),) * s
+        return self._witness.disturbances
 
     @property
     def unknown_inputs(self) -> Matrix | None:
         """The unknown inputs of the witness, a tuple of s rows (s + 1 where they act on the outputs at once),
         or None.
         """
-        if self.z is None:
-            return None
-        model = self.window.model
-        first = model.n + model.g * self.window.horizon
-        return rows_of(self.z[first : len(self.z) - len(self.window.missing_inputs)], model.d)
+        return self._witness.unknown_inputs
 
     @property
     def inputs(self) -> Matrix | None:
         """The inputs of the witness as recorded, missing ones filled in, a tuple of rows, or None."""
-        if self.z is None:
-            return None
-        missing, model = self.window.missing_inputs, self.window.model
-        unknown = dict(zip(missing, self.z[len(self.z) - len(missing) :], strict=True))
-        filled = []
-        for j, v in enumerate(self.window.u):
-            if v is None:
-                v = unknown.get(j, Fraction(0)) + model.offset["u"][j % model.m]
-            filled.append(v)
-        return rows_of(filled, model.m)
+        return self._witness.inputs
 
     def _document(
         self, verdict: Status, proof: Numbers, times: Sequence[str] | None, sample: Sample
@@ -90,18 +73,14 @@ class Witnessed:
         their sum.
         """
         w, model = self.window, self.window.model
-        numbers: Numbers = plain_plant(model)
+        plain = plain_model(model)
         for bound in ("tolerance", "noise", "resolution", "disturbance"):
-            numbers[bound] = getattr(w, bound)
-        numbers["recorder"], numbers["floor"] = RECORDER_ULPS * w.unit, w.floor
-        if w.factors:
-            numbers["factors"] = rows_of(w.factors, model.p)
-        if w.lags is not None:
-            numbers["lags"] = tuple(map(Fraction, w.lags))
-        if w.rows.sums:
-            numbers |= self._sums()
-        nothing: list[Fraction | None] = [None] * model.m
-        numbers["u"], numbers["y"] = self._every_sample(w.u, nothing), rows_of(w.y, model.p)
+            plain[bound] = getattr(w, bound)
+        plain["averages"] = plain_sums(w.rows.sums, w.average)
+        (precision,) = (name for name, (unit, _) in PRECISIONS.items() if unit == w.unit)
+        u = self._every_sample(w.u, [None] * model.m)
+        whole, factors = rows_of(w.whole, model.p), rows_of(w.factors, model.p) or None
+        numbers: Numbers = {**claimed(plain, u, whole, precision, w.lags, None, factors)}
         numbers["witness"] = None
         if self.z is not None:
             numbers["witness"] = self._witness_dict(self.z)
@@ -117,41 +96,20 @@ class Witnessed:
             document["test"] = self.test
         return document | {"numbers": texts(numbers)}
 
-    def _sums(self) -> Numbers:
-        """Return the bounded sums, their runs in the window, and all samples that they weigh."""
-        w = self.window
-        runs = []
-        for row in w.rows.of_sums:
-            run: Numbers = {"average": Fraction(row.number), "first": None}
-            if row.seen:
-                run["first"] = Fraction(row.first)
-            runs.append(run)
-        return {
-            "averages": plain_sums(w.rows.sums, w.average),
-            "runs": runs,
-            "all_y": rows_of(w.whole, w.model.p),
-        }
-
-    def _with(self, z: Vector) -> Self:
-        """Return a certificate of another witness."""
-        other = copy(self)
-        object.__setattr__(other, "z", z)
-        return other
-
     def _witness_dict(self, z: Vector) -> Numbers:
         """Return the numbers of a behaviour, a row for each sample."""
-        w, model, other = self.window, self.window.model, self._with(z)
+        w, model, of = self.window, self.window.model, _behaviour(self.window, z)
         numbers: Numbers = {}
         gains = w.gains(z)
         if gains:
             numbers["gains"] = gains
-        numbers["state"] = other.state
+        numbers["state"] = of.state
         lowest = [lo for lo, _ in w.disturbance]
-        numbers["disturbances"] = self._every_sample(_flat(other.disturbances), lowest)
+        numbers["disturbances"] = self._every_sample(_flat(of.disturbances), lowest)
         nothing = [Fraction(0)] * model.d
-        numbers["unknown_inputs"] = self._every_sample(_flat(other.unknown_inputs), nothing)
-        numbers["inputs"] = self._every_sample(_flat(other.inputs), model.offset["u"])
-        numbers["outputs"] = other.outputs
+        numbers["unknown_inputs"] = self._every_sample(_flat(of.unknown_inputs), nothing)
+        numbers["inputs"] = self._every_sample(_flat(of.inputs), model.offset["u"])
+        numbers["outputs"] = of.outputs
         return numbers
 
     def _every_sample(self, values: Sequence[T], last: Sequence[T]) -> tuple[tuple[T, ...], ...]:
@@ -165,6 +123,40 @@ class Witnessed:
         if len(rows) == s:
             return (*rows, tuple(last))
         return rows
+
+
+class _Behaviour(NamedTuple):
+    """A behaviour of a window, each field as that of `Witnessed`; all None where none is known."""
+
+    state: Vector | None
+    disturbances: Matrix | None
+    unknown_inputs: Matrix | None
+    inputs: Matrix | None
+    outputs: Matrix | None
+
+
+def _behaviour(w: ExactWindow, z: Vector) -> _Behaviour:
+    """Return the behaviour at unknowns of a window."""
+    model, s, missing = w.model, w.horizon, w.missing_inputs
+    n, g = model.n, model.g * s
+    state, disturbances, rest = z[:n], z[n : n + g], z[n + g :]
+    free = len(rest) - len(missing)
+    unknown = dict(zip(missing, rest[free:], strict=True))
+    filled = []
+    for j, v in enumerate(w.u):
+        if v is None:
+            v = unknown.get(j, Fraction(0)) + model.offset["u"][j % model.m]
+        filled.append(v)
+    outputs = []
+    for i, v in enumerate(w.rows_at(z)[: len(w.y)]):
+        outputs.append(v + model.offset["y"][i % model.p])
+    return _Behaviour(
+        state,
+        rows_of(disturbances, model.g) or ((),) * s,
+        rows_of(rest[:free], model.d),
+        rows_of(filled, model.m),
+        rows_of(outputs, model.p),
+    )
 
 
 def rows_of(values: Sequence[T], width: int) -> tuple[tuple[T, ...], ...]:

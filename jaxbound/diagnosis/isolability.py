@@ -18,10 +18,10 @@ from typing import Any, overload
 from jaxbound.certificates.diagnosis import amount
 from jaxbound.certificates.exact_window import Ends, ExactWindow
 from jaxbound.certificates.fault_size import Scale
-from jaxbound.certificates.supposed import push_of
+from jaxbound.certificates.supposed import Moves, moves_of
 from jaxbound.diagnosis.detectability import operating_reach, row_widths
 from jaxbound.exact.chebyshev import chebyshev
-from jaxbound.exact.linalg import Vector
+from jaxbound.exact.linalg import Vector, add_multiple, scale
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.named_faults import PARAMETER, NamedFault, named_faults
 from jaxbound.models.shared_columns import followers
@@ -35,20 +35,6 @@ from jaxbound.text.objects import readable
 __all__ = ["FaultIsolability", "isolability"]
 
 ZERO = Fraction(0)
-
-
-@dataclass(frozen=True, eq=False)
-class TwoBehaviours(ExactWindow):
-    """The difference of two behaviours of a window. Fields beside those of ExactWindow: ends: of each row,
-    None where it is not looked at.
-    """
-
-    ends: tuple[Ends | None, ...] = ()
-
-    @property
-    def limits(self) -> list[Ends | None]:  # type: ignore[override]
-        """(lo, hi) of each row."""
-        return list(self.ends)
 
 
 @readable
@@ -185,25 +171,25 @@ def isolability(
         bare = copy(fault)
         vars(bare)["between"] = None
         try:
-            weighed[fault.name] = bare, push_of(bare, healthy)
+            weighed[fault.name] = bare, moves_of(bare, healthy)
         except NotImplementedError as e:
             unweighed[fault.name] = str(e)
     detectable: dict[str, Fraction | None] = {}
     explained: dict[tuple[str, str], Fraction] = {}
-    for name, (fault, push) in weighed.items():
-        size = detectable[name] = _detectable(healthy, push.first)
+    for name, (fault, moves) in weighed.items():
+        size = detectable[name] = _detectable(healthy, moves[0])
         if size is None:
             continue
         for sign in _signs(fault):
-            shown = _showing(healthy, push.at(sign * Fraction(times) * size))
+            shown = _showing(healthy, moves, sign * Fraction(times) * size)
             best = shown.solve()
             if best.factor <= 1:
                 continue
-            scale = Scale(shown, best)
+            sizes = Scale(shown, best)
             for other, (another, _) in weighed.items():
                 if other == name:
                     continue
-                needed = scale.weigh(another, range(relations.horizon + 1)).size
+                needed = sizes.weigh(another, range(relations.horizon + 1)).size
                 pair = name, other
                 if needed is not None and (pair not in explained or abs(needed) < abs(explained[pair])):
                     explained[pair] = needed
@@ -236,7 +222,7 @@ def _signs(fault: NamedFault) -> tuple[int, ...]:
     return (1 - 2 * (fault.sign == "-"),)
 
 
-def _difference(model: LinearSystem, horizon: int, lags: tuple[int, ...] | None) -> TwoBehaviours:
+def _difference(model: LinearSystem, horizon: int, lags: tuple[int, ...] | None) -> ExactWindow:
     """Return the difference of two healthy behaviours: twice the bounds around 0."""
     values = []
     for name in model.inputs:
@@ -244,7 +230,7 @@ def _difference(model: LinearSystem, horizon: int, lags: tuple[int, ...] | None)
     u = tuple(values) * input_lags(model, horizon)
     nothing: Vector = (ZERO,) * model.p
     pairs = tuple(model.disturbance)
-    window = TwoBehaviours(
+    window = ExactWindow(
         model=model,
         horizon=horizon,
         u=u,
@@ -264,22 +250,26 @@ def _difference(model: LinearSystem, horizon: int, lags: tuple[int, ...] | None)
     widths = row_widths(model, rows, operating_reach(model, None))
     for i in rows.seen:
         ends[i] = -widths[i], widths[i]
-    return replace(window, ends=tuple(ends), drive=(ZERO,) * len(ends))
+    return replace(window, drive=(ZERO,) * len(ends)).with_limits(ends)
 
 
-def _showing(healthy: TwoBehaviours, shift: Vector) -> TwoBehaviours:
-    """Return the window that shows a shift of its rows."""
-    ends: list[Ends | None] = []
-    for pair, by in zip(healthy.ends, shift, strict=True):
-        if pair is not None:
-            pair = pair[0] + by, pair[1] + by
-        ends.append(pair)
-    return replace(healthy, ends=tuple(ends))
+def _showing(healthy: ExactWindow, moves: Moves, x: Fraction) -> ExactWindow:
+    """Return the window that shows a fault of size x."""
+    first, second = moves
+    shift = scale(first, x)
+    if second:
+        shift = add_multiple(shift, x * x, second)
+    limits: list[Ends | None] = []
+    for ends, by in zip(healthy.limits, shift, strict=True):
+        if ends is not None:
+            ends = ends[0] + by, ends[1] + by
+        limits.append(ends)
+    return healthy.with_limits(limits)
 
 
-def _detectable(healthy: TwoBehaviours, push: Vector) -> Fraction | None:
+def _detectable(healthy: ExactWindow, push: Vector) -> Fraction | None:
     """Return the size from which on a push shows whatever else happens; None: it never does for certain."""
-    rows = [i for i, pair in enumerate(healthy.ends) if pair is not None]
+    rows = [i for i, pair in enumerate(healthy.limits) if pair is not None]
     widths = [healthy.known_limits(i)[1] for i in rows]
     best = chebyshev(healthy.space(rows), [push[i] for i in rows], widths)
     if not best.t:

@@ -15,7 +15,7 @@ never truth.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from math import lcm
+from math import gcd, lcm
 from operator import mul
 from typing import TypeAlias
 
@@ -24,7 +24,7 @@ import numpy as np
 from jaxbound.exact import linalg
 from jaxbound.exact.lifting import lifted
 
-__all__ = ["Optimum", "Subspace", "chebyshev", "subspace"]
+__all__ = ["Optimum", "Subspace", "chebyshev", "exchanged", "subspace"]
 
 Reference: TypeAlias = tuple[tuple[int, int], ...]
 """Rows, each with the sign of its error."""
@@ -158,8 +158,8 @@ def _independent(rows: System) -> tuple[list[int], list[int]]:
 def _search(
     E: System, b: Integers, r: Integers, common: int, independent: list[int], start: Reference | None
 ) -> Reference:
-    """Return a reference that is nearly optimal: rows S..., q, each with the sign of its error. The exchange
-    in floats.
+    """Return a reference that is nearly optimal: rows S..., q, each with the sign of its error: by
+    the exchange in floats.
 
     Source: the dual simplex method; a reference determines multipliers >= 0, and (z, t) with all its errors
     at t times their radii.
@@ -171,6 +171,17 @@ def _search(
         F, c = _in_floats(E, b, r, common)
     if not np.isfinite(F).all() or not np.isfinite(c).all():
         return _plain(m, independent)
+    found = exchanged(F, c, start)
+    if found is None:
+        return _plain(m, independent)
+    return found[0]
+
+
+def exchanged(F: np.ndarray, c: np.ndarray, start: Reference | None = None) -> tuple[Reference, float] | None:
+    """Return (a reference that is nearly optimal, t) of rows F (m, N), orthonormal columns, and c (m,), over
+    their radii; None where floats lose their way.
+    """
+    N = F.shape[1]
     # Many multipliers are zero where rows are sparse. A nudge, the same for all references, decides which of
     # them leaves: no cycles.
     nudge = np.append(1e-9 * np.random.default_rng(0).uniform(0.5, 1, N), 1)
@@ -191,11 +202,11 @@ def _search(
             leaves = int(np.argmax(ratio))
             own[leaves], signs[leaves] = j, np.sign(gap[j])
     except np.linalg.LinAlgError:
-        return _plain(m, independent)
+        return None
     # the row of the largest multiplier comes last: the others are independent
     last = int(np.argmax(np.abs(inverse[-1])))
     order = [*range(last), *range(last + 1, N + 1), last]
-    return tuple((int(own[i]), int(signs[i])) for i in order)
+    return tuple((int(own[i]), int(signs[i])) for i in order), float(t)
 
 
 def _in_floats(E: System, b: Integers, r: Integers, common: int) -> tuple[np.ndarray, np.ndarray]:
@@ -334,16 +345,15 @@ def _sign(x: int) -> int:
     return -1
 
 
-def _regular(M: System, right: Integers) -> tuple[list[int], int]:
+def _regular(M: System, right: Integers) -> tuple[Sequence[int], int]:
     """Solve a system that is known to be regular."""
     solved = _solve(M, right)
     assert solved is not None
     return solved
 
 
-def _solve(M: System, right: Integers) -> tuple[list[int], int] | None:
-    """Return (x, det) of integers with M x = right * det, or None if M is singular (Bareiss: every division
-    is exact).
+def _solve(M: System, right: Integers) -> tuple[Sequence[int], int] | None:
+    """Return (x, det) of integers with M x = right * det, or None if M is singular.
 
     det is any common denominator; pivots come from the sparsest row, so that identity rows cost nothing.
     Where many rows are no such, as those of averages make them, determinants grow too long: digits are lifted
@@ -354,40 +364,32 @@ def _solve(M: System, right: Integers) -> tuple[list[int], int] | None:
         solved = lifted(M, right)
         if solved:
             return solved
-    n = len(M)
-    rows = [[*row, y] for row, y in zip(M, right, strict=True)]
-    order, previous = [], 1
-    free = list(range(n))
-    for k in range(n):
-        counts = [(sum(1 for j in free if row[j]), i) for i, row in enumerate(rows[k:], k)]
-        fewest, i = min(counts)
-        if not fewest:
+    left = [[*row, y] for row, y in zip(M, right, strict=True)]
+    heads: list[tuple[int, list[int]]] = []
+    while left:
+        head = min(left, key=_crowd)
+        left.remove(head)
+        j = next((j for j, x in enumerate(head[:-1]) if x), None)
+        if j is None:
             return None
-        rows[k], rows[i] = rows[i], rows[k]
-        head = rows[k]
-        j = min((j for j in free if head[j]), key=lambda j: abs(head[j]))
-        free.remove(j)
-        order.append(j)
-        _eliminate(rows[k + 1 :], head, j, [*free, n], previous)
-        previous = head[j]
-    x = [0] * n
-    for k in reversed(range(n)):
-        head = rows[k]
-        rest = head[n] * previous - sum(head[c] * x[c] for c in order[k + 1 :] if head[c])
-        x[order[k]] = rest // head[order[k]]
-    return x, previous
+        heads.append((j, head))
+        left = [_without(row, head, j) for row in left]
+    x = [Fraction(0)] * len(M)
+    for j, head in reversed(heads):
+        x[j] = (head[-1] - linalg.dot(head[:-1], x)) / head[j]
+    return linalg.integers(x)
 
 
-def _eliminate(rows: list[list[int]], head: list[int], j: int, columns: list[int], previous: int) -> None:
-    """Remove unknown j from rows by that of the pivot: (pivot row - f head) / previous, exact by Bareiss."""
-    pivot, support = head[j], [c for c in columns if head[c]]
-    for row in rows:
-        f = row[j]
-        for c in columns:
-            row[c] *= pivot
-        if f:
-            for c in support:
-                row[c] -= f * head[c]
-        if previous != 1:
-            for c in columns:
-                row[c] //= previous
+def _crowd(row: Integers) -> int:
+    """Return how many numbers of a row, but the last, are not 0."""
+    return sum(map(bool, row[:-1]))
+
+
+def _without(row: list[int], head: list[int], j: int) -> list[int]:
+    """Return a row without unknown j, by that of the pivot, and without a common factor."""
+    f = row[j]
+    if not f:
+        return row
+    combined = [head[j] * x - f * y for x, y in zip(row, head, strict=True)]
+    common = gcd(*combined) or 1
+    return [x // common for x in combined]

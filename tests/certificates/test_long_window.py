@@ -93,7 +93,7 @@ def test_one_relation_among_all_samples_proves_a_slow_fault(first):
     numbers["sum"] = str(Fraction(numbers["sum"]) + Fraction("0.5") - old)
     with pytest.raises(
         ValueError,
-        match="the relation leaves the unknown state over|does not fit|leaves a disturbance over|is wrong",
+        match="the relation leaves an unknown over|does not fit|is wrong",
     ):
         confirm(document)
 

@@ -8,7 +8,7 @@ import pytest
 import jaxbound as jb
 from jaxbound.certificates.fault_size import FaultSize, Scale
 from jaxbound.certificates.interface import certify
-from jaxbound.certificates.supposed import push_of
+from jaxbound.certificates.supposed import push_of, with_fault
 from jaxbound.sets.floats.status import Status
 
 KINDS = {
@@ -90,7 +90,7 @@ def explains(window, fault, size):
     """Return whether a fault does, from any sample on, by the exact window alone."""
     x = 1 / (1 + size) if fault.get("kind") == "gain" else size
     pushes = [push_of(jb.NamedFault("f", **fault), window, k, x < 0 and "kind" in fault) for k in range(3)]
-    return any(push.window(window, x).solve().factor <= 1 for push in pushes)
+    return any(with_fault(window, push, x).solve().factor <= 1 for push in pushes)
 
 
 @pytest.mark.parametrize("fault", [KINDS["bias"], KINDS["offset"], KINDS["gain"]])

@@ -9,7 +9,7 @@ from fractions import Fraction as F
 from typing import cast
 
 from jaxbound.certificates.checker.claim import numbers
-from jaxbound.certificates.checker.inequalities import Row, combination, rows_of, solution, unknowns
+from jaxbound.certificates.checker.inequalities import Row, multipliers, rows_of, solution, unknowns
 from jaxbound.certificates.checker.words import Claim, Document
 
 __all__ = ["smt2", "vipr"]
@@ -39,10 +39,14 @@ def vipr(document: Document) -> str:
     constraints, numbered = _constraints(rows, place)
     lines += [f"CON {len(constraints)} 0", *constraints]
     if fault:
-        multipliers = combination(c, proof["relation"], rows)
-        lines += ["RTP infeas", "SOL 0", "DER 1", _contradiction(rows, numbered, multipliers)]
+        sign = 1
+        if proof["relation"]["residual"] < 0:
+            sign = -1
+        found = multipliers(c, proof["relation"], rows, sign=sign)
+        lines += ["RTP infeas", "SOL 0", "DER 1", _contradiction(rows, numbered, found)]
     else:
-        values = [f"{place[name]} {x}" for name, x in solution(c, proof["witness"], v) if name in place and x]
+        every = solution(c, proof["witness"], v).items()
+        values = [f"{place[name]} {x}" for name, x in every if name in place and x]
         lines += ["RTP range -inf inf", "SOL 1", f"witness {len(values)} {' '.join(values)}", "DER 0"]
     return "\n".join([*lines, ""])
 
@@ -63,10 +67,10 @@ def _constraints(rows: Sequence[Row], place: dict[str, int]) -> tuple[list[str],
     return lines, numbered
 
 
-def _contradiction(rows: Sequence[Row], numbered: Sequence[dict[str, int]], multipliers: Sequence[F]) -> str:
+def _contradiction(rows: Sequence[Row], numbered: Sequence[dict[str, int]], found: Sequence[F]) -> str:
     """Return the derivation that a combination of lines is 0 >= a positive number."""
     used, total = [], F(0)
-    for row, at, x in zip(rows, numbered, multipliers, strict=True):
+    for row, at, x in zip(rows, numbered, found, strict=True):
         if not x:
             continue
         sense, end = "L", row.hi
@@ -87,7 +91,7 @@ def smt2(document: Document) -> str:
     c, _ = _parts(document)
     rows = rows_of(c)
     logic, expected = "QF_LRA", "sat"
-    if any(len(monomial) > 1 for row in rows for monomial in row.terms):
+    if any(len(monomial) > 1 for row in rows for monomial in row.terms.terms):
         logic = "QF_NRA"
     if document["certificate"] == "FAULT":
         expected = "unsat"
@@ -142,12 +146,12 @@ def _head(document: Document, mark: str) -> list[str]:
 
 def _sparse(row: Row, place: dict[str, int]) -> str:
     """Return the number of terms of a row and each of them."""
-    terms = [f"{place[name]} {x}" for (name,), x in row.terms.items()]
+    terms = [f"{place[name]} {x}" for (name,), x in row.terms.terms.items()]
     return " ".join([str(len(terms)), *terms])
 
 
 def _sum(row: Row) -> str:
-    terms = [_product(monomial, x) for monomial, x in row.terms.items()]
+    terms = [_product(monomial, x) for monomial, x in row.terms.terms.items()]
     if not terms:
         return "0.0"
     if len(terms) == 1:

@@ -1,5 +1,5 @@
-"""All that model, bounds and samples say of one window, written out row by row for programs that know nothing
-of plants.
+"""All that model, bounds and samples say of one window, written out row by row: the checker adds rows up, and
+programs that know nothing of plants read them.
 
 Unknowns, all in deviations from the offsets: xJ_I (state I at sample J), wJ_I (disturbance), vJ_I (unknown
 input), uJ_I (an input that is missing), gI (gain of output I, 1 / (1 + theta), where it keeps one value), pK
@@ -14,39 +14,34 @@ from fractions import Fraction as F
 from typing import Any, TypeAlias
 
 from jaxbound.certificates.checker.polynomial import Polynomial
-from jaxbound.certificates.checker.trajectories import limits, plant_at, runs_of
-from jaxbound.certificates.checker.vectors import add, combine, dots
-from jaxbound.certificates.checker.words import Claim, Ends, Relation, Witness
+from jaxbound.certificates.checker.trajectories import backward, limits, plant_at, runs_of
+from jaxbound.certificates.checker.vectors import add, dots
+from jaxbound.certificates.checker.words import Claim, Ends, Relation, Value, Witness, insist
 
-__all__ = ["Row", "combination", "rows_of", "solution", "unknowns"]
+__all__ = ["Row", "added_up", "multipliers", "rows_of", "solution", "unknowns"]
 
 ZERO, ONE = F(0), F(1)
 Place: TypeAlias = tuple[str, int, int]
-Expression: TypeAlias = Polynomial[str]
-"""A polynomial in the names of unknowns."""
+"""(kind, sample, number) of what a row speaks of."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """lo <= sum of terms <= hi; an end that is None says nothing.
-
-    Fields: name; terms: {(unknown, ..): coefficient}; lo, hi; place: (kind, sample, number) of what it speaks
-    of.
-    """
+    """lo <= terms <= hi; an end that is None says nothing."""
 
     name: str
-    terms: dict[tuple[str, ...], F]
+    terms: Polynomial
     lo: F | None
     hi: F | None
     place: Place
 
 
-def rows_of(c: Claim, parameters: Sequence[F] | None = None) -> list[Row]:
+def rows_of(c: Claim, parameters: Sequence[F] | None = None, error: tuple[int, F] | None = None) -> list[Row]:
     """Return the rows of a claim, equations of the states included.
 
     Args:
         c: see `claim.claimed`. parameters: values of uncertain parameters that are put in; None: they are
-            unknowns, and rows not linear.
+            unknowns, and rows not linear. error: as of `trajectories.limits`.
     """
     rows, v = _parameter_rows(c, parameters)
     n, last = len(c["A"]), len(c["y"]) - 1
@@ -57,13 +52,13 @@ def rows_of(c: Claim, parameters: Sequence[F] | None = None) -> list[Row]:
     if "constant" in c:
         # a reading's limits at gain 1 times the gain are those at that gain
         gains, known = _unknowns("g", len(c["noise"])), [ONE] * len(c["noise"])
-        rows += _gain_rows(c, gains)
+        for i, (gain, sigma) in enumerate(zip(gains, c["tolerance"], strict=True)):
+            rows.append(_row(f"gain{i}", gain, 1 / (1 + sigma), 1 / (1 - sigma), ("gain", 0, i)))
     true_values = []  # (outputs, disturbances) of each sample
-    for j, (readings, w_ends) in enumerate(limits(c, None, known)):
+    for j, (readings, w_ends) in enumerate(limits(c, error, known)):
         A, B, C, D = plant_at(c, j, v)
         u, w, free = _inputs(c, j), _unknowns(f"w{j}_", len(w_ends)), _unknowns(f"v{j}_", len(c["D_v"][0]))
-        # t = C x + D u + D_v v
-        t = [Expression.of(terms) for terms in add(dots(C, x), dots(D, u), dots(c["D_v"], free))]
+        t = add(dots(C, x), dots(D, u), dots(c["D_v"], free))  # t = C x + D u + D_v v
         true_values.append((t, w))
         for i, (output, reading) in enumerate(zip(t, readings, strict=True)):
             rows += _reading_rows(j, i, output, reading, gains)
@@ -77,10 +72,14 @@ def rows_of(c: Claim, parameters: Sequence[F] | None = None) -> list[Row]:
         for i, (new, terms) in enumerate(zip(after, moved, strict=True)):
             rows.append(_row(f"step{j}_{i}", new + terms * -ONE, ZERO, ZERO, ("step", j, i)))
         x = after
-    return rows + list(_average_rows(c, true_values))
+    for k, (_, terms, ends) in enumerate(runs_of(c, None, error)):
+        if ends is not None:
+            total = sum((true_values[j][not measured][i] * x for measured, j, i, x in terms), ZERO)
+            rows.append(_row(f"average{k}", total, *ends, ("a", 0, k)))
+    return rows
 
 
-def _parameter_rows(c: Claim, values: Sequence[F] | None) -> tuple[list[Row], Sequence[F] | list[Expression]]:
+def _parameter_rows(c: Claim, values: Sequence[F] | None) -> tuple[list[Row], Sequence[Value]]:
     """Return (the rows of the uncertain parameters, what stands for them in other rows)."""
     v = _unknowns("p", len(c.get("variables", [])))
     rows = []
@@ -90,165 +89,124 @@ def _parameter_rows(c: Claim, values: Sequence[F] | None) -> tuple[list[Row], Se
     if values is None:
         return rows, v
     for k, (x, value) in enumerate(zip(v, values, strict=True)):
-        rows.append(_row(f"p{k}_is", x, value, value, ("is", 0, 0)))
+        rows.append(_row(f"p{k}_is", x, value, value, ("is", 0, k)))
     return rows, values
 
 
-def _gain_rows(c: Claim, gains: Sequence[Expression]) -> Iterator[Row]:
-    for i, (gain, tolerance) in enumerate(zip(gains, c["tolerance"], strict=True)):
-        yield _row(f"gain{i}", gain, 1 / (1 + tolerance), 1 / (1 - tolerance), ("gain", 0, i))
-
-
 def _reading_rows(
-    j: int, i: int, t: Expression, reading: Ends | None, gains: Sequence[Expression] | None
-) -> list[Row]:
-    """Return the rows of one reading, none where it is missing."""
+    j: int, i: int, t: Value, reading: Ends | None, gains: Sequence[Polynomial] | None
+) -> Iterator[Row]:
+    """Yield the rows of one reading, none where it is missing."""
     if reading is None:
-        return []
+        return
     lo, hi = reading
     if gains is None:
-        return [_row(f"y{j}_{i}", t, lo, hi, ("y", j, i))]
-    return [  # g lo <= t <= g hi
-        _row(f"y{j}_{i}_above", t + gains[i] * -lo, ZERO, None, ("above", j, i)),
-        _row(f"y{j}_{i}_below", t + gains[i] * -hi, None, ZERO, ("below", j, i)),
-    ]
+        yield _row(f"y{j}_{i}", t, lo, hi, ("y", j, i))
+    else:  # g lo <= t <= g hi
+        yield _row(f"y{j}_{i}_above", t + gains[i] * -lo, ZERO, None, ("y", j, i))
+        yield _row(f"y{j}_{i}_below", t + gains[i] * -hi, None, ZERO, ("y", j, i))
 
 
-def _average_rows(
-    c: Claim, true_values: Sequence[tuple[list[Expression], list[Expression]]]
-) -> Iterator[Row]:
-    for k, (_, terms, ends) in enumerate(runs_of(c)):
-        if ends is None:
-            continue
-        total = Expression({})
-        for measured, j, i, weight in terms:
-            outputs, disturbances = true_values[j]
-            if measured:
-                total = total + outputs[i] * weight
-            else:
-                total = total + disturbances[i] * weight
-        lo, hi = ends
-        yield _row(f"average{k}", total, lo, hi, ("a", 0, k))
+def _unknowns(prefix: str, count: int) -> list[Polynomial]:
+    return [Polynomial({(f"{prefix}{i}",): ONE}) for i in range(count)]
 
 
-def _unknowns(prefix: str, count: int) -> list[Expression]:
-    return [Expression({(f"{prefix}{i}",): ONE}) for i in range(count)]
-
-
-def _inputs(c: Claim, j: int) -> list[Expression]:
+def _inputs(c: Claim, j: int) -> list[Value]:
     """Return the inputs of a sample: numbers, an unknown where one is missing."""
-    inputs = []
+    inputs: list[Value] = []
     for i, (value, offset) in enumerate(zip(c["u"][j], c["offset_u"], strict=True)):
         if value is None:
-            inputs.append(Expression({(f"u{j}_{i}",): ONE}))
+            inputs.append(Polynomial({(f"u{j}_{i}",): ONE}))
         else:
-            inputs.append(Expression({(): value - offset}))
+            inputs.append(value - offset)
     return inputs
 
 
-def _row(name: str, expression: Expression, lo: F | None, hi: F | None, place: Place) -> Row:
+def _row(name: str, expression: Value, lo: F | None, hi: F | None, place: Place) -> Row:
     """Return a Row with what is known on the side of its ends."""
-    terms = dict(expression.terms)
-    known = terms.pop((), ZERO)
+    terms = Polynomial.of(expression)
+    known = terms.terms.get((), ZERO)
     if lo is not None:
         lo -= known
     if hi is not None:
         hi -= known
-    return Row(name, terms, lo, hi, place)
+    return Row(name, terms + -known, lo, hi, place)
 
 
 def unknowns(rows: Iterable[Row]) -> list[str]:
     """Return the names of all unknowns, in the order in which rows name them."""
     names: dict[str, None] = {}
     for row in rows:
-        for monomial in row.terms:
+        for monomial in row.terms.terms:
             names |= dict.fromkeys(monomial)
     return list(names)
 
 
-def combination(c: Claim, r: Relation, rows: Sequence[Row]) -> list[F]:
-    """Return a multiplier for each row: their sum is 0 = .., and is at least more than 0. Positive ones use
-    lo, negative ones hi.
+def multipliers(
+    c: Claim, r: Relation, rows: Sequence[Row], v: Sequence[Value] = (), sign: int = 1
+) -> list[Any]:
+    """Return the multiplier of each row in a relation, times a sign: their sum is to leave no unknown. One
+    that is > 0 uses lo, one < 0 hi.
 
-    A relation multiplies readings and bounds; the equations of the states get what the samples after each
-    leave of the state (see `trajectories.follow`), and the gains what the readings leave of them.
+    A relation multiplies readings and bounds; the equations of the states get minus what the samples after
+    each leave of the state, and gains minus what readings leave of them.
 
-    Args: c: a claim. r: the relation of a FAULT, as a certificate shows it. rows: as `rows_of` returns them.
+    Args:
+        r: as a certificate shows it. rows: as `rows_of` returns them. v: see `trajectories.backward`.
     """
-    sign = 1
-    if r["residual"] < 0:
-        sign = -1
-    states = _state_multipliers(c, r)
-    multipliers = []
-    gained = [ZERO] * len(c["noise"])  # minus what readings leave of each gain
+    steps = [[-1 * x for x in q] for q in backward(c, r, v)]
+    parts = {"y": r["h"], "w": r["g"], "step": steps, "a": [r.get("a", [])], "x": [r.get("x", [])]}
+    wanted = {}
+    for kind, lines in parts.items():
+        for j, line in enumerate(lines):
+            for i, x in enumerate(line):
+                if x:
+                    wanted[kind, j, i] = sign * x
+    there = {row.place for row in rows}
+    lost = "the relation needs a reading that is missing, or what has no bounds"
+    insist(all(place in there for place in wanted), lost)
+    weights = []
+    gained = dict.fromkeys(there, ZERO)  # minus what readings leave of each gain
     for row in rows:
-        x = sign * _multiplier(row.place, r, states)
-        kind, _, i = row.place
-        if (kind == "above" and x < 0) or (kind == "below" and x > 0):
+        x = wanted.get(row.place, ZERO)
+        if (row.lo is None and x > 0) or (row.hi is None and x < 0):
             x = ZERO  # the other row of the reading has the end that counts
-        if kind in ("above", "below"):
-            gained[i] -= x * row.terms.get((f"g{i}",), ZERO)
-        multipliers.append(x)
+        if row.lo is None or row.hi is None:
+            i = row.place[2]
+            gained["gain", 0, i] -= x * row.terms.terms.get((f"g{i}",), ZERO)
+        weights.append(x)
     for k, row in enumerate(rows):
-        kind, _, i = row.place
-        if kind == "gain":
-            multipliers[k] = gained[i]
-    return multipliers
+        if row.place[0] == "gain":
+            weights[k] = gained[row.place]
+    return weights
 
 
-def _multiplier(place: Place, r: Relation, states: dict[tuple[int, int], F]) -> F:
-    """Return the multiplier of a row in a relation, whatever its sign."""
-    kind, j, i = place
-    value: Any = ZERO
-    if kind == "step":
-        value = states[j, i]
-    elif kind in ("y", "above", "below"):
-        value = r["h"][j][i]
-    elif kind == "w":
-        value = r["g"][j][i]
-    elif kind == "a" and "a" in r:
-        value = r["a"][i]
-    elif kind == "x":
-        value = r["x"][i]
-    return F(value)
+def added_up(rows: Iterable[Row], found: Iterable[Any]) -> Polynomial:
+    """Return the sum of the terms of rows, each times its multiplier."""
+    left: dict[tuple[str, ...], F] = {}
+    for row, x in zip(rows, found, strict=True):
+        if x:
+            for monomial, value in (row.terms * x).terms.items():
+                left[monomial] = left.get(monomial, ZERO) + value
+    return Polynomial(left)
 
 
-def _state_multipliers(c: Claim, r: Relation) -> dict[tuple[int, int], F]:
-    """Return {(j, i): multiplier of the equation of state i after sample j}: minus q of `follow`."""
-    q = [ZERO] * len(c["A"])
-    outputs = _with_averages(c, r)
-    multipliers = {}
-    for j in reversed(range(len(c["y"]))):
-        for i, x in enumerate(q):
-            multipliers[j, i] = -x
-        q = combine([*outputs[j], *q], c["C"], c["A"])
-    return multipliers
-
-
-def _with_averages(c: Claim, r: Relation) -> list[list[F]]:
-    """Return the multipliers of true outputs, a row for each sample, averages written out."""
-    out = [list(row) for row in r["h"]]
-    for x, terms, _ in runs_of(c, r.get("a")):
-        for measured, j, i, weight in terms:
-            if measured:
-                out[j][i] += x * weight
-    return out
-
-
-def solution(c: Claim, witness: Witness, v: Sequence[F]) -> Iterator[tuple[str, F]]:
-    """Yield (unknown, value) of a witness, at values v of uncertain parameters."""
-    yield from _named("p", v)
-    yield from _named("g", witness.get("gains", []))
+def solution(c: Claim, witness: Witness, v: Sequence[F]) -> dict[str, F]:
+    """Return {unknown: value} of a witness, at values v of uncertain parameters, in deviations, and yJ_I, the
+    true output I at sample J.
+    """
+    values = _named("p", v) | _named("g", witness.get("gains") or [])
     x = witness["state"]
     samples = zip(witness["inputs"], witness["disturbances"], witness["unknown_inputs"], strict=True)
     for j, (inputs, w, free) in enumerate(samples):
+        A, B, C, D = plant_at(c, j, v)
         u = [value - offset for value, offset in zip(inputs, c["offset_u"], strict=True)]
-        for letter, values in (("x", x), ("w", w), ("v", free), ("u", u)):
-            yield from _named(f"{letter}{j}_", values)
-        A, B, _, _ = plant_at(c, j, v)
+        t = add(dots(C, x), dots(D, u), dots(c["D_v"], free))
+        for letter, numbers in (("x", x), ("w", w), ("v", free), ("u", u), ("y", t)):
+            values |= _named(f"{letter}{j}_", numbers)
         x = add(dots(A, x), dots(B, u), dots(c["G"], w), dots(c["F"], free))
+    return values
 
 
-def _named(prefix: str, values: Sequence[F]) -> Iterator[tuple[str, F]]:
-    for i, value in enumerate(values):
-        yield f"{prefix}{i}", value
+def _named(prefix: str, values: Sequence[F]) -> dict[str, F]:
+    return {f"{prefix}{i}": value for i, value in enumerate(values)}

@@ -1,39 +1,42 @@
-"""Polynomials with exact coefficients, in variables that are numbered or named."""
+"""Polynomials with exact coefficients, in variables that are named."""
 
 from collections.abc import Mapping
 from fractions import Fraction
 from math import prod
-from typing import Generic, TypeAlias, TypeVar
+from typing import TypeAlias
 
-__all__ = ["Polynomial"]
+__all__ = ["Monomial", "Polynomial"]
 
-Variable = TypeVar("Variable", int, str)
-Term: TypeAlias = "Polynomial[Variable] | Fraction | int"
+Monomial: TypeAlias = tuple[str, ...]
+"""("a", "a", "b") is a^2 b."""
+Term: TypeAlias = "Polynomial | Fraction | int"
 
 
-class Polynomial(Generic[Variable]):
-    """Coefficients by monomial: (1, 1, 4) is v_1^2 v_4."""
+class Polynomial:
+    """Coefficients by monomial."""
 
-    def __init__(self, terms: Mapping[tuple[Variable, ...], Fraction]) -> None:
-        self.terms: dict[tuple[Variable, ...], Fraction] = {m: x for m, x in terms.items() if x}
+    def __init__(self, terms: Mapping[Monomial, Fraction]) -> None:
+        self.terms: dict[Monomial, Fraction] = {m: x for m, x in terms.items() if x}
 
     @classmethod
-    def of(cls, x: "Term[Variable]") -> "Polynomial[Variable]":
+    def of(cls, x: Term) -> "Polynomial":
         """Return a polynomial as it is, a number as a polynomial."""
         if isinstance(x, Polynomial):
             return x
         return cls({(): Fraction(x)})
 
-    def __add__(self, other: "Term[Variable]") -> "Polynomial[Variable]":
+    def __add__(self, other: Term) -> "Polynomial":
         out = dict(self.terms)
         for m, x in self.of(other).terms.items():
             out[m] = out.get(m, Fraction(0)) + x
         return Polynomial(out)
 
-    def __mul__(self, other: "Term[Variable]") -> "Polynomial[Variable]":
-        out: dict[tuple[Variable, ...], Fraction] = {}
+    def __mul__(self, other: Term) -> "Polynomial":
+        if not isinstance(other, Polynomial):
+            return Polynomial({m: x * other for m, x in self.terms.items()})
+        out: dict[Monomial, Fraction] = {}
         for m, x in self.terms.items():
-            for n, y in self.of(other).terms.items():
+            for n, y in other.terms.items():
                 both = tuple(sorted(m + n))
                 out[both] = out.get(both, Fraction(0)) + x * y
         return Polynomial(out)
@@ -50,8 +53,8 @@ class Polynomial(Generic[Variable]):
     def __bool__(self) -> bool:
         return bool(self.terms)
 
-    def at(self, v: Mapping[Variable, Fraction]) -> Fraction:
-        """Return the value where variable i is v[i]."""
+    def at(self, v: Mapping[str, Fraction]) -> Fraction:
+        """Return the value where each variable is its entry of v."""
         total = Fraction(0)
         for m, x in self.terms.items():
             total += x * prod(v[i] for i in m)

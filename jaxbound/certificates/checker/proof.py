@@ -33,10 +33,10 @@ from jaxbound.certificates.checker.claim import (
     numbers,
     statement,
 )
+from jaxbound.certificates.checker.inequalities import Row, added_up, multipliers, rows_of, solution
 from jaxbound.certificates.checker.sets import decide
-from jaxbound.certificates.checker.trajectories import follow, limits, plant_at, runs_of
-from jaxbound.certificates.checker.vectors import add, dots
-from jaxbound.certificates.checker.words import Claim, Document, Ends, Relation, SensorError, Witness, insist
+from jaxbound.certificates.checker.trajectories import runs_of
+from jaxbound.certificates.checker.words import Claim, Document, Relation, SensorError, Witness, insist
 
 __all__ = ["confirm"]
 
@@ -45,7 +45,6 @@ ROUNDED = F(101, 100)
 WITNESS = {"state", "disturbances", "unknown_inputs", "inputs", "outputs"}
 RELATION = {"h", "g", "k", "residual", "width", "factor"}
 SENSOR_ERROR = {"output", "smallest", "relation", "enough", "witness"}
-MISSING_READING = "the relation needs a reading that is missing"
 
 
 def confirm(document: Document, names: dict[str, Any] | None = None, claim: Claim | None = None) -> None:
@@ -174,7 +173,7 @@ def _uncertain(c: Claim, proof: Document, fault: bool) -> None:
         contradict(c, proof["relations"], proof["proof"])
         return
     insist(not proof["relations"] and proof["proof"] is None, "a CONSISTENT shows no relations")
-    _parameters_kept(c, proof["parameters"])
+    insist(len(proof["parameters"]) == len(c["variables"]), "a parameter is missing or unknown")
     _explain(c, proof["witness"], v=proof["parameters"])
 
 
@@ -182,166 +181,55 @@ def _factor(c: Claim, r: Relation, error: tuple[int, F] | None = None) -> F:
     """Check that a relation holds for every trajectory; return the factor on all bounds at which the samples
     can keep it.
 
-    For every trajectory h t + g w + a S + x x_0 = k u. What samples and bounds allow of t, w, the sums S and
-    x_0 puts the left side less k u into [low, high] = residual -+ width, where 0 is if and only if
-    |residual| <= width. A factor above 1 is a FAULT: no trajectory keeps the samples.
+    The rows of the window, each times its multiplier, add up to 0 in [low, high] = residual -+ width, which
+    holds if and only if |residual| <= width. A factor above 1 is a FAULT: no trajectory keeps the samples.
     """
     optional = {"a": "runs", "x": "first_state"}
     allowed = RELATION | {name for name, field in optional.items() if field in c}
     insist(set(r) <= allowed, "a number of the relation is unknown")
-    follow(c, _written_out(c, r), [])
-
-    parts = [_readings_range(c, r, error)]  # h t
-    samples = limits(c, error)
-    for g, k, u, (_, w) in zip(r["g"], r["k"], c["u"], samples, strict=True):
-        parts.append(_range(g, w, "the relation needs a disturbance without bounds"))  # g w
-        known = _known_inputs(c, k, u)  # k u
-        parts.append((-known, -known))
-    for run in runs_of(c, r.get("a"), error):
-        missing = "an average needs a reading that is missing, or is not looked at"
-        parts.append(_range([run.multiplier], [run.ends], missing))  # a S
-    first = [(lo, hi) for lo, hi in c.get("first_state", [])]
-    parts.append(_range(r.get("x", []), first, "the first state has no bounds"))  # x x_0
-
-    low, high = add(*parts)
+    rows = rows_of(c, None, error)
+    found = multipliers(c, r, rows)
+    low, turned = _least(rows, found), [-x for x in found]
+    if "constant" in c:
+        turned = multipliers(c, r, rows, sign=-1)  # other rows of the readings and gains count
+    high = -_least(rows, turned)
     residual, width = (low + high) / 2, (high - low) / 2
     stated = [r["residual"], r["width"], r["factor"]]
     insist([residual, width, abs(residual) / width] == stated, "residual, width or factor is wrong")
     return r["factor"]
 
 
-def _range(multipliers: Sequence[F], ends: Sequence[Ends | None], missing: str) -> Ends:
-    """Return (lowest, highest) of sum_i x_i t_i over lo_i <= t_i <= hi_i: both ends by themselves in each.
-
-    Raises: ValueError: `missing`, where something is multiplied that has no ends.
-    """
-    low = high = F(0)
-    for x, pair in zip(multipliers, ends, strict=True):
-        if not x:
-            continue
-        if pair is None:
-            raise ValueError(missing)
-        lo, hi = pair
-        low, high = low + min(x * lo, x * hi), high + max(x * lo, x * hi)
-    return low, high
-
-
-def _known_inputs(c: Claim, k: Sequence[F], u: Sequence[F | None]) -> F:
-    """Return k u of one sample, u in deviations from its offsets."""
+def _least(rows: Sequence[Row], found: Sequence[F]) -> F:
+    """Return the least that rows allow of their sum, each times its multiplier, which leaves no unknown."""
+    insist(not added_up(rows, found), "the relation leaves an unknown over")
     total = F(0)
-    for x, value, offset in zip(k, u, c["offset_u"], strict=True):
-        if not x:
-            continue
-        if value is None:
-            raise ValueError("the relation needs an input that is missing")
-        total += x * (value - offset)
+    for row, x in zip(rows, found, strict=True):
+        end = row.lo
+        if x < 0:
+            end = row.hi
+        if x and end is not None:
+            total += x * end
     return total
-
-
-def _readings_range(c: Claim, r: Relation, error: tuple[int, F] | None) -> Ends:
-    """Return (lowest, highest) sum of a relation's multipliers times true outputs that the readings allow.
-
-    With one gain over the window, readings of an output go to their ends together: the sum is linear in the
-    gain, so it is extreme at one of its ends.
-    """
-    low = high = F(0)
-    if "constant" not in c:
-        for h, (readings, _) in zip(r["h"], limits(c, error), strict=True):
-            lo, hi = _range(h, readings, MISSING_READING)
-            low, high = low + lo, high + hi
-        return low, high
-    for i, tolerance in enumerate(c["tolerance"]):
-        least = _range_of_output(c, r, i, 1 / (1 + tolerance), error)
-        most = _range_of_output(c, r, i, 1 / (1 - tolerance), error)
-        low, high = low + min(least[0], most[0]), high + max(least[1], most[1])
-    return low, high
-
-
-def _range_of_output(c: Claim, r: Relation, i: int, gain: F, error: tuple[int, F] | None) -> Ends:
-    """Return (lowest, highest) sum over the samples of output i at one gain 1 / (1 + theta)."""
-    samples = limits(c, error, [gain] * len(c["tolerance"]))
-    multipliers = [h[i] for h in r["h"]]
-    ends = [readings[i] for readings, _ in samples]
-    return _range(multipliers, ends, MISSING_READING)
-
-
-def _written_out(c: Claim, r: Relation) -> Relation:
-    """Return a relation with its averages written out as the samples that they combine."""
-    h, g = [list(row) for row in r["h"]], [list(row) for row in r["g"]]
-    for x, terms, _ in runs_of(c, r.get("a")):
-        if not x:
-            continue
-        insist(bool(terms), "an average is not looked at")
-        for measured, j, number, weight in terms:
-            if measured:
-                h[j][number] += x * weight
-            else:
-                g[j][number] += x * weight
-    out: Relation = {"h": h, "g": g, "k": r["k"]}
-    if "x" in r:
-        out["x"] = r["x"]
-    return out
 
 
 def _explain(c: Claim, witness: Witness, error: tuple[int, F] | None = None, v: Sequence[F] = ()) -> None:
     """Check that the witness is a trajectory with every reading, input and disturbance within its bounds."""
-    expected, gains = WITNESS, None
+    expected = WITNESS
     if "constant" in c:
-        expected, gains = WITNESS | {"gains"}, witness.get("gains")
-        insist(bool(gains), "one gain of each output is missing")
+        expected = WITNESS | {"gains"}
+        insist(bool(witness.get("gains")), "one gain of each output is missing")
     insist(set(witness) == expected, "a number of the witness is missing or unknown")
-    _first_state_kept(c, witness["state"])
-    if gains is not None:
-        _gains_kept(c, gains)
-    samples = zip(
-        c["u"],
-        limits(c, error, gains),
-        witness["inputs"],
-        witness["disturbances"],
-        witness["unknown_inputs"],
-        witness["outputs"],
-        strict=True,
-    )
-    x = witness["state"]
-    for j, (recorded, (readings, bounds), inputs, w, free, outputs) in enumerate(samples):
+    values = solution(c, witness, v)
+    insist(len(witness["inputs"]) == len(c["u"]), "the witness has another number of samples")
+    for j, (recorded, inputs, outputs) in enumerate(
+        zip(c["u"], witness["inputs"], witness["outputs"], strict=True)
+    ):
         for known, value in zip(recorded, inputs, strict=True):
             insist(known is None or known == value, "the inputs are not those recorded")
-        A, B, C, D = plant_at(c, j, v)
-        u = [value - offset for value, offset in zip(inputs, c["offset_u"], strict=True)]
-        t = add(dots(C, x), dots(D, u), dots(c["D_v"], free))  # t = C x + D u + D_v v
-        insist(add(t, c["offset_y"]) == outputs, "the true outputs do not follow from the first state")
-        for value, ends in zip([*t, *w], [*readings, *bounds], strict=True):
-            kept = ends is None or ends[0] <= value <= ends[1]
-            insist(kept, "a reading or a disturbance is out of its bounds")
-        x = add(dots(A, x), dots(B, u), dots(c["G"], w), dots(c["F"], free))  # x+ = A x + B u + G w + F v
-    _averages_kept(c, witness, error)
-
-
-def _parameters_kept(c: Claim, v: Sequence[F]) -> None:
-    for x, (number, _) in zip(v, c["variables"], strict=True):
-        insist(abs(x) <= c["uncertainties"][int(number)]["bound"], "a parameter is out of its bounds")
-
-
-def _first_state_kept(c: Claim, state: Sequence[F]) -> None:
-    if "first_state" not in c:
-        return  # it may be any
-    for value, (lo, hi) in zip(state, c["first_state"], strict=True):
-        insist(lo <= value <= hi, "the first state is out of its bounds")
-
-
-def _gains_kept(c: Claim, gains: Sequence[F]) -> None:
-    for gain, tolerance in zip(gains, c["tolerance"], strict=True):
-        insist(1 / (1 + tolerance) <= gain <= 1 / (1 - tolerance), "a gain is out of its bounds")
-
-
-def _averages_kept(c: Claim, witness: Witness, error: tuple[int, F] | None) -> None:
-    for _, terms, ends in runs_of(c, None, error):
-        if ends is None:
-            continue
-        total = F(0)
-        for measured, j, i, weight in terms:
-            if measured:
-                total += weight * (witness["outputs"][j][i] - c["offset_y"][i])
-            else:
-                total += weight * witness["disturbances"][j][i]
-        insist(ends[0] <= total <= ends[1], "an average is out of its bound")
+        true = [values[f"y{j}_{i}"] + offset for i, offset in enumerate(c["offset_y"])]
+        insist(true == outputs, "the true outputs do not follow from the first state")
+        insist(len(witness["disturbances"][j]) == len(c["disturbance"]), "a disturbance is unknown")
+    for row in rows_of(c, v, error):
+        value = row.terms.at(values)
+        kept = (row.lo is None or row.lo <= value) and (row.hi is None or value <= row.hi)
+        insist(kept, f"{row.name} is out of its bounds")

@@ -8,10 +8,10 @@ from collections.abc import Iterator, Sequence
 from fractions import Fraction as F
 from typing import Any, NamedTuple, TypeAlias
 
-from jaxbound.certificates.checker.vectors import add, combine
+from jaxbound.certificates.checker.vectors import combine
 from jaxbound.certificates.checker.words import Average, Claim, Ends, Relation, Value, insist
 
-__all__ = ["Run", "follow", "limits", "plant_at", "runs_of"]
+__all__ = ["Run", "backward", "limits", "plant_at", "runs_of"]
 
 ROUNDED = 10
 """Smallest normal numbers by which an average is widened for each of its samples."""
@@ -23,29 +23,31 @@ Term: TypeAlias = tuple[bool, int, int, F]
 """(whether of an output, sample, number of the signal, weight) in a weighted sum."""
 
 
-def follow(c: Claim, r: Relation, v: Sequence[Value]) -> None:
-    """Check that sum_j h_j t_j + g_j w_j - k_j u_j + x x_0 = 0 for every trajectory, whatever the parameters.
+def backward(c: Claim, r: Relation, v: Sequence[Value]) -> list[list[Any]]:
+    """Return the q that a relation sum_j h_j t_j + g_j w_j - k_j u_j + a S leaves after each sample.
 
     Backward in time, t_j = C x_j + D u_j + D_v v_j and x_(j+1) = A x_j + B u_j + G w_j + F v_j are put in.
-    The samples after j then depend on x_(j+1) alone, by q x_(j+1); what multiplies each signal of sample j
-    must be 0.
+    The samples after j then depend on x_(j+1) alone, by q x_(j+1).
 
     Args: v: values of the uncertain parameters, or polynomials.
+
+    Raises: ValueError: the relation shows other k than these of the inputs.
     """
     insist(len(r["h"]) == len(c["y"]), "the relation has another number of samples")
+    outputs = [list(row) for row in r["h"]]  # sums written out
+    for x, terms, _ in runs_of(c, r.get("a")):
+        for measured, j, i, weight in terms:
+            if measured:
+                outputs[j][i] += x * weight
     q: list[Any] = [F(0)] * len(c["A"])  # nothing comes after the last sample
-    for j, (h, g, k) in reversed(list(enumerate(zip(r["h"], r["g"], r["k"], strict=True)))):
+    left = []
+    for j, (h, k) in reversed(list(enumerate(zip(outputs, r["k"], strict=True)))):
+        left.append(q)
         A, B, C, D = plant_at(c, j, v)
-        both = [*h, *q]
-        # of w_j: q G + g = 0
-        insist(not any(add(combine(q, c["G"]), g)), "the relation leaves a disturbance over")
-        # of v_j: h D_v + q F = 0
-        insist(not any(combine(both, c["D_v"], c["F"])), "the relation leaves an unknown input over")
         # of u_j: h D + q B = k
-        insist(combine(both, D, B) == k, "the relation does not fit the inputs")
-        q = combine(both, C, A)  # of x_j: h C + q A
-    # of x_0: q + x = 0, where x is 0 unless the first state has bounds
-    insist(not any(add(q, r.get("x", [F(0)] * len(q)))), "the relation leaves the unknown state over")
+        insist(combine([*h, *q], D, B) == k, "the relation does not fit the inputs")
+        q = combine([*h, *q], C, A)  # of x_j: h C + q A
+    return left[::-1]
 
 
 def plant_at(c: Claim, j: int, v: Sequence[Value]) -> tuple[Rows, Rows, Rows, Rows]:

@@ -9,7 +9,7 @@ __all__ = ["add", "combine", "dots", "turned"]
 
 def dots(rows: Iterable[Sequence[Any]], vector: Sequence[Any]) -> list[Any]:
     """Return the product of rows with a vector, of numbers or polynomials."""
-    return [sum((a * b for a, b in zip(row, vector, strict=True)), Fraction(0)) for row in rows]
+    return [sum((a * b for a, b in zip(row, vector, strict=True) if a), Fraction(0)) for row in rows]
 
 
 def combine(weights: Sequence[Any], *matrices: Iterable[Sequence[Any]]) -> list[Any]:

@@ -29,7 +29,7 @@ __all__ = [
 
 Document: TypeAlias = dict[str, Any]
 """A certificate as JSON gives it, or a part of it that is not checked yet."""
-Value: TypeAlias = Fraction | Polynomial[Any]
+Value: TypeAlias = Fraction | Polynomial
 """A number, or a polynomial in uncertain parameters or unknowns."""
 Vector: TypeAlias = list[Fraction]
 Matrix: TypeAlias = list[Vector]
