@@ -18,7 +18,8 @@ from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
 from jaxbound.diagnosis.alarms import Alarm, group_alarms
 from jaxbound.diagnosis.hints import bound_hints, judging_hints, outgrown
-from jaxbound.estimation.validation import Validation, least_horizon, validate
+from jaxbound.estimation.validation import Validation, validate
+from jaxbound.estimation.validation_observer import least_horizon
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.columns import to_arrow, words
 from jaxbound.recordings.read import open_source

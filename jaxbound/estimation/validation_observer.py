@@ -2,23 +2,31 @@
 before ended.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import numpy as np
 
 from jaxbound.consistency.interface import Observer
-from jaxbound.estimation.validation import ValidatedModel, complete_windows, prepared_slide
-from jaxbound.estimation.validation_result import Validation, nothing_known
-from jaxbound.estimation.validation_slide import HostCarry, Stretch
+from jaxbound.estimation.counts import is_whole
+from jaxbound.estimation.validation_result import Validation
+from jaxbound.estimation.validation_slide import HostCarry, Slide, Stretch
+from jaxbound.models.intervals import IntervalSystem, as_intervals
+from jaxbound.models.multimodel import MultiModel
+from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import around
-from jaxbound.recordings.signals import SignalModel
+from jaxbound.recordings.signals import SignalModel, Signals
 from jaxbound.sets.floats.probe import where_proofs_hold
-from jaxbound.sets.intervals.interval import Interval
+from jaxbound.sets.floats.sizes import power
+from jaxbound.sets.intervals.interval import Interval, interval
 from jaxbound.text.objects import readable
 
-__all__ = ["ValidationObserver", "ValidationState"]
+__all__ = ["ValidatedModel", "ValidationObserver", "ValidationState", "least_horizon", "left_out"]
+
+ValidatedModel: TypeAlias = LinearSystem | IntervalSystem | MultiModel
+SHORTEST = 16
+"""Samples that a kernel is compiled for, at least."""
 
 
 class ValidationState(NamedTuple):
@@ -76,8 +84,15 @@ class ValidationObserver(Observer[ValidationState]):
         correction: str = "interval",
     ) -> None:
         with where_proofs_hold():
-            self.model, self._slide = prepared_slide(model, horizon, method, correction)
-        self.horizon, self.x0 = self._slide.s, x0
+            self.model, self._slide = _prepared(model, horizon, method, correction)
+        self.horizon, self.x0 = self._slide.s, None
+        if x0 is not None:
+            self.x0 = interval(x0)
+            if self.x0.shape[-1:] != (self._slide.m.n,):
+                raise ValueError(
+                    f"x0 needs one interval for each of {self._slide.m.n} states: its shape is "
+                    f"{self.x0.shape}"
+                )
 
     @property
     def informed(self) -> bool:
@@ -90,85 +105,140 @@ class ValidationObserver(Observer[ValidationState]):
         return ValidationState(np.zeros((0, m.m), m.A.dtype), np.zeros((0, m.p), m.A.dtype), None, True)
 
     def fold(self, carry: ValidationState, piece: Recording) -> tuple[ValidationState, Validation]:
-        """Take the next samples (T, .) of a recording; return (carry, Validation of these samples)."""
+        """Take the next samples (T, .) of a recording; return (carry, Validation of these samples).
+
+        Raises:
+            ValueError: another type or shape than that of one recording, inputs that are missing.
+        """
         piece.finite()
         # as recorded: what was rounded away, or is narrowed, counts
-        u, y = np.asarray(piece.u), np.asarray(piece.y)
-        gone = _refuse_piece(carry, u, y)
-        seams = np.asarray(piece.starts)
-        if gone.any():
-            seams = np.union1d(seams, around(gone))
-        parts = []
-        for a, b in zip([0, *seams.tolist()], [*seams.tolist(), len(y)], strict=True):
-            if a in seams:
-                carry = self.init()._replace(first=False)
-            if a < b and gone[a]:
-                parts.append(self._nothing(b - a))
-            elif a < b:
-                carry, part = self._carried_on(carry, u[a:b], y[a:b])
-                parts.append(part)
-        if not parts:
-            return carry, self._nothing(0)
-        return carry, _one_after_the_other(*parts)
+        u, y, old, s = np.asarray(piece.u), np.asarray(piece.y), len(carry.y), self.horizon
+        if old and carry.y.dtype != y.dtype:
+            raise ValueError(
+                f"y is in {y.dtype}, the samples before are in {carry.y.dtype}: a recording has one type"
+            )
+        if y.ndim != 2:
+            raise ValueError(
+                f"an observer follows one recording: y must have shape (T, {y.shape[-1]}), not {y.shape}"
+            )
+        gone = np.concatenate([np.zeros(old, bool), left_out(u, y, piece.excluded)])
+        u, y = (np.concatenate([a.astype(b.dtype), b]) for a, b in ((carry.u, u), (carry.y, y)))
+        begins = np.union1d([0], np.concatenate([piece.starts + old, around(gone)])).astype(int)
+        known = np.zeros(len(begins), bool)
+        known[0] = carry.first and self.informed and not gone[:1].any()
+        whole, after = self.in_pieces(u, y, begins, known, self.x0, carry.after, old)
+        waits = after is None and bool(known[-1])
+        keep = int(begins[-1])
+        if not waits:
+            keep = max(len(y) - 2 * s, keep)
+        judged: Validation = jax.tree.map(lambda x: x[old:], whole)
+        return ValidationState(u[keep:], y[keep:], after, waits), judged
 
-    def _carried_on(
-        self, carry: ValidationState, u: np.ndarray, y: np.ndarray
-    ) -> tuple[ValidationState, Validation]:
-        """Take samples that follow those before."""
-        s, new = self.horizon, len(y)
-        if len(carry.y):
-            u, y = np.concatenate([carry.u, u]), np.concatenate([carry.y, y])
-        stretch = Stretch(u, y.astype(self._slide.m.A.dtype), y.dtype)
-        if carry.after is not None:
-            cut = len(y) - new - s
-            stretch = stretch._replace(before=carry.after, earlier=stretch.y[:cut])
-        elif carry.first and self.x0 is not None:
-            if len(y) <= s:
-                return carry._replace(u=u, y=y), self._nothing(new)
-            cut = 0
-            stretch = stretch._replace(x0=self.x0)
-        else:
-            complete = complete_windows((~np.isnan(y)).all(-1), s)
-            if not complete.any():
-                keep = max(len(y) - s, 0)
-                first = carry.first and not keep
-                return ValidationState(u[keep:], y[keep:], None, first), self._nothing(new)
-            cut = int(complete.argmax())
-        result, after = self._slide(stretch._replace(u=u[cut:], y=stretch.y[cut:]))
-        result = jax.tree.map(lambda x: np.asarray(x)[max(len(x) - new, 0) :], result)
-        lacking = new - len(result.status)
-        if lacking:
-            result = _one_after_the_other(self._nothing(lacking), result)
-        keep = max(len(y) - 2 * s, 0)
-        return ValidationState(u[keep:], y[keep:], after, False), result
+    def in_pieces(
+        self,
+        u: np.ndarray,
+        y: np.ndarray,
+        begins: np.ndarray,
+        known: np.ndarray,
+        x0: Interval | None,
+        before: HostCarry | None = None,
+        old: int = 0,
+    ) -> tuple[Validation, HostCarry | None]:
+        """Validate pieces that follow each other, those of one length side by side.
 
-    def _nothing(self, count: int) -> Validation:
-        """Return a Validation of samples of which nothing is known."""
-        m = self._slide.m
-        return nothing_known((count,), m.n, m.p, m.A.dtype)
+        Args:
+            u: (T, m). y: (T, p), as recorded. begins: the first sample of each piece, 0 that of the first.
+            known: whether x0 speaks of it; x0: Interval (n,), or (number of these, n).
+            before: of the first piece the carry behind so many `old` samples.
+
+        Returns:
+            (Validation of T samples, the carry behind the last one, None where its piece has no window).
+        """
+        s, m, T = self.horizon, self._slide.m, len(y)
+        stops = np.append(begins[1:], T)
+        whole = np.cumsum(np.append(0, ~np.isnan(y).any(-1)))
+        complete = np.append(np.flatnonzero(whole[s + 1 :] - whole[: -s - 1] == s + 1), T)
+        at = np.where(known, begins, complete[np.searchsorted(complete, begins)])
+        fits, kinds = at + s < stops, known.astype(int)
+        if before is not None:
+            at[0], kinds[0], fits[0] = 0, 2, stops[0] > old
+        lengths = np.array([max(SHORTEST, power(count)) for count in (stops - at).tolist()])
+        ends_found = np.full((T, 2, m.n + 3 * m.p), np.inf, m.A.dtype)
+        tested, blamed = np.zeros(T, bool), np.zeros((T, m.p + 1), bool)
+        after = before if len(begins) == 1 else None
+        for kind, length in sorted(set(zip(kinds[fits].tolist(), lengths[fits].tolist(), strict=True))):
+            chosen = np.flatnonzero(fits & (kinds == kind) & (lengths == length))
+            rows = at[chosen, None] + np.arange(length)
+            inside = rows < stops[chosen, None]
+            rows = np.minimum(rows, stops[chosen, None] - 1)
+            samples = np.where(inside[..., None], y[rows], np.nan).astype(m.A.dtype)
+            stretch = Stretch(u[rows], samples, y.dtype, (stops - at)[chosen], s)
+            if kind == 1:
+                each = jax.tree.map(lambda x: np.broadcast_to(x, (known.sum(), m.n)), x0)
+                stretch = stretch._replace(start=each[(np.cumsum(known) - 1)[chosen]])
+            if kind == 2:
+                stretch = stretch._replace(first=old, before=before)
+            behind, of_pieces, wrong = self._slide(stretch)
+            for i, piece in enumerate(chosen):
+                span = slice(at[piece] + stretch.first, stops[piece])
+                part = slice(stretch.first, stops[piece] - at[piece])
+                ends_found[span], blamed[span], tested[span] = of_pieces[i, part], wrong[i, part], True
+            if chosen[-1] == len(begins) - 1:
+                after = jax.tree.map(lambda x: x[-1:], behind)
+        return self._slide.validation(y, tested, ends_found, blamed), after
 
 
-def _refuse_piece(carry: ValidationState, u: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return (T,) bool: the samples of which nothing is known.
+def left_out(u: np.ndarray, y: np.ndarray, excluded: np.ndarray | None) -> np.ndarray:
+    """Return (T,) bool: the samples of which nothing is known; they are like a gap.
 
     Raises:
-        ValueError: another type or shape than that of one recording, inputs that are missing.
+        ValueError: inputs that are missing beside a sample.
     """
-    if len(carry.y) and carry.y.dtype != y.dtype:
-        raise ValueError(
-            f"y is in {y.dtype}, the samples before are in {carry.y.dtype}: a recording has one type"
-        )
-    if y.ndim != 2:
-        raise ValueError(
-            f"an observer follows one recording: y must have shape (T, {y.shape[-1]}), not {y.shape}"
-        )
-    gone = np.isnan(u).any(-1) & np.isnan(y).all(-1)
-    if (np.isnan(u).any(-1) & ~gone).any():
+    lacking = np.isnan(u).any(-1)
+    gone = lacking & np.isnan(y).all(-1)
+    if excluded is not None:
+        gone |= excluded
+    if (lacking & ~gone).any():
         raise ValueError(f"validation needs every input: {int(np.isnan(u).sum())} samples of u are missing")
     return np.asarray(gone)
 
 
-def _one_after_the_other(*parts: Validation) -> Validation:
-    """Return Validations of samples that follow each other as one."""
-    whole: Validation = jax.tree.map(lambda *x: np.concatenate([np.asarray(v) for v in x]), *parts)
-    return whole
+def _prepared(
+    model: ValidatedModel, horizon: int | None, method: str, correction: str
+) -> tuple[SignalModel, Slide]:
+    """Return (the signals that are read, the Slide) of a model; `validate` says what is refused."""
+    several = None
+    if isinstance(model, MultiModel):
+        several, m = model, model.joined()
+    else:
+        m = as_intervals(model)
+    if method not in ("joint", "sequential"):
+        raise ValueError(f"method must be 'joint' or 'sequential', not {method!r}")
+    if correction not in ("interval", "centre"):
+        raise ValueError(f"correction must be 'interval' or 'centre', not {correction!r}")
+    if several is not None and method == "sequential":
+        raise ValueError("a MultiModel has another matrix in every window: use method='joint'")
+    s = horizon
+    if s is None:
+        s = least_horizon(m.n, m.p)
+    if not is_whole(s) or s < 1:
+        raise ValueError(f"horizon must be a whole number >= 1, not {s!r}")
+    if method == "sequential" and s * m.p < m.n:
+        raise ValueError(
+            f"the square systems need a horizon of at least n / p ({-(-m.n // m.p)}), not {s}: see (9) of "
+            f"the paper"
+        )
+    slide = Slide(several, m, int(s), method, centre=correction == "centre")
+    if isinstance(model, MultiModel):  # its `columns` are a function
+        return Signals(m.inputs, m.outputs, {}), slide
+    return model, slide
+
+
+def least_horizon(n: int, p: int) -> int:
+    """Return the smallest s with s >= n / p and p (s + 1) > n, for n states and p outputs. Source: (9) of the
+    paper, section 2.
+    """
+    s = max(-(-n // p), 1)
+    if p * (s + 1) <= n:
+        s += 1
+    return s

@@ -6,11 +6,10 @@ import jax
 import numpy as np
 
 from jaxbound.estimation.arrays import Array
-from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.objects import readable
 
-__all__ = ["Validation", "nothing_known"]
+__all__ = ["Validation"]
 
 
 @readable
@@ -42,20 +41,3 @@ class Validation:
     def margin(self) -> np.ndarray:
         """(..., T), NaN: validation measures none."""
         return np.full(np.shape(self.status), np.nan)
-
-
-def nothing_known(shape: tuple[int, ...], n: int, p: int, dtype: np.dtype) -> Validation:
-    """Return a Validation of samples (*shape) of which nothing is known: every interval is entire."""
-
-    def entire(size: int) -> Interval:
-        whole = np.full((*shape, size), np.inf, dtype)
-        return Interval(-whole, whole.copy())
-
-    return Validation(
-        state=entire(n),
-        output=entire(p),
-        residual=entire(p),
-        faulty=np.zeros((*shape, p), bool),
-        corrected=entire(p),
-        status=np.full(shape, Status.MISSING, np.int8),
-    )

@@ -1,8 +1,8 @@
-"""Validation of recordings side by side without a gap: blocks for the kernels of `validation_windows`, and a
+"""Validation of recordings side by side without a gap: blocks for the kernel of `validation_windows`, and a
 second decision of each FAULT outside XLA.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from typing import NamedTuple, TypeAlias
@@ -14,10 +14,10 @@ import numpy as np
 from jaxbound.estimation.blocks import in_blocks
 from jaxbound.estimation.validation_result import Validation
 from jaxbound.estimation.validation_windows import (
-    Signalled,
+    Opening,
+    Slid,
     ValidationCarry,
-    begun,
-    signalled,
+    ValidationSamples,
     slide,
     weighted,
 )
@@ -28,64 +28,38 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
 from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.status import Status
-from jaxbound.sets.intervals.interval import Interval, interval
+from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.linear_systems.ends import ends, interval_of
 from jaxbound.sets.linear_systems.fixed_systems import Prepared, prepare
 
-__all__ = ["HostCarry", "Slide", "Stretch", "compiled_length"]
+__all__ = ["HostCarry", "Slide", "Stretch"]
 
-PIECE, AGAIN = 256, 8
-"""Samples that are validated outside XLA from a FAULT on, and how often in a recording."""
 BLOCK = {"joint": 32, "sequential": 512}
 """Recordings side by side: linear programs of a block go on until the last is solved."""
-SHORTEST = 16
-"""Samples that a kernel is compiled for, at least."""
-
+WINDOWS = 1024
+"""Windows side by side that NumPy decides again."""
 
 HostCarry: TypeAlias = ValidationCarry[np.ndarray]
 """The carry between kernels, recordings on the first axis."""
+_HostSamples: TypeAlias = ValidationSamples[np.ndarray]
 
 
 class Stretch(NamedTuple):
-    """Samples that follow each other, and what is known before them.
+    """Samples of N recordings that follow each other, and what is known before them.
 
-    Fields: u (..., T, m), y (..., T, p) in the type of the model; recorded: the float type in which y was
-    rounded; x0: Interval (..., n) of the first state, or None; before: the carry of the windows before, or
-    None: with it the first s samples are those before the new ones; earlier: y of the s before these, which
-    say how large samples get in the windows of the first, or None.
+    Fields: u (N, T, m), y (N, T, p) in the type of the model; recorded: the float type in which y was
+    rounded; stops: (N,) how many samples count, the others fill the arrays up; first: the sample at which the
+    first window ends; start: Interval (N, n) of the first state, or None; before: the carry of the windows
+    before, or None.
     """
 
     u: np.ndarray
     y: np.ndarray
     recorded: np.dtype
-    x0: Interval | None = None
+    stops: np.ndarray
+    first: int
+    start: Interval | None = None
     before: HostCarry | None = None
-    earlier: np.ndarray | None = None
-
-    @property
-    def outputs(self) -> np.ndarray:
-        """Outputs with those before them."""
-        if self.earlier is None:
-            return self.y
-        return np.concatenate([self.earlier, self.y], -2)
-
-
-class _Samples(NamedTuple):
-    """The arrays of recordings that kernels take, recordings first on the host, last in a block.
-
-    Fields: ends (N, 2, T, .) of inputs; y, error (N, T, p); weight: of columns, or None; start: ends (N, 2,
-    n) of the first state, or None; before: see Stretch.
-    """
-
-    u: np.ndarray
-    y: np.ndarray
-    error: np.ndarray
-    weight: np.ndarray | None
-    start: np.ndarray | None
-    before: HostCarry | None
-
-
-_Slid: TypeAlias = tuple[HostCarry, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,174 +102,121 @@ class Slide:
             return None
         return prepare(self.M, self.m.p * (self.s + 1) - self.m.n + 1)
 
-    def __call__(self, stretch: Stretch) -> tuple[Validation, HostCarry]:
-        """Return (Validation, carry) of a stretch, with UNDECIDED for each FAULT that is not seen again
-        outside XLA.
+    @cached_property
+    def first_window(self) -> Prepared | None:
+        """The rows of a first window of which nothing is known, None where they are not always the same."""
+        if self.method != "joint" or self.several is not None:
+            return None
+        return _first_window(self.M, self.m.p)
 
-        Searches for bounds end elsewhere where numbers are rounded otherwise: that FAULT samples in a row
-        begin with one that NumPy sees, or that it sees one among those before, is enough, and where it sees
-        none nothing is warned of.
-        """
-        result, after = self._by_kernels(stretch)
-        fault = np.asarray(result.status) == Status.FAULT
-        if is_outside_xla() or not fault.any():
-            return result, after
-        seen_again = fault & self._seen_again(stretch, fault)
-        begins = fault & ~np.concatenate([np.zeros_like(fault[..., :1]), fault[..., :-1]], -1)
-        proved = fault & (_latest(seen_again) >= _latest(begins))
-        status = np.where(fault & ~proved, np.int8(Status.UNDECIDED), result.status)
-        blamed = np.asarray(result.faulty) & proved[..., None]
-        return replace(result, status=jnp.asarray(status), faulty=jnp.asarray(blamed)), after
-
-    def _seen_again(self, stretch: Stretch, fault: np.ndarray) -> np.ndarray:
-        """Return the samples (..., T) that are FAULT where this is worked out again.
-
-        Outside XLA are `PIECE` samples from a FAULT on, then from the next one behind them, `AGAIN` times at
-        most. What comes before each is judged by XLA, by the program that is compiled.
-        """
-        T, again, stop = stretch.y.shape[-2], fault.copy(), 0
-        anywhere: np.ndarray = np.any(fault.reshape(-1, T), 0)
-        for _ in range(AGAIN):
-            if not anywhere[stop:].any():
-                break
-            first = stop + int(anywhere[stop:].argmax())
-            if first < PIECE:  # from the beginning, where that is near
-                first = 0
-            stop = min(max(first, self.s) + PIECE, T)
-            begin, piece = self._piece(stretch, first, stop)
-            with outside_xla():
-                result, _ = self._by_kernels(piece)
-            again[..., first:stop] = np.asarray(result.status)[..., first - begin :] == Status.FAULT
-        return again
-
-    def _piece(self, stretch: Stretch, first: int, stop: int) -> tuple[int, Stretch]:
-        """Return (the number of its first sample, the stretch that ends with samples first .. stop - 1)."""
-        if not first:
-            return 0, stretch._replace(u=stretch.u[..., :stop, :], y=stretch.y[..., :stop, :])
-        _, carry = self._by_kernels(stretch, upto=first)
-        begin = first - self.s
-        past = stretch._replace(y=stretch.y[..., :begin, :]).outputs
-        piece = Stretch(
-            stretch.u[..., begin:stop, :],
-            stretch.y[..., begin:stop, :],
-            stretch.recorded,
-            before=carry,
-            earlier=past[..., -self.s :, :],
-        )
-        return begin, piece
-
-    def _by_kernels(self, stretch: Stretch, upto: int | None = None) -> tuple[Validation, HostCarry]:
-        """Return (Validation, carry) of a stretch, each FAULT decided once.
-
-        Args:
-            upto: the carry is that behind so many samples, and what is found of others means nothing; None:
-                behind all.
-        """
-        *lead, T, _ = stretch.y.shape
-        count = int(np.prod(lead))
-        stop = T
-        if upto is not None:
-            stop = upto
-        shared = self.systems
-        if self.method == "joint" and stretch.x0 is None and stretch.before is None and self.several is None:
-            shared = _first_window(self.M, self.m.p)
-        samples = self._samples(stretch, tuple(lead))
-        size = min(BLOCK[self.method], power(count))
-
-        def job(chosen: np.ndarray) -> _Slid:
-            block = jax.tree.map(lambda a: np.moveaxis(a[chosen], 0, -1), samples)
-            out = self._block(block, shared, stop)
-            found: _Slid = jax.tree.map(lambda a: np.moveaxis(np.asarray(a), -1, 0), out)
-            return found
-
-        after, ends_found, blamed = jax.tree.map(
-            lambda *parts: np.concatenate(parts)[:count], *in_blocks(job, count, size)
-        )
-        ends_found, blamed = (a[:, :T].reshape(*lead, T, *a.shape[2:]) for a in (ends_found, blamed))
-        return self._validation(stretch, ends_found, blamed), after
-
-    def _samples(self, stretch: Stretch, lead: tuple[int, ...]) -> _Samples:
-        """Return the arrays of a stretch, recordings on one axis, time filled up."""
-        m, (u, y, recorded, x0, before, _), dtype = self.m, stretch, stretch.y.dtype
-        count = int(np.prod(lead))
-
-        def flat(a: np.ndarray) -> np.ndarray:
-            return a.reshape(count, *a.shape[len(lead) :])
-
-        start = weight = None
-        if x0 is not None:
-            start = flat(self._start(x0, lead, dtype))
-        error = largest_error(stretch.outputs, m.noise, recorded, self.s)[..., -y.shape[-2] :, :]
-        # a point, unless it had to be narrowed
-        pushed = ends(Interval(rounding.round_down(u, dtype), rounding.round_up(u, dtype)), -3)
-        if self.several is not None:
-            weight = flat(_filled_up(ends(self.several.columns(u.astype(dtype)), -3)))
-        return _Samples(
-            flat(_filled_up(pushed)), flat(_filled_up(y)), flat(_filled_up(error)), weight, start, before
-        )
-
-    def _start(self, x0: Interval, lead: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
-        """Return the ends (*lead, 2, n) of the first state, rounded outward.
-
-        Raises:
-            ValueError: another number of states.
-        """
-        n, x0 = self.m.n, interval(x0)
-        if x0.shape[-1:] != (n,):
-            raise ValueError(f"x0 needs one interval for each of {n} states: its shape is {x0.shape}")
-        near = Interval(rounding.round_down(x0.lo, dtype), rounding.round_up(x0.hi, dtype))
-        return ends(jax.tree.map(lambda a: np.broadcast_to(a, (*lead, n)), near), -2)
-
-    def _block(self, block: _Samples, systems: Prepared | None, stop: int) -> _Slid:
-        """Return (carry, found, blamed) of recordings side by side, see `slide`."""
-        m, s, M = self.m, self.s, jnp.asarray(ends(self.M))
-        signals, carry = signalled(self.plant, block.u, block.y, block.error), block.before
-        if carry is None:
-            first = _of_first_window(signals, s)
-            if block.weight is not None and block.start is None:
-                rows = weighted(M, jnp.asarray(block.weight[:, : s + 1]), m.p)
-                systems = _first_window(interval_of(np.asarray(rows)), m.p)
-            carry = begun(self.plant, systems, first, block.start, s, m.n, self.method, self.centre)
-        out: _Slid = slide(
-            self.plant, M, self.systems, signals, block.weight, carry, stop, s, self.method, self.centre
-        )
-        return out
-
-    def _validation(self, stretch: Stretch, ends_found: np.ndarray, blamed: np.ndarray) -> Validation:
-        """Return the Validation of ends (..., T, 2, n + 3 p) and of who is blamed (..., T, p + 1).
+    def __call__(self, stretch: Stretch) -> Slid[np.ndarray]:
+        """Return (the carry behind the last sample, found, blamed) of each, see `slide`.
 
         Raises:
             ValueError: first windows that do not bound the state.
         """
-        s, n, p = self.s, self.m.n, self.m.p
-        bounded = np.isfinite(ends_found[..., s, :, :n]).all((-1, -2))
+        size = min(BLOCK[self.method], power(len(stretch.y)))
+        samples, start = self._samples(stretch), self._start(stretch.start)
+
+        def job(chosen: np.ndarray) -> Slid[np.ndarray]:
+            known = Opening(stretch.before, start)
+            some, opening = jax.tree.map(lambda a: np.moveaxis(a[chosen], 0, -1), (samples, known))
+            last = int(stretch.stops.max())
+            carries, ends_found, blamed = self._decided(some, opening, stretch.first, last)
+            behind = jax.tree.map(lambda a: a[stretch.stops[chosen], ..., np.arange(len(chosen))], carries)
+            return behind, np.moveaxis(ends_found, -1, 0), np.moveaxis(blamed, -1, 0)
+
+        after, ends_found, blamed = jax.tree.map(
+            lambda *parts: np.concatenate(parts)[: len(stretch.y)], *in_blocks(job, len(stretch.y), size)
+        )
+        bounded = np.isfinite(ends_found[:, stretch.first, :, : self.m.n]).all((-1, -2))
         if not bounded.all():
             raise ValueError(
                 f"{(~bounded).sum()} of {bounded.size} first windows do not bound the state: give x0, or a "
                 f"longer horizon"
             )
-        absent = np.isnan(stretch.y)
-        residuals = ends_found[..., s:, :, n + p : n + 2 * p]
-        residuals[np.broadcast_to(absent[..., s:, None, :], residuals.shape)] = np.nan
-        parts = np.split(ends_found, np.cumsum([n, p, p]), -1)
-        state, output, residual, corrected = (Interval(-a[..., 0, :], a[..., 1, :]) for a in parts)
-        contradicted = blamed[..., p] & (not self.centre)
+        return after, ends_found, blamed
+
+    def validation(
+        self, y: np.ndarray, tested: np.ndarray, found: np.ndarray, blamed: np.ndarray
+    ) -> Validation:
+        """Return the Validation of T samples.
+
+        Args:
+            y: (T, p). tested: (T,) bool: where a window ends. found, blamed: of `slide`, time first.
+        """
+        n, p = self.m.n, self.m.p
+        absent, contradicted = np.isnan(y), blamed[:, p] & (not self.centre)
+        parts = np.split(found, np.cumsum([n, p, p]), -1)
+        state, output, residual, corrected = (Interval(-a[:, 0], a[:, 1]) for a in parts)
+        for end in (residual.lo, residual.hi):
+            end[absent & tested[:, None]] = np.nan
         status = np.where(contradicted, Status.FAULT, Status.UNDECIDED)
-        status = np.where(absent.all(-1) & ~contradicted, Status.MISSING, status).astype(np.int8)
-        status[..., :s] = Status.MISSING
-        result = Validation(state, output, residual, blamed[..., :p], corrected, status)
-        placed: Validation = jax.tree.map(jnp.asarray, result)
-        return placed
+        status = np.where(~tested | (absent.all(-1) & ~contradicted), Status.MISSING, status).astype(np.int8)
+        return Validation(state, output, residual, blamed[:, :p], corrected, status)
 
+    def _decided(
+        self, samples: _HostSamples, opening: Opening[np.ndarray], first: int, stop: int
+    ) -> Slid[np.ndarray]:
+        """Return the carries, ends and blame of `slide` for a block of recordings.
 
-def compiled_length(count: int) -> int:
-    """Return the samples that a kernel is compiled for where there are so many: few numbers."""
-    return max(SHORTEST, power(count))
+        A window that is FAULT is worked out again outside XLA, from its samples and the box that the windows
+        before gave: nobody is blamed where that finds no contradiction.
+        """
+        if opening.before is None and opening.start is None:
+            opening = opening._replace(systems=self._opening_systems(samples))
+        carries, ends_found, blamed = self._slid(samples, opening, first, stop)
+        at, recordings = np.nonzero(blamed[:, -1])
+        if self.centre or is_outside_xla() or not len(at):
+            return carries, ends_found, blamed
+        rows = at + np.arange(-self.s, 1)[:, None]
+        again = blamed.copy()
 
+        def job(chosen: np.ndarray) -> np.ndarray:
+            lanes = recordings[chosen]
+            windows = jax.tree.map(lambda x: np.moveaxis(x[rows[:, chosen], ..., lanes], 1, -1), samples)
+            entered = jax.tree.map(lambda x: np.moveaxis(x[at[chosen], ..., lanes], 0, -1), carries)
+            _, _, wrong = self._slid(windows, Opening(entered), self.s, self.s + 1)
+            return np.transpose(wrong[self.s])
 
-def _latest(which: np.ndarray) -> np.ndarray:
-    """Return (..., T): the last sample up to each that is one of these; -1 before the first."""
-    return np.maximum.accumulate(np.where(which, np.arange(which.shape[-1]), -1), -1)
+        with outside_xla():
+            blocks = in_blocks(job, len(at), min(WINDOWS, power(len(at))))
+        again[at, :, recordings] = np.concatenate(blocks)[: len(at)]
+        return carries, ends_found, blamed & again & again[:, -1:]
+
+    def _slid(
+        self, samples: _HostSamples, opening: Opening[np.ndarray], first: int, stop: int
+    ) -> Slid[np.ndarray]:
+        """Return the arrays of `slide` on the host."""
+        M, how = jnp.asarray(ends(self.M)), (self.s, self.method, self.centre)
+        out = slide(self.plant, M, self.systems, samples, opening, first, stop, *how)
+        arrays: Slid[np.ndarray] = jax.tree.map(np.asarray, out)
+        return arrays
+
+    def _opening_systems(self, block: _HostSamples) -> Prepared | None:
+        """Return the rows of the first windows of a block as one system, of "joint"; else None."""
+        if self.method != "joint" or block.weight is None:
+            return self.first_window
+        M, weight = jnp.asarray(ends(self.M)), jnp.asarray(np.moveaxis(block.weight[: self.s + 1], 1, 0))
+        return _first_window(interval_of(np.asarray(weighted(M, weight, self.m.p))), self.m.p)
+
+    def _samples(self, stretch: Stretch) -> _HostSamples:
+        """Return the arrays of a stretch, recordings on the first axis."""
+        u, y, dtype = stretch.u, stretch.y, stretch.y.dtype
+        weight = None
+        if self.several is not None:
+            weight = ends(self.several.columns(u.astype(dtype)), -2)
+        # a point, unless it had to be narrowed
+        pushed = ends(Interval(rounding.round_down(u, dtype), rounding.round_up(u, dtype)), -2)
+        error = largest_error(y, self.m.noise, stretch.recorded, self.s)
+        return ValidationSamples(pushed, y, error, weight)
+
+    def _start(self, x0: Interval | None) -> np.ndarray | None:
+        """Return the ends (N, 2, n) of the first state, rounded outward."""
+        if x0 is None:
+            return None
+        dtype = self.m.A.dtype
+        return ends(Interval(rounding.round_down(x0.lo, dtype), rounding.round_up(x0.hi, dtype)), -2)
 
 
 def _sensor_factor(m: IntervalSystem) -> Interval:
@@ -304,12 +225,6 @@ def _sensor_factor(m: IntervalSystem) -> Interval:
     least = np.array([1 / (1 + v) for v in theta], object)
     most = np.array([1 / (1 - v) for v in theta], object)
     return Interval(rounding.round_down(least, m.A.dtype), rounding.round_up(most, m.A.dtype))
-
-
-def _filled_up(a: np.ndarray) -> np.ndarray:
-    """Return samples (..., T, .) and as many zeros behind that few lengths are compiled."""
-    more = compiled_length(a.shape[-2]) - a.shape[-2]
-    return np.concatenate([a, np.zeros((*a.shape[:-2], more, a.shape[-1]), a.dtype)], -2)
 
 
 def _first_window(M: Interval, p: int) -> Prepared:
@@ -321,10 +236,3 @@ def _first_window(M: Interval, p: int) -> Prepared:
         if np.isfinite(older.scale.lo).all():
             return older
     return prepare(M)
-
-
-def _of_first_window(signals: Signalled, s: int) -> Signalled:
-    """Return the signals of the first s + 1 samples."""
-    absent, *rest = (np.asarray(a) for a in signals)
-    seen, pushed, drive, through = (jnp.asarray(a[:, : s + 1]) for a in rest)
-    return Signalled(jnp.asarray(absent[: s + 1]), seen, pushed, drive, through)

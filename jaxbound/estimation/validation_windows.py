@@ -18,7 +18,7 @@ from jaxbound.sets.linear_systems.ends import added, interval_of, negative, none
 from jaxbound.sets.linear_systems.fixed_systems import Prepared, solutions
 from jaxbound.sets.linear_systems.hull import tighten
 
-__all__ = ["Signalled", "ValidationCarry", "ValidationPlant", "begun", "signalled", "slide", "weighted"]
+__all__ = ["Opening", "Slid", "ValidationCarry", "ValidationPlant", "ValidationSamples", "slide", "weighted"]
 
 STEPS = 20
 """Exchanges at most for one bound of the joint method, beside six for each unknown."""
@@ -28,6 +28,7 @@ ValidationPlant: TypeAlias = Mapping[str, jax.Array]
 
 
 Numbers = TypeVar("Numbers", np.ndarray, jax.Array)
+Tree = TypeVar("Tree")
 
 
 class ValidationCarry(NamedTuple, Generic[Numbers]):
@@ -43,7 +44,32 @@ class ValidationCarry(NamedTuple, Generic[Numbers]):
     moved: Numbers | None
 
 
-class Signalled(NamedTuple):
+class Opening(NamedTuple, Generic[Numbers]):
+    """All that is known before the first window of N recordings; nothing: it comes from that window.
+
+    Fields: before: the carry of the windows before. start: ends (2, n, N) that hold the first state. systems:
+    for "joint" the rows of the first window as one system, perhaps without the newest samples.
+    """
+
+    before: ValidationCarry[Numbers] | None = None
+    start: Numbers | None = None
+    systems: Prepared | None = None
+
+
+class ValidationSamples(NamedTuple, Generic[Numbers]):
+    """T samples of N recordings, as kernels take them; on the host recordings come first.
+
+    Fields: u (T, 2, m, N) ends of inputs. y, error (T, p, N): outputs, and the bounds of their errors, see
+    `sensor.largest_error`. weight (T, 2, n, N): ends that multiply the columns of C, or None.
+    """
+
+    u: Numbers
+    y: Numbers
+    error: Numbers
+    weight: Numbers | None
+
+
+class _Signalled(NamedTuple):
     """The signals of a model as samples show them.
 
     Fields: absent (T, p, N); ends (2, T, ., N) seen of C x, pushed of H u + d, drive of B u + w, through of
@@ -57,13 +83,8 @@ class Signalled(NamedTuple):
     through: jax.Array
 
 
-@kernel
-def signalled(plant: ValidationPlant, u: jax.Array, y: jax.Array, error: jax.Array) -> Signalled:
-    """Return the signals that T samples show.
-
-    Args:
-        u: ends (2, T, m, N). y, error: (T, p, N), see `sensor.largest_error`.
-    """
+def _signalled(plant: ValidationPlant, u: jax.Array, y: jax.Array, error: jax.Array) -> _Signalled:
+    """Return the signals that samples show. u: ends (2, T, m, N). y, error: (T, p, N)."""
     absent = jnp.isnan(y)
     v = subtracted(u, _along(plant, "u0"))
     nothing = jnp.zeros((2, 1, 1, 1), y.dtype)
@@ -85,7 +106,7 @@ def signalled(plant: ValidationPlant, u: jax.Array, y: jax.Array, error: jax.Arr
         pushed = added(on_inputs("H"), _along(plant, "d"))
     seen = subtracted(seen, through)
     pushed, drive, through = wide(pushed), wide(drive), wide(added(through, _along(plant, "y0")))
-    return Signalled(absent, *stored((seen, pushed, drive, through)))
+    return _Signalled(absent, *stored((seen, pushed, drive, through)))
 
 
 def _along(plant: ValidationPlant, name: str) -> jax.Array:
@@ -93,40 +114,25 @@ def _along(plant: ValidationPlant, name: str) -> jax.Array:
     return plant[name][:, None, :, None]
 
 
-@kernel(static_argnames=("s", "n", "method", "centre"))
-def begun(
-    plant: ValidationPlant,
-    systems: Prepared | None,
-    known: Signalled,
-    start: jax.Array | None,
-    s: int,
-    n: int,
-    method: str,
-    centre: bool,
+def _begun(
+    plant: ValidationPlant, known: _Signalled, opening: Opening[jax.Array], s: int, method: str, centre: bool
 ) -> ValidationCarry[jax.Array]:
-    """Return the carry before the first window, of what s + 1 samples say.
-
-    Args:
-        systems: for "joint" without a start the first window's rows as one system, perhaps without the newest
-            samples.
-        start: ends (2, n, N) that hold the first state; None: it comes from the first window.
-    """
-    if start is not None:
-        X = _states_from(plant, known, start, s)
-    elif method == "joint":
-        assert systems is not None  # as said above
-        right = jnp.concatenate([_rows(negative(known.pushed[:, :s])), _rows(known.seen)], 1)
-        X = solutions(systems, interval_of(right[:, : systems.C.shape[2]]))[:, 0]
-    else:
-        X = jnp.full((2, (s + 1) * n, known.seen.shape[-1]), jnp.inf, known.seen.dtype)
-    gone = known.absent[:s]
-    moved = None
+    """Return the carry before the first window. known: of s + 1 samples at least."""
+    gone, moved = known.absent[:s], None
     if centre:
         moved = known.seen[:, :s]
+    if opening.start is not None:
+        return ValidationCarry(_states_from(plant, known, opening.start, s), gone, moved)
+    if opening.systems is not None:
+        seen = known.seen[:, : s + 1]
+        right = jnp.concatenate([_rows(negative(known.pushed[:, :s])), _rows(seen)], 1)
+        X = solutions(opening.systems, interval_of(right[:, : opening.systems.C.shape[2]]))[:, 0]
+    else:
+        X = jnp.full((2, (s + 1) * plant["A"].shape[1], gone.shape[-1]), jnp.inf, known.seen.dtype)
     return ValidationCarry(X, gone, moved)
 
 
-def _states_from(plant: ValidationPlant, known: Signalled, start: jax.Array, s: int) -> jax.Array:
+def _states_from(plant: ValidationPlant, known: _Signalled, start: jax.Array, s: int) -> jax.Array:
     """Return the states of s + 1 samples, from bounds of the first on."""
 
     def later(x: jax.Array, drive: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -136,7 +142,8 @@ def _states_from(plant: ValidationPlant, known: Signalled, start: jax.Array, s: 
     return jnp.concatenate([_rows(jnp.moveaxis(before, 0, 1)), last], 1)
 
 
-_State: TypeAlias = tuple[ValidationCarry[jax.Array], jax.Array, jax.Array]
+Slid: TypeAlias = tuple[ValidationCarry[Numbers], Numbers, Numbers]
+_State: TypeAlias = tuple[ValidationCarry[jax.Array], Slid[jax.Array]]
 
 
 @kernel(static_argnames=("s", "method", "centre"))
@@ -144,31 +151,33 @@ def slide(
     plant: ValidationPlant,
     M: jax.Array,
     systems: Prepared | None,
-    known: Signalled,
-    weight: jax.Array | None,
-    carry: ValidationCarry[jax.Array],
+    samples: ValidationSamples[jax.Array],
+    opening: Opening[jax.Array],
+    first: int,
     stop: int,
     s: int,
     method: str,
     centre: bool,
-) -> _State:
-    """Validate N recordings, the windows that end at samples s, s + 1, .., stop - 1.
+) -> Slid[jax.Array]:
+    """Validate N recordings, the windows that end at samples first, first + 1, .., stop - 1.
 
     Args:
         M: ends (2, r, (s+1) n, 1), see `intervals.stacked`. systems: the square systems of M for
-            "sequential". known: of T samples.
-        weight: None or ends (2, T, n, N) that multiply the columns of C.
-        carry: from `begun`, or what this returned for the samples up to the first s of these, to go on from
-            there.
+            "sequential".
         centre: whether a faulty sample is moved to the middle of what it should have shown, and taken for
             sound: nothing is proved then.
 
     Returns:
-        (carry, found, blamed): ends found (T, 2, n + 3 p, N) of states, outputs, residuals and corrected
-        samples; blamed (T, p + 1, N) bool: the faulty sensors, and whether the samples contradict the model.
-        Infinite and False before the first window and from stop on.
+        (carries, found, blamed): the carries (T + 1, ...) before each window, and behind the last one; ends
+        found (T, 2, n + 3 p, N) of states, outputs, residuals and corrected samples; blamed (T, p + 1, N)
+        bool: the faulty sensors, and whether the samples contradict the model. Infinite and False before the
+        first window and from stop on.
     """
-    n, p, (T, _, N) = plant["A"].shape[1], plant["C"].shape[1], known.absent.shape
+    signals = _signalled(plant, jnp.moveaxis(samples.u, 1, 0), samples.y, samples.error)
+    weight = None
+    if samples.weight is not None:
+        weight = jnp.moveaxis(samples.weight, 1, 0)
+    n, p, (T, _, N) = plant["A"].shape[1], plant["C"].shape[1], signals.absent.shape
 
     def show(x: jax.Array, first: jax.Array) -> jax.Array:
         """Enclose C x for the states x (2, j, n, N) of samples first, first + 1, .."""
@@ -187,18 +196,19 @@ def slide(
         return _joint(rows, p, h, X)
 
     def window(k: jax.Array, state: _State) -> _State:
-        (X, gone, moved), ends_of_all, blamed = state
-        newest = _part(known.seen, k, 1)
+        carry, (carries, ends_of_all, blamed) = state
+        X, gone, moved = carry
+        newest = _part(signals.seen, k, 1)
         if moved is not None:
             samples = jnp.concatenate([moved, newest], 1)
         else:
-            samples = _part(known.seen, k - s, s + 1)
-        gone = jnp.concatenate([gone, _part(known.absent, k, 1, 0)])
+            samples = _part(signals.seen, k - s, s + 1)
+        gone = jnp.concatenate([gone, _part(signals.absent, k, 1, 0)])
         implied = show(X.reshape(2, s + 1, n, N), k - s)
         residual = stored(subtracted(newest[:, 0], implied[:, s]))
         alone = ((residual[0] < 0) | (residual[1] < 0)) & ~gone[s]
         gone = gone.at[s].set(gone[s] | alone)
-        moves = _rows(negative(_part(known.pushed, k - s, s)))
+        moves = _rows(negative(_part(signals.pushed, k - s, s)))
         h = stored(jnp.concatenate([moves, _rows(jnp.where(gone, implied, samples))], 1))
         X, together, unclear = contradictions(h, X, k)
         faulty = alone | (together & ~gone[s])
@@ -210,17 +220,29 @@ def slide(
             shift = jnp.where(faulty, _mid(output) - _mid(newest[:, 0]), 0)
             gone = gone.at[s].set(gone[s] & ~faulty)
             moved = jnp.concatenate([samples[:, 1:s], newest + jnp.stack([-shift, shift])[:, None]], 1)
-        through = known.through[:, k]
+        through = signals.through[:, k]
         now = X[:, s * n :], added(output, through), residual, added(corrected, through)
         out = stored(jnp.concatenate(now, 1))
         wrong = jnp.concatenate([faulty, (jnp.any(faulty, 0) | unclear)[None]])
-        X = jnp.concatenate([X[:, n:], _predict(plant, X[:, s * n :], known.drive[:, k])], 1)
-        return ValidationCarry(X, gone[1:], moved), ends_of_all.at[k].set(out), blamed.at[k].set(wrong)
+        X = jnp.concatenate([X[:, n:], _predict(plant, X[:, s * n :], signals.drive[:, k])], 1)
+        carry = ValidationCarry(X, gone[1:], moved)
+        return carry, (_put(carries, k + 1, carry), ends_of_all.at[k].set(out), blamed.at[k].set(wrong))
 
-    ends_of_all = jnp.full((T, 2, n + 3 * p, N), jnp.inf, known.seen.dtype)
+    carry = opening.before
+    if carry is None:
+        carry = _begun(plant, signals, opening, s, method, centre)
+    carries = jax.tree.map(lambda x: jnp.zeros((T + 1, *x.shape), x.dtype), carry)
+    ends_of_all = jnp.full((T, 2, n + 3 * p, N), jnp.inf, signals.seen.dtype)
     blamed = jnp.zeros((T, p + 1, N), bool)
-    state: _State = jax.lax.fori_loop(s, stop, window, (carry, ends_of_all, blamed))
-    return state
+    start: _State = carry, (_put(carries, first, carry), ends_of_all, blamed)
+    out: _State = jax.lax.fori_loop(first, stop, window, start)
+    return out[1]
+
+
+def _put(all: Tree, k: jax.Array | int, one: Tree) -> Tree:
+    """Return arrays with another entry k on their first axis."""
+    out: Tree = jax.tree.map(lambda x, value: x.at[k].set(value), all, one)
+    return out
 
 
 def weighted(M: jax.Array, weight: jax.Array, p: int) -> jax.Array:

@@ -78,8 +78,15 @@ def test_intervals_of_a_linear_system_hold_its_parameters():
             lambda: jb.validate(paper(), np.ones((9, 1)), np.ones((9, 2)), correction="mean"),
             "correction must be",
         ),
-        (lambda: jb.validate(paper(), np.ones((9, 1)), np.ones((9, 2)), horizon=9), "horizon must be"),
-        (lambda: jb.validate(paper(), np.ones((9, 1)), np.full((9, 2), np.nan)), "must be complete"),
+        (
+            lambda: jb.validate(paper(), np.ones((9, 1)), np.ones((9, 2)), horizon=9),
+            "choose a shorter horizon",
+        ),
+        (lambda: jb.validate(paper(), None, np.ones((9, 2)), horizon=0), "horizon must be"),
+        (
+            lambda: jb.validate(paper(), np.ones((9, 1)), np.full((9, 2), np.nan)),
+            "no stretch of 3 complete samples",
+        ),
         (
             lambda: jb.validate(paper(), np.ones((9, 1)), np.ones((9, 2)), horizon=1, method="sequential"),
             "horizon of at least",

@@ -7,8 +7,11 @@ import pytest
 import jaxbound as jb
 from jaxbound.consistency.drive import drive
 from jaxbound.consistency.monitorbank import MonitorBank, Watch
+from jaxbound.estimation import validation_slide
 from jaxbound.estimation.validation_observer import ValidationObserver
+from jaxbound.estimation.validation_windows import slide
 from jaxbound.recordings.recording import Recording
+from jaxbound.sets.floats.kernel import is_outside_xla
 
 MODEL = jb.interval_system([[[0.89, 0.91]]], [[1]], [[1], [1]], noise=0.1)
 
@@ -68,6 +71,38 @@ def test_a_first_state_and_a_gap_are_those_of_validate(rng):
     carry, first = observer.fold(observer.init(), Recording.of(observer.signals, u[:9], y[:9]))
     _, second = observer.fold(carry, Recording.of(observer.signals, u[9:], y[9:], starts=[0]))
     agree(jax.tree.map(lambda *x: np.concatenate(x), first, second), want)
+
+
+def test_recordings_side_by_side_have_gaps_of_their_own(rng):
+    u, y = recorded(rng)
+    other = y.copy()
+    other[2:4, 0] = np.nan
+    whole = np.where(np.isnan(u), 1.0, u)
+    filled = np.where(np.isnan(u), 5.0, other)
+    both = jb.validate(MODEL, np.stack([u, whole]), np.stack([y, filled]))
+    for i, alone in enumerate((jb.validate(MODEL, u, y), jb.validate(MODEL, whole, filled))):
+        agree(jax.tree.map(lambda x, i=i: x[i], both), alone)
+
+
+def test_a_piece_without_samples_changes_nothing(rng):
+    u, y = (x[:6] for x in recorded(rng))
+    observer = ValidationObserver(MODEL)
+    agree(in_pieces(observer, u, y, [0, 2, 4, 4]), jb.validate(MODEL, u, y))
+
+
+def test_a_fault_that_numpy_does_not_find_again_is_none(rng, monkeypatch):
+    """The box, and so what `state` encloses, is that of the windows before."""
+    u, y = (x[:9] for x in recorded(rng))
+
+    def lying(*args):
+        carries, found, blamed = slide(*args)
+        if is_outside_xla():
+            return carries, found, blamed
+        return carries, found, np.asarray(blamed).copy() | (np.arange(len(blamed)) >= 1)[:, None, None]
+
+    monkeypatch.setattr(validation_slide, "slide", lying)
+    found = jb.validate(MODEL, u, y)
+    assert not (found.status == jb.Status.FAULT).any() and not found.faulty.any()
 
 
 def test_a_monitor_takes_an_observer(rng):
