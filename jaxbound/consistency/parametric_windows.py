@@ -24,7 +24,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.covers import status_of_cover
 from jaxbound.consistency.interface import Array, Compensation
 from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations
 from jaxbound.consistency.reading import Block, gather
@@ -411,4 +410,4 @@ def bisected(reading: PolynomialReading, samples: Block, proved: bool, budget: i
 
     one = np.ones(n, dtype)
     cover = explore(judge, -one, one, count, 200, budget, "kernel", first=True, sizes=(SEARCHED,))
-    return status_of_cover(cover, count)
+    return cover.status(count)

@@ -11,6 +11,8 @@ from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
 import jax
 import numpy as np
 
+from jaxbound.sets.floats.status import Status
+
 __all__ = ["BLOCKS", "Cover", "Verdicts", "explore", "in_blocks"]
 
 BLOCKS = (2**10,)  # the only sizes that are compiled, the smaller for levels that fit into one
@@ -53,6 +55,13 @@ class Cover:
     proofs: Boxes
     evaluated: np.ndarray
     levels: int
+
+    def status(self, count: int) -> np.ndarray:
+        """Return the status (count,): FAULT where no box is left, CONSISTENT where one is a proof."""
+        left = np.bincount(self.owner, minlength=count)
+        status = np.where(left == 0, np.int8(Status.FAULT), np.int8(Status.UNDECIDED))
+        status[self.proofs[2]] = Status.CONSISTENT
+        return status
 
 
 def explore(
