@@ -70,7 +70,7 @@ def _of_gains(given: GivenGains, u: jax.Array, y: jax.Array) -> tuple[jax.Array,
     heaviest = 1 / jnp.min(radius, 0)
     scaled = Rows(stored(rows.mid * of), radius, rows.known, top * rows.scale, heaviest, 2 * rows.known_size)
     explained, _ = clipped_margin(given.nominal.projection, scaled)
-    own = own_factor(gains, gain_tolerance(reading))
+    own = own_factor(reading, gains, jnp)
     margin = jnp.maximum(jnp.minimum(explained, 1 - own), LEAST)
     free, h = clipped_margin(given.free.projection, rows_of(given.free, u, y))
     return jnp.where(explained > 0, margin, jnp.where(free < 0, -LEAST, 0)), h
@@ -94,7 +94,7 @@ def _fitted(given: Given, rows: Rows) -> jax.Array:
         parts.append(stored(least_errors(projection, own, 0 * rows.known)))
     rest = stored(least_errors(projection, 0 * rows.mid, rows.known))
     products = [[jnp.sum(weight * a * b, 0) for b in (*parts, rest)] for a in parts]
-    prior = 1 / jnp.maximum(gain_tolerance(reading), LEAST) ** 2
+    prior = 1 / jnp.maximum(gain_tolerance(reading, jnp), LEAST) ** 2
     gains = [jnp.clip(jnp.ones_like(rest[0]), a, b) for a, b in zip(lo, hi, strict=True)]
     for _ in range(SWEEPS):
         for i, row in enumerate(products):

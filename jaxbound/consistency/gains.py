@@ -1,29 +1,45 @@
-"""Constant tolerances over long windows: gains are searched, and what given gains explain is asked of the
-exchange search.
+"""Constant tolerances over windows: gains are searched, and what given gains explain is asked of the exchange
+search.
 
-With g_i = 1 / (1 + theta_i) the same in all samples of output i, each combination h of the relations is a
-strip that is linear in the gains (`constant`). Where circuits are too many to be looked at one by one, those
-that count are found: at the middle of a box of gains the search either explains the window, CONSISTENT, or
-brings the h that speaks most against these gains, which cuts away a part of the box. Nothing left proves
-FAULT; what is left is cut in two. A behaviour is one of given gains, a cut is true of all: either is a proof.
+A reading is y = (1 + theta_i) t + delta, theta_i the same in all samples of output i. With gains g_i = 1 / (1
++ theta_i) a combination h of the relations is a strip that is linear in them,
+
+    |sum_i g_i a_i - b| <= sum_i g_i e_i,  a_i = sum_j h_ij d_ij,  e_i = sum_j |h_ij| rho_i,
+    b = k v,  d = y - offset                                                          (strip)
+
+and disturbances are rows with the gain 1. At gains in the middle of a box the search either explains the
+window, CONSISTENT, or brings the h that speaks most against these gains, which cuts away a part of the box
+(`narrowed`, in NumPy from the samples). Nothing left proves FAULT; what is left is cut in two: one list of
+boxes of p gains for all windows. A behaviour is one of given gains, a cut is true of all: either is a proof.
+
+Source: Adrot, Maquin, Ragot 2000, (7)-(9), with theta constant as in Adrot 1999; narrowing by linear
+inequalities: Davis 1987.
 """
 
 import dataclasses
-from collections.abc import Sequence
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from functools import cached_property, partial
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
-from jaxbound.consistency.constant import gain_bounds, gain_tolerance, narrowed, own_factor, signed
+from jaxbound.consistency.constant import (
+    LEAST,
+    gain_bounds,
+    keeps,
+    narrowed,
+    no_derivative,
+    own_factor,
+    signed,
+)
 from jaxbound.consistency.easy_gains import EasyGains, nominal
-from jaxbound.consistency.exchange import PATIENCE, ExchangeTest, Settings
+from jaxbound.consistency.exchange import PATIENCE, ExchangeTest, Settings, verdicts
 from jaxbound.consistency.holes import HolesTest
 from jaxbound.consistency.interface import (
     Again,
-    Array,
     Arrays,
     Cases,
     Easy,
@@ -35,30 +51,36 @@ from jaxbound.consistency.interface import (
 )
 from jaxbound.consistency.projection import easy_by
 from jaxbound.consistency.reading import Block, Reading
-from jaxbound.consistency.twice import warn_doubtful
+from jaxbound.consistency.strips_on_host import HostRows, row_errors
 from jaxbound.exact.frames import ExactFrame
 from jaxbound.recordings.recording import Recording
-from jaxbound.sets.floats import rounding
-from jaxbound.sets.floats.kernel import is_outside_xla, kernel, outside_xla
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.sizes import power
-from jaxbound.sets.paving.frontier import Verdicts, explore, in_blocks
+from jaxbound.sets.floats.status import Status
+from jaxbound.sets.paving.frontier import Verdicts, explore
 from jaxbound.sets.strips import separation
 
 __all__ = ["GainsTest"]
 
+T = TypeVar("T")
 DEPTH = 40  # cuts of a box of gains
 BOXES = 200  # at most for a window
 FINER = 3e-4  # of the search, see `separation.separation_search`
 
 
 class GainsTest(ExchangeTest):
-    """Searches for gains, the same in all samples of a long window, that explain it: FAULT and CONSISTENT are
+    """Searches for gains, the same in all samples of a window, that explain it: FAULT and CONSISTENT are
     proofs.
 
     The sign of the margin is that of the verdict, its size that of gains that were tried: 1 - t, t not below
     the true factor. Where gains by least squares explain a window (`easy`) it may be larger than that of the
     search: neither is above the true one.
+
+    Fields: listed: how kernels read all circuits, where these are few: at given gains their strips have
+    smaller errors than a search; None: they are too many.
     """
+
+    listed: Reading | None = None
 
     @cached_property
     def easy(self) -> Easy | None:  # type: ignore[override]  # of a property
@@ -70,58 +92,37 @@ class GainsTest(ExchangeTest):
         return WindowTest.cases(self, u, y, starts)
 
     def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
-        """Return (margin, open, *hints): of each window by one box of gains."""
-        boxes = [self._boxed(*block) for block in blocks]
-        searched = run(candidates, boxes)
-        to_conclude = []
-        for (one, _, _, lo, hi), found in zip(boxes, searched, strict=True):
-            to_conclude.append((one, lo, hi, *found))
+        """Return (margin, open): of each window by one box of gains; the margin of one that is left open has
+        no sign yet.
+        """
+        lo, hi, boxes = *_whole_box(self.reading), []
+        for u, y in blocks:
+            count = y.shape[-1]
+            boxes.append((u, y, np.tile(lo[:, None], count), np.tile(hi[:, None], count)))
         judged = []
-        conclusions = run(concluded, to_conclude)
-        for found, (margin, settled, _) in zip(searched, conclusions, strict=True):
-            judged.append((margin, ~np.asarray(settled), settled, *found[4:7]))
+        for found in self._on_boxes(run, self.reading, boxes):
+            size = found.size
+            margin = np.where(found.keep, np.minimum(size, -LEAST), signed(size, found.proved))
+            judged.append((margin.astype(self.dtype), found.keep & ~np.isnan(size)))
         return judged
 
     def refuted(self, u: np.ndarray, y: np.ndarray, *hints: np.ndarray) -> np.ndarray:
-        """Return which windows no gains explain, by the hints of a search; and those that are left open,
-        whose margins have no sign yet.
-        """
-        settled, *found = hints
-        some = np.flatnonzero(settled)
-        if not len(some):
-            return ~settled
-        at = np.resize(some, max(self.block, len(some)))  # one size, so that the program is written down once
-        with outside_xla():
-            one, *box = self._boxed(u[..., at], y[..., at])
-            *rows, image = prepared(self.constants, one, *box)
-            of = (x[..., at] for x in found)
-            margin, proved, _ = concluded(self.constants, one, *box[2:], *rows, *of, *image)
-        refuted = ~settled
-        refuted[some] = (np.asarray(proved) & (np.asarray(margin) < 0))[: len(some)]
-        return refuted
-
-    def _boxed(self, u: np.ndarray, y: np.ndarray) -> Arrays:
-        """Return (ones, u, y, lo, hi): windows, each with the whole box of gains."""
-        bounds, count = gain_bounds(self.reading, np), y.shape[-1]
-        lo, hi = (np.repeat(np.asarray(x)[:, None], count, 1) for x in (bounds.lo, bounds.hi))
-        return np.ones(count, self.dtype), u, y, lo, hi
+        """Return that all is proved: `judge` says FAULT of what it narrows to nothing, in NumPy."""
+        return np.ones(y.shape[-1], bool)
 
     def settle(
         self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress
     ) -> None:
-        """Cut the box of gains of those windows that it does not decide as a whole, with frames that fit the
-        samples that are there.
+        """Cut the box of gains of those windows that it does not decide as a whole; windows that lack samples
+        on which the search is built are searched by a frame of the rows that are there.
         """
         (margin,), s = outs, self.horizon
         left = self._past_holes(u, y, margin, left, again)
         for frame, chosen in self._frames(u, y, left):
             shape = _rounded(self.relations, frame, self.dtype)
-            reading = dataclasses.replace(self.reading, shape=shape)
             at = left[chosen] + s
-            us, ys = self._gather(u, y, left[chosen])
-            first = margin[at]
-            margin[at] = self._search(reading, us, ys, first)
-            self._confirm(reading, us, ys, margin, at, first)
+            reading = dataclasses.replace(self.reading, shape=shape)
+            margin[at] = self._search(reading, *self._gather(u, y, left[chosen]), margin[at])
 
     def _past_holes(
         self, u: np.ndarray, y: np.ndarray, margin: np.ndarray, left: np.ndarray, again: Again
@@ -143,193 +144,148 @@ class GainsTest(ExchangeTest):
         margin[at] = np.where(margin[at] < 0, sizes, 0)
         return np.concatenate([others, starts[margin[at] == 0]])
 
-    def _confirm(
-        self,
-        reading: Reading,
-        u: np.ndarray,
-        y: np.ndarray,
-        margin: np.ndarray,
-        at: np.ndarray,
-        first: np.ndarray,
-    ) -> None:
-        """Search once more outside XLA for the gains of windows for which there were none."""
-        wrong = np.flatnonzero(margin[at] < 0)
-        if not len(wrong) or is_outside_xla():
-            return
-        with outside_xla():
-            again = self._search(reading, u[..., wrong], y[..., wrong], first[wrong])
-        doubtful = at[wrong[~(again < 0)]]
-        if len(doubtful):
-            margin[doubtful] = 0
-            warn_doubtful(
-                f"{len(doubtful)} windows are FAULT by XLA, the first of them ends at sample "
-                f"{int(doubtful[0])}"
-            )
-
     def margins(self, given: Recording) -> jax.Array:
         """Raise: the best gains are found by a search that has no derivative."""
-        raise NotImplementedError(
-            "margins has no fast path for constant_tolerance, whose gains are searched for: use "
-            "detect(...).margin"
-        )
+        raise no_derivative()
 
     def _search(self, reading: Reading, u: np.ndarray, y: np.ndarray, first: np.ndarray) -> np.ndarray:
         """Return the margins of windows u (lags, m, N), y (s + 1, p, N): 0 where the budget does not
         decide. first: their margins so far.
         """
-        count, bounds = len(first), gain_bounds(reading, np)
+        count = len(first)
         settings = Settings(reading, PATIENCE * (len(self.exact_frame.inner) + 10), FINER)
-        constants = jax.device_put(settings)
+        run = partial(_alone, jax.device_put(settings))
 
-        def judged(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> _Conclusion:
-            one = np.ones(len(owner), self.dtype)
-            found = candidates(constants, one, u[..., owner], y[..., owner], lo, hi)
-            conclusion: _Conclusion = concluded(constants, one, lo, hi, *found)
-            return conclusion
+        def judged(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> Verdicts[np.ndarray]:
+            (found,) = self._on_boxes(run, reading, [(u[..., owner], y[..., owner], lo, hi)])
+            return found.verdicts
 
-        def verdicts(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> Verdicts[jax.Array]:
-            return judged(lo, hi, owner)[2]
-
-        def margins(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> jax.Array:
-            return judged(lo, hi, owner)[0]
-
-        lo, hi, sizes = np.asarray(bounds.lo), np.asarray(bounds.hi), (self.block,)
-        cover = explore(verdicts, lo, hi, count, DEPTH, BOXES, "kernel", first=True, sizes=sizes)
-        left = np.bincount(cover.owner, minlength=count) > 0
-        out = np.where(left, 0, signed(first, np.zeros(count, bool)))
-        gains, _, owner = cover.proofs
-        which, at = np.unique(owner, return_index=True)
-        if len(which):
-            (size,) = in_blocks(margins, gains[:, at], gains[:, at], which, sizes)
-            out[which] = signed(size, np.ones(len(which), bool))
+        sizes = (self.block,)
+        cover = explore(judged, *_whole_box(reading), count, DEPTH, BOXES, "kernel", first=True, sizes=sizes)
+        status = cover.status(count)
+        out = np.where(status == Status.UNDECIDED, 0, signed(first, np.zeros(count, bool)))
+        size, owner = cover.proofs[0][0], cover.proofs[2]
+        out[owner[::-1]] = signed(size[::-1], np.ones(len(owner), bool))
         return out.astype(self.dtype)
 
+    def _on_boxes(self, run: Run, reading: Reading, boxes: Sequence[Arrays]) -> list["_Found"]:
+        """Return the _Found of blocks of boxes (u, y, lo, hi) of gains, each of its own window."""
+        asked, ones, middles = [], [], []
+        bounds = gain_bounds(reading, np)
+        for u, y, lo, hi in boxes:
+            middle = (0.5 * lo + 0.5 * hi).astype(self.dtype)
+            middles.append(np.clip(middle, bounds.inner_lo[:, None], bounds.inner_hi[:, None]))
+            ones.append(np.ones(len(middle[0]), self.dtype))
+            asked.append((ones[-1], u, y, middles[-1]))
+        searched = run(candidates, asked)
+        proved = run(verdicts, [(one, *hints) for one, hints in zip(ones, searched, strict=True)])
+        found = []
+        for box, gains, hints, (margin, _) in zip(boxes, middles, searched, proved, strict=True):
+            margin = np.asarray(margin)
+            if self.listed is not None:
+                margin = np.where((margin <= 0) & keeps(self.listed, *box[:2], gains), LEAST, margin)
+            found.append(_narrowed(reading, box, gains, np.asarray(hints[0]), margin))
+        return found
 
-_Conclusion = tuple[jax.Array, jax.Array, Verdicts[jax.Array]]
-_Prepared = tuple[jax.Array, jax.Array, jax.Array, jax.Array, separation.Image]
+
+class _Found(NamedTuple):
+    """N boxes of gains: what is proved of them, and the size of the margin at the gains that were tried.
+
+    Fields: keep (N,): neither refuted nor explained; proved: explained; size (N,), NaN where no relation has
+    its data; lo, hi (g, N): the box without parts that cannot explain; axis (N,): along which to cut.
+    """
+
+    keep: np.ndarray
+    proved: np.ndarray
+    size: np.ndarray
+    lo: np.ndarray
+    hi: np.ndarray
+    axis: np.ndarray
+
+    @property
+    def verdicts(self) -> Verdicts[np.ndarray]:
+        """The same as a frontier takes it: the size of the margin stands for the proof."""
+        size = self.size[None]
+        return Verdicts(self.keep, self.proved, (size, size), (self.lo, self.hi), self.axis)
+
+
+def _alone(constants: Settings, kernel: Callable[..., T], blocks: Sequence[Arrays]) -> list[T]:
+    """Run a kernel on blocks, one after the other."""
+    return [kernel(constants, *block) for block in blocks]
+
+
+def _whole_box(reading: Reading) -> tuple[np.ndarray, np.ndarray]:
+    """Return lo and hi (g,) of all gains."""
+    bounds = gain_bounds(reading, np)
+    return np.asarray(bounds.lo, np.float64), np.asarray(bounds.hi, np.float64)
 
 
 @kernel
 def candidates(
-    given: Settings, one: jax.Array, u: jax.Array, y: jax.Array, lo: jax.Array, hi: jax.Array
+    given: Settings, one: jax.Array, u: jax.Array, y: jax.Array, gains: jax.Array
 ) -> tuple[jax.Array, ...]:
-    """Return (gains, mid, rad, known, h, d, done, *image) at the middle of a box of gains lo, hi (g, N) a
-    window; nothing is proved yet.
-    """
-    *rows, image = _prepared(given, one, u, y, lo, hi)
-    found = separation.separation_search(given.reading.frame, image, one, given.steps, given.finer)
-    return *rows, *found, *image
-
-
-def _prepared(
-    given: Settings, one: jax.Array, u: jax.Array, y: jax.Array, lo: jax.Array, hi: jax.Array
-) -> _Prepared:
-    """Return (gains, mid, rad, known, image) at the middle of a box of gains."""
+    """Return (h, d, done, *image) of windows read with gains (g, N); nothing is proved yet."""
     test = given.reading
-    inner = (x[:, None] for x in gain_bounds(test, jnp)[2:])
-    gains = jnp.clip(0.5 * lo + 0.5 * hi, *inner) / one[None]
     rows = dataclasses.replace(test, tolerance=jnp.zeros_like(test.tolerance)).block(u, y)
     mid, rad, scale, known, known_scale = (x / one[None] for x in rows)
-    of = jnp.take(gains, _gain(test, jnp.arange(len(mid))), 0)  # of each row
+    of = jnp.take(gains, _gain(test, np.arange(len(mid))), 0)  # of each row
     lift = jnp.max(gain_bounds(test, jnp).hi)
     scaled = (mid * of, rad * of, 2 * scale * of)  # twice: what the products round
     image = separation.separation_image(test.frame, *scaled, known, 2 * known_scale, lift, one)
-    return gains, mid, rad, known, image
+    return *separation.separation_search(test.frame, image, one, given.steps, given.finer), *image
 
 
-prepared = kernel(_prepared)
-"""The same without a search, for hints that are there."""
-
-
-@kernel
-def concluded(
-    given: Settings,
-    one: jax.Array,
-    lo: jax.Array,
-    hi: jax.Array,
-    gains: jax.Array,
-    mid: jax.Array,
-    rad: jax.Array,
-    known: jax.Array,
-    h: jax.Array,
-    d: jax.Array,
-    done: jax.Array,
-    *rest: jax.Array,
-) -> _Conclusion:
-    """Return (margin, settled, Verdicts) of boxes of gains lo, hi (g, N), from the candidates in their
-    middle.
+def _narrowed(reading: Reading, box: Arrays, gains: np.ndarray, h: np.ndarray, margin: np.ndarray) -> _Found:
+    """Return the _Found of boxes (u, y, lo, hi), by combinations h (c, N) and by the margins of given gains,
+    proved where they are > 0.
     """
-    test, image = given.reading, separation.Image(*rest)
-    margin, _ = separation.separation_verdict(test.frame, image, one, h, d, done)
-    own = own_factor(gains, gain_tolerance(test))
-    inside, nothing = margin > 0, jnp.isnan(margin)
-    a, e, b, slack, usable = _strip(test, image, h, mid, rad, known)
-    out = jnp.zeros_like(inside)
+    u, y, lo, hi = map(np.asarray, box)
+    inside = margin > 0
+    below, above, value, error = _sums(reading, u, y, h)
+    out = np.zeros(len(margin), bool)
     low, high = lo, hi
-    for slope, least in ((a + e, b - slack), (e - a, -b - slack)):
-        low, high, missed = narrowed(
-            low, high, jnp.where(usable[None], slope, 0), jnp.where(usable, least, -1)
-        )
-        out |= missed & usable
-    out |= jnp.any(low > high, 0)
-    out &= ~nothing & ~inside
-    size = jnp.minimum(jnp.where(margin == 0, -1, margin), 1 - own)
-    size = jnp.where(
-        nothing, jnp.nan, jnp.where(inside | out, signed(size, inside), jnp.where(size < 0, size, -1e-6))
-    )
-    axis = jnp.argmax(jnp.where(usable[None], jnp.abs(a), 1) * (high - low), 0)
-    open_ = ~inside & ~out & ~nothing
-    return size, ~open_, Verdicts(open_, inside, (gains, gains), (low, high), axis)
+    with np.errstate(all="ignore"):
+        for slope, least in ((above, value - error), (-below, -value - error)):
+            low, high, missed = narrowed(low, high, slope, least, np)
+            out |= missed
+        size = np.minimum(np.where(margin == 0, -1, margin), 1 - own_factor(reading, gains, np))
+        axis = np.argmax(np.nan_to_num(np.abs(below + above)) * (high - low), 0)
+    out = (out | (low > high).any(0)) & ~inside
+    return _Found(~inside & ~out, inside, size, low, high, axis)
 
 
-def _gain(reading: Reading, rows: jax.Array) -> jax.Array:
-    """Return the number of the gain of each row: that of its output, one more for disturbances."""
-    p = len(reading.noise)
-    return jnp.where(rows < p * (reading.horizon + 1), rows % p, p)
+def _sums(
+    reading: Reading, u: np.ndarray, y: np.ndarray, h: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return (below, above (g, N), value, error (N,)) of combinations h (c, N) of outer rows, whatever they
+    are: sum_i g_i below_i - error <= value <= sum_i g_i above_i + error, where gains g explain.
 
-
-def _strip(
-    reading: Reading, image: separation.Image, h: jax.Array, mid: jax.Array, rad: jax.Array, known: jax.Array
-) -> tuple[jax.Array, ...]:
-    """Return (a, e (g, N), b, slack (N,), usable) of the combination h (c, N): |sum_i g_i a_i - b| <= sum_i
-    g_i e_i where gains explain.
-
-    The rounded coefficients on rows, h and -h R, are sums of c products, and a sum over c + k rows follows:
-    no more than twice the roundings that `rounding.search_error` counts, at magnitudes that the largest gain
-    multiplies once more.
+    In float64 from the samples; NaN where a sample is missing that a combination needs. Half of the error
+    pays, as in `rounding.search_error`, for rows whose magnitudes the largest gain multiplies once more; the
+    other half for cutting a box: a sum over gains, which are fewer than terms, a difference and a quotient.
     """
     frame, gains = reading.frame, len(reading.noise) + min(1, len(reading.disturbance))
-    c, k = frame.R.shape
-    order = jnp.concatenate([frame.outer, frame.inner])
-    present = image.present
-    h = jnp.where(present[:c], h, 0)
+    R, K, h = np.asarray(frame.R, float), np.asarray(frame.K, float), h.astype(float)
+    outer, inner = np.asarray(frame.outer), np.asarray(frame.inner)
+    order = np.concatenate([outer, inner])
+    windows = HostRows(dataclasses.replace(reading, tolerance=0 * reading.tolerance), u, y)
+    sizes, known_sizes = windows.sizes()
+    gamma, floor, size = row_errors(R, K, (sizes[outer], sizes[inner], known_sizes), y.dtype)
+    share = np.concatenate([h, -R.T @ h])
+    lo, hi = (np.where(share == 0, 0, share * x[order]) for x in windows.ends())
+    mine = (_gain(reading, order) == np.arange(gains)[:, None]).astype(float)
+    below, above = mine @ np.minimum(lo, hi), mine @ np.maximum(lo, hi)
+    reached = K.T @ h
+    value = np.where(reached == 0, 0, reached * windows.known).sum(0)
+    weights = np.abs(h)
+    error = gamma * (weights * size).sum(0) + floor * (1 + weights.sum(0))
+    return below, above, value, 4 * float(gain_bounds(reading, np).hi.max()) * error
 
-    def through(matrix: Array) -> jax.Array:
-        def add(j: jax.Array, total: jax.Array) -> jax.Array:
-            return total + matrix[j][:, None] * h[j][None]
 
-        sums: jax.Array = jax.lax.fori_loop(0, c, add, jnp.zeros((matrix.shape[1], h.shape[1]), h.dtype))
-        return sums
-
-    def taken(x: jax.Array) -> jax.Array:
-        return jnp.where(present, jnp.take(x, order, 0, mode="clip"), 0)
-
-    share = jnp.concatenate([h, -through(frame.R)])
-    mine = jax.nn.one_hot(_gain(reading, order), gains, dtype=bool, axis=0)[:, :, None]
-    a = jnp.sum(jnp.where(mine, (share * taken(mid))[None], 0), 1)
-    e = jnp.sum(jnp.where(mine, (jnp.abs(share) * taken(rad))[None], 0), 1)
-    there = jnp.where(jnp.isnan(known), 0, known)
-    if len(known):
-        b = jnp.sum(through(frame.K) * there, 0)
-    else:
-        b = jnp.zeros_like(h[0])
-    most = jnp.max(gain_bounds(reading, jnp).hi)
-    gamma, _ = rounding.search_error(c, k, len(known), h.dtype)
-    rounded = gamma * jnp.sum(jnp.abs(h) * image.magnitude[:c], 0)
-    slack = 4 * most * (rounded + image.floor * (1 + jnp.sum(jnp.abs(h), 0)))
-    usable = image.complete & present[:c].any(0)
-    usable &= slack < np.asarray(2.0 ** (np.finfo(h.dtype).maxexp // 2), h.dtype)
-    return a, e, b, jnp.where(usable, slack, 0), usable
+def _gain(reading: Reading, rows: np.ndarray) -> np.ndarray:
+    """Return the number of the gain of each row: that of its output, one more for disturbances."""
+    p = len(reading.noise)
+    return np.where(rows < p * (reading.horizon + 1), rows % p, p)
 
 
 def _rounded(relations: LinearRelations, frame: ExactFrame, dtype: DTypeLike) -> separation.Frame:

@@ -1,7 +1,7 @@
 """Boxes of parameters that keep one value over a recording: a window refutes those that cannot explain it.
 
 A test here takes pairs (box, window), a block of them at once, and says of each how far the window is from
-refuting the box. What it refutes it proves; `confirmed` decides it once more in NumPy, from the samples.
+refuting the box. What it refutes it proves; it looks once more in NumPy, from the samples.
 
 The windows of a model with uncertain parameters are systems of polynomials p(v, e) = 0, see
 `parametric_windows`: a box of v is refuted where a direction separates 0 from a zonotope around all values of
@@ -22,17 +22,17 @@ from jaxbound.consistency.polynomial_reading import PolynomialReading, Polynomia
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.uncertainty import Uncertainty
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.floats.kernel import kernel, outside_xla
+from jaxbound.sets.floats.kernel import is_outside_xla, kernel
 from jaxbound.sets.strips import polynomials, varying
 
-__all__ = ["CONFIRMED", "Ends", "Look", "ParameterBoxes", "PolynomialBoxes", "blocks_of", "joined"]
+__all__ = ["Ends", "Hint", "Look", "ParameterBoxes", "PolynomialBoxes", "blocks_of", "joined"]
 
 PAIRS = 2**13
 """Pairs of a box and a window at once where each is a formula."""
-CONFIRMED = 2**9
-"""Pairs that are evaluated in NumPy at once."""
 Ends: TypeAlias = tuple[np.ndarray, np.ndarray]
 """lo and hi (q, N) of N boxes."""
+Hint: TypeAlias = np.ndarray | None
+"""Directions (r, P) by which a look refutes without a search; None: there are none."""
 
 
 class Look(NamedTuple):
@@ -40,12 +40,12 @@ class Look(NamedTuple):
 
     Fields: margin (P,), < 0 where the window refutes the box, the less the closer; lean (q, P): the share of
     each parameter in the room that the box leaves the window, None: not known; hint (r, P): directions by
-    which `confirmed` sees it, None: it needs none.
+    which another look sees it without a search, None: it needs none.
     """
 
     margin: np.ndarray
     lean: np.ndarray | None
-    hint: np.ndarray | None
+    hint: Hint
 
 
 class ParameterBoxes:
@@ -59,15 +59,14 @@ class ParameterBoxes:
     hi: np.ndarray
     count: int
 
-    def looked(self, boxes: Ends, box: np.ndarray, window: np.ndarray, closely: bool) -> Look:
-        """Return the Look of windows (P,) on boxes (P,), numbers both.
+    def looked(
+        self, boxes: Ends, box: np.ndarray, window: np.ndarray, closely: bool, hint: Hint = None
+    ) -> Look:
+        """Return the Look of windows (P,) on boxes (P,), numbers both; outside XLA from the samples.
 
         closely: whether what takes long is tried too; it pays for the windows that are near to refuting.
+        hint: of a Look before, where nothing is to be searched again; None: there is none.
         """
-        raise NotImplementedError
-
-    def confirmed(self, boxes: Ends, window: np.ndarray, hint: np.ndarray | None) -> np.ndarray:
-        """Return (N,) bool: whether NumPy sees each window refute its box. hint: of the Look."""
         raise NotImplementedError
 
     def units(self, boxes: Ends) -> Ends:
@@ -95,48 +94,44 @@ class PolynomialBoxes(ParameterBoxes):
         self._searched = _is_searched(self.reading)
         self._terms = self._of_all_windows()
 
-    def looked(self, boxes: Ends, box: np.ndarray, window: np.ndarray, closely: bool) -> Look:
+    def looked(
+        self, boxes: Ends, box: np.ndarray, window: np.ndarray, closely: bool, hint: Hint = None
+    ) -> Look:
         """Return the Look of windows (P,) on boxes (P,): all relations together, or not closely and where
         their strips are too many, two relations at a time.
         """
         mid, radius = self._variables(boxes)
         searched = closely and self._searched
         size = PAIRS
-        if searched:
+        if searched or is_outside_xla():
             size = SEARCHED
         margins, leans, hints = [], [], []
         for chosen, count in blocks_of(len(box), size):
-            at, own = box[chosen], _taken(self._terms, window[chosen])
+            at, own = box[chosen], self._own(window[chosen])
             c, G, lean = _image_on(self.reading, own, mid[:, at], radius[:, at])
             h = None
-            if searched:
+            if hint is not None:
+                h = cast("jax.Array", hint[:, chosen])
+            elif searched:
                 h = _directions(c, G, own.error)
                 hints.append((h, count))
-            margin = _refuting(c, G, own.error, h)
-            margins.append((margin, count))
+            margins.append((_refuting(c, G, own.error, h), count))
             leans.append((lean, count))
         lean = np.zeros((len(self.names), len(box)), self.lo.dtype)
         seen = self._place >= 0
         lean[seen] = joined(leans)[self._place[seen]]
         margin = np.nan_to_num(joined(margins), nan=np.inf)
-        if not searched:
+        if not hints:
             return Look(margin, lean, None)
         return Look(margin, lean, joined(hints))
 
-    def confirmed(self, boxes: Ends, window: np.ndarray, hint: np.ndarray | None) -> np.ndarray:
-        """Return (N,) bool: whether NumPy sees each window refute its box. hint: of the Look."""
-        mid, radius = self._variables(boxes)
+    def _own(self, window: np.ndarray) -> Terms:
+        """Return the polynomials of some windows; outside XLA from their samples."""
+        if not is_outside_xla():
+            return _taken(self._terms, window)
         u, y, starts = self._samples
-        margins = []
-        for at, count in blocks_of(len(window), CONFIRMED):
-            with outside_xla():
-                own = terms_of(self.reading, *samples_of(self.reading, u, y, starts[window[at]]))
-                c, G, _ = _image_on(self.reading, own, mid[:, at], radius[:, at])
-                h = None
-                if hint is not None:
-                    h = cast("jax.Array", hint[:, at])
-                margins.append((_refuting(c, G, own.error, h), count))
-        return np.asarray(joined(margins) < 0)
+        terms: Terms = terms_of(self.reading, *samples_of(self.reading, u, y, starts[window]))
+        return terms
 
     def units(self, boxes: Ends) -> Ends:
         """Return lo, hi (N, q) of boxes in the units of the parameters, rounded outward."""

@@ -13,10 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency.bisection import ResidualRelations, Thick, recorded
-from jaxbound.consistency.parameter_boxes import CONFIRMED, Ends, Look, ParameterBoxes, blocks_of, joined
+from jaxbound.consistency.parameter_boxes import Ends, Hint, Look, ParameterBoxes, blocks_of, joined
+from jaxbound.consistency.parametric_windows import SEARCHED
 from jaxbound.consistency.reading import gather
 from jaxbound.models.sensor import RECORDER_ULPS, input_slip
-from jaxbound.sets.floats.kernel import kernel, outside_xla
+from jaxbound.sets.floats.kernel import is_outside_xla, kernel
 from jaxbound.sets.inclusion.functions import forgets, frozen
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.paving.existence import components
@@ -56,34 +57,23 @@ class ResidualBoxes(ParameterBoxes):
         windows = U - slip, U + slip, *recorded(Y, RECORDER_ULPS + 2)
         self._windows = tuple(np.ascontiguousarray(np.moveaxis(x, 0, -1)) for x in windows)
 
-    def looked(self, boxes: Ends, box: np.ndarray, window: np.ndarray, closely: bool) -> Look:
+    def looked(
+        self, boxes: Ends, box: np.ndarray, window: np.ndarray, closely: bool, hint: Hint = None
+    ) -> Look:
         """Return the Look of windows (P,) on boxes (P,), numbers both."""
         lo, hi = self._unknowns(boxes)
-        margins = []
-        for chosen, count in blocks_of(len(box), PAIRS):
-            at = box[chosen]
-            margins.append((self._margin(lo[:, at], hi[:, at], window[chosen]), count))
+        margins, size = [], PAIRS
+        if is_outside_xla():
+            size = SEARCHED
+        for chosen, count in blocks_of(len(box), size):
+            at, own = box[chosen], [x.take(window[chosen], -1) for x in self._windows]
+            margins.append((_outside(self._f, lo[:, at], hi[:, at], tuple(own)), count))
         return Look(np.nan_to_num(joined(margins), nan=np.inf), None, None)
-
-    def confirmed(self, boxes: Ends, window: np.ndarray, hint: np.ndarray | None) -> np.ndarray:
-        """Return (N,) bool: whether NumPy sees each window refute its box. hint: of the Look."""
-        lo, hi = self._unknowns(boxes)
-        margins = []
-        for at, count in blocks_of(len(window), CONFIRMED):
-            with outside_xla():
-                margins.append((self._margin(lo[:, at], hi[:, at], window[at]), count))
-        return np.asarray(joined(margins) < 0)
 
     def units(self, boxes: Ends) -> Ends:
         """Return lo, hi (N, q) of boxes in the units of the parameters."""
         lo, hi = boxes
         return lo.T.astype(np.float64), hi.T.astype(np.float64)
-
-    def _margin(self, lo: np.ndarray, hi: np.ndarray, window: np.ndarray) -> jax.Array:
-        """Return the margin (P,) of boxes of all unknowns, each with a window of its own."""
-        own = tuple(x.take(window, -1) for x in self._windows)
-        margin: jax.Array = _outside(self._f, lo, hi, own)
-        return margin
 
     def _unknowns(self, boxes: Ends) -> Ends:
         """Return lo and hi (n, N) of all unknowns, those that are no parameters in their whole box."""

@@ -24,7 +24,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.covers import status_of_cover
 from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations
 from jaxbound.consistency.reading import Block, gather
 from jaxbound.sets.floats.kernel import kernel, outside_xla
@@ -385,7 +384,7 @@ def bisected(
     cover = explore(judge, -one, one, count, 200, budget, "kernel", first=True, sizes=(SEARCHED,))
     points = np.array(starts[0])[:, :count]
     points[:, cover.proofs[2]] = cover.proofs[0]
-    return status_of_cover(cover, count), Leaves.of(boxes), points
+    return cover.status(count), Leaves.of(boxes), points
 
 
 def refuted(reading: PolynomialReading, samples: Block, leaves: Leaves) -> np.ndarray:

@@ -17,6 +17,8 @@ import numpy as np
 
 from jaxbound.consistency.parameter_boxes import Ends, ParameterBoxes
 from jaxbound.consistency.twice import warn_doubtful
+from jaxbound.sets.floats.kernel import outside_xla
+from jaxbound.sets.paving.frontier import bisected
 from jaxbound.text.progress import Progress
 
 __all__ = ["ENDED", "FOUND", "STOPPED", "Explored", "explored"]
@@ -134,7 +136,9 @@ class _Search:
             hint = None
             if look.hint is not None:
                 hint = look.hint[:, pair]
-            proved = self.test.confirmed((boxes.lo[:, out], boxes.hi[:, out]), window, hint)
+            with outside_xla():
+                told = self.test.looked(boxes.take(out).ends, np.arange(len(out)), window, closely, hint)
+            proved = told.margin < 0
             if not proved.all():
                 warn_doubtful(f"{int((~proved).sum())} of {len(out)} boxes of parameters are refuted by XLA")
             np.add.at(self.refuted, window[proved], 1)
@@ -261,13 +265,8 @@ def _edges(parts: list[_Boxes]) -> np.ndarray:
 def _halved(boxes: _Boxes, axis: np.ndarray) -> _Boxes:
     """Return both halves of the boxes that are cut along an axis >= 0."""
     cut = boxes.take(np.flatnonzero(axis >= 0))
-    along, columns = axis[axis >= 0], np.arange(len(cut))
-    middle = 0.5 * cut.lo[along, columns] + 0.5 * cut.hi[along, columns]
-    lower, upper = cut.hi.copy(), cut.lo.copy()
-    lower[along, columns] = upper[along, columns] = middle
-    lo = np.stack([cut.lo, upper], 2).reshape(len(cut.lo), -1)
-    hi = np.stack([lower, cut.hi], 2).reshape(len(cut.lo), -1)
-    return _Boxes(lo, hi, cut.near.repeat(2, 0))
+    lo, hi, parent = bisected(*cut.ends, np.arange(len(cut)), axis[axis >= 0])
+    return _Boxes(lo, hi, cut.near[parent])
 
 
 def _split(boxes: _Boxes, count: int) -> tuple[_Boxes, _Boxes]:

@@ -152,6 +152,22 @@ class ParityRelation(LinearRelations):
         return relations
 
     @cached_property
+    def _framed(self) -> ParityRelation:
+        """The same relations with a frame for a search."""
+        if self.frame is not None:
+            return self
+        return dataclasses.replace(self, frame=_frame(self.model, self.horizon, self.lags))
+
+    def _search(self, dtype: DTypeLike) -> GainsTest:
+        """Return the search for gains of these relations, with the circuits where they are listed."""
+        framed = self._framed
+        assert framed.frame is not None
+        test = GainsTest(framed, dtype, frames=KeptFrames(framed.frame, framed._reframed))
+        if self.circuits:
+            test.listed = jax.device_put(self.reading(dtype))
+        return test
+
+    @cached_property
     def _joint(self) -> Strips:
         return strips_of(self.circuits, self.circuits_known)
 
@@ -201,7 +217,9 @@ class ParityRelation(LinearRelations):
         if method == "joint" and self.frame is not None:
             kind = GainsTest if constant else ExchangeTest
             return kind(self, dtype, frames=KeptFrames(self.frame, self._reframed))
-        return ConstantTest(self, method, dtype) if constant else StripsTest(self, method, dtype)
+        if constant:
+            return ConstantTest(self, method, dtype, partial(self._search, dtype))
+        return StripsTest(self, method, dtype)
 
     def recording(self, u: object, y: object = None, starts: Starts = ()) -> tuple[Self, Recording]:
         """Return (relations, Recording) of what is given: see `Recording.of`."""
@@ -364,15 +382,27 @@ def parity_relations(
     circuits = _few_circuits(E, most)
     report(0.6)
     if not circuits:
-        narrow = frame(E, on_inputs, progress=lambda share: report(0.6 + 0.4 * share))
-        inner, outer = _numbered(looked_at, narrow.inner), _numbered(looked_at, narrow.outer)
-        searched = dataclasses.replace(narrow, inner=inner, outer=outer)
+        searched = _frame(model, horizon, lags, lambda share: report(0.6 + 0.4 * share))
         report(1.0)
         return ParityRelation(bounds, model, horizon, form, W, K, (), (), searched, lags)
     report(1.0)
     circuits_known = _on_inputs(circuits, on_inputs)
     circuits = tuple(over_all_rows(row, looked_at, model, horizon) for row in circuits)
     return ParityRelation(bounds, model, horizon, form, W, K, circuits, circuits_known, None, lags)
+
+
+def _frame(
+    model: LinearSystem,
+    horizon: int,
+    lags: Sequence[int] | None,
+    report: Callable[[float], object] | None = None,
+) -> ExactFrame:
+    """Return the frame of the rows that relations look at."""
+    looked_at = window.window_rows(model, horizon, lags).seen
+    E, on_inputs = (_numbered(matrix, looked_at) for matrix in window.unknowns(model, horizon))
+    narrow = frame(E, on_inputs, progress=report)
+    inner, outer = _numbered(looked_at, narrow.inner), _numbered(looked_at, narrow.outer)
+    return dataclasses.replace(narrow, inner=inner, outer=outer)
 
 
 def _numbered(entries: Sequence[T], numbers: Sequence[int]) -> tuple[T, ...]:

@@ -18,6 +18,7 @@ import jaxbound as jb
 from jaxbound.consistency import parameter_boxes
 from jaxbound.consistency.twice import Doubtful
 from jaxbound.estimation import parameter_search
+from jaxbound.sets.floats.kernel import is_outside_xla
 
 
 def fixed(name, lo, hi, **parts):
@@ -244,8 +245,10 @@ def test_what_numpy_does_not_confirm_is_kept(rng, monkeypatch):
     u, y = simulated(plant, values, rng, 30)
     real = parameter_boxes.PolynomialBoxes.looked
 
-    def lying(self, boxes, box, window, closely):
-        look = real(self, boxes, box, window, closely)
+    def lying(self, *given):
+        look = real(self, *given)
+        if is_outside_xla():
+            return look
         wrong = np.where(rng.random(look.margin.shape) < 0.2, -1.0, look.margin)
         return look._replace(margin=wrong)
 

@@ -11,7 +11,9 @@ from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
 import jax
 import numpy as np
 
-__all__ = ["BLOCKS", "Cover", "Verdicts", "explore", "in_blocks"]
+from jaxbound.sets.floats.status import Status
+
+__all__ = ["BLOCKS", "Cover", "Verdicts", "bisected", "explore", "in_blocks"]
 
 BLOCKS = (2**10,)  # the only sizes that are compiled, the smaller for levels that fit into one
 MOST = 10**8  # boxes of all targets together: what memory holds
@@ -53,6 +55,13 @@ class Cover:
     proofs: Boxes
     evaluated: np.ndarray
     levels: int
+
+    def status(self, count: int) -> np.ndarray:
+        """Return the status (count,): FAULT where no box is left, CONSISTENT where one is a proof."""
+        left = np.bincount(self.owner, minlength=count)
+        status = np.where(left == 0, np.int8(Status.FAULT), np.int8(Status.UNDECIDED))
+        status[self.proofs[2]] = Status.CONSISTENT
+        return status
 
 
 def explore(
@@ -120,7 +129,7 @@ def explore(
             if stuck.any():
                 aside.append((lo[:, stuck], hi[:, stuck], owner[stuck]))
                 lo, hi, owner, along = lo[:, ~stuck], hi[:, ~stuck], owner[~stuck], along[~stuck]
-        lo, hi, owner = _cut(lo, hi, owner, along)
+        lo, hi, owner = bisected(lo, hi, owner, along)
         level += 1
         if progress is not None:
             progress(level / depth)
@@ -193,7 +202,7 @@ def _cuttable(lo: np.ndarray, hi: np.ndarray, axis: np.ndarray) -> np.ndarray:
     return (lo[axis, columns] < middle) & (middle < hi[axis, columns])
 
 
-def _cut(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray, axis: np.ndarray) -> Boxes:
+def bisected(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray, axis: np.ndarray) -> Boxes:
     """Cut boxes (n, N) in two, each along its axis; children follow each other."""
     columns, middle = np.arange(lo.shape[1]), _middle(lo, hi, axis)
     lo, hi = np.repeat(lo, 2, 1), np.repeat(hi, 2, 1)
