@@ -28,7 +28,6 @@ RELATIONS = {
     "paving": lambda: jb.parity_relations(paper()),
     # of the sizes that tests of observers compile
     "observer": lambda: jb.observer(DISTURBED),
-    "constrained": lambda: jb.observer(DISTURBED, method="constrained"),
     "joint": lambda: jb.observer(DISTURBED, method="joint", window=8, order=6),
 }
 DISTURBED = jb.LinearSystem(
@@ -107,15 +106,12 @@ def faults_under_corruption(name, rng, corrupted, recordings, samples):
     return status.size, int((status == Status.FAULT).sum()), liar.changed, warned
 
 
-BY_DAY = [
-    pytest.param(name, marks=pytest.mark.long) if name in ("constrained", "joint") else name
-    for name in RELATIONS
-]
+BY_DAY = [pytest.param(name, marks=pytest.mark.long) if name == "joint" else name for name in RELATIONS]
 
 
 @pytest.mark.parametrize("name", BY_DAY)
 def test_no_corruption_makes_a_fault(name, rng, corrupted):
-    recordings, samples = (2, 24) if name in ("observer", "constrained", "joint") else (6, 40)
+    recordings, samples = (2, 24) if name in ("observer", "joint") else (6, 40)
     count, faults, changed, warned = faults_under_corruption(name, rng, corrupted, recordings, samples)
     assert count == recordings * samples and changed > 10 and warned
     assert faults == 0
