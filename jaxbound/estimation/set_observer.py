@@ -22,13 +22,14 @@ from numpy.typing import ArrayLike
 
 from jaxbound.certificates.interface import evidence
 from jaxbound.consistency.interface import Budget, Judged, Observer
+from jaxbound.consistency.twice import warn_doubtful
 from jaxbound.estimation import zonotope_steps as steps
 from jaxbound.estimation.arrays import Array
 from jaxbound.estimation.blocks import in_blocks, repeated
 from jaxbound.estimation.lanes import emptied, joined
 from jaxbound.estimation.observation import Observation, State
 from jaxbound.estimation.observed_plant import ObservedModel, ObservedPlant, observed_plant
-from jaxbound.estimation.second_look import decided_twice
+from jaxbound.estimation.second_look import doubtful, ignorant
 from jaxbound.estimation.short_proof import ObservedResult, short_proof
 from jaxbound.estimation.zonotope_numbers import ROUNDED, FirstSet
 from jaxbound.models.sensor import input_slip
@@ -277,12 +278,27 @@ class SetObserver(Observer[State], Generic[State]):
     def fold(self, carry: State, piece: Recording) -> tuple[State, Observation | Judged]:
         """Take the next samples (..., T, .) of a recording, or of recordings side by side; return (carry,
         Observation or Judged).
-        """
-        return decided_twice(self, carry, piece)
 
-    def judged(self, carry: State, piece: Recording) -> tuple[State, Observation | Judged]:
-        """Return (carry, verdicts) as `fold`, by XLA alone: FAULTs are decided once."""
-        lead, samples = self._side_by_side(carry, piece)
+        A FAULT that is not proved outside XLA is UNDECIDED, and a warning tells of it. Then the observer goes
+        on knowing nothing: the set that XLA carried is not to be trusted.
+        """
+        lead, samples = self.side_by_side(carry, piece)
+        state, found = self.found(carry, samples)
+        fault = np.asarray(found.status) == Status.FAULT
+        if fault.any() and not is_outside_xla():
+            gone = doubtful(self, carry, samples, fault)
+            if gone.any():
+                warn_doubtful(
+                    f"{gone.sum()} samples are FAULT by an observer in XLA, the first of them is sample "
+                    f"{gone.any(1).argmax()} of its piece"
+                )
+                status = np.where(gone, np.int8(Status.UNDECIDED), found.status)
+                margin = np.where(gone, 0, found.margin).astype(found.margin.dtype)
+                state, found = ignorant(self, state.samples), found._replace(status=status, margin=margin)
+        return state, self._verdicts(found, lead, len(samples.fresh), carry)
+
+    def found(self, carry: State, samples: Piece) -> tuple[State, steps.Found]:
+        """Return (state, Found) of samples, decided once."""
         T, count = samples.fresh.shape
         state = self._of_all(carry, count)
         parts: list[steps.Found] = []
@@ -292,8 +308,9 @@ class SetObserver(Observer[State], Generic[State]):
             state, part = self._tested(state, samples.cut(first, stop))
             parts.append(part)
             first = stop
-        whole = parts[0] if len(parts) == 1 else jax.tree.map(lambda *x: np.concatenate(x), *parts)
-        return state, self._verdicts(whole, lead, T, carry)
+        if len(parts) == 1:
+            return state, parts[0]
+        return state, jax.tree.map(lambda *x: np.concatenate(x), *parts)
 
     def _of_all(self, carry: State, count: int) -> State:
         """Return the carry of `count` recordings; one of a single recording is that of all."""
@@ -307,7 +324,7 @@ class SetObserver(Observer[State], Generic[State]):
         """Return (state, Found) of samples that follow those before."""
         raise NotImplementedError
 
-    def _side_by_side(self, carry: State, piece: Recording) -> tuple[tuple[int, ...], Piece]:
+    def side_by_side(self, carry: State, piece: Recording) -> tuple[tuple[int, ...], Piece]:
         """Return (leading shape, samples) of a piece."""
         piece.finite()
         u, y = np.asarray(piece.u), np.asarray(piece.y)

@@ -145,8 +145,8 @@ def test_faults_of_faulty_recordings_are_confirmed(name, rng):
         patch.setattr(drive, "decided_twice", lambda test, judged, *_: judged)
         patch.setattr(twice.Twice, "decided", lambda self, margin, *_: np.asarray(margin))
         patch.setattr(
-            "jaxbound.estimation.second_look._doubtful",
-            lambda watch, carry, piece, status: np.zeros(status.shape, bool),
+            "jaxbound.estimation.set_observer.doubtful",
+            lambda watch, carry, samples, fault: np.zeros_like(fault),
         )
         once = jb.detect(relations, u, y, method=method).status
     assert (status == Status.FAULT).any(1).all()
