@@ -31,15 +31,15 @@ def observer_method(method: str | ObserverMethod, **options: int | None) -> Obse
     Raises:
         ValueError: an unknown method, an option that its method refuses, keywords beside options.
     """
+    if method == GONE:
+        raise ValueError(
+            f'{GONE!r} is no method any more, "joint" sees at least as much: observer(model, method="joint")'
+        )
     given = {field: value for field, value in options.items() if value is not None}
     if isinstance(method, ObserverMethod):
         if given:
             raise ValueError(f"{', '.join(given)} belongs to a method given by name: {method!r} says it")
         return method
-    if method == GONE:
-        raise ValueError(
-            f'{GONE!r} is no method any more, "joint" sees at least as much: observer(model, method="joint")'
-        )
     if not isinstance(method, str) or method not in OBSERVERS:
         raise ValueError(f"method must be one of {', '.join(OBSERVERS)}, not {method!r}")
     kind = OBSERVERS[method]
