@@ -11,7 +11,7 @@ encloses states as well, is another value (`dataclasses.replace`) that shares th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
@@ -29,6 +29,7 @@ from jaxbound.estimation.blocks import in_blocks, repeated
 from jaxbound.estimation.lanes import emptied, joined
 from jaxbound.estimation.observation import Observation, State
 from jaxbound.estimation.observed_plant import ObservedModel, ObservedPlant, observed_plant
+from jaxbound.estimation.piece import Piece
 from jaxbound.estimation.second_look import doubtful, ignorant
 from jaxbound.estimation.short_proof import ObservedResult, short_proof
 from jaxbound.estimation.zonotope_numbers import ROUNDED, FirstSet
@@ -92,42 +93,6 @@ class ObserverSetup(NamedTuple):
     weight: float | Sequence[float]
     restart: bool
     x0: FirstSet | None
-
-
-class Piece(NamedTuple):
-    """Samples of N recordings side by side, as kernels take them.
-
-    Fields: u, y, slip (T, ., N): inputs, outputs, and the error of recorded inputs; fresh (T, N): whether a
-    sample does not follow the one before; rounded (): the unit roundoff of the type in which y was recorded;
-    noise (T, p, N): bounds of errors, or None: those of the model at every sample.
-    """
-
-    u: np.ndarray
-    y: np.ndarray
-    slip: np.ndarray
-    fresh: np.ndarray
-    rounded: np.ndarray
-    noise: np.ndarray | None = None
-
-    def mapped(self, change: Callable[[np.ndarray], np.ndarray]) -> Piece:
-        """Return the piece with another choice of its samples or recordings."""
-        noise = None
-        if self.noise is not None:
-            noise = change(self.noise)
-        columns = change(self.u), change(self.y), change(self.slip), change(self.fresh)
-        return Piece(*columns, self.rounded, noise)
-
-    def of_recordings(self, lanes: np.ndarray) -> Piece:
-        """Return some of the recordings."""
-        return self.mapped(lambda x: np.take(x, lanes, -1))
-
-    def cut(self, first: int, stop: int) -> Piece:
-        """Return some of the samples."""
-        return self.mapped(lambda x: x[first:stop])
-
-    def filled(self, length: int) -> Piece:
-        """Return the samples with zeros behind them, up to a length."""
-        return self.mapped(lambda x: _filled(x, length))
 
 
 @readable
@@ -530,13 +495,6 @@ def _fetched(parts: Sequence[Tree], T: int) -> Tree:
 
     whole: Tree = jax.tree.map(joined_in_time, *parts)
     return whole
-
-
-def _filled(x: np.ndarray, length: int) -> np.ndarray:
-    """Return x with zeros behind, up to a length."""
-    out = np.zeros((length, *x.shape[1:]), x.dtype)
-    out[: len(x)] = x
-    return out
 
 
 def _interval(ends: np.ndarray, width: int) -> Interval:
