@@ -40,7 +40,6 @@ OBSERVERS = {
     "strips, order 60": {"method": "strips", "order": 60},
     "zonotopes, order 20": {},
     "zonotopes, order 60": {"order": 60},
-    "constrained": {"method": "constrained"},
     "joint, 16 samples": {"method": "joint", "window": 16},
     "joint, 32 samples": {"method": "joint", "window": 32},
 }

@@ -173,7 +173,6 @@ SIZES = (
     ("windows of 61 samples", 1.5, 3, 3.45),
     ("lags: 16 of 61 samples", 1.5, 2, 2.75),
     ("observer, zonotope", 6, 9, None),
-    ("observer, constrained", 1.5, 3, 3.8),
     ("observer, joint", 1.5, 3, 3.45),
 )
 """(test, jump, lasting error, drift), degC, by `python -m benchmarks.memory`: process noise .05, room .02."""

@@ -86,7 +86,6 @@ OBSERVERS = {
     "latched": {"restart": False, "weight": 1.0},
     "strips": {"method": "strips"},
     "joint": {"method": "joint", "window": 8},
-    "constrained": {"method": "constrained", "constraints": 4},
 }
 CASES = {}
 

@@ -58,8 +58,8 @@ def once():
         patch("jaxbound.consistency.drive.decided_twice", lambda test, judged, *_: judged),
         patch("jaxbound.consistency.drive._Gathering._proved", lambda self, part, block, judged: judged[:2]),
         patch(
-            "jaxbound.estimation.second_look._doubtful",
-            lambda watch, carry, piece, status: np.zeros(status.shape, bool),
+            "jaxbound.estimation.set_observer.doubtful",
+            lambda watch, carry, samples, fault: np.zeros_like(fault),
         ),
     )
 

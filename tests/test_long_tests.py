@@ -32,11 +32,6 @@ BY_DAY = {
     "diagnosis/test_uncertain_margins": {
         "margins_of_several_relations_change_with_bounds_and_data": "margins_change_with_bounds_and_data"
     },
-    "estimation/test_constrained_observer": {
-        "a_hundred_thousand_fault_free_samples": (
-            "the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault"
-        )
-    },
     "estimation/test_laid_end_to_end": {
         "a_hundred_thousand_samples_laid_end_to_end": "random_plants_laid_end_to_end"
     },

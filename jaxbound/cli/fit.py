@@ -14,6 +14,7 @@ from jaxbound.cli.options import (
     add_json,
     add_safety,
     add_windows,
+    observer_name,
     path,
     share,
     whole_number,
@@ -137,6 +138,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--observer",
+        type=observer_name,
         choices=tuple(OBSERVERS),
         metavar="NAME",
         help=f"bounds for a set observer, in place of windows, or beside them by --test bank: "

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxbound.cli.terminal import NORMAL, QUIET, VERBOSE, Refused
-from jaxbound.estimation.methods import OBSERVERS, shell_options
+from jaxbound.estimation.methods import OBSERVERS, observer_method, shell_options
 from jaxbound.text.quantities import decimal
 
 if TYPE_CHECKING:
@@ -43,6 +43,7 @@ __all__ = [
     "lags",
     "method_name",
     "named",
+    "observer_name",
     "path",
     "refuse_unknown_method",
     "share",
@@ -73,6 +74,15 @@ def method_name(text: str) -> str:
     called, name = WINDOWS
     if text == called:
         return name
+    return text
+
+
+def observer_name(text: str) -> str:
+    """Return the name of a method of observers; another one is refused with the names that there are."""
+    try:
+        observer_method(text)
+    except ValueError as e:
+        raise ArgumentTypeError(str(e)) from None
     return text
 
 
@@ -231,8 +241,7 @@ def add_observer(parser: argparse.ArgumentParser) -> None:
         "--order",
         type=whole_number(1, 1000),
         metavar="N",
-        help="observer: directions of its set for each state; more is sharper and slower (default: 20; 5 of "
-        "constrained)",
+        help="observer: directions of its set for each state; more is sharper and slower (default: 20)",
     )
     parser.add_argument(
         "--latched",
@@ -241,6 +250,7 @@ def add_observer(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--observer",
+        type=observer_name,
         choices=tuple(OBSERVERS),
         metavar="NAME",
         help=f"observer: {'; '.join(f'{name}: {kind.about}' for name, kind in OBSERVERS.items())} "

@@ -24,8 +24,6 @@ __all__ = ["monitor", "relations_of_test"]
 
 HORIZON = 15
 """Of a model that states no windows, where nothing says which would see more."""
-OF_METHODS = "window", "constraints"
-"""Options that some methods of observers have."""
 
 
 def monitor(
@@ -125,9 +123,8 @@ def relations_of_test(model: LinearSystem, test: StatedTest, progress: Progress 
     options = dict(test.options)
     method = OBSERVERS.get(test.observer)
     if method is not None:
-        for key in OF_METHODS:
-            if key in options and key not in [option.field for option in method.shell]:
-                raise ValueError(f"{key} is no option of the observer {test.observer!r}")
+        if "window" in options and "window" not in [option.field for option in method.shell]:
+            raise ValueError(f"window is no option of the observer {test.observer!r}")
     options["restart"] = not options.pop("latched", False)
     if "weight" in options:
         options["weight"] = [float(x) for x in options["weight"]]

@@ -9,8 +9,6 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from jaxbound.estimation.constrained import Constrained
-    from jaxbound.estimation.constrained_observer import ConstrainedObserver, ConstrainedState
     from jaxbound.estimation.joint import Joint
     from jaxbound.estimation.joint_observer import JointObserver, JointState
     from jaxbound.estimation.method import ObserverMethod
@@ -23,9 +21,6 @@ if TYPE_CHECKING:
     from jaxbound.estimation.zonotopes import LeastZonotope, WeightedZonotopes
 
 __all__ = [
-    "Constrained",
-    "ConstrainedObserver",
-    "ConstrainedState",
     "Joint",
     "JointObserver",
     "JointState",
@@ -43,8 +38,6 @@ __all__ = [
 ]
 
 _HOMES = {
-    "constrained": "Constrained",
-    "constrained_observer": "ConstrainedObserver ConstrainedState",
     "joint": "Joint",
     "joint_observer": "JointObserver JointState",
     "method": "ObserverMethod",

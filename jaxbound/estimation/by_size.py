@@ -6,18 +6,18 @@ import numpy as np
 
 from jaxbound.sets.floats.sizes import power
 
-__all__ = ["ascending", "integers"]
+__all__ = ["ascending"]
 
 
 def ascending(sizes: jax.Array) -> jax.Array:
     """Return the numbers of the rows of sizes (Q, N) >= 0, the smallest first, for each of N."""
     # floats >= 0 are ordered as their bits are; the last digits count the rows
-    bits, below = integers(sizes.dtype), power(len(sizes)) - 1
+    bits, below = _integers(sizes.dtype), power(len(sizes)) - 1
     key = jax.lax.bitcast_convert_type(sizes, bits) & bits(~below)
     return jnp.sort(key | jnp.arange(len(sizes), dtype=bits)[:, None], 0) & bits(below)
 
 
-def integers(dtype: np.dtype) -> type[np.int32] | type[np.int64]:
+def _integers(dtype: np.dtype) -> type[np.int32] | type[np.int64]:
     """Return the integers that are as wide as floats of a dtype."""
     if dtype == np.float64:
         return np.int64

@@ -1,6 +1,6 @@
 """Samples that exact tests refute: an observer begins anew behind one, or FAULT stays.
 
-Methods that test more than their zonotopes do ("joint", "constrained") share it. All are arrays (T, N), time
+All are arrays (T, N), time
 first, recordings last.
 """
 

@@ -42,14 +42,12 @@ class ObserverMethod(ABC):
 
     name: of `observer(model, method=name)` and of the command line. about: a few words for the help.
     sharp: whether it tests windows of samples together, which sees smaller faults than zonotopes do.
-    usual_order: generators a state where nobody asks for another order. shell: its options on the command
-        line.
+    shell: its options on the command line.
     """
 
     name: ClassVar[str]
     about: ClassVar[str]
     sharp: ClassVar[bool] = False
-    usual_order: ClassVar[float] = 20.0
     shell: ClassVar[tuple[ShellOption, ...]] = ()
 
     def _repr_html_(self) -> str:

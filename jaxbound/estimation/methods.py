@@ -2,7 +2,6 @@
 
 import dataclasses
 
-from jaxbound.estimation.constrained import Constrained
 from jaxbound.estimation.joint import Joint
 from jaxbound.estimation.method import ObserverMethod, ShellOption
 from jaxbound.estimation.zonotopes import LeastZonotope, WeightedZonotopes
@@ -10,9 +9,11 @@ from jaxbound.estimation.zonotopes import LeastZonotope, WeightedZonotopes
 __all__ = ["OBSERVERS", "observer_method", "shell_options"]
 
 OBSERVERS: dict[str, type[ObserverMethod]] = {
-    kind.name: kind for kind in (WeightedZonotopes, LeastZonotope, Joint, Constrained)
+    kind.name: kind for kind in (WeightedZonotopes, LeastZonotope, Joint)
 }
 """Every method of `observer`, by the name that it has in keywords and on the command line."""
+GONE = "constrained"
+"""A method of before, whose name is refused with the way on."""
 
 
 def shell_options() -> list[ShellOption]:
@@ -30,6 +31,10 @@ def observer_method(method: str | ObserverMethod, **options: int | None) -> Obse
     Raises:
         ValueError: an unknown method, an option that its method refuses, keywords beside options.
     """
+    if method == GONE:
+        raise ValueError(
+            f'{GONE!r} is no method any more, "joint" sees at least as much: observer(model, method="joint")'
+        )
     given = {field: value for field, value in options.items() if value is not None}
     if isinstance(method, ObserverMethod):
         if given:

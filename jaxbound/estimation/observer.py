@@ -20,6 +20,7 @@ from jaxbound.sets.zonotopes.zonotope import Zonotope
 
 __all__ = ["observe", "observer"]
 
+ORDER = 20.0
 WEIGHTS = (1.0, 30.0, 1000.0)
 """Sets side by side where nothing else is asked for: one for faults that are sudden, two for those that last
 or grow slowly.
@@ -30,13 +31,12 @@ or grow slowly.
 def observer(
     model: ObservedModel,
     method: str | ObserverMethod = "zonotope",
-    order: float | None = None,
+    order: float = ORDER,
     weight: float | Sequence[float] = WEIGHTS,
     restart: bool = True,
     x0: Interval | Zonotope | None = None,
     horizon: int | None = None,
     window: int | None = None,
-    constraints: int | None = None,
 ) -> SetObserver[Any]:
     """Return an observer of a model, for `observe`, `detect`, `Monitor` and the shell.
 
@@ -50,12 +50,9 @@ def observer(
             with the zonotopes, every window of up to `window` samples is tested exactly, its first state
             within the set that the samples before it allow: sees faults that last or grow slowly almost as
             well as all samples together could, and costs .3 to 5 milliseconds a sample. With x0 it says
-            CONSISTENT where it has a trajectory through all samples. "constrained": a constrained zonotope,
-            which keeps the last equations of samples and a rest of older ones: nearly as sharp as "joint", in
-            a half to a third of its time; one set, whatever weight is. Or its options as a value:
-            `Joint(window=16)`, `Constrained(constraints=12)`, of `jaxbound.estimation`.
-        order: generators of the zonotope for each state, >= 1: more is sharper and slower. With constraints,
-            how many more there are than these. None: 20; 5 with constraints.
+            CONSISTENT where it has a trajectory through all samples. Or its options as a value:
+            `Joint(window=16)`, of `jaxbound.estimation`.
+        order: generators of the zonotope for each state, >= 1: more is sharper and slower.
         weight: of the samples' bounds in the gain, > 0. 1 makes the set least, in the sum of squares of its
             generators; above 1 the observer believes a sample less and remembers longer, so that lasting and
             slow faults show. Several numbers: as many sets side by side, whose verdicts and intervals hold
@@ -65,8 +62,7 @@ def observer(
         x0: Interval (n,) or Zonotope that holds the state at the very first sample; it need not be narrow.
             None: it can be anything, and is found from the first horizon + 1 samples in a row that are whole.
         horizon: of these; None: the least that shows all states.
-        window: of a method that is given as "joint": samples, even; None: 32. constraints: of "constrained":
-            equations that are kept, >= 1; None: 8. Others take no notice.
+        window: of a method that is given as "joint": samples, even; None: 32. Others take no notice.
 
     Raises:
         ValueError: states that the outputs do not show and no x0, an x0 that is not bounded or does not fit,
@@ -86,8 +82,7 @@ def observer(
         >>> [jb.Status(s).name for s in found.status]
         ['MISSING', 'UNDECIDED', 'UNDECIDED', 'FAULT']
     """
-    options = observer_method(method, window=window, constraints=constraints)
-    order = options.usual_order if order is None else order
+    options = observer_method(method, window=window)
     if not order >= 1:
         raise ValueError(f"the order of an observer must be at least 1: it is {order!r}")
     plant = observed_plant(model, horizon, x0 is not None)
@@ -102,7 +97,7 @@ def observe(
     model: ObservedModel,
     u: Data,
     y: Data = None,
-    order: float | None = None,
+    order: float = ORDER,
     weight: float | Sequence[float] = WEIGHTS,
     restart: bool = True,
     x0: Interval | Zonotope | None = None,
@@ -110,12 +105,11 @@ def observe(
     starts: ArrayLike = (),
     method: str | ObserverMethod = "zonotope",
     window: int | None = None,
-    constraints: int | None = None,
 ) -> Observation:
     """Enclose the state at every sample by all samples since the start, and prove where nothing is left.
 
     Args:
-        model, method, order, weight, restart, x0, horizon, window, constraints: as for `observer`.
+        model, method, order, weight, restart, x0, horizon, window: as for `observer`.
         u: (..., T, m) or None.
         y: (..., T, p), tables as for `detect`; recordings on leading axes run side by side. A missing output
             says nothing; a missing input begins anew.
@@ -136,7 +130,7 @@ def observe(
         >>> jb.observe(m, [[1.0]] * 4, [[0.0], [1.0], [1.9], [5.0]]).predicted.hi[3].round(2)
         array([2.81])
     """
-    built = observer(model, method, order, weight, restart, x0, horizon, window, constraints)
+    built = observer(model, method, order, weight, restart, x0, horizon, window)
     watch, recording = built.telling(enclosures=True).recording(u, y, starts)
     observation: Observation = drive(watch, recording)
     return observation

@@ -11,7 +11,7 @@ encloses states as well, is another value (`dataclasses.replace`) that shares th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
@@ -21,13 +21,15 @@ from jax.typing import DTypeLike
 
 from jaxbound.certificates.interface import evidence
 from jaxbound.consistency.interface import Budget, Judged, Observer
+from jaxbound.consistency.twice import warn_doubtful
 from jaxbound.estimation import zonotope_steps as steps
 from jaxbound.estimation.arrays import Array
 from jaxbound.estimation.blocks import in_blocks, repeated
 from jaxbound.estimation.lanes import emptied, joined
 from jaxbound.estimation.observation import Observation, State
 from jaxbound.estimation.observed_plant import ObservedModel, ObservedPlant, observed_plant
-from jaxbound.estimation.second_look import decided_twice
+from jaxbound.estimation.piece import Piece
+from jaxbound.estimation.second_look import doubtful, ignorant
 from jaxbound.estimation.short_proof import ObservedResult, short_proof
 from jaxbound.estimation.zonotope_numbers import ROUNDED, FirstSet
 from jaxbound.models.sensor import input_slip
@@ -90,42 +92,6 @@ class ObserverSetup(NamedTuple):
     weight: float | Sequence[float]
     restart: bool
     x0: FirstSet | None
-
-
-class Piece(NamedTuple):
-    """Samples of N recordings side by side, as kernels take them.
-
-    Fields: u, y, slip (T, ., N): inputs, outputs, and the error of recorded inputs; fresh (T, N): whether a
-    sample does not follow the one before; rounded (): the unit roundoff of the type in which y was recorded;
-    noise (T, p, N): bounds of errors, or None: those of the model at every sample.
-    """
-
-    u: np.ndarray
-    y: np.ndarray
-    slip: np.ndarray
-    fresh: np.ndarray
-    rounded: np.ndarray
-    noise: np.ndarray | None = None
-
-    def mapped(self, change: Callable[[np.ndarray], np.ndarray]) -> Piece:
-        """Return the piece with another choice of its samples or recordings."""
-        noise = None
-        if self.noise is not None:
-            noise = change(self.noise)
-        columns = change(self.u), change(self.y), change(self.slip), change(self.fresh)
-        return Piece(*columns, self.rounded, noise)
-
-    def of_recordings(self, lanes: np.ndarray) -> Piece:
-        """Return some of the recordings."""
-        return self.mapped(lambda x: np.take(x, lanes, -1))
-
-    def cut(self, first: int, stop: int) -> Piece:
-        """Return some of the samples."""
-        return self.mapped(lambda x: x[first:stop])
-
-    def filled(self, length: int) -> Piece:
-        """Return the samples with zeros behind them, up to a length."""
-        return self.mapped(lambda x: _filled(x, length))
 
 
 @readable
@@ -275,12 +241,27 @@ class SetObserver(Observer[State], Generic[State]):
     def fold(self, carry: State, piece: Recording) -> tuple[State, Observation | Judged]:
         """Take the next samples (..., T, .) of a recording, or of recordings side by side; return (carry,
         Observation or Judged).
-        """
-        return decided_twice(self, carry, piece)
 
-    def judged(self, carry: State, piece: Recording) -> tuple[State, Observation | Judged]:
-        """Return (carry, verdicts) as `fold`, by XLA alone: FAULTs are decided once."""
-        lead, samples = self._side_by_side(carry, piece)
+        A FAULT that is not proved outside XLA is UNDECIDED, and a warning tells of it. Then the observer goes
+        on knowing nothing: the set that XLA carried is not to be trusted.
+        """
+        lead, samples = self.side_by_side(carry, piece)
+        state, found = self.found(carry, samples)
+        fault = np.asarray(found.status) == Status.FAULT
+        if fault.any() and not is_outside_xla():
+            gone = doubtful(self, carry, samples, fault)
+            if gone.any():
+                warn_doubtful(
+                    f"{gone.sum()} samples are FAULT by an observer in XLA, the first of them is sample "
+                    f"{gone.any(1).argmax()} of its piece"
+                )
+                status = np.where(gone, np.int8(Status.UNDECIDED), found.status)
+                margin = np.where(gone, 0, found.margin).astype(found.margin.dtype)
+                state, found = ignorant(self, state.samples), found._replace(status=status, margin=margin)
+        return state, self._verdicts(found, lead, len(samples.fresh), carry)
+
+    def found(self, carry: State, samples: Piece) -> tuple[State, steps.Found]:
+        """Return (state, Found) of samples, decided once."""
         T, count = samples.fresh.shape
         state = self._of_all(carry, count)
         parts: list[steps.Found] = []
@@ -290,8 +271,9 @@ class SetObserver(Observer[State], Generic[State]):
             state, part = self._tested(state, samples.cut(first, stop))
             parts.append(part)
             first = stop
-        whole = parts[0] if len(parts) == 1 else jax.tree.map(lambda *x: np.concatenate(x), *parts)
-        return state, self._verdicts(whole, lead, T, carry)
+        if len(parts) == 1:
+            return state, parts[0]
+        return state, jax.tree.map(lambda *x: np.concatenate(x), *parts)
 
     def _of_all(self, carry: State, count: int) -> State:
         """Return the carry of `count` recordings; one of a single recording is that of all."""
@@ -305,7 +287,7 @@ class SetObserver(Observer[State], Generic[State]):
         """Return (state, Found) of samples that follow those before."""
         raise NotImplementedError
 
-    def _side_by_side(self, carry: State, piece: Recording) -> tuple[tuple[int, ...], Piece]:
+    def side_by_side(self, carry: State, piece: Recording) -> tuple[tuple[int, ...], Piece]:
         """Return (leading shape, samples) of a piece."""
         piece.finite()
         u, y = np.asarray(piece.u), np.asarray(piece.y)
@@ -511,13 +493,6 @@ def _fetched(parts: Sequence[Tree], T: int) -> Tree:
 
     whole: Tree = jax.tree.map(joined_in_time, *parts)
     return whole
-
-
-def _filled(x: np.ndarray, length: int) -> np.ndarray:
-    """Return x with zeros behind, up to a length."""
-    out = np.zeros((length, *x.shape[1:]), x.dtype)
-    out[: len(x)] = x
-    return out
 
 
 def _interval(ends: np.ndarray, width: int) -> Interval:

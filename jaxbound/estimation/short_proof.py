@@ -4,10 +4,10 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
+from jaxbound.certificates.interface import Judgement
 from jaxbound.certificates.long_window import exceeds, stretch
 from jaxbound.consistency.drive import drive
-from jaxbound.estimation.arrays import Array
-from jaxbound.estimation.observation import CarriedState, Observation
+from jaxbound.estimation.observation import Observation
 from jaxbound.estimation.observed_plant import ObservedModel
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.parity import parity_relations
@@ -20,37 +20,18 @@ LONGEST, SHORT, CLEARLY = 512, 8, 1 + 1e-6
 factor it must be beyond.
 """
 FACTORED = 64
-"""Steps of the longest window where noise is times a factor, which parity relations alone know."""
+"""Steps of the longest window where noise is times a factor."""
 
 WindowProof: TypeAlias = tuple[Any, np.ndarray, np.ndarray]
 """(relations of a window, u, y): a stretch, or parity relations."""
 
 
-class Begun(Protocol):
-    """An observer that may go on from samples before."""
-
-    def begin(self) -> CarriedState:
-        """Return the state that the first sample meets."""
-
-
-class ObservedResult(Protocol):
+class ObservedResult(Judgement, Protocol):
     """A Result of an observer, with what `detect` has of it."""
-
-    @property
-    def u(self) -> Array:
-        """Inputs (..., T, m)."""
-
-    @property
-    def y(self) -> Array:
-        """Outputs (..., T, p)."""
 
     @property
     def observation(self) -> Observation:
         """The enclosures."""
-
-    @property
-    def relations(self) -> Begun:
-        """The observer."""
 
 
 def short_proof(
@@ -105,14 +86,10 @@ def _window_proof(
     model: LinearSystem, h: int, u: np.ndarray, y: np.ndarray, first_box: np.ndarray | None
 ) -> WindowProof | None:
     """Return the proof by the h + 1 samples u, y, if there is one. first_box: bounds of their first state."""
-    if model.factors and h <= FACTORED:
+    if model.factors or model.uncertainties:  # parity relations alone know these
+        if h > (FACTORED if model.factors else SHORT):
+            return None
         return _parity_proof(model, h, u, y)
-    if model.factors:
-        return None
-    if model.uncertainties and h <= SHORT:
-        return _parity_proof(model, h, u, y)
-    if model.uncertainties:
-        return None
     about = stretch(model, h, None if first_box is None else list(first_box))
     if exceeds(about, u, y) <= CLEARLY:
         return None

@@ -34,7 +34,7 @@ __all__ = ["OTHERWISE", "StatedTest", "StatedTests", "lines_of", "stated_tests"]
 
 OTHERWISE = "otherwise"
 """The condition that holds where none of the other tests' conditions does."""
-OPTIONS = ("latched", "order", "weight", "window", "constraints")
+OPTIONS = ("latched", "order", "weight", "window")
 """Options of a test by an observer."""
 FIELDS = ("name", "horizon", "lags", "observer", *OPTIONS, "factor", "when", "model")
 LOOKS = ("horizon", "lags", "observer")

@@ -305,7 +305,7 @@ def test_a_digest_proves_a_contradiction_from_few_samples(place, monkeypatch):
         (("--method", "box", "--observer", "joint"), "--observer is for --method observer"),
         (("--span", "8"), "--span is for --observer joint"),
         (("--observer", "strips", "--span", "8"), "--span is for --observer joint"),
-        (("--observer", "joint", "--constraints", "8"), "--constraints is for --observer constrained"),
+        (("--observer", "constrained"), '"joint" sees at least as much: observer(model, method="joint")'),
         (("--method", "box", "--span", "8"), "--span is for --method observer"),
         (
             ("--observer", "joint", "--span", "9"),

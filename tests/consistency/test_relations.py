@@ -48,7 +48,6 @@ OBSERVERS = {
     "zonotope": lambda: jb.observer(PUSHED),
     "strips": lambda: jb.observer(PUSHED, method="strips"),
     "joint": lambda: jb.observer(PUSHED, method="joint"),
-    "constrained": lambda: jb.observer(PUSHED, method="constrained"),
     "interval system": lambda: jb.observer(INTERVALS),
     "unknown input": lambda: jb.observer(MISSING_INPUT),
     "validation": lambda: ValidationObserver(INTERVALS),

@@ -21,7 +21,7 @@ from jaxbound.sets.floats import kernel, probe
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.threads import inherited
 
-OBSERVERS = "observer", "constrained", "joint"
+OBSERVERS = "observer", "joint"
 FAMILIES = RELATIONS | {
     "disturbed": lambda: jb.parity_relations(DISTURBED, 12),
     "lags": lambda: jb.parity_relations(paper(), lags=(0, 2, 5)),

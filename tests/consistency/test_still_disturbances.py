@@ -50,7 +50,7 @@ def test_verdicts_of_windows_are_those_without_it(bound, rng):
     assert jb.detect(wider, u, y).counts["FAULT"] < without.counts["FAULT"]
 
 
-@pytest.mark.parametrize("method", ["zonotope", "joint", pytest.param("constrained", marks=pytest.mark.long)])
+@pytest.mark.parametrize("method", ["zonotope", "joint"])
 def test_verdicts_of_observers_are_those_without_it(method, rng):
     """One without a width beside one with a width: of the sizes that tests of observers compile."""
     u = rng.uniform(-1, 1, (60, 1))

@@ -26,7 +26,6 @@ RELATIONS = {
     "uncertain": lambda: jb.parity_relations(paper().replace(uncertainties=SHAKY)),
     # of the sizes that tests of observers compile
     "observer": lambda: jb.observer(DISTURBED),
-    "constrained": lambda: jb.observer(DISTURBED, method="constrained"),
     "joint": lambda: jb.observer(DISTURBED, method="joint", window=8, order=6),
 }
 DISTURBED = jb.LinearSystem(
@@ -107,15 +106,12 @@ def faults_under_corruption(name, rng, corrupted, recordings, samples):
     return status.size, int((status == Status.FAULT).sum()), liar.changed, warned
 
 
-BY_DAY = [
-    pytest.param(name, marks=pytest.mark.long) if name in ("constrained", "joint") else name
-    for name in RELATIONS
-]
+BY_DAY = [pytest.param(name, marks=pytest.mark.long) if name == "joint" else name for name in RELATIONS]
 
 
 @pytest.mark.parametrize("name", BY_DAY)
 def test_no_corruption_makes_a_fault(name, rng, corrupted):
-    recordings, samples = (2, 24) if name in ("observer", "constrained", "joint") else (6, 40)
+    recordings, samples = (2, 24) if name in ("observer", "joint") else (6, 40)
     count, faults, changed, warned = faults_under_corruption(name, rng, corrupted, recordings, samples)
     assert count == recordings * samples and changed > 10 and (warned or name in ON_HOST)
     assert faults == 0
@@ -149,8 +145,8 @@ def test_faults_of_faulty_recordings_are_confirmed(name, rng):
         patch.setattr(drive, "decided_twice", lambda test, judged, *_: judged)
         patch.setattr(drive._Gathering, "_proved", lambda self, part, block, judged: judged[:2])
         patch.setattr(
-            "jaxbound.estimation.second_look._doubtful",
-            lambda watch, carry, piece, status: np.zeros(status.shape, bool),
+            "jaxbound.estimation.set_observer.doubtful",
+            lambda watch, carry, samples, fault: np.zeros_like(fault),
         )
         once = jb.detect(relations, u, y, method=method).status
     assert (status == Status.FAULT).any(1).all()

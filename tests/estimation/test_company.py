@@ -10,9 +10,8 @@ from observer_case import PLANT
 import jaxbound as jb
 from jaxbound.recordings.recording import Recording
 
-METHODS = {"zonotope": {}, "strips": {}, "constrained": {}, "joint": {"window": 8, "order": 6}}
+METHODS = {"zonotope": {}, "strips": {}, "joint": {"window": 8, "order": 6}}
 """The plant and the sizes of the other tests of observers, which compile them too."""
-MOST = [name if name != "constrained" else pytest.param(name, marks=pytest.mark.long) for name in METHODS]
 COUNT, LENGTH = 35, 24
 """More recordings than a block has."""
 
@@ -48,7 +47,7 @@ def same(a, b):
 
 
 @pytest.mark.parametrize("restart", [True, False])
-@pytest.mark.parametrize("method", MOST)
+@pytest.mark.parametrize("method", METHODS)
 def test_alone_beside_others_in_pieces_and_by_a_monitor(method, restart, recordings, rng):
     u, y = recordings
     watch = jb.observer(PLANT, method=method, restart=restart, **METHODS[method])
@@ -74,7 +73,7 @@ def test_alone_beside_others_in_pieces_and_by_a_monitor(method, restart, recordi
     same((whole.status[5], whole.margin[5]), map(np.array, zip(*steps, strict=True)))
 
 
-@pytest.mark.parametrize("method", MOST)
+@pytest.mark.parametrize("method", METHODS)
 def test_enclosures_are_the_same_beside_others(method, recordings):
     u, y = recordings
     how = {"method": method, **METHODS[method]}

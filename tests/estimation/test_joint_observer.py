@@ -189,6 +189,7 @@ def test_what_it_cannot_take_is_said():
         ("even number", {"window": 5}),
         ("even number", {"window": True}),
         ("method must be one of", {"method": "kalman"}),
+        ('"joint" sees at least as much', {"method": "constrained"}),
     ):
         with pytest.raises(ValueError, match=match):
             jb.observer(PLANT, **{"method": "joint", **more})

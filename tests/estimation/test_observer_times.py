@@ -15,7 +15,6 @@ METHODS = {
     "zonotope": {},
     "strips": {},
     "joint": {"window": 8},
-    "constrained": {"constraints": 6},
 }
 EDGE = 1e-6
 """Distance from the boundary within which the rounding of a linear program may tell otherwise."""
@@ -25,9 +24,7 @@ def followed(model, method, **options):
     return jb.observer(model, method, **(METHODS[method] | options))
 
 
-@pytest.mark.parametrize(
-    "method", [pytest.param(m, marks=pytest.mark.long) if m == "constrained" else m for m in METHODS]
-)
+@pytest.mark.parametrize("method", METHODS)
 def test_a_fault_is_one_by_a_linear_program_over_all_samples(method, rng):
     seen = 0
     for excess in (1.0, 1.5, 4.0):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxbound as jb
-from jaxbound.estimation import constrained_steps, zonotope_steps
+from jaxbound.estimation import zonotope_steps
 from jaxbound.sets.linear_systems import hull
 
 
@@ -67,10 +67,9 @@ def tightened():
     "module, name, call, least",
     [
         (zonotope_steps, "follow", observed("zonotope"), 1),
-        pytest.param(constrained_steps, "follow", observed("constrained"), 5, marks=pytest.mark.slow),
         pytest.param(hull, "tighten", tightened, 5, marks=pytest.mark.slow),
     ],
-    ids=["zonotope", "constrained", "hull"],
+    ids=["zonotope", "hull"],
 )
 def test_what_is_searched_for_is_stored_once_in_the_compiled_kernel(monkeypatch, module, name, call, least):
     text = compiled(monkeypatch, module, name, call)

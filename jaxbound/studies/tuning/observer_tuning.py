@@ -93,8 +93,9 @@ def _follows(watch: SetObserver[Any], u: np.ndarray, y: np.ndarray, starts: np.n
     """
     _, recording = watch.recording(u if u.shape[1] else None, y, starts)
     alone = watch.telling(enclosures=False)
-    _, judged = alone.judged(alone.begin(), recording)
-    return not (judged.status == Status.FAULT).any()
+    _, samples = alone.side_by_side(alone.begin(), recording)
+    _, found = alone.found(alone.begin(), samples)
+    return not (np.asarray(found.status) == Status.FAULT).any()
 
 
 def observer_scale(
