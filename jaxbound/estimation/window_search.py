@@ -223,9 +223,9 @@ def _solved(
         J,
     )
     root, values = jnp.sqrt(D[-a:])[:, None], rows(z)
-    M = one + root * values[:, k:] * jnp.swapaxes(root, 0, 1)
-    x = jnp.linalg.solve(jnp.moveaxis(M, -1, 0), jnp.moveaxis(root * values[:, :k], -1, 0))
-    x = jnp.moveaxis(x, 0, -1)
+    M = jnp.concatenate([one + root * values[:, k:] * jnp.swapaxes(root, 0, 1), root * values[:, :k]], 1)
+    # a library's solver waits for threads that wait for it where blocks are searched side by side
+    x = jax.lax.fori_loop(0, a, _eliminate, M)[:, a:]
     near, x = x / jnp.where(root > 0, root, 1), root * x
 
     def less(X: jax.Array) -> jax.Array:
@@ -235,6 +235,14 @@ def _solved(
     return jnp.concatenate([less(z), jnp.where(root > 0, near, less(values))]), jnp.concatenate(
         [less(pulls), (x - rho[-a:]) / b[:, None]]
     )
+
+
+def _eliminate(i: jax.Array, M: jax.Array) -> jax.Array:
+    """Return M (a, .., N) after pivot i; it is symmetric and at least 1: any order of pivots will do."""
+    row = M[i] / jax.lax.dynamic_index_in_dim(M[i], i, 0)
+    left = M - jax.lax.dynamic_index_in_dim(M, i, 1) * row[None]
+    eliminated: jax.Array = jax.lax.dynamic_update_index_in_dim(left, row, i, 0)
+    return eliminated
 
 
 def _filtered(
