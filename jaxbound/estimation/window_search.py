@@ -173,9 +173,12 @@ def followed(window: WindowProgram, z: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 def _unknowns(window: WindowProgram, free: np.ndarray, errors: Array) -> np.ndarray:
     """Return z (K, N) of xi and w, which are free, and of the errors (R, N) that they leave."""
+    known = np.concatenate([free, errors / window.s])
+    if not len(window.b):
+        return known
     seen, w = np.where(np.isfinite(window.s), errors, 0)[len(window.T) :], free[window.S.shape[1] :]
     averages = window.m + (through(window.F_v, seen) + through(window.F_w, w)) / window.b
-    return np.concatenate([free, errors / window.s, averages])
+    return np.concatenate([known, averages])
 
 
 def _dot(M: Array, X: Array) -> jax.Array:
