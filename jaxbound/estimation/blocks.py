@@ -3,7 +3,7 @@ stays in the cache, more recordings trace nothing.
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxbound.sets.floats.threads import inherited
 
-__all__ = ["chosen", "in_blocks", "repeated"]
+__all__ = ["chosen", "in_blocks", "in_lanes", "repeated"]
 
 T = TypeVar("T")
 
@@ -40,3 +40,11 @@ def in_blocks(job: Callable[[np.ndarray], T], count: int, size: int) -> list[T]:
         return done
     with ThreadPoolExecutor(os.cpu_count()) as threads:  # compiled code runs outside the interpreter's lock
         return done + list(threads.map(inherited(job), others))
+
+
+def in_lanes(
+    job: Callable[[np.ndarray], Sequence[np.ndarray]], count: int, size: int
+) -> tuple[np.ndarray, ...]:
+    """Return the arrays of `job`, recordings last, of all `count` recordings, from those of blocks."""
+    parts = zip(*in_blocks(job, count, size), strict=True)
+    return tuple(np.concatenate(part, -1)[..., :count] for part in parts)

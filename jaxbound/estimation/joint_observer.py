@@ -10,7 +10,7 @@ it begins, and bounds what rounding and uncertain parameters act on.
 
 Sources: Scott, Raimondo, Marseglia, Braatz 2016 (the exact set of a window is a linear program); Rao,
 Rawlings, Mayne 2003 (a window that knows what came before it). Programs are searched for in floats
-(`window_search`) and what they found is proved (`window_proof`).
+(`window_search`) and what they found is checked (`window`).
 """
 
 from dataclasses import dataclass, replace
@@ -22,17 +22,20 @@ import numpy as np
 
 from jaxbound.estimation import zonotope_steps as steps
 from jaxbound.estimation.arrays import Array
-from jaxbound.estimation.blocks import chosen, in_blocks, repeated
+from jaxbound.estimation.blocks import chosen, in_lanes, repeated
 from jaxbound.estimation.contradictions import ended, fresh_behind, is_first, latched, staying, with_refuted
 from jaxbound.estimation.observed_plant import ObservedPlant
-from jaxbound.estimation.ordered import added
-from jaxbound.estimation.parallelotope import ROUNDED, lasting, parallelotope, principal, strip, template
+from jaxbound.estimation.parallelotope import (
+    ROUNDED,
+    lasting,
+    parallelotope,
+    principal,
+    template,
+)
 from jaxbound.estimation.set_observer import ObserverSetup, Piece, SetObserver, checked_weights
-from jaxbound.estimation.trajectories import explained
+from jaxbound.estimation.window import Prior, Samples, WindowPlant
 from jaxbound.estimation.window_programs import ROOM, WindowPrograms
-from jaxbound.estimation.window_proof import Prior, Samples, reach_before
-from jaxbound.estimation.window_runs import average_rows
-from jaxbound.estimation.window_search import split
+from jaxbound.estimation.window_runs import AverageRows, average_rows
 from jaxbound.models.system import LinearSystem
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.status import Status
@@ -48,21 +51,29 @@ SETTLED = 8
 class JointState(NamedTuple):
     """The sets that the observer carries on, recordings on the last axis.
 
-    Fields: carry, samples: as of `ObserverState`. window: the last two blocks, so far; prior, held (N,): the
-    set of the first state of the window, and where there is one; mark, marked: of the state in the middle of
-    it, from the zonotope. path, explained: a first state on a trajectory through all samples, and where there
-    is one.
+    Fields: carry, samples: as of `ObserverState`. window: the last two blocks, so far; prior: the set of the
+    first state of the window; mark: of the state in the middle of it, from the zonotope; path: a first state
+    on a trajectory through all samples.
     """
 
     carry: steps.ZonotopeCarry
     samples: np.int64
     window: Samples
     prior: Prior
-    held: np.ndarray
     mark: Prior
-    marked: np.ndarray
     path: Prior
-    explained: np.ndarray
+
+
+def _is_known(prior: Prior) -> np.ndarray:
+    """Return which sets are bounded, (N,) bool."""
+    finite = np.isfinite(prior.c).all(0) & np.isfinite(prior.S).all((0, 1))
+    bounded: np.ndarray = finite & np.isfinite(prior.r).all(0)
+    return bounded
+
+
+def _only(known: np.ndarray, prior: Prior) -> Prior:
+    """Return the sets where (N,) they are to be believed; of others nothing is known."""
+    return prior._replace(r=np.where(known, prior.r, np.inf).astype(prior.r.dtype))
 
 
 @readable
@@ -91,15 +102,15 @@ class JointObserver(SetObserver[JointState]):
     def programs(self) -> WindowPrograms:
         """The linear programs of windows."""
         exact = self.plant.exact
-        runs = None
+        runs = AverageRows.none(self.window, *exact.C.shape[:1], *exact.W.shape[1:])
         if exact.free is None and isinstance(self.model, LinearSystem):
             runs = average_rows(self.model, self.window)
         # strips go neither with unknown inputs nor with averages
         strips = lasting(np.asarray(exact.A), np.asarray(exact.C), self.half)
-        if exact.free is not None or runs is not None:
+        if exact.free is not None or len(runs.m):
             strips = strips[:0]
         strips = strips.astype(self.plant.dtype).astype(np.float64)
-        return WindowPrograms(exact, strips, runs, self.plant.dtype)
+        return WindowPrograms(WindowPlant(exact, strips, runs), self.plant.dtype)
 
     @cached_property
     def _principal(self) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -107,43 +118,33 @@ class JointObserver(SetObserver[JointState]):
         return principal(self.plant.exact, self.half, SETTLED, self.plant.dtype)
 
     def _directions(self, number: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return (D, back), (n, n) each, back about the inverse of D, of a block."""
-        return self._principal[min(number, SETTLED)]
+        """Return (rows (n + t, n), back (n, n)) of a block: D, of which back is about the inverse, and
+        strips.
+        """
+        D, back = self._principal[min(number, SETTLED)]
+        return np.concatenate([D, self.programs.plant.strips]), back
 
     def _with_carry(self, carry: steps.ZonotopeCarry) -> JointState:
         """Return the state before the first sample, whose zonotopes are known."""
         system, dtype = self.plant.system, self.plant.dtype
-        L, t = self.window, len(self.programs.strips)
 
         def zero(*shape: int) -> np.ndarray:
             return np.zeros((*shape, 1), dtype)
 
-        samples = Samples(
-            mid=zero(L, system.p),
-            rad=zero(L, system.p) + np.inf,
-            v=zero(L, system.m),
-            slip=zero(L, system.m),
-            reach=zero(L, system.n) + np.inf,
-        )
-        nothing = np.zeros(1, bool)
-        prior = Prior(zero(system.n), zero(system.n, system.n), zero(system.n), zero(t), zero(t) + np.inf)
-        return JointState(
-            carry, np.int64(0), samples, prior, nothing, prior, nothing, path=prior, explained=nothing
-        )
+        L, c = self.window, zero(system.n)
+        outputs, inputs = zero(L, system.p), zero(L, system.m)
+        window = Samples(outputs, outputs + np.inf, inputs, inputs, zero(L, system.n) + np.inf)
+        prior = Prior(c, zero(system.n, system.n), c + np.inf, *self._no_strips(1))
+        return JointState(carry, np.int64(0), window, prior, prior, prior)
 
     def _of_all(self, carry: JointState, count: int) -> JointState:
         """Return the carry of `count` recordings; one of a single recording is that of all."""
         # the zonotopes are repeated where they are followed: each recording has several
-        return JointState(
-            carry.carry,
-            carry.samples,
+        return carry._replace(
             window=repeated(carry.window, count),
             prior=repeated(carry.prior, count),
-            held=repeated(carry.held, count),
             mark=repeated(carry.mark, count),
-            marked=repeated(carry.marked, count),
             path=repeated(carry.path, count),
-            explained=repeated(carry.explained, count),
         )
 
     def _next_samples(self, state: JointState) -> int:
@@ -153,74 +154,48 @@ class JointObserver(SetObserver[JointState]):
     def _next_block(self, state: JointState) -> JointState:
         """Move the window on by a block, and enclose the state that will be the first of windows."""
         number = int(state.samples) // self.half
-        prior = state.mark
-        if state.held.any():
-            prior = self._sharpened(state, number)
-        mark, marked = self._mark(state, number)
-        path, is_explained = self._path_on(state, number)
-
-        def later(x: np.ndarray, nothing: float) -> np.ndarray:
-            return np.concatenate([x[self.half :], np.full_like(x[self.half :], nothing)])
-
-        window = Samples(
-            mid=later(state.window.mid, 0),
-            rad=later(state.window.rad, np.inf),
-            v=later(state.window.v, 0),
-            slip=later(state.window.slip, 0),
-            reach=later(state.window.reach, np.inf),
-        )
         return state._replace(
-            window=window,
-            prior=prior,
-            held=state.marked,
-            mark=mark,
-            marked=marked,
-            path=path,
-            explained=is_explained,
+            window=_later(state.window, self.half),
+            prior=self._sharpened(state, number),
+            mark=self._mark(state, number),
+            path=self._path_on(state, number),
         )
 
     def _sharpened(self, state: JointState, number: int) -> Prior:
         """Return the sets of the states in the middle of windows: of the mark, met with what windows say."""
-        lanes = np.flatnonzero(state.held)
+        lanes = np.flatnonzero(_is_known(state.prior) & _is_known(state.mark))
+        if not len(lanes):
+            return state.mark
         mark, prior = chosen(state.mark, lanes), chosen(state.prior, lanes)
         window = chosen(state.window, lanes)
-        (D, back), n = self._directions(number - 1), self.plant.system.n
-        rows = np.concatenate([D, self.programs.strips])
-        lo, hi = template(rows, mark.c[None], mark.S[None], mark.r[None])
+        (rows, back), n = self._directions(number - 1), self.plant.system.n
+        lo, hi, most = template(rows, mark.c[None], mark.S[None], mark.r[None])
         lo[n:] = np.maximum(lo[n:], mark.mid - mark.rad)
         hi[n:] = np.minimum(hi[n:], mark.mid + mark.rad)
-        middles = np.full(len(lanes), self.half)
-        low, high = self.programs.supports(prior, window, rows, hi - lo, middles, before=True)
+        middles, z = np.full(len(lanes), self.half), self.programs.gauges(prior, window).z
+        low, high = self.programs.supports(prior, window, z, rows, hi - lo, middles, before=True)
         lo, hi = np.maximum(lo, low), np.minimum(hi, high)
-        reach = window.reach
-        if self.plant.unknown is not None:
-            reach = reach_before(self.plant.exact, prior, window)
-        strips = strip(lo[n:], hi[n:], self.plant.dtype)
-        better = parallelotope(D, back, lo[:n], hi[:n], reach[self.half], strips, self.plant.dtype)
-        bounded = _is_bounded(better)
+        better = parallelotope(back, rows, lo, hi, most, self.plant.dtype)
+        bounded = _is_known(better)
         out: Prior = jax.tree.map(np.array, state.mark)
         for whole, part in zip(out, better, strict=True):
             whole[..., lanes] = np.where(bounded, part, whole[..., lanes])
         return out
 
-    def _mark(self, state: JointState, number: int) -> tuple[Prior, np.ndarray]:
-        """Return (the set of the state now, where there is one (N,)), from x0 or from the zonotopes."""
-        N, lanes = len(state.held), len(self.weights)
+    def _mark(self, state: JointState, number: int) -> Prior:
+        """Return the set of the state now, from x0 or from the zonotopes."""
+        N, lanes = state.prior.c.shape[-1], len(self.weights)
         first = self._first_prior(N)
         if number == 0 and first is not None:
-            return first, np.ones(N, bool)
+            return first
 
         def split_lanes(x: Array) -> np.ndarray:
             return np.moveaxis(np.asarray(x).reshape(*x.shape[:-1], lanes, -1), -2, 0)
 
-        D, back = self._directions(number)
+        rows, back = self._directions(number)
         c, G, r, age = (split_lanes(x) for x in state.carry[:4])
-        lo, hi = template(D, c, G, r)
-        reach = (abs(c) + added(abs(G), 2) + r).min(0) * ROUNDED
-        strips = strip(*template(self.programs.strips, c, G, r), self.plant.dtype)
-        mark = parallelotope(D, back, lo, hi, reach, strips, self.plant.dtype)
-        marked = (age >= 0).all(0) & _is_bounded(mark)
-        return Prior(*(np.where(marked, x, 0) for x in mark)), marked
+        mark = parallelotope(back, rows, *template(rows, c, G, r), self.plant.dtype)
+        return _only(np.all(age >= 0, 0), mark)
 
     def _first_prior(self, N: int) -> Prior | None:
         """Return x0 of N recordings, or its box where it has more generators than states."""
@@ -239,41 +214,34 @@ class JointObserver(SetObserver[JointState]):
 
     def _no_strips(self, N: int) -> tuple[np.ndarray, np.ndarray]:
         """Return (mid, rad) of strips that say nothing."""
-        shape = len(self.programs.strips), N
+        shape = len(self.programs.plant.strips), N
         return np.zeros(shape, self.plant.dtype), np.full(shape, np.inf, self.plant.dtype)
 
-    def _path_on(self, state: JointState, number: int) -> tuple[Prior, np.ndarray]:
-        """Return (path, explained) of the next block: the state in the middle of the window on a trajectory
-        through all of it.
+    def _path_on(self, state: JointState, number: int) -> Prior:
+        """Return the path of the next block: the state in the middle of the window on a trajectory through
+        all of it.
         """
         if number == 1 and self.x0 is not None:
             return self._first_path(state)
-        lanes = np.flatnonzero(state.explained)
+        lanes = np.flatnonzero(_is_known(state.path))
         if not len(lanes):
-            return state.path, state.explained
-        path, window = chosen(state.path, lanes), chosen(state.window, lanes)
-
-        def job(block: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            return self._trajectories(chosen(path, block), chosen(window, block))
-
-        parts = zip(*in_blocks(job, len(lanes), ROOM), strict=True)
-        ok, x, off = (np.concatenate(part, -1)[..., : len(lanes)] for part in parts)
-        c, r = np.zeros_like(state.path.c), np.zeros_like(state.path.r)
+            return state.path
+        ok, x, off = self._trajectories(chosen(state.path, lanes), chosen(state.window, lanes))
+        c, r = np.zeros_like(state.path.c), np.full_like(state.path.r, np.inf)
         c[:, lanes] = x
-        r[:, lanes] = rounding.round_up(off + np.abs(x - x.astype(self.plant.dtype)), self.plant.dtype)
-        is_explained = np.zeros_like(state.explained)
-        is_explained[lanes] = ok
-        return state.path._replace(c=c, S=np.zeros_like(state.path.S), r=r), is_explained
+        off = rounding.round_up(off + np.abs(x - x.astype(self.plant.dtype)), self.plant.dtype)
+        r[:, lanes] = np.where(ok, off, np.inf)
+        return state.path._replace(c=c, S=np.zeros_like(state.path.S), r=r)
 
-    def _first_path(self, state: JointState) -> tuple[Prior, np.ndarray]:
-        """Return (path, explained) where a trajectory begins anywhere in x0."""
+    def _first_path(self, state: JointState) -> Prior:
+        """Return the path where a trajectory begins anywhere in x0."""
         if self.plant.unknown is not None or self._has_more_bounds:
-            return state.path, state.explained
+            return state.path
         c, S, r, *_ = state.mark
         # sides of a box: a state is compared with each
         apart = (S == 0) | np.eye(len(S), dtype=bool)[:, :, None]
         path = Prior(c, S, np.zeros_like(r), *self._no_strips(r.shape[-1]))
-        return path, state.marked & apart.all((0, 1))
+        return _only(_is_known(state.mark) & apart.all((0, 1)), path)
 
     @property
     def _has_more_bounds(self) -> bool:
@@ -282,11 +250,17 @@ class JointObserver(SetObserver[JointState]):
             return False
         return bool(self.model.averages) or bool(self.model.constant_tolerance)
 
-    def _trajectories(self, path: Prior, window: Samples) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return (ok, x, off) of the trajectories that a search finds, see `explained`."""
-        gauges = self.programs.gauges(path, window)
-        xi, w, _ = split(gauges.z, gauges.window)
-        return explained(self.plant.exact, path, window, np.asarray(xi), np.asarray(w))
+    def _trajectories(self, path: Prior, window: Samples) -> tuple[np.ndarray, ...]:
+        """Return (ok, x, off) of the trajectories that a search finds, see `WindowPlant.explained`."""
+        L, k = self.window, self.plant.system.n
+
+        def job(lanes: np.ndarray) -> tuple[np.ndarray, ...]:
+            some, samples = chosen(path, lanes), chosen(window, lanes)
+            z = self.programs.gauges(some, samples).z
+            w = z[k : k + L * self.plant.exact.W.shape[1]].reshape(L, -1, len(lanes))
+            return self.programs.plant.explained(some, samples, z[:k], w)
+
+        return in_lanes(job, path.c.shape[-1], ROOM)
 
     def _tested(self, state: JointState, samples: Piece) -> tuple[JointState, steps.Found]:
         """Return (state, Found) of samples of one block."""
@@ -301,10 +275,10 @@ class JointObserver(SetObserver[JointState]):
         begin = self.half + t % self.half
         state = state._replace(window=self._with_samples(state.window, begin, known, found))
         since = t + np.arange(T)[:, None] - found.age + 1
-        asked = np.asarray((found.age > 0) & (since <= block - self.half) & state.held)
+        asked = np.asarray((found.age > 0) & (since <= block - self.half) & _is_known(state.prior))
         asked &= np.asarray(found.status) == Status.UNDECIDED
         wrong, margin, states = self._refuted(state, begin, asked, np.asarray(found.states))
-        right = self._consistent(state, begin, asked & ~wrong & state.explained & (since == 0))
+        right = self._consistent(state, begin, asked & ~wrong & _is_known(state.path) & (since == 0))
         if wrong.any():
             wrong = is_first(wrong)
             # windows behind it speak of samples that are given up
@@ -319,9 +293,7 @@ class JointObserver(SetObserver[JointState]):
 
         A set of the state at that very sample was made of the samples before the gap.
         """
-        return state._replace(
-            held=state.held & ~fresh, marked=state.marked & ~fresh, explained=state.explained & ~fresh
-        )
+        return _believed(state, ~fresh, ~fresh, ~fresh)
 
     def _with_samples(
         self, window: Samples, begin: int, known: steps.Read | None, found: steps.Found
@@ -346,13 +318,8 @@ class JointObserver(SetObserver[JointState]):
         block = t // self.half * self.half
         ages = after.age.reshape(len(self.weights), -1)
         since = np.where((ages >= 0).all(0), t + T - ages.max(0), t + T)
-        return state._replace(
-            carry=after,
-            samples=state.samples + T,
-            held=state.held & (since <= block - self.half),
-            marked=state.marked & (since <= block),
-            explained=state.explained & (since == 0),
-        )
+        state = state._replace(carry=after, samples=state.samples + T)
+        return _believed(state, since <= block - self.half, since <= block, since == 0)
 
     def _with_windows(
         self,
@@ -399,12 +366,7 @@ class JointObserver(SetObserver[JointState]):
         if not len(ks):
             return wrong, margin, ends
         prior, window = chosen(state.prior, lanes), self._up_to(state.window, lanes, begin + ks)
-
-        def job(block: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            return self.programs.gauges(chosen(prior, block), chosen(window, block))[:3]
-
-        parts = zip(*in_blocks(job, len(ks), ROOM), strict=True)
-        value, bound, t = (np.concatenate(part)[: len(ks)] for part in parts)
+        value, bound, t, z = self.programs.gauges(prior, window)
         refuted = np.abs(value) > bound
         wrong[ks, lanes] = refuted
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -413,7 +375,7 @@ class JointObserver(SetObserver[JointState]):
             n = self.plant.system.n
             own = ends[ks, :, lanes].T
             width = np.maximum(own[:n] + own[n:], 0)
-            low, high = self.programs.supports(prior, window, np.eye(n), width, begin + ks)
+            low, high = self.programs.supports(prior, window, z, np.eye(n), width, begin + ks)
             shown = ~refuted & np.isfinite(low) & np.isfinite(high) & (low <= high)
             better = rounding.round_up(np.concatenate([-low, high]), self.plant.dtype)
             both = np.concatenate([shown, shown])
@@ -436,12 +398,30 @@ class JointObserver(SetObserver[JointState]):
         if not len(ks):
             return out
         path, window = chosen(state.path, lanes), self._up_to(state.window, lanes, begin + ks)
-
-        def job(block: np.ndarray) -> np.ndarray:
-            return self._trajectories(chosen(path, block), chosen(window, block))[0]
-
-        out[ks, lanes] = np.concatenate(in_blocks(job, len(ks), ROOM))[: len(ks)]
+        out[ks, lanes], *_ = self._trajectories(path, window)
         return out
+
+
+def _later(window: Samples, count: int) -> Samples:
+    """Return windows without their first samples, and without samples behind the others."""
+
+    def later(x: np.ndarray, nothing: float) -> np.ndarray:
+        return np.concatenate([x[count:], np.full_like(x[:count], nothing)])
+
+    return Samples(
+        mid=later(window.mid, 0),
+        rad=later(window.rad, np.inf),
+        v=later(window.v, 0),
+        slip=later(window.slip, 0),
+        reach=later(window.reach, np.inf),
+    )
+
+
+def _believed(state: JointState, prior: np.ndarray, mark: np.ndarray, path: np.ndarray) -> JointState:
+    """Return the state with the sets that are still to be believed, (N,) bool each."""
+    return state._replace(
+        prior=_only(prior, state.prior), mark=_only(mark, state.mark), path=_only(path, state.path)
+    )
 
 
 def joint_observer(setup: ObserverSetup, window: int) -> JointObserver:
@@ -470,10 +450,3 @@ def _with_one_way(plant: ObservedPlant) -> ObservedPlant:
             'or "strips"'
         )
     return replace(plant, unknown=replace(plant.unknown, ways=plant.unknown.ways[:1]))
-
-
-def _is_bounded(prior: Prior) -> np.ndarray:
-    """Return which sets are bounded, (N,) bool."""
-    finite = np.isfinite(prior.c).all(0) & np.isfinite(prior.S).all((0, 1))
-    bounded: np.ndarray = finite & np.isfinite(prior.r).all(0)
-    return bounded

@@ -4,19 +4,40 @@ last axis.
 
 import numpy as np
 
-from jaxbound.estimation.ordered import added, mapped
-from jaxbound.estimation.window_proof import Prior
+from jaxbound.estimation.arrays import Array
+from jaxbound.estimation.window import OFF, Prior
 from jaxbound.estimation.zonotope_steps import Numbers
 from jaxbound.sets.floats import rounding
 
-__all__ = ["OFF", "ROUNDED", "lasting", "parallelotope", "principal", "strip", "template"]
+__all__ = ["ROUNDED", "lasting", "parallelotope", "principal", "template"]
 
 SLOW = 0.1
 """Share of a mode that is left, above which a strip bounds it."""
-ROUNDED, OFF = 1 + 1e-9, 1e-12
-"""Above what rounding does to the sums of a few hundred numbers >= 0 in float64; share of magnitudes above
-what it does to any.
-"""
+ROUNDED = 1 + 1e-9
+"""Above what rounding does to the sums of a few hundred numbers >= 0 in float64."""
+
+
+def added(X: np.ndarray, axis: int = 0) -> np.ndarray:
+    """Return the sums of X along an axis, added up in order; 0 of nothing.
+
+    NumPy adds pairwise where an axis of one recording lies last: of a recording these are the same bits,
+    whatever stands beside it. So are those of `mapped`.
+    """
+    sums: np.ndarray
+    if X.shape[axis]:
+        sums = np.add.accumulate(X, axis).take(-1, axis)
+    else:
+        sums = X.sum(axis)
+    return sums
+
+
+def mapped(M: Array, X: Array, axis: int = 0) -> np.ndarray:
+    """Return M X for M (r, n) and the axis of X that has n entries."""
+    rows = np.moveaxis(np.asarray(X), axis, 0)
+    out = np.zeros((len(M), *rows.shape[1:]), np.result_type(M, X))
+    for column, row in zip(M.T, rows, strict=True):
+        out += column.reshape(-1, *[1] * row.ndim) * row
+    return np.moveaxis(out, 0, axis)
 
 
 def lasting(A: np.ndarray, C: np.ndarray, steps: int) -> np.ndarray:
@@ -42,51 +63,40 @@ def lasting(A: np.ndarray, C: np.ndarray, steps: int) -> np.ndarray:
     return np.reshape(rows, (-1, len(A)))
 
 
-def template(D: np.ndarray, c: np.ndarray, G: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def template(
+    D: np.ndarray, c: np.ndarray, G: np.ndarray, r: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return (lo, hi), each (r, N), of D x over the sets c (k, n, N), G (k, n, q, N), r (k, n, N), all of
-    which hold x, rounded outward.
+    which hold x, and at least |x| (n, N), rounded outward.
     """
     c, G, r = (x.astype(np.float64) for x in (c, G, r))
-    mid, size = mapped(D, c, 1), np.abs(D)
-    reach = added(np.abs(mapped(D, G, 1)), 2) + mapped(size, r, 1)
-    size = mapped(size, np.abs(c) + added(np.abs(G), 2) + r, 1)
-    reach = (reach + OFF * size) * ROUNDED + 2.0**-500
-    return (mid - reach).max(0), (mid + reach).min(0)
-
-
-def strip(lo: np.ndarray, hi: np.ndarray, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:
-    """Return (mid, rad) in a dtype that hold lo .. hi; an infinite radius where this is not bounded."""
-    with np.errstate(invalid="ignore"):
-        mid, rad = (lo + hi) / 2, np.maximum(hi - lo, 0) / 2
-        bounded = np.isfinite(mid) & np.isfinite(rad)
-        near = np.where(bounded, mid, 0).astype(dtype)
-        rad = (rad + OFF * np.abs(mid) + np.abs(near - mid)) * ROUNDED + 2.0**-100
-    return near, rounding.round_up(np.where(bounded, rad, np.inf), dtype)
+    most = np.abs(c) + added(np.abs(G), 2) + r
+    mid, reach = mapped(D, c, 1), added(np.abs(mapped(D, G, 1)), 2) + mapped(np.abs(D), r, 1)
+    reach = (reach + OFF * mapped(np.abs(D), most, 1)) * ROUNDED + 2.0**-500
+    return (mid - reach).max(0), (mid + reach).min(0), most.min(0) * ROUNDED
 
 
 def parallelotope(
-    D: np.ndarray,
-    back: np.ndarray,
-    lo: np.ndarray,
-    hi: np.ndarray,
-    reach: np.ndarray,
-    strips: tuple[np.ndarray, np.ndarray],
-    dtype: np.dtype,
+    back: np.ndarray, rows: np.ndarray, lo: np.ndarray, hi: np.ndarray, most: np.ndarray, dtype: np.dtype
 ) -> Prior:
-    """Return the Prior that holds every x with lo <= D x <= hi and |x| <= reach, and strips: x = back (D x) +
-    (I - back D) x.
+    """Return the Prior that holds every x with lo <= rows x <= hi and |x| <= most: x = back (D x) + (I - back
+    D) x, D the first n of the rows; the others are strips.
     """
-    mid, rad = (lo + hi) / 2, np.maximum(hi - lo, 0) / 2
-    rad = (rad + OFF * np.abs(mid)) * ROUNDED
-    c, S = mapped(back, mid), back[:, :, None] * rad[None]
-    rest = np.abs(np.eye(len(D)) - back @ D) + OFF * np.abs(back) @ np.abs(D)
-    most = np.where(np.isfinite(reach), reach.astype(np.float64), 1e300)
-    off = mapped(rest, most) + mapped(OFF * np.abs(back), np.abs(mid) + rad)
-    with np.errstate(over="ignore"):
-        near = Prior(c.astype(dtype), S.astype(dtype), off, *strips)
-    off = off + np.abs(c - near.c) + added(np.abs(S - near.S), 1)
-    off = np.where(off < 2.0**100, off * ROUNDED + 2.0**-100, np.inf)
-    return near._replace(r=rounding.round_up(off, dtype))
+    with np.errstate(invalid="ignore", over="ignore"):
+        mid, rad = (lo + hi) / 2, np.maximum(hi - lo, 0) / 2
+        rad = (rad + OFF * np.abs(mid)) * ROUNDED
+        n, bounded = len(back), np.isfinite(mid) & np.isfinite(rad)
+        near = np.where(bounded, mid, 0).astype(dtype)[n:]
+        of_strips = (rad[n:] + np.abs(near - mid[n:])) * ROUNDED + 2.0**-100
+        of_strips = rounding.round_up(np.where(bounded[n:], of_strips, np.inf), dtype)
+        D, mid, rad = rows[:n], mid[:n], rad[:n]
+        c, S = mapped(back, mid), back[:, :, None] * rad[None]
+        rest = np.abs(np.eye(n) - back @ D) + OFF * np.abs(back) @ np.abs(D)
+        off = mapped(rest, most) + mapped(OFF * np.abs(back), np.abs(mid) + rad)
+        near_c, near_S = c.astype(dtype), S.astype(dtype)
+        off = off + np.abs(c - near_c) + added(np.abs(S - near_S), 1)
+        off = np.where(off < 2.0**100, off * ROUNDED + 2.0**-100, np.inf)
+    return Prior(near_c, near_S, rounding.round_up(off, dtype), near, of_strips)
 
 
 def principal(x: Numbers, steps: int, blocks: int, dtype: np.dtype) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -1,5 +1,5 @@
-"""The linear programs of windows whose first state lies in a set: searched in floats (`window_search`), and
-proved with rounding (`window_proof`).
+"""The linear programs of windows: searched for in floats (`window_search`), and what was found is checked
+(`window`).
 """
 
 from dataclasses import dataclass
@@ -7,12 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxbound.estimation.blocks import chosen, in_blocks
-from jaxbound.estimation.ordered import product
-from jaxbound.estimation.window_proof import Prior, Samples, enclosed, window_of
-from jaxbound.estimation.window_runs import AverageRows
-from jaxbound.estimation.window_search import WindowProgram, followed, middle, searched
-from jaxbound.estimation.zonotope_steps import Numbers
+from jaxbound.estimation.blocks import chosen, in_lanes
+from jaxbound.estimation.window import Prior, Samples, WindowPlant, through
+from jaxbound.estimation.window_search import followed, middle, program_of, searched
 
 __all__ = ["ROOM", "Gauges", "WindowPrograms"]
 
@@ -32,36 +29,20 @@ class Gauges(NamedTuple):
     """The gauges of N windows, and the trajectories that were found.
 
     Fields: value, bound, t (N,): |value| > bound is a contradiction, t < 1 explains in plain floats; z (K,
-    N): the unknowns of the trajectory; window: the program.
+    N): the unknowns of the trajectory.
     """
 
     value: np.ndarray
     bound: np.ndarray
     t: np.ndarray
     z: np.ndarray
-    window: WindowProgram
-
-    def replaced(self, where: np.ndarray, by: "Gauges") -> "Gauges":
-        """Return these with others where (N,)."""
-        return self._replace(
-            value=np.where(where, by.value, self.value),
-            bound=np.where(where, by.bound, self.bound),
-            t=np.where(where, by.t, self.t),
-            z=np.where(where, by.z, self.z),
-        )
 
 
 @dataclass(frozen=True, eq=False)
 class WindowPrograms:
-    """The programs of windows of one plant.
+    """The programs of windows of one plant. Fields: plant; dtype: of searches."""
 
-    Fields: plant: the numbers, in float64; strips T (t, n): what is known of a first state beside a
-    parallelotope; runs: of averages in a window, or None; dtype: of searches.
-    """
-
-    plant: Numbers
-    strips: np.ndarray
-    runs: AverageRows | None
+    plant: WindowPlant
     dtype: np.dtype
 
     def gauges(self, prior: Prior, samples: Samples) -> Gauges:
@@ -70,29 +51,38 @@ class WindowPrograms:
         A search that proved nothing and lost its trajectory begins again from the one that its first state
         and disturbances make.
         """
-        window = window_of(self.plant, self.strips, prior, samples, self.runs)
-        best = self._gauges_from(middle(window), prior, samples, window)
+
+        def job(lanes: np.ndarray) -> Gauges:
+            return self._gauges(chosen(prior, lanes), chosen(samples, lanes))
+
+        return Gauges(*in_lanes(job, prior.c.shape[-1], ROOM))
+
+    def _gauges(self, prior: Prior, samples: Samples) -> Gauges:
+        """Return the gauges of a block of windows."""
+        image = self.plant.image(prior, samples)
+        program = program_of(self.plant, image, self.dtype)
+        nowhere, first = np.zeros(prior.c.shape), np.zeros(prior.c.shape[-1])
+
+        def found(z: np.ndarray) -> Gauges:
+            weight, t, z = searched(program, z, CLOSE)
+            return Gauges(*self.plant.enclosed(image, weight, nowhere, first), t, z)
+
+        best = found(middle(program))
         for _ in range(AGAIN):
-            near, lost = _lost(best)
+            lost = (np.abs(best.value) <= best.bound) & ~(best.t < 1)
+            if lost.any():
+                near, off = followed(program, best.z)
+                lost &= ~(off <= LOST * best.t)
             if not lost.any():
                 break
-            best = best.replaced(lost, self._gauges_from(near, prior, samples, window))
+            best = Gauges(*(np.where(lost, x, y) for x, y in zip(found(near), best, strict=True)))
         return best
-
-    def _gauges_from(self, z: np.ndarray, prior: Prior, samples: Samples, window: WindowProgram) -> Gauges:
-        """Return the gauges, searched for from a trajectory z on."""
-        n, N = prior.c.shape
-        weight, t, z = searched(window, z, CLOSE)
-        nowhere, first = np.zeros((n, N)), np.zeros(N)
-        value, bound = enclosed(
-            self.plant, self.strips, prior, samples, weight, nowhere, first, runs=self.runs
-        )
-        return Gauges(value, bound, t, z, window)
 
     def supports(
         self,
         prior: Prior,
         samples: Samples,
+        z: np.ndarray,
         D: np.ndarray,
         width: np.ndarray,
         J: np.ndarray,
@@ -101,36 +91,32 @@ class WindowPrograms:
         """Return (lo, hi), each (r, N), of D x_J over all that explains windows.
 
         Args:
-            D (r, n): directions. width (r, N): about the widths. J (N,): steps of the state. before: whether
-                it is the state before its sample is looked at.
+            z (K, N): trajectories, of gauges. D (r, n): directions. width (r, N): about the widths. J (N,):
+            steps of the state. before: whether it is the state before its sample is looked at.
         """
-        rows, N = len(D), prior.c.shape[-1]
+        rows, N = width.shape
         # without unknown inputs the state before its sample is the state
-        earlier = before and self.plant.free is not None
+        earlier = before and bool(self.plant.taking[-1].any())
         usual = np.where((width > 0) & np.isfinite(width), width, 1)
-        scale = np.ldexp(1.0, -np.frexp(usual)[1])
-        close = self._close(prior)
+        scale = np.tile(np.ldexp(1.0, -np.frexp(usual)[1]), (2, 1)).ravel()
+        directions, close = np.concatenate([-D, D]), self._close(prior)
 
-        def job(block: np.ndarray) -> np.ndarray:
-            some, window_samples = chosen(prior, block), chosen(samples, block)
-            gauges = self.gauges(some, window_samples)
-            ends = []
-            for sign in (-1, 1):
-                for i in range(rows):
-                    d = (sign * D[i][:, None] * scale[i, block]).astype(self.dtype)
-                    pulled = d
-                    if earlier:
-                        pulled = product(self.plant.A.T, d.astype(np.float64)).astype(self.dtype)
-                    weight, *_ = searched(gauges.window, gauges.z, close, pulled, J[block] - earlier)
-                    value, bound = enclosed(
-                        self.plant, self.strips, some, window_samples, weight, d, J[block], before, self.runs
-                    )
-                    end = _sum_up(value, bound) / scale[i, block]
-                    ends.append(np.where(np.isfinite(bound), end, np.inf))
-            return np.stack(ends, -1)
+        def job(lanes: np.ndarray) -> tuple[np.ndarray]:
+            # one direction of all windows after the other
+            way, of = np.divmod(lanes, N)
+            image = self.plant.image(chosen(prior, of), chosen(samples, of))
+            d = (directions[way].T * scale[lanes]).astype(self.dtype)
+            pull = d
+            if earlier:
+                pull = through(self.plant.plant.A.T, d.astype(np.float64)).astype(self.dtype)
+            program = program_of(self.plant, image, self.dtype)
+            weight, *_ = searched(program, z[:, of], close, pull, J[of] - earlier)
+            value, bound = self.plant.enclosed(image, weight, d, J[of], before)
+            return (np.where(np.isfinite(bound), np.nextafter(value + bound, np.inf) / scale[lanes], np.inf),)
 
-        ends = np.concatenate(in_blocks(job, N, ROOM))[:N].T.reshape(2, rows, N)
-        return -ends[0], ends[1]
+        (ends,) = in_lanes(job, 2 * rows * N, ROOM)
+        low, high = ends.reshape(2, rows, N)
+        return -low, high
 
     def _close(self, prior: Prior) -> float:
         """Return the gap at which the search for a support is done.
@@ -143,17 +129,3 @@ class WindowPrograms:
         if np.isfinite(prior.rad).any():
             return 1e-6
         return 1e-9
-
-
-def _lost(gauges: Gauges) -> tuple[np.ndarray, np.ndarray]:
-    """Return (trajectories to begin again from (K, N), the windows (N,) that need it)."""
-    undecided = (np.abs(gauges.value) <= gauges.bound) & ~(gauges.t < 1)
-    if not undecided.any():
-        return gauges.z, undecided
-    near, off = followed(gauges.window, gauges.z)
-    return near, undecided & ~(off <= LOST * gauges.t)
-
-
-def _sum_up(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return at least a + b."""
-    return np.nextafter(a.astype(np.float64) + b.astype(np.float64), np.inf)

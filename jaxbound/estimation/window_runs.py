@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxbound.estimation.ordered import mapped
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import bounded_sums, window_rows
 from jaxbound.sets.floats import rounding
@@ -36,13 +35,29 @@ class AverageRows(NamedTuple):
     bound: np.ndarray
     noise: np.ndarray
 
+    @classmethod
+    def none(cls, L: int, p: int, g: int) -> "AverageRows":
+        """Return those of a model that bounds no averages."""
+        return cls(np.zeros((0, L, p)), np.zeros((0, L, g)), np.zeros(0), np.zeros(0), np.zeros(p))
 
-def average_rows(model: LinearSystem, L: int) -> AverageRows | None:
-    """Return the rows of a model's bounded sums; None if none of them fits into so many samples."""
+    def on_errors(self, u: np.ndarray) -> np.ndarray:
+        """Return F_v' u (L, p, N) of multipliers u (a, N)."""
+        return np.asarray(np.einsum("aLp,aN->LpN", self.v, u))
+
+    def on_disturbances(self, u: np.ndarray) -> np.ndarray:
+        """Return F_w' u (L, g, N) of multipliers u (a, N)."""
+        return np.asarray(np.einsum("aLg,aN->LgN", self.w, u))
+
+    def sizes(self, s: np.ndarray) -> np.ndarray:
+        """Return the magnitudes (a, N) of all that stands in rows, of errors up to s (L, p, N)."""
+        of_errors = np.einsum("aLp,LpN->aN", np.abs(self.v), s)
+        return np.asarray(of_errors + (np.abs(self.w).sum((1, 2)) + np.abs(self.m))[:, None])
+
+
+def average_rows(model: LinearSystem, L: int) -> AverageRows:
+    """Return the rows of a model's bounded sums that fit into so many samples."""
     rows = window_rows(model, L - 1)
     count = len(rows.of_sums)
-    if not count:
-        return None
     bounds = [rounding.round_up(bounded.bound) for bounded in bounded_sums(model)]
     v, w = np.zeros((count, L, model.p)), np.zeros((count, L, model.g))
     m, bound = np.zeros(count), np.zeros(count)
@@ -72,6 +87,5 @@ def bounds_of(runs: AverageRows, rad: np.ndarray) -> np.ndarray:
     any_later = np.cumsum(seen.any(1)[::-1], 0)[::-1] > 0
     any_later = np.concatenate([any_later[1:], np.zeros_like(any_later[:1])])
     lost = np.einsum("aLp,LpN->aN", runs.v != 0, ~seen) + np.einsum("aLg,LN->aN", runs.w != 0, ~any_later)
-    weights = np.abs(runs.v).reshape(len(runs.v), -1)
-    b = runs.bound[:, None] + mapped(weights, excess.reshape(-1, excess.shape[-1]))
+    b = runs.bound[:, None] + np.einsum("aLp,LpN->aN", np.abs(runs.v), excess)
     return np.where(lost > 0, np.inf, b * (1 + 1e-12) + 2.0**-500)

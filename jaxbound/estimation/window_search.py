@@ -24,16 +24,16 @@ nearly the best ones.
 """
 
 import math
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.estimation.arrays import Array
-from jaxbound.estimation.ordered import product
+from jaxbound.estimation.window import Image, WindowPlant, through
 
-__all__ = ["WindowAverages", "WindowProgram", "followed", "middle", "searched", "split"]
+__all__ = ["WindowProgram", "followed", "middle", "program_of", "searched", "split"]
 
 PACE = 0.15
 """Share of the complementarity that is left after a step."""
@@ -44,40 +44,36 @@ SOFT = 2.0**-20, 2.0**-10
 """Added to the weights of what averages hold, in float64 and float32: what nothing else holds would move
 without end before they do.
 """
+THIN = 1e-9
+"""Share of the widest bound that a search takes for the narrowest, since it divides by it."""
 
 
-class WindowAverages(NamedTuple):
-    """Averages in a window: at most 1 is m + (F_v s v + F_w w) / b.
+class WindowProgram(NamedTuple):
+    """N windows of L steps.
 
-    Fields: F_v (a, R), F_w (a, L g); m (a, N); b (a, N), infinite where nothing is said.
+    Fields: A (n, n), C (p, n), T (t, n), W (n, g); S (n, k, N); scale (L, g, N): factors of W after each
+    step; e, s (R, N): |e - c x_j| <= s of t strips of x_0, then of p outputs of each step, s infinite where
+    there is none. Averages, at most 1 is m + (F_v s v + F_w w) / b: F_v (a, L p), F_w (a, L g); m (a, N); b
+    (a, N), infinite where nothing is said.
     """
 
+    A: Array
+    C: Array
+    T: Array
+    W: Array
+    S: Array
+    scale: Array
+    e: Array
+    s: Array
     F_v: Array
     F_w: Array
     m: Array
     b: Array
 
-
-class WindowProgram(NamedTuple):
-    """N windows of L steps, whose samples are R rows in order of time.
-
-    Fields: A (n, n); W (n, g); S (n, k, N); c (R, n), e, s (R, N): |e - c x_j| <= s of a row at step j, s
-    infinite where there is no sample; step (R,): its j; last (R,): whether it is the last row of a step,
-    which each has; ends (L,): the numbers of these rows. scale (L, g, N): factors of W after each step, or
-    None. averages: see WindowAverages, or None.
-    """
-
-    A: Array
-    W: Array
-    S: Array
-    c: Array
-    e: Array
-    s: Array
-    step: Array
-    last: Array
-    ends: Array
-    scale: Array | None = None
-    averages: WindowAverages | None = None
+    @property
+    def steps(self) -> int:
+        """How many steps a window has."""
+        return (len(self.s) - len(self.T)) // len(self.C)
 
 
 class _Path(NamedTuple):
@@ -99,18 +95,60 @@ class _Path(NamedTuple):
     step: jax.Array | int
 
 
+def _thinnest(rad: np.ndarray) -> np.ndarray:
+    """Return radii (R, N), none of which is far smaller than the largest."""
+    largest = np.max(np.where(np.isfinite(rad), rad, 0), 0, initial=0)
+    return np.asarray(np.maximum(rad, THIN * largest + 1e-30))
+
+
+def program_of(plant: WindowPlant, image: Image, dtype: np.dtype) -> WindowProgram:
+    """Return the WindowProgram of windows, rounded to nearest.
+
+    What is left of a sample by which unknown inputs are taken out is that of a plant A' = M A, W' = [M W, -H
+    s], whose disturbances are the errors that are used up.
+    """
+    M, _, H, _, used = plant.taking
+    A, W, C = np.asarray(plant.plant.A), np.asarray(plant.plant.W), np.asarray(plant.plant.C)[~used]
+    prior, runs, (L, _, N) = image.prior, plant.runs, image.m.shape
+    seen, bounded = np.isfinite(image.rad), np.isfinite(prior.rad)
+    s = _thinnest(image.rad.reshape(-1, N)).reshape(image.rad.shape)
+    size = np.where(seen, s, 1)[:, used]
+    S = prior.S + np.eye(len(A))[:, :, None] * prior.r[None]
+    S = np.concatenate([np.einsum("ij,jkN->ikN", M, S), -H[:, used, None] * size[0][None]], 1)
+    later = np.concatenate([size[1:], size[-1:]])
+    scale = np.concatenate([np.ones((L, W.shape[1], N)), later], 1)
+    off = np.where(bounded, prior.mid - through(plant.strips, prior.c), 0)
+    e = np.where(seen, _prediction_errors(plant, image), 0)[:, ~used].reshape(-1, N)
+    b = _thinnest(image.b)
+    rows = np.concatenate([off, e]), np.concatenate([_thinnest(prior.rad), s[:, ~used].reshape(-1, N)])
+    motion = M @ A, C, plant.strips, np.concatenate([M @ W, -H[:, used]], 1), S, scale
+    F_v, F_w = runs.v.reshape(len(b), L * runs.v.shape[2]), runs.w.reshape(len(b), L * runs.w.shape[2])
+    averages = F_v, F_w, runs.m[:, None] / b, b
+    return WindowProgram(*(x.astype(dtype) for x in (*motion, *rows, *averages)))
+
+
+def _prediction_errors(plant: WindowPlant, image: Image) -> np.ndarray:
+    """Return (L, p, N): samples less what the middle of everything predicts."""
+    M, _, H, *_ = plant.taking
+    x, states = image.prior.c, np.empty(image.f.shape)
+    for j in range(len(states)):
+        states[j] = through(M, x) + through(H, image.m[j])
+        x = through(plant.plant.A, states[j]) + image.f[j]
+    return np.asarray(image.m - through(plant.plant.C, states))
+
+
 def split(z: Array, window: WindowProgram) -> tuple[Array, Array, Array]:
     """Return xi (k, .., N), w (L, g, .., N), v (R, .., N) of all unknowns z (K, .., N); the effect of the
     last w is not looked at.
     """
-    k, g, L = window.S.shape[1], window.W.shape[1], len(window.ends)
+    k, g, L = window.S.shape[1], window.W.shape[1], window.steps
     after = k + L * g
-    return z[:k], z[k:after].reshape(L, g, *z.shape[1:]), z[after : after + len(window.c)]
+    return z[:k], z[k:after].reshape(L, g, *z.shape[1:]), z[after : after + len(window.s)]
 
 
 def middle(window: WindowProgram) -> np.ndarray:
     """Return the unknowns z (K, N) of the trajectory with xi = 0, w = 0."""
-    free = np.zeros((window.S.shape[1] + len(window.ends) * window.W.shape[1], window.e.shape[-1]))
+    free = np.zeros((window.S.shape[1] + window.steps * window.W.shape[1], window.e.shape[-1]))
     return _unknowns(window, free, window.e)
 
 
@@ -122,27 +160,25 @@ def followed(window: WindowProgram, z: np.ndarray) -> tuple[np.ndarray, np.ndarr
     """
     z = np.where(np.isfinite(z), z, 0).astype(np.float64)
     xi, w, v = split(z, window)
-    free = z[: len(xi) + len(w) * w.shape[1]]
-    if window.scale is not None:
-        w = w * window.scale
-    x, j, errors = (window.S * xi[None]).sum(1), 0, np.empty(window.e.shape)
-    for row, step in enumerate(window.step.tolist()):
-        if step > j:
-            x, j = product(window.A, x) + product(window.W, w[j]), step
-        errors[row] = window.e[row] - (window.c[row][:, None] * x).sum(0)
+    free = z[: len(z) - len(v) - len(window.b)]
+    x, states = (window.S * xi[None]).sum(1), []
+    for drawn in w * window.scale:
+        states.append(x)
+        x = through(window.A, x) + through(window.W, drawn)
+    rows = through(window.T, states[0]), *through(window.C, np.stack(states))
+    errors = window.e - np.concatenate(rows)
     off = np.where(np.isfinite(window.s), np.abs(errors / window.s - v), 0).max(0)
     return _unknowns(window, free, errors), off
 
 
 def _unknowns(window: WindowProgram, free: np.ndarray, errors: Array) -> np.ndarray:
     """Return z (K, N) of xi and w, which are free, and of the errors (R, N) that they leave."""
-    known: list[Array] = [free, errors / window.s]
-    if window.averages is not None:
-        F_v, F_w, m, b = window.averages
-        w = free[window.S.shape[1] :]
-        seen = np.where(np.isfinite(window.s), errors, 0)
-        known.append(m + (product(F_v, seen) + product(F_w, w)) / b)
-    return np.concatenate(known)
+    known = np.concatenate([free, errors / window.s])
+    if not len(window.b):
+        return known
+    seen, w = np.where(np.isfinite(window.s), errors, 0)[len(window.T) :], free[window.S.shape[1] :]
+    averages = window.m + (through(window.F_v, seen) + through(window.F_w, w)) / window.b
+    return np.concatenate([known, averages])
 
 
 def _dot(M: Array, X: Array) -> jax.Array:
@@ -161,11 +197,11 @@ def _solved(
     """Return (dz, pulls), as `_filtered`, with the rows of averages behind theirs: (D da - rho) / b is the
     pull of one.
     """
-    if window.averages is None:
+    if not len(window.b):
         return _filtered(window, D, rho, d, J)
-    (F_v, F_w, _, b), (_, k, N) = window.averages, rho.shape
+    (*_, F_v, F_w, _, b), (_, k, N) = window, rho.shape
     a, first = len(b), window.S.shape[1]
-    after = len(D) - a - len(window.c)
+    after = len(D) - a - len(window.s)
     s = jnp.where(jnp.isfinite(window.s), window.s, 0)[:, None]
 
     def rows(z: jax.Array) -> jax.Array:
@@ -191,6 +227,7 @@ def _solved(
     )
     root, values = jnp.sqrt(D[-a:])[:, None], rows(z)
     M = jnp.concatenate([one + root * values[:, k:] * jnp.swapaxes(root, 0, 1), root * values[:, :k]], 1)
+    # a library's solver waits for threads that wait for it where blocks are searched side by side
     x = jax.lax.fori_loop(0, a, _eliminate, M)[:, a:]
     near, x = x / jnp.where(root > 0, root, 1), root * x
 
@@ -211,11 +248,6 @@ def _eliminate(i: jax.Array, M: jax.Array) -> jax.Array:
     return eliminated
 
 
-_Row: TypeAlias = tuple[Array, jax.Array, Array, Array]
-"""Of one row of a sample: c, its weight, radius and right-hand sides or its gains, its step, whether it is
-the last of that step."""
-
-
 def _filtered(
     window: WindowProgram, D: jax.Array, rho: jax.Array, d: jax.Array, J: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
@@ -229,52 +261,60 @@ def _filtered(
         D (K, N): zero where there is no sample. rho (K, k, N). d (n, k, N), J (N,): the direction of a state,
             and its step.
     """
-    A, W, S, c, _, s, step, last, ends, scale, _ = window
-    n = len(A)
+    A, C, T, W, S, scale, _, s, *_ = window
+    n, t, L = len(A), len(T), window.steps
     D_xi, D_w, D_v = split(D, window)
     rho_xi, rho_w, rho_v = split(rho, window)
     s = jnp.where(jnp.isfinite(s), s, 1)[:, None]
+    rows = _beside(_beside(D_v[:, None], s), rho_v)
+    numbers = jnp.arange(L, dtype=J.dtype)
 
-    def moved(M: jax.Array, j: jax.Array) -> jax.Array:
-        """Return (covariance, mean) M (n, n + k, N) one step later."""
-        pulled = jnp.sum(M[:, :n, None] * d[None], 1)  # a pull is like one more sample
-        M = _dot(A, _beside(M[:, :n], M[:, n:] + jnp.where((j == J)[None, None], pulled, 0)))
-        w, more = D_w[j][:, None], rho_w[j]
-        if scale is not None:
-            w, more = w / scale[j][:, None] ** 2, more / scale[j][:, None]
-        by_A = jnp.sum(M[:, None, :n] * A[None, :, :, None], 2)
-        by_W = jnp.sum(W[:, None, :, None] * W[None, :, :, None] / w[None, None, :, 0], 2)
-        P = by_A + by_W
-        return _beside(0.5 * (P + jnp.swapaxes(P, 0, 1)), M[:, n:] + _dot(W, more / w))
-
-    def forward(M: jax.Array, now: _Row) -> tuple[jax.Array, jax.Array]:
-        """Meet (covariance, mean) with one row of a sample, and move them behind the last of a step."""
-        c, row, j, last = now
+    def meet(M: jax.Array, now: tuple[Array, Array]) -> tuple[jax.Array, jax.Array]:
+        """Meet (covariance, mean) M (n, n + k, N) with one row; return the gains too."""
+        c, row = now
         D, s, rho = row[:1], row[1:2], row[2:]
         h = jnp.sum(c[:, None, None] * M, 0)
         far = s * s + D * jnp.sum(c[:, None] * h[:n], 0, keepdims=True)
         gain = jnp.concatenate([-D * h[:n], -s * rho - D * h[n:]]) / far
-        return jax.lax.cond(last, moved, lambda M, j: M, M + h[:n, None] * gain[None], j), gain
+        return M + h[:n, None] * gain[None], gain
 
-    def backward(q: jax.Array, now: _Row) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
-        """Pull the adjoint q (n, k, N) through one row of a sample."""
-        c, gain, j, last = now
+    def forward(M: jax.Array, now: tuple[Array, ...]) -> tuple[jax.Array, jax.Array]:
+        """Meet M with one sample, and move it one step on."""
+        rows, j, w, more, scale = now
+        M, gains = jax.lax.scan(meet, M, (C, rows), unroll=True)
+        pulled = jnp.sum(M[:, :n, None] * d[None], 1)  # a pull is like one more sample
+        M = _dot(A, _beside(M[:, :n], M[:, n:] + jnp.where((j == J)[None, None], pulled, 0)))
+        w, more = w[:, None] / scale[:, None] ** 2, more / scale[:, None]
+        by_A = jnp.sum(M[:, None, :n] * A[None, :, :, None], 2)
+        by_W = jnp.sum(W[:, None, :, None] * W[None, :, :, None] / w[None, None, :, 0], 2)
+        P = by_A + by_W
+        return _beside(0.5 * (P + jnp.swapaxes(P, 0, 1)), M[:, n:] + _dot(W, more / w)), gains
+
+    def pull(q: jax.Array, now: tuple[Array, Array]) -> tuple[jax.Array, jax.Array]:
+        """Pull the adjoint q (n, k, N) through one row."""
+        c, gain = now
+        by = jnp.sum(gain[:n, None] * q, 0) + gain[n:]
+        return q + c[:, None, None] * by[None], by
+
+    def backward(q: jax.Array, now: tuple[Array, Array]) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+        """Pull the adjoint through one step and its sample."""
+        gains, j = now
         into = _dot(W.T, q)
-        q = jnp.where(last, _dot(A.T, q) + jnp.where((j == J)[None, None], d, 0), q)
-        pull = gain[n:] + jnp.sum(gain[:n, None] * q, 0)
-        return q + c[:, None, None] * pull[None], (into, pull)
+        q = _dot(A.T, q) + jnp.where((j == J)[None, None], d, 0)
+        q, pulls = jax.lax.scan(pull, q, (C, gains), reverse=True, unroll=True)
+        return q, (into, pulls)
 
     # covariance and mean are moved, and met with samples, as one
     first = jnp.sum(S[:, :, None] * (_beside(jnp.swapaxes(S, 0, 1), rho_xi) / D_xi[:, None])[None], 1)
-    rows = _beside(_beside(D_v[:, None], s), rho_v)
-    _, gains = jax.lax.scan(forward, first, (c, rows, step, last))
+    first, of_strips = jax.lax.scan(meet, first, (T, rows[:t]), unroll=True)
+    samples = rows[t:].reshape(L, len(C), *rows.shape[1:])
+    _, gains = jax.lax.scan(forward, first, (samples, numbers, D_w, rho_w, scale))
     q = jnp.zeros((n, *rho_xi.shape[1:]), rho_xi.dtype)
-    q, (into, pulls) = jax.lax.scan(backward, q, (c, gains, step, last), reverse=True)
+    q, (into, pulls) = jax.lax.scan(backward, q, (gains, numbers), reverse=True)
+    q, first_pulls = jax.lax.scan(pull, q, (T, of_strips), reverse=True, unroll=True)
+    pulls = jnp.concatenate([first_pulls, pulls.reshape(-1, *pulls.shape[2:])])
     xi = rho_xi + jnp.sum(S[:, :, None] * q[:, None], 0)
-    into = into[ends]
-    if scale is not None:
-        into = into * scale[:, :, None]
-    w, v = rho_w + into, rho_v + s * pulls
+    w, v = rho_w + into * scale[:, :, None], rho_v + s * pulls
     seen = jnp.where(D > 0, D, 1)[:, None]
     return jnp.concatenate([xi, w.reshape(-1, *xi.shape[1:]), v]) / seen, pulls
 
@@ -297,48 +337,30 @@ def searched(
         z (K, N): where to begin, a trajectory with its v; all |z_i| < 1 for a support. close: gap at which a
             window is done, relative. d (n, N), J (N,): the direction and step of a support; None for a gauge.
     """
-    (K, N), dtype = z.shape, window.e.dtype
-    there = _there(window, K, N)
-    if d is None or J is None:
-        begin, pull, steps = _gauge_begin(window, z, there), np.zeros((len(window.A), 2, N)), np.zeros(N)
+    (n, _, N), dtype = window.S.shape, window.e.dtype
+    there, bounds = np.ones(z.shape, bool), np.concatenate([window.s, window.b])
+    there[len(z) - len(bounds) :] = np.isfinite(bounds)
+    t, mu, pull = np.ones(N), np.full(N, START), np.zeros((n, 2, N))
+    if d is None:
+        t = 1.25 * np.abs(z).max(0) + 1e-3
+        mu, J = t / there.sum(0), np.zeros(N)
     else:
-        begin, pull, steps = _support_begin(z), np.stack([d, np.zeros_like(d)], 1), J
+        pull[:, 0] = d
+    up, down, size = mu / (t - z), mu / (t + z), 1
+    if d is None:
+        size = np.where(there, up + down, 0).sum(0)
+    begin = z, t[None], up / size, down / size, mu[None]
     weight, z = _path(
         window,
         there,
-        tuple(np.asarray(x, dtype) for x in begin),
-        np.asarray(pull, dtype),
-        steps.astype(np.int32),
+        tuple(x.astype(dtype) for x in begin),
+        pull.astype(dtype),
+        np.asarray(J, np.int32),
         d is None,
         np.asarray(close, dtype),
     )
     weight, z = np.asarray(weight), np.asarray(z)
     return np.where(np.isfinite(weight), weight, 0), np.abs(np.where(there, z, 0)).max(0), z
-
-
-def _there(window: WindowProgram, K: int, N: int) -> np.ndarray:
-    """Return (K, N) bool: which unknowns there are, all but those of missing samples and averages."""
-    there = np.ones((K, N), bool)
-    bounds = [window.s]
-    if window.averages is not None:
-        bounds.append(window.averages[-1])
-    there[K - sum(map(len, bounds)) :] = np.isfinite(np.concatenate(bounds))
-    return there
-
-
-def _gauge_begin(window: WindowProgram, z: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return (z, t, up, down, mu) at which the search for a gauge begins: t above all unknowns."""
-    t = 1.25 * np.abs(z).max(0) + 1e-3
-    mu = t / there.sum(0)
-    up, down = mu / (t - z), mu / (t + z)
-    size = np.where(there, up + down, 0).sum(0)
-    return z, t[None], up / size, down / size, mu[None]
-
-
-def _support_begin(z: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return (z, t, up, down, mu) at which the search for a support begins: all bounds are 1."""
-    t, mu = np.ones(z.shape[1]), np.full(z.shape[1], START)
-    return z, t[None], mu / (t - z) / 1.0, mu / (t + z) / 1.0, mu[None]
 
 
 @jax.jit
@@ -362,9 +384,6 @@ def _path(
         return tuple(jnp.max(jnp.where(there[:, None], _pair(x, y), 0), 0)[:, None])
 
     count = jnp.sum(there, 0, dtype=pull.dtype)[None]
-    rows = len(window.c)
-    if window.averages is not None:
-        rows += len(window.averages[-1])
 
     def step(path: _Path) -> _Path:
         """Take one Newton step."""
@@ -404,7 +423,7 @@ def _path(
 
     z, t, up, down, mu = begin
     gap = jnp.ones_like(t)
-    weight = jnp.zeros((rows, *t.shape[1:]), t.dtype)
+    weight = jnp.zeros((len(window.s) + len(window.b), *t.shape[1:]), t.dtype)
     path = _Path(z, t, up, down, mu, gap, weight, jnp.zeros(t.shape, bool), 0)
     path = jax.lax.while_loop(going, step, path)
     return path.weight, path.z
