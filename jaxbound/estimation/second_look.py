@@ -65,10 +65,9 @@ def doubtful(watch: Repeatable[State], carry: State, samples: Piece, fault: np.n
     shorter = watch.shown_after
     for length in LENGTHS:
         long_enough = np.flatnonzero(left[:, 0] - begins[tuple(left.T)] >= shorter)
-        proved = [
-            _by_samples(watch, samples, left[some], begins, length)
-            for some in np.split(long_enough, range(BESIDE, len(long_enough), BESIDE))
-        ]
+        proved = []
+        for some in np.split(long_enough, range(BESIDE, len(long_enough), BESIDE)):
+            proved.append(_by_samples(watch, samples, left[some], begins, length))
         left = np.delete(left, long_enough[np.concatenate(proved)], 0)
         shorter = length
     gone = np.zeros(fault.shape, bool)

@@ -122,7 +122,8 @@ class ValidationObserver(Observer[ValidationState]):
                 f"an observer follows one recording: y must have shape (T, {y.shape[-1]}), not {y.shape}"
             )
         gone = np.concatenate([np.zeros(old, bool), left_out(u, y, piece.excluded)])
-        u, y = (np.concatenate([a.astype(b.dtype), b]) for a, b in ((carry.u, u), (carry.y, y)))
+        u = np.concatenate([carry.u.astype(u.dtype), u])
+        y = np.concatenate([carry.y.astype(y.dtype), y])
         begins = np.union1d([0], np.concatenate([piece.starts + old, around(gone)])).astype(int)
         known = np.zeros(len(begins), bool)
         known[0] = carry.first and self.informed and not gone[:1].any()
@@ -162,10 +163,12 @@ class ValidationObserver(Observer[ValidationState]):
         fits, kinds = at + s < stops, known.astype(int)
         if before is not None:
             at[0], kinds[0], fits[0] = 0, 2, stops[0] > old
-        lengths = np.array([max(SHORTEST, power(count)) for count in (stops - at).tolist()])
+        lengths = np.maximum(list(map(power, (stops - at).tolist())), SHORTEST)
         ends_found = np.full((T, 2, m.n + 3 * m.p), np.inf, m.A.dtype)
         tested, blamed = np.zeros(T, bool), np.zeros((T, m.p + 1), bool)
-        after = before if len(begins) == 1 else None
+        after = None
+        if len(begins) == 1:
+            after = before
         for kind, length in sorted(set(zip(kinds[fits].tolist(), lengths[fits].tolist(), strict=True))):
             chosen = np.flatnonzero(fits & (kinds == kind) & (lengths == length))
             rows = at[chosen, None] + np.arange(length)

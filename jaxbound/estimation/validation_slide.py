@@ -147,8 +147,9 @@ class Slide:
         """
         n, p = self.m.n, self.m.p
         absent, contradicted = np.isnan(y), blamed[:, p] & (not self.centre)
-        parts = np.split(found, np.cumsum([n, p, p]), -1)
-        state, output, residual, corrected = (Interval(-a[:, 0], a[:, 1]) for a in parts)
+        below, above = -found[:, 0], found[:, 1].copy()
+        of = np.cumsum([n, p, p])
+        state, output, residual, corrected = map(Interval, np.split(below, of, -1), np.split(above, of, -1))
         for end in (residual.lo, residual.hi):
             end[absent & tested[:, None]] = np.nan
         status = np.where(contradicted, Status.FAULT, Status.UNDECIDED)

@@ -272,7 +272,8 @@ class WindowPlant:
         """
         plant = self.plant
         path, samples = jax.tree.map(lambda x: np.asarray(x, np.float64), (path, samples))
-        xi, w = (np.clip(np.nan_to_num(x), -LESS, LESS).astype(np.float64) for x in (xi, w))
+        xi = np.clip(np.nan_to_num(xi), -LESS, LESS).astype(np.float64)
+        w = np.clip(np.nan_to_num(w), -LESS, LESS).astype(np.float64)
         x, off = path.c + (path.S * xi[None]).sum(1), path.r
         # a side so short that rounding of the centre is as long cannot be made smaller
         sides_seen = 1e-9 * np.abs(path.S) > 1e-14 * np.abs(path.c)[:, None]
