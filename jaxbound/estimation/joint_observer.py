@@ -193,7 +193,7 @@ class JointObserver(SetObserver[JointState]):
             return np.moveaxis(np.asarray(x).reshape(*x.shape[:-1], lanes, -1), -2, 0)
 
         rows, back = self._directions(number)
-        c, G, r, age = (split_lanes(x) for x in state.carry[:4])
+        c, G, r, age = map(split_lanes, state.carry[:4])
         mark = parallelotope(back, rows, *template(rows, c, G, r), self.plant.dtype)
         return _only(np.all(age >= 0, 0), mark)
 
@@ -209,8 +209,11 @@ class JointObserver(SetObserver[JointState]):
         else:
             reach = np.abs(generators.astype(np.float64)).sum(1) * ROUNDED
             sides = np.diag(rounding.round_up(reach, self.plant.dtype))
-        c, S, r = (np.repeat(x[..., None], N, -1) for x in (center, sides, box))
-        return Prior(c, S, r, *self._no_strips(N))
+
+        def repeated(x: np.ndarray) -> np.ndarray:
+            return np.repeat(x[..., None], N, -1)
+
+        return Prior(repeated(center), repeated(sides), repeated(box), *self._no_strips(N))
 
     def _no_strips(self, N: int) -> tuple[np.ndarray, np.ndarray]:
         """Return (mid, rad) of strips that say nothing."""

@@ -3,6 +3,7 @@
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -75,7 +76,7 @@ class WindowPrograms:
                 lost &= ~(off <= LOST * best.t)
             if not lost.any():
                 break
-            best = Gauges(*(np.where(lost, x, y) for x, y in zip(found(near), best, strict=True)))
+            best = Gauges(*map(partial(np.where, lost), found(near), best))
         return best
 
     def supports(
