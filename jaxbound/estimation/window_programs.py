@@ -3,7 +3,6 @@
 """
 
 from dataclasses import dataclass
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -76,7 +75,7 @@ class WindowPrograms:
                 lost &= ~(off <= LOST * best.t)
             if not lost.any():
                 break
-            best = Gauges(*map(partial(np.where, lost), found(near), best))
+            best = Gauges(*(np.where(lost, x, y) for x, y in zip(found(near), best, strict=True)))
         return best
 
     def supports(
