@@ -230,7 +230,7 @@ def test_combinations_contradict_what_they_call_a_fault_in_exact_arithmetic(case
 
     def contradicted(y):
         _, h = found(y)
-        return test._contradicted((u, by_window(y)), h, np.arange(COUNT))
+        return test.refuted(u, by_window(y), h)
 
     _, behind, turned = at_threshold(case, lambda y: next(found(y)) < 0)
     assert contradicted(behind)[turned].all()
