@@ -117,7 +117,8 @@ class ConstantTest(LinearTest):
         margin[at] = np.where(refuted, -1, 0)
         search = self._search()
         search.settle(u, y, outs, again(search, left[~refuted]), again, progress)
-        margin[at] = np.where(margin[at] == 0, 0, signed(sizes, margin[at] > 0))
+        settled = np.abs(margin[at]) > 0  # not where it is NaN, which proves nothing
+        margin[at] = np.where(settled, signed(sizes, margin[at] > 0), 0)
 
     def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """Return (N,) bool: which windows one strip contradicts whatever the gains, in NumPy; see
