@@ -104,7 +104,9 @@ def test_a_set_that_outlives_a_gap_is_not_believed_twice(monkeypatch):
     u, y, _ = laid_end_to_end(20, 40)
     watch = jb.observer(PLANT, "joint", window=10)
     monkeypatch.setattr(JointObserver, "_behind_gap", lambda self, state, fresh: state)
-    _, once = watch.judged(watch.init(), Recording.of(PLANT, u, y, [20]))
+    state = watch.init()
+    _, samples = watch.side_by_side(state, Recording.of(PLANT, u, y, [20]))
+    _, once = watch.found(state, samples)
     assert (once.status == jb.Status.FAULT).any()
     with pytest.warns(Doubtful):
         status = jb.detect(watch, u, y, starts=[20]).status
