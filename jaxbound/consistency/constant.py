@@ -68,7 +68,7 @@ class ConstantTest(LinearTest):
         search: makes the test that is asked of windows left open; its `outputs` are margins.
     """
 
-    hinted = True
+    confirms = True
 
     def __init__(
         self, relations: LinearRelations, method: str, dtype: DTypeLike, search: Callable[[], WindowTest]
@@ -101,10 +101,6 @@ class ConstantTest(LinearTest):
         for margin in map(np.asarray, run(_first, blocks)):
             judged.append((margin, margin <= 0))
         return judged
-
-    def refuted(self, u: np.ndarray, y: np.ndarray, *hints: np.ndarray) -> np.ndarray:
-        """Return that all is proved: NumPy alone says FAULT here, behind `judge`."""
-        return np.ones(y.shape[-1], bool)
 
     def settle(
         self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress

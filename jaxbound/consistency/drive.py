@@ -167,7 +167,7 @@ def _decided(
 ) -> Judged:
     """Return the verdicts (*shape) of samples that are laid end to end, each FAULT decided twice."""
     judged = test.judged(_filled(test, u, y, shape, starts, progress, size))
-    if test.hinted or is_outside_xla():
+    if test.hinted or test.confirms or is_outside_xla():
         return judged
 
     def contradicted(ends: np.ndarray) -> np.ndarray:

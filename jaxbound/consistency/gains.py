@@ -81,6 +81,8 @@ class GainsTest(ExchangeTest):
     """
 
     listed: Reading | None = None
+    hinted = False
+    confirms = True
 
     @cached_property
     def easy(self) -> Easy | None:  # type: ignore[override]  # of a property
@@ -105,10 +107,6 @@ class GainsTest(ExchangeTest):
             margin = np.where(found.keep, np.minimum(size, -LEAST), signed(size, found.proved))
             judged.append((margin.astype(self.dtype), found.keep & ~np.isnan(size)))
         return judged
-
-    def refuted(self, u: np.ndarray, y: np.ndarray, *hints: np.ndarray) -> np.ndarray:
-        """Return that all is proved: `judge` says FAULT of what it narrows to nothing, in NumPy."""
-        return np.ones(y.shape[-1], bool)
 
     def settle(
         self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress

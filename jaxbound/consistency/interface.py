@@ -404,6 +404,8 @@ class WindowTest:
     replayed: ClassVar[bool] = True
     """Whether kernels are evaluated in NumPy for a FAULT that `contradicted` does not see."""
 
+    confirms: bool = False
+    """Whether NumPy alone says FAULT in `judge` and `settle`: nobody asks again."""
     short: int = 64
     """How many windows are judged at once where there are few."""
     easy_first: bool = True
