@@ -97,7 +97,7 @@ class _Search:
         if not self.factors:
             return
         self._descend(coarse, max(1, len(self.onsets) // len(spread)))
-        self._shrink(coarse)
+        self._shrink()
         yield from sorted((t for t in self.factors if self._explains(t)), key=lambda t: (abs(t[0]), t[1]))
 
     def _explains(self, trial: Trial) -> bool:
@@ -119,7 +119,7 @@ class _Search:
             if best == (number, onset):
                 step, apart = step // 2, max(1, apart // 2)
 
-    def _shrink(self, coarse: int) -> None:
+    def _shrink(self) -> None:
         """Halve the way from the smallest size that explains to the next smaller one that does not."""
         explaining = [t for t in self.factors if self._explains(t)]
         if not explaining:

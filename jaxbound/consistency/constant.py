@@ -21,13 +21,11 @@ from jaxbound.consistency.interface import (
     Again,
     Array,
     Arrays,
-    Judged,
     LinearRelations,
-    LinearTest,
-    Outputs,
     Outs,
     Progress,
     Run,
+    SignedTest,
     WindowTest,
 )
 from jaxbound.consistency.reading import Block, Reading, RowValues, Samples
@@ -35,7 +33,6 @@ from jaxbound.consistency.strips_on_host import host_strips
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import kernel
-from jaxbound.sets.floats.status import Status
 
 __all__ = [
     "LEAST",
@@ -58,7 +55,7 @@ Bracket: TypeAlias = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
 Triple: TypeAlias = tuple[jax.Array, jax.Array, jax.Array]
 
 
-class ConstantTest(LinearTest):
+class ConstantTest(SignedTest):
     """Tries gains, the same in all samples of a window, by all strips: FAULT and CONSISTENT are proofs.
 
     The sign of the margin is that of the verdict, its size that of the best gains found: 1 - t, t not below
@@ -90,11 +87,6 @@ class ConstantTest(LinearTest):
         """How many windows are judged at once where there are few: another size, other bits."""
         return self.block
 
-    @property
-    def outputs(self) -> Outputs:
-        """The margins, whose sign is the verdict."""
-        return ((self.dtype, np.nan),)
-
     def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return (margin, open) of windows: all that are not CONSISTENT are open."""
         judged = []
@@ -124,14 +116,6 @@ class ConstantTest(LinearTest):
         reading = r.reading(np.float64, self.method)
         host = host_strips(reading, *r.strips(self.method), constant=True)
         return np.asarray(host.contradicted(u, y, starts).any(0))
-
-    def judged(self, outs: Sequence[np.ndarray]) -> Judged:
-        """Return the verdicts: the signs of the margins, MISSING where these are NaN."""
-        (margin,) = outs
-        status = np.where(margin > 0, np.int8(Status.CONSISTENT), np.int8(Status.UNDECIDED))
-        status[margin < 0] = Status.FAULT
-        status[np.isnan(margin)] = Status.MISSING
-        return super().judged((status, margin))
 
     def margins(self, given: Recording) -> jax.Array:
         """Raise: the best gains are found by a search that has no derivative."""

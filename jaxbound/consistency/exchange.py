@@ -22,13 +22,11 @@ from jaxbound.consistency.interface import (
     Arrays,
     Cases,
     Easy,
-    Judged,
     LinearRelations,
-    LinearTest,
-    Outputs,
     Outs,
     Progress,
     Run,
+    SignedTest,
 )
 from jaxbound.consistency.kept_frames import KeptFrames
 from jaxbound.consistency.projection import easy_by
@@ -38,7 +36,6 @@ from jaxbound.consistency.unproved import unproved_margins
 from jaxbound.exact.frames import ExactFrame
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.kernel import kernel
-from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips import separation
 
 __all__ = [
@@ -50,7 +47,6 @@ __all__ = [
     "verdicts",
 ]
 
-CONSISTENT, UNDECIDED, FAULT = map(np.int8, (Status.CONSISTENT, Status.UNDECIDED, Status.FAULT))
 PATIENCE = 10
 """Exchanges per inner row after which a search is given up; it takes 2 to 4."""
 LARGE = 2048
@@ -71,7 +67,7 @@ class Settings(NamedTuple):
     finer: float
 
 
-class ExchangeTest(LinearTest):
+class ExchangeTest(SignedTest):
     """Searches for the combination of relations that speaks most against a window, or the behaviour that
     explains it.
 
@@ -131,11 +127,6 @@ class ExchangeTest(LinearTest):
         test = copy.copy(self)
         test.easy_first = False
         return test
-
-    @property
-    def outputs(self) -> Outputs:
-        """The margins, whose sign is the verdict."""
-        return ((self.dtype, np.nan),)
 
     def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Cases:
         """Return [(test, starts)]: the windows that lack a sample on which the search is built, then all
@@ -210,12 +201,6 @@ class ExchangeTest(LinearTest):
             finely = ExchangeTest(self.relations, self.dtype, self.reading, steps, finer, self.frames)
             left = again(finely, left)
             left = left[margin[left + self.horizon] == 0]  # what is proved needs no other search
-
-    def judged(self, outs: Sequence[np.ndarray]) -> Judged:
-        """Return the verdicts: the signs of the margins, MISSING where these are NaN."""
-        (margin,) = outs
-        status = CONSISTENT * (margin > 0) + UNDECIDED * (margin == 0) + FAULT * (margin < 0)
-        return Judged(status, margin)
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""

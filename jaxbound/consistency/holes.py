@@ -28,7 +28,7 @@ from functools import cached_property
 import numpy as np
 from jax.typing import DTypeLike
 
-from jaxbound.consistency.interface import Arrays, LinearRelations, LinearTest, Outputs, Run
+from jaxbound.consistency.interface import Arrays, LinearRelations, Run, SignedTest
 from jaxbound.consistency.reading import Block, Reading
 from jaxbound.consistency.strips_on_host import HostRows, contradicts, row_errors
 from jaxbound.exact.frames import ExactFrame
@@ -49,7 +49,7 @@ UNIT, LEAST = float(rounding.unit(np.float64)), float(rounding.tiny(np.float64))
 """The unit roundoff in which all is worked out here, and the smallest normal number."""
 
 
-class HolesTest(LinearTest):
+class HolesTest(SignedTest):
     """Decides windows whatever they lack; both verdicts are proofs.
 
     Recordings in float32, too, are worked out in float64.
@@ -65,11 +65,6 @@ class HolesTest(LinearTest):
     def __init__(self, relations: LinearRelations, dtype: DTypeLike, reading: Reading | None = None) -> None:
         super().__init__(relations, "joint", dtype)
         self.reading = relations.reading(np.float64) if reading is None else reading
-
-    @property
-    def outputs(self) -> Outputs:
-        """The margins, whose sign is the verdict."""
-        return ((self.dtype, np.nan),)
 
     def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return the margins of blocks of windows."""

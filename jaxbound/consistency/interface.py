@@ -59,6 +59,7 @@ __all__ = [
     "Reach",
     "Relations",
     "Run",
+    "SignedTest",
     "Starts",
     "Verdicts",
     "WindowReading",
@@ -572,6 +573,22 @@ class LinearTest(WindowTest):
     def reading(self) -> Reading:
         """The numbers by which kernels read a window: `relations.reading`."""
         return self.relations.reading(self.dtype, self.method)
+
+
+class SignedTest(LinearTest):
+    """One way to decide windows of linear relations by margins whose signs are the verdicts."""
+
+    @property
+    def outputs(self) -> Outputs:
+        """The margins: NaN where a window has no data, 0 where nothing is proved."""
+        return ((self.dtype, np.nan),)
+
+    def judged(self, outs: Sequence[np.ndarray]) -> Judged:
+        """Return the verdicts: the signs of the margins, MISSING where these are NaN."""
+        (margin,) = outs
+        consistent, undecided, fault = map(np.int8, (Status.CONSISTENT, Status.UNDECIDED, Status.FAULT))
+        status = consistent * (margin > 0) + undecided * (margin == 0) + fault * (margin < 0)
+        return super().judged((status, margin))
 
 
 def window_count(shape: tuple[int, ...], horizon: int) -> int:

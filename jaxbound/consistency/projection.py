@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
-from jaxbound.consistency.interface import Array, Arrays, Easy, LinearRelations, LinearTest, Outputs, Run
+from jaxbound.consistency.interface import Array, Arrays, Easy, LinearRelations, Run, SignedTest
 from jaxbound.consistency.reading import AVERAGING, Block, Reading
 from jaxbound.consistency.strips_on_host import contradicted_by
 from jaxbound.exact import linalg
@@ -73,7 +73,7 @@ class Given(NamedTuple):
     projection: Projection
 
 
-class _Easy(LinearTest):
+class _Easy(SignedTest):
     """Settles easy windows and says nothing of the others: their margin is 0.
 
     Args:
@@ -90,11 +90,6 @@ class _Easy(LinearTest):
     def constants(self) -> Given:
         """The reading, and the projection."""
         return Given(self.reading, self.projection)
-
-    @property
-    def outputs(self) -> Outputs:
-        """The margins."""
-        return ((self.dtype, np.nan),)
 
 
 class EasyStretches(_Easy):

@@ -115,7 +115,7 @@ def _along(plant: ValidationPlant, name: str) -> jax.Array:
 
 
 def _begun(
-    plant: ValidationPlant, known: _Signalled, opening: Opening[jax.Array], s: int, method: str, centre: bool
+    plant: ValidationPlant, known: _Signalled, opening: Opening[jax.Array], s: int, centre: bool
 ) -> ValidationCarry[jax.Array]:
     """Return the carry before the first window. known: of s + 1 samples at least."""
     gone, moved = known.absent[:s], None
@@ -230,7 +230,7 @@ def slide(
 
     carry = opening.before
     if carry is None:
-        carry = _begun(plant, signals, opening, s, method, centre)
+        carry = _begun(plant, signals, opening, s, centre)
     carries = jax.tree.map(lambda x: jnp.zeros((T + 1, *x.shape), x.dtype), carry)
     ends_of_all = jnp.full((T, 2, n + 3 * p, N), jnp.inf, signals.seen.dtype)
     blamed = jnp.zeros((T, p + 1, N), bool)

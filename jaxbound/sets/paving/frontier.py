@@ -75,7 +75,6 @@ def explore(
     first: bool = False,
     progress: Callable[[float], object] | None = None,
     sizes: Sequence[int] = BLOCKS,
-    followed: int | None = None,
 ) -> Cover:
     """Judge and cut boxes until none is left or the budget is spent.
 
@@ -88,7 +87,6 @@ def explore(
         first: drop all boxes of a target once one solution is proved.
         progress: called with the share of levels done. sizes: of blocks, the smaller for levels that fit into
             one.
-        followed: so many boxes of each target, evenly picked, are cut at most; the others are forgotten.
 
     Returns:
         A Cover. A box too narrow to be cut in floats stays as it is.
@@ -115,11 +113,7 @@ def explore(
             solved[owner[which]] = True
             keep = keep & ~solved[owner] if first else keep
         lo, hi = (lo, hi) if verdicts.rest is None else verdicts.rest
-        going_on = (
-            np.flatnonzero(keep)
-            if followed is None
-            else _picked(np.flatnonzero(keep), owner, count, followed)
-        )
+        going_on = np.flatnonzero(keep)
         lo, hi, owner = lo[:, going_on], hi[:, going_on], owner[going_on]
         if axis == "alternate":
             along = np.full(len(going_on), level % n)
@@ -138,15 +132,6 @@ def explore(
         open_ = ~solved[owner]
         lo, hi, owner = lo[:, open_], hi[:, open_], owner[open_]
     return Cover(lo, hi, owner, _join(proofs or [(lo[:, :0], hi[:, :0], owner[:0])]), evaluated, level)
-
-
-def _picked(kept: np.ndarray, owner: np.ndarray, count: int, most: int) -> np.ndarray:
-    """Return at most so many of the boxes `kept` of each owner, evenly spread over them; owners ascend."""
-    own = owner[kept]
-    many = np.bincount(own, minlength=count)
-    rank = np.arange(len(kept)) - (np.cumsum(many) - many)[own]
-    at = np.minimum(many, most)[own]
-    return kept[(rank + 1) * at // many[own] > rank * at // many[own]]
 
 
 def in_blocks(
