@@ -64,7 +64,6 @@ bench: .venv/tested
 	.venv/bin/python -m benchmarks.scale
 	.venv/bin/python -m benchmarks.zonotopes
 	.venv/bin/python -m benchmarks.zonotope_algebra
-	.venv/bin/python -m benchmarks.zonotope_tables
 	.venv/bin/python -m benchmarks
 
 .venv/installed: pyproject.toml

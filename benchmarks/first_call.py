@@ -7,9 +7,9 @@ For every case: seconds and CPU seconds of the first call after the imports, onc
 compiled kernels and once with a full one; compilations; instructions of the optimised programs, which do not
 depend on what else the machine does. Cases that end in a number are windows of so many samples and one: how a
 kernel grows with the horizon. --out: the figures go to benchmarks/NAME.json; of --only, beside those of the
-other cases that are there. --against: they are printed beside those of an earlier run, and of the usual NAME
-the table in docs/benchmarks.md is written anew. --counts: only what can be counted, in one process. Commands
-of the shell are measured whole, from start to exit.
+other cases that are there. --against: they are printed beside those of an earlier run.
+--counts: only what can be counted, in one process. Commands of the shell are measured whole, from start to
+exit.
 """
 
 import argparse
@@ -34,9 +34,7 @@ import jaxbound as jb
 from benchmarks import timing
 
 HERE = Path(__file__).parent
-PAGE = HERE.parent / "docs" / "benchmarks.md"
 NAME = "first_call"
-BEGIN, END = "<!-- first calls -->\n", "<!-- end of first calls -->\n"
 HORIZONS = (1, 2, 5, 10, 20, 40)
 LARGE = 600  # instructions of a program that takes more than half a second to compile
 
@@ -396,34 +394,6 @@ def comparison(before, now):
     return rows
 
 
-def table(before, now):
-    """Return the same as Markdown, with the seconds that a first call takes now."""
-    rows = [
-        "| first call | seconds, nothing compiled | CPU s before | now | compilations | now | instructions | "
-        "now | CPU s, all kept | now |"
-    ]
-    rows.append("| --- " * 10 + "|")
-    for name, figures in now.items():
-        old = before.get(name, {})
-        shown = [figures["s"], old.get("CPU s"), figures["CPU s"]]
-        shown += [x.get(key) for key in ("compilations", "instructions") for x in (old, figures)]
-        shown += [x.get("warm", {}).get("CPU s") for x in (old, figures)]
-        rows.append(
-            f"| {f'`{name}`' if name.startswith('jaxbound') else name} | "
-            f"{' | '.join('' if x is None else str(x) for x in shown)} |"
-        )
-    return rows
-
-
-def written(page, lines):
-    """Return the text of a page with other lines between its marks."""
-    first, _, rest = page.partition(BEGIN)
-    _, mark, last = rest.partition(END)
-    if not mark:
-        raise ValueError(f"the page has no lines {BEGIN.strip()} and {END.strip()}")
-    return f"{first}{BEGIN}" + "".join(f"{line}\n" for line in lines) + f"{END}{last}"
-
-
 def main():
     parser = argparse.ArgumentParser("python -m benchmarks.first_call", description=__doc__.split("\n")[0])
     every = [*CASES, *(f"jaxbound {name}" for name in COMMANDS)]
@@ -475,8 +445,6 @@ def main():
     if args.against:
         before = json.loads((HERE / f"{args.against}.json").read_text())["cases"]
         print("\n".join(comparison(before, found)))
-        if args.out == NAME and not args.counts:
-            PAGE.write_text(written(PAGE.read_text(), table(before, found)))
 
 
 if __name__ == "__main__":

@@ -2,8 +2,7 @@
 the limit.
 
 python -m benchmarks.zonotope_algebra [--sets 100000]
-(pip install zonoopt codac for the others; python -m benchmarks.zonotope_tables puts the figures into
-docs/benchmarks.md)
+(pip install zonoopt codac for the others)
 
 The limit of an operation is the time in which memory moves what it reads and what it writes, at the speed of
 one pass that doubles all generators. NumPy works on the whole batch and is not rounded; zonoopt takes one set

@@ -3,7 +3,7 @@ whoever else is installed.
 
 python -m benchmarks.zonotopes [--largest 1000] [--sets 5000] [--seconds 3] [--processor]
 (pip install zonoopt linrax mpax for the others; what is absent is reported as absent; pycvxset was on no
-index at hand) python -m benchmarks.zonotope_tables puts the figures into docs/benchmarks.md.
+index at hand)
 
 --processor measures seconds of the processor in place of the clock's: for a machine that others use as well.
 All are kept to one thread of OpenBLAS, as HiGHS is to one of its own: a second one only helps, if at all,

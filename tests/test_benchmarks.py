@@ -19,7 +19,6 @@ from benchmarks import (
     sweeps,
     timing,
     varying,
-    zonotope_tables,
 )
 
 RESULTS = {
@@ -71,17 +70,6 @@ def test_only_the_lines_between_the_markers_are_rewritten():
     for bad in ("nothing", end + start, text + start):
         with pytest.raises(ValueError, match="needs the two lines"):
             drawing.rewritten(bad, [])
-
-
-def test_tables_of_zonotopes_say_who_was_wrong_or_silent_and_rows_are_found_by_their_first_cell():
-    peer = {"us a test": 3.0, "ratio": 2.5, "of": 50, "decided": 0.96, "wrong": 3}
-    row = {"us a test": 1.2, "decided": 1.0, "wrong": 0, "HiGHS": peer, "mpax": "ModuleNotFoundError"}
-    lines = zonotope_tables.decisions({"machine": {}, "2 dimensions": row})
-    assert lines[2:] == ["| 2 dimensions | 100 %, 0 | 1.2 | 2.5, 3 of 50 wrong, 2 of 50 open |  |  |  |"]
-    text = "| a | b |\n|---|---|\n| one | 1 |\n| two | 2 |"
-    assert zonotope_tables.replaced(text, "one", ["3"]) == "| a | b |\n|---|---|\n| one | 3 |\n| two | 2 |"
-    with pytest.raises(ValueError, match="it has 0"):
-        zonotope_tables.replaced(text, "three", ["3"])
 
 
 def test_peers_are_present_or_said_to_be_absent():

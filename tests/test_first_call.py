@@ -68,23 +68,6 @@ def test_growth_is_seen():
     assert grown({"a": [150, 4]}, {"a": [100, 2]}) == ["a: 4 instead of 2 programs"]
 
 
-def test_the_table_of_first_calls_stands_between_its_marks():
-    from benchmarks.first_call import PAGE, table, written
-
-    found = table(
-        {"a": {"CPU s": 2.0, "instructions": 9}},
-        {"a": {"s": 0.5, "CPU s": 1.0, "warm": {"CPU s": 0.1}}, "jaxbound b": {"s": 1, "CPU s": 2}},
-    )
-    assert found[2:] == [
-        "| a | 0.5 | 2.0 | 1.0 |  |  | 9 |  |  | 0.1 |",
-        "| `jaxbound b` | 1 |  | 2 |  |  |  |  |  |  |",
-    ]
-    page = written(PAGE.read_text(), found)
-    assert page.count(found[2]) == 1 and written(page, found) == page and found[2] not in written(page, [])
-    with pytest.raises(ValueError, match="has no lines"):
-        written("no marks", found)
-
-
 LARGE = [name for name in first_call.CASES if name.endswith(("20", "40"))]
 
 
