@@ -44,7 +44,9 @@ def fitted(training: list, options: dict, horizon: int, average: int | None):
         outputs=contrast.names(options["outputs"]),
         direct=options["direct"],
     )
-    model = jb.fit(training, options["order"], horizon, safety=1.0, average=average, held_out=0.3, **about)
+    model = jb.fit(
+        training, order=options["order"], horizon=horizon, safety=1.0, average=average, held_out=0.3, **about
+    )
     relations = jb.parity_relations(model)
     return (
         model,

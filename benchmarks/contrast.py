@@ -100,8 +100,8 @@ class Bounds:
         about = dict(inputs=names(o["inputs"]), outputs=names(o["outputs"]))
         model = jb.fit(
             [(u, y) for u, y, _ in training],
-            o["order"],
-            o["horizon"],
+            order=o["order"],
+            horizon=o["horizon"],
             direct=o["direct"],
             safety=o["safety"],
             **about,

@@ -22,9 +22,9 @@ __all__ = ["check", "sizes", "verdicts", "which", "write"]
 PICTURES = Path(__file__).parents[1] / "docs" / "pictures"
 SIGNALS = ["--inputs", "Q1=Heater 1,Q2=Heater 2", "--outputs", "T1=Temperature 1,T2=Temperature 2"]
 FITS = {
-    "windows": ("windows of 16 samples", ["--horizon", "15"]),
-    "lags": ("8 of 61 samples (lags)", ["--lags", "0,1,2,4,8,16,32,60"]),
-    "means": ("windows of 31, means of 8", ["--horizon", "30", "--average", "8"]),
+    "windows": ("windows of 16 samples", ["--recipe", "horizon=15"]),
+    "lags": ("8 of 61 samples (lags)", ["--recipe", "lags=0,1,2,4,8,16,32,60"]),
+    "means": ("windows of 31, means of 8", ["--recipe", "horizon=30,average=8"]),
     "plant": ("a monitor of two tests", []),
 }
 """{model file: (what it tests, options of `fit`)}."""
@@ -67,9 +67,9 @@ def drawing(width, height, label, parts):
 
 TREE = (
     ("several of these, or who knows", "a monitor of several tests", "jaxbound fit ... --out plant.toml"),
-    ("a jump", "windows of 16 samples", "fit ... --horizon 15"),
-    ("an error that lasts", "longer windows, with bounds on means", "fit ... --horizon 30 --average 8"),
-    ("a slow drift", "lags, as far back as the plant remembers", "fit ... --lags 0,1,2,4,8,16,32,60"),
+    ("a jump", "windows of 16 samples", "fit ... --recipe horizon=15"),
+    ("an error that lasts", "longer windows, with bounds on means", "fit ... --recipe horizon=30,average=8"),
+    ("a slow drift", "lags, as far back as the plant remembers", "fit ... --recipe lags=0,1,2,4,8,16,32,60"),
     (
         "faults of an uncertain plant",
         "an observer: everything since the start",

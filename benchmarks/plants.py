@@ -62,7 +62,7 @@ UNIT = (
     "Tmix=`AHU: Mixed Air Temperature`,Tret=`AHU: Return Air Temperature`",
     "--outputs",
     f"flow={FAN}*(`{SUPPLY}`-`AHU: Mixed Air Temperature`)",
-    *("--order", 2, "--direct"),
+    *("--recipe", "direct=true"),
     *("--where", f"`{OCCUPIED}`==1 and `AHU: Supply Air Fan Status`==1"),
 )
 
@@ -268,8 +268,10 @@ def main(words=None):
     with tempfile.TemporaryDirectory() as folder:
         way = Way(folder)
         if args.plant == "skab":
-            names = "inputs", "outputs", "every", "order", "horizon"
-            options = [word for name in names for word in (f"--{name}", getattr(args, name))]
+            options = [
+                word for name in ("inputs", "outputs", "every") for word in (f"--{name}", getattr(args, name))
+            ]
+            options += ["--recipe", f"order={args.order},horizon={args.horizon}"]
             rows, scores = skab(way, args.data, options)
         elif args.plant == "heater":
             rows = heater(way, args.data or SHARED / "tclab")

@@ -60,6 +60,7 @@ if TYPE_CHECKING:
     from jaxbound.sets.zonotopes.zonotope import zonotope
     from jaxbound.studies.assessment.assessment import assess
     from jaxbound.studies.identification.fitting import fit
+    from jaxbound.studies.identification.recipe import Recipe
     from jaxbound.studies.montecarlo.montecarlo import study
     from jaxbound.studies.tuning.tuning import tune
 
@@ -70,6 +71,7 @@ __all__ = [
     "Monitor",
     "MultiModel",
     "NamedFault",
+    "Recipe",
     "Recording",
     "Result",
     "Status",
@@ -163,6 +165,7 @@ _HOMES = {
     "sets.zonotopes.zonotope": "zonotope",
     "studies.assessment.assessment": "assess",
     "studies.identification.fitting": "fit",
+    "studies.identification.recipe": "Recipe",
     "studies.montecarlo.montecarlo": "study",
     "studies.tuning.tuning": "tune",
     "certificates": "Certificate Diagnosis UncertainCertificate",

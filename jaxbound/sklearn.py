@@ -114,8 +114,8 @@ class Detector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-lea
             )
             self.model_ = fit_model(
                 given,
-                self.order,
-                self.horizon,
+                order=self.order,
+                horizon=self.horizon,
                 inputs=inputs,
                 outputs=outputs,
                 safety=self.safety,

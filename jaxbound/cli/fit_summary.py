@@ -9,12 +9,12 @@ import numpy as np
 
 from jaxbound.cli.names import parted, unquoted
 from jaxbound.cli.terminal import show
-from jaxbound.cli.tradeoff_table import disturbance_rows, plain_tradeoff
+from jaxbound.cli.tradeoff_table import disturbance_rows
 from jaxbound.diagnosis.memory import slowest, suggest_lags
 from jaxbound.recordings.expressions import CLOCK, expression
 from jaxbound.studies.identification.advice import blind
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
-from jaxbound.studies.identification.signal_choice import GIVEN, TriedSignals
+from jaxbound.studies.identification.signal_choice import GIVEN
 from jaxbound.studies.identification.window_tests import RAMP, JudgedTest, best_test
 from jaxbound.text.quantities import finite
 from jaxbound.text.units import without_unit
@@ -46,7 +46,7 @@ def signal_columns(option: str, text: str) -> list[Signal]:
             f"{option} needs names, or name=column or name=expression, with commas between them: {text!r} "
             f"has an empty entry"
         )
-    return [_signal_column(entry) for entry in entries]
+    return list(map(_signal_column, entries))
 
 
 def named_units(
@@ -102,19 +102,14 @@ def plain_fit(
     model: Fitted,
     files: Sequence[Path],
     out: Path,
-    average: int | None,
     hints: Sequence[str],
 ) -> dict[str, Any]:
     """Return the summary of a model fitted to files, as JSON has it."""
     check = model.check
-    held_out = check.held_out and _all_finite(check.held_out)
     recordings = []
     for file, numbers in zip(files, check.recordings, strict=True):
-        recordings.append({"data": str(file)} | _all_finite(numbers))
-    left_out = []
-    for one in check.left_out:
-        left_out.append(one._asdict() | _all_finite({"factor": one.factor}))
-    return {
+        recordings.append({"data": str(file)} | numbers)
+    summary: dict[str, Any] = {
         "out": str(out),
         "order": check.order,
         "delay": check.delay,
@@ -127,30 +122,46 @@ def plain_fit(
         "smallest": check.smallest,
         "safety": check.safety,
         "factor": check.factor,
-        "left_out": left_out,
-        "held_out": held_out,
-        "follow": check.follows._asdict(),
-        "average": average or _chosen_average(check),
+        "left_out": check.left_out,
+        "held_out": check.held_out,
+        "follow": check.follows,
+        "average": _average(check),
         "inputs": list(model.inputs),
-        "signals": [_plain_signals(one) for one in check.signals],
+        "signals": check.signals,
         "tests": [_plain_test(test, model) for test in check.tests],
         "means": {a.signal: float(a.bound) for a in model.averages},
         "smallest_mean": check.smallest_mean,
         "disturbance": [float(high) for _, high in model.disturbance],
-        "tradeoff": plain_tradeoff(model),
+        "tradeoff": check.tradeoff,
         "recordings": recordings,
-        "jump": _all_finite(check.jump),
-        "steady": _all_finite(check.steady),
-        "hidden": _all_finite(check.hidden),
+        "jump": check.jump,
+        "steady": check.steady,
+        "hidden": check.hidden,
         "warnings": list(check.sentences),
         "hints": list(hints),
     }
+    for name, value in summary.items():
+        summary[name] = _plain(value)
+    return summary
 
 
-def _chosen_average(check: FitCheck) -> int | None:
-    """Return of how many errors in a row the test that was chosen bounds the mean; None: it does not."""
+def _plain(value: object) -> object:
+    """Return a value as JSON has it: fields by their names, None for a number that is not finite."""
+    if hasattr(value, "_asdict"):
+        value = value._asdict()
+    if isinstance(value, Mapping):
+        return {name: _plain(x) for name, x in value.items()}
+    if isinstance(value, list | tuple):
+        return list(map(_plain, value))
+    if isinstance(value, float):
+        return finite(value)
+    return value
+
+
+def _average(check: FitCheck) -> int | None:
+    """Return of how many errors in a row the test bounds the mean; None: it does not."""
     if not check.tests:
-        return None
+        return check.recipe.average
     return best_test(check.tests).window.average
 
 
@@ -160,28 +171,11 @@ def _is_taken(test: JudgedTest, model: Fitted) -> bool:
 
 
 def _plain_test(test: JudgedTest, model: Fitted) -> dict[str, Any]:
-    """Return a test that was tried, as JSON has it."""
-    return {
-        "name": test.window.text,
-        "horizon": test.window.horizon,
-        "lags": test.window.lags,
-        "average": test.window.average,
-        "observer": test.window.observer,
-        "method": test.method,
-        "factor": test.factor,
-        "smallest": test.smallest,
-        "smallest_mean": test.smallest_mean,
-        "jump": _all_finite(test.jump),
-        "steady": _all_finite(test.steady),
-        "ramp": _all_finite(test.ramp),
-        "chosen": _is_taken(test, model),
-    }
-
-
-def _plain_signals(one: TriedSignals) -> dict[str, Any]:
-    """Return a set of inputs that was tried, as JSON has it."""
-    sizes = {"jump": _all_finite(one.jump), "steady": _all_finite(one.steady)}
-    return one._asdict() | sizes | _all_finite({"blindness": one.blindness})
+    """Return the fields of a test that was tried, those of its windows first."""
+    fields = {"name": test.window.text} | test.window._asdict() | test._asdict()
+    for hidden in ("window", "blindness", "reach"):
+        del fields[hidden]
+    return fields | {"chosen": _is_taken(test, model)}
 
 
 def _tried_signals(model: Fitted) -> list[tuple[str, str]]:
@@ -223,23 +217,13 @@ def _by_output(model: Fitted, bounds: Iterable[SupportsFloat]) -> dict[str, floa
     return dict(zip(model.outputs, map(float, bounds), strict=True))
 
 
-def _all_finite(numbers: Mapping[str, float]) -> dict[str, float | None]:
-    """Return numbers by name, None for what is not finite: JSON has no such number."""
-    return {name: finite(x) for name, x in numbers.items()}
-
-
 def show_fit(
     model: Fitted,
     files: Sequence[Path],
     written: Sequence[str],
     hints: Sequence[str],
-    observer: str | None = None,
 ) -> None:
-    """Print a model that was fitted to files.
-
-    Args:
-        written: names of new files. observer: the one that the bounds are for; None: windows.
-    """
+    """Print a model that was fitted to files. written: names of new files."""
     check, late = model.check, ""
     if check.delay > 1:
         late = f", a delay of {check.delay} samples"
@@ -247,7 +231,7 @@ def show_fit(
     rows = [("caution", sentence) for sentence in sightless]
     rows += [
         ("model", f"{model.n} states, order {check.order}{late}, coefficients by {check.method}"),
-        _tested(model, observer),
+        _tested(model),
     ]
     what = "sample" if model.horizon is None else "window"
     for file, numbers in zip(files, check.recordings, strict=True):
@@ -309,10 +293,11 @@ def _size(model: Fitted, sizes: Mapping[str, float], name: str) -> str:
     return f"{sizes[name]:.3g} {model.unit(name)}".rstrip()
 
 
-def _tested(model: Fitted, observer: str | None) -> tuple[str, str]:
+def _tested(model: Fitted) -> tuple[str, str]:
     """Return the line on the test that the bounds are for."""
     apart = f"{model.dt:g} s apart"
     if model.horizon is None:
+        observer = model.check.recipe.window.observer
         flags = f"--method observer --observer {observer}"
         return "observer", f"{observer}, samples {apart}: none is a FAULT; bounds for `detect {flags}`"
     samples = f"{model.horizon + 1}"
@@ -331,7 +316,7 @@ def _left_out(check: FitCheck, files: Sequence[Path]) -> list[tuple[str, str]]:
     """Return lines on each recording, or block, that was left out, and on what that promises."""
     if not check.left_out:
         return [("left out", "nothing")]
-    names = [str(file) for file in files]
+    names = list(map(str, files))
     if len(files) == 1:
         names = [f"block {i + 1} of {len(check.left_out)}" for i in range(len(check.left_out))]
     lines = []
@@ -382,7 +367,8 @@ def _memory(model: Fitted) -> list[tuple[str, str]]:
     return [
         (
             "memory",
-            f"the plant remembers longer than a window: fitted again with --lags {','.join(map(str, lags))} "
-            f"it would see lasting errors from about {', '.join(sizes)} on, if its bounds hardly grew",
+            f"the plant remembers longer than a window: fitted again with "
+            f"--recipe lags={','.join(map(str, lags))} it would see lasting errors from "
+            f"about {', '.join(sizes)} on, if its bounds hardly grew",
         )
     ]

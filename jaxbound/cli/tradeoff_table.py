@@ -1,15 +1,15 @@
 """The faults of --see, and the trade-off between bounds and faults that are seen, as table and JSON."""
 
 import math
-from typing import Any, SupportsFloat
+from typing import SupportsFloat
 
 from jaxbound.cli.names import parted, unquoted
 from jaxbound.models.faults import Fault
 from jaxbound.models.testmodels import model_of
 from jaxbound.studies.identification.fit_result import Fitted
-from jaxbound.text.quantities import decimal, finite
+from jaxbound.text.quantities import decimal
 
-__all__ = ["disturbance_rows", "plain_tradeoff", "wanted"]
+__all__ = ["disturbance_rows", "wanted"]
 
 
 def wanted(text: str) -> tuple[Fault, ...]:
@@ -34,7 +34,7 @@ def wanted(text: str) -> tuple[Fault, ...]:
             why = "needs signal:kind:size, like T1:bias:2"
             if str(e).startswith(("kind of", "size of")):
                 why = str(e)
-            raise ValueError(f"--see {entry}: {why}") from None
+            raise ValueError(f"{entry}: {why}") from None
     return tuple(faults)
 
 
@@ -71,15 +71,6 @@ def _disturbance(model: Fitted) -> tuple[tuple[SupportsFloat, SupportsFloat], ..
     for test in model.tests:
         found = found or model_of(model, test).disturbance
     return found
-
-
-def plain_tradeoff(model: Fitted) -> list[dict[str, Any]]:
-    """Return the settings that a fit looked at, as JSON has them."""
-    rows = []
-    for choice in model.check.tradeoff:
-        sizes = {fault: finite(size) for fault, size in choice.sizes.items()}
-        rows.append(choice._asdict() | {"sizes": sizes})
-    return rows
 
 
 def _size(size: float) -> str:

@@ -364,7 +364,7 @@ FIELDS = (
     Field("matrices", "D_v", MATRIX, Elsewhere(_unknown_on_outputs)),
     Field("matrices", "E", MATRIX, Elsewhere(_unwritten)),  # the model that is written is solved for x+
 )
-TABLES = (*LISTS, "matrices", "provenance", "test")
+TABLES = (*LISTS, "matrices", "provenance", "fit", "test")  # fit: how it was made, which `fit` reads
 
 
 def field_names(place: str) -> tuple[str, ...]:

@@ -204,6 +204,8 @@ def model_text(model: LinearSystem) -> str:
     if model.provenance:
         lines += ["", "[provenance]"]
         lines += [f"{name} = {TEXT.spell(origin)}" for name, origin in model.provenance.items()]
+    for title, table in model._notes().items():
+        lines += ["", f"[{title}]", *(f"{name} = {text}" for name, text in table.items())]
     for test in model.tests:
         lines += ["", *lines_of(test)]
     return "\n".join(lines) + "\n"

@@ -274,6 +274,10 @@ class LinearSystem:
 
     __replace__ = replace  # copy.replace(model, noise=..), from Python 3.13 on
 
+    def _notes(self) -> dict[str, dict[str, str]]:
+        """Return {table: {field: TOML}} that a file of the model has besides: how it was made."""
+        return {}
+
     def _arguments(self) -> dict[str, Any]:
         """Return arguments that build this very model."""
         return matrices_at_zero(self) | {

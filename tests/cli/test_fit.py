@@ -1,5 +1,6 @@
 """The command `jaxbound fit`: from a CSV file to a model file, or one sentence."""
 
+import dataclasses
 import json
 import re
 from fractions import Fraction
@@ -9,10 +10,11 @@ import numpy as np
 import pytest
 
 import jaxbound as jb
-from jaxbound.cli import main
+from jaxbound.cli import main, recipe_options
 from jaxbound.cli.fit_summary import signal_columns
 from jaxbound.recordings.read import read_signals
 from jaxbound.studies.identification import window_tests
+from jaxbound.studies.identification.recipe import RecipeFields
 from jaxbound.studies.identification.window_tests import WindowChoice
 
 
@@ -134,7 +136,7 @@ def test_the_summary_names_bounds_shares_and_cautions(place, capsys):
     [
         (["--outputs", "T  in"], "run.csv: .*has no column 'T  in'"),
         (["--inputs", "heat=Heater (%),"], "--inputs needs names, or name=column or name=expression"),
-        (["--order", "-1"], "--order needs a whole number >= 0"),
+        (["--order", "-1"], "order must be a whole number >= 0, or auto, not -1"),
         (["--horizon", "1"], r"horizon must be a whole number above the order \(1\), not 1"),
         (["--safety", "0.5"], "safety must be a factor >= 1"),
         (["--held-out", "1"], "held_out must be a share from 0 to below 1"),
@@ -262,3 +264,26 @@ def test_a_fault_to_see_that_is_none_is_refused(place, capsys, see, sentence):
     assert main.main([*FIT, "--disturbances", "auto", "--see", see]) == 2
     assert sentence in capsys.readouterr().err
     assert not (place / "tank.toml").exists()
+
+
+def test_a_recipe_says_what_options_said_and_a_model_file_repeats_it(place, capsys):
+    at = FIT.index("--order")
+    command = [*FIT[:at], *FIT[at + 4 :]]
+    assert main.main([*command, "--recipe", "order=1,horizon=4"]) == 0
+    assert "the next version" not in capsys.readouterr().out
+    written = (place / "tank.toml").read_text()
+    assert written.endswith("\n[fit]\norder = 1\nhorizon = 4\n")
+    assert main.main(["fit", "run.csv", "--recipe", "tank.toml", "--out", "again.toml"]) == 0
+    assert (place / "again.toml").read_text() == written
+    assert main.main([*FIT, "--out", "old.toml", "--name", "tank"]) == 0
+    assert "--order, --horizon: the next version has them in a recipe alone" in " ".join(
+        capsys.readouterr().out.split()
+    )
+    assert (place / "old.toml").read_text() == written
+    assert main.main([*command, "--recipe", "order=1,height=4", "--force"]) == 2
+    assert "fit has no height" in capsys.readouterr().err
+
+
+def test_the_fields_of_a_recipe_are_those_of_the_command():
+    assert recipe_options.FIELDS == [field.name for field in dataclasses.fields(jb.Recipe)]
+    assert set(RecipeFields.__annotations__) == set(recipe_options.FIELDS)

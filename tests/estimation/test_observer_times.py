@@ -142,7 +142,7 @@ def test_fit_and_tune_find_bounds_of_an_observer_that_follow(rng):
         y[k] = x + (0.02 + 0.1 * u[k, 0] ** 2) * rng.uniform(-1, 1)
         x = 0.8 * x + u[k, 0]
     days = [(u[:80], y[:80]), (u[80:], y[80:])]
-    model = jb.fit(days, 1, 4, method="least squares", observer="zonotope", follow=0.3)
+    model = jb.fit(days, order=1, horizon=4, method="least squares", observer="zonotope", follow=0.3)
     assert model.times and model.check.follows.most > 1
     tuned = jb.tune(jb.observer(model), days)
     assert tuned.model.times == model.times

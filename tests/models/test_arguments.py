@@ -58,7 +58,7 @@ def test_a_model_names_the_argument_and_shows_what_is_meant(argument, value):
 )
 def test_a_fit_names_the_argument(argument, value, beside):
     with pytest.raises(ValueError, match=rf"^{argument}\b.*not "):
-        jb.fit(RECORDING, 1, **{"horizon": 3, argument: value} | beside)
+        jb.fit(RECORDING, order=1, **{"horizon": 3, argument: value} | beside)
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,7 @@ RELATIONS = jb.parity_relations(MODEL, 2)
         lambda progress: jb.assess(RELATIONS, [RECORDING], progress=progress),
         lambda progress: jb.detect(RELATIONS, *RECORDING, progress=progress),
         lambda progress: jb.detect_dataset(RELATIONS, "run.parquet", "out", progress=progress),
-        lambda progress: jb.fit(RECORDING, 1, 3, progress=progress),
+        lambda progress: jb.fit(RECORDING, order=1, horizon=3, progress=progress),
         lambda progress: jb.monitor(MODEL, [{"name": "short", "horizon": 2}], progress=progress),
         lambda progress: jb.parameters(RELATIONS, *RECORDING, progress=progress),
         lambda progress: jb.parity_relations(MODEL, 2, progress=progress),

@@ -9,24 +9,31 @@ samples. Each test has the coefficients and the bounds of a fit of its own.
 """
 
 import dataclasses
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 from jaxbound.estimation.method import ObserverMethod
+from jaxbound.estimation.methods import observer_method
 from jaxbound.models.modelchanges import changes_between
 from jaxbound.models.modelfile import model_document, model_text
 from jaxbound.models.statedtests import StatedTest, stated_tests
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.testmodels import model_of
 from jaxbound.studies.identification.advice import WIDE, blind, wide
+from jaxbound.studies.identification.bounds import verified
+from jaxbound.studies.identification.candidates import FitProblem
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
-from jaxbound.studies.identification.proof import Proof
+from jaxbound.studies.identification.judging import WindowJudge
+from jaxbound.studies.identification.recipe import AUTO, Recipe
+from jaxbound.studies.identification.search import fitted
+from jaxbound.studies.identification.training import Training
 from jaxbound.studies.identification.trajectories import SETTLED, SMALLER, GivenUp, sure_sizes
 from jaxbound.studies.identification.window_tests import RAMP, JudgedTest, WindowChoice, best_test
 from jaxbound.text.progress import in_part
 
-__all__ = ["FitOne", "earned", "fitted_bank", "test_as_fitted"]
+__all__ = ["earned", "fitted_bank", "test_as_fitted"]
 
 GAIN = 0.8
 """A test earns its place where it sees an error from this share of the size on that the others need."""
@@ -34,76 +41,77 @@ SOON = 8
 """Samples within which an observer is to see a jump."""
 
 
-FitOne = Callable[[Mapping[str, Any], Callable[[float], object]], Fitted]
-"""fit_one(test, report) fits the same recordings by the arguments of `fit` that differ between tests."""
-
-
 def fitted_bank(
-    base: Fitted,
-    proofs: Mapping[WindowChoice, Proof],
-    fit_one: FitOne,
-    watching: Mapping[str, Any] | None,
-    report: Callable[[float], object],
+    training: Training, asked: Recipe, sentences: Sequence[str], report: Callable[[float], object]
 ) -> Fitted:
-    """Return a Fitted for the best windows, whose `tests` are those that earn their places.
+    """Return a Fitted for the best windows, whose `tests` are those that earn their places; where nothing
+    says what is tested and no part that is left out says how wide bounds must be, for the usual windows.
 
     Args:
-        base: of the best windows, after all were tried. proofs: of those windows that need no fit of their
-            own. fit_one: see `FitOne`. watching: of the fit for an observer, an ObserverMethod, and for
-            disturbances; None: no observer is tried. report: called with the share of the work done, of which
-            .4 are done.
+        asked: with its observer and its disturbances for a test beside the windows. sentences: on the
+            recordings. report: called with the share of the work done.
     """
+    biases = [fault for fault in asked.faults if fault.kind == "bias"]
+    plain = dataclasses.replace(asked, test=AUTO, observer=None, disturbances=None, see=biases)
+    base, tried = fitted(training, plain, sentences, partial(in_part, report, 0.0, 0.4))
+    observer = asked.observing
+    if asked.disturbances is not None and observer is None:
+        observer = observer_method("joint")
+    if asked.is_open and observer is None and all(math.isnan(one.factor) for one in base.check.left_out):
+        return fitted(training, asked, sentences, partial(in_part, report, 0.4, 0.6))[0]
     check, tests = base.check, list(base.check.tests)
+    alike = dataclasses.replace(plain, order=check.order, delay=check.delay, method=check.method, test=None)
     watched: Fitted | None = None
-    model: LinearSystem
-    if watching is not None:
-        own = {"order": check.order, "delay": check.delay, "method": check.method} | dict(watching)
-        watched = fit_one(own, partial(in_part, report, 0.4, 0.3))
+    if observer is not None:
+        own = dataclasses.replace(alike, observer=observer, disturbances=asked.disturbances, see=asked.faults)
+        watched, _ = fitted(training, own, (), partial(in_part, report, 0.4, 0.3))
         try:
-            tests.append(_judged(watched, watching["observer"]))
+            tests.append(_judged(watched, observer))
         except GivenUp as end:
             why = f"the observer is none of the tests: nothing says what it would see, {end}; {SMALLER}"
-            check = dataclasses.replace(check, sentences=(*check.sentences, why))
+            check = _saying(check, why)
     picked = earned(tests)
     is_watched = any(test.window.observer is not None for test in picked)
-    if watching is not None and watching["disturbances"] is not None and not is_watched:
+    if asked.disturbances is not None and not is_watched:
         why = (
             "the bounds of disturbances are left out: windows alone see errors about as small; a fit for the "
-            "observer alone has them, --observer joint --disturbances auto, without --test"
+            "observer alone has them, --recipe observer=joint,disturbances=auto"
         )
-        check = dataclasses.replace(check, sentences=(*check.sentences, why))
+        check = _saying(check, why)
     stated = [StatedTest(picked[0].window.text)]
     share = 0.3 / len(picked)
+    complete = {one.judged.window: one.trial for one in tried if one.complete}
     for number, judged in enumerate(picked[1:]):
-        name = judged.window.text
-        if judged.window.observer is not None and watched is not None and watching is not None:
-            stated.append(test_as_fitted(base, _beside(base, watched), name, _options(watching["observer"])))
-            said = [f"test {name!r}: {x}" for x in watched.check.sentences if x not in check.sentences]
-            check = dataclasses.replace(
-                check, tradeoff=watched.check.tradeoff, sentences=(*check.sentences, *said)
-            )
+        name, window = judged.window.text, judged.window
+        if window.observer is not None and watched is not None and observer is not None:
+            stated.append(test_as_fitted(base, _beside(base, watched), name, _options(observer)))
+            more = [f"test {name!r}: {x}" for x in watched.check.sentences if x not in check.sentences]
+            check = dataclasses.replace(_saying(check, *more), tradeoff=watched.check.tradeoff)
             check = _with_sizes(base, check, judged.jump, judged.steady)
             continue
-        factor = judged.factor
-        if judged.window in proofs:
-            model, jump, steady = proofs[judged.window]()
+        own = alike.of(window, judged.method)
+        if window in complete:
+            trial, problem = complete[window], FitProblem.of(training, own, WindowJudge())
+            model, _ = verified(problem.judge, trial, training, asked.safety)
+            (jump, steady), factor = problem.sizes(model), trial.factor
             report(0.7 + (number + 1) * share)
         else:
-            own = {"order": check.order, "delay": check.delay, "method": judged.method}
-            own |= judged.window.about | {"average": judged.window.average}
-            fitted = fit_one(own, partial(in_part, report, 0.7 + number * share, share))
-            model, jump, steady = fitted, fitted.check.jump, fitted.check.steady
-            factor = fitted.check.factor
-            tests[tests.index(judged)] = fitted.check.of(judged)
+            model, _ = fitted(training, own, (), partial(in_part, report, 0.7 + number * share, share))
+            jump, steady, factor = model.check.jump, model.check.steady, model.check.factor
+            tests[tests.index(judged)] = model.check.of(judged)
         stated.append(test_as_fitted(base, model, name))
         check = _with_sizes(base, check, jump, steady)
         if factor > WIDE:
-            wider = f"test {name!r}: {wide(check, factor)}"
-            check = dataclasses.replace(check, sentences=(*check.sentences, wider))
+            check = _saying(check, f"test {name!r}: {wide(check, factor)}")
     report(1.0)
     if len(stated) == 1:  # the windows of the model
         stated = []
     return Fitted(base.replace(tests=stated), dataclasses.replace(check, tests=tuple(tests)))
+
+
+def _saying(check: FitCheck, *sentences: str) -> FitCheck:
+    """Return the check with more sentences."""
+    return dataclasses.replace(check, sentences=(*check.sentences, *sentences))
 
 
 def _with_sizes(

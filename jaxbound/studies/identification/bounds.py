@@ -2,7 +2,6 @@
 
 import math
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 
@@ -10,15 +9,11 @@ from jaxbound.models.system import FOR_OBSERVER, TO_THE_END, LinearSystem
 from jaxbound.recordings.hints import recorded_step
 from jaxbound.studies.identification.judging import Judge
 from jaxbound.studies.identification.records import Records, measured
-from jaxbound.studies.tuning.widening import widened
+from jaxbound.studies.identification.training import Training
+from jaxbound.studies.identification.trial import Trial
+from jaxbound.studies.tuning.widening import stated, widened
 
-__all__ = ["Means", "Walks", "rounded_up", "verified"]
-
-Means = dict[int, tuple[int, float]]
-"""{number of an output: (samples, smallest bound of the mean of so many errors)}."""
-
-Walks = tuple[np.ndarray, np.ndarray]
-"""(G (n, g), smallest bounds (g,)) of disturbances."""
+__all__ = ["rounded_up", "verified"]
 
 ATTEMPTS = 20
 """Times that bounds are widened where rounding left a window undecided."""
@@ -37,14 +32,7 @@ def rounded_up(x: float, digits: int = 3) -> float:
 
 
 def verified(
-    judge: Judge,
-    spec: dict[str, Any],
-    smallest: np.ndarray,
-    means: Means,
-    records: Records,
-    factor: float,
-    safety: float,
-    walks: Walks | None = None,
+    judge: Judge, trial: Trial, training: Training, safety: float
 ) -> tuple[LinearSystem, list[np.ndarray]]:
     """Return (model, used): the model that no window contradicts by the proved test, and the share of its
     bounds that each window uses.
@@ -53,45 +41,49 @@ def verified(
     than that, nothing is rounded: the plant itself moves in steps.
 
     Args:
-        spec: arguments of a LinearSystem. smallest: (p,), the smallest bounds; means: those of means. factor,
-            safety: by which they are wider, as a recording that is left out asks for, and on top. walks: of
-            disturbances.
+        trial: with the smallest bounds, and the factor that recordings ask for which are left out. safety: by
+            which bounds are wider on top.
 
     Raises:
         ValueError: no bounds hold, not those that are a little wider either.
     """
-    wider = factor * safety
-    bounds = [rounded_up(x * wider) for x in smallest]
-    rounds = _resolutions(records, len(bounds))
-    recordings = f"{len(records)} recording{'s' * (len(records) > 1)}"
-    source = f"fitted to {measured(records)} samples in {recordings}"
+    records, factor = training.records, trial.factor
+    spec = trial.candidate.spec | {"ranges": training.ranges}
+    if any(np.isfinite(one.factor) for one in trial.left):
+        spec["left_out"] = stated(factor)
+    several = "s" * (len(records) > 1)
+    source = f"fitted to {measured(records)} samples in {len(records)} recording{several}"
     meant = ""
-    if walks is not None:
+    if trial.walks is not None:
         meant = f" {TO_THE_END}"
     elif "horizon" not in spec and "lags" not in spec:
         meant = f" {FOR_OBSERVER}"
-    lowered = {i: rounded_up(x * wider) for i, (_, x) in means.items()}
-    disturbance, pushes = None, []
-    if walks is not None:
-        pushes = [rounded_up(x * wider) for x in walks[1]]
+    wide = widened(factor, safety)
+    origin = {"model": source, "noise": f"{source}{meant}, {wide}"}
+    directions, walks = trial.walks or (np.zeros((0, 0)), np.zeros(0))
+    wider = factor * safety
+    bounds = [rounded_up(x * wider) for x in trial.bound]
+    pushes = [rounded_up(x * wider) for x in walks]
+    means = {}
+    for name, own in trial.averages.items():
+        means[name] = {samples: rounded_up(x * wider) for samples, x in own.items()}
+    rounds = dict(zip(spec["outputs"], _resolutions(records, len(bounds)), strict=True))
     for _ in range(ATTEMPTS):
-        exact = [Fraction(repr(x)) for x in bounds]
-        rounds = [_below(r, x) for r, x in zip(rounds, exact, strict=True)]
-        noise = [x - r for x, r in zip(exact, rounds, strict=True)]
-        origin = {"model": source, "noise": f"{source}{meant}, {widened(factor, safety)}"}
-        if any(rounds):
+        exact = dict(zip(spec["outputs"], [Fraction(repr(x)) for x in bounds], strict=True))
+        rounds = {name: _below(rounds[name], x) for name, x in exact.items()}
+        if any(rounds.values()):
             origin["resolution"] = "as the recordings are rounded"
-        if walks is not None and pushes:
-            disturbance = (walks[0], pushes)
-            origin["disturbance"] = f"{source}, {widened(factor, safety)}"
+        disturbance = None
+        if pushes:
+            disturbance = directions, pushes
+            origin["disturbance"] = f"{source}, {wide}"
         averages = {}
-        for i, (samples, _) in means.items():
-            rest = max(Fraction(repr(lowered[i])) - rounds[i], Fraction(0))
-            averages[spec["outputs"][i]] = {samples: rest}
+        for name, own in means.items():
+            averages[name] = {n: max(Fraction(repr(x)) - rounds[name], Fraction(0)) for n, x in own.items()}
         model = LinearSystem(
             **spec,
-            noise=noise,
-            resolution=rounds,
+            noise=[x - rounds[name] for name, x in exact.items()],
+            resolution=list(rounds.values()),
             disturbance=disturbance,
             provenance=origin,
             averages=averages,
@@ -101,7 +93,7 @@ def verified(
             return model, used
         bounds = [rounded_up(WIDER * x) for x in bounds]
         pushes = [rounded_up(WIDER * x) for x in pushes]
-        lowered = {i: rounded_up(WIDER * x) for i, x in lowered.items()}
+        means = {name: {n: rounded_up(WIDER * x) for n, x in own.items()} for name, own in means.items()}
     raise ValueError(
         "no bounds were found that are proved to hold for these recordings: choose a lower order, or a "
         "shorter horizon"

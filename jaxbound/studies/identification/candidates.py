@@ -2,23 +2,24 @@
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from jaxbound.models.faults import Fault
 from jaxbound.models.system import LinearSystem
 from jaxbound.studies.identification import filters, regression
-from jaxbound.studies.identification.judging import Judge
+from jaxbound.studies.identification.judging import Judge, Sizes
 from jaxbound.studies.identification.realisation import realised, realised_filters, realised_static
-from jaxbound.studies.identification.records import Records, measured
-from jaxbound.studies.identification.regression import Scales
+from jaxbound.studies.identification.recipe import Recipe, wanted_biases
+from jaxbound.studies.identification.records import Records, measured, parted
 from jaxbound.studies.identification.structure import chained, delayed
+from jaxbound.studies.identification.training import Training
 
-__all__ = ["KINDS", "Candidate", "FitProblem", "candidate", "largest_need"]
+__all__ = ["Candidate", "FitProblem", "candidate", "largest_need"]
 
-KINDS = ("least squares", "windows", "filters")
 WINDOW = ("horizon", "lags")
 """Arguments of a LinearSystem that say which windows its bounds are for."""
 EXACT, LEAST = 1e-14, 1e-3
@@ -29,61 +30,73 @@ exactly.
 
 @dataclass(frozen=True, eq=False)
 class FitProblem:
-    """A fit but for the recordings that a candidate sees.
+    """A recipe for recordings, under a test.
 
     Fields:
-        scales: of all recordings. spans (p,): between the lowest and the highest sample of each output.
-        order, delay, direct: see `fit`. horizon: of the windows that a regression looks at.
-        about: arguments of a LinearSystem beside its matrices. judge: the test that bounds are found for.
-        wanted: sizes of the faults that are wanted, by output: bounds are in their ratio.
+        training: all recordings. recipe: with an order, a delay and a window. judge: the test that bounds are
+            found for. parts: of the recordings, which are left out in turn.
         fits: those that `fitted` found, by kind and by the number that was left out.
     """
 
-    scales: Scales
-    spans: tuple[float, ...]
-    order: int
-    delay: int
-    horizon: int
-    direct: bool
-    about: dict[str, Any]
+    training: Training
+    recipe: Recipe
     judge: Judge
-    wanted: Mapping[str, float] = field(default_factory=dict)
-    fits: "dict[tuple[str, int | None], Candidate]" = field(default_factory=dict)
-
-    def under(self, judge: Judge, about: dict[str, Any]) -> "FitProblem":
-        """Return the problem of another test of windows that are as long: fits are the same."""
-        return dataclasses.replace(self, judge=judge, about=about)
-
-    def fitted(self, records: Records, kind: str, left: int | None = None) -> "Candidate":
-        """Return the Candidate of one of KINDS, fitted once. left: the number of the part that the recordings
-        lack, None: none.
-        """
-        if (kind, left) not in self.fits:
-            self.fits[kind, left] = candidate(self, records, kind)
-        known = self.fits[kind, left]
-        spec = known.spec | self.about
-        for name in WINDOW:
-            if name not in self.about:
-                spec.pop(name, None)
-        return dataclasses.replace(known, spec=spec)
+    parts: Records
+    fits: "dict[tuple[str, int | None], Candidate]"
 
     @classmethod
-    def of(
-        cls,
-        records: Records,
-        order: int,
-        delay: int,
-        horizon: int,
-        direct: bool,
-        about: dict[str, Any],
-        judge: Judge,
-        wanted: Mapping[str, float] | None = None,
-    ) -> "FitProblem":
-        """Return the FitProblem of fitting to all of these recordings."""
-        scales = regression.scales_of(records)
-        y = np.concatenate([r[1] for r in records])
-        spans = tuple(np.nanmax(y, axis=0) - np.nanmin(y, axis=0))
-        return cls(scales, spans, order, delay, horizon, direct, about, judge, wanted or {})
+    def of(cls, training: Training, recipe: Recipe, judge: Judge) -> "FitProblem":
+        """Return the FitProblem of a recipe."""
+        parts = parted(training.records, recipe.held_out, recipe.window.horizon + 1)
+        return cls(training, recipe, judge, parts, {})
+
+    def under(self, judge: Judge, recipe: Recipe) -> "FitProblem":
+        """Return the problem of another test of windows that are as long: fits are the same."""
+        return dataclasses.replace(self, judge=judge, recipe=recipe)
+
+    @property
+    def order(self) -> int:
+        """The order of models."""
+        return int(self.recipe.order)
+
+    @property
+    def delay(self) -> int:
+        """The samples until inputs act."""
+        return int(self.recipe.delay)
+
+    def others(self, number: int) -> Records:
+        """Return all parts but one."""
+        return [*self.parts[:number], *self.parts[number + 1 :]]
+
+    def fitted(self, kind: str, left: int | None = None) -> "Candidate":
+        """Return the Candidate of one of KINDS, fitted once to all recordings, or to all parts but the one of
+        number `left`.
+        """
+        if (kind, left) not in self.fits:
+            records = self.training.records if left is None else self.others(left)
+            self.fits[kind, left] = candidate(self, records, kind)
+        known = self.fits[kind, left]
+        spec = {name: x for name, x in known.spec.items() if name not in WINDOW} | self.recipe.window.about
+        return dataclasses.replace(known, spec=spec)
+
+    def sizes(self, model: LinearSystem, most: float = 1.0) -> tuple[Sizes, Sizes]:
+        """Return (jump, steady) of `Judge.sizes`, where bounds are `most` times those of a model."""
+        jump, steady = self.judge.sizes(model.replace(times=None), self.training.scales)
+        return {name: most * x for name, x in jump.items()}, {name: most * x for name, x in steady.items()}
+
+    def blindness(self, model: LinearSystem) -> float:
+        """Return the sizes of a jump and of a lasting error that are seen, summed over outputs in their
+        spreads.
+
+        Beyond the span of an output it does not count how blind the monitor is for it.
+        """
+        total, training = 0.0, self.training
+        for sizes in self.judge.sizes(model, training.scales):
+            for name, span, spread in zip(
+                model.outputs, training.spans, training.scales.y_spread, strict=True
+            ):
+                total += min(sizes.get(name, 0.0), span) / spread
+        return total
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +116,9 @@ class Candidate:
 
 def candidate(problem: FitProblem, records: Records, kind: str) -> Candidate:
     """Return the Candidate of one of KINDS, fitted to recordings."""
-    scales, order, horizon, direct = problem.scales, problem.order, problem.horizon, problem.direct
-    p, m = len(problem.about["outputs"]), len(problem.about["inputs"])
+    training, order, direct = problem.training, problem.order, problem.recipe.direct
+    scales, horizon = training.scales, problem.recipe.window.horizon
+    p, m = len(training.outputs), len(training.inputs)
     records = delayed(records, problem.delay)
     steps = regression.windows_of(records, scales, order)
     windows = regression.windows_of(records, scales, horizon, regression.MOST)
@@ -122,16 +136,17 @@ def candidate(problem: FitProblem, records: Records, kind: str) -> Candidate:
         spec, spread = realised(theta, scales, order, direct, m, p), spread * scales.y_spread
     largest = np.nanmax(np.abs(np.concatenate([y for _, y, _ in records])), axis=0)
     spread = np.maximum(spread, EXACT * largest)  # where all fits exactly
-    spec = chained(spec, problem.delay) | problem.about
-    return Candidate(kind, spec, _shared(spread, problem))
+    spec = chained(spec, problem.delay) | training.about | problem.recipe.window.about
+    return Candidate(kind, spec, _shared(spread, training.outputs, problem.recipe.faults))
 
 
-def _shared(spread: np.ndarray, problem: FitProblem) -> np.ndarray:
-    """Return a spread (p,) in the ratio of the wanted faults, where there are some; its geometric mean stays.
+def _shared(spread: np.ndarray, outputs: Sequence[str], faults: Sequence[Fault]) -> np.ndarray:
+    """Return a spread (p,) in the ratio of the wanted biases, where there are some; its geometric mean stays.
 
     A ratio of residuals gives the output that fits worst a wide bound, however small a fault of it is wanted.
     """
-    sizes = np.array([problem.wanted.get(name, math.nan) for name in problem.about["outputs"]])
+    wanted = wanted_biases(faults)
+    sizes = np.array([wanted.get(name, math.nan) for name in outputs])
     named = np.isfinite(sizes)
     if named.sum() < 2:
         return spread

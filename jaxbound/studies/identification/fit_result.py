@@ -8,22 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxbound.models.system import LinearSystem
+from jaxbound.studies.identification.following import Follows
+from jaxbound.studies.identification.recipe import Recipe, recipe_text
 from jaxbound.studies.identification.signal_choice import TriedSignals
 from jaxbound.studies.identification.window_tests import JudgedTest
 from jaxbound.text.objects import readable
 
-__all__ = ["FitCheck", "Fitted", "Follows", "PartLeftOut", "Tradeoff"]
-
-
-class Follows(NamedTuple):
-    """How the bounds of a fitted model follow the operating point.
-
-    Fields: weight: of phi' P phi; 0: not at all. mean, most: of the factor on the bounds in training.
-    """
-
-    weight: float = 0.0
-    mean: float = 1.0
-    most: float = 1.0
+__all__ = ["FitCheck", "Fitted", "PartLeftOut", "Tradeoff"]
 
 
 class PartLeftOut(NamedTuple):
@@ -89,6 +80,7 @@ class FitCheck:
         tradeoff: of a fit with disturbances, those that were looked at; a setting that cannot see more than
             the best is left out.
         moved: {output: between its lowest and its highest sample in all recordings}.
+        recipe: the `Recipe` that makes the same fit of the same recordings again.
         sentences: what the user should know, above all why the data may not carry a monitor.
     """
 
@@ -113,6 +105,7 @@ class FitCheck:
     tradeoff: tuple[Tradeoff, ...] = ()
     moved: dict[str, float] = field(default_factory=dict)
     hidden: dict[str, float] = field(default_factory=dict)
+    recipe: Recipe = Recipe()
 
     def of(self, test: JudgedTest) -> JudgedTest:
         """Return a test with the numbers of this fit, which is for it and has looked at windows that lack
@@ -137,3 +130,7 @@ class Fitted(LinearSystem):
     def __init__(self, model: LinearSystem, check: FitCheck) -> None:
         super().__init__(**model._arguments())
         object.__setattr__(self, "check", check)
+
+    def _notes(self) -> dict[str, dict[str, str]]:
+        """Return the table of the recipe, see `LinearSystem._notes`."""
+        return {"fit": recipe_text(self.check.recipe)}

@@ -14,33 +14,36 @@ wide as recordings that are left out ask for, the factor of each of them from th
 import keyword
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxbound.models.numbers import is_real
-from jaxbound.models.system import LinearSystem
 from jaxbound.models.times import inputs_for_factors
 from jaxbound.recordings.factors import read_factor
-from jaxbound.studies.identification.candidates import Candidate, FitProblem, largest_need
-from jaxbound.studies.identification.fit_result import Follows
-from jaxbound.studies.identification.judging import Judge, Sizes
-from jaxbound.studies.identification.left_out import LeftOut, Trial, widest
 from jaxbound.studies.identification.records import Records
-from jaxbound.studies.identification.regression import Scales
-from jaxbound.studies.identification.sizes import blindness
+from jaxbound.studies.identification.training import Training
 
-__all__ = ["WEIGHTS", "Leverage", "followed", "refuse_follow", "sizes_in_training"]
+__all__ = ["WEIGHTS", "Follows", "Leverage", "follows_in", "hindrance", "times"]
 
-AUTO = "auto"
-WEIGHTS = (0.0, 0.1, 0.3)
-"""That are tried; larger ones lose what they gain."""
+WEIGHTS = (0.1, 0.3)
+"""That are tried beside 0; larger ones lose what they gain."""
 RIDGE = 1e-3
 """Added to the covariance of inputs in units of their spreads: of two that move together nobody knows what
 they do where they part, but not that infinitely much.
 """
 SMALL = 0.01
 """Coefficients that are left out, in units of the spread of an input."""
+
+
+class Follows(NamedTuple):
+    """How the bounds of a fitted model follow the operating point.
+
+    Fields: weight: of phi' P phi; 0: not at all. mean, most: of the factor on the bounds in training.
+    """
+
+    weight: float = 0.0
+    mean: float = 1.0
+    most: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,114 +113,34 @@ def _minus(name: str, x: float) -> str:
     return f"({name} - {x:.12g})"
 
 
-def refuse_follow(follow: float | str, about: Mapping[str, Any], average: int | None) -> None:
-    """Raise ValueError if bounds cannot follow the operating point as asked for.
-
-    Args:
-        about: arguments of a LinearSystem beside its matrices. average: as of `fit`.
-    """
-    if follow == AUTO:
-        return
-    if not is_real(follow) or not (np.isfinite(follow) and follow >= 0):
-        raise ValueError(f"follow must be a number >= 0, or auto, not {follow!r}")
-    why = _hindrance(about, average)
-    if follow and why:
-        raise ValueError(f"{why}: leave follow out")
-
-
-def _hindrance(about: Mapping[str, Any], average: int | None) -> str:
+def hindrance(training: Training) -> str:
     """Return why bounds cannot follow anything; "": they can."""
-    if average is not None:
-        return "bounds on means and bounds that follow the operating point do not go together"
-    if "every" in (about["columns"] or {}):
+    if "every" in training.columns:
         return "samples that are means have no inputs of their own, which bounds could follow"
-    if not _inputs(about):
+    if not _inputs(training):
         return "there is no input that bounds could follow, none that rests on no output"
     return ""
 
 
-def _inputs(about: Mapping[str, Any]) -> tuple[str, ...]:
-    return inputs_for_factors(about["inputs"], about["outputs"], about["columns"] or {})
+def _inputs(training: Training) -> tuple[str, ...]:
+    return inputs_for_factors(training.inputs, training.outputs, training.columns)
 
 
-def followed(
-    problem: FitProblem,
-    constant: Trial,
-    records: Records,
-    parts: Records,
-    follow: float | str,
-    average: int | None,
-) -> tuple[Trial, Follows, list[str]]:
-    """Return (trial, follows, sentences): the Trial of constant bounds, or in its place one whose bounds
-    follow the operating point, as strongly as asked for.
-
-    Args:
-        follow: a weight, or "auto": of WEIGHTS the one with which the smallest errors are seen.
-    """
-    if not follow:
-        return constant, Follows(), []
-    why = _hindrance(problem.about, average)
-    if follow == AUTO and not any(np.isfinite(one.factor) for one in constant.left):
-        why = why or "no recording says, left out, how strongly bounds have to follow the operating point"
-    if why:
-        return (
-            constant,
-            Follows(),
-            [f"{why}: they are constant; a weight does not ask, --follow 0.1, follow=0.1"],
-        )
-    weights = [float(x) for x in WEIGHTS if x] if follow == AUTO else [float(follow)]
-    best, chosen = constant, Follows()
-    for weight in weights:
-        trial, follows = _tried(problem, constant, records, parts, weight)
-        if follow != AUTO or trial.blindness < best.blindness:
-            best, chosen = trial, follows
-    return best, chosen, []
-
-
-def _tried(
-    problem: FitProblem, constant: Trial, records: Records, parts: Records, weight: float
-) -> tuple[Trial, Follows]:
-    """Return a Trial whose bounds follow the operating point, the models as they are."""
-    full, judge = constant.candidate, problem.judge
-    spec = full.spec | _times(problem, records, weight)
-    follows = _in_training(spec, records, weight)
-    model = LinearSystem(**spec, noise=full.spread.tolist())
-    bound = largest_need(judge.needs(model, records)) * full.spread
-    left = []
-    for number, one in enumerate(constant.left):
-        if one.model is not None:
-            others = [*parts[:number], *parts[number + 1 :]]
-            one = LeftOut(dict(one.model) | _times(problem, others, weight), one.need, one.why)
-        left.append(one.under(judge, bound, {}, parts[number : number + 1]))
-    covering = full.model(widest(left) * follows.mean * bound)  # constant: bounds as wide as on average
-    seen = blindness(judge, covering, problem.scales, problem.spans)
-    return Trial(Candidate(full.kind, spec, full.spread), bound, tuple(left), seen), follows
-
-
-def _times(problem: FitProblem, records: Records, weight: float) -> dict[str, Any]:
-    """Return the argument `times` of a LinearSystem that is fitted to recordings."""
-    about = problem.about
-    leverage = Leverage.of(records, about["inputs"], _inputs(about))
+def times(training: Training, records: Records, weight: float) -> dict[str, Any]:
+    """Return the argument `times` of a LinearSystem that is fitted to some of the recordings."""
+    if not weight:
+        return {}
+    leverage = Leverage.of(records, training.inputs, _inputs(training))
     if leverage is None:  # nothing moves in them: nothing is known of how errors grow
         return {}
-    return {"times": dict.fromkeys(about["outputs"], leverage.text(weight))}
+    return {"times": dict.fromkeys(training.outputs, leverage.text(weight))}
 
 
-def _in_training(spec: Mapping[str, Any], records: Records, weight: float) -> Follows:
+def follows_in(training: Training, spec: Mapping[str, Any], weight: float) -> Follows:
     """Return how the bounds of a model follow the operating point in its training."""
     if "times" not in spec:
         return Follows()
     (text,) = set(spec["times"].values())
-    columns = dict(zip(spec["inputs"], _samples(records).T, strict=True))
+    columns = dict(zip(training.inputs, _samples(training.records).T, strict=True))
     factor = read_factor(text).values(columns)
     return Follows(weight, float(factor.mean()), float(factor.max()))
-
-
-def sizes_in_training(judge: Judge, model: LinearSystem, scales: Scales, most: float) -> tuple[Sizes, Sizes]:
-    """Return (jump, steady) of `Judge.sizes` that are sure to be seen wherever training was.
-
-    Args:
-        most: the largest factor on the bounds of the model there.
-    """
-    jump, steady = judge.sizes(model.replace(times=None), scales)
-    return {name: most * x for name, x in jump.items()}, {name: most * x for name, x in steady.items()}

@@ -25,7 +25,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.studies.identification.judging import Judge, Sizes
 from jaxbound.studies.identification.one_thread import times
 from jaxbound.studies.identification.records import Record, Records
-from jaxbound.studies.identification.regression import Scales, complete_windows
+from jaxbound.studies.identification.regression import Scales, complete_windows, courses
 
 __all__ = ["GaugeJudge", "best_approximations", "gauge_of", "seen_slopes"]
 
@@ -269,26 +269,15 @@ class GaugeJudge(Judge):
 
     every: bool = False
 
-    def least(self, model: LinearSystem) -> int:
-        """Return the samples of a window."""
-        return gauge_of(model).horizon + 1
-
     def needs(self, model: LinearSystem, parts: Records) -> list[np.ndarray]:
         """Return the need of the tightest window of each recording, and lower bounds on the others."""
         gauge = gauge_of(model)
         return [gauge.largest(part, self.every) for part in parts]
 
-    def shares(self, model: LinearSystem, parts: Records) -> tuple[bool, list[np.ndarray]]:
-        """Return (whether every window is explained, as far as floats say, what `needs` returns)."""
-        needs = self.needs(model, parts)
-        return not any((need > 1).any() for need in needs), needs
-
     def sizes(self, model: LinearSystem, scales: Scales) -> tuple[Sizes, Sizes]:
         """Return (jump, steady) as `WindowJudge` does."""
         gauge = gauge_of(model)
-        count = gauge.horizon + 1
-        samples = np.arange(count)
-        jump, steady = _seen(gauge, scales, np.stack([samples >= count // 2, samples >= 0]))
+        jump, steady = _seen(gauge, scales, courses(gauge.horizon))
         return jump, steady
 
 

@@ -18,7 +18,7 @@ from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.kernel import outside_xla
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.identification.records import Records
-from jaxbound.studies.identification.regression import Scales
+from jaxbound.studies.identification.regression import Scales, courses
 from jaxbound.studies.tuning.observer_tuning import observer_scale
 
 __all__ = ["Judge", "ObserverJudge", "Sizes", "WindowJudge", "explains"]
@@ -31,11 +31,12 @@ Sizes = dict[str, float]
 
 
 class Judge(ABC):
-    """A test of recordings under a model and its noise."""
+    """A test of recordings under a model and its noise: of windows, unless it says otherwise."""
 
-    @abstractmethod
     def least(self, model: LinearSystem) -> int:
         """Return the samples that a recording must have for one verdict."""
+        assert model.horizon is not None, "a model that is fitted for windows has one"
+        return model.horizon + 1
 
     @abstractmethod
     def needs(self, model: LinearSystem, parts: Records) -> list[np.ndarray]:
@@ -43,11 +44,12 @@ class Judge(ABC):
         window; nan where there is none.
         """
 
-    @abstractmethod
     def shares(self, model: LinearSystem, parts: Records) -> tuple[bool, list[np.ndarray]]:
         """Return (whether nothing in the recordings speaks against the model, the share of its bounds that
         each window needs, an array (T,) a recording).
         """
+        needs = self.needs(model, parts)
+        return not any((need > 1).any() for need in needs), needs
 
     @abstractmethod
     def sizes(self, model: LinearSystem, scales: Scales) -> tuple[Sizes, Sizes]:
@@ -73,11 +75,6 @@ class WindowJudge(Judge):
             self.kept[model] = parity_relations(model)
         return self.kept[model]
 
-    def least(self, model: LinearSystem) -> int:
-        """Return the samples of a window."""
-        assert model.horizon is not None, "a model that is fitted for windows has one"
-        return model.horizon + 1
-
     def needs(self, model: LinearSystem, parts: Records) -> list[np.ndarray]:
         """Return the need of each window."""
         return [need for _, need in _tested(self._relations(model), parts)]
@@ -90,9 +87,9 @@ class WindowJudge(Judge):
     def sizes(self, model: LinearSystem, scales: Scales) -> tuple[Sizes, Sizes]:
         """Return (jump, steady): a jump begins in the middle of a window, a steady error fills it."""
         count, p = self.least(model), model.p
-        samples = np.arange(count)
-        acts = np.stack([samples >= count // 2, samples >= 0])
-        wrong = acts[:, None, :, None] * np.diag(scales.y_spread)[None, :, None]  # (2, p, s + 1, p)
+        wrong = (
+            courses(count - 1)[:, None, :, None] * np.diag(scales.y_spread)[None, :, None]
+        )  # (2, p, s + 1, p)
         y = np.array(model.offset["y"], float) + wrong
         u = None
         if model.m:

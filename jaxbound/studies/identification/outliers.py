@@ -174,6 +174,7 @@ def _places(odd: list[np.ndarray], recordings: Sequence[Recording]) -> str:
     return "; ".join(places)
 
 
+@np.errstate(all="ignore")  # coefficients of next to no data explode
 def outliers(records: Records, order: int, delay: int, share: float = SHARE) -> Outliers | None:
     """Return the Outliers of recordings; None: there are none that matter, or too few samples to say.
 
@@ -181,11 +182,6 @@ def outliers(records: Records, order: int, delay: int, share: float = SHARE) -> 
         order, delay: of the model that neighbours are compared by, the order 1 at least. share: the largest
             one of the samples of a signal that are outliers.
     """
-    with np.errstate(all="ignore"):  # coefficients of next to no data explode
-        return _outliers(records, order, delay, share)
-
-
-def _outliers(records: Records, order: int, delay: int, share: float) -> Outliers | None:
     marks = _candidates(records, share)
     look = _looked(records, marks, order, delay)
     if look is None:

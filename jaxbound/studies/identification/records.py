@@ -21,15 +21,14 @@ from jaxbound.recordings.signals import Signals
 from jaxbound.recordings.table import as_table, is_table
 
 __all__ = [
+    "Names",
     "Record",
     "Records",
-    "input_ranges",
     "measured",
     "names_of",
-    "opened",
     "parted",
+    "period_of",
     "read_each",
-    "read_records",
 ]
 
 Record = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -41,17 +40,6 @@ Names = tuple[str, ...]
 def measured(records: Records) -> int:
     """Return in how many samples something was measured: those set aside by `where` are no part of a fit."""
     return sum(int((~np.isnan(y).all(1)).sum()) for _, y, _ in records)
-
-
-def input_ranges(records: Records, inputs: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Return {input: (lowest, highest)} of what was recorded; of one that never moved the number twice."""
-    u = np.concatenate([r[0] for r in records])
-    ranges = {}
-    for name, x in zip(inputs, u.T, strict=True):
-        x = x[np.isfinite(x)]
-        if len(x):
-            ranges[name] = float(x.min()), float(x.max())
-    return ranges
 
 
 def parted(records: Records, held_out: float, least: int) -> Records:
@@ -89,56 +77,6 @@ def _part(u: np.ndarray, y: np.ndarray, starts: np.ndarray, first: int, stop: in
     return u[first:stop], y[first:stop], starts[inside] - first
 
 
-def opened(
-    recordings: object,
-    inputs: Sequence[str],
-    outputs: str | Sequence[str] | None,
-    columns: Mapping[str, str],
-    dt: float | None,
-) -> object:
-    """Return recordings of which those that are paths, if any, have been read.
-
-    Raises:
-        OSError, ValueError: see `read_signals`; outputs that are not named.
-    """
-    if isinstance(recordings, str | PathLike):
-        recordings = [recordings]
-    if not isinstance(recordings, list | tuple) or not any(isinstance(x, str | PathLike) for x in recordings):
-        return recordings
-    names = names_of("outputs", outputs)
-    every = []
-    for one in recordings:
-        if isinstance(one, str | PathLike):
-            if not names:
-                raise ValueError(
-                    f"{one} is a file: say which of its columns are what, "
-                    f"fit({str(one)!r}, inputs=['heater'], outputs=['temperature'])"
-                )
-            (one,) = read_signals(one, inputs, names, columns, dt)
-        every.append(one)
-    return every
-
-
-def read_records(
-    recordings: object,
-    inputs: str | Sequence[str] | None,
-    outputs: str | Sequence[str] | None,
-    columns: Mapping[str, str] | None,
-    dt: float | None,
-) -> tuple[tuple[str, ...], tuple[str, ...], float, Records]:
-    """Return (inputs, outputs, dt, [(u, y, starts)]) with names and float64 arrays."""
-    every = read_each(recordings, inputs, outputs, columns, dt)
-    input_names, output_names = every[0].inputs, every[0].outputs
-    records: Records = []
-    periods = []
-    for number, recording in enumerate(every, 1):
-        u, y = np.asarray(recording.u, np.float64), np.asarray(recording.y, np.float64)
-        records.append((u, y, recording.starts))
-        if recording.dt is not None:
-            periods.append((recording.dt, f"recording {number}"))
-    return input_names, output_names, _period(dt, periods), records
-
-
 def read_each(
     recordings: object,
     inputs: str | Sequence[str] | None,
@@ -146,7 +84,11 @@ def read_each(
     columns: Mapping[str, str] | None,
     dt: float | None,
 ) -> list[Recording]:
-    """Return the recordings, with the names of inputs and outputs."""
+    """Return the recordings, with the names of inputs and outputs.
+
+    Raises:
+        OSError, ValueError: see `read_signals`; signals that are not named.
+    """
     if _is_pair(recordings) or not isinstance(recordings, list | tuple):
         recordings = [recordings]
     if not recordings:
@@ -155,6 +97,13 @@ def read_each(
     every = []
     for number, one in enumerate(recordings):
         where = f"recording {number + 1}"
+        if isinstance(one, str | PathLike):
+            if not output_names:
+                raise ValueError(
+                    f"{one} is a file: say which of its columns are what, "
+                    f"fit({str(one)!r}, inputs=['heater'], outputs=['temperature'])"
+                )
+            (one,) = read_signals(one, input_names or (), output_names, dict(columns or {}), dt)
         parts = _parts(where, one)
         # names that the first recording has are those of all
         input_names, output_names = _named(where, parts, input_names, output_names)
@@ -169,7 +118,7 @@ def _is_pair(recording: object) -> bool:
     """Return whether an object is (u, y) or (u, y, starts), not several recordings."""
     if not isinstance(recording, tuple) or len(recording) not in (2, 3):
         return False
-    return not isinstance(recording[0], tuple) and not is_made(recording[0])
+    return not isinstance(recording[0], tuple | str | PathLike) and not is_made(recording[0])
 
 
 def _parts(where: str, recording: object) -> tuple[Any, ...]:
@@ -205,8 +154,12 @@ def _refuse_untimed(where: str, signals: Signals, recording: Recording) -> None:
         )
 
 
-def _period(dt: float | None, periods: Sequence[tuple[float, str]]) -> float:
+def period_of(dt: float | None, recordings: Sequence[Recording]) -> float:
     """Return the sampling period: that which is asked for, else that of the first recording that has one."""
+    periods: list[tuple[float, str]] = []
+    for number, recording in enumerate(recordings, 1):
+        if recording.dt is not None:
+            periods.append((recording.dt, f"recording {number}"))
     if not periods:
         return dt or 1.0
     (low, first), (high, last) = min(periods), max(periods)

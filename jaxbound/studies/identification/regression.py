@@ -26,6 +26,7 @@ __all__ = [
     "completeness",
     "coefficients",
     "complete_windows",
+    "courses",
     "growth",
     "in_windows",
     "information",
@@ -340,6 +341,12 @@ def window_residuals(theta: np.ndarray, windows: CompleteWindows, order: int, di
     """Return the window residuals (N, s + 1, p), standardised, each output weighed alike."""
     left = _residuals(theta, windows.u, windows.y, np.ones(windows.y.shape[2]), order, direct)
     return left.reshape(windows.y.shape)
+
+
+def courses(horizon: int) -> np.ndarray:
+    """Return (2, s + 1) bool: a jump begins in the middle of a window, a steady error fills it."""
+    samples = np.arange(horizon + 1)
+    return np.stack([samples >= len(samples) // 2, samples >= 0])
 
 
 def growth(theta: np.ndarray, order: int) -> float:

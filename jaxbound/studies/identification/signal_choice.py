@@ -14,18 +14,20 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, cast
+from os import PathLike
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxbound.recordings.arrays import holds_both, is_made
 from jaxbound.recordings.expressions import expression, is_expression
 from jaxbound.studies.identification import regression
-from jaxbound.studies.identification.candidates import KINDS, FitProblem
+from jaxbound.studies.identification.candidates import FitProblem
 from jaxbound.studies.identification.gauge import GaugeJudge
-from jaxbound.studies.identification.left_out import tried, widest
-from jaxbound.studies.identification.records import Records, parted
+from jaxbound.studies.identification.recipe import KINDS, Recipe
 from jaxbound.studies.identification.structure import ENOUGH, delayed
+from jaxbound.studies.identification.training import Training
+from jaxbound.studies.identification.trial import tried
 
 __all__ = [
     "GIVEN",
@@ -97,11 +99,11 @@ def _term(column: str) -> str:
 
 def refuse_unnamed(recordings: object, names: Iterable[str]) -> None:
     """Raise ValueError for recordings without columns from which these products could be computed."""
-    several = recordings
-    if not isinstance(recordings, list | tuple) or not all(map(holds_both, recordings)):
-        several = [recordings]
-    for one in cast("Sequence[Any]", several):
-        if not isinstance(one, tuple) and holds_both(one):
+    several: Sequence[object] = [recordings]
+    if isinstance(recordings, list | tuple) and all(map(_has_columns, recordings)):
+        several = recordings
+    for one in several:
+        if _has_columns(one):
             if not is_made(one) or set(names) <= set(getattr(one, "inputs", ())):
                 continue
             raise ValueError(
@@ -114,45 +116,36 @@ def refuse_unnamed(recordings: object, names: Iterable[str]) -> None:
         )
 
 
+def _has_columns(one: object) -> bool:
+    """Return whether an object is a path, a table or a Recording."""
+    return isinstance(one, str | PathLike) or (not isinstance(one, list | tuple) and holds_both(one))
+
+
 @dataclass(frozen=True, eq=False)
 class SignalProblem:
     """The recordings of a choice of inputs.
 
-    Fields: names: of all columns of u. records: with all of them. structure: (order, delay, direct).
-        horizon: of the windows. held_out: see `fit`. about: arguments of a LinearSystem beside its matrices
-        and inputs.
+    Fields: training: with all columns as inputs. recipe: with an order, a delay and a window.
     """
 
-    names: tuple[str, ...]
-    records: Records
-    structure: tuple[int, int, bool]
-    horizon: int
-    held_out: float
-    about: Mapping[str, Any]
-
-    def of(self, inputs: Sequence[str]) -> Records:
-        """Return the recordings with these inputs."""
-        places = [self.names.index(name) for name in inputs]
-        return [(u[:, places], y, starts) for u, y, starts in self.records]
+    training: Training
+    recipe: Recipe
 
     def judged(self, change: str, inputs: Sequence[str], least: int) -> tuple[TriedSignals, int]:
         """Return (what these inputs are worth, how many recordings tell a factor). least: that must."""
-        records, (order, delay, direct) = self.of(inputs), self.structure
-        parts = parted(records, self.held_out, self.horizon + 1)
-        about = {**self.about, "inputs": tuple(inputs)}
-        problem = FitProblem.of(records, order, delay, self.horizon, direct, about, GaugeJudge())
-        trial = tried(problem, KINDS[0], records, parts)
+        problem = FitProblem.of(self.training.with_inputs(inputs), self.recipe, GaugeJudge())
+        trial = tried(problem, KINDS[0])
         told = sum(np.isfinite(one.factor) for one in trial.left)
-        factor, blindness = widest(trial.left), trial.blindness
+        blindness = trial.blindness
         if told < least:
             blindness = math.inf
-        jump, steady = problem.judge.sizes(trial.candidate.model(factor * trial.bound), problem.scales)
-        return TriedSignals(change, tuple(inputs), factor, jump, steady, float(blindness)), told
+        jump, steady = problem.sizes(trial.candidate.model(trial.factor * trial.bound))
+        return TriedSignals(change, tuple(inputs), trial.factor, jump, steady, float(blindness)), told
 
     def asked(self, inputs: Sequence[str]) -> list[str]:
         """Return the products that explain most of the errors of one step, best first."""
         left = {}
-        for name in self.names:
+        for name in self.training.inputs:
             if name in inputs or self._says_nothing(name, inputs):
                 continue
             left[name] = self._missed([*inputs, name])
@@ -160,7 +153,7 @@ class SignalProblem:
 
     def _says_nothing(self, name: str, inputs: Sequence[str]) -> bool:
         """Return whether a product stands still, or moves as one of the inputs does."""
-        u = np.concatenate([u for u, _, _ in self.of([name, *inputs])])
+        u = np.concatenate([u for u, _, _ in self.training.with_inputs([name, *inputs]).records])
         u = u[np.isfinite(u).all(1)]
         if len(u) < 2:
             return True
@@ -173,10 +166,10 @@ class SignalProblem:
 
     def _missed(self, inputs: Sequence[str]) -> float:
         """Return the sum of the squares of what one step leaves unexplained."""
-        order, delay, direct = self.structure
-        records = delayed(self.of(inputs), delay)
+        records = delayed(self.training.with_inputs(inputs).records, int(self.recipe.delay))
+        order = int(self.recipe.order)
         steps = regression.windows_of(records, regression.scales_of(records), order)
-        return regression.step_error(steps, order, direct)
+        return regression.step_error(steps, order, self.recipe.direct)
 
 
 def chosen_signals(

@@ -6,6 +6,7 @@ anywhere stand for what would be seen: the same quantity by which methods are ch
 without a test, a thousand times as fast.
 """
 
+import dataclasses
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,10 +15,12 @@ from typing import Any, TypeVar
 import numpy as np
 
 from jaxbound.studies.identification import regression
-from jaxbound.studies.identification.records import Record, Records
-from jaxbound.studies.identification.regression import CompleteWindows, Scales
+from jaxbound.studies.identification.recipe import AUTO, Recipe
+from jaxbound.studies.identification.records import Record, Records, parted
+from jaxbound.studies.identification.regression import CompleteWindows, Scales, courses
+from jaxbound.studies.identification.training import Training
 
-__all__ = ["DELAYS", "ORDERS", "acting_otherwise", "chained", "delayed", "structure"]
+__all__ = ["DELAYS", "ORDERS", "acting_otherwise", "chained", "delayed", "settled"]
 
 ORDERS = (1, 2, 3, 4)
 DELAYS = (1, 2, 3, 4, 5, 6, 8)
@@ -63,40 +66,34 @@ def chained(spec: dict[str, Any], delay: int) -> dict[str, Any]:
     return spec | {"A": whole, "B": enters, "C": np.hstack([C, np.zeros((len(C), waiting))])}
 
 
-def structure(
-    records: Records,
-    parts: Records,
-    horizon: int,
-    orders: Sequence[int],
-    delays: Sequence[int],
-    direct: bool,
-) -> tuple[int, int]:
-    """Return the (order, delay) that would see the smallest errors at the bounds that recordings which are
-    left out ask for.
+def settled(training: Training, recipe: Recipe) -> Recipe:
+    """Return a recipe with the order and the delay that would see the smallest errors at the bounds that
+    recordings which are left out ask for, where these are left to the data.
 
     First the delay, of models of every order that are fitted one step ahead; then the order, of models that
     are refined over whole windows: one step ahead the noise of sensors asks for more than the plant has.
 
-    Args:
-        parts: of the recordings, left out in turn; [] : nothing is. horizon: of the windows. orders, delays:
-            that are tried, ascending.
-
     Raises:
         ValueError: there are too few samples for any of them.
     """
-    orders = [order for order in orders if order < horizon]
+    if AUTO not in (recipe.order, recipe.delay):
+        return recipe
+    orders: Sequence[int] = ORDERS if recipe.order == AUTO else (int(recipe.order),)
+    delays: Sequence[int] = DELAYS if recipe.delay == AUTO else (int(recipe.delay),)
+    parts = parted(training.records, recipe.held_out, recipe.window.horizon + 1)
+    orders = [order for order in orders if order < recipe.window.horizon]
     delay = delays[0]
     if len(delays) > 1:
         pairs = {}
-        for order, tried in itertools.product(orders, delays):
-            pairs[order, tried] = _Trained(
-                records, parts, horizon, order, tried, direct, is_refined=False
-            ).blindness
+        for order, other in itertools.product(orders, delays):
+            tried = dataclasses.replace(recipe, order=order, delay=other)
+            pairs[order, other] = _Trained(training, parts, tried, is_refined=False).blindness
         _, delay = _first_good(pairs)
     found = {}
     for order in orders:
-        found[order] = _Trained(records, parts, horizon, order, delay, direct, is_refined=True).blindness
-    return _first_good(found), delay
+        tried = dataclasses.replace(recipe, order=order, delay=delay)
+        found[order] = _Trained(training, parts, tried, is_refined=True).blindness
+    return dataclasses.replace(recipe, order=_first_good(found), delay=delay)
 
 
 def acting_otherwise(records: Records, order: int, delay: int, direct: bool) -> list[str]:
@@ -112,9 +109,9 @@ def acting_otherwise(records: Records, order: int, delay: int, direct: bool) -> 
     (other, at_once), least = min(tried.items(), key=lambda one: one[1])
     if not least <= CLEARLY * present < np.inf:
         return []
-    act, how = f"{other} sample{'s' * (other > 1)} later", f"--delay {other}, delay={other}"
+    act, how = f"{other} sample{'s' * (other > 1)} later", f"--recipe delay={other}, delay={other}"
     if at_once:
-        act, how = "on outputs of the same sample", "--direct, direct=True"
+        act, how = "on outputs of the same sample", "--recipe direct=true, direct=True"
     return [
         f"inputs seem to act {act}: errors one step ahead are then {least / present:.2f} times as large, and "
         f"bounds may be as much smaller; fit again with {how}"
@@ -146,65 +143,63 @@ def _first_good(found: Mapping[Choice, float]) -> Choice:
 class _Trained:
     """Models of an order and a delay, of all recordings and of all but one in turn.
 
-    Fields: is_refined: whether over whole windows; else one step ahead.
+    Fields: parts: of the recordings, left out in turn; []: nothing is. is_refined: whether over whole
+    windows; else one step ahead.
     """
 
-    records: Records
+    training: Training
     parts: Records
-    horizon: int
-    order: int
-    delay: int
-    direct: bool
+    recipe: Recipe
     is_refined: bool
 
     @property
     def blindness(self) -> float:
-        """The sizes of errors that are seen, see `sizes.blindness`, by residuals; inf: too few samples."""
-        scales, y = regression.scales_of(self.records), np.concatenate([y for _, y, _ in self.records])
-        records = delayed(self.records, self.delay)
-        theta = self._fitted(records, scales)
+        """The sizes of errors that are seen, see `FitProblem.blindness`, by residuals; inf: too few
+        samples.
+        """
+        order, delay, direct = int(self.recipe.order), int(self.recipe.delay), self.recipe.direct
+        records, scales = delayed(self.training.records, delay), self.training.scales
+        theta = self._fitted(records)
         if theta is None:
             return np.inf
-        largest = [np.full(y.shape[1], 1e-9)]
-        for others, own in _left_out(records, delayed(self.parts, self.delay)):
-            trained = self._fitted(others, scales)
-            windows = self._windows(own, scales)
+        largest = [np.full(len(scales.y), 1e-9)]
+        for others, own in _left_out(records, delayed(self.parts, delay)):
+            trained, windows = self._fitted(others), self._windows(own)
             if trained is not None and len(windows.y):
-                left = regression.window_residuals(trained, windows, self.order, self.direct)
+                left = regression.window_residuals(trained, windows, order, direct)
                 largest.append(np.abs(left).max((0, 1)))
-        spans = np.nanmax(y, axis=0) - np.nanmin(y, axis=0)
-        return self._seen(theta, np.max(largest, 0), spans / scales.y_spread)
+        return self._seen(theta, np.max(largest, 0), np.array(self.training.spans) / scales.y_spread)
 
-    def _windows(self, records: Records, scales: Scales) -> CompleteWindows:
-        return regression.windows_of(records, scales, self.horizon, ROOM)
+    def _windows(self, records: Records) -> CompleteWindows:
+        return regression.windows_of(records, self.training.scales, self.recipe.window.horizon, ROOM)
 
-    def _fitted(self, records: Records, scales: Scales) -> np.ndarray | None:
+    def _fitted(self, records: Records) -> np.ndarray | None:
         """Return the coefficients; None where samples are too few."""
-        steps = regression.windows_of(records, scales, self.order)
-        signals = steps.y.shape[2] + steps.u.shape[2]
-        windows = self._windows(records, scales)
-        if len(steps.y) < 2 * (self.order * signals + self.direct * steps.u.shape[2] + 1) or not len(
-            windows.y
-        ):
+        order, direct = int(self.recipe.order), self.recipe.direct
+        steps, windows = regression.windows_of(records, self.training.scales, order), self._windows(records)
+        inputs = steps.u.shape[2]
+        unknowns = order * (steps.y.shape[2] + inputs) + direct * inputs + 1
+        if len(steps.y) < 2 * unknowns or not len(windows.y):
             return None
-        theta, _ = regression.least_squares(steps, self.order, self.direct)
+        theta, _ = regression.least_squares(steps, order, direct)
         if self.is_refined:
-            theta, _ = regression.refined(theta, windows, self.order, self.direct)
+            theta, _ = regression.refined(theta, windows, order, direct)
         return theta
 
     def _seen(self, theta: np.ndarray, bound: np.ndarray, spans: np.ndarray) -> float:
         """Return the sizes of a jump and of a lasting error whose residuals exceed twice the bounds (p,),
         summed over outputs, in their spreads; spans (p,): the most that counts.
         """
-        count, p = self.horizon + 1, len(bound)
-        samples = np.arange(count)
-        acts = np.stack([samples >= count // 2, samples >= 0])
+        order, direct = int(self.recipe.order), self.recipe.direct
+        count, p = self.recipe.window.horizon + 1, len(bound)
+        acts = courses(count - 1)
         wrong = (acts[:, None, :, None] * np.eye(p)[None, :, None]).reshape(2 * p, count, p)
-        m = (len(theta) - 1 - self.order * p) // (self.order + self.direct)
-        windows = CompleteWindows(np.zeros((2 * p, count, m)), wrong, np.zeros(2 * p, int))
+        windows = CompleteWindows(
+            np.zeros((2 * p, count, len(self.training.inputs))), wrong, np.zeros(2 * p, int)
+        )
         alone = theta.copy()
         alone[-1] = 0  # the response to the error, without the constant
-        left = np.abs(regression.window_residuals(alone, windows, self.order, self.direct)) / bound
+        left = np.abs(regression.window_residuals(alone, windows, order, direct)) / bound
         shown = np.maximum(left.max((1, 2)), 1e-12).reshape(2, p)
         return float(np.minimum(2 / shown, spans).sum())
 

@@ -34,7 +34,6 @@ __all__ = [
     "hidden_jumps",
     "hidden_sizes",
     "least_factor",
-    "refuse_kind",
     "sure_sizes",
 ]
 
@@ -42,8 +41,6 @@ Sizes: TypeAlias = dict[str, float]
 """{output: size}."""
 Sparse: TypeAlias = Any
 """A sparse matrix of SciPy, which is imported where one is made."""
-SEEN = ("bias", "drift")
-"""Kinds of faults that enter a recording linearly."""
 LEAST = 1e-9
 """The least reciprocal of a factor: no bounds are that wide."""
 SOLVED, IMPOSSIBLE, UNLIMITED = 0, 2, 3
@@ -160,15 +157,6 @@ def _course(T: int, fault: Fault) -> np.ndarray:
     if fault.kind == "drift":
         return np.asarray(np.maximum(since + 1.0, 0.0))
     return np.where(since < 0, 0.0, 1.0)
-
-
-def refuse_kind(fault: Fault) -> None:
-    """Raise ValueError for a fault that does not enter a recording linearly."""
-    if fault.kind not in SEEN or not fault.size:
-        raise ValueError(
-            f"see: bounds are chosen for a bias or a drift of some size, not for {fault.signal}:{fault.kind} "
-            f"of size {fault.size:g}"
-        )
 
 
 @dataclass(frozen=True, eq=False)

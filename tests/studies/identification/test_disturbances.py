@@ -127,7 +127,14 @@ def test_a_fault_that_no_bounds_see_is_named_with_the_size_that_is_seen(rng):
     recordings = wandering(rng)
     tiny = jb.Fault("y", "drift", 1e-9)
     model = jb.fit(
-        recordings, 1, 6, method="least squares", disturbances="auto", see=tiny, outputs="y", safety=1
+        recordings,
+        order=1,
+        horizon=6,
+        method="least squares",
+        disturbances="auto",
+        see=tiny,
+        outputs="y",
+        safety=1,
     )
     sentence = next(text for text in model.check.sentences if "not sure to be seen" in text)
     assert sentence.startswith("a drift of 1e-09 of y is not sure to be seen under any bounds")
@@ -137,7 +144,7 @@ def test_a_fault_that_no_bounds_see_is_named_with_the_size_that_is_seen(rng):
     ("options", "sentence"),
     [
         ({"see": WANTED}, "give disturbances='auto'"),
-        ({"disturbances": "all"}, "must be auto"),
+        ({"disturbances": "all"}, "must be None or auto"),
         ({"disturbances": "auto", "average": 3}, "average is for bounds of sensors alone"),
         ({"disturbances": "auto", "follow": 0.1}, "follow widens bounds of sensors alone"),
         ({"disturbances": "auto", "test": "auto", "horizon": None}, "'auto' compares windows"),

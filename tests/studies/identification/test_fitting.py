@@ -16,6 +16,9 @@ from jaxbound.models.modelfile import load_model, model_text, save_model
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.identification import regression
 from jaxbound.studies.identification.bounds import verified
+from jaxbound.studies.identification.candidates import Candidate
+from jaxbound.studies.identification.training import Training
+from jaxbound.studies.identification.trial import Trial
 
 A, B, C = [[0.8, 0.15], [-0.1, 0.6]], [[0.5], [0.3]], [[1, 0]]
 
@@ -228,19 +231,14 @@ class TestModel:
 
     def test_bounds_hold_for_the_model_as_it_is_saved(self, rng, tmp_path):
         u, y = run(rng, T=100)
-        model = jb.fit(
-            (u, y),
-            order=1,
-            horizon=4,
-            dt=0.5,
-            inputs=["pump"],
-            outputs=["level"],
-            units={"level": "m"},
-            name="tank",
-        )
+        about = dict(dt=0.5, inputs=["pump"], outputs=["level"], units={"level": "m"}, name="tank")
+        model = jb.fit((u, y), order=1, horizon=4, **about)
         save_model(model, tmp_path / "tank.toml")
         again = load_model(tmp_path / "tank.toml")
-        assert again == model == copy.deepcopy(model) and model_text(again) == model_text(model)
+        assert again == model == copy.deepcopy(model)
+        assert model_text(model) == f"{model_text(again)}\n[fit]\norder = 1\nhorizon = 4\n"
+        repeated = jb.fit((u, y), tmp_path / "tank.toml", **about)
+        assert model_text(repeated) == model_text(model)
         assert (again.horizon, again.dt, again.inputs, again.outputs, again.unit("level")) == (
             4,
             0.5,
@@ -274,7 +272,7 @@ class TestStatic:
             return u, 3 + u @ np.array([[2.0, 0], [0.5, -1.0]]) + rng.uniform(-0.1, 0.1, (count, 2))
 
         records = [day(80), day(60)]
-        model = jb.fit(records, 0)
+        model = jb.fit(records, order=0)
         np.testing.assert_allclose(np.array(model.D, float), [[2, 0.5], [0, -1]], atol=0.02)
         assert (model.n, model.horizon, model.check.order) == (0, 0, 0) and model.check.factor >= 1
         relations = jb.parity_relations(model)
@@ -530,5 +528,7 @@ def test_bounds_that_never_hold_are_refused(rng):
     spec = jb.fit((u, y), order=1, horizon=4, method="least squares", held_out=0)._arguments()
     for name in ("noise", "resolution", "provenance", "averages", "disturbance"):
         spec.pop(name, None)
+    trial = Trial(Candidate("least squares", spec, np.array([0.1])), np.array([0.1]), (), 0.0)
+    training = Training.of((u, y), None, None, None, {}, {}, "plant")
     with pytest.raises(ValueError, match="no bounds were found that are proved to hold"):
-        verified(Never(), spec, np.array([0.1]), {}, [(u, y, np.zeros(0, int))], 1.0, 1.25)
+        verified(Never(), trial, training, 1.25)

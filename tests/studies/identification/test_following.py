@@ -35,7 +35,7 @@ def test_the_text_is_the_quadratic_form_of_the_inverse_covariance(rng):
 
 def test_auto_follows_where_errors_grow_away_from_training(rng):
     days = [curved_day(rng, middle, 0.5) for middle in (0.0, 0.1, -0.1)]
-    constant, model = (jb.fit(days, 0, follow=follow) for follow in (0, "auto"))
+    constant, model = (jb.fit(days, order=0, follow=follow) for follow in (0, "auto"))
     assert constant.check.follows.weight == 0 and not constant.times
     assert model.check.follows.weight > 0 and set(model.times) == {"y1"}
     assert float(model.noise[0]) < float(constant.noise[0])
@@ -46,7 +46,7 @@ def test_auto_follows_where_errors_grow_away_from_training(rng):
 
 def test_errors_are_stated_as_seen_under_the_widest_bounds_of_training(rng):
     days = [curved_day(rng, middle, 0.5) for middle in (0.0, 0.1)]
-    model = jb.fit(days, 0, follow=0.3)
+    model = jb.fit(days, order=0, follow=0.3)
     most = model.check.follows.most
     factor = read_factor(model.times["y1"])
     every = np.concatenate([u[:, 0] for u, _ in days])
@@ -72,11 +72,18 @@ def test_inputs_in_which_an_output_is_recorded_are_not_followed(rng):
     u, y = curved_day(rng, 0.0, 0.5)
     table = pd.DataFrame({"a": u[:, 0], "b": y[:, 0]})
     with pytest.raises(ValueError, match="no input that bounds could follow, none that rests on no output"):
-        jb.fit(table, 0, inputs="load", outputs="flow", columns={"load": "= a + b", "flow": "b"}, follow=0.1)
+        jb.fit(
+            table,
+            order=0,
+            inputs="load",
+            outputs="flow",
+            columns={"load": "= a + b", "flow": "b"},
+            follow=0.1,
+        )
 
 
 def test_auto_says_why_bounds_stay_constant(rng):
-    model = jb.fit([curved_day(rng, 0.0, 0.5)], 0, follow="auto", held_out=0)
+    model = jb.fit([curved_day(rng, 0.0, 0.5)], order=0, follow="auto", held_out=0)
     assert not model.times
     assert "no recording says, left out, how strongly bounds have to follow" in " ".join(
         model.check.sentences

@@ -11,8 +11,12 @@ import jaxbound as jb
 from jaxbound.cli import main
 from jaxbound.cli.fit_summary import plain_fit
 from jaxbound.recordings.expressions import expression
-from jaxbound.studies.identification import fitting
+from jaxbound.studies.identification import structure
+from jaxbound.studies.identification.recipe import Recipe
 from jaxbound.studies.identification.signal_choice import SignalProblem, chosen_signals, products
+from jaxbound.studies.identification.training import Training
+
+SHORT = Recipe(order=1, horizon=5)
 
 ABOUT = dict(order=1, horizon=5, method="least squares", inputs=["valve", "lift"], outputs=["y"])
 COLUMNS = {"valve": "Valve 1", "lift": "= T - Tmix"}
@@ -72,8 +76,7 @@ def test_inputs_of_a_linear_plant_stay_as_given():
         u = np.stack([valve, lift, valve**2, lift**2, valve * lift], 1)
         records.append((u, table[["y"]].to_numpy(), np.zeros(0, int)))
     names = "valve", "lift", "valve**2", "lift**2", "valve*lift"
-    about = {"dt": 1.0, "outputs": ("y",), "horizon": 5}
-    problem = SignalProblem(names, records, (1, 1, False), 5, 0.3, about)
+    problem = SignalProblem(Training(records, names, ("y",), 1.0, records, {}, {}, "plant"), SHORT)
     tried = chosen_signals(problem, ("valve", "lift"), lambda share: None)
     assert [one.change for one in tried if one.taken] == ["as given"]
     assert len(tried) == 6  # two are dropped, three products are added
@@ -81,7 +84,7 @@ def test_inputs_of_a_linear_plant_stay_as_given():
 
 def test_the_order_of_inputs_that_stay_is_chosen_once(monkeypatch):
     rng, calls = np.random.default_rng(9), []
-    monkeypatch.setattr(fitting, "structure", lambda *about: calls.append(about) or (1, 1))
+    monkeypatch.setattr(structure, "_first_good", lambda found: calls.append(found) or 1)
     tables = [recorded(rng, 0.0), recorded(rng, 0.0)]
     model = jb.fit(tables, columns=COLUMNS, signals="auto", **(ABOUT | {"order": "auto"}))
     assert (model.inputs, model.check.order, len(calls)) == (("valve", "lift"), 1, 1)
@@ -92,7 +95,8 @@ def test_products_that_say_nothing_new_are_not_asked_for():
     valve, y = rng.uniform(1, 2, 60), rng.normal(size=(60, 1))
     u = np.stack([valve, np.ones(60), 3 * valve - 1, valve * rng.normal(size=60)], 1)
     records = [(u, y, np.zeros(0, int))]
-    problem = SignalProblem(("valve", "still", "alike", "new"), records, (1, 1, False), 5, 0.3, {})
+    names = "valve", "still", "alike", "new"
+    problem = SignalProblem(Training(records, names, ("y",), 1.0, records, {}, {}, "plant"), SHORT)
     assert problem.asked(("valve",)) == ["new"]
 
 
@@ -124,7 +128,7 @@ def test_a_product_names_its_columns_whatever_they_are_called():
         ([(np.ones((9, 1)), np.ones((9, 1)))], {}, "arrays have none"),
         ([jb.Recording(np.ones((9, 1)), np.ones((9, 1)), (), ("u",), ("y",))], {}, "a Recording keeps"),
         ([(np.ones((9, 1)), np.ones((9, 1)))], {"inputs": None}, "name the inputs to begin with"),
-        ([(np.ones((9, 1)), np.ones((9, 1)))], {"signals": "all"}, "signals must be auto"),
+        ([(np.ones((9, 1)), np.ones((9, 1)))], {"signals": "all"}, "signals must be None or auto"),
     ],
 )  # fmt: skip
 def test_a_choice_that_cannot_be_made_is_refused(recordings, options, words):
@@ -148,7 +152,7 @@ def test_the_command_writes_the_choice_and_shows_what_was_tried(tables, tmp_path
 
 
 def test_json_has_every_set_that_was_tried(model):
-    found = plain_fit(model, ["a.csv", "b.csv"], "m.toml", None, [])
+    found = plain_fit(model, ["a.csv", "b.csv"], "m.toml", [])
     assert found["inputs"] == ["valve", "lift", "valve*lift"]
     assert len(found["signals"]) == len(model.check.signals)
     assert sum(one["taken"] for one in found["signals"]) == 2

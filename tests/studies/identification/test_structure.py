@@ -23,7 +23,7 @@ def recorded(order, delay, rng, T=150):
 @pytest.mark.parametrize("order, delay", [(1, 6), pytest.param(2, 1, marks=pytest.mark.slow)])
 def test_order_and_delay_are_found(order, delay, rng):
     records = [recorded(order, delay, rng) for _ in range(3)]
-    model = jb.fit(records, "auto", 15, delay="auto", method="windows")
+    model = jb.fit(records, order="auto", horizon=15, delay="auto", method="windows")
     assert (model.check.order, model.check.delay) == (order, delay)
     assert model.n == order + delay - 1
     assert all(jb.detect(jb.parity_relations(model), *r).counts["FAULT"] == 0 for r in records)
@@ -34,10 +34,10 @@ def test_inputs_that_act_sooner_or_later_than_the_model_has_it_are_told(rng):
     sooner = [(u[:-1], y[1:], np.array([], int))]  # the same sample
     assert acting_otherwise([(u, y, np.array([], int))], 2, 1, False) == []
     (said,) = acting_otherwise(sooner, 2, 1, False)
-    assert "the same sample" in said and "--direct, direct=True" in said
+    assert "the same sample" in said and "--recipe direct=true, direct=True" in said
     assert acting_otherwise(sooner, 2, 1, True) == []
     (said,) = acting_otherwise([(*recorded(1, 4, rng), np.array([], int))], 1, 1, False)
-    assert "4 samples later" in said and "--delay 4, delay=4" in said
+    assert "4 samples later" in said and "--recipe delay=4, delay=4" in said
     (said,) = acting_otherwise([(u, y, np.array([], int))], 2, 5, False)
     assert "act 1 sample later" in said
     assert acting_otherwise([(u[:, :0], y, np.array([], int))], 2, 1, False) == []

@@ -72,7 +72,7 @@ def test_windows_longer_than_a_recording_are_not_tried(rng):
 @pytest.mark.parametrize(
     "options, sentence",
     [
-        (dict(test="best"), "test must be auto or bank, or left out for windows as horizon says, not 'best'"),
+        (dict(test="best"), "test must be None or auto or bank, not 'best'"),
         (dict(horizon=9), "test = 'auto' chooses windows: leave horizon out, or test"),
         (dict(lags=[0, 5]), "test = 'auto' chooses windows: leave lags out, or test"),
         (dict(average=4), "test = 'auto' chooses windows: leave average out, or test"),

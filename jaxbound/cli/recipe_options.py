@@ -1,0 +1,103 @@
+"""The recipe of a fit on the command line: --recipe order=1,horizon=30, or a model file that has one."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from jaxbound.text.quantities import decimal
+
+__all__ = ["add_recipe", "recipe_fields", "recipe_hints"]
+
+FIELDS = (
+    "order delay direct horizon lags average test observer disturbances see follow signals method safety "
+    "held_out"
+).split()
+"""Of `jb.Recipe`, whose home imports NumPy, for which a help does not wait; a test compares them."""
+TRUTH = {"true": True, "false": False}
+DIGITS = 20
+"""A number of so many digits is not even converted to a whole one."""
+
+
+def add_recipe(parser: argparse.ArgumentParser) -> None:
+    """Add --recipe, and the fields as options of their own, which help does not show."""
+    parser.add_argument(
+        "--recipe",
+        default="",
+        metavar="A=1,B=2",
+        help="how to fit, and for which test, like order=1,horizon=30 (a window of 31 samples) or a model "
+        "file, to fit as it was fitted; order, delay: numbers or auto (default: 2, 1); direct=true: inputs "
+        "act at once; horizon, lags=0,1,2,4, average=8: windows; test=bank: all that see what others miss, "
+        "auto: the best (default: bank, where nothing else says what is tested); observer, "
+        "disturbances=auto, see=T1:bias:2: bounds of an observer, of disturbances, for these faults; "
+        "follow=auto: bounds follow the operating point; signals=auto: choose inputs; method: least "
+        "squares, windows, filters, auto; safety (default: 1.25); held_out (default: 0.3)",
+    )
+    for name in FIELDS:
+        hidden: dict[str, Any] = {"dest": name, "default": None, "help": argparse.SUPPRESS}
+        if name == "direct":
+            hidden |= {"action": "store_const", "const": "true"}
+        parser.add_argument(_flag(name), **hidden)
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
+def recipe_fields(args: argparse.Namespace) -> tuple[Path | None, dict[str, Any]]:
+    """Return (the model file whose recipe is asked for, if any, the fields that differ from it).
+
+    Raises:
+        ValueError: no fields, or faults that are none.
+    """
+    options = [(name, getattr(args, name)) for name in _options(args)]
+    if args.recipe.endswith(".toml"):
+        return Path(args.recipe), _values(options)
+    entries: list[tuple[str, str]] = []
+    for part in filter(None, args.recipe.split(",")):
+        name, equals, text = part.partition("=")
+        if equals:
+            entries.append((name.strip(), text))
+        elif entries:  # a comma within a value
+            entries[-1] = entries[-1][0], f"{entries[-1][1]},{part}"
+        else:
+            raise ValueError(f"--recipe needs fields, like order=1,horizon=30, or a model file: not {part!r}")
+    return None, _values([*entries, *options])
+
+
+def _values(entries: Sequence[tuple[str, str]]) -> dict[str, Any]:
+    """Return {field: value} of texts, the last one of each field."""
+    values = {}
+    for name, text in entries:
+        values[name] = _value(name, text)
+    return values
+
+
+def _value(name: str, text: str) -> object:
+    """Return the value of a field: faults, a truth, a number, numbers with commas, or a word."""
+    from jaxbound.cli.tradeoff_table import wanted
+
+    if name == "see":
+        return wanted(text)
+    if "," in text:
+        return tuple(_value(name, part) for part in text.split(","))
+    try:
+        number = decimal(text)
+    except ValueError:
+        return TRUTH.get(text.strip(), text.strip())
+    if text.strip().lstrip("-").isdecimal() and len(text) < DIGITS:
+        return int(text)
+    return number
+
+
+def _options(args: argparse.Namespace) -> list[str]:
+    """Return the fields of a recipe that are given by options of their own."""
+    return [name for name in FIELDS if getattr(args, name) is not None]
+
+
+def recipe_hints(args: argparse.Namespace) -> list[str]:
+    """Return a sentence on options that are fields of a recipe."""
+    flags = ", ".join(map(_flag, _options(args)))
+    if not flags:
+        return []
+    return [f"{flags}: the next version has them in a recipe alone, --recipe horizon=30,order=1"]

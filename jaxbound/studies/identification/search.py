@@ -1,0 +1,216 @@
+"""From one recipe to a fitted model: what can be chosen is tried, by recordings that are left out, and the
+best is verified by the proved test.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+
+from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.signals import Signals
+from jaxbound.studies.identification import advice
+from jaxbound.studies.identification.bounds import verified
+from jaxbound.studies.identification.candidates import FitProblem
+from jaxbound.studies.identification.closed_loop import closed_loops
+from jaxbound.studies.identification.disturbances import chosen_disturbances
+from jaxbound.studies.identification.fit_result import FitCheck, Fitted, PartLeftOut, Tradeoff
+from jaxbound.studies.identification.following import WEIGHTS, hindrance
+from jaxbound.studies.identification.gauge import GaugeJudge
+from jaxbound.studies.identification.judging import ObserverJudge, WindowJudge, explains
+from jaxbound.studies.identification.means import smallest_means
+from jaxbound.studies.identification.outliers import refuse_outliers
+from jaxbound.studies.identification.recipe import AUTO, KINDS, Recipe
+from jaxbound.studies.identification.records import parted
+from jaxbound.studies.identification.structure import acting_otherwise, settled
+from jaxbound.studies.identification.training import Training
+from jaxbound.studies.identification.trajectories import SETTLED, SMALLER, GivenUp, hidden_jumps
+from jaxbound.studies.identification.trial import Trial, tried
+from jaxbound.studies.identification.window_tests import (
+    RAMP,
+    TriedTest,
+    best_kind,
+    best_test,
+    searched_means,
+    tried_tests,
+)
+from jaxbound.text.progress import in_part
+
+__all__ = ["fitted", "on_recordings"]
+
+
+def on_recordings(training: Training, recipe: Recipe) -> list[str]:
+    """Return sentences on what recordings tell, whatever is fitted to them.
+
+    Raises:
+        ValueError: signals that stand still, outliers.
+    """
+    records, inputs, outputs = training.records, training.inputs, training.outputs
+    resting = advice.inputs_at_rest(records, inputs, outputs, recipe.window.horizon)
+    signals = Signals(inputs, outputs, dict(training.columns), training.dt)
+    order, delay = (1 if x == AUTO else max(int(x), 1) for x in (recipe.order, recipe.delay))
+    return [
+        *refuse_outliers(records, signals, order, delay, training.again),
+        *resting,
+        *advice.inputs_together(records, inputs),
+        *advice.apart(records, inputs, outputs),
+        *closed_loops(records, inputs, outputs),
+    ]
+
+
+def fitted(
+    training: Training, recipe: Recipe, sentences: Sequence[str], report: Callable[[float], object]
+) -> tuple[Fitted, tuple[TriedTest, ...]]:
+    """Return (fitted, tests): of one test, and the windows that were tried for it, if any.
+
+    Args:
+        recipe: its test is not "bank". sentences: on the recordings.
+    """
+    recipe = settled(training, recipe)
+    acting = acting_otherwise(training.records, int(recipe.order), int(recipe.delay), recipe.direct)
+    sentences = [*sentences, *acting]
+    tests: tuple[TriedTest, ...] = ()
+    if recipe.test is not None:
+        tests = tried_tests(training, recipe, _kinds(training, recipe), partial(in_part, report, 0.0, 0.6))
+    judged = tuple(one.judged for one in tests)
+    taken: Trial | None = None
+    for one in tests:
+        if one.judged is best_test(judged):
+            recipe = recipe.of(one.judged.window, one.judged.method)
+            taken = one.trial if one.complete else None
+    observer = recipe.observing
+    judge = WindowJudge() if observer is None else ObserverJudge({"method": observer})
+    problem = FitProblem.of(training, recipe, judge)
+    kinds = _kinds(training, recipe)
+    report(0.05)
+
+    safety, progress = recipe.safety, partial(in_part, report, 0.05, 0.75)
+    tradeoff: tuple[Tradeoff, ...] = ()
+    if recipe.disturbances is not None:
+        best, safety, tradeoff, unseen = chosen_disturbances(problem, kinds, progress)
+        sentences += unseen
+    elif taken is not None:
+        best = taken.under(GaugeJudge(every=True), problem.parts)
+    else:
+        best, more = _best(problem, kinds, progress)
+        sentences += more
+    if taken is None and recipe.average is not None:
+        best = _with_means(problem, best, partial(in_part, report, 0.8, 0.1))
+    if recipe.average is not None:
+        unsaid = [name for name in training.outputs if name not in best.averages]
+        sentences += [advice.no_average(name, recipe.average) for name in unsaid]
+
+    # few digits are what a user reads in the model file: the model that is verified is the one that is saved
+    model, used = verified(judge, best, training, safety)
+    hidden: dict[str, float] = {}
+    if observer is not None and observer.sharp:
+        try:
+            hidden = hidden_jumps(model, SETTLED, RAMP)
+        except GivenUp as end:
+            sentences.append(f"what noise may hide from any test is not known: {end}; {SMALLER}")
+    check = _check(problem, best, model, used, safety)
+    check = dataclasses.replace(check, tradeoff=tradeoff, hidden=hidden, tests=judged)
+    if judged and taken is None:
+        chosen = best_test(judged)
+        own = tuple(check.of(one) if one is chosen else one for one in judged)
+        check = dataclasses.replace(check, tests=own)
+        sentences.append(advice.COMPLETE_ONLY)
+    sentences = [*advice.blind(model, check), *sentences, *advice.limits(model, check, recipe.held_out)]
+    report(1.0)
+    return Fitted(model, dataclasses.replace(check, sentences=tuple(sentences))), tests
+
+
+def _kinds(training: Training, recipe: Recipe) -> list[str]:
+    """Return the KINDS that are tried."""
+    if recipe.order == 0:
+        return [KINDS[0]]
+    if recipe.method != AUTO:
+        return [recipe.method]
+    if not parted(training.records, recipe.held_out, recipe.window.horizon + 1):  # nothing tells them apart
+        return ["windows"]
+    return [kind for kind in KINDS if training.inputs or kind != "filters"]
+
+
+def _best(
+    problem: FitProblem, kinds: Sequence[str], step: Callable[[float], object]
+) -> tuple[Trial, list[str]]:
+    """Return (trial, sentences): of the kind, and with bounds that follow as strongly, as sees most."""
+    recipe, follow = problem.recipe, problem.recipe.follow
+    if recipe.observer is None and not follow:  # the proved test for the best of them alone
+        kinds = [best_kind(problem, kinds)]
+    trials = []
+    for number, kind in enumerate(kinds):
+        trials.append(tried(problem, kind))
+        step((number + 1) / len(kinds))
+    best = min(trials, key=_blindness)  # the first one of equals
+    if not follow:
+        return best, []
+    why = hindrance(problem.training)
+    if follow == AUTO and not why and not any(np.isfinite(one.factor) for one in best.left):
+        why = "no recording says, left out, how strongly bounds have to follow the operating point"
+    if why:
+        again = "they are constant; a weight does not ask, --recipe follow=0.1, follow=0.1"
+        return best, [f"{why}: {again}"]
+    if follow != AUTO:
+        return tried(problem, best.candidate.kind, float(follow)), []
+    return min([best, *(tried(problem, best.candidate.kind, x) for x in WEIGHTS)], key=_blindness), []
+
+
+def _blindness(trial: Trial) -> float:
+    return trial.blindness
+
+
+def _with_means(problem: FitProblem, trial: Trial, step: Callable[[float], object]) -> Trial:
+    """Return a trial with proved bounds of means."""
+    samples = problem.recipe.average
+    assert samples is not None, "bounds of means are asked for"
+    model = LinearSystem(**trial.candidate.spec)
+    explained = partial(explains, parts=problem.training.records)
+    guess = searched_means(problem, trial)
+    means = smallest_means(model, trial.bound, samples, explained, step, guess)
+    return dataclasses.replace(trial, average=samples, means=means).under(problem.judge, problem.parts)
+
+
+def _check(
+    problem: FitProblem, trial: Trial, model: LinearSystem, used: Sequence[np.ndarray], safety: float
+) -> FitCheck:
+    """Return the check of a model with verified bounds."""
+    training, factor = problem.training, trial.factor
+    jump, steady = problem.sizes(model, trial.follows.most)
+    left, recordings = [], []
+    for one in trial.left:
+        left.append(PartLeftOut(int(np.isfinite(one.need).sum()), one.factor, one.why))
+    for (_, y, _), share in zip(training.records, used, strict=True):
+        finite = share[np.isfinite(share)]
+        largest = float(finite.max()) if len(finite) else math.nan
+        recordings.append({"samples": len(y), "windows": len(finite), "used": largest})
+    means = [] if trial.means is None else trial.means.tolist()
+    return FitCheck(
+        method=trial.candidate.kind,
+        order=problem.order,
+        delay=problem.delay,
+        factor=factor,
+        safety=float(safety),
+        smallest=dict(zip(training.outputs, trial.bound.tolist(), strict=True)),
+        smallest_mean=dict(zip(training.outputs, means, strict=False)),
+        held_out=_held_out_summary([one.need / safety for one in trial.left]),
+        left_out=tuple(left),
+        recordings=tuple(recordings),
+        used=tuple(used),
+        held_out_used=tuple(one.need / (factor * safety) for one in trial.left),
+        jump=jump,
+        steady=steady,
+        follows=trial.follows,
+        moved=dict(zip(training.outputs, map(float, training.spans), strict=True)),
+    )
+
+
+def _held_out_summary(shares: Sequence[np.ndarray]) -> dict[str, float] | None:
+    """Return the verdicts on held-out windows, each given by the share of the bounds that it needs."""
+    every = np.concatenate([*shares, [np.nan]])
+    every = every[np.isfinite(every)]
+    if not len(every):
+        return None
+    return {"windows": len(every), "fault": float((every > 1).mean()), "growth": float(every.max())}

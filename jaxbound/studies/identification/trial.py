@@ -1,0 +1,151 @@
+"""Leaving recordings out: what the bounds of a fit are worth on a day that it has not seen.
+
+Each recording in turn is judged by a fit to all the others, under the bounds of the fit to all. How much
+wider they would have had to be is what another recording like these may ask for; n recordings promise no more
+than one in n + 1 for the next, whatever is computed from them. A single recording is cut into blocks, which
+says less: they share a day.
+
+Where the others do not move as the fit to all needs it, their model is none, and what it asks for says
+nothing of the plant: such a recording has no factor.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from jaxbound.models.system import LinearSystem
+from jaxbound.studies.identification import regression
+from jaxbound.studies.identification.candidates import Candidate, FitProblem, largest_need
+from jaxbound.studies.identification.following import Follows, follows_in, times
+from jaxbound.studies.identification.judging import Judge
+from jaxbound.studies.identification.records import Records
+from jaxbound.studies.identification.structure import delayed
+
+__all__ = ["EXCITED", "LeftOut", "Trial", "Walks", "excited", "tried", "widest"]
+
+Walks = tuple[np.ndarray, np.ndarray]
+"""(G (n, g), smallest bounds (g,)) of disturbances."""
+EXCITED = 0.02
+"""The least share of what all recordings say of a direction that the others must say of it: of recordings
+that carry a model together it was .13 and more, of half a run .00.
+"""
+RANK = 1e-9
+"""Share of the largest below which nothing is said of a direction by any of them."""
+AVERAGES = 0.95
+"""Share of the bound of a sample from which on that of a mean says nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """A recording, or a block of one, under the fit to all others.
+
+    Fields: model: arguments of a LinearSystem, of that fit; None where `why` says why there is none. need
+    (T,): the factor on the bounds of the fit to all that explains each window, nan where there is none.
+    """
+
+    model: Mapping[str, Any] | None
+    need: np.ndarray = field(repr=False)
+    why: str = ""
+
+    @property
+    def factor(self) -> float:
+        """The largest need; nan where there is none."""
+        if not np.isfinite(self.need).any():
+            return float("nan")
+        return float(np.nanmax(self.need))
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A candidate fitted to all recordings, and what each of them asks for when it is left out.
+
+    Fields:
+        bound (p,): the smallest noise that explains all. left: of each part. blindness: see
+            `FitProblem.blindness`, of bounds as wide as these ask for.
+        follows: how bounds follow the operating point. average, means (p,): the smallest bounds of the means
+            of so many errors; None: none. walks: of disturbances.
+    """
+
+    candidate: Candidate
+    bound: np.ndarray
+    left: tuple[LeftOut, ...]
+    blindness: float
+    follows: Follows = Follows()
+    average: int | None = None
+    means: np.ndarray | None = None
+    walks: Walks | None = None
+
+    @property
+    def factor(self) -> float:
+        """The factor that the recordings ask for."""
+        return widest(self.left)
+
+    @property
+    def averages(self) -> dict[str, dict[int, float]]:
+        """{output: {samples: the smallest bound of their mean}}, where it says more than that of a sample."""
+        if self.means is None or self.average is None:
+            return {}
+        outputs = zip(self.candidate.spec["outputs"], self.means.tolist(), self.bound, strict=True)
+        return {name: {self.average: x} for name, x, bound in outputs if x < AVERAGES * bound}
+
+    def under(self, judge: Judge, parts: Records) -> "Trial":
+        """Return the trial with each part left out judged once more, by another test or with means."""
+        left = []
+        for one, part in zip(self.left, parts, strict=True):
+            if one.model is not None:
+                model = LinearSystem(**one.model, noise=self.bound.tolist(), averages=self.averages)
+                one = LeftOut(one.model, judge.needs(model, [part])[0], one.why)
+            left.append(one)
+        return dataclasses.replace(self, left=tuple(left))
+
+
+def excited(problem: FitProblem, others: Records, parts: Records) -> float:
+    """Return the least share of what all parts say of a direction of the regressors that the others say."""
+    scales, order, direct = problem.training.scales, problem.order, problem.recipe.direct
+    some = regression.information(delayed(others, problem.delay), scales, order, direct)
+    every = regression.information(delayed(parts, problem.delay), scales, order, direct)
+    scale, directions = np.linalg.eigh(every)
+    told = scale > RANK * scale.max()
+    basis = directions[:, told] / np.sqrt(scale[told])
+    return float(np.linalg.eigvalsh(basis.T @ some @ basis).min(initial=1.0))
+
+
+def widest(left: Sequence[LeftOut]) -> float:
+    """Return the factor that the recordings ask for, each left out in turn: at least 1."""
+    return max([1.0, *(one.factor for one in left if np.isfinite(one.factor))])
+
+
+def tried(problem: FitProblem, kind: str, weight: float = 0.0) -> Trial:
+    """Return the Trial of one of KINDS. weight: of bounds that follow the operating point; 0: constant."""
+    training, judge = problem.training, problem.judge
+    constant = problem.fitted(kind)
+    more = times(training, training.records, weight)
+    full = dataclasses.replace(constant, spec=constant.spec | more)
+    follows = follows_in(training, full.spec, weight)
+    model = full.model(full.spread)
+    bound = largest_need(judge.needs(model, training.records)) * full.spread
+    left, least = [], judge.least(model)
+    for number in range(len(problem.parts)):
+        left.append(_without(problem, kind, number, least, weight))
+    trial = Trial(full, bound, tuple(left), 0.0, follows).under(judge, problem.parts)
+    # bounds that follow are judged by constant ones as wide as they are on average
+    covering = constant.model(trial.factor * follows.mean * bound)
+    return dataclasses.replace(trial, blindness=problem.blindness(covering))
+
+
+def _without(problem: FitProblem, kind: str, number: int, least: int, weight: float) -> LeftOut:
+    """Return the fit to all parts but one, not judged yet. least: samples that a part must have."""
+    others = problem.others(number)
+    unknown = np.full(len(problem.parts[number][1]), np.nan)
+    if len(unknown) < least:
+        return LeftOut(None, unknown, "it holds no window")
+    if excited(problem, others, problem.parts) < EXCITED:
+        return LeftOut(None, unknown, "the others do not move all that it moves")
+    try:
+        fitted = problem.fitted(kind, number)
+    except ValueError:  # too few samples for the coefficients
+        return LeftOut(None, unknown, "the others are too short")
+    return LeftOut(fitted.spec | times(problem.training, others, weight), unknown)
