@@ -32,7 +32,6 @@ from jaxbound.sets.strips.projection import (
     Projection,
     Rows,
     WindowColumns,
-    clipped_inside,
     clipped_margin,
     forced_outputs,
     projected_margin,
@@ -144,7 +143,7 @@ def _of_stretch(given: Given, u: jax.Array, y: jax.Array) -> jax.Array:
         size = count
 
     def search(own: jax.Array, u: jax.Array, y: jax.Array) -> jax.Array:
-        return jnp.maximum(own, clipped_inside(given.projection, _rows(given, u, y)))
+        return jnp.maximum(own, clipped_margin(given.projection, _rows(given, u, y), stretch=True)[0])
 
     def settled(i: jax.Array) -> jax.Array:
         first = i * size

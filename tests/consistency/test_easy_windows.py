@@ -160,7 +160,7 @@ def projected(given, u, y):
 
 @with_explanation
 def of_part(given, u, y):
-    return steps.clipped_inside(given.projection, projection._rows(given, u, y))
+    return steps.clipped_margin(given.projection, projection._rows(given, u, y), stretch=True)[0]
 
 
 @with_explanation

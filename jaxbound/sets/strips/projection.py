@@ -28,8 +28,8 @@ moves by a multiple of that,
 
 a step of majorisation and minimisation of |x|^2 (Hunter, Lange 2004), whose gradient is A'Wx. Where it
 converges to an excess above 0, that is orthogonal to the columns of A, so h = W x of the outer rows
-contradicts the window. There is nothing to factorise, no pivot, no gather; ANY d and ANY h that pass are
-proofs, as in `separation`.
+contradicts the window. There is nothing to factorise, no pivot, no gather; ANY d that passes is a
+proof, and so is ANY h, which NumPy checks.
 
 **Radii that differ from window to window**, as tolerances make them, need weights W of each window's own:
 then (A'WA)^-1 A'W is no fixed matrix, but a small system that each window factorises once (`weighted`).
@@ -57,7 +57,6 @@ __all__ = [
     "Projection",
     "Rows",
     "WindowColumns",
-    "clipped_inside",
     "clipped_margin",
     "forced_outputs",
     "least_errors",
@@ -156,13 +155,9 @@ def projected_margin(given: Projection, columns: WindowColumns) -> jax.Array:
 
     A window that lacks a sample of its rows is one of the others.
     """
-    c = len(given.outer)
-    z = _less(columns.mid[:c], _times(given.R, columns.mid[c:]))
-    d = _times(given.step[:, :c], z)
-    errors = [*_less(z, _times(given.R, d)), *d]
-    used = most([jnp.abs(e) * weight for e, weight in zip(errors, columns.weight, strict=True)])
-    off = _off(given, given.projected, columns.scale, columns.known)
-    return _explained(used, off * columns.heaviest, jnp.abs(total(d)))
+    z = _of_columns(given, columns)
+    d = _times(given.step[:, : len(z)], z)
+    return _kept(given, columns, [*_less(z, _times(given.R, d)), *d])
 
 
 def witnessed_margin(given: Projection, columns: WindowColumns, errors: Columns) -> jax.Array:
@@ -175,11 +170,20 @@ def witnessed_margin(given: Projection, columns: WindowColumns, errors: Columns)
 
     Encloses: no d is worked out, so that the errors lose less than in `projected_margin`.
     """
+    return _kept(given, columns, [*_of_columns(given, columns), *errors])
+
+
+def _of_columns(given: Projection, columns: WindowColumns) -> list[jax.Array]:
+    """Return z of windows."""
     c = len(given.outer)
-    z = _less(columns.mid[:c], _times(given.R, columns.mid[c:]))
-    used = most([jnp.abs(e) * weight for e, weight in zip([*z, *errors], columns.weight, strict=True)])
+    return _less(columns.mid[:c], _times(given.R, columns.mid[c:]))
+
+
+def _kept(given: Projection, columns: WindowColumns, errors: Columns) -> jax.Array:
+    """Return the margin (N,) of windows with such errors, the outer rows first."""
+    used = most([jnp.abs(e) * weight for e, weight in zip(errors, columns.weight, strict=True)])
     off = _off(given, given.projected, columns.scale, columns.known)
-    return _explained(used, off * columns.heaviest, jnp.abs(total(errors)))
+    return _explained(used, off * columns.heaviest, jnp.abs(total(errors[len(given.outer) :])))
 
 
 def _off(given: Projection, bound: np.ndarray, scale: jax.Array, known: jax.Array) -> jax.Array:
@@ -246,69 +250,53 @@ class Search(NamedTuple):
     steps: jax.Array
 
 
-def clipped_margin(given: Projection, rows: Rows) -> tuple[jax.Array, jax.Array]:
-    """Return (margin (N,), h (c, N)): a proved bound, towards 0, of the margins of windows that few steps
-    decide, > 0 CONSISTENT and < 0 FAULT; 0 of all others; the combinations that prove FAULT.
+def clipped_margin(given: Projection, rows: Rows, stretch: bool = False) -> tuple[jax.Array, jax.Array]:
+    """Return (margin (N,), h (c, N)): a proved lower bound > 0 of the margin of windows that few steps
+    explain; a margin < 0 where h speaks against the window, which is to be checked; 0 of all others.
 
     A window that lacks a sample of its rows is one of the others.
+
+    Args:
+        stretch: take fewer steps, none where d explains nearly all windows, and leave h 0.
     """
     R, c, radius = given.R, len(given.outer), rows.radius
     eps = jnp.finfo(radius.dtype).eps
     weight, least = stored(1 / radius), _least_squares(given, rows)
-    z, d = _begun(given, rows, least)
+    z = stored(_relations(given, rows.mid, rows.known))
     share = stored(SHARE * radius)
-    off = _off(given, given.searched, rows.scale, rows.known_size)
-
-    def going(carry: Search) -> jax.Array:
-        return (carry.steps < STEPS) & ~jnp.all(carry.done)
-
-    def move(carry: Search) -> Search:
-        e = _errors(R, z, carry.d)
-        explained = jnp.max(jnp.abs(e) * weight, 0) < 1 - 2 * CLEAR * eps
-        excess, change = _clipped(least, e, share)
-        h = stored(least.weights[:c] * (excess[:c] - _product(R, change)))
-        residual, width = _against(R, z, radius, h)
-        reached = explained | (residual > (1 + 2 * CLEAR * eps) * width)
-        d = jnp.where((carry.done | reached)[None], carry.d, carry.d + OVER * change)
-        spoken = jnp.where(carry.done[None], carry.h, h)
-        return Search(d, spoken, carry.done | reached, carry.steps + 1)
-
-    start = Search(d, jnp.zeros_like(z), jnp.zeros_like(off, bool), jnp.zeros((), jnp.int32))
-    found = jax.lax.while_loop(going, move, start)
-    used = jnp.max(jnp.abs(_errors(R, z, found.d)) * weight, 0)
-    inside = _explained(used, off * rows.heaviest, summed(jnp.abs, found.d))
-    residual, width = _against(R, z, radius, found.h)
-    lost = (1 + 16 * eps) * (off * summed(jnp.abs, found.h) + given.floor)
-    # a largest may leave out a NaN, a sum does not
-    outside = (summed(jnp.abs, z) < jnp.inf) & (residual > width * (1 + CLEAR * eps) + 2 * lost)
-    contradicts = (residual - 2 * lost) * (1 - CLEAR * eps)
-    beyond = jnp.minimum(1 - contradicts / jnp.where(width > 0, width, 1), -eps)
-    return jnp.where(inside > 0, inside, jnp.where(outside, beyond, 0)), found.h
-
-
-def clipped_inside(given: Projection, rows: Rows) -> jax.Array:
-    """Return the bound of `projected_margin` for the d that at most `AHEAD` clipped steps reach: none where
-    that of least squares explains nearly all.
-    """
-    R, weight, least = given.R, stored(1 / rows.radius), _least_squares(given, rows)
-    z, d = _begun(given, rows, least)
-    share = stored(SHARE * rows.radius)
+    steps, seldom = (AHEAD, SELDOM) if stretch else (STEPS, z.shape[1] + 1)
 
     def use(d: jax.Array) -> jax.Array:
         return jnp.max(jnp.abs(_errors(R, z, d)) * weight, 0)
 
-    def going(carry: tuple[jax.Array, jax.Array]) -> jax.Array:
-        d, steps = carry
-        return (steps < AHEAD) & (jnp.sum(~(use(d) < 1)) * SELDOM > d.shape[1])
+    def going(carry: Search) -> jax.Array:
+        return (carry.steps < steps) & (jnp.sum(~carry.done) * seldom > z.shape[1])
 
-    def move(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        d, steps = carry
-        return stored(d + OVER * _clipped(least, _errors(R, z, d), share)[1]), steps + 1
+    def move(carry: Search) -> Search:
+        e = _errors(R, z, carry.d)
+        excess = stored(e - jnp.clip(e, -share, share))
+        change = least.fitting(excess)
+        further = stored(carry.d + OVER * change)
+        if stretch:
+            return Search(further, carry.h, use(further) < 1, carry.steps + 1)
+        spoken = stored(least.weights[:c] * (excess[:c] - _product(R, change)))
+        residual, width = _against(R, z, radius, spoken)
+        reached = jnp.max(jnp.abs(e) * weight, 0) < 1 - 2 * CLEAR * eps
+        done = carry.done | reached | (residual > (1 + 2 * CLEAR * eps) * width)
+        h = jnp.where(carry.done[None], carry.h, spoken)
+        return Search(jnp.where(done[None], carry.d, further), h, done, carry.steps + 1)
 
-    d, _ = jax.lax.while_loop(going, move, (d, jnp.zeros((), jnp.int32)))
-    used = use(d)
-    off = _off(given, given.searched, rows.scale, rows.known_size)
-    return _explained(used, off * rows.heaviest, summed(jnp.abs, d))
+    d = least.fitting(z)
+    done = use(d) < 1 if stretch else jnp.zeros_like(rows.scale, bool)
+    start = d, jnp.zeros_like(z), done, jnp.zeros((), jnp.int32)
+    found = jax.lax.while_loop(going, move, Search(*start))
+    used, off = use(found.d), _off(given, given.searched, rows.scale, rows.known_size)
+    inside = _explained(used, off * rows.heaviest, summed(jnp.abs, found.d))
+    residual, width = _against(R, z, radius, found.h)
+    # at a distance from the boundary at which any other search says the same, and NumPy proves it
+    surely = (residual - 2 * off * summed(jnp.abs, found.h)) * (1 - CLEAR * eps)
+    beyond = jnp.minimum(1 - surely / jnp.where(width > 0, width, 1), -eps)
+    return jnp.where(inside > 0, inside, jnp.where(surely > width, beyond, 0)), found.h
 
 
 class LeastSquares(NamedTuple):
@@ -336,18 +324,6 @@ def _least_squares(given: Projection, rows: Rows) -> LeastSquares:
         return solved(factor, _product(A.T[:, : len(x)], weighted))
 
     return LeastSquares(weights, fitting)
-
-
-def _begun(given: Projection, rows: Rows, least: LeastSquares) -> tuple[jax.Array, jax.Array]:
-    """Return z (c, N) and the d (k, N) of least squares."""
-    z = stored(_relations(given, rows.mid, rows.known))
-    return z, least.fitting(z)
-
-
-def _clipped(least: LeastSquares, e: jax.Array, share: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return (the excess (c + k, N) of errors beyond a share of the radii, the d (k, N) that fits it)."""
-    excess = stored(e - jnp.clip(e, -share, share))
-    return excess, least.fitting(excess)
 
 
 def least_errors(given: Projection, mid: jax.Array, known: jax.Array) -> jax.Array:

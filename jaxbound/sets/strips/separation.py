@@ -101,9 +101,9 @@ def separation_margin(
         frame: from `frame_of`. mid, rad: (rows, N), NaN in mid where absent. known: (l, N). steps: at most so
             many exchanges.
     """
-    h, z, rad, present, complete = _search(frame, mid, rad, known, steps)
-    width = jnp.sum(jnp.abs(jnp.concatenate([h, _times(jnp.swapaxes(frame.R, 0, 1), h)])) * rad, 0)
-    return jnp.where(complete & present[: len(h)].any(0), 1 - _factor(jnp.sum(h * z, 0), width), jnp.nan)
+    # the best h stays the best for a small change: envelope theorem
+    best = separation_best(*jax.lax.stop_gradient((frame, mid, rad, known)), steps)
+    return margin_of(best, mid, rad, known)
 
 
 def separation_best(
@@ -112,11 +112,16 @@ def separation_best(
     """Return the combinations of rows and known values (rows + l, N) of which `margin_of` is that margin, 0
     where it is NaN.
     """
-    h, _, _, present, complete = _search(frame, mid, rad, known, steps)
+    c, k = frame.R.shape
+    (own, radius), present, complete = _ordered(
+        frame, jnp.stack([mid, rad]), jnp.isnan(mid), jnp.isnan(known)
+    )
+    z = own[:c] - _times(_matrix(frame), jnp.concatenate([own[c:], jnp.where(jnp.isnan(known), 0, known)]))
+    z, radius = jnp.where(present[:c], z, 0), jnp.where(present, radius, 1)
+    h, _, _ = exchange_search(frame.R, z, radius, present, jnp.ones_like(mid[0]), steps)
     through = -_times(jnp.swapaxes(_matrix(frame), 0, 1), h)
     order = jnp.concatenate([frame.outer, frame.inner])
     there = (order[None] == jnp.arange(len(mid), dtype=order.dtype)[:, None]).astype(h.dtype)
-    c, k = frame.R.shape
     best = jnp.concatenate([_times(there, jnp.concatenate([h, through[:k]])), through[k:]])
     return jnp.where(complete & present[:c].any(0), best, 0)
 
@@ -128,20 +133,6 @@ def margin_of(best: jax.Array, mid: jax.Array, rad: jax.Array, known: jax.Array)
     used = lambda weight, x: jnp.sum(weight * jnp.where(weight == 0, 0, x), 0)
     residual, width = used(best, jnp.concatenate([mid, known])), used(jnp.abs(best[: len(rad)]), rad)
     return jnp.where(width > 0, 1 - _factor(residual, width), jnp.nan)
-
-
-def _search(frame, mid, rad, known, steps):
-    """Return (h (c, N), z (c, N), radii, present (c + k, N), complete (N,)), the last four as of an `Image`,
-    unrounded.
-    """
-    (mid, rad), present, complete = _ordered(frame, jnp.stack([mid, rad]), jnp.isnan(mid), jnp.isnan(known))
-    c = len(frame.used)
-    rad, one = jnp.where(present, rad, 1), jnp.ones_like(mid[0])
-    z = mid[:c] - _times(_matrix(frame), jnp.concatenate([mid[c:], jnp.where(jnp.isnan(known), 0, known)]))
-    z = jnp.where(present[:c], z, 0)
-    stop = jax.lax.stop_gradient  # the best h stays the best for a small change: envelope theorem
-    h, _, _ = exchange_search(stop(frame.R), stop(z), stop(rad), present, stop(one), steps)
-    return h, z, rad, present, complete
 
 
 def _times(A: Numbers, x: jax.Array) -> jax.Array:

@@ -364,7 +364,7 @@ def _decide(question: Question, shape: tuple[int, ...], meets: Answer, off: Arra
     (M, D), known, inside_jit = question.equations(), question.known(), traced(question)
     whole, xp = question.name == "contains_set", proof.library(M)
     if inside_jit:
-        lower, upper, l, x = kernels.contained(M, D) if whole else kernels.bounds(M, D, off, False)
+        lower, upper, l, x = kernels.contained(M, D) if whole else kernels.bounds(M, D, off)
     else:
         M, D = np.where(np.isfinite(M), M, 0), np.where(known[..., None], D, 0)
         lower, upper, l, x = gauges.contained(M, D) if whole else gauges.bounds(M, D)

@@ -1,8 +1,8 @@
 """How far zonotopes and constrained zonotopes reach: support functions and boxes, rounded outward.
 
 With constraints, max d'(c + G x) over A x = b is at most d'c + l'b + |G'd - A'l|_1 for every l (the dual
-linear program), so that any l found by a search in plain floats gives a bound. The search goes through the
-interior and solves k x k systems only; what it misses makes the bound wider, never wrong.
+linear program), so that any l found by a search in plain floats gives a bound. What a search
+misses makes the bound wider, never wrong.
 """
 
 from __future__ import annotations
@@ -12,14 +12,19 @@ import jax.numpy as jnp
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval, Operand, interval, mid, rad
+from jaxbound.sets.strips.gauge import gauge_search
 from jaxbound.sets.zonotopes.constrained import AnySet, parts
 from jaxbound.sets.zonotopes.intersections import cancelled
+from jaxbound.sets.zonotopes.kernels import STEPS
 from jaxbound.sets.zonotopes.maps import dimension, mapped, product, reach, up
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
 __all__ = ["interval_hull", "support"]
 
-STEPS = 25  # of the search: it halves its distance to the best bound, or better, in each
+ROUNDS, LEAST = 8, 2.0**-20
+"""Points beyond the set that are asked for, each nearer than the one before; the least share of a direction
+in what separates one: less of it says that there is no set.
+"""
 
 
 def support(S: AnySet, direction: Operand) -> jax.Array:
@@ -86,57 +91,33 @@ def _supports(S: AnySet, directions: Interval) -> jax.Array:
     c, G, A, b = parts(S)
     h, H, error = mapped(mid(directions), rad(directions), c, G)
     if len(b):
-        h, H, more = cancelled(h, H, A, b, jax.vmap(_multipliers, (0, None, None))(H, A, b))
+        h, H, more = cancelled(h, H, A, b, _multipliers(H, A, b))
         error = up(error + more)
     return up(up(h + reach(jnp.zeros_like(h), H)) + error)
 
 
-def _multipliers(g: jax.Array, A: jax.Array, b: jax.Array) -> jax.Array:
-    """Return l (k,) with l'b + |g - A'l|_1 nearly least; no claim is made.
+def _multipliers(H: jax.Array, A: jax.Array, b: jax.Array) -> jax.Array:
+    """Return l (r, k) with l'b + |g - A'l|_1 nearly least for each row g of H (r, q); no claim is made.
 
-    Predictor and corrector steps (Mehrotra 1992) for max g'x over A x = b, |x| <= 1 with multipliers v, w >=
-    0 of 1 + x and 1 - x: g = A'l + w - v. With D = v / (1 + x) + w / (1 - x), a step solves (A D^-1 A') dl =
-    A D^-1 h - (b - A x).
+    No x in the box has A x = b and g x = far, for a bound far that is not the least; directions (l, -1) that
+    show it best give a nearer one (Dinkelbach 1967).
     """
-    size = jnp.max(jnp.abs(g))
+    r, k = len(H), len(b)
+    size = jnp.abs(b) + jnp.sum(jnp.abs(A), 1)
     size = jnp.where(size > 0, size, 1)
-    times = lambda M, x: product(M, x[:, None])[:, 0]
-    value = lambda l: jnp.sum(l * b) + jnp.sum(jnp.abs(g - times(A.T, l)))
-    zero = jnp.zeros_like(b)
+    width = jnp.sum(jnp.abs(H), 1)
+    scale = jnp.where(width > 0, width, 1)
+    A, b, rows = A / size[:, None], b / size, (H / scale[:, None]).T
+    G = jnp.concatenate([jnp.broadcast_to(A[:, :, None], (k, len(rows), r)), rows[None]])
+    b = jnp.broadcast_to(b[:, None], (k, r))
 
-    def step(_, carry):
-        best, least, x, l, v, w = carry
-        below, above = 1 + x, 1 - x
-        D = v / below + w / above
-        gram = product(A / D[None], A.T)
-        room = (4 * len(b) * rounding.unit(g.dtype)) * jnp.trace(gram) + rounding.tiny(g.dtype)
-        factor = jax.scipy.linalg.lu_factor(gram + room * jnp.eye(len(b), dtype=g.dtype))
-        unmet, short = g - times(A.T, l) + v - w, b - times(A, x)
+    def nearer(_: int | jax.Array, carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        best, far = carry
+        h, _, _ = gauge_search(-jnp.concatenate([b, far[None]]), G, jnp.ones_like(far), STEPS * (k + 1))
+        share = jnp.maximum(-h[k], LEAST * jnp.max(jnp.abs(h), 0))
+        l = h[:k] / jnp.where(share > 0, share, 1)[None]
+        now = jnp.sum(l * b, 0) + jnp.sum(jnp.abs(rows - product(A.T, l)), 0)
+        return jnp.where(now < far, l, best), jnp.where(now < far, now, far)
 
-        def direction(to_v, to_w):
-            h = unmet + to_v / below - to_w / above
-            dl = jax.scipy.linalg.lu_solve(factor, times(A, h / D) - short)
-            dx = (h - times(A.T, dl)) / D
-            return dx, dl, (to_v - v * dx) / below, (to_w + w * dx) / above
-
-        def stride(dx, dv, dw):
-            ratio = lambda y, dy: jnp.min(jnp.where(dy < 0, -y / dy, jnp.inf))
-            return jnp.minimum(ratio(below, dx), ratio(above, -dx)), jnp.minimum(ratio(v, dv), ratio(w, dw))
-
-        mu = (jnp.sum(below * v) + jnp.sum(above * w)) / (2 * len(x))
-        dx, _, dv, dw = direction(-below * v, -above * w)
-        p, d = (jnp.minimum(s, 1) for s in stride(dx, dv, dw))
-        after = (jnp.sum((below + p * dx) * (v + d * dv)) + jnp.sum((above - p * dx) * (w + d * dw))) / (
-            2 * len(x)
-        )
-        target = mu * jnp.clip(after / mu, 0, 1) ** 3
-        dx, dl, dv, dw = direction(target - below * v - dx * dv, target - above * w + dx * dw)
-        p, d = (jnp.minimum(0.99 * s, 1) for s in stride(dx, dv, dw))
-        found = (x + p * dx, l + d * dl, v + d * dv, w + d * dw)
-        fine = jnp.all(jnp.stack([jnp.all(jnp.isfinite(y)) for y in found]))
-        x, l, v, w = (jnp.where(fine, new, old) for new, old in zip(found, (x, l, v, w), strict=True))
-        now = value(l)
-        return jnp.where(now < least, l, best), jnp.minimum(now, least), x, l, v, w
-
-    even = jnp.full_like(g, size)
-    return jax.lax.fori_loop(0, STEPS, step, (zero, value(zero), jnp.zeros_like(g), zero, even, even))[0]
+    l, _ = jax.lax.fori_loop(0, ROUNDS, nearer, (jnp.zeros_like(b), width / scale))
+    return (l * (scale[None] / size[:, None])).T

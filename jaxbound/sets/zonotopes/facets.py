@@ -194,5 +194,5 @@ def _farthest(rows: Sequence[Sequence[Fraction]], d: np.ndarray) -> tuple[np.nda
 def _traced(Z: Zonotope, points: ArrayLike) -> jax.Array:
     ((c, G, _, _),) = numbers(Z, points=points)
     (points,) = kernels.settled(rounding.widened(jnp.asarray(points), c.dtype))
-    lower, upper, *_ = kernels.bounds(G[None], (points - c[None])[None], 0.0, True)
+    lower, upper, *_ = kernels.bounds(G[None], (points - c[None])[None], 0.0)
     return jnp.where(lower > 1, 1 - lower, jnp.maximum(1 - upper, 0))[0]

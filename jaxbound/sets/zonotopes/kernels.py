@@ -1,23 +1,22 @@
 """Bounds of gauges inside jit, vmap and scan: a search of few steps, then its proof, rounded outward
 in the dtype of the sets.
 
-The stages are those of `gauges`: projections for all points, interior points and their vertex while some are
-open. What needs exact numbers, the boundary and flat sets, stays open here; float32 proves nothing within
-some 1e-4 of the boundary.
+The search is that of windows (`strips.gauge`). What needs exact numbers, the boundary and flat sets, stays
+open here; float32 proves nothing within some 1e-4 of the boundary.
 """
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.zonotopes import containment, proof, search
+from jaxbound.sets.strips.gauge import gauge_search
+from jaxbound.sets.zonotopes import containment, proof
 
-__all__ = ["bounds", "contained", "image", "settled"]
+__all__ = ["bounds", "candidates", "contained", "image", "settled"]
 
-STEPS = 24
-"""Of projections."""
+STEPS = 12
+"""Vertices that a search visits at most, for each row."""
 
 
 def settled(*arrays: jax.Array) -> tuple[jax.Array, ...]:
@@ -50,15 +49,12 @@ def _right_inverse(M: jax.Array) -> jax.Array:
 
 
 @jax.jit
-def bounds(
-    M: jax.Array, d: jax.Array, off: ArrayLike, tight: ArrayLike
-) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+def bounds(M: jax.Array, d: jax.Array, off: ArrayLike) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Return (lower, upper, l, x): proved bounds (S, N) of the gauges of d (S, N, m) in M [-1, 1]^q, and what
     proves them.
 
     Args:
         M: (S, m, q). d: (S, N, m), rounded once and off by at most `off` beyond that.
-        tight: work out both bounds up to rounding; otherwise stop where one is on its side of 1.
 
     Returns:
         The direction l (S, N, m) is that of the rows as they are given.
@@ -69,7 +65,7 @@ def bounds(
         return zero, zero, d, jnp.zeros((S, N, q), M.dtype)
     body = image(M)
     d, off = (body.scaled(jnp.broadcast_to(jnp.asarray(v, M.dtype), d.shape)) for v in (d, off))
-    l, x = settled(*_candidates(body, d, tight))
+    l, x = settled(*candidates(body, d))
     lower, upper = proof.gauge_above(body, d, l, off), proof.gauge_below(body, d, x, off)
     return lower, upper, proof.unscaled(l, body.powers), x
 
@@ -78,48 +74,23 @@ def bounds(
 def contained(M: jax.Array, D: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Return (lower, upper, l, X) of zonotopes in sets: as `containment.contained` does."""
     body = image(M)
-    return containment.contained(body, D, lambda far: _candidates(body, far, True)[0], settled)
+    return containment.contained(body, D, lambda far: candidates(body, far)[0], settled)
 
 
-def _candidates(body: proof.Image[jax.Array], d: jax.Array, tight: ArrayLike) -> tuple[jax.Array, jax.Array]:
-    """Return (l, x): the best directions and points found, in plain floats; no claim is made."""
-    m, q = body.M.shape[1:]
-    turned, back = body.M.swapaxes(1, 2), body.R.swapaxes(1, 2)
-    enough = jnp.where(tight, np.inf, rounding.unit(d.dtype) ** 0.5)
-
-    def rated(l, x):
-        l, x = proof.unit(l), x + (d - x @ turned) @ back
-        ahead = jnp.sum(l * d, 2) / jnp.sum(jnp.abs(l @ body.M), 2)
-        return jnp.where(ahead > 0, ahead, 0), proof.largest(x, 2), l, x
-
-    def better(found, candidate):
-        ahead, size, l, x = rated(*candidate)
-        above, below = ahead > found[0], size < found[1]
-        ahead, size = jnp.where(above, ahead, found[0]), jnp.where(below, size, found[1])
-        return (
-            ahead,
-            size,
-            jnp.where(above[..., None], l, found[2]),
-            jnp.where(below[..., None], x, found[3]),
-        ), None
-
-    def unsettled(found):
-        return ~(found[0] > 1 + enough) & ~(found[1] < 1 - enough) & jnp.all(jnp.isfinite(d), 2)
-
-    def near(found):
-        hidden = jnp.where(unsettled(found)[..., None], d, jnp.nan)
-        x, l, s = search.interior_point(body.M, body.R, hidden, enough)
-        if m > q:
-            return better(found, (l, x))[0]
-        corner, normal = search.vertices(body.M, d, x, s)
-        return jax.lax.scan(better, found, (jnp.stack([l, normal]), jnp.stack([x, corner])))[0]
-
-    z = d @ back
-    x, l, _ = search.project(body.M, body.R, d, z, STEPS)
-    found = rated(search.beside(body.M, d, z, l), x)
-    # under vmap, too, the stage does not run where nothing in the batch wants it, as it would with cond
-    found = search.repeated(near, found, 1, lambda found: jnp.any(unsettled(found)))
-    return _clean(found[2]), _clean(found[3])
+def candidates(body: proof.Image[jax.Array], d: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return (l, x): the best directions and points for d (S, N, m), by `gauge_search`; no claim is made."""
+    (S, m, q), N = body.M.shape, d.shape[1]
+    if not q:
+        return proof.unit(d), jnp.zeros((S, N, 0), d.dtype)
+    usual = jnp.all(jnp.isfinite(d), 2, keepdims=True)
+    size = jnp.max(jnp.abs(d), 2, keepdims=True)
+    size = jnp.where(usual & (size > 0), size, 1)
+    c = jnp.where(usual, -d / size, 0).reshape(S * N, m).T
+    G = jnp.repeat(jnp.moveaxis(body.M, 0, 2), N, 2)
+    h, x, _ = gauge_search(c, G, jnp.ones_like(c[0]), STEPS * m)
+    l, x = proof.unit(-h.T.reshape(S, N, m)), x.T.reshape(S, N, q) * size
+    x = x + (d - x @ body.M.swapaxes(1, 2)) @ body.R.swapaxes(1, 2)
+    return _clean(l), _clean(x)
 
 
 def _clean(x: jax.Array) -> jax.Array:

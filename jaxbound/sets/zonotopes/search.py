@@ -1,28 +1,25 @@
 """Search for the gauge of a point in a zonotope: no claim is made here, `zonotopes.proof` checks what is
 found.
 
-The gauge of d is t = min { max_j |x_j| : M x = d } = max { l' d : sum_j |l' M_j| <= 1 }, M (m, q). Kernels
-are written for one point of one set and batched by vmap, or for all; over points of one set their products
-become matrix products. None is unrolled over generators.
+The gauge of d is t = min { max_j |x_j| : M x = d } = max { l' d : sum_j |l' M_j| <= 1 }, M (m, q). All
+points of a set at once: their products become matrix products.
 
 **Projections** (`project`). Douglas-Rachford between {x : M x = d} and the box [-1, 1]^q: where they meet,
 the iterates tend to a common point, else their distance z - clip(z) tends to a vector M' l that separates
 them. Settles what is some per cent away from the boundary in some ten steps of two products. Source: Douglas,
 Rachford 1956; Bauschke, Combettes, Luke 2004 for what it does where they do not meet.
 
-**Interior points** (`interior_point`). A predictor-corrector method (Mehrotra 1992) for the pair of linear
-programs, with slacks a = t - x, b = t + x and multipliers u, w >= 0, u - w = M' l, sum(u + w) = 1. With s = a
-b / (u b + w a), a Newton step solves (M diag(s) M') dl = f. Ten to twenty steps, whatever the size. At the
-end s is large where |x_j| < t: the vertex is known (`vertices`).
+**Interior points** (`advance`), on the host. A predictor-corrector method (Mehrotra 1992) for the pair of
+linear programs, with slacks a = t - x, b = t + x and multipliers u, w >= 0, u - w = M' l, sum(u + w) = 1.
+With s = a b / (u b + w a), a Newton step solves (M diag(s) M') dl = f. Ten to twenty steps, whatever the
+size. At the end s is large where |x_j| < t: the vertex is known (`vertices`).
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.zonotopes.proof import Array, largest, library, product, solved
@@ -32,7 +29,6 @@ __all__ = [
     "State",
     "advance",
     "beside",
-    "interior_point",
     "project",
     "reached",
     "repeated",
@@ -102,7 +98,7 @@ def repeated(
     if isinstance(jax.tree.leaves(state)[0], jax.Array):
         counted = lambda carry: (carry[0] + 1, step(carry[1]))
         goes_on = lambda carry: (carry[0] < most) & going(carry[1])
-        last: T = jax.lax.while_loop(goes_on, counted, (jnp.int32(0), state))[1]
+        last: T = jax.lax.while_loop(goes_on, counted, (np.int32(0), state))[1]
         return last
     for _ in range(most):
         if not going(state):
@@ -111,54 +107,35 @@ def repeated(
     return state
 
 
-State: TypeAlias = tuple[Array, ...]
+State: TypeAlias = tuple[np.ndarray, ...]
 """x (S, N, q), t (S, N), l (S, N, m), u and w (S, N, q) as above, points in terms of size (S, N), and whether
 a point is done (S, N).
 """
 
 
-@jax.jit
-def interior_point(
-    M: jax.Array, R: jax.Array, d: jax.Array, enough: ArrayLike
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return (x, l, s) for each point: near-optimal for the two programs, and how free each x_j is.
-
-    Args:
-        M, R, d: as for `project`. enough: a point for which t < 1 - enough or l' d > 1 + enough is settled;
-            inf to go on to the optimum.
-    """
-    advanced = lambda state: advance(M, d, state, enough)
-    return reached(repeated(advanced, start(M, R, d), STEPS, lambda state: jnp.any(~state[-1])))
-
-
-def start(M: Array, R: Array, d: Array) -> State:
+def start(M: np.ndarray, R: np.ndarray, d: np.ndarray) -> State:
     """Return the first interior points for points d (S, N, m)."""
-    xp, q = library(d), M.shape[2]
     x = product(d, R.swapaxes(1, 2))
     size = largest(x, 2)
-    size = xp.where((size > 0) & (size < np.inf), size, 1)
-    even = xp.full_like(x, 0.5 / q)
-    return (
-        x / size[..., None],
-        xp.full_like(size, 1.5),
-        xp.zeros_like(d),
-        even,
-        even,
-        size,
-        ~xp.isfinite(x.sum(2)),
-    )
+    size = np.where((size > 0) & (size < np.inf), size, 1)
+    even, t = np.full_like(x, 0.5 / M.shape[2]), np.full_like(size, 1.5)
+    return x / size[..., None], t, np.zeros_like(d), even, even, size, ~np.isfinite(x.sum(2))
 
 
-def reached(state: State) -> tuple[Array, Array, Array]:
-    """Return (x, l, s) of a state, as `interior_point` does."""
+def reached(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return (x, l, s) of a state: near-optimal for the two programs, and how free each x_j is."""
     x, t, l, u, w, size, _ = state
     a, b = t[..., None] - x, t[..., None] + x
     return x * size[..., None], l, a * b / (u * b + w * a)
 
 
-def advance(M: Array, d: Array, state: State, enough: ArrayLike) -> State:
-    """Take one step of interior points, on the host or inside jit; what is done stays."""
-    xp, turned = library(d), M.swapaxes(1, 2)
+def advance(M: np.ndarray, d: np.ndarray, state: State, enough: float) -> State:
+    """Take one step of interior points; what is done stays.
+
+    Args:
+        enough: a point for which t < 1 - enough or l' d > 1 + enough is settled; inf to go on to the optimum.
+    """
+    turned = M.swapaxes(1, 2)
     x, t, l, u, w, size, done = state
     (_, m, q), eps, each = M.shape, np.finfo(x.dtype).eps, (..., None)
     total = lambda v: v.sum(2)
@@ -173,7 +150,7 @@ def advance(M: Array, d: Array, state: State, enough: ArrayLike) -> State:
     Nv = solve(v)
     curve, gap = total(4 * alpha * beta * s) + total(v * Nv), total(a * u + b * w)
 
-    def newton(_, carry):
+    def newton(carry):
         """Take the step with a du + u da = ra and b dw + w db = rb; return what to correct it by, it, and how
         far it may go.
         """
@@ -192,43 +169,38 @@ def advance(M: Array, d: Array, state: State, enough: ArrayLike) -> State:
         return target - a * u - da * du, target - b * w - db * dw, dx, dt, dl, du, dw, p, r
 
     found = (-a * u, -b * w, x, t, l, u, w, t, t)
-    found = newton(1, newton(0, found)) if xp is np else jax.lax.fori_loop(0, 2, newton, found)
+    found = newton(newton(found))
     *_, dx, dt, dl, du, dw, p, r = found
     p, r = 0.995 * p, 0.995 * r
     new = x + p[each] * dx, t + p * dt, l + r[each] * dl, u + r[each] * du, w + r[each] * dw
-    keep = done | ~xp.isfinite(total(new[0]) + total(new[2]) + new[1])
+    keep = done | ~np.isfinite(total(new[0]) + total(new[2]) + new[1])
     x, t, l, u, w = (
-        xp.where(keep[each] if old.ndim == 3 else keep, old, now)
+        np.where(keep[each] if old.ndim == 3 else keep, old, now)
         for old, now in zip(state, new, strict=False)
     )
-    least, most = total(l * d) / xp.maximum(total(abs(product(l, M))), eps), abs(x).max(2)
+    least, most = total(l * d) / np.maximum(total(abs(product(l, M))), eps), abs(x).max(2)
     settled = (most * size < 1 - enough) | (least * size > 1 + enough)
     return x, t, l, u, w, size, keep | settled | (most - least <= 2.0**-16 * eps**0.5 * most)
 
 
-def _room(pairs: Sequence[tuple[Array, Array]]) -> Array:
+def _room(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     """Return how far all x + p dx stay positive, at most 1."""
-    xp = library(pairs[0][0])
-    rooms = [xp.where(dx < 0, -x / dx, 1).min(2) for x, dx in pairs]
-    return xp.minimum(xp.minimum(*rooms), 1)
+    rooms = [np.where(dx < 0, -x / dx, 1).min(2) for x, dx in pairs]
+    return np.minimum(np.minimum(*rooms), 1)
 
 
-def _solver(M: Array, s: Array, room: float) -> Callable[[Any], Any]:
+def _solver(M: np.ndarray, s: np.ndarray, room: float) -> Callable[[np.ndarray], np.ndarray]:
     """Return a solver of (M diag(s) M' + room times its mean diagonal) f = r for each point, r (S, N, m)."""
-    xp, (S, m, q), N = library(s), M.shape, s.shape[1]
-    normal: Any
-    if xp is np and m > SMALL:
-        return _one_by_one(cast(np.ndarray, M), cast(np.ndarray, s), room)
-    if xp is np and S == 1 and N > 1 and m * m * q <= OUTER:  # one matrix product for many points
+    (S, m, q), N = M.shape, s.shape[1]
+    if m > SMALL:
+        return _one_by_one(M, s, room)
+    if S == 1 and N > 1 and m * m * q <= OUTER:  # one matrix product for many points
         normal = product(s, (M[0, :, None] * M[0]).reshape(1, m * m, q).swapaxes(1, 2)).reshape(S, N, m, m)
     else:
-        root = M[:, None] * xp.sqrt(s)[:, :, None]
+        root = M[:, None] * np.sqrt(s)[:, :, None]
         normal = root @ root.swapaxes(2, 3)
-    mean = xp.trace(normal, axis1=2, axis2=3)[..., None, None]
-    normal = normal + room * mean * xp.eye(m, dtype=s.dtype)[None, None]
-    if xp is jnp:
-        L = jnp.linalg.cholesky(normal)
-        return lambda r: jax.scipy.linalg.cho_solve((L, True), r[..., None])[..., 0]
+    mean = np.trace(normal, axis1=2, axis2=3)[..., None, None]
+    normal = normal + room * mean * np.eye(m, dtype=s.dtype)[None, None]
     if N == 1 or S * N < MANY:  # each by itself: the same bits whatever stands beside it
         return lambda r: solved(normal, r[..., None])[..., 0]
     solve = _factored(normal.reshape(S * N, m, m))
@@ -277,7 +249,7 @@ def _factored(N: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     return solve
 
 
-def vertices(M: Array, d: Array, x: Array, s: Array) -> tuple[Array, Array]:
+def vertices(M: np.ndarray, d: np.ndarray, x: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return (x, l): the vertices of both programs that the near-optimal x (S, N, q) and freedom s (S, N, q)
     point to; no claim.
 
@@ -286,20 +258,20 @@ def vertices(M: Array, d: Array, x: Array, s: Array) -> tuple[Array, Array]:
 
     Args: M (S, m, q), m <= q; d (S, N, m).
     """
-    xp, shapes, (S, N, m), q = library(d), (x.shape, d.shape), d.shape, x.shape[2]
+    shapes, (S, N, m), q = (x.shape, d.shape), d.shape, x.shape[2]
     d, x, s = (v.reshape(S * N, -1) for v in (d, x, s))
     # a set of one point is worked out as if others stood beside it
-    each: Any = M[0] if S == 1 and N > 1 else xp.repeat(M, N, 0)
-    order = xp.argsort(-s, axis=1)
-    rank = xp.argsort(order, axis=1)
-    sign = xp.where(rank < m - 1, 0, xp.where(x < 0, -1.0, 1.0)).astype(d.dtype)
-    chosen = xp.take_along_axis(xp.broadcast_to(each, (len(d), m, q)), order[:, None, : m - 1], 2)
-    W = xp.concatenate(
+    each: Any = M[0] if S == 1 and N > 1 else np.repeat(M, N, 0)
+    order = np.argsort(-s, axis=1)
+    rank = np.argsort(order, axis=1)
+    sign = np.where(rank < m - 1, 0, np.where(x < 0, -1.0, 1.0)).astype(d.dtype)
+    chosen = np.take_along_axis(np.broadcast_to(each, (len(d), m, q)), order[:, None, : m - 1], 2)
+    W = np.concatenate(
         [chosen, (each @ sign[..., None] if each.ndim == 3 else (sign @ each.T)[..., None])], 2
     )
     with np.errstate(all="ignore"):
         y = solved(W, d[..., None])[..., 0]
-        normal = solved(W.swapaxes(1, 2), xp.broadcast_to(xp.eye(m, dtype=d.dtype)[:, -1:], (len(d), m, 1)))
-        places = xp.where(rank < m - 1, q + rank, xp.arange(q)[None])
-        out = xp.take_along_axis(xp.concatenate([sign * y[:, -1:], y[:, :-1]], 1), places, 1)
+        normal = solved(W.swapaxes(1, 2), np.broadcast_to(np.eye(m, dtype=d.dtype)[:, -1:], (len(d), m, 1)))
+        places = np.where(rank < m - 1, q + rank, np.arange(q)[None])
+        out = np.take_along_axis(np.concatenate([sign * y[:, -1:], y[:, :-1]], 1), places, 1)
     return out.reshape(shapes[0]), normal.reshape(shapes[1])

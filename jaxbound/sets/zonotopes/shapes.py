@@ -19,7 +19,7 @@ from jax.typing import DTypeLike
 from jaxbound.exact import linalg
 from jaxbound.random.keys import key_of
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.zonotopes import search
+from jaxbound.sets.zonotopes import kernels
 from jaxbound.sets.zonotopes.constrained import AnySet, parts
 from jaxbound.sets.zonotopes.facets import exact_strips
 from jaxbound.sets.zonotopes.questions import traced
@@ -202,7 +202,8 @@ def sample(Z: AnySet, key: jax.Array | int, count: int) -> jax.Array:
 @partial(jax.jit, static_argnames="count")
 def _walked(A: jax.Array, b: jax.Array, key: jax.Array, count: int) -> jax.Array:
     R = jnp.linalg.pinv(A)
-    x, *_ = search.interior_point(A[None], R[None], b[None, None], np.inf)
+    image = kernels.image(A[None])
+    _, x = kernels.candidates(image, image.scaled(b[None, None]))
     x = x[0, 0] + R @ (b - A @ x[0, 0])
     noise, eps = 64 * jnp.finfo(A.dtype).eps, jnp.finfo(A.dtype).eps ** 0.5
     feasible = (jnp.max(jnp.abs(b - A @ x)) <= eps * jnp.max(jnp.abs(b) + jnp.sum(jnp.abs(A), 1))) & (
