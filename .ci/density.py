@@ -17,12 +17,14 @@ import re
 import sys
 import tokenize
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 HOME = Path(__file__).resolve().parents[1]
 WIDTH = 110
 RATES = ("conditionals", "comprehensions", "lambdas")
-COUNTS = ("wide", "skips", "any", "sentences", "locals")
+COUNTS = ("wide", "skips", "any", "sentences", "locals", "families")
+ROOTS = {"Relations", "WindowTest"}
 FREE = {"sets": RATES}
 VAGUE = {"told", "said", "given", "found", "beside", "asked", "seen", "held", "kept", "known"}
 DEFINITIONS = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
@@ -88,10 +90,34 @@ def vague_sentence(text):
     return bool(re.match(r"(What|Who|Where)\b|\w+ (what|who|where)\b", sentence))
 
 
-def places(path):
+@cache
+def families(package):
+    """Return {name: file} of the classes that derive from ROOTS, these too: who differs has a method."""
+    classes, found = {}, {}
+    for path in package.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                names = [name for base in node.bases for name in ast.walk(base)]
+                classes[node.name] = path, {getattr(name, "id", "") for name in names}
+    new = ROOTS & set(classes)
+    while new:
+        found |= {name: classes[name][0] for name in new}
+        new = {name for name, (_, bases) in classes.items() if name not in found and bases & set(found)}
+    return found
+
+
+def asked_types(call, path, known):
+    """Return whether a call asks if something is of a family that another file defines."""
+    if getattr(call.func, "id", "") != "isinstance" or len(call.args) < 2:
+        return False
+    names = {name.id for name in ast.walk(call.args[1]) if isinstance(name, ast.Name)}
+    return any(known[name] != path for name in names & set(known))
+
+
+def places(path, package):
     """Return {measure: [line]} of a file, and its numbers of lines of code and of comments."""
     source = path.read_text(encoding="utf-8")
-    tree = ast.parse(source)
+    tree, known = ast.parse(source), families(package)
     found = {measure: [] for measure in (*RATES, *COUNTS)}
     for node in ast.walk(tree):
         if isinstance(node, ast.IfExp):
@@ -100,6 +126,8 @@ def places(path):
             found["comprehensions"].append(node.lineno)
         if isinstance(node, (ast.Assign, ast.AnnAssign)) and isinstance(node.value, ast.Lambda):
             found["lambdas"].append(node.lineno)
+        if isinstance(node, ast.Call) and asked_types(node, path, known):
+            found["families"].append(node.lineno)
         if isinstance(node, FUNCTIONS):
             bare = [a.lineno for a in signature_types(node) if isinstance(a, ast.Name) and a.id == "Any"]
             found["any"].extend(bare)
@@ -135,7 +163,7 @@ def table(package):
     for path in sorted(package.rglob("*.py")):
         parts = path.relative_to(package).parts
         room = parts[0] if len(parts) > 1 else "."
-        found, lines, comments = places(path)
+        found, lines, comments = places(path, package)
         row = rooms.setdefault(room, Counter())
         row.update({"lines": lines, "comments": comments})
         row.update({measure: len(where) for measure, where in found.items()})
@@ -195,7 +223,7 @@ def lowered(rooms, budget):
     """Return the budget that is left once nothing may be denser than what each room reaches now."""
     left = {}
     for room, row in sorted(rooms.items()):
-        before = budget.get(room, row)
+        before = row | budget.get(room, {})
         left[room] = {measure: min(row[measure], before[measure]) for measure in (*RATES, *COUNTS)}
     return left
 
@@ -203,7 +231,7 @@ def lowered(rooms, budget):
 def print_places(measure, room):
     """Print the lines of a room that a measure counts."""
     for path in sorted((HOME / "jaxbound" / room).rglob("*.py")):
-        for line in places(path)[0][measure]:
+        for line in places(path, HOME / "jaxbound")[0][measure]:
             print(f"{path.relative_to(HOME)}:{line}")
 
 

@@ -1,6 +1,6 @@
 """What an accelerator does with windows, in ten minutes; on CPU the same with virtual devices.
 
-The examination of its arithmetic in both precisions, which `jaxbound examine` runs too; no false alarm where
+What its arithmetic keeps to in both precisions; no false alarm where
 every error lies at a bound; verdicts against those of one CPU device: each FAULT the same, nothing CONSISTENT
 where the device was not examined; shares of the limits of its memory and of its arithmetic, of the way from
 the host, and of the time that proving on the host takes at 0, 1 and 100 % faulty windows; long windows, a
@@ -8,11 +8,8 @@ study beside two cores, an observer, tuning. Figures are written after each stag
 leaves those that it had.
 
 python -m benchmarks.accelerator [--windows 1000000] [--vertices 1000000] [--scenarios 20000] [--devices 8]
-[--examine]
-
-With --examine the outcome of the examination is kept, as by the shell, and CONSISTENT counts from then on;
-without, a card that nobody examined only searches. What a card is asked for:
-JAX_PLATFORMS=cuda,cpu python -m benchmarks.accelerator --windows 1e8 --vertices 1e8 --examine
+What a card is asked for:
+JAX_PLATFORMS=cuda,cpu python -m benchmarks.accelerator --windows 1e8 --vertices 1e8
 """
 
 import os
@@ -41,7 +38,7 @@ from jaxbound.consistency import drive, strips
 from jaxbound.consistency.searched import judging_device
 from jaxbound.diagnosis.spot_checks import decided_again
 from jaxbound.sets.floats import probe
-from jaxbound.sets.floats.examination import examination
+from jaxbound.sets.floats.examined import MANY, measure
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from systems import paper  # noqa: E402
@@ -238,14 +235,9 @@ def main():
         Figures(machine=timing.machine(), devices=len(jax.local_devices())),
     )
     figures["load average"] = [round(x, 1) for x in os.getloadavg()]
-    if "--examine" in sys.argv:
-        figures.stage("kept", lambda: [found.record for found in probe.examined_devices()])
-    else:
-        for dtype in (np.float32, np.float64):
-            figures.stage(
-                f"examination, {np.dtype(dtype).name}", lambda dtype=dtype: examined(devices[0], dtype)
-            )
-    figures["premises"] = probe.PREMISES.get(probe.kind_of_device(devices[0])["platform"], (probe.UNREAD,))
+    for dtype in (np.float32, np.float64):
+        about = f"arithmetic, {np.dtype(dtype).name}"
+        figures.stage(about, lambda dtype=dtype: examined(devices[0], dtype))
     figures["who judges"] = judging_device() or "CPU"
     limit = figures.stage("limits of the first device", lambda: limits(devices[0]))
     r, long = jb.parity_relations(paper()), jb.parity_relations(paper(), 15)
@@ -308,7 +300,7 @@ def main():
 
 def examined(device, dtype):
     """Return how many claims there are, and those that do not hold."""
-    found = examination(device, dtype)
+    found = measure(device, dtype, MANY)
     return {
         "claims": len(found),
         "broken": {name: pair for name, pair in found.items() if not pair[0] <= pair[1]},

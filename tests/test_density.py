@@ -86,3 +86,12 @@ def test_budgets_are_lowered_and_never_raised():
     before = {"water": {**row, "wide": 3, "skips": 9}}
     assert density.lowered({"water": row}, before) == {"water": {**row, "wide": 3}}
     assert density.lowered({"fire": row}, before) == {"fire": row}
+
+
+def test_types_of_relations_are_asked_where_they_are_defined_alone(toy):
+    asking = "def f(x):\n    return isinstance(x, str | Windows)\n"
+    package = toy({}, "class Relations: ...\n\n\nclass Windows(Relations): ...\n\n\n" + asking) / "jaxbound"
+    assert density.table(package)["water"]["families"] == 0
+    (package / "elsewhere.py").write_text(asking)
+    density.families.cache_clear()
+    assert density.table(package)["."]["families"] == 1

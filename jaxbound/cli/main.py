@@ -19,7 +19,6 @@ from jaxbound.cli import (
     demo,
     detect,
     evaluate,
-    examine,
     example,
     explain,
     fit,
@@ -60,7 +59,6 @@ COMMANDS: tuple[Command, ...] = (
     study,
     evaluate,
     info,
-    examine,
 )
 """In the order of the help. Each file says its name, its options and its work, see `Command`."""
 

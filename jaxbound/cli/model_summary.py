@@ -121,8 +121,8 @@ def _guaranteed_by_tests(bank: MonitorBank) -> dict[str, GuaranteedSize]:
     """
     seconds = 0.0
     for watch in bank.watches:
-        if isinstance(watch.relations, ParityRelation):
-            seconds += _seconds(watch.relations.model, watch.relations.horizon)
+        if watch.relations.linear is not None:
+            seconds += _seconds(watch.relations.linear.model, watch.relations.horizon)
     if seconds > PATIENCE:
         return {}
     return {name: detectable(bank, name) for name in bank.model.outputs + bank.model.inputs}
@@ -196,18 +196,9 @@ def _relations_rows(relations: ParityRelation | UncertainRelations) -> list[tupl
     if lags:
         about = "so long before its last sample outputs are looked at"
         rows.append(("lags", f"{', '.join(map(str, lags))}: {about}"))
-    rows.append(("relations", f"{relations.count} independent, {_tested_text(relations)}"))
+    rows.append(("relations", f"{relations.count} independent, {relations.tested}"))
     rows += [("note", note) for note in relations.notes]
     return rows
-
-
-def _tested_text(relations: ParityRelation | UncertainRelations) -> str:
-    """Return how many combinations of relations a window is tested by."""
-    if isinstance(relations, UncertainRelations):
-        return f"polynomials of order {relations.order} in {len(relations.variables)} uncertain numbers"
-    if relations.frame is None:
-        return f"{len(relations.circuits)} combinations tested"
-    return "combinations too many to list, the worst is searched for"
 
 
 def plain_model(

@@ -26,7 +26,6 @@ from jaxbound.cli.terminal import door, nobody_reads, say, system_trouble, usabl
 from jaxbound.cli.window import stated_model, window_relations
 from jaxbound.consistency.interface import Relations
 from jaxbound.consistency.monitor import Monitor
-from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.alarms import forgets_after
 from jaxbound.diagnosis.hints import bound_hints, judging_hints, outgrown, unfit
@@ -270,7 +269,7 @@ class _LiveRun:
         self.alarms = AlarmEnds(forgets_after(relations))
         lines.alarms, lines.rule = self.alarms, rule
         self.by_test = None
-        if isinstance(relations, MonitorBank):
+        if relations.parts:
             self.by_test = CountsByTest(relations)
         self.rule = rule
         self.file = self.alarm_file = None

@@ -164,10 +164,10 @@ def run(args: argparse.Namespace) -> int:
         notes = refuse_outliers(records, columns, ORDER, 1, lambda: healthy)
         faulty = recordings[len(args.healthy) :] or None
         tuning: TuneResult | MonitorTuneResult
-        if isinstance(relations, MonitorBank):
+        if relations.parts:
             _refuse_search(args)
             tuning = tune(
-                relations,
+                cast("MonitorBank", relations),
                 healthy,
                 faulty,
                 safety=args.safety,

@@ -8,7 +8,7 @@ last digits put outside is UNDECIDED.
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -36,6 +36,11 @@ Function: TypeAlias = Callable[..., Any]
 
 class ResidualRelations(Relations):
     """f(z, u_window, y_window) = 0 for some z in a box: `relations.residual` has them."""
+
+    untuned: ClassVar[str | None] = (
+        ", whose verdict comes from bisection, with no margin to scale or to derive: try boxes by "
+        "with_bounds and detect"
+    )
 
     if TYPE_CHECKING:
 

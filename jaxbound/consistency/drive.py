@@ -85,7 +85,7 @@ def drive(
             share of the work done.
         size: windows at once; None: as the test says.
     """
-    if isinstance(test, Observer):
+    if test.remembers:
         return _folded(test, given)
     return windows(test, given.u, given.y, given.starts, progress, size)
 

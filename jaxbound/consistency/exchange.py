@@ -79,7 +79,7 @@ class ExchangeTest(SignedTest):
             from call to call; None: none yet.
     """
 
-    threads = hinted = True
+    threads = hinted = by_strips = True
     short = 16  # the work grows with the block
 
     def __init__(

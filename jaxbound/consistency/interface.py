@@ -13,7 +13,18 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Protocol, Self, TypeAlias, TypeVar
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    ClassVar,
+    Generic,
+    Literal,
+    NamedTuple,
+    Protocol,
+    Self,
+    TypeAlias,
+    TypeVar,
+)
 
 import jax
 import numpy as np
@@ -62,6 +73,7 @@ __all__ = [
     "SignedTest",
     "Starts",
     "Verdicts",
+    "Watch",
     "WindowReading",
     "WindowTest",
     "family",
@@ -166,6 +178,19 @@ class Judged(NamedTuple):
     test_margins: np.ndarray | None = None
 
 
+class Watch(NamedTuple):
+    """One test of a monitor.
+
+    Fields: name; relations: or an observer; when: its condition, `OTHERWISE`, or None: it always watches.
+    about: how far it looks back and how wide its bounds are, in words.
+    """
+
+    name: str
+    relations: Relations
+    when: str | None = None
+    about: str = "a test"
+
+
 class Relations:
     """One family of relations between the samples of a window, or an observer in their place.
 
@@ -174,6 +199,10 @@ class Relations:
 
     remembers: ClassVar[bool] = False
     """Whether verdicts rest on all samples before, as those of an observer."""
+    uncertain: ClassVar[bool] = False
+    """Whether coefficients are polynomials in uncertain parameters, which a test may leave undecided."""
+    untuned: ClassVar[str | None] = ""
+    """Why `tune` takes no such relations, behind their name; None: it takes them."""
 
     @property
     def observes(self) -> bool:
@@ -225,6 +254,11 @@ class Relations:
             raise NotImplementedError
 
         @property
+        def tested(self) -> str:
+            """How combinations of relations are tested, in words; "": there are none."""
+            raise NotImplementedError
+
+        @property
         def notes(self) -> tuple[str, ...]:
             """Sentences for whoever reads a report."""
             raise NotImplementedError
@@ -255,14 +289,56 @@ class Relations:
         parts: Mapping[str, Relations] = MappingProxyType({})
         methods = METHODS[:1]
         count = 1
-        notes = ()
+        tested, notes = "", ()
         searched = informed = False
         restart = True
+
+    @cached_property
+    def watches(self) -> tuple[Watch, ...]:
+        """The tests of a monitor; of others this test alone."""
+        return (Watch("", self),)
+
+    @property
+    def linear(self) -> LinearRelations | None:
+        """These relations where their coefficients are exact numbers, else None."""
+        return None
+
+    @property
+    def observer(self) -> Observer[Any] | None:
+        """This observer; None: these are windows."""
+        return None
+
+    @property
+    def reach(self) -> int:
+        """How many samples before its last the longest window has."""
+        return self.horizon
+
+    @property
+    def looks_back(self) -> int | None:
+        """How many samples before a sample its verdict depends on; None: on all."""
+        return None if self.remembers else self.reach
 
     @property
     def latched(self) -> bool:
         """Whether a FAULT stays until a gap, as that of an observer that does not begin anew."""
         return self.remembers and not self.restart
+
+    @property
+    def span(self) -> dict[str, Any]:
+        """How a model, `parity_relations` and `detectable` are asked for these windows: {"horizon": s}, or
+        {"lags": lags}.
+        """
+        if self.lags is None:
+            return {"horizon": self.horizon}
+        return {"lags": self.lags}
+
+    def of(self, model: LinearSystem) -> Self:
+        """Return the same relations of a model with other numbers; by default themselves."""
+        return self
+
+    def named_like(self, model: LinearSystem) -> Self:
+        """Return the same relations where their signals have names, else with those of a plant."""
+        return self
 
     def recording(self, u: object, y: object = None, starts: Starts = ()) -> tuple[Self, Recording]:
         """Return (relations, Recording) of the samples that a user gives: see `Recording.of`.
@@ -351,6 +427,18 @@ class LinearRelations(Relations):
             """The numbers that the exchange search needs where circuits are too many, else None."""
             raise NotImplementedError
 
+    @property
+    def linear(self) -> Self:
+        """These relations."""
+        return self
+
+    @property
+    def tested(self) -> str:
+        """How many combinations of relations a window is tested by, in words."""
+        if self.frame is None:
+            return f"{len(self.circuits)} combinations tested"
+        return "combinations too many to list, the worst is searched for"
+
     def strips(self, method: str) -> tuple[Matrix, Matrix]:
         """Return rows over (Y, w) and over U: of each relation ("box"), else of all circuits."""
         if method == "box":
@@ -400,6 +488,10 @@ class WindowTest:
     """Whether `judge` runs its kernels by `run`; else it is called on one device after the other."""
     threads: ClassVar[bool] = False
     """Whether several blocks are judged at once: where the host waits between two kernels."""
+    remembers: ClassVar[Literal[False]] = False
+    """An observer in its place does."""
+    by_strips: ClassVar[bool] = False
+    """Whether margins are those of strips, down which an adversary of a study goes."""
     hinted: ClassVar[bool] = False
     """Whether `judge` hands over hints, by which `refuted` proves each FAULT."""
     replayed: ClassVar[bool] = True
@@ -661,7 +753,7 @@ class Observer(Relations, Generic[Carry]):
         begun: the carry that it begins with in place of `init`; None: none. See `continued`.
     """
 
-    remembers: ClassVar[bool] = True
+    remembers: ClassVar[Literal[True]] = True
     batched: ClassVar[bool] = False
     method: ClassVar[str] = OBSERVER
     begun: Carry | None = None
@@ -670,9 +762,19 @@ class Observer(Relations, Generic[Carry]):
         horizon = 0
 
     @property
+    def observer(self) -> Self:
+        """This observer."""
+        return self
+
+    @property
     def methods(self) -> tuple[str, ...]:
         """The one method of an observer."""
         return (self.method,)
+
+    @property
+    def span(self) -> dict[str, Any]:
+        """No window."""
+        return {"horizon": None, "lags": None}
 
     @cached_property
     def signals(self) -> SignalModel:

@@ -26,7 +26,6 @@ from jaxbound.consistency.interface import (
     Observer,
     Relations,
     Starts,
-    WindowTest,
     margins_for,
     relations_of,
 )
@@ -150,23 +149,23 @@ class Monitor:
         self.relations: Relations = relations
         self.method = OBSERVER
         self._observer: Observer[Any] | None = None
-        if isinstance(relations, Observer):
+        relations_of(relations, "a Monitor", "Monitor(parity_relations(model))")
+        if relations.observer is not None:
             if outside != CLAIMED and not relations.parts:
                 raise ValueError(
                     "outside is for windows: a Monitor hands on the verdicts of an Observer as they are"
                 )
-            self._observer = relations.measured()
+            self._observer = relations.observer.measured()
             if dtype is not None:
                 self._observer = self._observer.typed(dtype)
             self.region = None
             if outside == UNCLAIMED:
                 self.region = Region.of(relations)
             return
-        relations_of(relations, "a Monitor", "Monitor(parity_relations(model))")
         refuse_unusable()
         self.dtype = np.dtype(jax.dtypes.canonicalize_dtype(float if dtype is None else dtype))
         test = relations.test(method, self.dtype, budget)
-        assert isinstance(test, WindowTest)
+        assert not test.remembers, "no observer"
         self._test = test
         if margins_for(margins, 0) == EXACT:
             self._test = test.measured()
@@ -255,9 +254,7 @@ class Monitor:
                     "other"
                 )
             piece = Recording.of(self._observer.signals, u, y, starts, narrow=False)
-            if self.region is not None:
-                return self._placed(self._observer, self.region, state, piece)
-            return self._observer.followed(state, piece)
+            return self.follow(state, piece)
         own, s = self._piece(u, y, starts), self._test.horizon
         count, begun = len(own.y), own.starts
         seams, last = self._seams(own, time, state)
@@ -277,6 +274,14 @@ class Monitor:
         u, y = all_u[keep:].copy(), all_y[keep:].copy()
         after = MonitorState(u, y, np.int64(follows), state.samples + count, np.float64(last))
         return after, verdict
+
+    def follow(self, state: State, piece: Recording) -> tuple[State, Any]:
+        """Take the next samples, a Recording; return (state, verdicts) as `run` does."""
+        if self._observer is None:
+            return self.run(state, piece.u, piece.y, starts=piece.starts)
+        if self.region is not None:
+            return self._placed(self._observer, self.region, state, piece)
+        return self._observer.followed(state, piece)
 
     def _placed(
         self, tests: Observer[Any], region: Region, state: PlacedState, piece: Recording

@@ -33,7 +33,7 @@ from jaxbound.consistency.interface import (
     Budget,
     Observer,
     Relations,
-    WindowTest,
+    Watch,
 )
 from jaxbound.consistency.monitor import Monitor
 from jaxbound.models.region import Departure
@@ -53,19 +53,6 @@ BEFORE = np.int8(-1)
 """In place of NO, YES and UNKNOWN before the first sample."""
 SIDE_BY_SIDE = 2**14
 """Samples up to which the tests judge on a thread each: of so few, compiling takes longest."""
-
-
-class Watch(NamedTuple):
-    """One test of a bank.
-
-    Fields: name; relations: or an observer; when: its condition, `OTHERWISE`, or None: it always watches.
-    about: how far it looks back and how wide its bounds are, in words.
-    """
-
-    name: str
-    relations: Relations
-    when: str | None = None
-    about: str = "a test"
 
 
 @readable
@@ -110,8 +97,8 @@ class MonitorBank(Observer[BankState]):
     Encloses: FAULT is a proof that the samples contradict model and bounds of a test whose condition holds.
     """
 
-    batched: ClassVar[bool] = False
     method: ClassVar[str] = MONITOR
+    untuned: ClassVar[str | None] = None
 
     def __init__(self, model: LinearSystem, watches: Sequence[Watch]) -> None:
         if not watches:
@@ -225,7 +212,7 @@ class MonitorBank(Observer[BankState]):
     def margins_are(self) -> str:
         """The margins of the tests, "exact", or "bounds" as those of some windows."""
         for one in self.monitors:
-            if not self.exact and isinstance(one, Monitor) and one.margins_are == BOUNDS:
+            if one.margins_are == BOUNDS:
                 return BOUNDS
         return EXACT
 
@@ -257,17 +244,10 @@ class MonitorBank(Observer[BankState]):
         return same
 
     @cached_property
-    def monitors(self) -> tuple[Monitor | Observer[Any], ...]:
-        """The Monitor of each test of windows, and each observer."""
-        following: list[Monitor | Observer[Any]] = []
-        for watch in self.watches:
-            test = watch.relations.test("joint", self.dtype)
-            if isinstance(test, WindowTest):
-                kind = EXACT if self.exact else BOUNDS
-                following.append(Monitor(watch.relations, dtype=self.dtype, margins=kind))
-            else:
-                following.append(test)
-        return tuple(following)
+    def monitors(self) -> tuple[Monitor, ...]:
+        """The Monitor of each test."""
+        kind = EXACT if self.exact else BOUNDS
+        return tuple(Monitor(watch.relations, dtype=self.dtype, margins=kind) for watch in self.watches)
 
     def init(self) -> BankState:
         """Return the memory before the first sample."""
@@ -284,10 +264,7 @@ class MonitorBank(Observer[BankState]):
             one, state = monitors[number], carry.tests[number]
             own = self.seen_by(number, piece, modes, carry.modes)
             with jax.default_device(device):
-                if isinstance(one, Monitor):
-                    after, found = one.run(state, own.u, own.y, starts=own.starts)
-                else:
-                    after, found = one.followed(state, own)
+                after, found = one.follow(state, own)
             status, margin = np.asarray(found.status), np.asarray(found.margin)
             if own.excluded is not None:
                 status = np.where(own.excluded, np.int8(Status.MISSING), status)

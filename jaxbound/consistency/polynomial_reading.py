@@ -11,7 +11,7 @@ Source: Ploix, Adrot 2006, (6), (14).
 import dataclasses
 from collections.abc import Collection
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple, Self, TypeAlias, cast
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, Self, TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
@@ -175,6 +175,9 @@ def _times(coefficients: jax.Array, x: jax.Array) -> jax.Array:
 
 class PolynomialRelations(Relations):
     """Relations polynomial in uncertain parameters: `relations.uncertain` has them."""
+
+    uncertain: ClassVar[bool] = True
+    untuned: ClassVar[str | None] = None
 
     if TYPE_CHECKING:
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxbound.consistency.interface import Judged, WindowTest
 from jaxbound.sets.floats.kinds import named
-from jaxbound.sets.floats.probe import examination_of, kind_of_device, searching_device, usable_devices
+from jaxbound.sets.floats.probe import kind_of_device, searching_device, usable_devices
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["NOT_REFUTED", "judging_device", "only_searched"]
@@ -66,11 +66,7 @@ def judging_device(remembers: bool = False) -> str:
         kind = kind_of_device(device)
         if kind["platform"] == "cpu":
             continue
-        name = named(kind)
-        record = examination_of(device)
-        if record is not None:
-            name = f"{record['card']} (driver {record['driver']}, examined on {record['date']})"
-        names.append(name)
+        names.append(named(kind))
     return ", ".join(sorted(set(names)))
 
 

@@ -30,6 +30,7 @@ class StripsTest(LinearTest):
     """
 
     gathered = False
+    by_strips = True
     replayed = False
 
     @property

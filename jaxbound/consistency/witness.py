@@ -3,7 +3,7 @@ CONSISTENT, with no search.
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -31,8 +31,7 @@ def explained_by(
         return None
     if test.easy is None or test.easy.stretches is None:
         return None
-    stretches = test.easy.stretches
-    assert isinstance(stretches, EasyStretches)
+    stretches = cast(EasyStretches, test.easy.stretches)
     if stretches.reading.window.sums:
         return None
     known = _Witnessed(stretches.relations, stretches.dtype, stretches.projection, stretches.reading)

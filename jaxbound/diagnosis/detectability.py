@@ -21,12 +21,12 @@ import math
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from types import MappingProxyType
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.consistency.interface import Relations
+from jaxbound.consistency.interface import OBSERVER, Relations
 from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.observer_sizes import least_seen
 from jaxbound.estimation.observer import observer
@@ -145,18 +145,18 @@ def detectable(
         >>> round(size, 6), size.horizon, size.relation
         (0.4, 0, 'y1[k] - y2[k] = 0')
     """
-    if isinstance(model, MonitorBank):
+    anything: Any = model
+    if getattr(model, "parts", ()):
         if horizon is not None or lags is not None or method != "joint":
             raise ValueError("horizon, lags and method are for one test: a monitor has tests of its own")
-        return _by_tests(model, fault, operating_range, factors)
-    if method == SetObserver.method or isinstance(model, SetObserver):
-        return _observed(model, fault, (horizon, operating_range, lags), factors)
+        return _by_tests(anything, fault, operating_range, factors)
+    if method == OBSERVER or getattr(model, "remembers", False):
+        return _observed(anything, fault, (horizon, operating_range, lags), factors)
     if method != "joint":
         raise ValueError(
-            f"method must be joint or {SetObserver.method}, not {method!r}: sizes of others are counted by "
-            f"jb.study"
+            f"method must be joint or {OBSERVER}, not {method!r}: sizes of others are counted by jb.study"
         )
-    model = at_factors(as_model(model, factors=True), factors)
+    model = at_factors(as_model(anything, factors=True), factors)
     signal = _constant_fault(model, fault)
     reach = operating_reach(model, operating_range)
     if horizon is None and lags is None:
@@ -221,9 +221,9 @@ def _observed(
         raise ValueError(
             "horizon, operating_range and lags are for windows: an observer looks at every sample"
         )
-    watch = model
-    if not isinstance(watch, SetObserver):
-        watch = observer(at_factors(as_model(watch, factors=True), factors))
+    watch: SetObserver[Any] | None = getattr(model, "observer", None)
+    if watch is None:
+        watch = observer(at_factors(as_model(cast(ModelLike, model), factors=True), factors))
     elif isinstance(watch.model, LinearSystem) and (watch.model.times or factors):
         watch = watch.of(at_factors(watch.model, factors))
     if not isinstance(fault, Fault):
@@ -296,15 +296,15 @@ def _of_test(
     model = relations.model
     if not getattr(model, "factors", ()):
         factors = None  # those of other tests
-    if isinstance(relations, SetObserver):
-        return detectable(relations, fault, factors=factors)
-    if not isinstance(relations, ParityRelation):
+    if relations.remembers:
+        return detectable(cast(SetObserver[Any], relations), fault, factors=factors)
+    if relations.linear is None:
         raise NotImplementedError(
             f"what {type(relations).__name__} see is counted by jb.study, not worked out: guaranteed sizes "
             f"are known of windows of certain models, and of observers"
         )
-    window: dict[str, Any] = dict(relations.window)
-    return detectable(relations.model, fault, operating_range=operating_range, factors=factors, **window)
+    model = relations.linear.model
+    return detectable(model, fault, operating_range=operating_range, factors=factors, **relations.span)
 
 
 def always_seen(
@@ -328,9 +328,9 @@ def always_seen(
         >>> {signal: round(size, 6) for signal, size in sizes.items()}
         {'y1': 0.4, 'y2': 0.4}
     """
-    if not isinstance(relations, ParityRelation) or method != "joint" or not is_affordable(relations):
+    if relations.linear is None or method != "joint" or not is_affordable(relations):
         return None
-    model = relations.model
+    model = relations.linear.model
     if model.uncertainties or model.factors:
         return None
     reach = None
@@ -342,7 +342,7 @@ def always_seen(
         reach = np.fmax.reduce(deviations, axis=0, initial=np.finfo(np.float32).tiny).tolist()
     sizes = {}
     for signal in model.outputs + model.inputs:
-        sizes[signal] = float(detectable(model, signal, operating_range=reach, **relations.window))
+        sizes[signal] = float(detectable(model, signal, operating_range=reach, **relations.span))
     return sizes
 
 
@@ -350,9 +350,9 @@ def is_affordable(relations: Relations) -> bool:
     """Return whether windows are so short that sizes of all signals take no more than about a second; of
     others nothing is asked.
     """
-    if not isinstance(relations, ParityRelation):
+    if relations.linear is None:
         return True
-    model, s = relations.model, relations.horizon
+    model, s = relations.linear.model, relations.horizon
     rows = (s + 1) * model.p + s * model.g
     return bool(rows**3 * (1 + model.d) * (model.p + model.m) <= EFFORT)
 
@@ -414,14 +414,13 @@ def visible_sizes(
     Returns:
         An array of sizes, rounded up; inf where no size is guaranteed.
     """
-    if isinstance(relations, Redundancy):
-        relations = relations.relations
-    model = relations.model
+    parity = cast(ParityRelation, getattr(relations, "relations", relations))
+    model = parity.model
     reach, signals = operating_reach(model, operating_range), model.outputs + model.inputs
-    sizes = np.full((relations.count, len(signals)), math.inf)
+    sizes = np.full((parity.count, len(signals)), math.inf)
     for j, signal in enumerate(signals):
-        shift, widths, spread = window_shift(model, signal, relations.horizon, reach)
-        for c, h in enumerate(relations.W):
+        shift, widths, spread = window_shift(model, signal, parity.horizon, reach)
+        for c, h in enumerate(parity.W):
             size = _least(h, shift, widths, spread)
             if size is not None:
                 sizes[c, j] = math.nextafter(float(size), math.inf)

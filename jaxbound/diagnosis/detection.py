@@ -65,7 +65,7 @@ def detect(
     Returns:
         A Result: .status (..., T) int8 (`Status`), .margin (..., T); entry k belongs to the window that ends
         at sample k, the first `horizon` entries are MISSING. With a missing input FAULT is proved, but not
-        CONSISTENT. On a device that nobody examined (`jaxbound examine`) CONSISTENT is UNDECIDED.
+        CONSISTENT. On a device that nobody examined CONSISTENT is UNDECIDED.
 
     Raises:
         ValueError: shapes, columns, a sampling period or words that do not fit; an infinite sample.

@@ -82,8 +82,7 @@ def device_hints(device: str) -> tuple[str, ...]:
     if is_searched:
         return (
             f"{NOT_REFUTED} ({card}): what it called CONSISTENT is UNDECIDED, with margins as it computed "
-            f"them; each FAULT was proved on the CPU; `jaxbound examine` asks it once whether it may prove, "
-            f"JAX_PLATFORMS=cpu does without it",
+            f"them; each FAULT was proved on the CPU; JAX_PLATFORMS=cpu does without it",
         )
     if device.startswith("the CPU"):
         return (f"followed on {device}",)

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxbound.certificates.interface import WindowCertificate, nothing_to_explain
 from jaxbound.consistency.claims import CLAIMED
-from jaxbound.consistency.interface import EXACT, Judged, Observer, Relations
+from jaxbound.consistency.interface import EXACT, Judged, Relations
 from jaxbound.consistency.monitorbank import BankVerdicts, MonitorBank, combined
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.alarms import Alarm
@@ -70,8 +70,8 @@ class MonitorResult(Result):
         relations, before = bank.watches[number].relations, None
         if bank.begun is not None:  # of one recording: it goes on behind another
             before = bank.begun.modes
-            if isinstance(relations, Observer):
-                relations = relations.continued(bank.begun.tests[number])
+            if relations.observer is not None:
+                relations = relations.observer.continued(bank.begun.tests[number])
         lead = self.status.shape[:-1]
         us, ys, seams = [], [], []
         for at in np.ndindex(*lead):

@@ -5,8 +5,8 @@ from functools import partial
 from os import PathLike
 from typing import Any
 
-from jaxbound.consistency.interface import Relations
-from jaxbound.consistency.monitorbank import MonitorBank, Watch
+from jaxbound.consistency.interface import Relations, Watch
+from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.memory import suggest_lags
 from jaxbound.estimation.methods import OBSERVERS
 from jaxbound.estimation.observer import observer

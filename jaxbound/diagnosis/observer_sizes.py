@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from jaxbound.consistency.drive import drive
-from jaxbound.estimation.set_observer import SetObserver, ZonotopeObserver
+from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.faults import Fault
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
@@ -44,7 +44,7 @@ def shifts(watch: SetObserver[Any], fault: Fault) -> np.ndarray:
         raise NotImplementedError(
             f"what an observer sees of a fault of kind {fault.kind!r} is counted by jb.study, not worked out"
         )
-    if not isinstance(watch, ZonotopeObserver):
+    if getattr(watch, "hulls", True):
         raise NotImplementedError(
             f"what a {type(watch).__name__} sees is counted by jb.study, not worked out: its sets move with "
             f"the data"

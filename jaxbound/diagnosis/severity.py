@@ -8,11 +8,12 @@ A FAULT of a monitor counts where the test that speaks proves the size: windows 
 """
 
 from collections.abc import Mapping
+from typing import cast
 
 import numpy as np
 
 from jaxbound.consistency.drive import windows
-from jaxbound.consistency.interface import Relations, WindowTest
+from jaxbound.consistency.interface import Relations
 from jaxbound.consistency.monitorbank import YES, MonitorBank
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.suspects import nameless
@@ -67,7 +68,7 @@ class Severity:
                 break
             first, samples = _around(at, self.horizon)
             test = relations.test(self.method, y.dtype)
-            assert isinstance(test, WindowTest), "an observer was refused"
+            assert not test.remembers, "an observer was refused"
             judged = windows(test, np.asarray(u)[samples], np.asarray(y)[samples], first[1:])
             counts[at] = judged.status[np.searchsorted(samples, at)] == Status.FAULT
         return counts
@@ -121,8 +122,8 @@ def severity_of(
     relations: Relations, method: str, least: Mapping[str, float]
 ) -> "Severity | MonitorSeverity":
     """Return the test by which FAULT counts; see `Severity`, of a monitor `MonitorSeverity`."""
-    if isinstance(relations, MonitorBank):
-        return MonitorSeverity(relations, least)
+    if relations.parts:
+        return MonitorSeverity(cast(MonitorBank, relations), least)
     return Severity(relations, method, least)
 
 

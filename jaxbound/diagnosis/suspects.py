@@ -18,7 +18,7 @@ import numpy as np
 
 from jaxbound.certificates.certificate import Certificate
 from jaxbound.certificates.interface import WindowCertificate, explain
-from jaxbound.consistency.interface import LinearRelations, Relations
+from jaxbound.consistency.interface import Relations
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.sets.floats.status import Status
@@ -72,9 +72,9 @@ def nameless(relations: Relations) -> str:
             "an observer's verdicts rest on more than one window, and `explain` names the candidates of one "
             "FAULT where a short window proves it"
         )
-    if not isinstance(relations, LinearRelations):
+    if relations.linear is None:
         return f"{type(relations).__name__} has no smallest errors of single sensors"
-    model = relations.model
+    model = relations.linear.model
     if model.constant_tolerance:
         return "constant_tolerance leaves no smallest errors of single sensors"
     looks = relations.horizon + 1

@@ -91,7 +91,7 @@ def unit_hints(result: Judgement) -> list[str]:
             consistent.
     """
     relations, status = result.relations, np.asarray(result.status)
-    if result.method != "joint" or not isinstance(relations, ParityRelation) or status.ndim != 1:
+    if result.method != "joint" or relations.linear is None or status.ndim != 1:
         return []
     if relations.model.constant_tolerance or relations.model.factors:  # which inputs in other units change
         return []

@@ -105,6 +105,7 @@ class SetObserver(Observer[State], Generic[State]):
     """
 
     batched: ClassVar[bool] = True
+    untuned: ClassVar[str | None] = None
     hulls: ClassVar[bool] = False  # whether it needs the enclosures of states, and of samples, itself
 
     plant: ObservedPlant = field(repr=False)

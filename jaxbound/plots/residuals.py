@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxbound.consistency.interface import LinearRelations, Relations
+from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.result import Result
 from jaxbound.plots.canvas import (
     BOTTOM,
@@ -23,7 +23,6 @@ from jaxbound.plots.canvas import (
     time_axis,
     time_of,
 )
-from jaxbound.relations.residual import Residual
 from jaxbound.sets.floats.status import Status
 
 if TYPE_CHECKING:
@@ -50,18 +49,14 @@ def plot_residuals(res: Result, time: np.ndarray | None = None) -> "Figure":
         A matplotlib Figure with one panel a residual, at most 12.
 
     Raises:
-        ValueError: as `plot`. TypeError: the Result of a user's own residual.
+        ValueError: as `plot`. TypeError: the Result of an observer. NotImplementedError: residuals
+            without intervals, as a user's own.
     """
     relations = res.relations
     if relations.remembers:
         raise TypeError(
             "only parity relations have an interval for each residual: plot(res.observation, y=res.y) draws "
             "an observer's bands"
-        )
-    if isinstance(relations, Residual):
-        raise TypeError(
-            "only parity relations have an interval for each residual: plot draws the verdicts of a residual "
-            "of your own"
         )
     x, label, dates = time_axis(time_of(res, time))
     thinned = len(x) > SAMPLES
@@ -129,8 +124,9 @@ def _title(relations: Relations, distinct: int) -> str:
 
 def distinct_relations(relations: Relations) -> list[int]:
     """Return the indices of the relations that are not merely an earlier copy of another one."""
-    if not isinstance(relations, LinearRelations):
+    if relations.linear is None:
         return list(range(relations.count))
+    relations = relations.linear
     model, last = relations.model, {}
     count = (relations.horizon + 1) * model.p
     for j, (h, k) in enumerate(zip(relations.W, relations.K, strict=True)):

@@ -224,16 +224,15 @@ def signatures(relations: Redundancy | ParityRelation) -> Signatures:
         r1   1  1  .
         r2   .  t  1
     """
-    if isinstance(relations, ParityRelation):
-        rows = [_as_row(relations, h, k) for h, k in zip(relations.W, relations.K, strict=True)]
-        relations = Redundancy(relations.model, tuple(rows), ())
-    if not isinstance(relations, Redundancy):
+    linear = getattr(getattr(relations, "relations", relations), "linear", None)
+    if linear is None:
         raise TypeError(
             f"signatures needs relations, not {type(relations).__name__}: "
             f"signatures(structured_relations(model))"
         )
-    weak, constant = _reactions(relations.rows, len(relations.names))
-    return Signatures(tuple(f"r{i + 1}" for i in range(relations.count)), relations.names, weak, constant)
+    rows = [_as_row(linear, h, k) for h, k in zip(linear.W, linear.K, strict=True)]
+    names = linear.model.outputs + linear.model.inputs
+    return Signatures(tuple(f"r{i + 1}" for i in range(len(rows))), names, *_reactions(rows, len(names)))
 
 
 def _as_row(r: ParityRelation, h: Vector, k: Vector) -> Row:

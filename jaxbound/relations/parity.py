@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property, partial
-from typing import Self, TypedDict, TypeVar
+from typing import ClassVar, Self, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -71,13 +71,6 @@ SUBSETS, TESTED = 4_000, 400
 beyond, an exchange search is faster."""
 
 
-class WindowLength(TypedDict, total=False):
-    """A horizon, or the lags in its place, as arguments of `parity_relations`."""
-
-    horizon: int
-    lags: tuple[int, ...]
-
-
 @readable
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
@@ -91,6 +84,8 @@ class ParityRelation(LinearRelations):
     (`sets.strips.separation`), else None. lags: so many samples before its last a window looks at the
     outputs; None: always.
     """
+
+    untuned: ClassVar[str | None] = None
 
     bounds: Bounds = field()  # no default, whatever the family of all relations has
     model: LinearSystem = field(metadata={"static": True})
@@ -132,24 +127,13 @@ class ParityRelation(LinearRelations):
         """Whether a search decides the windows: where circuits are too many to be tested one by one."""
         return self.frame is not None
 
-    @property
-    def window(self) -> WindowLength:
-        """How `parity_relations` and `detectable` are asked for these windows: {"horizon": s}, or {"lags":
-        lags}.
-        """
-        if self.lags is None:
-            return {"horizon": self.horizon}
-        return {"lags": self.lags}
-
     @cached_property
     def _moving(self) -> ParityRelation | None:
-        return moving(self, self._of)
+        return moving(self, self.of)
 
-    def _of(self, model: LinearSystem) -> ParityRelation:
+    def of(self, model: LinearSystem) -> Self:
         """Return the relations of another model over the same window."""
-        relations = parity_relations(model, form=self.form, **self.window)
-        assert isinstance(relations, ParityRelation)
-        return relations
+        return cast(Self, parity_relations(model, form=self.form, **self.span))
 
     @cached_property
     def _framed(self) -> ParityRelation:

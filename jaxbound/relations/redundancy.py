@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from math import gcd
-from typing import Self, TypeAlias
+from typing import ClassVar, Self, TypeAlias
 
 import numpy as np
 from jax.typing import DTypeLike
@@ -63,6 +63,10 @@ class Redundancy(Relations):
     insensitive: tuple[tuple[str, ...], ...]
 
     methods = ("box",)
+    untuned: ClassVar[str | None] = (
+        ", whose relations explain alone whatever the joint test explains: tune that, and build the bank of "
+        "the tuned .model"
+    )
 
     def _head(self) -> str:
         return f"{type(self).__name__}: {self.count} relations, {self.model.p} outputs, {self.model.m} inputs"

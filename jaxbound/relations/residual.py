@@ -19,6 +19,7 @@ from jax.typing import ArrayLike, DTypeLike
 
 from jaxbound.consistency.bisection import BisectionTest, ResidualRelations, flat
 from jaxbound.consistency.interface import Budget, Starts, WindowTest, refuse_options
+from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.signals import Signals
 from jaxbound.recordings.table import as_table, is_table
@@ -129,6 +130,16 @@ class Residual(ResidualRelations):
             )
         lo, hi = np.moveaxis(np.asarray(bounds["parameters"]), -1, 0)
         return dataclasses.replace(self, box=_bounded(interval(lo, hi)))
+
+    def named_like(self, model: LinearSystem) -> Self:
+        """Return the residual with the names of a plant, in its order, for signals without names; see
+        `Channels`.
+        """
+        channels = self.model
+        inputs = model.inputs if channels.stated_inputs is None else channels.inputs
+        outputs = model.outputs if channels.stated_outputs is None else channels.outputs
+        named = dataclasses.replace(channels, stated_inputs=inputs, stated_outputs=outputs)
+        return dataclasses.replace(self, model=named)
 
     def recording(self, u: object, y: object = None, starts: Starts = ()) -> tuple[Self, Recording]:
         """Return (relations, recording): the residual with the names of the signals that it lacks, taken from

@@ -114,6 +114,11 @@ class UncertainRelations(PolynomialRelations):
         return max(self.N.order, self.K.order)
 
     @property
+    def tested(self) -> str:
+        """The polynomials that a window is tested by, in words."""
+        return f"polynomials of order {self.order} in {len(self.variables)} uncertain numbers"
+
+    @property
     def exponents(self) -> tuple[Exponents, ...]:
         """The monomials of the relations and all that divide one of them, the constant first, orders
         ascending.

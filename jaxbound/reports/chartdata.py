@@ -11,6 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from jaxbound.certificates.certificate import Certificate
+from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.observed import ObserverResult
 from jaxbound.diagnosis.result import Result
@@ -18,8 +19,6 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.plots.combination import combination, expected_readings
 from jaxbound.plots.result import drawn_margins
 from jaxbound.recordings.recording import Recording
-from jaxbound.relations.parity import ParityRelation
-from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.reports.chart import ChartPiece, ChartRow, Charts, band_key, coded, piece_of, plain, usual_step
 from jaxbound.reports.clock import AxisClock, axis_of, clock_of
 from jaxbound.runs.digest import Digest
@@ -255,8 +254,8 @@ def bands_of(res: object, ends: slice) -> dict[str, Interval]:
 def _(res: Result, ends: slice) -> dict[str, Interval]:
     """Return the readings that windows expect, by the other samples of each."""
     relations = res.relations
-    fits = isinstance(relations, ParityRelation) and not relations.model.constant_tolerance
-    if not fits or ends.stop - ends.start > BANDS:
+    linear = relations.linear
+    if linear is None or linear.model.constant_tolerance or ends.stop - ends.start > BANDS:
         return {}
     before = max(ends.start - relations.horizon, 0)
     with np.errstate(over="ignore", invalid="ignore"):  # samples near the largest numbers
@@ -287,7 +286,7 @@ def _uncertain(res: Result, ends: slice) -> dict[str, np.ndarray]:
     """Return {key: share} of each relation with uncertain parameters, which no certificate combines with
     others.
     """
-    if not isinstance(res.relations, UncertainRelations):
+    if not res.relations.uncertain:
         return {}
     before = max(ends.start - res.relations.horizon, 0)
     u, y = res.u[before : ends.stop], res.y[before : ends.stop]
@@ -310,9 +309,9 @@ def _explained(res: Result | Digest, worst: int | None) -> object:
     return None
 
 
-def _combinations(relations: object) -> Iterator[ChartRow]:
+def _combinations(relations: Relations) -> Iterator[ChartRow]:
     """Yield the Rows of combinations: one that certificates state, or each relation alone."""
-    if not isinstance(relations, UncertainRelations):
+    if not relations.uncertain:
         yield ChartRow("combination", COMBINED, kind="combination")
         return
     for j, line in enumerate(relations.text().splitlines()[:RELATIONS]):

@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from jaxbound.certificates.interface import WindowCertificate
-from jaxbound.consistency.interface import BOUNDS, LinearRelations
+from jaxbound.consistency.interface import BOUNDS
 from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.observed import ObserverResult, shown_name
@@ -22,7 +22,6 @@ from jaxbound.plots.residuals import distinct_relations
 from jaxbound.plots.result import draws_bounds
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.sentence import looked_at
-from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.reports.causes import Cause, causes_of
 from jaxbound.reports.chart import picture_of
 from jaxbound.reports.chartdata import charts
@@ -107,7 +106,7 @@ def write_report(
         bounded=res.margins == BOUNDS and (isinstance(res, Digest) or draws_bounds(res)),
         signals=(len([row for row in drawn.rows if row.key.startswith("s")]), model.p + model.m),
         combined=any(stretch["combined"] for stretch in drawn.near),
-        relations_alone=isinstance(relations, UncertainRelations),
+        relations_alone=relations.uncertain,
         bands=_has_bands(drawn.near[0]["series"]),
         bands_of_all=_has_bands(drawn.whole.low),
         alarms=rows,
@@ -283,7 +282,7 @@ def about(relations: Any) -> dict[str, object]:
         "relations": relations.count,
         "distinct": len(distinct),
         "lines": shown,
-        "tested_how": _tested(relations),
+        "tested_how": "; ".join(filter(None, (relations.tested, *relations.notes))),
     }
 
 
@@ -301,17 +300,3 @@ def _(observer: SetObserver[Any]) -> dict[str, object]:
         "weights": ", ".join(f"{w:g}" for w in observer.weights),
         "restart": observer.restart,
     }
-
-
-def _tested(relations: Any) -> str:
-    """Return the way in which combinations of relations are tested, in words."""
-    if isinstance(relations, UncertainRelations):
-        count = len(relations.variables)
-        about = f"they are polynomials of order {relations.order} in {count} uncertain numbers"
-        return "; ".join((about, *relations.notes))
-    if not isinstance(relations, LinearRelations):
-        return "; ".join(relations.notes)
-    if relations.frame is None:
-        return f"{len(relations.circuits)} combinations are tested"
-    most = "the combination that speaks most against a window is searched for"
-    return f"{most}, there are too many to test one by one"

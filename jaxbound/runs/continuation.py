@@ -135,9 +135,9 @@ class Continuation:
 
     def _carried(self) -> object:
         """Return the carry of an observer before the samples that are kept; None of windows."""
-        if not isinstance(self.relations, Observer):
+        if self.relations.observer is None:
             return None
-        empty = self.relations.init()
+        empty = self.relations.observer.init()
         leaves = [self.past[f"{CARRY}{i}"] for i in range(len(jax.tree.leaves(empty)))]
         return jax.tree.unflatten(jax.tree.structure(empty), leaves)
 
@@ -164,8 +164,8 @@ class Continuation:
     def keep(self, joined: Joined) -> None:
         """Keep a recording that is too short for a window, for the next."""
         carry = joined.carry
-        if carry is None and isinstance(self.relations, Observer):
-            carry = self.relations.init()
+        if carry is None and self.relations.observer is not None:
+            carry = self.relations.observer.init()
         self.save(joined.recording, carry)
 
     def _save(self, now: Arrays) -> None:
@@ -207,7 +207,7 @@ def followed(
     _, recording = observer.recording(given.recording)
     windows = window_count(recording.y.shape[:-1], observer.horizon)
     watch = with_margins(observer.test(dtype=recording.y.dtype), margins, windows)
-    assert isinstance(watch, Observer), "an observer is its own test"
+    assert watch.remembers, "an observer is its own test"
     carry = given.carry
     if carry is None:
         carry = watch.init()

@@ -14,7 +14,6 @@ import numpy as np
 
 from jaxbound.consistency.claims import CLAIMED, refuse_outside
 from jaxbound.consistency.interface import AUTO, BOUNDS, EXACT, Relations, with_margins
-from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.alarmrule import RuleLike, rule_of
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detection import detect
@@ -113,7 +112,7 @@ class Digest:
     @property
     def bounded(self) -> bool:
         """Whether the margin of `worst` is a bound: of windows alone those of FAULT are measured."""
-        is_measured = self.counts["FAULT"] > 0 and not isinstance(self.relations, MonitorBank)
+        is_measured = self.counts["FAULT"] > 0 and not self.relations.parts
         return self.margins == BOUNDS and not is_measured
 
     def _head(self) -> str:
@@ -287,7 +286,7 @@ def detect_dataset(
         >>> found.counts["FAULT"], found.worst[0]
         (1, 2)
     """
-    if not isinstance(relations, Relations) or relations.made is None:
+    if getattr(relations, "made", None) is None:
         raise TypeError(
             f"detect_dataset needs relations of a model, whose verdicts can be kept, not "
             f"{type(relations).__name__}"
@@ -366,13 +365,13 @@ def digest(
     book = alarm_book(rule, source, relations, method, alarms_csv, drawing.line.mark)
     by_test = unwatched = None
     sinks: list[Taker[Recording, Verdicts]] = [tally, ticking, drawing, book, *also]
-    if isinstance(relations, MonitorBank):
+    if relations.parts:
         unwatched = Unwatched()
         sinks.append(unwatched)
     for _ in follow(verdicts_of(folder, source, region), as_judged, sinks):
         report(tally.samples / source.samples)
     book.close()
-    if isinstance(relations, MonitorBank) and unwatched is not None:
+    if unwatched is not None:
         by_test = read_by_test(part_files(folder), relations)
         unwatched.finish()
     alarms, named = book.alarms()

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from jaxbound.consistency.monitorbank import MonitorBank
+from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarms import BEGAN_ANEW, GAP, NO_LONGER, ONSET_LEFT, Alarm
 from jaxbound.diagnosis.detectability import always_seen, is_affordable
 from jaxbound.diagnosis.memory import slowest
@@ -41,12 +41,12 @@ def sizes_seen(res: Result | Digest, alarms: Sequence[Alarm]) -> dict[str, float
     if not alarms:
         return None
     readings = res.near(alarms[0].worst).y if isinstance(res, Digest) else res.y
-    if isinstance(res.relations, MonitorBank):
+    if res.relations.parts:
         return _least_sizes(res.relations, readings)
     return always_seen(res.relations, res.method, readings)
 
 
-def _least_sizes(monitor: MonitorBank, readings: np.ndarray) -> dict[str, float] | None:
+def _least_sizes(monitor: Relations, readings: np.ndarray) -> dict[str, float] | None:
     """Return the sizes of the test that sees most, of those that always watch; None where none is known."""
     least: dict[str, float] = {}
     for watch in monitor.watches:

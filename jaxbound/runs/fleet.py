@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 
 from jaxbound.consistency.claims import CLAIMED
-from jaxbound.consistency.interface import AUTO, MONITOR, Observer, Relations
+from jaxbound.consistency.interface import AUTO, MONITOR, Relations
 from jaxbound.diagnosis.alarmrule import AlarmRule, RuleLike, rule_of
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detection import detect
@@ -509,8 +509,8 @@ def _judge_unit(
     refuse_short(unit.recording, recording.samples, relations.horizon)
     if known is not None:
         res, carry = known
-    elif data.kept is not None and isinstance(relations, Observer):
-        res, carry = followed(relations, data.joined, how.outside, how.margins)
+    elif data.kept is not None and relations.observer is not None:
+        res, carry = followed(relations.observer, data.joined, how.outside, how.margins)
     else:
         # each by its own number of windows: the tightest one of a unit is searched for among nearly all
         test = partial(detect, method=how.method, margins=how.margins, outside=how.outside)
@@ -559,8 +559,7 @@ def _shape_of(data: _UnitData) -> tuple[object, ...]:
 
 def _followed_together(group: Sequence[_UnitData], outside: str) -> _Together:
     """Follow units of one model, and of one shape, by one observer."""
-    first, observer = group[0], group[0].relations
-    assert isinstance(observer, SetObserver), "others are tested one by one"
+    first, observer = group[0], cast(SetObserver[Any], group[0].relations)  # others are tested one by one
     u = np.stack([np.asarray(data.recording.u) for data in group])
     y = np.stack([np.asarray(data.recording.y) for data in group])
     one = first.recording

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxbound.consistency.monitorbank import MonitorBank
+from jaxbound.consistency.interface import Relations
 from jaxbound.plots.canvas import PANELS, bins, inside
 from jaxbound.recordings.factors import known
 from jaxbound.recordings.signals import SignalModel
@@ -138,7 +138,7 @@ def read_again(parts: Iterable[Path]) -> dict[str, int]:
     return dict(counts)
 
 
-def read_by_test(parts: Iterable[Path], bank: MonitorBank) -> CountsByTest:
+def read_by_test(parts: Iterable[Path], bank: Relations) -> CountsByTest:
     """Return the counts of each test of a monitor in all parts, in order."""
     counted = CountsByTest(bank)
     for metadata in map(_metadata, parts):

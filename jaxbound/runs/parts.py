@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, cast
 
 import numpy as np
 
-from jaxbound.consistency.interface import Judged
-from jaxbound.consistency.monitorbank import MonitorBank
+from jaxbound.consistency.interface import Judged, Relations
 from jaxbound.diagnosis.result import suspected
 from jaxbound.files.checkpoint import refuse_other
 from jaxbound.files.whole import UNFINISHED, whole
@@ -107,7 +106,7 @@ class Parts(Quiet):
         end: int,
         about: Noted,
         judge: Carrier,
-        bank: MonitorBank | None = None,
+        bank: Relations | None = None,
     ) -> None:
         self.folder, self.notes, self.size, self.end = folder, notes, size, end
         self.done, self.about, self.judge = first, about, judge

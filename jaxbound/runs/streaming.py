@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxbound.consistency.claims import CLAIMED
-from jaxbound.consistency.interface import AUTO, Observer, Relations, margins_for, with_margins
-from jaxbound.consistency.monitorbank import MonitorBank
+from jaxbound.consistency.interface import AUTO, Relations, margins_for, with_margins
 from jaxbound.files.checkpoint import from_texts
 from jaxbound.models.fingerprint import fingerprint
 from jaxbound.recordings.contents import Digests
@@ -273,9 +272,7 @@ class _Judging:
         laps = Laps(seconds)
         judge = self._judge(parts.start, laps)
         about = Noted(self.source.samples, self.relations.model)
-        bank = None
-        if isinstance(self.relations, MonitorBank):
-            bank = self.relations
+        bank = self.relations if self.relations.parts else None
         sink = Parts(self.folder, notes, self.size, first, end, about, judge, bank)
         pieces = self.source.pieces(self.chunk, judge.overlap, max(first - judge.begins, 0), end)
         report(first)
@@ -290,7 +287,7 @@ class _Judging:
             return Windows(*about, done, laps, self.margins, self.outside)
         test, windows = self.relations.test(self.method, self.source.dtype), self.source.samples
         observer = with_margins(test, self.margins, windows - self.relations.horizon)
-        assert isinstance(observer, Observer), "what remembers is an observer"
+        assert observer.remembers, "what remembers is an observer"
         carry = observer.init()
         if part and self.follows:
             carry = from_texts(carry, carry_behind(self.folder / part_name(part - 1)))
@@ -345,7 +342,7 @@ def _job_of(
 
 def _begins(relations: Relations, part: tuple[int, int] | None, overlap: int | None) -> int | None:
     """Return how many samples before each part an observer of its own begins; refuse what is none."""
-    of_windows = relations.looks_back if isinstance(relations, MonitorBank) else None
+    of_windows = relations.looks_back if relations.parts else None
     if overlap is None:
         if of_windows is not None:
             return of_windows  # behind so many samples a part has the verdicts of the whole

@@ -3,11 +3,11 @@ pieces.
 """
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from jaxbound.consistency.interface import Judged, Verdicts
+from jaxbound.consistency.interface import Judged, Relations, Verdicts
 from jaxbound.consistency.monitorbank import MonitorBank, claimed
 from jaxbound.diagnosis.hints import outgrown_by
 from jaxbound.recordings.recording import Recording
@@ -60,8 +60,9 @@ class CountsByTest(Quiet):
     samples each condition does not hold, holds, is unknown.
     """
 
-    def __init__(self, bank: MonitorBank) -> None:
+    def __init__(self, relations: Relations) -> None:
         """Begin at zero."""
+        bank = cast(MonitorBank, relations)
         self.bank = bank
         self.observes = np.array([part.observes for part in bank.parts.values()])
         self.beyond = np.array([outgrown_by(bank, name) for name in bank.names])

@@ -38,9 +38,7 @@ class Watching:
     def __init__(self, rule: AlarmRule, relations: Relations, method: str, samples: Samples) -> None:
         self.relations, self.method, self.samples = relations, method, samples
         self.watch = Watch(rule)
-        self.before = relations.horizon
-        if isinstance(relations, MonitorBank):
-            self.before = relations.reach
+        self.before = relations.reach
         # those of a stretch are asked for once it is over
         self.keep = rule.n + self.watch.reach
         self.by = np.full(self.keep, -1, np.int16)  # the tests that speak at the last samples, of a monitor
@@ -84,11 +82,11 @@ class Watching:
 
     def _speaking(self, verdicts: Verdicts) -> np.ndarray | None:
         """Return the numbers of the tests of a monitor that speak at each sample, else None."""
-        if not isinstance(self.relations, MonitorBank):
+        if not self.relations.parts:
             return None
         told = cast(Any, verdicts)
         # parts of a recording name those that speak in them
-        numbers = [self.relations.names.index(name) for name in told.names]
+        numbers = [list(self.relations.parts).index(name) for name in told.names]
         return np.asarray(np.array([-1, *numbers], np.int16)[told.by + 1])
 
     def _counted(
@@ -108,10 +106,10 @@ class Watching:
 
     def _blame(self, sample: int) -> Suspect:
         """Return the suspects of the window that ends at a sample, of a monitor of the test that speaks."""
-        if not isinstance(self.relations, MonitorBank):
+        if not self.relations.parts:
             u, y = self.samples(sample - self.relations.horizon, sample + 1)
             return suspect_of_window(self.relations, self.method, np.asarray(u), np.asarray(y))
-        bank = self.relations
+        bank = cast(MonitorBank, self.relations)
         number = int(self.by[sample - self.first])
         relations = bank.watches[number].relations
         if nameless(relations):

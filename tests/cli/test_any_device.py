@@ -2,6 +2,7 @@
 
 import json
 
+import jax
 import numpy as np
 import pandas as pd
 import pytest
@@ -74,3 +75,20 @@ def test_a_fleet_and_a_pipe_say_so_too(place, capsys):
         assert judge_stream("model.toml", [(place / "run.csv").read_bytes()]) == 1
     out, err = capsys.readouterr()
     assert NOT_REFUTED in err and "CONSISTENT" not in out
+
+
+@pytest.mark.parametrize("failure", [RuntimeError, AssertionError])  # jax has both, by what is installed
+@pytest.mark.parametrize("command", ["demo --out out", "example heater"])
+def test_a_platform_that_is_not_there_is_refused_in_one_sentence(
+    command, failure, capsys, monkeypatch, tmp_path
+):
+    def nothing():
+        raise failure
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("JAX_PLATFORMS", "cuda")
+    monkeypatch.setattr(jax, "default_backend", nothing)
+    assert main.main(command.split()) == 2
+    said = capsys.readouterr().err
+    assert "JAX_PLATFORMS=cuda names no device of this machine: unset it, or use cpu" in said
+    assert not list(tmp_path.iterdir())

@@ -6,7 +6,8 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.consistency.drive import drive
-from jaxbound.consistency.monitorbank import MonitorBank, Watch
+from jaxbound.consistency.interface import Watch
+from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.estimation import validation_slide
 from jaxbound.estimation.validation_observer import ValidationObserver
 from jaxbound.estimation.validation_windows import slide

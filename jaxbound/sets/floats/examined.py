@@ -1,153 +1,143 @@
-"""Was this compiler examined, with these settings? By its version, which is listed, or now: once, and kept
-in the user's folder. And was this card examined, by its user (`examine`)? Then its record is kept there too.
+"""The arithmetic of a compiler and a device: measured by one small kernel, against exact rationals.
+
+Few numbers stand before the first proof of a process, thousands where a version of jaxlib is not listed. What
+`tests/sets/floats` ask, of loops and of large reductions too, a kind of device and a version have passed
+before they are listed.
 """
 
-import datetime
-import hashlib
-import json
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from fractions import Fraction
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
-from jaxbound import __version__
-from jaxbound.files.folders import cache_folder
-from jaxbound.files.whole import whole
-from jaxbound.sets.floats import settings
-from jaxbound.sets.floats.examination import examination
-from jaxbound.text.progress import reporter
-from jaxbound.text.warned import warn
+from jaxbound.sets.floats import rounding, unrolled
+from jaxbound.sets.floats.kinds import plainly_on
 
-__all__ = ["Record", "admitted", "doubt_of", "examine", "record_of"]
+__all__ = ["EXAMINED", "FEW", "MANY", "VERSIONS", "broken", "loose_flags", "measure"]
 
-PASSED = "passed"
-Record = dict[str, str]
-"""Of an examined device: {"card", "platform", "capability", "driver", "jaxlib", "jax", "jaxbound", "date",
-"outcome"}, the outcome "passed" or the claims that do not hold, in words."""
+EXAMINED = frozenset({"cpu"})
+"""Kinds of devices, as `kind_of_device` names them without the driver, on which the tests of `sets/floats`
+were run."""
+VERSIONS = "0.8.0 0.8.1 0.8.2 0.8.3 0.9.0 0.9.0.1 0.9.1 0.9.2 0.10.0 0.10.1 0.10.2 0.12.0.1".split()
+"""Versions of jaxlib that passed the tests of `sets/floats` on a CPU (x86-64). 0.11.1 is not to be installed
+at all, see pyproject.toml."""
+GIVES_UP = {
+    "xla_cpu_enable_fast_math": ("false", "0"),
+    "xla_cpu_fast_math_honor_nans": ("", "true", "1"),
+    "xla_cpu_fast_math_honor_infs": ("", "true", "1"),
+    "xla_cpu_fast_math_honor_division": ("", "true", "1"),
+    "xla_cpu_fast_math_honor_functions": ("", "true", "1"),
+    "xla_cpu_experimental_onednn_fusion_type": ("",),
+    "xla_cpu_experimental_xnn_fusion_type": ("",),
+    "xla_cpu_experimental_ynn_fusion_type": ("",),
+    "xla_cpu_experimental_xnn_graph_fusion_mode": ("", "XNN_GRAPH_FUSION_MODE_DISABLED"),
+    "xla_gpu_enable_fast_min_max": ("false", "0"),
+}
+"""Flags of XLA after which nothing is known of a rounding, and the values that leave it alone. fusion_type
+and graph_fusion_mode hand operations to libraries whose exp, for one, is another."""
+FEW, MANY = 16, 4096
+"""Numbers of each kind that are measured: of a listed version, and of another."""
 
 
-def doubt_of(device: jax.Device, kind: dict[str, str], unknown: Sequence[str]) -> str:
-    """Return why nothing is proved with this compiler and these settings, in a sentence; empty where an
-    examination found no fault.
-
-    A listed version without settings is known. Anything else is examined by all of `examination`, in float32
-    and float64, which takes seconds and is said in a warning. What passes is kept in the user's cache
-    folder, and asked from there by the processes that follow.
+def loose_flags(flags: str) -> list[str]:
+    """Return the flags of XLA_FLAGS that give arithmetic up.
 
     Args:
-        device: of jax. kind: its `probe.kind_of_device`. unknown: settings that no table knows, each in
-        words.
+        flags: what XLA_FLAGS says: the flags themselves, or the name of a file with them.
     """
-    reasons = list(unknown)
-    on_cpu = kind["platform"] == "cpu"  # a card has a record for its jaxlib
-    if on_cpu and kind["jaxlib"] not in settings.VERSIONS:
-        reasons.insert(0, f"jaxlib {kind['jaxlib']} is not among the versions that were examined")
-    if not reasons:
-        return ""
-    about = _identity(device, kind) | {
-        "processor": " ".join(settings.processor()),
-        "unknown": " and ".join(unknown),
+    if flags.split() and not flags.split()[0].lstrip("'\"").startswith("-"):
+        file = Path(flags)
+        flags = file.read_text() if file.is_file() else ""
+    found = []
+    for flag in flags.replace('"', " ").replace("'", " ").split():
+        name, given, value = flag.lstrip("-").partition("=")
+        harmless = GIVES_UP.get(name)
+        if harmless is not None and (value if given else "true") not in harmless:
+            found.append(flag)
+    return found
+
+
+def broken(device: jax.Device, dtype: DTypeLike, count: int = FEW) -> str:
+    """Return the claims of `measure` that a device breaks, in words; empty where it keeps to all of them."""
+    words = []
+    for claim, (value, most) in measure(device, dtype, count).items():
+        if not value <= most:
+            words.append(f"{claim}: {value:.3g}, at most {most:g} assumed")
+    return "; ".join(words)
+
+
+def measure(device: jax.Device, dtype: DTypeLike, count: int = FEW) -> dict[str, tuple[float, float]]:
+    """Return {what `rounding` assumes: (what a compiled kernel did on a device, the most that is assumed)},
+    errors in units u.
+
+    A kernel that compiles fast: it stands before every first verdict. count: numbers of each kind.
+
+    A product p = a b that is rounded once leaves p - fl(a b) = 0. If the compiler sees through what should
+    store it, or works it out anew where it is used, then it contracts the difference, and the error of the
+    product is left.
+    """
+    k, info = np.arange(1, count + 1), np.finfo(dtype)
+    even = k % 2 == 1
+    numbers = lambda step, low, high: np.exp2(low + (high - low) * (k * step % 1)).astype(dtype)
+    a, b = numbers(0.618, -8, 8) * np.where(k % 3, 1, -1).astype(dtype), numbers(0.414, -8, 8)
+    small, top = numbers(0.732, info.minexp + 1, info.minexp + 3.9), np.full(count, info.max, dtype)
+    odd, divisor = np.where(k % 4 == 0, np.nan, np.inf).astype(dtype), np.full(1, -17.3, dtype)
+    given = a, b, divisor, small, top, odd, np.where(even, a * b, a * a), even
+    with plainly_on(device):
+        errors = np.asarray(_kernel(*(jax.device_put(x, device) for x in given)))
+    *exact, A, B, least = (list(map(Fraction, x.astype(float).tolist())) for x in (*errors[:6], a, b, small))
+    total, rest, quotient, share, root, flushed = exact
+    u, smallest, pairs = (
+        Fraction(float(info.eps)) / 2,
+        Fraction(float(info.tiny)),
+        list(zip(A, B, strict=True)),
+    )
+    error = lambda found, want: max(
+        float(abs(f - w) / abs(f) / u) if f else (np.inf if w else 0.0)
+        for f, w in zip(found, want, strict=True)
+    )
+    lost = sum(s + e != x + y for s, e, (x, y) in zip(total, rest, pairs, strict=True))
+    by = Fraction(float(divisor[0]))
+    underflow = max(abs(f - x / by) for f, x in zip(flushed, least, strict=True)) / smallest
+    return {
+        "error of a sum": (error(total, [x + y for x, y in pairs]), 2.84),
+        "error of a quotient": (error(quotient, [x / y for x, y in pairs]), 2.84),
+        "error of a quotient by one number": (error(share, [x / by for x in A]), 2.84),
+        "error of the square of a root": (error([x * x for x in root], B), 5.7),
+        "sums that two_sum loses digits of": (lost, 0),
+        "error of an underflow, in smallest numbers": (float(underflow), 1),
+        "underflows that lose their sign": (int((~np.signbit(errors[5])).sum()), 0),
+        "overflows that are finite": (int((errors[6][even] != np.inf).sum()), 0),
+        "NaN that are lost": (int((~np.isnan(errors[6][~even])).sum()), 0),
+        "quotients that are not one number for all uses": (int((errors[7][even] != 0).sum()), 0),
+        "calls that are not kept apart": (int((errors[7][~even] != 0).sum()), 0),
     }
-    if admitted(_read(about)):
-        return ""
-    why, path = " and ".join(reasons), _file_of(about)
-    where = "nowhere, for want of a home folder" if path is None else f"in {path}"
-    asked = "all that proofs rest on is examined before anything is proved, once; it takes some seconds"
-    warn(f"{why}: {asked}, and that it passed is kept {where}")
-    record = _examined(device, about)
-    if not admitted(record):
-        return (
-            f"{why}, and an examination found what proofs do not allow ({record['outcome']}), "
-            f"so nothing can be proved: install a jaxlib that was examined ({settings.examined_versions()}), "
-            "and start without such settings"
-        )
-    _keep(about, record)
-    return ""
 
 
-def examine(
-    device: jax.Device, kind: dict[str, str], progress: Callable[[float], object] | None = None
-) -> tuple[Record, Path | None]:
-    """Examine a card by all of `examination`, in float32 and float64, and keep what came out.
-
-    Args:
-        device: of jax. kind: its `kinds.kind_of_device`. progress: called with the share of the work done.
-
-    Returns:
-        (Record, the file that it is kept in, None where there is no place for it).
+@jax.jit
+def _kernel(
+    a: jax.Array,
+    b: jax.Array,
+    divisor: jax.Array,
+    small: jax.Array,
+    top: jax.Array,
+    odd: jax.Array,
+    product: jax.Array,
+    even: jax.Array,
+) -> jax.Array:
+    """Return (8, N) results: more of them would be spread over several loops, and take four times as long
+    to compile.
     """
-    about = _identity(device, kind)
-    record = _examined(device, about, progress)
-    if kind["platform"] == "cpu":  # known by its version
-        return record, None
-    _keep(about, record)
-    return record, _file_of(about) if _read(about) == record else None
+    lost = jnp.maximum(odd - odd, b)  # odd: NaN and infinite
+    held = (
+        unrolled.stored(a * b) - product,
+        product - _squared(a),
+    )  # differences of one form, or of one product, would become one
+    ends = jax.lax.select(even, top + top, lost), jax.lax.select(even, *held)
+    return jnp.stack([*rounding.two_sum(a, b), a / b, a / divisor, jnp.sqrt(b), small / divisor, *ends])
 
 
-def record_of(device: jax.Device, kind: dict[str, str]) -> Record | None:
-    """Return the Record of a card with its driver and these versions; None: nobody has examined it so.
-
-    Args:
-        device: of jax. kind: its `kinds.kind_of_device`.
-    """
-    return _read(_identity(device, kind))
-
-
-def admitted(record: Record | None) -> bool:
-    """Return whether a device with this Record may prove."""
-    return record is not None and record.get("outcome") == PASSED and bool(record.get("date"))
-
-
-def _identity(device: jax.Device, kind: dict[str, str]) -> Record:
-    """Return the part of a Record for which an examination holds."""
-    card = str(getattr(device, "device_kind", "") or kind["platform"])
-    return {"card": card, **kind, "jax": jax.__version__, "jaxbound": __version__}
-
-
-def _examined(device: jax.Device, about: Record, progress: Callable[[float], object] | None = None) -> Record:
-    """Return the Record of an examination now, in both types."""
-    broken, report = [], reporter(progress)
-    with jax.enable_x64(True):
-        for done, dtype in enumerate((np.float32, np.float64)):
-            report(done / 2)
-            for claim, (value, most) in examination(device, dtype).items():
-                if not value <= most:
-                    broken.append(f"{claim}, {np.dtype(dtype).name}: {value:.3g}, at most {most:g} assumed")
-    report(1.0)
-    return about | {"date": datetime.date.today().isoformat(), "outcome": "; ".join(broken) or PASSED}
-
-
-def _file_of(about: Record) -> Path | None:
-    """Return the file for the Record of this very thing, None where there is no place for it."""
-    name = hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()[:32]
-    folder = "" if "unknown" in about else "cards"
-    with suppress(RuntimeError):
-        return cache_folder() / "examined" / folder / f"{name}.json"
-    return None
-
-
-def _read(about: Record) -> Record | None:
-    """Return the Record that is kept of this very thing, which the name of its file alone does not prove."""
-    path = _file_of(about)
-    if path is None:
-        return None
-    try:
-        record = json.loads(path.read_text())
-    except (OSError, ValueError):
-        return None
-    same = isinstance(record, dict) and all(record.get(name) == value for name, value in about.items())
-    return record if same else None
-
-
-def _keep(about: Record, record: Record) -> None:
-    """Write down what came out; in a folder that cannot be written, or beside another process that writes,
-    it is examined anew next time.
-    """
-    path = _file_of(about)
-    with suppress(OSError, ValueError):
-        if path is not None:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with whole(path) as file:
-                file.write(json.dumps(record, sort_keys=True, indent=1).encode())
+_squared = unrolled.apart(lambda a: a * a)

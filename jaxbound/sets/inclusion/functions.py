@@ -16,8 +16,6 @@ import dis
 import struct
 import sys
 import threading
-import weakref
-from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping
 from fractions import Fraction
 from functools import lru_cache, partial
@@ -78,16 +76,15 @@ def frozen(f: Called) -> Called:
     try:
         key, copy = _function(f, 0)
     except _Unknown:
-        _count(f)
-        return f
+        if type(f) is not FunctionType:  # others may be equal to one another, as JAX sees them
+            return f
+        key, copy = f, f
     with _lock:
-        if key not in _kept:
-            _new_one()
-        kept = _kept.pop(key, copy)
-        _kept[key] = kept
-        if len(_kept) > KEPT:
-            _kept.popitem(last=False)
-    return cast(Called, kept)
+        if key not in _kept and len(_kept) == KEPT:
+            _kept.clear()
+            for kernel in _kernels:
+                _forget(kernel)
+        return cast(Called, _kept.setdefault(key, copy))
 
 
 def forgets(kernel: Compiled) -> Compiled:
@@ -99,30 +96,9 @@ def forgets(kernel: Compiled) -> Compiled:
 
 
 _lock = threading.RLock()
-_kept: OrderedDict[Hashable, object] = OrderedDict()
-_others: weakref.WeakSet[Function] = weakref.WeakSet()
+_kept: dict[Hashable, object] = {}
 _kernels: list[object] = []
 _forget = methodcaller("clear_cache")
-_new = [0]
-
-
-def _count(f: Function) -> None:
-    """Count a function that is left as it is, where it is new."""
-    if type(f) is not FunctionType:  # others may be equal to one another, as JAX sees them
-        return
-    with _lock:
-        if f not in _others:
-            _others.add(f)
-            _new_one()
-
-
-def _new_one() -> None:
-    """Count one more function; forget all programs where there have been too many."""
-    _new[0] += 1
-    if _new[0] > KEPT:
-        _new[0] = 0
-        for kernel in _kernels:
-            _forget(kernel)
 
 
 def _part(x: object, depth: int) -> _Part:

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import Jaxpr, JaxprEqn, Literal, Var
+from jax.extend.core import Jaxpr, JaxprEqn, Literal
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.equations import bind, body, by_key, dtype_of, inexact, inside
@@ -62,9 +62,7 @@ def evaluate(
     Encloses: the real function that the jaxpr writes down, its constants being the floats they are.
     """
     absent = [None if isinstance(x, Interval) else _absent(x) for x in args]
-    outs, _, continuous = _follow(
-        jaxpr, consts, [_door(x) for x in args], absent, [False] * len(jaxpr.outvars)
-    )
+    outs, _, continuous = _follow(jaxpr, consts, [_door(x) for x in args], absent)
     return outs, continuous
 
 
@@ -73,13 +71,13 @@ def _door(x: Value) -> Value:
     return computed(*rounding.readable(x.lo, x.hi)) if isinstance(x, Interval) and not whole(x) else x
 
 
-def _follow(jaxpr, consts, args, absent, asked):
+def _follow(jaxpr, consts, args, absent):
     """Return (outs, absent, continuous).
 
-    absent: None, or a boolean array, True where the number may be NaN, for each of args and outs. asked: of
-    which outs it is needed. The bounds of args are settled, whatever a loop or a branch made of them.
+    absent: None, or a boolean array, True where the number may be NaN, for each of args and outs; what nobody
+    observes is left out of a program that is compiled. The bounds of args are settled, whatever a loop or a
+    branch made of them.
     """
-    watched = _watched(jaxpr, asked)
     args = [_computed(x) if isinstance(x, Interval) else x for x in args]
     known = lambda x: (_constant(x), _absent(x))
     env = dict(zip(jaxpr.constvars, map(known, consts), strict=True)) | dict(
@@ -89,33 +87,11 @@ def _follow(jaxpr, consts, args, absent, asked):
     continuous = True
     for eqn in jaxpr.eqns:
         values, missing = zip(*map(read, eqn.invars), strict=True) if eqn.invars else ((), ())
-        outs, found, fine = _apply(eqn, list(values), list(missing), [v in watched for v in eqn.outvars])
+        outs, found, fine = _apply(eqn, list(values), list(missing))
         env.update(zip(eqn.outvars, zip(outs, found, strict=True), strict=True))
         continuous = continuous & fine
     outs, absent = zip(*map(read, jaxpr.outvars), strict=True) if jaxpr.outvars else ((), ())
     return list(outs), list(absent), continuous
-
-
-def _watched(jaxpr: Jaxpr, asked: Sequence[bool]) -> set[Var]:
-    """Return the variables that may not be NaN unnoticed: of outputs that are asked for, or of what a program
-    observes.
-    """
-    found = {v for v, a in zip(jaxpr.outvars, asked, strict=True) if a and not isinstance(v, Literal)}
-    for eqn in reversed(jaxpr.eqns):
-        called, passed = body(eqn), [v in found for v in eqn.outvars]
-        if called is not None:
-            inner = _watched(called.jaxpr, passed)
-            given = [v for v, w in zip(eqn.invars, called.jaxpr.invars, strict=True) if w in inner]
-        else:
-            given = eqn.invars if any(passed) or _observes(eqn) else []
-        found.update(v for v in given if not isinstance(v, Literal) and inexact(v.aval))
-    return found
-
-
-def _observes(eqn: JaxprEqn) -> bool:
-    """Return whether a primitive, or anything inside it, asks whether a number is NaN."""
-    inner = inside(eqn)
-    return observes(eqn) if inner is None else any(_observes(e) for part in inner for e in part.jaxpr.eqns)
 
 
 def _absent(x):
@@ -170,13 +146,13 @@ def _constant(x):
     return host if plain.all() else settled(jnp.asarray(host))
 
 
-def _apply(eqn, values, absent, asked):
+def _apply(eqn, values, absent):
     """Return (outs, absent, continuous) of one equation."""
     name, inner = eqn.primitive.name, body(eqn)
     if inner is not None:
-        return _follow(inner.jaxpr, inner.consts, values, absent, asked)
+        return _follow(inner.jaxpr, inner.consts, values, absent)
     if name in CONTROL:
-        return CONTROL[name](values, absent, eqn.params, any(asked) or _observes(eqn))
+        return CONTROL[name](values, absent, eqn.params)
     if not any(isinstance(v, Interval) for v in values) and _exact(eqn):
         outs = bind(eqn, *values)
         made = name == "bitcast_convert_type" and inexact(
@@ -193,7 +169,7 @@ def _apply(eqn, values, absent, asked):
         "same": len(values) == 2 and eqn.invars[0] is eqn.invars[1],
     }
     if name in MOVED:
-        return _moved(eqn, values, absent, asked)
+        return _moved(eqn, values, absent)
     sets = [v if name == "scatter-add" and i == 1 else enclose(v) for i, v in enumerate(values)]
     if name == "sort":  # NaN comes last, infinities at the ends
         loose = lambda x, a: Interval(jnp.where(a, -jnp.inf, x.lo), jnp.where(a, jnp.inf, x.hi))
@@ -216,8 +192,8 @@ def _apply(eqn, values, absent, asked):
     fine = jnp.all(CONTINUOUS[name](enclose(outs[0]), *sets, **about)) if name in CONTINUOUS else True
     shown = [_computed(o) if isinstance(o, Interval) and not whole(o) else o for o in outs]
     found = [
-        possible(name, enclose(o), sets, absent, about) if a else None
-        for o, a in zip(outs, asked, strict=True)
+        possible(name, enclose(o), sets, absent, about) if inexact(v.aval) else None
+        for o, v in zip(outs, eqn.outvars, strict=True)
     ]
     return shown, found, fine
 
@@ -253,7 +229,7 @@ def _number(value: object) -> float | None:
     return float(value.ravel()[0]) if isinstance(value, np.ndarray | np.generic) and value.size == 1 else None
 
 
-def _moved(eqn, values, absent, asked):
+def _moved(eqn, values, absent):
     """Move the lower and the upper bounds alike, and where they may be NaN; a gather beyond the end fills
     with NaN.
     """
@@ -281,7 +257,7 @@ def _moved(eqn, values, absent, asked):
             Interval(jnp.where(jnp.isnan(o.lo), jnp.inf, o.lo), jnp.where(jnp.isnan(o.hi), -jnp.inf, o.hi))
             for o in outs
         ]
-    if not any(asked) or not filled and all(a is None for a in absent):
+    if not filled and all(a is None for a in absent):
         return (
             [_computed(o) if f else o for o, f in zip(outs, floating, strict=True)],
             [None] * len(outs),
@@ -310,41 +286,36 @@ def _steady(step, carry):
         carry = grown
 
 
-def _marked(values, absent, asked):
-    """Return a mask of possible NaN for each value of a loop's carry; None for values that are never NaN, and
-    if nobody asks.
-    """
+def _marked(values, absent):
+    """Return a mask of possible NaN for each value of a loop's carry; None for values that are never NaN."""
     shape = lambda v: v.lo.shape if isinstance(v, Interval) else v.shape
     return [
-        jnp.broadcast_to(False if a is None else a, shape(v)) if asked and inexact(v) else None
+        jnp.broadcast_to(False if a is None else a, shape(v)) if inexact(v) else None
         for v, a in zip(values, absent, strict=True)
     ]
 
 
-def _scan(values, absent, params, asked):
+def _scan(values, absent, params):
     (consts, carry, xs), (no_consts, no_carry, no_xs) = (
         _split(v, *_counts(params)) for v in (values, absent)
     )
-    inner, count, marked = params["jaxpr"], len(carry), functools.partial(_marked, asked=asked)
+    inner, count = params["jaxpr"], len(carry)
     one = lambda carry, x, away, gone: _follow(
-        inner.jaxpr,
-        inner.consts,
-        [*consts, *carry, *x],
-        [*no_consts, *away, *gone],
-        [asked] * len(inner.jaxpr.outvars),
+        inner.jaxpr, inner.consts, [*consts, *carry, *x], [*no_consts, *away, *gone]
     )
     gone = [None if a is None else jnp.broadcast_to(a, x.shape) for a, x in zip(no_xs, xs, strict=True)]
     first = jax.tree.map(lambda v: jnp.zeros(v.shape[1:], v.dtype), xs)
     missing = jax.tree.map(lambda v: jnp.zeros(v.shape[1:], bool), gone)
-    carry = _steady(lambda carry: one(carry, first, marked(carry, [None] * count), missing)[0][:count], carry)
+    steady = lambda carry: one(carry, first, _marked(carry, [None] * count), missing)[0][:count]
+    carry = _steady(steady, carry)
 
     def step(state, x):
         (carry, away), (x, gone) = state, x
         outs, found, fine = one(carry, x, away, gone)
-        after = [_as(o, c) for o, c in zip(outs, carry, strict=False)], marked(carry, found[:count])
-        return after, (outs[count:], marked(outs[count:], found[count:]), jnp.asarray(fine))
+        after = [_as(o, c) for o, c in zip(outs, carry, strict=False)], _marked(carry, found[:count])
+        return after, (outs[count:], _marked(outs[count:], found[count:]), jnp.asarray(fine))
 
-    start, rows = (carry, marked(carry, no_carry)), (xs, gone)
+    start, rows = (carry, _marked(carry, no_carry)), (xs, gone)
     (carry, away), (ys, found, fine) = jax.lax.scan(step, start, rows, params["length"], params["reverse"])
     return [*carry, *ys], [*away, *found], jnp.all(fine)
 
@@ -367,7 +338,7 @@ def _split(values, *counts):
     return *out, values
 
 
-def _while(values, absent, params, asked):
+def _while(values, absent, params):
     """Follow a loop; where its end depends on an interval, collect every state in which it may stop. Under
     vmap each entry ends alone.
     """
@@ -375,16 +346,14 @@ def _while(values, absent, params, asked):
     (cond_consts, body_consts, carry), (no_cond, no_body, away) = (
         _split(v, *counts) for v in (values, absent)
     )
-    cond, inner, marked = params["cond_jaxpr"], params["body_jaxpr"], functools.partial(_marked, asked=asked)
-    test = lambda carry, away: _follow(
-        cond.jaxpr, cond.consts, [*cond_consts, *carry], [*no_cond, *away], [False]
-    )[0][0]
-    step = lambda carry, away: _follow(
-        inner.jaxpr, inner.consts, [*body_consts, *carry], [*no_body, *away], [asked] * len(carry)
-    )
-    nowhere = lambda carry: marked(carry, [None] * len(carry))
+    cond, inner = params["cond_jaxpr"], params["body_jaxpr"]
+    test = lambda carry, away: _follow(cond.jaxpr, cond.consts, [*cond_consts, *carry], [*no_cond, *away])[0][
+        0
+    ]
+    step = lambda carry, away: _follow(inner.jaxpr, inner.consts, [*body_consts, *carry], [*no_body, *away])
+    nowhere = lambda carry: _marked(carry, [None] * len(carry))
     carry = _steady(lambda c: step(c, nowhere(c))[0], carry)
-    away = marked(carry, away)
+    away = _marked(carry, away)
 
     def turn(going, carry, away):
         """Return the state after one more step of the entries that may go on."""
@@ -394,7 +363,7 @@ def _while(values, absent, params, asked):
             outs,
             [
                 a if a is None else _where(going, f, a)
-                for f, a in zip(marked(carry, found), away, strict=True)
+                for f, a in zip(_marked(carry, found), away, strict=True)
             ],
             fine,
         )
@@ -410,7 +379,7 @@ def _while(values, absent, params, asked):
         )
         return carry, away, fine
     carry = [enclose(c) for c in carry]
-    away = marked(carry, away)
+    away = _marked(carry, away)
 
     def gather(going, carry, away, ended, gone):
         """Add the states in which the loop may stop to those that were met before."""
@@ -455,12 +424,9 @@ def _hull_where(possible, x, y):
     return _where(possible, Interval(jnp.minimum(x.lo, y.lo), jnp.maximum(x.hi, y.hi)), y)
 
 
-def _cond(values, absent, params, asked):
+def _cond(values, absent, params):
     index, operands, away = values[0], values[1:], absent[1:]
-    branches = [
-        lambda ops, away, b=b: _follow(b.jaxpr, b.consts, ops, away, [asked] * len(b.jaxpr.outvars))
-        for b in params["branches"]
-    ]
+    branches = [lambda ops, away, b=b: _follow(b.jaxpr, b.consts, ops, away) for b in params["branches"]]
     if isinstance(index, Interval):
         found = [branch(operands, away) for branch in branches]
         outs = [
@@ -476,7 +442,7 @@ def _cond(values, absent, params, asked):
         def run(ops, away):
             outs, gone, fine = branch(ops, away)
             outs = [enclose(o) if s else jnp.asarray(o) for o, s in zip(outs, sets, strict=True)]
-            return outs, _marked(outs, gone, asked), jnp.asarray(fine)
+            return outs, _marked(outs, gone), jnp.asarray(fine)
 
         return run
 

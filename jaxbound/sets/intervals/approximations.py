@@ -20,7 +20,7 @@ Every product of a reduction is exact, so that contraction into an FMA changes n
 costs `tiny` at most. Derivatives are the analytic ones (0 where they are infinite), so that bounds can be
 tuned by gradient.
 Source: the reductions are those of Muller, Elementary Functions (2016), chapters 10 and 11; the polynomials
-are Taylor's, two of them shortened (`economized`).
+are Taylor's.
 """
 
 import math
@@ -113,39 +113,17 @@ BASES = {  # base b: log_b 2 in two parts, 1 / log_b 2, log b
 }
 
 
-def economized(coefficients: Sequence[Fraction], lo: Fraction, hi: Fraction, count: int) -> list[float]:
-    """Shorten a polynomial on [lo, hi] to `count` terms: from the top, each term gives way to its best
-    approximation (Chebyshev's).
-    """
-    out, mid, rad = list(coefficients), (hi + lo) / 2, (hi - lo) / 2
-    zero = Fraction(0)
-    while len(out) > count:
-        before, wave = [Fraction(1)], [-mid / rad, 1 / rad]  # T_n((x - mid) / rad) of growing n
-        while len(wave) < len(out):
-            up = [2 * (b - mid * a) / rad for a, b in zip([*wave, zero], [zero, *wave], strict=True)]
-            before, wave = wave, [a - b for a, b in zip(up, [*before, zero, zero], strict=True)]
-        out = [a - b * out[-1] / wave[-1] for a, b in zip(out, wave, strict=True)][:-1]
-    return [float(c) for c in out]
-
-
-# Taylor coefficients, from the first one left out of the leading terms; the last term dropped is below 0.1 u.
-# Those of exp and log are shortened on their range of r and of s^2, which costs less than 0.2 u of e^r and
-# 0.1 u of log m
+# Taylor coefficients, from the first one left out of the leading terms; the last term dropped is below 0.1 u
 FACTORIALS = [1 / math.factorial(n) for n in range(22)]
-EXP_TERMS = [Fraction(1, math.factorial(n)) for n in range(2, 15)]
-EXP = {
-    size: economized(EXP_TERMS, Fraction(-26, 75), Fraction(26, 75), count)
-    for size, count in ((8, 10), (4, 5))
-}
+EXP = {8: FACTORIALS[2:15], 4: FACTORIALS[2:9]}
 SINH = {8: FACTORIALS[3:20:2], 4: FACTORIALS[3:12:2]}
 COSH = {8: FACTORIALS[4:21:2], 4: FACTORIALS[4:13:2]}
 # tanh y = y (B - w N) / B, w = y^2: the continued fraction 1 / (1 + w / (3 + w / (5 + ...))) cut after 9
 # terms, or 6; exact integers
 TANH_B = {8: [34459425.0, 16216200.0, 945945.0, 13860.0, 45.0], 4: [10395.0, 4725.0, 210.0, 1.0]}
 TANH_N = {8: [11486475.0, 810810.0, 12870.0, 44.0], 4: [3465.0, 189.0, 1.0]}
-LOG_TERMS = [Fraction(1, 2 * n + 1) for n in range(1, 12)]
-LOG = {size: economized(LOG_TERMS, Fraction(0), Fraction(1, 33), count) for size, count in ((8, 7), (4, 3))}
 ODD = {8: [1 / (2 * n + 1) for n in range(1, 11)], 4: [1 / (2 * n + 1) for n in range(1, 5)]}
+LOG = ODD
 
 
 def series(z: jax.Array, coefficients: Mapping[int, Sequence[float]], alternating: bool = False) -> jax.Array:

@@ -27,7 +27,7 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval, Operand, interval, mid, rad
 from jaxbound.sets.intervals.interval import intersection as interval_intersection
 from jaxbound.sets.zonotopes.constrained import AnySet, ConstrainedZonotope, parts
-from jaxbound.sets.zonotopes.maps import added, blocks, dimension, mapped, product, reach, up, weighed, whole
+from jaxbound.sets.zonotopes.maps import added, blocks, dimension, mapped, product, reach, up, whole
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
 __all__ = ["cancelled", "eliminate_constraints", "intersection", "strip_intersection"]
@@ -218,13 +218,5 @@ def cancelled(
     h: jax.Array, H: jax.Array, A: jax.Array, b: jax.Array, K: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (h + K b, H - K A, error): the rounding of a row in sum, for every |x| <= 1."""
-    gamma, least = rounding.product_error(A.shape[0] + 1, h.dtype)
-    far, load, most = reach(h, H), reach(b, A), jnp.max(jnp.abs(K), initial=0)
-    floor = (
-        least
-        * (H.shape[1] + 1)
-        * (1 + most)
-        * (1 + jnp.maximum(jnp.max(far, initial=0), jnp.max(load, initial=0)))
-    )
-    error = up(up(weighed(gamma * jnp.abs(K), load) + gamma * far) + floor)
-    return h + product(K, b[:, None])[:, 0], H - product(K, A), error
+    M = jnp.concatenate([jnp.eye(len(h), dtype=h.dtype), K], 1)
+    return mapped(M, jnp.zeros_like(M), jnp.concatenate([h, b]), jnp.concatenate([H, -A]))

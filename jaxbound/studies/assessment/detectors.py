@@ -4,7 +4,7 @@ its bounds.
 
 from collections.abc import Sequence
 from functools import cache
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 
@@ -100,19 +100,20 @@ class Monitored:
     def __init__(self, relations: Relations, method: str, name: str) -> None:
         self.relations, self.method, self.name = relations, method, name
         self.by_margin = method in BY_MARGIN and not relations.remembers and bool(relations.bounds)
+        self.follows = relations.remembers and relations.untuned is None and not relations.parts
 
     @property
     def note(self) -> str:
         """How factors on its bounds are evaluated."""
         if self.by_margin:
             return "at factors other than 1 by exact margins: as computed, not proved"
-        if isinstance(self.relations, SetObserver):
+        if self.follows:
             return "an observer follows each recording once a factor"
         return "at the bounds as they are: its margins do not say what other bounds would give"
 
     def factors(self, wanted: Sequence[float]) -> list[float]:
         """Return those factors on its bounds that it can be asked for."""
-        if self.by_margin or isinstance(self.relations, SetObserver):
+        if self.by_margin or self.follows:
             return list(wanted)
         return [1.0]
 
@@ -123,7 +124,6 @@ class Monitored:
 
     def scaled(self, factor: float) -> SetObserver[Any]:
         """Return the observer with bounds so many times as wide."""
-        watch = self.relations
-        assert isinstance(watch, SetObserver)
+        watch = cast(SetObserver[Any], self.relations)
         moved = moving(watch)
         return watch.of(model_with(watch, moved, moved.rounded_up(factor * moved.start), ""))

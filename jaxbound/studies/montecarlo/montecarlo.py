@@ -23,18 +23,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.consistency.devices import everywhere, on_devices
-from jaxbound.consistency.exchange import ExchangeTest
 from jaxbound.consistency.interface import (
     AUTO,
     MONITOR,
-    LinearRelations,
     Relations,
     margins_for,
     relations_of,
 )
-from jaxbound.consistency.monitorbank import MonitorBank
-from jaxbound.consistency.strips import StripsTest
-from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.faults import Fault
 from jaxbound.models.fingerprint import fingerprint
@@ -48,7 +43,6 @@ from jaxbound.recordings.expressions import expression
 from jaxbound.recordings.factors import factors_of
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import parity_relations
-from jaxbound.relations.residual import Residual
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.floats.threads import inherited
 from jaxbound.sets.strips.strips import UNROLLED
@@ -162,11 +156,9 @@ def study(
         (0, np.int64(1000))
     """
     model, report = as_model(model, factors=True), reporter(progress, "study")
-    relations = parity_relations(model) if relations is None else _named_like(relations, model)
-    if isinstance(relations, SetObserver) and method == "joint":
-        method = SetObserver.method
-    if isinstance(relations, MonitorBank) and method == "joint":
-        method = MONITOR
+    relations = parity_relations(model) if relations is None else relations.named_like(model)
+    if relations.remembers and method == "joint":
+        method = relations.methods[0]
     _check_study(model, relations, n, samples, hold, at, method, confidence)
     dtype = jax.dtypes.canonicalize_dtype(np.float64)
     u, limits, highest = _study_inputs(model, inputs, input_range, dtype)
@@ -312,17 +304,6 @@ def _words(key: jax.Array, i: int) -> jax.Array:
     return jax.random.bits(jax.random.fold_in(key, i), (2,), np.uint32)
 
 
-def _named_like(relations: Relations, model: LinearSystem) -> Relations:
-    """Give a residual whose signals have no names those of the plant, in its order; see `Channels`."""
-    if not isinstance(relations, Residual):
-        return relations
-    channels = relations.model
-    inputs = model.inputs if channels.stated_inputs is None else channels.inputs
-    outputs = model.outputs if channels.stated_outputs is None else channels.outputs
-    named = dataclasses.replace(channels, stated_inputs=inputs, stated_outputs=outputs)
-    return dataclasses.replace(relations, model=named)
-
-
 def _check_study(
     model: LinearSystem,
     relations: Relations,
@@ -337,8 +318,7 @@ def _check_study(
     relations_of(relations, "a study", "study(model, .., relations=parity_relations(model))")
     if relations.parts and method != MONITOR:
         raise ValueError(f"method is for one test, and a monitor has tests of its own: leave out {method!r}")
-    if isinstance(relations, MonitorBank):
-        _refuse_columns(relations)
+    _refuse_columns(relations)
     if (relations.model.inputs, relations.model.outputs) != (model.inputs, model.outputs):
         raise ValueError("the relations speak of other signals than the model of the study")
     for name, value in (("n", n), ("samples", samples), ("hold", hold)):
@@ -356,7 +336,7 @@ def _check_study(
         raise ValueError(f"confidence must be between 0 and 1, not {confidence!r}")
 
 
-def _refuse_columns(bank: MonitorBank) -> None:
+def _refuse_columns(bank: Relations) -> None:
     """Raise ValueError for a condition on anything else than inputs, which scenarios do not have."""
     for watch in bank.watches:
         if watch.when in (None, OTHERWISE):
@@ -414,7 +394,7 @@ def _engine(setup: _Setup) -> tuple[Engine, int]:
     """Return the function that counts a block of scenarios, and their number."""
     model, relations = setup.model, setup.relations
     by = relations.test(setup.method, setup.dtype)  # refuses here what it would refuse in every block
-    certain = isinstance(by, StripsTest | ExchangeTest)
+    certain = not by.remembers and by.by_strips
     tests = relations.parts or {"": relations}
     factored = factors_of(model) or any(factors_of(test.model) for test in tests.values())
     plain = not factored and recursion.fits(model, setup.room) and bool(np.isfinite(setup.room).all())
@@ -427,7 +407,7 @@ def _engine(setup: _Setup) -> tuple[Engine, int]:
                 "'box'; use at='vertices' instead"
             )
         return _attacking(setup, plant), min(ATTACKED, records.recording_block(setup.course))
-    circuits = len(relations.circuits) if isinstance(relations, LinearRelations) else 0
+    circuits = len(relations.linear.circuits) if relations.linear is not None else 0
     if plant is not None and certain and setup.method == "joint" and 0 < circuits <= UNROLLED:
         # where circuits are many, what the fused kernel saves is nothing beside their test
         devices = tuple(jax.local_devices(backend="cpu"))

@@ -4,6 +4,8 @@ Long windows whose combinations are searched for, uncertain parameters, unknown 
 constant, sensors without noise, and unknowns that an adversary chose. What a study counts is the same.
 """
 
+from typing import cast
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -44,11 +46,11 @@ def count_recordings(
     onsets (N,). margins: as of `detect`. truth: (N, T, p + g), see `kernel.replay_block`. Of a monitor all
     are (N, 1 + tests): of itself, then of each of its tests.
     """
-    if not isinstance(relations, MonitorBank):
+    if not relations.parts:
         fault = _faulty(relations, u, y, method, margins, truth)
         return _counted(relations, act, fault, onset)
     columns = []
-    for fault in _faulty_by_test(relations, u, y, margins, truth):
+    for fault in _faulty_by_test(cast(MonitorBank, relations), u, y, margins, truth):
         columns.append(_counted(relations, act, fault, onset))
     hits, false, delay = (np.stack(each, 1) for each in zip(*columns, strict=True))
     return hits, false, delay

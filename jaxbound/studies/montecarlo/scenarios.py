@@ -4,14 +4,13 @@ import dataclasses
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import cast
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency.interface import Relations
-from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.detectability import detectable
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.arguments import listed_argument
@@ -21,7 +20,6 @@ from jaxbound.models.operating_point import at_factors
 from jaxbound.models.system import LinearSystem
 from jaxbound.random.threefry import Array
 from jaxbound.relations.bounds import model_bounds
-from jaxbound.relations.parity import ParityRelation, parity_relations
 from jaxbound.studies.montecarlo import recursion
 
 __all__ = ["Act", "Trial", "act_of", "changed", "largest_input", "trials"]
@@ -289,15 +287,16 @@ def guaranteed_size(
 
     The operating range is what the readings of this study can come to, with a fault of that size.
     """
-    if isinstance(relations, MonitorBank):
+    if relations.parts:
         sizes = [np.nan]
         for watch in relations.watches:
             if watch.when is None:  # others may not watch while the fault acts
                 sizes.append(guaranteed_size(model, fault, watch.relations, highest, samples, largest))
         return float(np.fmin.reduce(sizes))
-    if fault.kind != "bias" or not isinstance(relations, ParityRelation):
+    if fault.kind != "bias" or relations.linear is None:
         return np.nan
-    monitor, own = relations.model, model_bounds(relations.model)
+    monitor = relations.linear.model
+    own = model_bounds(monitor)
     if monitor.constant_tolerance or model.d or monitor.factors or model.factors:
         return np.nan
     if any(not np.array_equal(relations.bounds[name], own[name]) for name in own):
@@ -313,7 +312,7 @@ def guaranteed_size(
             readings[model.outputs.index(fault.signal)] += size
         if not np.isfinite(readings).all():
             return np.nan
-        needed = float(detectable(monitor, fault, operating_range=readings.tolist(), **relations.window))
+        needed = float(detectable(monitor, fault, operating_range=readings.tolist(), **relations.span))
         if needed <= size or not np.isfinite(needed):
             return needed
         slope = 0.0
@@ -361,9 +360,9 @@ def _seen_by_test(
     model: LinearSystem, bias: Fault, relations: Relations, highest: np.ndarray, samples: int
 ) -> float:
     """Return the size from which on one test sees a bias, nan where nothing is known."""
-    if isinstance(relations, SetObserver):
+    if relations.remembers:
         with suppress(NotImplementedError):
-            return float(detectable(relations, bias))
+            return float(detectable(cast(SetObserver[Any], relations), bias))
     return guaranteed_size(model, bias, relations, highest, samples, 0.0)
 
 
@@ -372,11 +371,7 @@ def _unfactored(relations: Relations) -> Relations:
     model = relations.model
     if not isinstance(model, LinearSystem) or not model.factors:
         return relations
-    if isinstance(relations, ParityRelation):
-        return parity_relations(_at_one(model), **relations.window)
-    if isinstance(relations, SetObserver):
-        return relations.of(_at_one(model))
-    return relations
+    return relations.of(_at_one(model))
 
 
 def _at_one(model: LinearSystem) -> LinearSystem:

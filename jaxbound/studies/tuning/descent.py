@@ -18,7 +18,7 @@ step, that is made large:
 
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
@@ -91,7 +91,7 @@ def objective_of(
     fixed, select, weights, most = (
         jax.device_put(np.asarray(x, dtype)) for x in (moved.fixed, moved.select, moved.weights, moved.most)
     )
-    own = relations if isinstance(relations, UncertainRelations) else None
+    own = cast(UncertainRelations, relations) if relations.uncertain else None
     test = None if own else jax.device_put(relations.reading(dtype))
     log_safety = jax.device_put(np.log(np.asarray(safety, dtype)))
     return Objective(test, fixed, select, weights, most, log_safety, moved.sizes, own)

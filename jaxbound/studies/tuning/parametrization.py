@@ -258,7 +258,7 @@ def model_with(
     model = tuned_model(relations)
     old = model_bounds(model)
     provenance, at = dict(model.provenance), 0
-    changes: dict[str, object] = {"provenance": provenance, "left_out": left_out, **_window_of(relations)}
+    changes: dict[str, object] = {"provenance": provenance, "left_out": left_out, **relations.span}
     for kind, count in moved.sizes:
         rows, at = moved.select[at : at + count], at + count
         exact = _decimals(model, kind, np.ravel(relations.bounds[kind]), np.ravel(old[kind]))
@@ -275,15 +275,6 @@ def tuned_model(relations: Tunable) -> LinearSystem:
     model = relations.model
     assert isinstance(model, LinearSystem), "tune refuses others at its door"
     return model
-
-
-def _window_of(relations: Tunable) -> dict[str, object]:
-    """Return the window of relations, as arguments of a LinearSystem; an observer has none."""
-    if isinstance(relations, ParityRelation):
-        return dict(relations.window)
-    if isinstance(relations, UncertainRelations):
-        return {"horizon": relations.horizon}
-    return {"horizon": None, "lags": None}
 
 
 def _decimals(model: LinearSystem, kind: str, now: np.ndarray, before: np.ndarray) -> list[Fraction]:

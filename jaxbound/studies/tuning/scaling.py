@@ -173,7 +173,7 @@ def _end_to_end(x: np.ndarray | jax.Array) -> np.ndarray:
 
 def factors(relations: ParityRelation | UncertainRelations, windows: JoinedRecordings) -> np.ndarray:
     """Return (T,) the factors t = 1 - margin of all windows, NaN where there is none or it has no data."""
-    if isinstance(relations, UncertainRelations):  # the test gives the windows that it leaves open no size
+    if relations.uncertain:  # the test gives the windows that it leaves open no size
         t = 1 - np.asarray(margins(relations, windows.u, windows.y))
         return np.where(windows.across(relations.horizon), np.nan, t)
     found = detect(relations, windows.u, windows.y, starts=windows.starts, margins="exact")
@@ -214,14 +214,13 @@ def smallest_scale(
     limit = MOST
     if tolerances.any():
         limit = min(MOST, NEAR_ONE / values[tolerances].max())
-    uncertain = isinstance(relations, UncertainRelations)
 
     def judge(scale: float, u: np.ndarray, y: np.ndarray, starts: ArrayLike = ()) -> _Judgement:
         scaled = relations.with_bounds(moved.bounds(scale * values))
         res = detect(scaled, u, y, starts=starts, margins="exact")
         refuted = bool((res.status == Status.FAULT).any())
         least = float(np.nanmin(res.margin, initial=1.0))
-        accepted = not refuted if uncertain else least > 0
+        accepted = not refuted if relations.uncertain else least > 0
         return _Judgement(accepted, refuted, 1 - least, res.margin)
 
     close = 64 * float(np.finfo(windows.y.dtype).eps)

@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, TypeAlias, overload
+from typing import TYPE_CHECKING, Any, TypeAlias, cast, overload
 
 import jax
 import jax.numpy as jnp
@@ -24,8 +24,6 @@ from jaxbound.models.numbers import is_real, is_whole
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import ParityRelation
-from jaxbound.relations.redundancy import Redundancy
-from jaxbound.relations.residual import Residual
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.floats.sizes import power
@@ -58,12 +56,6 @@ Carry: TypeAlias = "tuple[jax.Array, optax.OptState]"
 
 # worst windows that steps look at (by strips, by a search), and what a look at all of them adds
 CAPACITY, SEARCHED, NEW = 1024, 256, 32
-UNTUNED = {
-    Redundancy: ", whose relations explain alone whatever the joint test explains: tune that, and build the "
-    "bank of the tuned .model",
-    Residual: ", whose verdict comes from bisection, with no margin to scale or to derive: try boxes by "
-    "with_bounds and detect",
-}
 NEAR = 0.01  # bounds this close to the smallest are close enough between steps
 
 
@@ -184,7 +176,7 @@ def tune(
         state=state,
     )
     report = reporter(progress, "tune")
-    if isinstance(relations, MonitorBank):
+    if relations.parts:
         for name, given in (
             ("optimizer", optimizer),
             ("bounds", bounds),
@@ -196,9 +188,10 @@ def tune(
                     f"tune finds one factor a test of a monitor: {name} belongs to one test alone"
                 )
         one = partial(tune, steps=0, safety=safety, calibrate=calibrate, block=block, confidence=confidence)
-        return tuned_monitor(relations, healthy, faulty, one, report)
-    if isinstance(relations, SetObserver):
-        return tuned_observer(relations, healthy, faulty, bounds, safety, confidence, report)
+        return tuned_monitor(cast(MonitorBank, relations), healthy, faulty, one, report)
+    if relations.remembers:
+        watch = cast(SetObserver[Any], relations)
+        return tuned_observer(watch, healthy, faulty, bounds, safety, confidence, report)
     model, s = relations.model, relations.horizon
     moved = moving(relations, bounds, weights)
     alone = len(moved.names) == 1
@@ -311,8 +304,8 @@ class _Search:
     def __post_init__(self) -> None:
         self.best: np.ndarray = self.moved.start
         self.ends: np.ndarray = np.zeros(0, np.int64)
-        by_strips = isinstance(self.relations, ParityRelation) and self.relations.frame is None
-        self.capacity = CAPACITY if by_strips else SEARCHED
+        many = self.relations.searched or self.relations.uncertain
+        self.capacity = SEARCHED if many else CAPACITY
 
     def run(self, report: Callable[[float], object]) -> None:
         """Make all steps, or those until an interruption."""
@@ -468,7 +461,7 @@ def _vanished(moved: Moving, values: np.ndarray) -> tuple[str, ...]:
 
 
 def _check(
-    relations: object,
+    relations: Tunable | MonitorBank,
     steps: int,
     safety: float,
     calibrate: float,
@@ -479,14 +472,13 @@ def _check(
     state: object,
 ) -> None:
     """Raise TypeError or ValueError for what `tune` does not take."""
-    if isinstance(relations, SetObserver):
-        if not isinstance(relations.model, LinearSystem):
-            raise TypeError(
-                "tune needs the observer of a LinearSystem: an interval_system has no bounds to scale"
-            )
-    elif not isinstance(relations, ParityRelation | UncertainRelations | MonitorBank):
-        why = next((text for kind, text in UNTUNED.items() if isinstance(relations, kind)), "")
+    why = getattr(relations, "untuned", "")
+    if why is not None:
         raise TypeError(f"tune needs relations from parity_relations, not {type(relations).__name__}{why}")
+    if not isinstance(relations.model, LinearSystem):
+        raise TypeError(
+            "tune needs the observer of a LinearSystem: an interval_system has no bounds to scale"
+        )
     _refuse_below("steps", steps, 0)
     _refuse_below("every", every, 1)
     if block is not None:

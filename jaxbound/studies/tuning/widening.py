@@ -11,10 +11,8 @@ import numpy as np
 
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.result import Result
-from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.bounds import model_bounds
-from jaxbound.relations.parity import ParityRelation
 from jaxbound.studies.tuning.parametrization import Moving, Tunable, model_with, tuned_model
 from jaxbound.studies.tuning.scaling import JoinedRecordings
 
@@ -85,11 +83,9 @@ def stated(factor: float) -> Fraction:
 def stated_factor(relations: Tunable) -> float | None:
     """Return the factor that the fit of the model found for these windows; None where it found none."""
     model = tuned_model(relations)
-    if isinstance(relations, SetObserver) or model.left_out is None:
+    if relations.remembers or model.left_out is None:
         return None
-    if relations.horizon != model.horizon:
-        return None
-    if isinstance(relations, ParityRelation) and relations.lags != model.lags:
+    if (relations.horizon, relations.lags) != (model.horizon, model.lags):
         return None
     return float(model.left_out)
 
@@ -111,7 +107,7 @@ def accepted(
         model = model_with(relations, moved, short, source, wider.left_out)
         final = _under(relations, moved, model, short)
         res = detect(final, good.u, good.y, starts=good.starts, margins="exact")
-        proved = not isinstance(relations, ParityRelation) or not (res.margin <= 0).any()
+        proved = relations.linear is None or not (res.margin <= 0).any()
         if proved and not res.counts["FAULT"]:
             return model, final, res
         extra *= 1.001  # only where a search ends early, or the test is not monotone (uncertain parameters)
@@ -123,7 +119,7 @@ def accepted(
 
 def _under(relations: Tunable, moved: Moving, model: LinearSystem, short: Sequence[Decimal]) -> Tunable:
     """Return relations, or an observer, under the bounds of a model, of which those that moved are these."""
-    if isinstance(relations, SetObserver):
+    if relations.remembers:
         return relations.of(model)
     return relations.with_bounds({**model_bounds(model), **_parameters(moved, short)})
 
