@@ -90,6 +90,7 @@ EXACT_OR_UNPROVED = {
     "Result",
     "Fault",
     "NamedFault",
+    "Recipe",
     "LinearSystem",
     "MultiModel",
     "Recording",

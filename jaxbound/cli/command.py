@@ -33,6 +33,9 @@ EXIT_CODES = (
 )
 """Exit codes of a command that tests recordings."""
 
+MOVED = {"examine": "info --device"}
+"""{command of before: what it is called now}."""
+
 
 class Command(Protocol):
     """A command: a module with these names.
@@ -107,6 +110,8 @@ class Parser(argparse.ArgumentParser):
         name = next(iter(words), "")
         if not name or name.startswith("-") or name in self.commands:
             return
+        if name in MOVED:
+            raise Refused(f"{self.prog} {name} is {self.prog} {MOVED[name]} now")
         raise Refused(f"there is no command {name!r}{nearest(name, self.commands)}; see {self.prog} --help")
 
     def _refuse_unknown_option(self, words: list[str]) -> None:

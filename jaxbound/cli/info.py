@@ -2,10 +2,11 @@
 
 import argparse
 import json
+import os
 
 from jaxbound.cli.command import swift_imports
 from jaxbound.cli.options import MethodOptions, add_windows, path
-from jaxbound.cli.terminal import OK, Refused, door, progress_bars, write
+from jaxbound.cli.terminal import OK, Refused, door, progress_bars, some_device, write
 
 NAME = "info"
 HELP = "show what a model file says and what can be tested"
@@ -13,14 +14,21 @@ EXAMPLES = (
     ("jaxbound info --template > plant.toml", "a commented model file to fill in"),
     ("jaxbound info plant.toml", "what it says, its relations, what can be detected and told apart"),
     ("jaxbound info plant.toml --json", "the same for programs"),
+    (
+        "jaxbound info --device",
+        "examine the arithmetic of a card, once: from then on CONSISTENT counts there",
+    ),
 )
-CODES = "exit codes: 0, or 2 bad input"
+CODES = "exit codes: 0, or 2 bad input; --device: 1 where a device may not prove"
+BROKEN = 1
 
 
 def options(parser: argparse.ArgumentParser) -> None:
     """Add the arguments and options."""
     parser.add_argument("model", type=path, nargs="?", metavar="MODEL.toml", help="the model file to show")
     parser.add_argument("--template", action="store_true", help="print a commented model file")
+    device = "examine the devices that JAX can use, so that they may prove (JAX_PLATFORMS chooses)"
+    parser.add_argument("--device", action="store_true", help=device)
     add_windows(parser)
     parser.add_argument("--json", action="store_true", help="the same as JSON on stdout, nothing else")
 
@@ -35,8 +43,10 @@ def run(args: argparse.Namespace) -> int:
         from jaxbound.models.template import template
         from jaxbound.runs.relations import is_monitored
 
-    if args.template == (args.model is not None):
-        raise Refused("jaxbound info needs either a model file or --template")
+    if args.template + args.device + (args.model is not None) != 1:
+        raise Refused("jaxbound info needs either a model file or --template or --device")
+    if args.device:
+        return _examine(args.json)
     if args.template:
         write(template())
         return OK
@@ -51,4 +61,29 @@ def run(args: argparse.Namespace) -> int:
         write(text + "\n")
         return OK
     show_model(model, relations, bank)
+    return OK
+
+
+def _examine(as_json: bool) -> int:
+    """Examine the devices that work goes to; return the exit code."""
+    with swift_imports():
+        import jax
+
+        from jaxbound.sets.floats.probe import examined_devices
+
+    if not os.environ.get("JAX_PLATFORMS"):  # elsewhere the shell keeps to the CPU
+        jax.config.update("jax_platforms", None)  # type: ignore[no-untyped-call]  # of JAX
+    with door():
+        some_device()
+        devices = examined_devices()
+    if as_json:
+        write(json.dumps({"devices": devices}, indent=1) + "\n")
+    else:
+        for device, broken in devices.items():
+            outcome = "may prove"
+            if broken:
+                outcome = f"may not prove, it searches: {broken}"
+            write(f"{device}: {outcome}\n")
+    if any(devices.values()):
+        return BROKEN
     return OK

@@ -70,3 +70,11 @@ def test_sizes_that_nothing_guarantees_and_tolerances_are_named():
 def test_many_signals_are_left_to_the_user():
     unit = [[int(i == j) for j in range(13)] for i in range(13)]
     assert "more than 12 signals" in isolation_text(jb.LinearSystem(unit, None, unit, noise=1), 1)
+
+
+def test_devices_are_examined(capsys, monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert main.main(["info", "--device", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"devices": {"cpu (cpu)": ""}}
+    assert main.main(["info", "--device", "--template"]) == 2 and main.main(["examine"]) == 2
+    assert "jaxbound examine is jaxbound info --device now" in capsys.readouterr().err

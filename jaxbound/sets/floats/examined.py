@@ -2,10 +2,13 @@
 
 Few numbers stand before the first proof of a process, thousands where a version of jaxlib is not listed. What
 `tests/sets/floats` ask, of loops and of large reductions too, a kind of device and a version have passed
-before they are listed.
+before they are listed. An accelerator is measured with thousands once its user asks for it (`examine`), and
+what it keeps to is written down for its very kind, driver and versions.
 """
 
+import json
 from fractions import Fraction
+from hashlib import sha256
 from pathlib import Path
 
 import jax
@@ -13,10 +16,23 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
+from jaxbound import __version__
+from jaxbound.files.folders import cache_folder
+from jaxbound.files.whole import whole
 from jaxbound.sets.floats import rounding, unrolled
-from jaxbound.sets.floats.kinds import plainly_on
+from jaxbound.sets.floats.kinds import kind_of_device, most_of_a_quotient, plainly_on
 
-__all__ = ["EXAMINED", "FEW", "MANY", "VERSIONS", "broken", "loose_flags", "measure"]
+__all__ = [
+    "EXAMINED",
+    "FEW",
+    "MANY",
+    "VERSIONS",
+    "broken",
+    "examine",
+    "is_admitted",
+    "loose_flags",
+    "measure",
+]
 
 EXAMINED = frozenset({"cpu"})
 """Kinds of devices, as `kind_of_device` names them without the driver, on which the tests of `sets/floats`
@@ -60,6 +76,41 @@ def loose_flags(flags: str) -> list[str]:
     return found
 
 
+def examine(device: jax.Device) -> str:
+    """Measure a device with thousands of numbers, float32 and float64, and write down that it keeps to all
+    claims; return those that it breaks, "" where it breaks none.
+
+    Raises:
+        OSError, RuntimeError: there is no folder to write that in.
+    """
+    with jax.enable_x64(True):
+        words = [broken(device, dtype, MANY) for dtype in (np.float32, np.float64)]
+    if found := "; ".join(filter(None, words)):
+        return found
+    path, kind = _record_of(device)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole(path) as file:
+        file.write(kind)
+    return ""
+
+
+def is_admitted(device: jax.Device) -> bool:
+    """Return whether a device may prove, as `examine` found with this driver and these versions."""
+    try:
+        path, kind = _record_of(device)
+        return path.read_bytes() == kind
+    except (OSError, RuntimeError):
+        return False
+
+
+def _record_of(device: jax.Device) -> tuple[Path, bytes]:
+    """Return the file that says of a device that it may prove, and what stands there."""
+    card = str(getattr(device, "device_kind", ""))
+    kind = {"card": card, **kind_of_device(device), "jax": jax.__version__, "jaxbound": __version__}
+    text = json.dumps(kind, sort_keys=True).encode()
+    return cache_folder() / "examined" / f"{sha256(text).hexdigest()[:32]}.json", text
+
+
 def broken(device: jax.Device, dtype: DTypeLike, count: int = FEW) -> str:
     """Return the claims of `measure` that a device breaks, in words; empty where it keeps to all of them."""
     words = []
@@ -86,6 +137,7 @@ def measure(device: jax.Device, dtype: DTypeLike, count: int = FEW) -> dict[str,
     small, top = numbers(0.732, info.minexp + 1, info.minexp + 3.9), np.full(count, info.max, dtype)
     odd, divisor = np.where(k % 4 == 0, np.nan, np.inf).astype(dtype), np.full(1, -17.3, dtype)
     given = a, b, divisor, small, top, odd, np.where(even, a * b, a * a), even
+    most = most_of_a_quotient(device, dtype)
     with plainly_on(device):
         errors = np.asarray(_kernel(*(jax.device_put(x, device) for x in given)))
     *exact, A, B, least = (list(map(Fraction, x.astype(float).tolist())) for x in (*errors[:6], a, b, small))
@@ -104,8 +156,8 @@ def measure(device: jax.Device, dtype: DTypeLike, count: int = FEW) -> dict[str,
     underflow = max(abs(f - x / by) for f, x in zip(flushed, least, strict=True)) / smallest
     return {
         "error of a sum": (error(total, [x + y for x, y in pairs]), 2.84),
-        "error of a quotient": (error(quotient, [x / y for x, y in pairs]), 2.84),
-        "error of a quotient by one number": (error(share, [x / by for x in A]), 2.84),
+        "error of a quotient": (error(quotient, [x / y for x, y in pairs]), most),
+        "error of a quotient by one number": (error(share, [x / by for x in A]), most),
         "error of the square of a root": (error([x * x for x in root], B), 5.7),
         "sums that two_sum loses digits of": (lost, 0),
         "error of an underflow, in smallest numbers": (float(underflow), 1),

@@ -3,8 +3,9 @@ every proof.
 
 **The rounding mode** of the processor is asked at every call: it takes a microsecond, and an import can
 change it at any time. **The device** has to be of a kind whose arithmetic was examined (`EXAMINED`): so far
-CPU. A device that nobody examined may search (`searching_device`): what decides windows then proves every
-FAULT on the host, and what else proves something goes to the CPU (`where_proofs_hold`).
+CPU, or an accelerator that its user examined (`examined.examine`). A device that nobody examined may search
+(`searching_device`): what decides windows then proves every FAULT on the host, and what else proves something
+goes to the CPU (`where_proofs_hold`).
 **Flags of XLA** that give arithmetic up are refused by name: what they allow, a compiler need not do to the
 kernels of a probe. **The probe** (`examined.measure`), one small kernel, catches what names do not, and asks
 the premises beside rounding: that a stored quotient is one number for all its uses, that a callee is kept
@@ -23,7 +24,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.sets.floats.examined import EXAMINED, FEW, MANY, VERSIONS, broken, loose_flags
+from jaxbound.sets.floats.examined import (
+    EXAMINED,
+    FEW,
+    MANY,
+    VERSIONS,
+    broken,
+    examine,
+    is_admitted,
+    loose_flags,
+)
 from jaxbound.sets.floats.kinds import is_cpu_default, kind_of_device, named
 from jaxbound.text.warned import warn
 
@@ -31,6 +41,7 @@ __all__ = [
     "EXAMINED",
     "Unverified",
     "default_device",
+    "examined_devices",
     "is_searching",
     "kind_of_device",
     "refuse_other_modes",
@@ -181,6 +192,27 @@ def usable_devices() -> tuple[jax.Device, ...]:
     return tuple(jax.local_devices(backend=chosen)[:1]) if isinstance(chosen, str) else (chosen,)
 
 
+def examined_devices() -> dict[str, str]:
+    """Examine the devices that work goes to, one of each name; return {device in words: the claims of
+    `measure` that it breaks, "" where it may prove}.
+
+    Raises:
+        Unverified: a rounding mode or flags of XLA with which nothing can be proved.
+        OSError, RuntimeError: there is no folder to write the outcome in.
+    """
+    refuse_other_modes()
+    if loose := loose_flags(flags := os.environ.get("XLA_FLAGS", "")):
+        raise Unverified(
+            f"XLA_FLAGS={flags} has {' and '.join(loose)}, which give rounding up: start without"
+        )
+    devices = {
+        f"{device.device_kind} ({named(kind_of_device(device))})": device for device in usable_devices()
+    }
+    found = {name: examine(device) for name, device in devices.items()}
+    _found.cache_clear()
+    return found
+
+
 def _doubt(device: jax.Device) -> str:
     """Return why a device proves nothing, in a sentence; empty where it may."""
     x64 = bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]  # made at run time
@@ -190,11 +222,11 @@ def _doubt(device: jax.Device) -> str:
 @lru_cache
 def _found(device: jax.Device, flags: str, x64: bool) -> str:
     kind = kind_of_device(device)
-    if named(kind) not in EXAMINED:
+    if named(kind) not in EXAMINED and not is_admitted(device):
         return (
             f"proofs need a device whose rounding was verified, so far only CPU, not {named(kind)}: set "
-            f'JAX_PLATFORMS=cpu, or give NumPy arrays under `with jax.default_device("cpu")`; margins gives '
-            f"unproved values anywhere"
+            f"JAX_PLATFORMS=cpu, examine it once with `jaxbound info --device`, or give NumPy arrays under "
+            f'`with jax.default_device("cpu")`; margins gives unproved values anywhere'
         )
     if loose := loose_flags(flags):
         return (

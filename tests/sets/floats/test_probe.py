@@ -17,7 +17,7 @@ import pytest
 from corners import DTYPES, corners, floats
 
 import jaxbound as jb
-from jaxbound.sets.floats import examined, probe, rounding
+from jaxbound.sets.floats import examined, kinds, probe, rounding
 from jaxbound.sets.intervals import angles
 
 COUNT = 2000
@@ -399,6 +399,44 @@ with contextlib.redirect_stderr(sys.stdout):
         and "compiled arithmetic in this process" in " ".join(shown)
         and not (tmp_path / "out").exists()
     )
+
+
+@pytest.mark.parametrize("coarse, dtype, units", [(0, np.float32, 4), (1, np.float32, 6), (1, np.float64, 4)])
+def test_quotients_are_widened_by_six_units_beside_a_coarse_card(monkeypatch, coarse, dtype, units):
+    monkeypatch.setattr(kinds, "has_coarse_quotients", lambda: bool(coarse))
+    one = np.ones((), dtype)
+    lo, hi = rounding.outward(one, one)
+    u = float(rounding.unit(dtype))
+    assert float(hi) - 1 == pytest.approx(units * u, abs=2 * u)
+    assert 1 - float(lo) == pytest.approx(units * u, abs=u)
+    assert kinds.most_of_a_quotient(Card(), dtype) == (4.84 if dtype == np.float32 else 2.84)
+
+
+def test_a_card_proves_once_its_user_examined_it_with_this_driver_and_these_versions(monkeypatch, tmp_path):
+    class Examined(Card):
+        client = type("Client", (), {"platform_version": "cuda 13000"})()
+
+    card = Examined()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(probe, "usable_devices", lambda: (card,))
+    monkeypatch.setattr(probe, "is_cpu_default", lambda: False)
+    monkeypatch.setattr(examined, "measure", lambda *given: {"NaN that are lost": (3.0, 0)})
+    probe._found.cache_clear()
+    (words,) = probe.examined_devices().values()
+    assert "NaN that are lost: 3" in words and probe._doubt(card) and probe.searching_device()
+    monkeypatch.setattr(examined, "measure", lambda *given: {"NaN that are lost": (0.0, 0)})
+    assert probe.examined_devices() == {"NVIDIA H100 80GB HBM3 (NVIDIA 9.0)": ""}
+    assert not probe._doubt(card) and not probe.searching_device()
+    (record,) = (tmp_path / "jaxbound" / "examined").iterdir()
+    for damaged in (b"", record.read_bytes().replace(b"H100", b"H900")):
+        kept = record.read_bytes()
+        record.write_bytes(damaged)
+        probe._found.cache_clear()
+        assert probe._doubt(card)
+        record.write_bytes(kept)
+    Examined.client.platform_version = "of next year"
+    probe._found.cache_clear()
+    assert probe._doubt(card)
 
 
 @pytest.mark.parametrize(
