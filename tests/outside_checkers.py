@@ -2,6 +2,7 @@
 
 import shutil
 import subprocess
+from fractions import Fraction
 from pathlib import Path
 
 import pytest
@@ -52,6 +53,38 @@ def vipr_confirms(program: Path, text: str, folder: Path) -> bool:
         and "Successfully verified" in ran.stdout
         and "Successfully" in ran.stdout.rsplit("Processing", 1)[-1]
     )
+
+
+def adds_up(text: str) -> bool:
+    """Return whether a VIPR text holds by sums of fractions alone: its lines, times the multipliers of its
+    derivation, are 0 >= a positive number, or its solution keeps each of them.
+    """
+    lines = [line.split() for line in text.splitlines() if not line.startswith("%")]
+    start = next(i for i, words in enumerate(lines) if words[0] == "CON")
+    rows = []
+    for _, sense, end, count, *terms in lines[start + 1 : start + 1 + int(lines[start][1])]:
+        assert len(terms) == 2 * int(count)
+        rows.append((sense, Fraction(end), dict(zip(terms[::2], map(Fraction, terms[1::2]), strict=True))))
+    for words in lines[start:]:
+        if words[0] == "contradiction":
+            assert words[1:5] == ["G", words[2], "0", "{"] and len(words[7:-2]) == 2 * int(words[6])
+            total, left = Fraction(0), {}
+            for number, x in zip(words[7:-2:2], map(Fraction, words[8:-2:2]), strict=True):
+                sense, end, terms = rows[int(number)]
+                if (sense == "G" and x < 0) or (sense == "L" and x > 0):
+                    return False
+                total += x * end
+                for unknown, coefficient in terms.items():
+                    left[unknown] = left.get(unknown, 0) + x * coefficient
+            return total == Fraction(words[2]) > 0 and not any(left.values())
+        if words[0] == "witness":
+            values = dict(zip(words[2::2], map(Fraction, words[3::2]), strict=True))
+            for sense, end, terms in rows:
+                gap = sum(x * values.get(unknown, 0) for unknown, x in terms.items()) - end
+                if (gap < 0 and sense != "L") or (gap > 0 and sense != "G"):
+                    return False
+            return True
+    return False
 
 
 def z3_says(text: str) -> str:

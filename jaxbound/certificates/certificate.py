@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -29,7 +29,7 @@ from jaxbound.relations.redundancy import Redundancy
 from jaxbound.relations.sentence import main_terms, relation_text
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
-from jaxbound.text.progress import Progress, in_part, reporter
+from jaxbound.text.progress import Progress, reporter
 
 __all__ = ["Certificate"]
 
@@ -91,21 +91,14 @@ class Certificate(Witnessed, WindowCertificate):
         """The relations that faults and errors of sensors violate, collected once for all of them."""
         return Scale(self.window, self.explanation)
 
-    @cached_property
+    @property
     def sensor_errors(self) -> tuple[SensorError, ...]:
         """A SensorError for each output: the smallest error of that sensor alone that would explain the
         window.
         """
-        return self._sensor_errors(reporter(None, "errors of single sensors"))
-
-    def _sensor_errors(self, report: Progress) -> tuple[SensorError, ...]:
         if self.window.constant:
             return ()
-        found = []
-        for i in range(self.window.model.p):
-            found.append(self._scale.error(i))
-            report((i + 1) / self.window.model.p)
-        return tuple(found)
+        return tuple(map(self._scale.error, range(self.window.model.p)))
 
     @property
     def errors(self) -> Mapping[str, Fraction | float]:
@@ -122,33 +115,29 @@ class Certificate(Witnessed, WindowCertificate):
                 sizes[output] = error.size
         return sizes
 
-    @cached_property
+    @property
     def candidates(self) -> tuple[str, ...]:
         """The signals that alone could explain a FAULT window: outputs, the smallest error relative to what
         its bounds allow first, then inputs, if the actuator did something else than was recorded. Of any
         other it is proved that it cannot.
         """
-        return self._candidates(reporter(None, "candidates"))
-
-    def _candidates(self, report: Progress) -> tuple[str, ...]:
         if self.proves != Status.FAULT or self.window.constant:
             return ()
-        names = list(self.sensor_candidates)
-        for i, name in enumerate(self.window.model.inputs):
-            if self.window.without_input(i).solve().factor <= 1:
-                names.append(name)
-            report((i + 1) / self.window.model.m)
-        return tuple(names)
+        inputs = enumerate(self.window.model.inputs)
+        return *self.sensor_candidates, *(name for i, name in inputs if self._scale.explained_without(i))
 
     def work_out(self, progress: Progress | None = None) -> None:
         """Work out .errors and .candidates: see `WindowCertificate.work_out`."""
-        if self.proves != Status.FAULT or "candidates" in vars(self):
+        if self.proves != Status.FAULT or self.window.constant:
             return
         report = reporter(progress, "errors and candidates")
-        sensors = self.window.model.p / (self.window.model.p + self.window.model.m)
-        errors = self._sensor_errors(partial(in_part, report, 0.0, sensors))
-        vars(self)["sensor_errors"] = errors  # where `cached_property` looks for it
-        vars(self)["candidates"] = self._candidates(partial(in_part, report, sensors, 1 - sensors))
+        model, scale = self.window.model, self._scale
+        for i in range(model.p):
+            scale.error(i)
+            report((i + 1) / (model.p + model.m))
+        for i in range(model.m):
+            scale.explained_without(i)
+            report((model.p + i + 1) / (model.p + model.m))
 
     @property
     def sensor_candidates(self) -> tuple[str, ...]:
@@ -310,14 +299,9 @@ def _window(relations: ParityRelation, u: np.ndarray, y: np.ndarray) -> ExactWin
 def _relations_with_data(relations: ParityRelation, window: ExactWindow) -> Iterator[Judged]:
     """Yield (h, k, residual, width) of each relation that needs no missing sample."""
     for h in relations.W:
-        if _has_its_data(window, h):
+        used = zip((*h[: len(window.y)], *window.action(h)), (*window.y, *window.u), strict=True)
+        if not any(x and v is None for x, v in used):
             yield h, *window.relation(h)
-
-
-def _has_its_data(window: ExactWindow, h: Vector) -> bool:
-    if any(x and v is None for x, v in zip(h[: len(window.y)], window.y, strict=True)):
-        return False
-    return not any(x and v is None for x, v in zip(window.action(h), window.u, strict=True))
 
 
 def _factor(judged: Judged) -> Fraction:

@@ -233,8 +233,7 @@ class ExactWindow:
     def unknown_columns(self) -> Matrix:
         """Return E with the columns of the missing inputs, which are unknowns as well, behind it."""
         E, K = self.forms
-        missing = self.missing_inputs
-        return tuple((*e, *(k[j] for j in missing)) for e, k in zip(E, K, strict=True))
+        return linalg.beside(E, linalg.columns_of(K, self.missing_inputs))
 
     def space(self, rows: Sequence[int]) -> Subspace:
         """Return the Subspace of some rows over all unknowns."""
@@ -263,7 +262,7 @@ class ExactWindow:
             if x:  # a relation uses few of all rows
                 weights.append(x)
                 rows.append(row)
-        return tuple(dot(weights, [row[j] for row in rows]) for j in range(len(self.u)))
+        return linalg.multiply(linalg.transpose(rows), weights) or (ZERO,) * len(self.u)
 
     def relation(self, h: Sequence[Fraction]) -> tuple[Vector, Fraction, Fraction]:
         """Return (k, residual, width) of a relation h that annihilates E and needs no missing sample.
@@ -404,4 +403,5 @@ def _forms(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
 def _subspace(model: LinearSystem, horizon: int, rows: tuple[int, ...], missing: tuple[int, ...]) -> Subspace:
     """Return the span of the unknowns over the rows that are there."""
     E, K = _forms(model, horizon)
-    return subspace([(*E[i], *(K[i][j] for j in missing)) for i in rows])
+    columns = linalg.beside(E, linalg.columns_of(K, missing))
+    return subspace([columns[i] for i in rows])

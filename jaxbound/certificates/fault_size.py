@@ -19,11 +19,12 @@ digits, so such a size explains, and none smaller by more than that does.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from itertools import chain
 from math import isqrt
-from typing import NamedTuple, Self
+from typing import NamedTuple, Self, TypeAlias
 
 from jaxbound.certificates.exact_window import ExactWindow, Explanation, rounded_up, rounded_witness
 from jaxbound.certificates.supposed import Push, Side, error_of, limits_of, push_of, with_fault
@@ -37,8 +38,11 @@ DIGITS = 12
 """Of a root that is no fraction."""
 MOST_GAIN = Fraction(10**6)
 """The largest gain error of a sensor that is looked at."""
-DEAD = Fraction(10**400)
-"""1 / |1 + f| from which on a gain of a sensor counts as 0: no float is smaller."""
+ENDLESS = Fraction(10**400)
+"""A size, or a 1 / |1 + f| of the gain of a sensor, that no float has."""
+NOTHING = Side(ZERO, ZERO)
+Cut: TypeAlias = tuple[Vector, Fraction, Fraction]
+"""(h, residual, width) of a relation of a window without a fault."""
 FAR = Fraction(10**12)
 """The largest size that is looked at of a fault without any bound."""
 
@@ -94,71 +98,57 @@ class FaultSize:
         return replace(one, largest=largest, varies=varies)
 
 
-class Cut(NamedTuple):
-    """A relation of a window without a fault. Fields: h; residual, width."""
-
-    h: Vector
-    residual: Fraction
-    width: Fraction
-
-
 class Path(NamedTuple):
-    """Sizes of one sign of a fault, of magnitudes from `least` to `most`, None: without end.
+    """Sizes of one sign of a fault, from the one that is nearest to 0 to the farthest.
 
-    The unknown x is the size; of the gain of a sensor it is 1 / (1 + size); inverted: that is below 0.
+    The unknown x is the size; of the gain of a sensor it is 1 / (1 + size), which has no end near -1.
+    side: of a gain the sign of 1 + size, 0 of another fault.
     """
 
     push: Push
-    sign: int
-    least: Fraction = ZERO
-    most: Fraction | None = None
-    is_gain: bool = False
-    inverted: bool = False
+    near: Fraction
+    far: Fraction
+    side: int = 0
 
-    @property
-    def forward(self) -> int:
-        """The sign of x along growing magnitudes, 1 or -1."""
-        if self.is_gain:
-            return -self.sign
-        return self.sign
-
-    def x(self, magnitude: Fraction | None) -> Fraction | None:
-        """Return the unknown at a magnitude; None: without end."""
-        if magnitude is None:
-            return None
-        size = self.sign * magnitude
-        if not self.is_gain:
+    def x(self, size: Fraction) -> Fraction:
+        """Return the unknown at a size."""
+        if not self.side:
             return size
-        if size != -1:
-            return 1 / (1 + size)
-        if self.inverted:
-            return -DEAD
-        return None
+        if size == -1:
+            return self.side * ENDLESS
+        return 1 / (1 + size)
 
     def size(self, x: Fraction) -> Fraction:
         """Return the size of an unknown."""
-        if self.is_gain:
+        if self.side:
             return ONE / x - ONE
         return x
 
-    def within(self, least: Fraction, most: Fraction | None = None) -> Self | None:
+    def between(self, least: Fraction, most: Fraction) -> Self | None:
         """Return the part of it between two magnitudes; None: there is none."""
-        begin, end = max(self.least, least), self.most
-        if most is not None and (end is None or most < end):
-            end = most
-        if (end is not None and end < begin) or self.x(begin) is None:
+        least, most = max(least, abs(self.near)), min(most, abs(self.far))
+        if most < least:
             return None
-        return self._replace(least=begin, most=end)
+        sign = 1
+        if self.far + self.near < 0:
+            sign = -1
+        return self._replace(near=sign * least, far=sign * most)
+
+
+Paths: TypeAlias = Mapping[int, Sequence[Path]]
+"""The sizes of a fault that begins at a sample of the window."""
 
 
 @dataclass(frozen=True, eq=False)
 class End:
-    """The upper end of a relation as a fault grows along a Path: at t it is c + m t + q t^2 + the terms.
+    """The upper end of a relation h as a fault grows along a Path, in t = x or -x: steady + m t + q t^2 + the
+    terms.
 
-    Fields: c, m, q; terms: (weight, Side in t) of rows with a tolerance whose ends the fault moves.
+    Fields: h; steady, m, q; terms: (weight, Side in t) of rows with a tolerance whose ends move.
     """
 
-    c: Fraction
+    h: Vector
+    steady: Fraction
     m: Fraction
     q: Fraction
     terms: tuple[tuple[Fraction, Side], ...]
@@ -167,93 +157,101 @@ class End:
         """Return the first t' >= t at which the end is not below 0; None: there is none."""
         kinks = {-side.a / side.b for _, side in self.terms if side.b}
         for stop in [*sorted(kink for kink in kinks if kink > t), None]:
-            c, m = self._piece(t, stop)
-            if c + m * t + self.q * t * t >= 0:
+            c, m, q = self._piece(t, stop)
+            if c + m * t + q * t * t >= 0:
                 return t
-            root = _root_above(self.q, m, c, t)
+            root = _root_above(q, m, c, t)
             if root is not None and (stop is None or root <= stop):
                 return root
             if stop is not None:
                 t = stop
         return None
 
-    def _piece(self, begin: Fraction, stop: Fraction | None) -> tuple[Fraction, Fraction]:
-        """Return (c, m) between two kinks, with the terms: each is linear there."""
-        c, m = self.c, self.m
+    def _piece(self, begin: Fraction, stop: Fraction | None) -> tuple[Fraction, Fraction, Fraction]:
+        """Return (c, m, q) between two kinks, where the end is c + m t + q t^2."""
         inside = begin + 1
         if stop is not None:
             inside = (begin + stop) / 2
+        c, m = self.steady, self.m
         for weight, side in self.terms:
             slope = weight / (ONE - side.sigma)
             if side.a + side.b * inside < 0:
                 slope = weight / (ONE + side.sigma)
-            c += slope * side.a
-            m += slope * side.b
-        return c, m
+            c, m = c + slope * side.a, m + slope * side.b
+        return c, m, self.q
 
 
-def ends_of(cut: Cut, push: Push, forward: int, window: ExactWindow) -> list[End]:
-    """Return the End of a relation h, and that of -h, in t = forward x."""
-    used = [(cut.h[row], sides, window.known_limits(row)) for row, sides in push.items() if cut.h[row]]
-    ends = []
+def ends_of(cut: Cut, push: Push, forward: int, window: ExactWindow) -> Iterator[End]:
+    """Yield the End of a relation h, and that of -h, in t = forward x."""
+    h, residual, width = cut
+    used = [(h[row], sides, window.known_limits(row)) for row, sides in push.items() if h[row]]
     for sign in (1, -1):
-        steady, m, q, terms = [], [], [], []
-        for h, (low, high), (lo, hi) in used:
+        weights, changes, slopes, squares, terms = [], [], [], [], []
+        for x, (low, high), (lo, hi) in used:
             side, end = high, hi
-            if sign * h < 0:
+            if sign * x < 0:
                 side, end = low, -lo
-            weight = abs(h)
-            if side.sigma:
-                terms.append((weight, side._replace(b=forward * side.b)))
-                steady.append((weight, -end))  # what its side says instead
-                continue
-            m.append((weight, side.b))
-            if side.a != end:
-                steady.append((weight, side.a - end))
-            if side.c:
-                q.append((weight, side.c))
-        c = sign * cut.residual + cut.width + _summed(steady)
-        ends.append(End(c, forward * _summed(m), _summed(q), tuple(terms)))
-    return ends
-
-
-def _summed(products: Sequence[tuple[Fraction, Fraction]]) -> Fraction:
-    if not products:
-        return ZERO
-    return dot(*zip(*products, strict=True))
+            change = ZERO
+            if side.sigma:  # its side says instead
+                terms.append((abs(x), side._replace(b=forward * side.b)))
+                change, side = -end, NOTHING
+            elif side.a != end:
+                change = side.a - end
+            weights.append(abs(x))
+            changes.append(change)
+            slopes.append(side.b)
+            squares.append(side.c)
+        steady = sign * residual + width + dot(weights, changes)
+        yield End(h, steady, forward * dot(weights, slopes), dot(weights, squares), tuple(terms))
 
 
 class Reached(NamedTuple):
     """The first x of a path that explains a window. Fields: x, z: unknowns with it; z None: none explains.
-    proof: relations that leave none, by their numbers; last: the one that leaves the least, or none.
+    passed: the relations that leave no smaller one, the last one leaves the least, or none.
     """
 
     x: Fraction
     z: Vector | None
-    proof: Mapping[int, Vector]
-    last: Vector
+    passed: list[Vector]
 
 
 @dataclass(eq=False)
 class Scale:
     """The sizes of named faults of one window, and the relations that were collected for them.
 
-    Fields: window; explanation: of the window without a fault; cuts: of relations that faults violate;
-    pushes: of a fault, its first sample and whether it is inverted.
+    Fields: window; explanation: of the window without a fault; cuts: relations that faults violate; errors,
+    without: what was worked out of outputs and of inputs.
     """
 
     window: ExactWindow
     explanation: Explanation
     cuts: list[Cut] = field(default_factory=list)
-    pushes: dict[tuple[NamedFault, int, bool], Push] = field(default_factory=dict)
+    errors: dict[int, SensorError] = field(default_factory=dict)
+    without: dict[int, bool] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._add(self.explanation.h)
 
+    def _add(self, h: Vector) -> None:
+        """Collect one more relation."""
+        self.cuts.append((h, *self.window.relation(h)[1:]))
+
+    def explained_without(self, i: int) -> bool:
+        """Return whether something explains the window, whatever the actuator of input i did."""
+        if i not in self.without:
+            self.without[i] = self.window.without_input(i).solve().factor <= 1
+        return self.without[i]
+
     def error(self, i: int) -> SensorError:
         """Return the SensorError of output i."""
+        if i not in self.errors:
+            self.errors[i] = self._error(i)
+        return self.errors[i]
+
+    def _error(self, i: int) -> SensorError:
         push = error_of(i, self.window)
-        size, z, _, h = self._reached(Path(push, 1))
+        size, z, passed = self._reached(Path(push, ZERO, ENDLESS))
+        h = [self.explanation.h, *passed][-1]
         if z is None:
             return SensorError(i, None, h)
         if not size:
@@ -274,132 +272,108 @@ class Scale:
             NotImplementedError: as `push_of`.
         """
         paths = {since: list(self._paths(fault, since)) for since in onsets}
-        best: tuple[Fraction, int, Path, Fraction, Vector] | None = None
-        beyond: Fraction | None = None
-        proofs = []
+        smallest = self._smallest(fault, paths)
+        if smallest.size is not None:
+            return replace(smallest, largest=self._largest(paths, smallest.size))
+        bare = copy(fault)
+        vars(bare).update(sign=None, least=None, most=None, between=None)
+        if bare != fault:
+            paths = {since: list(self._paths(bare, since)) for since in paths}
+            smallest = replace(smallest, beyond=self._smallest(bare, paths).size)
+        return smallest
+
+    def _smallest(self, fault: NamedFault, paths: Paths) -> FaultSize:
+        """Return the FaultSize of a fault without its largest size."""
+        found, most, proofs = None, ENDLESS, []
         for since, own in paths.items():
-            proof: dict[int, Vector] = {}
+            proof: dict[int, Vector] = {}  # each relation once
             for path in own:
-                nearer: Path | None = path
-                if best is not None:
-                    nearer = path.within(ZERO, abs(best[0]))
+                nearer = path.between(ZERO, most)
                 if nearer is None:
                     continue
-                x, z, passed, _ = self._reached(nearer)
+                x, z, passed = self._reached(nearer)
                 if z is None:
-                    proof |= passed
-                elif best is None or abs(path.size(x)) < abs(best[0]):
-                    best = path.size(x), since, path, x, z
+                    proof |= zip(map(id, passed), passed, strict=True)
+                elif found is None or abs(path.size(x)) < most:
+                    most, found = abs(path.size(x)), (since, path, x, z)
             proofs.append(tuple(proof.values()))
-            if best is None and _is_bounded(fault):
-                beyond = self._beyond(fault, since, beyond)
-        if best is None:
-            return FaultSize(fault, None, None, beyond, tuple(proofs))
-        size, since, path, x, z = best
+        if found is None:
+            return FaultSize(fault, None, proof=tuple(proofs))
+        since, path, x, z = found
         z = rounded_witness(with_fault(self.window, path.push, x), z)
-        largest = self._largest(chain.from_iterable(paths.values()), size)
-        return FaultSize(fault, size, since, z=z, largest=largest)
+        return FaultSize(fault, path.size(x), since, z=z)
 
-    def _largest(self, paths: Iterable[Path], size: Fraction) -> Fraction | None:
+    def _largest(self, paths: Paths, size: Fraction) -> Fraction | None:
         """Return the largest size of the sign of the smallest that explains; None: without end."""
-        for path in paths:
-            farther = path.within(abs(size))
-            if farther is None or path.sign * size < 0:
+        for path in chain.from_iterable(paths.values()):
+            farther = path.between(abs(size), ENDLESS)
+            if farther is None or farther.far * size < 0:
                 continue
-            x, z, *_ = self._reached(farther, backward=True)
+            x, z, _ = self._reached(farther, backward=True)
             if z is None:
                 continue
-            if farther.x(farther.most) is None and abs(x) >= FAR:
+            if farther.side >= 0 and abs(farther.x(farther.far)) == ENDLESS and abs(x) >= FAR:
                 return None
             size = path.size(x)
         return size
 
-    def _beyond(self, fault: NamedFault, since: int, known: Fraction | None) -> Fraction | None:
-        """Return the smaller of a size and of the smallest that explains, whatever is stated of it."""
-        for path in self._paths(fault, since, stated=False):
-            x, z, *_ = self._reached(path)
-            if z is not None and (known is None or abs(path.size(x)) < abs(known)):
-                known = path.size(x)
-        return known
-
-    def _paths(self, fault: NamedFault, since: int, stated: bool = True) -> Iterator[Path]:
-        """Yield the sizes of a fault that begins at a sample of the window as paths; stated: those that keep
-        what is stated of it.
+    def _paths(self, fault: NamedFault, since: int) -> Iterator[Path]:
+        """Yield the sizes of a fault that begins at a sample of the window, as paths.
 
         Raises:
             NotImplementedError: as `push_of`.
         """
-        signs, least, most = [1, -1], ZERO, None
-        low, high = None, None
-        if stated:
-            least, most = fault.least or ZERO, fault.most
-            low, high = limits_of(fault, self.window, since)
-        if stated and fault.sign is not None:
+        signs, least, most = [1, -1], fault.least or ZERO, ENDLESS
+        low, high = limits_of(fault, self.window, since, ENDLESS)
+        if fault.most is not None:
+            most = fault.most
+        if fault.sign is not None:
             signs = [1 - 2 * (fault.sign == "-")]
         is_gain = fault.kind == "gain" and fault.output is not None
-        every = []
+        if is_gain:
+            most = min(most, MOST_GAIN)
+        push = push_of(fault, self.window, since)
         for sign in signs:
-            path = Path(self._push(fault, since), sign, is_gain=is_gain)
-            begin, end = (low, high)[::sign]
-            if begin is not None:
-                path = path._replace(least=max(ZERO, sign * begin))
-            if end is not None:
-                path = path._replace(most=sign * end)
+            near, far = (sign * end for end in (low, high)[::sign])
+            paths = [Path(push, ZERO, sign * ENDLESS, int(is_gain))]
             if is_gain and sign < 0:
-                path = path._replace(most=ONE)
-                every.append(Path(self._push(fault, since, True), sign, ONE, None, is_gain, inverted=True))
-            every.append(path)
-        if is_gain and most is None:
-            most = MOST_GAIN
-        for path in every:
-            part = path.within(least, most)
-            if part is not None:
-                yield part
-
-    def _push(self, fault: NamedFault, since: int, inverted: bool = False) -> Push:
-        """Return the Push of a fault, worked out once."""
-        about = fault, since, inverted
-        if about not in self.pushes:
-            self.pushes[about] = push_of(fault, self.window, since, inverted)
-        return self.pushes[about]
+                inverted = push_of(fault, self.window, since, inverted=True)
+                paths = [Path(inverted, -ONE, -ENDLESS, -1), Path(push, ZERO, -ONE, 1)]
+            for path in paths:
+                part = path.between(max(least, near), min(most, far))
+                if part is not None:
+                    yield part
 
     def _reached(self, path: Path, backward: bool = False) -> Reached:
         """Return the first x of a path that explains the window; backward: from the largest size on."""
-        forward, start, stop = path.forward, path.x(path.least), path.x(path.most)
-        assert start is not None, "a path begins at a size"
-        t, end = forward * start, None
-        if stop is not None:
-            end = forward * stop
+        t, end = path.x(path.near), path.x(path.far)
+        forward = 1
+        if end < t:
+            forward = -1
+        t, end = forward * t, forward * end
         if backward:
-            if end is None:
-                end = max(t, ONE) * FAR
-            forward, t, end = -forward, -end, -t
-        passed: dict[int, Vector] = {}
+            forward, t, end = -forward, -min(end, max(t, ONE) * FAR), -t
+        passed: list[Vector] = []
         ends: list[End] = []
-        best, last = self.explanation, self.explanation.h
+        best = self.explanation
         while True:
             for cut in self.cuts[len(ends) // 2 :]:
                 ends += ends_of(cut, path.push, forward, self.window)
             here = t
-            for i, upper in enumerate(ends):
+            for upper in ends:
                 farther = upper.next_kept(t)
                 if farther == t:
                     continue
-                last = passed[i // 2] = self.cuts[i // 2].h
-                if farther is None or (end is not None and farther > end):
-                    return Reached(forward * t, None, passed, last)
+                passed.append(upper.h)
+                if farther is None or farther > end:
+                    return Reached(forward * t, None, passed)
                 t = farther
             if t > here:
                 continue
             best = with_fault(self.window, path.push, forward * t).solve(best.reference)
             if best.factor <= 1:
-                return Reached(forward * t, best.z, passed, last)
+                return Reached(forward * t, best.z, passed)
             self._add(best.h)
-
-    def _add(self, h: Vector) -> None:
-        """Collect one more relation."""
-        _, residual, width = self.window.relation(h)
-        self.cuts.append(Cut(h, residual, width))
 
 
 def _root_above(a: Fraction, b: Fraction, c: Fraction, low: Fraction) -> Fraction | None:
@@ -426,8 +400,3 @@ def _root_above(a: Fraction, b: Fraction, c: Fraction, low: Fraction) -> Fractio
     if not above:
         return None
     return rounded_up(min(above), DIGITS)
-
-
-def _is_bounded(fault: NamedFault) -> bool:
-    stated = (fault.sign, fault.least, fault.most, fault.between)
-    return any(value is not None for value in stated)

@@ -157,8 +157,8 @@ def _moves_of_actuator(name: str, window: ExactWindow, shares: Sequence[Fraction
     for signal in followers(model, name):
         on_states: Vector = (ZERO,) * model.n
         if signal.is_input:
-            on_states = tuple(row[signal.number] for row in model.B)
-            on_outputs = tuple(row[signal.number] for row in model.D)
+            own = linalg.identity(model.m)[signal.number]
+            on_states, on_outputs = linalg.multiply(model.B, own), linalg.multiply(model.D, own)
         elif window.tolerance[signal.number]:
             raise NotImplementedError(
                 f"{signal.signal} is computed from the same column and has a tolerance: give it as noise"
@@ -171,22 +171,18 @@ def _moves_of_actuator(name: str, window: ExactWindow, shares: Sequence[Fraction
     return moves[0], moves[1]
 
 
-def limits_of(fault: NamedFault, window: ExactWindow, since: int) -> tuple[Fraction | None, Fraction | None]:
-    """Return the lowest and the highest x that leave an actuator between what it can do; None: no end."""
-    low: Fraction | None = None
-    high: Fraction | None = None
+def limits_of(
+    fault: NamedFault, window: ExactWindow, since: int, endless: Fraction
+) -> tuple[Fraction, Fraction]:
+    """Return the lowest and the highest x that leave an actuator between what it can do."""
+    low, high = -endless, endless
     if fault.between is None or fault.input is None:
         return low, high
-    least, most = fault.between
     recorded = _input(window, window.model.inputs.index(fault.input))
     for u, share in list(zip(recorded, _shares(fault, window), strict=True))[since:]:
-        if u is None or not share:
-            continue
-        ends = sorted([(least - u) / share, (most - u) / share])
-        if low is None or ends[0] > low:
-            low = ends[0]
-        if high is None or ends[1] < high:
-            high = ends[1]
+        if u is not None and share:
+            least, most = sorted((end - u) / share for end in fault.between)
+            low, high = max(low, least), min(high, most)
     return low, high
 
 

@@ -4,16 +4,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
-from jaxbound.certificates.checker.claim import claimed
-from jaxbound.certificates.checker.proof import confirm
-from jaxbound.certificates.checker.script import fewer_averages, stated_lags
+from jaxbound.certificates.checker.script import against
 from jaxbound.certificates.checker.words import Matrix
 from jaxbound.certificates.plain import (
-    exact_floats,
     plain_factors,
     plain_model,
     plain_names,
@@ -86,13 +83,11 @@ def verify(
     u = u[:, [known(tested.recorded).index(name) for name in known(model)]]
     inputs, factors = plain_samples(u[:, : model.m]), plain_factors(model, u)
     outputs = plain_samples(masked(model, u, np.asarray(recording.y)[place][start:stop]))
-    precision, lags = str(recording.y.dtype), stated_lags(document, plain)
-    about = fewer_averages(document, plain)
-    claim = claimed(about, inputs, outputs, precision, lags, first, factors)
     times = None
     if document["names"]["times"] is not None:
         times = [recording.label(j) for j in range(start, stop)]
-    confirm(document, plain_names(model, sample, times), claim)
+    names = plain_names(model, sample, times)
+    against(document, plain, inputs, outputs, str(recording.y.dtype), names, first, factors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,13 +149,10 @@ def of_test(document: dict[str, Any], model: LinearSystem) -> tuple[dict[str, An
 
 def _bounds_of_state(x0: Any) -> Matrix:  # an Interval of any kind, from a user
     """Return [lo, hi] of each state."""
-    lowest, highest = exact_floats(np.asarray(x0.lo)), exact_floats(np.asarray(x0.hi))
-    bounds = []
-    for lo, hi in zip(lowest, highest, strict=True):
-        if lo is None or hi is None:
-            raise ValueError("bounds of a first state must be numbers, not NaN")
-        bounds.append([lo, hi])
-    return bounds
+    pairs = plain_samples(np.stack([np.asarray(x0.lo), np.asarray(x0.hi)], axis=-1))
+    if any(None in pair for pair in pairs):
+        raise ValueError("bounds of a first state must be numbers, not NaN")
+    return cast(Matrix, pairs)
 
 
 def window_of(document: dict[str, Any]) -> tuple[int | list[int], int, int]:

@@ -22,7 +22,6 @@ from typing import TypeAlias
 import numpy as np
 
 from jaxbound.exact import linalg
-from jaxbound.exact.lifting import lifted
 
 __all__ = ["Optimum", "Subspace", "chebyshev", "exchanged", "subspace"]
 
@@ -33,8 +32,6 @@ Integers: TypeAlias = Sequence[int]
 System: TypeAlias = Sequence[Integers]
 """Rows of integers."""
 
-CROWDED = 32
-"""Rows of more than two numbers from which on a system is solved by lifting."""
 PRIME = 2**61 - 1
 """Ranks are guessed modulo this prime; what rests on a guess is checked exactly."""
 
@@ -356,14 +353,7 @@ def _solve(M: System, right: Integers) -> tuple[Sequence[int], int] | None:
     """Return (x, det) of integers with M x = right * det, or None if M is singular.
 
     det is any common denominator; pivots come from the sparsest row, so that identity rows cost nothing.
-    Where many rows are no such, as those of averages make them, determinants grow too long: digits are lifted
-    instead.
     """
-    crowded = sum(1 for row in M if sum(map(bool, row)) > 2)
-    if crowded >= CROWDED:
-        solved = lifted(M, right)
-        if solved:
-            return solved
     left = [[*row, y] for row, y in zip(M, right, strict=True)]
     heads: list[tuple[int, list[int]]] = []
     while left:

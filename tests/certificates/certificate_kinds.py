@@ -19,6 +19,7 @@ from uncertain_systems import TWO, relations
 import jaxbound as jb
 from jaxbound.certificates.interface import certify
 from jaxbound.certificates.long_window import stretch
+from jaxbound.sets import constrained_zonotope, contains, intersects, is_empty, zonotope
 
 BEFORE = 2
 """Samples of the recording before the window."""
@@ -40,6 +41,8 @@ OTHERS = {
     ),
     "constant tolerance": (PAPER | dict(constant_tolerance=True), 2),
     "single": (PAPER | dict(resolution="1/300"), 1),
+    "factors": (PAPER | dict(times={"y1": "1 + u1*u1"}), 2),
+    "a test": (PAPER | dict(tests=[{"name": "a", "horizon": 1}]), 1),
     "no state": (dict(A=None, B=None, C=None, D=[[1, 2], [1, 2], [0, 1]], noise=0.2), 0),
     "unsure, no state": (
         dict(
@@ -72,6 +75,12 @@ OBSERVED = {
     "observer, 513 samples": (513, False),
 }
 KINDS = (*PLANTS, *OTHERS, *UNSURE, *OBSERVED)
+QUESTIONS = tuple(
+    (name, meets)
+    for name in ("contains", "contains_set", "intersects", "is_empty")
+    for meets in (True, False)
+)
+"""What is asked of sets, and whether the equations of the answer have a solution."""
 PROOF = ("witness", "relation", "errors", "relations", "proof", "parameters", "sum")
 
 
@@ -90,12 +99,22 @@ def case(kind, rng, fault, errors=False):
         model, about, u, y, x0 = _window(kind, rng, fault)
         at = len(y) - 1 + (BEFORE if x0 is None else 0)
         try:
-            c = certify(about, u, y, at=(at,))
+            c = certify(about, *_with_factors(model, u, y), at=(at,))
         except (NotImplementedError, ValueError):  # nothing is proved of it
             continue
+        if kind == "a test":
+            c = c.of_test("a")
         if (c.proves == jb.Status.FAULT) == fault:
             document = json.loads(c.to_json(errors=errors))
             return Case(c, document, {"model": model, **_around(rng, u, y, x0)})
+
+
+def _with_factors(model, u, y):
+    """Return (u, y) as relations take them: factors on noise stand behind the inputs."""
+    if not model.factors:
+        return u, y
+    recording = jb.Recording.of(model, u, y)
+    return np.asarray(recording.u), np.asarray(recording.y)
 
 
 def _window(kind, rng, fault):
@@ -360,4 +379,91 @@ def samples(document, rng):
     return f"y of {j}, {i} is {new}"
 
 
-FORGERIES = (number, number, multiplier, multiplier, result, witness, word, shape, samples)
+def rows(document, rng):
+    """Rows of a relation or of a witness in another order, or one of them left out."""
+    numbers = document["numbers"]
+    part, fields = _pick(
+        rng, [(name, ("h", "outputs")) for name in ("relation", "witness") if numbers.get(name)]
+    ) or (None, ())
+    if part is None:
+        return None
+    shown = numbers[part][next(name for name in fields if name in numbers[part])]
+    i, j = rng.integers(len(shown), size=2)
+    if shown[i] == shown[j]:
+        shown.pop(int(i))
+        return f"{part} without row {i}"
+    shown[i], shown[j] = shown[j], shown[i]
+    return f"rows {i} and {j} of {part} change places"
+
+
+def error(document, rng):
+    """Another output, size or witness of the smallest error of a sensor."""
+    shown = document["numbers"].get("errors")
+    if not shown:
+        return None
+    one = shown[rng.integers(len(shown))]
+    field = ("output", "smallest", "enough", "relation", "witness")[rng.integers(5)]
+    values = {"output": "7", "relation": None, "witness": None}
+    values |= {
+        "smallest": str(Fraction(one["smallest"] or 1) * 2),
+        "enough": str(Fraction(one["enough"] or 1) * 2),
+    }
+    if one[field] == values[field]:
+        one[field] = "1"
+    else:
+        one[field] = values[field]
+    return f"{field} is {one[field]}"
+
+
+def question(name, meets, rng):
+    """Return the certificate of an answer about sets, drawn until it is that one."""
+    while True:
+        decided = _decided(name, rng)
+        answer = int(np.ravel(np.asarray(decided.answer))[0])
+        if answer == (1 if meets != (name == "is_empty") else -1):
+            try:
+                return json.loads(json.dumps(decided.certificate((0,) * np.ndim(decided.answer))))
+            except NotImplementedError:  # proved by facets, of which there is no short certificate
+                continue
+
+
+def _decided(name, rng):
+    """Return the Decision of random sets of two dimensions."""
+    drawn = lambda most, *shape: rng.integers(-most, most + 1, shape) / 4
+    G, point, inner = drawn(9, 2, 4), drawn(18, 2), zonotope(drawn(9, 2), drawn(4, 2, 3))
+    bound = constrained_zonotope(np.zeros(2), G, drawn(9, 1, 4), drawn(30, 1))
+    match name:
+        case "contains":
+            return contains(bound, point[None])
+        case "contains_set":
+            return contains(zonotope(np.zeros(2), G), inner)
+        case "intersects":
+            return intersects(bound, inner)
+    return is_empty(bound)
+
+
+def forged_question(document, rng):
+    """Return (what was done, the certificate of an answer about sets with one thing in it that is false)."""
+    out = copy.deepcopy(document)
+    c, how = out["numbers"], rng.integers(5)
+    other = {"YES": "NO", "NO": "YES"}
+    if how == 0:
+        out["certificate"] = other[out["certificate"]]
+    elif how == 1:
+        out["statement"] = _pick(rng, ["", "the set is what it is", out["statement"] + " at once"])
+    elif how == 2:
+        out["question"] = _pick(
+            rng, [name for name in ("contains", "intersects", "is_empty", "none") if name != out["question"]]
+        )
+    elif "l" in c:  # a combination that separates nothing; of a set within another -l may separate, too
+        times = 0 if how == 3 or out["question"] == "contains_set" else -1
+        c["l"] = [str(Fraction(x) * times) for x in c["l"]]
+    else:
+        shown = c["X"] if "X" in c else [c["x"]]
+        path = _pick(rng, _places(shown, lambda path, leaf: True))
+        new = Fraction(_at(shown, path)) + _pick(rng, [3, -3])  # beyond every bound
+        _changed(shown, path, str(new))
+    return f"{how}", summed(out)
+
+
+FORGERIES = (rows, error, number, number, multiplier, multiplier, result, witness, word, shape, samples)

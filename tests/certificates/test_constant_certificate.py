@@ -76,5 +76,5 @@ def test_a_gain_out_of_its_bounds_is_not_confirmed():
     gains = numbers["witness"]["gains"]
     numbers["sum"] = str(F(numbers["sum"]) - F(gains[0]) + 2)
     gains[0] = "2"
-    with pytest.raises(ValueError, match="gain0 is out of its bounds"):
+    with pytest.raises(ValueError, match="g0 is out of its bounds"):
         check_certificate.confirm(document)

@@ -1,8 +1,7 @@
-"""FAULT of a model with uncertain parameters: a tree of boxes of them, each with a combination of relations
-that cannot be 0 in it.
+"""Relations at the samples, over a box of uncertain parameters and of gains that keep their
+value: a relation is P(v) + sum_j e_j Q_j(v) = 0 for some v in the box and some |e_j| <= 1.
 
-The letters are those of `proof`. A relation is a list of polynomials in the parameters, a polynomial a list
-of [coefficient, number of a variable, ..], with a variable squared twice.
+A polynomial is shown as a list of [coefficient, number of a variable, ..], with a variable squared twice.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,66 +10,77 @@ from itertools import product
 from math import prod
 from typing import Any, TypeAlias
 
-from jaxbound.certificates.checker.inequalities import added_up, multipliers, rows_of
-from jaxbound.certificates.checker.polynomial import Polynomial
-from jaxbound.certificates.checker.vectors import dots, turned
-from jaxbound.certificates.checker.words import Claim, Document, Ends, Relation, insist
+from jaxbound.certificates.checker.polynomial import Polynomial, Value, combine, variables
+from jaxbound.certificates.checker.trajectories import Error, limits, multipliers
+from jaxbound.certificates.checker.words import Document, Ends, insist
 
-__all__ = ["contradict"]
+__all__ = ["contradict", "relation_range"]
 
 LEAF = {"direction", "vertices", "low", "high"}
 CUT = {"variable", "at", "below", "above"}
 
-Parts: TypeAlias = list[Polynomial]
-"""[P, Q_1, Q_2, ..]: a relation at the samples is P(v) + sum_j e_j Q_j(v) for some |e_j| <= 1."""
+Parts: TypeAlias = list[Value]
+"""[P, Q_1, Q_2, ..] of a relation."""
 Box: TypeAlias = Mapping[str, Ends]
-"""(lo, hi) of each parameter."""
+"""(lo, hi) of each parameter or gain."""
 
 
-def contradict(c: Claim, shown: Sequence[Document], proof: Document) -> None:
+def relation_range(c: Document, r: Document, error: Error = None) -> Ends:
+    """Return (low, high) of a relation of an exact plant at the samples: no trajectory keeps them unless 0 is
+    in it.
+    """
+    ends = limits(c, error)
+    parts = _parts(c, r, ends, [])
+    return _at_vertices(*_polynomials(parts), ends)
+
+
+def contradict(c: Document, shown: Sequence[Document], proof: Document) -> None:
     """Check that no v within its bounds, and no errors, explain the samples.
 
     Each relation holds for every trajectory at every v, so a healthy window has a v and errors at which all
-    of them are 0: its rows lo <= row <= hi, each times its multiplier, add up to a polynomial of v.
+    of them are 0.
     """
-    rows = rows_of(c)
-    box = {f"p{k}": (-bound, bound) for k, bound in enumerate(_bounds(c))}
-    variables = [Polynomial({(name,): F(1)}) for name in box]
+    ends = limits(c)
+    count = len(c["variables"])
+    box = {f"p{k}": ends[f"p{k}"] for k in range(count)}
     relations = []
     for r in shown:
         insist(set(r) == {"h", "g", "k"}, "a number of a relation is missing or unknown")
-        relation: Relation = {
-            "h": _read(r["h"], len(box)),
-            "g": _read(r["g"], len(box)),
-            "k": _read(r["k"], len(box)),
-        }
-        found = multipliers(c, relation, rows, variables)
-        middle, spread = added_up(rows, found) * F(-1), []
-        insist({name for m in middle.terms for name in m} <= set(box), "a relation leaves an unknown over")
-        for row, x in zip(rows, found, strict=True):
-            if row.lo is not None and row.hi is not None:
-                middle = middle + x * ((row.lo + row.hi) / 2)
-                spread.append(x * ((row.hi - row.lo) / 2))
-        relations.append([middle, *spread])
+        read: Document = {"h": [], "g": [], "k": []}
+        for name, rows in r.items():
+            for row in rows:
+                read[name].append([_polynomial(terms, count) for terms in row])
+        relations.append(_parts(c, read, ends, variables("p", count)))
     _exclude(proof, relations, box)
 
 
-def _bounds(c: Claim) -> list[F]:
-    """Return the bound of each variable."""
-    return [c["uncertainties"][int(parameter)]["bound"] for parameter, _ in c["variables"]]
-
-
-def _read(rows: Sequence[Sequence[Any]], count: int) -> list[Parts]:
-    """Return rows of lists of [coefficient, number of a variable, ..] as rows of polynomials."""
-    return [[_polynomial(terms, count) for terms in row] for row in rows]
+def _parts(c: Document, r: Document, ends: Mapping[str, Ends], v: Sequence[Value]) -> Parts:
+    """Return the middle of what samples and bounds allow of a relation, and how far each may move it."""
+    found, of_inputs = multipliers(c, r, v)
+    middle, spread = -1 * of_inputs, []
+    for name, x in found.items():
+        there = not x or name in ends or name.startswith("step")
+        insist(there, "the relation needs a reading that is missing, or what has no bounds")
+    for name, (lo, hi) in ends.items():
+        x = found.get(name, F(0))
+        if x and "constant" in c and name[0] == "y":
+            x = Polynomial({("g" + name.split("_")[1],): F(1)}) * x
+        middle = middle + x * ((lo + hi) / 2)
+        spread.append(x * ((hi - lo) / 2))
+    return [middle, *spread]
 
 
 def _polynomial(terms: Any, count: int) -> Polynomial:
     out = Polynomial({})
     for x, *m in terms:
-        insist(all(i in range(count) for i in m), "a polynomial has an unknown variable")
+        insist(set(m) <= set(range(count)), "a polynomial has an unknown variable")
         out = out + Polynomial({tuple(sorted(f"p{int(i)}" for i in m)): x})
     return out
+
+
+def _polynomials(parts: Sequence[Value]) -> tuple[Polynomial, list[Polynomial]]:
+    P, *Q = map(Polynomial.of, parts)
+    return P, [q for q in Q if q]
 
 
 def _exclude(proof: Document, relations: Sequence[Parts], box: Box) -> None:
@@ -89,16 +99,16 @@ def _exclude(proof: Document, relations: Sequence[Parts], box: Box) -> None:
 def _exclude_at_once(leaf: Document, relations: Sequence[Parts], box: Box) -> None:
     """Check that one combination l of the relations, l P + sum_j e_j l Q_j, is not 0 anywhere in a box."""
     insist(set(leaf) == LEAF and leaf["vertices"] in (0, 1), "a leaf is not known")
-    middle, *spread = map(Polynomial.of, dots(turned(relations), leaf["direction"]))
+    P, Q = _polynomials(combine(leaf["direction"], relations))
     if leaf["vertices"]:
-        low, high = _at_vertices(middle, spread, box)
+        low, high = _at_vertices(P, Q, box)
     else:
-        low, high = _by_monomials(middle, spread, box)
+        low, high = _by_monomials(P, Q, box)
     insist([low, high] == [leaf["low"], leaf["high"]], "the range of a combination is wrong")
     insist(low > 0 or high < 0, "a combination may be 0")
 
 
-def _by_monomials(P: Polynomial, Q: Parts, box: Box) -> Ends:
+def _by_monomials(P: Polynomial, Q: Sequence[Polynomial], box: Box) -> Ends:
     """Return (low, high), which holds P + sum_j e_j Q_j over a box: the range of P and the sizes of all Q."""
     low, high = _span(P, box)
     for q in Q:
@@ -124,7 +134,7 @@ def _span(p: Polynomial, box: Box) -> Ends:
     return low, high
 
 
-def _at_vertices(P: Polynomial, Q: Parts, box: Box) -> Ends:
+def _at_vertices(P: Polynomial, Q: Sequence[Polynomial], box: Box) -> Ends:
     """Return (low, high) of P + sum_j e_j Q_j over the vertices of a box: its range where no variable is
     squared, since it is then extreme at a vertex.
     """

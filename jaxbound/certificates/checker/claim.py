@@ -9,12 +9,11 @@ them: so a certificate of either verdict speaks of the same numbers.
 """
 
 import math
-import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from fractions import Fraction as F
 from typing import Any, cast
 
-from jaxbound.certificates.checker.words import Claim, Document, insist
+from jaxbound.certificates.checker.words import Document, insist
 
 __all__ = [
     "BOUNDS",
@@ -52,7 +51,7 @@ def claimed(
     lags: Sequence[int] | None = None,
     first: Sequence[Sequence[F]] | None = None,
     factors: Sequence[Sequence[F]] | None = None,
-) -> Claim:
+) -> Document:
     """Return the numbers of a certificate that are no part of its proof: those of the model, of its bounds
     and of the samples.
 
@@ -66,44 +65,31 @@ def claimed(
     unit, floor = PRECISIONS[precision]
     out: Document = {name: model[name] for name in STATED}
     for name in ("tolerance", "noise", "resolution"):
-        out[name] = _rounded_up_all(model[name], precision)
+        out[name] = [rounded_up(x, precision) for x in model[name]]
     out["disturbance"] = []
     for lo, hi in model["disturbance"]:
         out["disturbance"].append([-rounded_up(-lo, precision), rounded_up(hi, precision)])
     out["recorder"], out["floor"] = RECORDER_ULPS * unit, floor
     out["u"], out["y"] = _inputs(model, u), _looked_at(y, lags)
     if factors is not None:
-        insist(
-            len(factors) == len(y)
-            and all(len(one) == len(other) for one, other in zip(factors, y, strict=True)),
-            "there must be a factor on the noise of each sample",
-        )
         insist(all(x >= 0 for row in factors for x in row), "a factor on a noise must be >= 0")
         out["factors"] = factors
     if lags is not None:
         out["lags"] = list(map(F, lags))
     if model["averages"]:
-        bounds = _rounded_up_all((average["bound"] for average in model["averages"]), precision)
-        out["averages"] = _each_with_bound(model["averages"], bounds)
-        out["runs"] = _runs(model, len(y), lags)
+        out["averages"], out["runs"] = [], _runs(model, len(y), lags)
+        for average in model["averages"]:
+            out["averages"].append({**average, "bound": rounded_up(average["bound"], precision)})
         out["all_y"] = y
     if model["constant"] and any(out["tolerance"]):
         out["constant"] = F(1)
     if model["uncertainties"]:
         # a change of a matrix is half the width of its parameter, so that every |v| <= 1
-        out["uncertainties"] = _each_with_bound(model["uncertainties"], [F(1)] * len(model["uncertainties"]))
+        out["uncertainties"] = [{**parameter, "bound": F(1)} for parameter in model["uncertainties"]]
         out["variables"] = _variables(model, len(y))
     if first is not None:
         out["first_state"] = first
-    return cast(Claim, _listed(out))  # its fields were all put in above
-
-
-def _rounded_up_all(values: Iterable[F], precision: str) -> list[F]:
-    return [rounded_up(x, precision) for x in values]
-
-
-def _each_with_bound(parts: Sequence[Document], bounds: Sequence[F]) -> list[Document]:
-    return [{**part, "bound": bound} for part, bound in zip(parts, bounds, strict=True)]
+    return cast(Document, _listed(out))
 
 
 def statement(verdict: str, names: Document, claim: Mapping[str, Any]) -> str:
@@ -132,9 +118,8 @@ def compare(shown: object, wanted: object, where: str = "numbers") -> None:
     """
     one, other = shown, wanted
     if isinstance(wanted, dict) and isinstance(shown, dict):
-        for name in wanted:
-            insist(name in shown, f"{where}.{name} is missing")
         for name, branch in wanted.items():
+            insist(name in shown, f"{where}.{name} is missing")
             compare(shown[name], branch, f"{where}.{name}")
         if where == "numbers" or set(wanted) == set(shown):
             return  # the other numbers are of the proof
@@ -180,23 +165,12 @@ def _read(tree: object, every: list[F]) -> object:
 
 def rounded_up(x: F, precision: str = DOUBLE) -> F:
     """Return the smallest float of a type that is not below x."""
-    nearest = float(x)
-    if precision == DOUBLE:
-        if F(nearest) >= x:
-            return F(nearest)
-        return F(math.nextafter(nearest, math.inf))
-    (single,) = struct.unpack("<f", struct.pack("<f", nearest))
-    if F(single) >= x:
-        return F(single)
-    (bits,) = struct.unpack("<i", struct.pack("<f", single))
-    if single == 0:
-        bits = 1
-    elif single > 0:
-        bits += 1
-    else:
-        bits -= 1
-    (above,) = struct.unpack("<f", struct.pack("<i", bits))
-    return F(above)
+    unit, smallest = PRECISIONS[precision]
+    top = F(2) ** (x.numerator.bit_length() - x.denominator.bit_length())  # |x| / 2 < top < 2 |x|
+    if top > abs(x):
+        top /= 2
+    spacing = 2 * unit * max(top, smallest)
+    return math.ceil(x / spacing) * spacing
 
 
 def _inputs(model: Document, u: Sequence[Sequence[F | None]]) -> Sequence[Sequence[F | None]]:

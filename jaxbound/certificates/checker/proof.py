@@ -21,22 +21,10 @@ from collections.abc import Sequence
 from fractions import Fraction as F
 from typing import Any
 
-from jaxbound.certificates.checker.boxes import contradict
-from jaxbound.certificates.checker.claim import (
-    BOUNDS,
-    DOUBLE,
-    PRECISIONS,
-    SINGLE,
-    STATED,
-    claimed,
-    compare,
-    numbers,
-    statement,
-)
-from jaxbound.certificates.checker.inequalities import Row, added_up, multipliers, rows_of, solution
-from jaxbound.certificates.checker.sets import decide
-from jaxbound.certificates.checker.trajectories import runs_of
-from jaxbound.certificates.checker.words import Claim, Document, Relation, SensorError, Witness, insist
+from jaxbound.certificates.checker.boxes import contradict, relation_range
+from jaxbound.certificates.checker.claim import compare, numbers, statement
+from jaxbound.certificates.checker.trajectories import Error, behaviour, limits, runs_of
+from jaxbound.certificates.checker.words import Document, insist
 
 __all__ = ["confirm"]
 
@@ -47,19 +35,16 @@ RELATION = {"h", "g", "k", "residual", "width", "factor"}
 SENSOR_ERROR = {"output", "smallest", "relation", "enough", "witness"}
 
 
-def confirm(document: Document, names: dict[str, Any] | None = None, claim: Claim | None = None) -> None:
-    """Raise an exception unless a certificate proves what it says.
+def confirm(document: Document, names: dict[str, Any], claim: Document) -> None:
+    """Raise an exception unless a certificate of a window proves what it says.
 
     Args:
         document: the certificate as JSON gives it. names, claim: names and numbers that are claimed, from the
-            model and the samples themselves (`claim.claimed`); None: those that the certificate shows, which
-            then may be of another plant or another day.
+            model and the samples themselves (`claim.claimed`).
 
     Raises:
         ArithmeticError, LookupError, TypeError, ValueError: it does not, ValueError says why in a sentence.
     """
-    if "question" in document:
-        return decide(document)
     fields = {"certificate", "statement", "names", "numbers"}
     insist(set(document) == fields, "a field of the certificate is missing or unknown")
     verdict = document["certificate"]
@@ -68,11 +53,8 @@ def confirm(document: Document, names: dict[str, Any] | None = None, claim: Clai
     # 1. It is about this model and these samples, and says so.
     every: list[F] = []
     c = numbers(document["numbers"], every)
-    if claim is None:
-        claim = _shown(c)
     compare(c, claim)
-    if names is not None:
-        _compare_names(document["names"], names)
+    compare(document["names"], names, "names")
     sentence = statement(verdict, document["names"], claim)
     insist(document["statement"] == sentence, f"the statement must be: {sentence}")
     insist(sum(every) == 2 * c["sum"], "the numbers do not add up: one was changed")  # the sum is one of them
@@ -87,34 +69,7 @@ def confirm(document: Document, names: dict[str, Any] | None = None, claim: Clai
         _certain(claim, proof, fault)
 
 
-def _shown(c: Document) -> Claim:
-    """Return the claim that the shown model and samples make."""
-    model = {name: c[name] for name in (*STATED, *BOUNDS)}
-    model["averages"] = c.get("averages", [])
-    model["constant"] = "constant" in c
-    model["uncertainties"] = c.get("uncertainties", [])
-    precision = DOUBLE
-    if c["floor"] == PRECISIONS[SINGLE][1]:
-        precision = SINGLE
-    every_y = c["y"]
-    if "all_y" in c:
-        every_y = c["all_y"]
-    first, factors = c.get("first_state"), c.get("factors")
-    return claimed(model, c["u"], every_y, precision, c.get("lags"), first, factors)
-
-
-def _compare_names(shown: dict[str, Any], names: dict[str, Any]) -> None:
-    insist(set(shown) == set(names), "a name of the certificate is missing or unknown")
-    for name, value in names.items():
-        same = type(shown[name]) is type(value) and shown[name] == value
-        insist(
-            same,
-            f"the certificate is about something else: names.{name} is {shown[name]}, model and data say "
-            f"{value}",
-        )
-
-
-def _certain(c: Claim, proof: Document, fault: bool) -> None:
+def _certain(c: Document, proof: Document, fault: bool) -> None:
     """Check the proof of a verdict on a model without uncertain parameters."""
     insist(set(proof) == {"witness", "relation", "errors"}, "a number of the proof is missing or unknown")
     insist(not (fault and proof["relation"] is None), "a FAULT needs a relation")
@@ -130,7 +85,7 @@ def _certain(c: Claim, proof: Document, fault: bool) -> None:
         _sensor_error(c, e)
 
 
-def _sensor_error(c: Claim, e: SensorError) -> None:
+def _sensor_error(c: Document, e: Document) -> None:
     """Check the smallest error of one sensor that would explain the window, None where none does.
 
     A relation with factor 1 at that error has a larger one at any smaller error. It proves that none smaller
@@ -147,24 +102,20 @@ def _sensor_error(c: Claim, e: SensorError) -> None:
         return
     insist(used, "the relation does not use this sensor")
     insist(_factor(c, e["relation"], (i, e["smallest"])) == 1, "a smaller error would explain the window")
-    if e["enough"] is None or e["witness"] is None:
-        raise ValueError("the error that is enough, or what it explains, is missing")
     close = 0 < e["smallest"] <= e["enough"] <= ROUNDED * e["smallest"]
     insist(close, "the error that is enough is not the smallest, rounded up")
     _explain(c, e["witness"], (i, e["enough"]))
 
 
-def _uses(c: Claim, r: Relation, i: int) -> bool:
+def _uses(c: Document, r: Document, i: int) -> bool:
     """Return whether a relation has samples of output i, alone or in a sum."""
-    if any(row[i] for row in r["h"]):
-        return True
-    for run in runs_of(c, r.get("a")):
-        if run.multiplier and any(measured and number == i for measured, _, number, _ in run.terms):
-            return True
-    return False
+    used = any(row[i] for row in r["h"])
+    for x, terms in zip(r.get("a", []), runs_of(c), strict=False):
+        used |= bool(x) and any(measured and number == i for measured, _, number, _ in terms)
+    return used
 
 
-def _uncertain(c: Claim, proof: Document, fault: bool) -> None:
+def _uncertain(c: Document, proof: Document, fault: bool) -> None:
     """Check the proof of a verdict on a model with uncertain parameters."""
     expected = {"witness", "relations", "proof", "parameters"}
     insist(set(proof) == expected, "a number of the proof is missing or unknown")
@@ -177,50 +128,32 @@ def _uncertain(c: Claim, proof: Document, fault: bool) -> None:
     _explain(c, proof["witness"], v=proof["parameters"])
 
 
-def _factor(c: Claim, r: Relation, error: tuple[int, F] | None = None) -> F:
+def _factor(c: Document, r: Document, error: Error = None) -> F:
     """Check that a relation holds for every trajectory; return the factor on all bounds at which the samples
     can keep it.
 
-    The rows of the window, each times its multiplier, add up to 0 in [low, high] = residual -+ width, which
-    holds if and only if |residual| <= width. A factor above 1 is a FAULT: no trajectory keeps the samples.
+    The samples hold it if 0 lies in [low, high] = residual -+ width, that is if |residual| <= width. A factor
+    above 1 is a FAULT: no trajectory keeps the samples.
     """
     optional = {"a": "runs", "x": "first_state"}
     allowed = RELATION | {name for name, field in optional.items() if field in c}
     insist(set(r) <= allowed, "a number of the relation is unknown")
-    rows = rows_of(c, None, error)
-    found = multipliers(c, r, rows)
-    low, turned = _least(rows, found), [-x for x in found]
-    if "constant" in c:
-        turned = multipliers(c, r, rows, sign=-1)  # other rows of the readings and gains count
-    high = -_least(rows, turned)
+    low, high = relation_range(c, r, error)
     residual, width = (low + high) / 2, (high - low) / 2
     stated = [r["residual"], r["width"], r["factor"]]
     insist([residual, width, abs(residual) / width] == stated, "residual, width or factor is wrong")
-    return r["factor"]
+    return abs(residual) / width
 
 
-def _least(rows: Sequence[Row], found: Sequence[F]) -> F:
-    """Return the least that rows allow of their sum, each times its multiplier, which leaves no unknown."""
-    insist(not added_up(rows, found), "the relation leaves an unknown over")
-    total = F(0)
-    for row, x in zip(rows, found, strict=True):
-        end = row.lo
-        if x < 0:
-            end = row.hi
-        if x and end is not None:
-            total += x * end
-    return total
-
-
-def _explain(c: Claim, witness: Witness, error: tuple[int, F] | None = None, v: Sequence[F] = ()) -> None:
+def _explain(c: Document, witness: Document, error: Error = None, v: Sequence[F] = ()) -> None:
     """Check that the witness is a trajectory with every reading, input and disturbance within its bounds."""
     expected = WITNESS
     if "constant" in c:
         expected = WITNESS | {"gains"}
         insist(bool(witness.get("gains")), "one gain of each output is missing")
     insist(set(witness) == expected, "a number of the witness is missing or unknown")
-    values = solution(c, witness, v)
     insist(len(witness["inputs"]) == len(c["u"]), "the witness has another number of samples")
+    values = behaviour(c, witness, v)
     for j, (recorded, inputs, outputs) in enumerate(
         zip(c["u"], witness["inputs"], witness["outputs"], strict=True)
     ):
@@ -229,7 +162,8 @@ def _explain(c: Claim, witness: Witness, error: tuple[int, F] | None = None, v: 
         true = [values[f"y{j}_{i}"] + offset for i, offset in enumerate(c["offset_y"])]
         insist(true == outputs, "the true outputs do not follow from the first state")
         insist(len(witness["disturbances"][j]) == len(c["disturbance"]), "a disturbance is unknown")
-    for row in rows_of(c, v, error):
-        value = row.terms.at(values)
-        kept = (row.lo is None or row.lo <= value) and (row.hi is None or value <= row.hi)
-        insist(kept, f"{row.name} is out of its bounds")
+    for name, (lo, hi) in limits(c, error).items():
+        gain = F(1)
+        if "constant" in c and name[0] == "y":
+            gain = values["g" + name.split("_")[1]]
+        insist(gain * lo <= values[name] <= gain * hi, f"{name} is out of its bounds")

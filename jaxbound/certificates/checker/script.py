@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any, cast
 
 from jaxbound.certificates.checker.claim import DOUBLE, SINGLE, claimed
-from jaxbound.certificates.checker.files import read_condition, read_model, read_samples
+from jaxbound.certificates.checker.files import read_model, read_samples
 from jaxbound.certificates.checker.proof import confirm
-from jaxbound.certificates.checker.words import Document, insist
+from jaxbound.certificates.checker.sets import decide
+from jaxbound.certificates.checker.words import Document, Matrix, Samples, insist
 
-__all__ = ["fewer_averages", "load", "main", "stated_lags"]
+__all__ = ["against", "load", "main"]
 
 REFUSED = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 CONFIRMED, NOT_CONFIRMED, BAD_USAGE = 0, 1, 2
@@ -79,64 +80,66 @@ def load(path: Path) -> Document:
     return cast(Document, document)
 
 
-def stated_lags(document: Document, model: Document) -> Sequence[int] | None:
-    """Return the lags that a certificate is about: those of the model, or None where it looks at every
-    sample, which either verdict may.
+def against(
+    document: Document,
+    model: Document,
+    u: Samples,
+    y: Samples,
+    precision: str,
+    names: Document,
+    first: Matrix | None = None,
+    factors: Matrix | None = None,
+) -> None:
+    """Raise an exception unless a certificate proves what it says of a model and of samples: see `confirm`.
 
-    A FAULT then rests on more samples than the model's lags, a CONSISTENT explains more of them, and its
-    statement says so.
+    Either verdict may look at every sample although the model has lags: a FAULT then rests on more of them, a
+    CONSISTENT explains more, and its statement says so. A FAULT may do without averages: what fewer bounds
+    contradict, all of them do.
+
+    Args:
+        model, u, y, precision, first, factors: as of `claimed`. names: of the certificate.
     """
-    if "lags" not in document["numbers"]:
-        return None
-    insist(
-        model["lags"] is not None,
-        "the certificate looks at some samples only, the model at all: give tested_model.toml of the report",
-    )
-    return cast(Sequence[int], model["lags"])
-
-
-def fewer_averages(document: Document, model: Document) -> Document:
-    """Return the model without its averages where a FAULT does without them: what fewer bounds contradict,
-    all of them do.
-    """
-    used = {"averages", "lags"} & set(document["numbers"])
-    if document["certificate"] != "FAULT" or used:
-        return model
-    return {**model, "averages": []}
+    numbers, lags = document["numbers"], None
+    if "lags" in numbers:
+        lags = model["lags"]
+        insist(
+            lags is not None,
+            "the certificate looks at some samples only, the model at all: give tested_model.toml of the "
+            "report",
+        )
+    if document["certificate"] == "FAULT" and not {"averages", "lags"} & set(numbers):
+        model = {**model, "averages": []}
+    confirm(document, names, claimed(model, u, y, precision, lags, first, factors))
 
 
 def _check(document: Document, args: argparse.Namespace) -> None:
     """Raise an exception unless a certificate proves what it says of a model file and a CSV file."""
     if "question" in document:
-        return confirm(document)
+        return decide(document)
     insist(
         args.model is not None and args.data is not None,
         "a certificate of a window is checked against --model and --data",
     )
-    model, names, columns, stated_time, dt = read_model(args.model)
-    condition = read_condition(args.model, document.get("test"), columns)
-    if "test" in document:
-        document = {name: value for name, value in document.items() if name != "test"}
+    model = read_model(args.model, document.get("test"))
+    document = {name: value for name, value in document.items() if name != "test"}
     sample, shown = document["names"]["sample"], document["names"]["times"]
     last = sample
     if isinstance(sample, list) and len(sample) == 1:
         last = sample[0]
     insist(type(last) is int and last >= 0, f"it names no sample of one recording: {sample}")
-    time = args.time or stated_time
     insist(
         "first_state" not in document["numbers"],
         "bounds of a first state are neither in the model nor in the data: check it in Python",
     )
-    count = len(document["numbers"]["y"])
-    rows, times = read_samples(args.data, columns, time, dt, last, count, args.precision, condition)
+    model = model._replace(time=args.time or model.time)
+    rows, times = read_samples(args.data, model, last, len(document["numbers"]["y"]), args.precision)
     insist(shown is None or times is not None, "the certificate shows times: name their column by --time")
-    m = len(model["offset_u"])
-    u, y = [row[:m] for row in rows], [row[m:] for row in rows]
-    claim = claimed(fewer_averages(document, model), u, y, args.precision, stated_lags(document, model))
-    names["sample"], names["times"] = sample, None
+    names = model.names | {"sample": sample, "times": None}
     if shown is not None and times is not None:
-        names["times"] = _labels(shown, times, dt)
-    confirm(document, names, claim)
+        names["times"] = _labels(shown, times, model.dt)
+    m = len(model.numbers["offset_u"])
+    u, y = [row[:m] for row in rows], [row[m:] for row in rows]
+    against(document, model.numbers, u, y, args.precision, names)
 
 
 def _labels(shown: list[str], times: list[str], dt: Fraction) -> list[str]:

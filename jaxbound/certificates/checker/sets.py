@@ -11,10 +11,30 @@ from fractions import Fraction as F
 from typing import Any
 
 from jaxbound.certificates.checker.claim import numbers
-from jaxbound.certificates.checker.vectors import combine, dots, turned
-from jaxbound.certificates.checker.words import Document, Matrix, Vector, insist
+from jaxbound.certificates.checker.polynomial import add_multiple, combine, scale
+from jaxbound.certificates.checker.words import Document, Matrix, insist
 
 __all__ = ["decide"]
+
+STATEMENTS = {
+    "contains": (
+        "l times the equations of a point in the set cannot hold: the point is outside",
+        "the point is center + generators x, x keeps the constraints and every |x_i| <= 1",
+    ),
+    "contains_set": (
+        "along l the inner set reaches farther than the outer one",
+        "inner center and generators are those of the outer set times X, rows of |X| add up to at most 1",
+    ),
+    "intersects": (
+        "l times the equations of a common point cannot hold: there is none",
+        "x gives a point of both sets",
+    ),
+    "is_empty": (
+        "l times the constraints cannot hold: the set is empty",
+        "x keeps the constraints and every |x_i| <= 1: the set is not empty",
+    ),
+}
+"""What is proved of each question where its equations have no solution, and where they have one."""
 
 
 def decide(document: Document) -> None:
@@ -25,12 +45,14 @@ def decide(document: Document) -> None:
     insist(sum(every) == 2 * c["sum"], "the numbers do not add up: one was changed")
     if document["question"] == "is_empty":
         solvable = not solvable
+    sentence = STATEMENTS[document["question"]][solvable]
+    insist(document["statement"] == sentence, f"the statement must be: {sentence}")
     M, D = _equations(document["question"], c)
     if solvable:
         X = c.get("X")
         if X is None:
             X = _column(c["x"])
-        insist([dots(turned(X), row) for row in M] == D, "x does not keep the equations")
+        insist([combine(row, X) for row in M] == D, "x does not keep the equations")
         insist(all(sum(map(abs, row)) <= 1 for row in X), "x is out of its bounds")
         return
     # a solution has l M x = l d, and |l M x| <= sum |l M|; of a set, the point farthest along l has none
@@ -46,24 +68,20 @@ def _equations(question: str, c: Document) -> tuple[Matrix, Matrix]:
     if question == "is_empty":  # A x = b
         return A, _column(b)
     if question == "contains":  # G x = point - center, A x = b
-        return G + A, _column(_less(c["point"], first["center"]) + b)
+        return G + A, _column(add_multiple(c["point"], -1, first["center"]) + b)
     (second,) = others
     G2, A2 = second["generators"], second["constraints"]
-    shift = _less(second["center"], first["center"])
+    shift = add_multiple(second["center"], -1, first["center"])
     if question == "contains_set":  # G X = [shift, G2], A X = [b, 0]
         insist(not A2, "the inner set must be a zonotope")
         inner = G2 + _zeros(len(b), len(G2[0]))
         return G + A, [[v, *row] for v, row in zip(shift + b, inner, strict=True)]
     insist(question == "intersects", "this question is not known")
     # G x - G2 x2 = shift, A x = b, A2 x2 = b2
-    M = _side_by_side(G, [[-v for v in row] for row in G2])
+    M = _side_by_side(G, [scale(row, -1) for row in G2])
     M += _side_by_side(A, _zeros(len(A), len(G2[0])))
     M += _side_by_side(_zeros(len(A2), len(G[0])), A2)
     return M, _column(shift + b + second["offsets"])
-
-
-def _less(a: Sequence[F], b: Sequence[F]) -> Vector:
-    return [x - y for x, y in zip(a, b, strict=True)]
 
 
 def _column(values: Sequence[Any]) -> list[list[Any]]:

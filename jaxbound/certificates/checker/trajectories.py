@@ -1,17 +1,20 @@
-"""Relations that hold for every trajectory of a plant, and limits that samples and bounds set to its signals:
-exact fractions.
+"""The plant followed backward by multipliers and forward by a behaviour, and the limits that samples and
+bounds set to its signals: exact fractions.
 
-The letters are those of `proof`, c the claim of a certificate.
+Signals have names, all in deviations from the offsets: xJ_I (state I at sample J), yJ_I (true output), wJ_I
+(disturbance), vJ_I (unknown input), uJ_I (input), averageK (bounded sum of true values), gI (gain of output
+I, 1 / (1 + theta), where it keeps one value), pK (uncertain parameter K at a sample, or over the window). The
+letters are those of `proof`, c the claim of a certificate.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction as F
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
-from jaxbound.certificates.checker.vectors import combine
-from jaxbound.certificates.checker.words import Average, Claim, Ends, Relation, Value, insist
+from jaxbound.certificates.checker.polynomial import Value, add_multiple, combine, dot, scale
+from jaxbound.certificates.checker.words import Document, Ends, insist
 
-__all__ = ["Run", "backward", "limits", "plant_at", "runs_of"]
+__all__ = ["Error", "behaviour", "limits", "moved", "multipliers", "named", "readings_of", "runs_of"]
 
 ROUNDED = 10
 """Smallest normal numbers by which an average is widened for each of its samples."""
@@ -23,187 +26,192 @@ Term: TypeAlias = tuple[bool, int, int, F]
 """(whether of an output, sample, number of the signal, weight) in a weighted sum."""
 
 
-def backward(c: Claim, r: Relation, v: Sequence[Value]) -> list[list[Any]]:
-    """Return the q that a relation sum_j h_j t_j + g_j w_j - k_j u_j + a S leaves after each sample.
+def multipliers(c: Document, r: Document, v: Sequence[Value]) -> tuple[dict[str, Value], Value]:
+    """Return ({signal: multiplier}, the part of the inputs) of a relation sum_j h_j t_j + g_j w_j - k_j u_j +
+    a S + x x_0 = 0, after a check that it holds for every trajectory.
 
     Backward in time, t_j = C x_j + D u_j + D_v v_j and x_(j+1) = A x_j + B u_j + G w_j + F v_j are put in.
-    The samples after j then depend on x_(j+1) alone, by q x_(j+1).
+    The samples after j then depend on x_(j+1) alone, by q x_(j+1), which is -(multiplier of its equation).
 
     Args: v: values of the uncertain parameters, or polynomials.
 
-    Raises: ValueError: the relation shows other k than these of the inputs.
+    Raises: ValueError: it leaves an unknown over, or shows other k than these of the inputs.
     """
-    insist(len(r["h"]) == len(c["y"]), "the relation has another number of samples")
-    outputs = [list(row) for row in r["h"]]  # sums written out
-    for x, terms, _ in runs_of(c, r.get("a")):
+    last = len(c["y"]) - 1
+    insist(len(r["h"]) == len(r["g"]) == len(r["k"]) == last + 1, "the relation has other samples")
+    multiplied: dict[str, Value] = {}
+    written = {True: list(map(list, r["h"])), False: list(map(list, r["g"]))}  # sums written out
+    for letter, rows in (("y", r["h"]), ("w", r["g"])):
+        for j, row in enumerate(rows):
+            multiplied |= named(f"{letter}{j}_", row)
+    runs = list(runs_of(c))
+    for number, (x, terms) in enumerate(zip(r.get("a", [F(0)] * len(runs)), runs, strict=True)):
+        multiplied[f"average{number}"] = x
         for measured, j, i, weight in terms:
-            if measured:
-                outputs[j][i] += x * weight
+            written[measured][j][i] += x * weight
     q: list[Any] = [F(0)] * len(c["A"])  # nothing comes after the last sample
-    left = []
-    for j, (h, k) in reversed(list(enumerate(zip(outputs, r["k"], strict=True)))):
-        left.append(q)
+    of_inputs: Value = F(0)
+    over = "the relation leaves an unknown over"
+    for j in range(last, -1, -1):
         A, B, C, D = plant_at(c, j, v)
-        # of u_j: h D + q B = k
+        h, w, k = written[True][j], written[False][j], r["k"][j]
+        multiplied |= named(f"step{j}_", scale(q, -1))
         insist(combine([*h, *q], D, B) == k, "the relation does not fit the inputs")
+        insist((combine(q, c["G"]) or [F(0)] * len(c["disturbance"])) == scale(w, -1), over)
+        insist(not any(combine([*h, *q], c["D_v"], c["F"])), over)
+        for x, u, offset in zip(k, c["u"][j], c["offset_u"], strict=True):
+            insist(u is not None or not x, over)
+            if x:
+                of_inputs = of_inputs + x * (u - offset)
         q = combine([*h, *q], C, A)  # of x_j: h C + q A
-    return left[::-1]
+    first = r.get("x", [F(0)] * len(q))
+    insist(q == scale(first, -1), over)
+    return multiplied | named("x0_", first), of_inputs
 
 
-def plant_at(c: Claim, j: int, v: Sequence[Value]) -> tuple[Rows, Rows, Rows, Rows]:
+def behaviour(c: Document, witness: Document, v: Sequence[F]) -> dict[str, F]:
+    """Return {signal: value} of a witness at values v of the uncertain parameters."""
+    values = named("p", v) | named("g", witness.get("gains") or [])
+    x = witness["state"]
+    samples = zip(witness["inputs"], witness["disturbances"], witness["unknown_inputs"], strict=True)
+    for j, (inputs, w, free) in enumerate(samples):
+        u = add_multiple(inputs, -1, c["offset_u"])
+        t, after = moved(c, j, v, x, u, w, free)
+        for letter, signals in (("x", x), ("w", w), ("v", free), ("u", u), ("y", t)):
+            values |= named(f"{letter}{j}_", signals)
+        x = after
+    return values | sums_of(c, values)
+
+
+def sums_of(c: Document, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the bounded sums of true values."""
+    sums = {}
+    for number, terms in enumerate(runs_of(c)):
+        total: Any = F(0)
+        for measured, j, i, weight in terms:
+            total = total + values[f"{'wy'[measured]}{j}_{i}"] * weight
+        sums[f"average{number}"] = total
+    return sums
+
+
+def named(prefix: str, values: Sequence[Any]) -> dict[str, Any]:
+    """Return numbered values by their names."""
+    return {f"{prefix}{i}": value for i, value in enumerate(values)}
+
+
+def moved(
+    c: Document,
+    j: int,
+    v: Sequence[Value],
+    x: Sequence[Value],
+    u: Sequence[Value],
+    w: Sequence[Value],
+    free: Sequence[Value],
+) -> tuple[list[Any], list[Any]]:
+    """Return (t, x+) = (C x + D u + D_v v, A x + B u + G w + F v) at sample j."""
+    A, B, C, D = plant_at(c, j, v)
+    outputs, states = zip(C, D, c["D_v"], strict=True), zip(A, B, c["G"], c["F"], strict=True)
+    t = [dot([*a, *b, *e], [*x, *u, *free]) for a, b, e in outputs]
+    return t, [dot([*a, *b, *g, *f], [*x, *u, *w, *free]) for a, b, g, f in states]
+
+
+def plant_at(c: Document, j: int, v: Sequence[Value]) -> list[Rows]:
     """Return A, B, C, D at sample j, at parameters v (numbers or polynomials)."""
-    A, B, C, D = _matrices(c)
+    plant = [c["A"], c["B"], c["C"], c["D"]]
     for (number, lag), x in zip(c.get("variables", []), v, strict=True):
         if lag not in (None, j):
             continue  # the value of another sample
-        dA, dB, dC, dD = _changes(c, int(number))
-        A, B, C, D = _moved(A, x, dA), _moved(B, x, dB), _moved(C, x, dC), _moved(D, x, dD)
-    return A, B, C, D
+        for place, letter in enumerate("ABCD"):
+            change = c["uncertainties"][int(number)][letter]
+            if change is not None:
+                rows = zip(plant[place], change, strict=True)
+                plant[place] = [add_multiple(row, x, by) for row, by in rows]
+    return plant
 
 
-def _matrices(c: Claim) -> tuple[Rows, Rows, Rows, Rows]:
-    return c["A"], c["B"], c["C"], c["D"]
-
-
-def _changes(c: Claim, number: int) -> tuple[Rows | None, Rows | None, Rows | None, Rows | None]:
-    parameter = c["uncertainties"][number]
-    return parameter["A"], parameter["B"], parameter["C"], parameter["D"]
-
-
-def _moved(matrix: Rows, x: Value, change: Rows | None) -> Rows:
-    """Return M + x dM; change None: nothing of the matrix depends on the parameter."""
-    if change is None:
-        return matrix
-    moved = []
-    for row, by in zip(matrix, change, strict=True):
-        moved.append([a + x * b for a, b in zip(row, by, strict=True)])
-    return moved
-
-
-def limits(
-    c: Claim, error: Error = None, gains: Sequence[F] | None = None
-) -> list[tuple[list[Ends | None], list[Ends]]]:
-    """Return for each sample ((lo, hi) of each true output, None where its reading is missing; (lo, hi) of
-    each disturbance).
-
-    Args: gains: 1 / (1 + theta) of each output, where it is known.
+def limits(c: Document, error: Error = None) -> dict[str, Ends]:
+    """Return {signal: (lo, hi)} of all that samples and bounds say; of the output of a gain that keeps its
+    value those at gain 1, which count times the gain.
     """
-    deltas = [_delta(c, i, error) for i in range(len(c["noise"]))]
-    wider = _wider(c)
-    bounds = [(lo - c["floor"], hi + c["floor"]) for lo, hi in c["disturbance"]]
-    out = []
-    for row, more in zip(c["y"], wider, strict=True):
-        readings: list[Ends | None] = []
-        for i, (y, delta) in enumerate(zip(row, deltas, strict=True)):
-            readings.append(_true_output(c, i, y, delta + more[i], gains))
-        out.append((readings, bounds))
-    return out
+    rounded = _rounded(c, error)
+    ends = named("x0_", list(map(tuple, c.get("first_state", []))))
+    if "constant" in c:
+        ends |= named("g", [(1 / (1 + sigma), 1 / (1 - sigma)) for sigma in c["tolerance"]])
+    for k, (number, _) in enumerate(c.get("variables", [])):
+        bound = c["uncertainties"][int(number)]["bound"]
+        ends[f"p{k}"] = -bound, bound
+    every = c.get("factors") or [[F(1)] * len(rounded)] * len(c["y"])
+    for j, (row, factors) in enumerate(zip(c["y"], every, strict=True)):
+        for i, y in enumerate(row):
+            if y is not None:
+                noise = c["noise"][i] * (1 + c["recorder"]) * factors[i]
+                ends[f"y{j}_{i}"] = _true_output(c, i, y, noise + rounded[i] + c["floor"])
+    for j in range(len(c["y"]) - 1):
+        ends |= named(f"w{j}_", [(lo - c["floor"], hi + c["floor"]) for lo, hi in c["disturbance"]])
+    return ends | _ends_of_sums(c, rounded)
 
 
-def _true_output(c: Claim, i: int, y: F | None, delta: F, gains: Sequence[F] | None) -> Ends | None:
-    """Return (lo, hi) of the true output behind a reading, in deviations; None where it is missing."""
-    if y is None:
-        return None
+def _true_output(c: Document, i: int, y: F, delta: F) -> Ends:
+    """Return (lo, hi) of the true output behind a reading, in deviations."""
+    lo, hi = y - c["offset_y"][i] - delta, y - c["offset_y"][i] + delta
+    if "constant" in c:
+        return lo, hi
     # y = (1 + theta) t + d with |d| <= delta, so t = (y - d) / (1 + theta): extreme at the ends of both
-    factors = [1 / (1 - c["tolerance"][i]), 1 / (1 + c["tolerance"][i])]
-    if gains is not None:
-        factors = [gains[i]]
-    y -= c["offset_y"][i]
-    return min(f * (y - delta) for f in factors), max(f * (y + delta) for f in factors)
+    least, most = 1 + c["tolerance"][i], 1 - c["tolerance"][i]
+    return min(lo / least, lo / most), max(hi / least, hi / most)
 
 
-class Run(NamedTuple):
-    """A run of an average: a bounded sum of true values, in deviations.
-
-    Fields: multiplier, in a relation; terms, none where the run is not looked at; ends: (lo, hi), None where
-    it says nothing.
-    """
-
-    multiplier: F
-    terms: list[Term]
-    ends: Ends | None
-
-
-def runs_of(c: Claim, multipliers: Sequence[F] | None = None, error: Error = None) -> Iterator[Run]:
-    """Yield the Run of each run of an average."""
-    runs = c.get("runs", [])
-    if multipliers is None:
-        multipliers = [F(0)] * len(runs)
-    for x, run in zip(multipliers, runs, strict=True):
-        average = c["averages"][int(run["average"])]
-        terms = _terms(average, run["first"])
-        yield Run(x, terms, _run_ends(c, average["bound"], terms, error))
+def runs_of(c: Document) -> Iterator[list[Term]]:
+    """Yield the terms of each run of an average, none where it is not looked at."""
+    for run in c.get("runs", []):
+        average, terms = c["averages"][int(run["average"])], []
+        for part in (average, *average.get("beside", [])):
+            if run["first"] is not None:
+                for j, weight in enumerate(part["weights"], int(run["first"])):
+                    terms.append((bool(average["output"]), j, int(part["number"]), weight))
+        yield terms
 
 
-def _terms(average: Average, first: F | None) -> list[Term]:
-    """Return the terms of a run, none where it is not looked at."""
-    if first is None:
-        return []
-    terms = []
-    for part in (average, *average.get("beside", [])):
-        for j, weight in enumerate(part["weights"], int(first)):
-            terms.append((bool(average["output"]), j, int(part["number"]), weight))
-    return terms
+def readings_of(c: Document, terms: Sequence[Term]) -> list[F | None]:
+    """Return the readings that a run of an average sums up, None where one is missing."""
+    return [c["all_y"][j][i] for measured, j, i, _ in terms if measured]
 
 
-def _run_ends(c: Claim, bound: F, terms: Sequence[Term], error: Error) -> Ends | None:
-    """Return (lo, hi) of the weighted sum of true values over a run, None where it is not looked at or a
-    reading is missing.
+def _ends_of_sums(c: Document, rounded: Sequence[F]) -> dict[str, Ends]:
+    """Return {sum: (lo, hi)} of the weighted sums of true values over runs that are looked at and miss no
+    reading.
 
     The bound is one on the sum of noises. What resolution, recorder and an error add to each reading is added
     by its weight; the floors are for numbers that a kernel rounds to zero on the way.
     """
-    if not terms:
-        return None
-    middle = F(0)
-    sizes: dict[int, F] = {}  # sum of |weight| by output
-    rad = bound + ROUNDED * len(terms) * c["floor"]
-    for measured, j, i, weight in terms:
-        rad += ROUNDED * abs(weight) * c["floor"]
-        if measured:
-            y = c["all_y"][j][i]
-            if y is None:
-                return None
-            middle += weight * (y - c["offset_y"][i])
-            sizes[i] = sizes.get(i, F(0)) + abs(weight)
-    for i, size in sizes.items():
-        rad += size * (_delta(c, i, error) - c["noise"][i] - c["floor"])
-    return middle - rad, middle + rad
+    ends = {}
+    for number, (run, terms) in enumerate(zip(c.get("runs", []), runs_of(c), strict=True)):
+        if not terms or None in readings_of(c, terms):
+            continue
+        middle, rad = F(0), c["averages"][int(run["average"])]["bound"] + ROUNDED * len(terms) * c["floor"]
+        for measured, j, i, weight in terms:
+            rad += ROUNDED * abs(weight) * c["floor"]
+            if measured:
+                middle += weight * (c["all_y"][j][i] - c["offset_y"][i])
+                rad += abs(weight) * (rounded[i] + c["recorder"] * c["noise"][i])
+        ends[f"average{number}"] = middle - rad, middle + rad
+    return ends
 
 
-def _delta(c: Claim, i: int, error: Error) -> F:
-    """Return the largest |delta| of output i: noise + resolution + recorder (largest |y| + noise) + floor,
-    and an error that is allowed to it.
+def _rounded(c: Document, error: Error) -> list[F]:
+    """Return by how much readings of each output may be off beyond their noise: resolution, recorder times
+    the largest reading that is looked at, alone or in an average, and an error that is allowed to it.
     """
-    largest = max(_looked_at(c, i), default=F(0))
-    delta = c["noise"][i] + c["resolution"][i] + c["recorder"] * (largest + c["noise"][i]) + c["floor"]
-    if error is not None and error[0] == i:
-        delta += error[1]
-    return delta
-
-
-def _wider(c: Claim) -> list[list[F]]:
-    """Return by how much the |delta| of each sample may be larger than `_delta` says: its noise is times a
-    factor, and what the recorder rounds away of it.
-    """
-    every, wider = c.get("factors"), []
-    if every is None:
-        every = [[F(1)] * len(c["noise"])] * len(c["y"])
-    for factors in every:
-        more = []
-        for noise, factor in zip(c["noise"], factors, strict=True):
-            more.append((factor - 1) * noise * (1 + c["recorder"]))
-        wider.append(more)
-    return wider
-
-
-def _looked_at(c: Claim, i: int) -> Iterator[F]:
-    """Yield the size of each reading of an output that is looked at, alone or in an average."""
-    readings = [row[i] for row in c["y"]]
-    for run in c.get("runs", []):
-        for measured, j, number, _ in _terms(c["averages"][int(run["average"])], run["first"]):
-            if measured and number == i:
-                readings.append(c["all_y"][j][i])
-    for y in readings:
-        if y is not None:
-            yield abs(y)
+    largest = [F(0)] * len(c["noise"])
+    rows = list(c["y"])
+    for terms in runs_of(c):
+        for measured, j, i, _ in terms:
+            if measured:
+                rows.append([None] * i + [c["all_y"][j][i]])
+    for row in rows:
+        for i, y in enumerate(row):
+            largest[i] = max(largest[i], abs(y or F(0)))
+    rounded = add_multiple(c["resolution"], c["recorder"], largest)
+    if error is not None:
+        rounded[error[0]] += error[1]
+    return rounded
