@@ -56,7 +56,10 @@ def once():
     """Return patches that leave the second decision out."""
     return (
         patch("jaxbound.consistency.drive.decided_twice", lambda test, judged, *_: judged),
-        patch("jaxbound.consistency.drive._Gathering._proved", lambda self, part, block, judged: judged[:2]),
+        patch(
+            "jaxbound.consistency.drive._Gathering._proved",
+            lambda self, part, block, judged: judged[: len(self.filling.outs) + 1],
+        ),
         patch(
             "jaxbound.estimation.set_observer.doubtful",
             lambda watch, carry, samples, fault: np.zeros_like(fault),

@@ -15,7 +15,7 @@ from lying_device import lying, unexamined
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.consistency import devices, drive, unproved
+from jaxbound.consistency import devices, drive
 from jaxbound.consistency.bank import BankTest
 from jaxbound.consistency.strips import StripsTest
 from jaxbound.estimation import unknown_inputs
@@ -23,7 +23,7 @@ from jaxbound.estimation import unknown_inputs
 jax.config.update("jax_enable_x64", True)
 
 
-KINDS = StripsTest, BankTest, unproved._Unproved, unknown_inputs._RangeTest  # whose blocks are made small
+KINDS = StripsTest, BankTest, unknown_inputs._RangeTest  # whose blocks are made small
 
 
 def recording(samples, dtype=np.float64):
@@ -83,7 +83,7 @@ def digests(cases, block, samples, counts):
     for case in cases:
         for count in counts:
             chosen = tuple(jax.local_devices()[:count])
-            drive.usable_devices = unproved.usable_devices = lambda chosen=chosen: chosen
+            drive.usable_devices = lambda chosen=chosen: chosen
             arrays = [np.asarray(x) for x in CASES[case](u, y)]
             found.setdefault(case, []).append(
                 hashlib.sha256(b"".join(x.tobytes() for x in arrays)).hexdigest()

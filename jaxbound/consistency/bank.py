@@ -35,7 +35,6 @@ class BankTest(LinearTest):
     """
 
     gathered = False
-    replayed = False
 
     def __init__(self, relations: LinearRelations, dtype: DTypeLike) -> None:
         super().__init__(relations, "box", dtype)
@@ -144,7 +143,7 @@ class BankTest(LinearTest):
 @kernel
 def bank_windows(reading: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ...]:
     """Return the verdicts of every relation over a stretch and the margin of the tightest one, packed."""
-    return bank_verdicts(tested(reading, u, y), y[reading.horizon :, 0])
+    return bank_verdicts(tested(reading, *reading.columns(u, y)), y[reading.horizon :, 0])
 
 
 def status_of_words(words: np.ndarray, count: int) -> np.ndarray:

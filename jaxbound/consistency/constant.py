@@ -242,9 +242,7 @@ def _kept(reading: Reading, strips: _Strips, gains: jax.Array) -> jax.Array:
     return _fold(keeping, jnp.ones_like(strips.absent[0]), strips)
 
 
-def _strip(
-    reading: Reading, rows: RowValues[jax.Array], support: jax.Array, h: jax.Array, k: jax.Array
-) -> _Strips:
+def _strip(reading: Reading, rows: RowValues, support: jax.Array, h: jax.Array, k: jax.Array) -> _Strips:
     """Return the strip of one circuit.
 
     It has no more roundings than in `rounding.residual_error`, with the row g d for m: 3 u g (|y| + |offset|)

@@ -17,7 +17,6 @@ from typing import Any, TypeVar, overload
 
 import jax
 import numpy as np
-from jax.typing import DTypeLike
 
 from jaxbound.consistency.devices import everywhere, on_devices
 from jaxbound.consistency.interface import (
@@ -47,12 +46,10 @@ __all__ = ["drive", "end_to_end", "raw_outputs", "windows"]
 CORES = os.cpu_count() or 1
 AHEAD = 3  # groups of blocks that are under way at once
 AGAIN = 2**12  # windows that are evaluated in NumPy at once, where there are as many
-SMALL = 2**10  # arrays below this are not worth an alignment
 TOGETHER = 2**15  # windows of which the first ones say whether easy ones are among them
 ASKED = 2**11  # so many of these
 FEWEST = 8  # where not one in so many of them is easy, no other is asked
 EASY = 0.5  # the progress that goes to easy windows
-ALIGNMENT = 64  # bytes, at which XLA adopts an array of the host
 
 Devices = tuple[jax.Device, ...]
 Part = tuple[np.ndarray, Arrays]
@@ -143,17 +140,11 @@ def windows(
     shape = y.shape[:-1]
     if is_outside_xla() or not searching_device():
         return _decided(test, flat_u, flat_y, shape, starts, progress, block)
-
-    def missing(some_u: np.ndarray, some_y: np.ndarray) -> np.ndarray:
-        with outside_xla():
-            alone = windows(test, some_u, some_y, NOWHERE, size=block)
-        return np.asarray(alone.status[:, -1] == Status.MISSING)
-
     with searching():
         judged = _decided(test, flat_u, flat_y, shape, starts, progress, block)
         ends = np.ones(shape, bool)
         ends[..., _endless(starts, test.horizon, shape[-1])] = False
-        return only_searched(test, judged, flat_u, flat_y, ends.reshape(-1), missing)
+        return only_searched(test, judged, flat_u, flat_y, ends.reshape(-1))
 
 
 def _decided(
@@ -167,7 +158,7 @@ def _decided(
 ) -> Judged:
     """Return the verdicts (*shape) of samples that are laid end to end, each FAULT decided twice."""
     judged = test.judged(_filled(test, u, y, shape, starts, progress, size))
-    if test.hinted or test.confirms or is_outside_xla():
+    if test.confirms or is_outside_xla():
         return judged
 
     def contradicted(ends: np.ndarray) -> np.ndarray:
@@ -217,14 +208,14 @@ def _contradicted(
     test: WindowTest, u: np.ndarray, y: np.ndarray, starts: np.ndarray, size: int
 ) -> np.ndarray:
     """Return which windows that start at these samples contradict their bounds, without XLA."""
-    refuted = test.contradicted(u, y, starts)
-    if not test.replayed:
-        return refuted
-    left = np.flatnonzero(~refuted)
-    if len(left) >= AGAIN and test.block < AGAIN:  # each size is another program to write down
+    seen = test.contradicted(u, y, starts)
+    if seen is not None:
+        return seen
+    refuted = np.zeros(len(starts), bool)
+    if len(starts) >= AGAIN and test.block < AGAIN:  # each size is another program to write down
         size = max(size, AGAIN)
-    for first in range(0, len(left), size):
-        chosen = left[first : first + size]
+    for first in range(0, len(starts), size):
+        chosen = slice(first, first + size)
         at = starts[chosen, None] + np.arange(test.horizon + 1)
         # A primitive of a newer jax, which NumPy does not know, confirms nothing.
         with outside_xla(), contextlib.suppress(NotImplementedError):
@@ -235,17 +226,11 @@ def _contradicted(
 
 def _runner(test: WindowTest, devices: Devices, axis: int) -> Run:
     """Return the function that runs kernels of a test on blocks, one a device; axis: of the windows."""
-    constants = _placed(test, devices)
 
     def run(kernel: Callable[..., T], blocks: Sequence[Arrays]) -> list[T]:
-        return on_devices(kernel, constants, blocks, devices, axis)
+        return on_devices(kernel, _placed(test, devices), blocks, devices, axis)
 
     return run
-
-
-def _run_nothing(kernel: Callable[..., T], blocks: Sequence[Arrays]) -> list[T]:
-    """Stand in for `_runner` where a test calls its kernels itself."""
-    raise NotImplementedError("a test that is not sharded calls its kernels itself")
 
 
 def end_to_end(x: Array) -> np.ndarray:
@@ -282,7 +267,7 @@ def _stretches(
 ) -> list[np.ndarray]:
     """Judge all windows of contiguous samples, those that do not count among them."""
     s, samples, kinds = test.horizon, len(y), test.outputs
-    outs = [_aligned(samples, dtype) for dtype, _ in kinds]
+    outs = [np.empty(samples, dtype) for dtype, _ in kinds]
     firsts = range(0, samples - s, size)
     devices = usable_devices()
     if len(firsts) < 2:
@@ -491,22 +476,20 @@ class _Gathering:
     def _judge(self, group: np.ndarray, devices: Devices) -> list[Part]:
         """Return the parts of a group, a block each."""
         test, size = self.test, self.size
-        run: Run = _run_nothing
-        if test.sharded:
-            run = _runner(test, devices, -1)
+        run = _runner(test, devices, -1)
         parts = [group[i : i + size] for i in range(0, len(group), size)]
         blocks: list[Block] = []
         for part in parts:
             if test.padded:  # the last window again and again
                 part = part.take(np.arange(size), mode="clip")
             blocks.append(gather(self.filling.u, self.filling.y, part, test.lags, test.horizon))
-        judged = test.judge(run, blocks)
-        if test.hinted:
-            judged = [self._proved(*all_of) for all_of in zip(parts, blocks, judged, strict=True)]
-        return list(zip(parts, judged, strict=True))
+        proved = map(self._proved, parts, blocks, test.judge(run, blocks))
+        return list(zip(parts, proved, strict=True))
 
     def _proved(self, part: np.ndarray, block: Block, judged: Arrays) -> Arrays:
-        """Return (margin, open) of a block, with each FAULT left open that its hints do not prove."""
+        """Return the arrays of a block, with each FAULT left open that its hints do not prove."""
+        if len(judged) <= len(self.filling.outs) + 1:
+            return judged
         margin, open_, *hints = judged
         margin, open_ = np.asarray(margin)[: len(part)], np.asarray(open_)[: len(part)]
         faulty = np.flatnonzero(margin < 0)
@@ -555,13 +538,3 @@ def _padded(x: np.ndarray, first: int, length: int) -> np.ndarray:
     full = np.empty((length, x.shape[1]), x.dtype)
     full[: len(part)], full[len(part) :] = part, np.nan
     return full
-
-
-def _aligned(count: int, dtype: DTypeLike) -> np.ndarray:
-    """Return an uninitialised array that a CPU device can adopt without a copy."""
-    if count < SMALL:
-        return np.empty(count, dtype)
-    size = count * np.dtype(dtype).itemsize
-    raw = np.empty(size + ALIGNMENT, np.uint8)
-    start = -raw.ctypes.data % ALIGNMENT
-    return raw[start : start + size].view(dtype)

@@ -43,7 +43,6 @@ __all__ = [
     "ExchangeTest",
     "Settings",
     "candidates",
-    "exchange_margins",
     "verdicts",
 ]
 
@@ -79,7 +78,7 @@ class ExchangeTest(SignedTest):
             from call to call; None: none yet.
     """
 
-    threads = hinted = by_strips = True
+    threads = confirms = by_strips = True
     short = 16  # the work grows with the block
 
     def __init__(
@@ -204,7 +203,7 @@ class ExchangeTest(SignedTest):
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""
-        return unproved_margins(self, exchange_margins, _given_margins, given, search=_best)
+        return unproved_margins(self, _given_margins, given, search=_best)
 
     def _whole_numbers(self, u: np.ndarray, y: np.ndarray, margin: np.ndarray) -> None:
         """Decide thin windows, and those whose holes floats leave open, in whole numbers, in place."""
@@ -255,25 +254,15 @@ class ExchangeTest(SignedTest):
         return [(frame, np.flatnonzero(np.isin(which.ravel(), own))) for frame, own in frames.values()]
 
 
-@jax.jit
-def exchange_margins(reading: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
-    """Return the unproved margins (T - s,) of one recording u (T, m), y (T, p): NaN where data are
-    missing.
-    """
-    return _given_margins(reading, u, y)
-
-
 def _given_margins(reading: Reading, u: jax.Array, y: jax.Array, *best: jax.Array) -> jax.Array:
-    """Return the same, differentiable; best: from `_best`, else it is searched for."""
+    """Return the unproved margins (T - s,) of one recording u (T, m), y (T, p), differentiable, NaN where
+    data are missing; best: from `_best`.
+    """
 
-    def searched(rows: RowValues[jax.Array]) -> jax.Array:
-        return separation.separation_margin(reading.frame, rows.mid, rows.rad, rows.known)
-
-    def of_best(rows: RowValues[jax.Array], best: jax.Array) -> jax.Array:
+    def of_best(rows: RowValues, best: jax.Array) -> jax.Array:
         return separation.margin_of(best, rows.mid, rows.rad, rows.known)
 
-    margins = _over_blocks(of_best if best else searched, reading, u, y, *best)
-    return margins.reshape(-1)[: y.shape[0] - reading.horizon]
+    return _over_blocks(of_best, reading, u, y, *best).reshape(-1)[: y.shape[0] - reading.horizon]
 
 
 def _best(reading: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
@@ -281,7 +270,7 @@ def _best(reading: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
     derivatives follow from them.
     """
 
-    def best(rows: RowValues[jax.Array]) -> jax.Array:
+    def best(rows: RowValues) -> jax.Array:
         return separation.separation_best(reading.frame, rows.mid, rows.rad, rows.known)
 
     return _over_blocks(best, reading, u, y)

@@ -1,4 +1,4 @@
-"""Strips of contiguous samples in one pass: what no sample changes is worked out once for all windows.
+"""Few strips of windows in one pass over their samples: what no sample changes is worked out once for all.
 
 A strip of `sets.strips.strips` asks |sum_i h_i m_i - sum_j k_j v_j| <= sum_i |h_i| r_i. With d = y - offset
 and q = max(|d| - rho, 0) the middle and the radius of a reading (`models.sensor`) are
@@ -10,21 +10,20 @@ left for a window are seven operations a reading and some twenty a strip, its er
 (`rounding.folded_error`, which has the proof).
 """
 
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Iterator
 from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.reading import Reading
+from jaxbound.consistency.reading import Columns, Reading
 from jaxbound.models import sensor
-from jaxbound.models.rows import Kind, Row
+from jaxbound.models.rows import Kind
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.strips.strips import Strips
 
-__all__ = ["folded_margin", "folded_verdict", "folds", "known_columns", "tested"]
+__all__ = ["folded_verdict", "folds", "known_columns", "tested"]
 
 ROOM = 4
 """Magnitudes are summed so many times as large: where they are finite, nothing else of their strip
@@ -62,26 +61,16 @@ def folds(reading: Reading) -> bool:
     return isinstance(shape, Strips) and shape.inputs is not None and not reading.window.sums
 
 
-def folded_margin(reading: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
-    """Return 1 - gauge (N,) of the windows of a stretch u (N + s, m), y (N + s, p), unrounded; NaN where no
-    circuit has all its data. For numbers alone: a derivative would meet NaN.
-    """
-    gauge = jnp.full((), -1, y.dtype)
-    for residual, width, _ in _strips(reading, u, y):
-        ratio = jnp.where(jnp.isnan(residual), -1, jnp.abs(residual) / width)
-        gauge = jnp.where(ratio > gauge, ratio, gauge)
-    return _each(jnp.where(gauge < 0, jnp.nan, 1 - gauge), reading, y)
-
-
-def folded_verdict(reading: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
-    """Return the margin (N,) with a proved sign of the windows of a stretch u (N + s, m), y (N + s, p): see
+def folded_verdict(reading: Reading, u: Columns, y: Columns) -> jax.Array:
+    """Return the margin (N,) with a proved sign of windows, from their samples as of `Reading.columns`: see
     `sets.strips.strips.strip_verdict`.
 
     A strip that lacks a datum has NaN for an error bound and for a ratio, which loses every comparison. A
     strip whose magnitudes overflow has an infinite error bound: its ratio is 1 or NaN, and the window is not
     inside.
     """
-    gauge, largest = jnp.full((), -1, y.dtype), jnp.zeros((), y.dtype)
+    like = y[0][0]
+    gauge, largest = jnp.full((), -1, like.dtype), jnp.zeros((), like.dtype)
     for residual, width, error in tested(reading, u, y):
         value = jnp.abs(residual)
         # beyond its error bound a computed ratio is on the right side of 1
@@ -90,23 +79,19 @@ def folded_verdict(reading: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
         gauge = jnp.where(ratio > gauge, ratio, gauge)
         largest = jnp.where(error > largest, error, largest)
     margin = jnp.where((gauge < 1) & (largest == jnp.inf), 0, 1 - gauge)
-    return _each(jnp.where(largest > 0, margin, jnp.nan), reading, y)
+    # broadcast, since no circuit may look at any sample
+    return jnp.broadcast_to(jnp.where(largest > 0, margin, jnp.nan), like.shape)
 
 
-def tested(reading: Reading, u: jax.Array, y: jax.Array) -> Iterator[tuple[jax.Array, jax.Array, jax.Array]]:
+def tested(reading: Reading, u: Columns, y: Columns) -> Iterator[tuple[jax.Array, jax.Array, jax.Array]]:
     """Yield (residual, width, error bound of their comparison) of each strip, as `rounding.folded_error` has
     it; NaN where a datum is missing.
     """
-    strips = reading.strips
-    gamma, least = rounding.folded_error(strips.h.shape[1] + strips.k.shape[1], y.dtype)
+    strips, dtype = reading.strips, y[0][0].dtype
+    gamma, least = rounding.folded_error(strips.h.shape[1] + strips.k.shape[1], dtype)
     floor = least * (1 + jnp.max(jnp.abs(strips.h)) * jnp.max(_factors(reading)))
     for residual, width, size in _strips(reading, u, y):
         yield residual, width, gamma / ROOM * (size + ROOM * width) + floor
-
-
-def _each(margin: jax.Array, reading: Reading, y: jax.Array) -> jax.Array:
-    """Return margins (N,), also where no circuit looks at any sample."""
-    return jnp.broadcast_to(margin, (y.shape[0] - reading.horizon,))
 
 
 def _factors(reading: Reading) -> jax.Array:
@@ -114,14 +99,14 @@ def _factors(reading: Reading) -> jax.Array:
     return 1 / (1 - reading.tolerance)
 
 
-def _strips(reading: Reading, u: jax.Array, y: jax.Array) -> Iterator[_Strip]:
+def _strips(reading: Reading, u: Columns, y: Columns) -> Iterator[_Strip]:
     """Yield the strips of all circuits, NaN where one needs what windows do not look at."""
-    strips, top = reading.strips, np.finfo(y.dtype).max
-    rows, inputs = _rows(reading, u, y), _inputs(reading, u, y)
+    strips, dtype = reading.strips, y[0][0].dtype
+    top, rows, inputs = np.finfo(dtype).max, _rows(reading, u, y), _inputs(reading, u)
     assert strips.supports is not None and strips.inputs is not None
     for c, support in enumerate(strips.supports):
         if not all(reading.window.all[i].seen for i in support):
-            yield _Strip(*[jnp.full((), jnp.nan, y.dtype)] * 3)
+            yield _Strip(*[jnp.full((), jnp.nan, dtype)] * 3)
             continue
         coefficients: dict[int, jax.Array] = {}
         for place, i in enumerate(support):  # a circuit that was filled up has a row more than once
@@ -156,20 +141,20 @@ def _of_samples(term: tuple[jax.Array, _Row]) -> bool:
     return term[1].mid.ndim > 0
 
 
-def _rows(reading: Reading, u: jax.Array, y: jax.Array) -> list[_Row]:
-    """Return the rows of all windows of a stretch y (N + s, p), those they look at."""
-    count, factors = y.shape[0] - reading.horizon, _factors(reading)
-    shares = jnp.maximum(reading.tolerance / (1 + reading.tolerance), rounding.tiny(y.dtype))
-    noises = _noises(reading, u, y)
+def _rows(reading: Reading, u: Columns, y: Columns) -> list[_Row]:
+    """Return the rows of windows, those they look at."""
+    dtype, factors = y[0][0].dtype, _factors(reading)
+    shares = jnp.maximum(reading.tolerance / (1 + reading.tolerance), rounding.tiny(dtype))
+    errors = [_errors(reading, u, y, i) for i in range(len(y[0]))]
     rows = []
     for row in reading.window.all:
-        if row.kind is Kind.DISTURBANCE:
-            rows.append(_disturbance(reading, row, y.dtype))
-            continue
         i = row.number
-        sample = y[row.first : row.first + count, i]
+        if row.kind is Kind.DISTURBANCE:
+            lo, hi, tiny = reading.disturbance[i, 0], reading.disturbance[i, 1], rounding.tiny(dtype)
+            rows.append(_Row(0.5 * (lo + hi), 0.5 * (hi - lo) + tiny, 0, abs(lo) + abs(hi) + tiny))
+            continue
+        sample, rho = y[row.first][i], errors[i][row.first]
         d = sample - reading.offset_y[i]
-        rho = noises[i](row.first)
         over = jnp.abs(d) - rho
         q = jnp.where(over > 0, over, 0)
         mid, rad = d - shares[i] * _with_sign(q, d), rho + shares[i] * q
@@ -177,39 +162,27 @@ def _rows(reading: Reading, u: jax.Array, y: jax.Array) -> list[_Row]:
     return rows
 
 
-def _noises(reading: Reading, u: jax.Array, y: jax.Array) -> list[Callable[[int], jax.Array]]:
-    """Return rho (N,) of each output, of (number of a sample in the windows): noise, resolution and what the
-    recorder rounded away; a missing sample is no larger than 0.
+def _errors(reading: Reading, u: Columns, y: Columns, i: int) -> list[jax.Array]:
+    """Return rho (N,) of an output at each sample of windows: noise, resolution and what the recorder rounded
+    away; a missing sample is no larger than 0.
     """
-    count = y.shape[0] - reading.horizon
-    ulps = np.asarray(sensor.RECORDER_ULPS * rounding.unit(y.dtype), y.dtype)
-    noises: list[Callable[[int], jax.Array]] = []
-    for i in range(y.shape[1]):
-        largest: jax.Array = jnp.zeros((), y.dtype)
-        for sample in range(reading.horizon + 1):
-            if reading.window.looked_at(sample):
-                size = jnp.abs(y[sample : sample + count, i])
-                largest = jnp.where(size > largest, size, largest)
-        # an infinite sample stays its own row's matter
-        largest = jnp.minimum(largest, np.finfo(y.dtype).max)
-        noise, rounded = reading.noise_at(u, i), largest * ulps
-        still = noise + reading.resolution[i]
-        still += ulps * noise + rounding.tiny(y.dtype)
-        if i in reading.times:
-            noises.append(partial(_at, still, rounded))
-        else:
-            noises.append(partial(_throughout, still + rounded))
-    return noises
+    dtype = y[0][0].dtype
+    ulps = np.asarray(sensor.RECORDER_ULPS * rounding.unit(dtype), dtype)
+    largest: jax.Array = jnp.zeros((), dtype)
+    for sample, now in enumerate(y):
+        if reading.window.looked_at(sample):
+            size = jnp.abs(now[i])
+            largest = jnp.where(size > largest, size, largest)
+    # an infinite sample stays its own row's matter
+    rounded = jnp.minimum(largest, np.finfo(dtype).max) * ulps
 
+    def error(noise: jax.Array) -> jax.Array:
+        return (noise + reading.resolution[i] + ulps * noise + rounding.tiny(dtype)) + rounded
 
-def _throughout(rho: jax.Array, first: int) -> jax.Array:
-    """Return rho (N,), the same at all samples of a window."""
-    return rho
-
-
-def _at(still: jax.Array, rounded: jax.Array, first: int) -> jax.Array:
-    """Return rho (N,) at one sample of windows. still: of each sample of a stretch."""
-    return still[first : first + len(rounded)] + rounded
+    if i not in reading.times:
+        return [error(reading.noise[i])] * len(y)
+    column = len(reading.offset_u) + reading.times.index(i)
+    return [error(reading.noise[i] * jnp.where(jnp.isnan(now[column]), 1, now[column])) for now in u]
 
 
 def _with_sign(size: jax.Array, sign: jax.Array) -> jax.Array:
@@ -220,28 +193,16 @@ def _with_sign(size: jax.Array, sign: jax.Array) -> jax.Array:
     return jax.lax.bitcast_convert_type(patterns[0] | (patterns[1] & first), size.dtype)
 
 
-def _disturbance(reading: Reading, row: Row, dtype: np.dtype) -> _Row:
-    """Return the row of a disturbance, of numbers."""
-    lo, hi = reading.disturbance[row.number, 0], reading.disturbance[row.number, 1]
-    tiny = rounding.tiny(dtype)
-    return _Row(0.5 * (lo + hi), 0.5 * (hi - lo) + tiny, 0, abs(lo) + abs(hi) + tiny)
-
-
-def _inputs(reading: Reading, u: jax.Array, y: jax.Array) -> list[_Row]:
-    """Return the inputs of all windows of a stretch u (N + s, m)."""
+def _inputs(reading: Reading, u: Columns) -> list[_Row]:
+    """Return the inputs of windows."""
     inputs = []
-    for b, sample in enumerate(known_columns(reading, u, y.shape[0] - reading.horizon)):
+    for b, sample in enumerate(known_columns(reading, u)):
         offset = reading.offset_u[b % len(reading.offset_u)]
         inputs.append(_Row(sample - offset, None, jnp.abs(sample), jnp.abs(offset)))
     return inputs
 
 
-def known_columns(reading: Reading, u: jax.Array, count: int) -> list[jax.Array]:
-    """Return the inputs of N windows of a stretch u (N + s, m) as columns (N,), time-major."""
-    lags = reading.lags if reading.acting is None else reading.acting
-    return columns(reading.known_inputs(u), lags, count)
-
-
-def columns(x: jax.Array, lags: int, count: int) -> list[jax.Array]:
-    """Return the samples x (N + lags - 1, n) of N windows as columns (N,), time-major."""
-    return [x[lag : lag + count, i] for lag in range(lags) for i in range(x.shape[1])]
+def known_columns(reading: Reading, u: Columns) -> list[jax.Array]:
+    """Return the inputs of windows as columns (N,), time-major."""
+    acting = reading.lags if reading.acting is None else reading.acting
+    return [x for now in u[:acting] for x in now[: len(reading.offset_u)]]

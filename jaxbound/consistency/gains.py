@@ -81,8 +81,6 @@ class GainsTest(ExchangeTest):
     """
 
     listed: Reading | None = None
-    hinted = False
-    confirms = True
 
     @cached_property
     def easy(self) -> Easy | None:  # type: ignore[override]  # of a property

@@ -492,13 +492,9 @@ class WindowTest:
     """An observer in its place does."""
     by_strips: ClassVar[bool] = False
     """Whether margins are those of strips, down which an adversary of a study goes."""
-    hinted: ClassVar[bool] = False
-    """Whether `judge` hands over hints, by which `refuted` proves each FAULT."""
-    replayed: ClassVar[bool] = True
-    """Whether kernels are evaluated in NumPy for a FAULT that `contradicted` does not see."""
 
     confirms: bool = False
-    """Whether NumPy alone says FAULT in `judge` and `settle`: nobody asks again."""
+    """Whether NumPy alone says FAULT, itself or by the hints of `judge`: nobody asks again."""
     short: int = 64
     """How many windows are judged at once where there are few."""
     easy_first: bool = True
@@ -571,7 +567,7 @@ class WindowTest:
 
         Returns:
             For each block the arrays of `outputs`, the windows on their last axis. One more array of bool
-            may say which windows are left open; of a test that is `hinted` those of hints follow.
+            may say which windows are left open; hints may follow, by which `refuted` proves each FAULT.
         """
         raise NotImplementedError
 
@@ -593,14 +589,11 @@ class WindowTest:
             progress: takes the share done.
         """
 
-    def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
-        """Return (N,) bool: which windows are seen to contradict their bounds, from all samples u (T, m), y
-        (T, p) and without XLA.
-
-        A FAULT that is not seen here is decided again by `judge` and `settle`, with kernels evaluated in
-        NumPy, where `replayed` says so. See `twice`.
+    def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray | None:
+        """Return (N,) bool: which windows contradict their bounds, from all samples u (T, m), y (T, p) and
+        without XLA. None: `judge` and `settle` decide again, with kernels evaluated in NumPy.
         """
-        return np.zeros(len(starts), bool)
+        return None
 
     def refuted(self, u: np.ndarray, y: np.ndarray, *hints: np.ndarray) -> np.ndarray:
         """Return (N,) bool: which windows u (lags, m, N), y (s + 1, p, N), called FAULT, the hints of `judge`

@@ -6,7 +6,7 @@ to, on arrays over windows, inside a kernel.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Generic, NamedTuple, TypeAlias, TypeVar
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -18,30 +18,29 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.strips.separation import Frame
 from jaxbound.sets.strips.strips import Strips
 
-__all__ = ["AVERAGING", "Block", "Reading", "RowValues", "Samples", "gather"]
+__all__ = ["AVERAGING", "Block", "Columns", "Reading", "RowValues", "Samples", "gather"]
 
 Samples = TypeVar("Samples", np.ndarray, jax.Array)
-Values = TypeVar("Values", jax.Array, list[jax.Array])
 Block: TypeAlias = tuple[np.ndarray, np.ndarray]
 """Samples (u, y) of as many windows as are judged at once."""
 Parts: TypeAlias = tuple[jax.Array, jax.Array, jax.Array]
 """(mid, rad, scale) of some rows."""
+Columns: TypeAlias = Sequence[Sequence[jax.Array]]
+"""Samples of windows as columns (N,): [sample][channel]."""
 AVERAGING = 16
 """Terms of a sum that the error bound of one row pays for, with a magnitude as large again: see
 `Reading._summed`.
 """
 
 
-class RowValues(NamedTuple, Generic[Values]):
-    """Rows of N windows: arrays (rows, N), known (l, N), or lists of (N,), so that what is done with them
-    fuses.
-    """
+class RowValues(NamedTuple):
+    """Rows of N windows: arrays (rows, N), known (l, N)."""
 
-    mid: Values
-    rad: Values
-    scale: Values
-    known: Values
-    known_scale: Values
+    mid: jax.Array
+    rad: jax.Array
+    scale: jax.Array
+    known: jax.Array
+    known_scale: jax.Array
 
 
 @jax.tree_util.register_dataclass
@@ -144,15 +143,10 @@ class Reading:
             silenced |= jnp.isnan(value) & jnp.any(self.strips.k[:, b] != 0)
         return silenced
 
-    def stretch(self, u: jax.Array, y: jax.Array) -> RowValues[jax.Array] | RowValues[list[jax.Array]]:
-        """Return the rows of all windows of a stretch, u (N + s, m), y (N + s, p): see `rows`; as arrays for
-        strips that run in a scan.
-        """
-        in_a_scan = isinstance(self.shape, Strips) and self.shape.supports is None
-        if self.window.sums or in_a_scan:
-            return self.block(*self.windows(u, y))
+    def columns(self, u: jax.Array, y: jax.Array) -> tuple[Columns, Columns]:
+        """Return the samples of all windows of a stretch, u (N + s, m), y (N + s, p), as `Columns`."""
         count = y.shape[0] - self.horizon
-        return self.rows(_later(u, self.lags, count), _later(y, self.horizon + 1, count))
+        return _later(u, self.lags, count), _later(y, self.horizon + 1, count)
 
     def windows(self, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the samples u (lags, m, N), y (s + 1, p, N) of all windows of a stretch, u (N + s, m), y (N
@@ -169,7 +163,7 @@ class Reading:
 
         return cut(u, self.lags), cut(y, self.horizon + 1)
 
-    def block(self, u: jax.Array, y: jax.Array) -> RowValues[jax.Array]:
+    def block(self, u: jax.Array, y: jax.Array) -> RowValues:
         """Return the rows of N windows u (lags, m, N), y (s + 1, p, N) as arrays (rows, N), (l, N): few
         operations, whatever s.
         """
@@ -268,46 +262,9 @@ class Reading:
         mid, rad, scale = 0.5 * (lo + hi), 0.5 * (hi - lo) + tiny, abs(lo) + abs(hi) + tiny
         return mid[:, None] * one[None], rad[:, None] * one[None], scale[:, None] * one[None]
 
-    def rows(
-        self, u: Sequence[Sequence[jax.Array]], y: Sequence[Sequence[jax.Array]]
-    ) -> RowValues[list[jax.Array]]:
-        """Return the rows of windows with the samples u[lag][input], y[lag][output].
 
-        Rows are the true outputs, time-major, then the disturbances w_k .. w_{k+s-1}.
-        """
-        m = len(self.offset_u)
-        nothing = jnp.full_like(y[0][0], jnp.nan)
-        per_output = []
-        for i in range(len(self.noise)):
-            samples = []
-            for j, now in enumerate(y):
-                samples.append(now[i] if self.window.looked_at(j) else nothing)
-            noise: jax.Array | list[jax.Array] = self.noise[i]
-            if i in self.times:
-                column = m + self.times.index(i)
-                noise = [self.noise[i] * jnp.where(jnp.isnan(now[column]), 1, now[column]) for now in u]
-            bounds = self.tolerance[i], noise, self.resolution[i], self.offset_y[i]
-            per_output.append(sensor.true_value(samples, *bounds))
-        rows: tuple[list[jax.Array], ...] = ([], [], [])
-        for part, values in enumerate(rows):
-            for j in range(self.horizon + 1):
-                values += [output[part][j] for output in per_output]
-        if len(self.disturbance):
-            for values, w in zip(rows, self._disturbance(jnp.ones_like(y[0][0])), strict=True):
-                values.extend([*w] * self.horizon)
-        known, known_scale = [], []
-        if self.times:
-            u = [now[:m] for now in u[: self.acting]]
-        for now in u:
-            known += [v - self.offset_u[i] for i, v in enumerate(now)]
-        for now in u:
-            known_scale += [abs(v) + abs(self.offset_u[i]) for i, v in enumerate(now)]
-        mid, rad, scale = rows
-        return RowValues(mid, rad, scale, known, known_scale)
-
-
-def _later(x: jax.Array, lags: int, count: int) -> list[list[jax.Array]]:
-    """Return the samples x (N + lags - 1, n) of N windows as columns (N,): [lag][channel]."""
+def _later(x: jax.Array, lags: int, count: int) -> Columns:
+    """Return the samples x (N + lags - 1, n) of N windows."""
     return [[x[j : j + count, i] for i in range(x.shape[1])] for j in range(lags)]
 
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency import whole_numbers
-from jaxbound.consistency.folded import folded_margin, folded_verdict, folds, known_columns
+from jaxbound.consistency.folded import folded_verdict, folds, known_columns
 from jaxbound.consistency.interface import Again, Arrays, LinearTest, Outs, Progress, Run
 from jaxbound.consistency.reading import Block, Reading, gather
 from jaxbound.consistency.strips_on_host import HostStrips, host_strips
@@ -31,7 +31,6 @@ class StripsTest(LinearTest):
 
     gathered = False
     by_strips = True
-    replayed = False
 
     @property
     def block(self) -> int:
@@ -73,7 +72,7 @@ class StripsTest(LinearTest):
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""
-        return unproved_margins(self, _margins, _smooth_margins, given)
+        return unproved_margins(self, _smooth_margins, given)
 
 
 @kernel(wide=True)
@@ -81,10 +80,11 @@ def verdicts(reading: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, j
     """Return (status, margin) of the windows of one stretch of samples, tested circuit by circuit."""
     known: Sequence[jax.Array] | jax.Array
     if folds(reading):
-        margin = folded_verdict(reading, u, y)
-        known = known_columns(reading, u, y.shape[0] - reading.horizon)
+        columns = reading.columns(u, y)
+        margin = folded_verdict(reading, *columns)
+        known = known_columns(reading, columns[0])
     else:
-        mid, rad, scale, known, known_scale = reading.stretch(u, y)
+        mid, rad, scale, known, known_scale = reading.block(*reading.windows(u, y))
         margin = strip_verdict(reading.strips, mid, rad, scale, known, known_scale, reading.lift)
     # else the compiler works out everything once for each of the two results
     margin = jax.lax.optimization_barrier(margin)  # type: ignore[no-untyped-call]  # of JAX
@@ -93,17 +93,11 @@ def verdicts(reading: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, j
     return jnp.where(unsure, Status.UNDECIDED, status).astype(jnp.int8), margin
 
 
-@kernel(wide=True)
-def _margins(reading: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
-    """Return the margins of the windows of one stretch, unproved."""
-    if folds(reading):
-        return folded_margin(reading, u, y)
-    return _differentiable(reading, u, y)
-
-
 def _differentiable(reading: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
-    """Return the same, of operations that have derivatives everywhere."""
-    rows = reading.stretch(u, y)
+    """Return the margins of the windows of one stretch, unproved, of operations that have derivatives
+    everywhere.
+    """
+    rows = reading.block(*reading.windows(u, y))
     return strip_margin(reading.strips, rows.mid, rows.rad, rows.known)
 
 

@@ -10,8 +10,8 @@ numbers (`WindowTest.exactly`). Of a test without hints each FAULT goes down thi
 judged (`decided_twice`), until something confirms it:
 
 1. A short way of the test, in NumPy with a stated error, then in whole numbers: `WindowTest.contradicted`.
-2. The test's own kernels once more, evaluated primitive by primitive in NumPy (`sets.floats.kernel`), where
-   `WindowTest.replayed` says so.
+2. Without one the test's own kernels once more, evaluated primitive by primitive in NumPy
+   (`sets.floats.kernel`).
 """
 
 from collections.abc import Callable

@@ -1,9 +1,7 @@
-"""Margins without proof, of contiguous samples: the fast path of `margins`, differentiable where something is
-traced.
-"""
+"""Margins without proof: those of the verdicts, and differentiable ones where something is traced."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import Protocol, TypeAlias
 
@@ -12,10 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency.drive import raw_outputs
-from jaxbound.consistency.interface import Array, Arrays, LinearTest, Outputs, Run, WindowTest
-from jaxbound.consistency.reading import Block, Reading
+from jaxbound.consistency.interface import Array, LinearTest
+from jaxbound.consistency.reading import Reading
 from jaxbound.recordings.recording import Recording
-from jaxbound.sets.floats.probe import usable_devices
 from jaxbound.sets.strips.separation import Frame
 from jaxbound.sets.strips.strips import UNROLLED, Strips
 
@@ -55,22 +52,19 @@ rests on what runs so. jaxlib 0.12 no longer has it; kernels that prove would ru
 
 
 def unproved_margins(
-    test: LinearTest,
-    kernel: Callable[..., jax.Array],
-    smooth: Smooth,
-    given: Recording,
-    search: Search | None = None,
+    test: LinearTest, smooth: Smooth, given: Recording, search: Search | None = None
 ) -> jax.Array:
-    """Return the margins (..., T) that a jitted kernel(reading, u (N + s, m), y (N + s, p)) gives; see
-    `WindowTest.margins`.
+    """Return the margins (..., T) of windows; see `WindowTest.margins`.
 
-    smooth: the same, to be differentiated. search: of the same arguments, returns an array that smooth takes
-    last and nothing is differentiated through: compiled alone, once for values and derivatives.
+    Args:
+        smooth: of (reading, u (N + s, m), y (N + s, p)), to be differentiated. search: of the same arguments,
+            returns an array that smooth takes last and nothing is differentiated through: compiled alone,
+            once for values and derivatives.
     """
     margins: jax.Array
-    reading, devices = test.reading, usable_devices()
-    if not is_traced(given.u, given.y, reading) and (devices[0].platform == "cpu" or len(devices) > 1):
-        (on_host,) = raw_outputs(_Unproved(test, kernel), given.u, given.y, given.starts)
+    reading = test.reading
+    if not is_traced(given.u, given.y, reading):
+        *_, on_host = raw_outputs(test.measured(), given.u, given.y, given.starts)
         margins = jax.device_put(on_host)
         return margins
     found = []
@@ -136,25 +130,3 @@ def within(margin: jax.Array, given: Recording, horizon: int) -> jax.Array:
 def _gone(given: Recording, horizon: int) -> np.ndarray:
     """Say at which samples (T,) no window of a recording ends."""
     return given.across(horizon) | (np.arange(given.y.shape[-2]) < horizon)
-
-
-class _Unproved(WindowTest):
-    """Gives margins alone."""
-
-    gathered = False
-    reading: Reading
-
-    def __init__(self, test: LinearTest, kernel: Callable[..., jax.Array]) -> None:
-        super().__init__(test.relations, test.method, test.dtype)
-        self.reading, self.kernel = test.reading, kernel
-
-    @property
-    def block(self) -> int:
-        return stretch_block(self.reading)
-
-    @property
-    def outputs(self) -> Outputs:
-        return ((self.dtype, np.nan),)
-
-    def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
-        return [(margin,) for margin in run(self.kernel, blocks)]

@@ -90,21 +90,6 @@ def _least_factors(reading: Reading, u: np.ndarray, y: np.ndarray) -> np.ndarray
     return least
 
 
-def _wide(reading: Reading, y: np.ndarray) -> bool:
-    """Say whether no window of a recording is thin, by its largest sample and the smallest bound: cheaper
-    than a look at each.
-    """
-    top = max(float(y.max()), -float(y.min()))  # compiled for whole registers, which fmax is not
-    if np.isnan(top):
-        top = max(float(np.fmax.reduce(y, None)), -float(np.fmin.reduce(y, None)))
-    bound = (np.asarray(reading.noise, np.float64) + np.asarray(reading.resolution, np.float64)).min()
-    scale = top + np.abs(np.asarray(reading.offset_y, np.float64)).max()
-    enough = max(
-        THIN[y.dtype] * float(rounding.unit(y.dtype)) * scale, 2.0**40 * float(rounding.tiny(y.dtype))
-    )
-    return top < float(np.sqrt(np.finfo(y.dtype).max)) and bound > 1.01 * enough
-
-
 def settle(
     relations: LinearRelations,
     reading: Reading,
@@ -122,10 +107,7 @@ def settle(
             done, if this takes a while.
     """
     s = reading.horizon
-    open_ = status == UNDECIDED
-    if not np.count_nonzero(open_) or (not reading.times and _wide(reading, y)):
-        return
-    left = np.flatnonzero(open_ & (margin == 0))
+    left = np.flatnonzero((status == UNDECIDED) & (margin == 0))
     if len(left):
         left = left[thin(reading, *gather(u, y, left - s, reading.lags, s))]
     if len(left):

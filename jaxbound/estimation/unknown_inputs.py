@@ -237,4 +237,4 @@ class _RangeTest(LinearTest):
 @kernel
 def _ranges(reading: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return (lo, hi) (N,) of what the strips say together."""
-    return bank_range(tested(reading, u, y), y[reading.horizon :, 0])
+    return bank_range(tested(reading, *reading.columns(u, y)), y[reading.horizon :, 0])

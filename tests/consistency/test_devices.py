@@ -12,9 +12,7 @@ import devices_case
 import jax
 import numpy as np
 import pytest
-from systems import paper
 
-import jaxbound as jb
 from jaxbound.consistency import devices
 from jaxbound.sets.floats.probe import usable_devices
 
@@ -61,7 +59,6 @@ def test_any_number_of_devices_finds_the_same_bits(counts, cases, monkeypatch):
     for kind in devices_case.KINDS:
         monkeypatch.setattr(kind, "block", None)  # put back at the end
     monkeypatch.setattr(devices_case.drive, "usable_devices", None)
-    monkeypatch.setattr(devices_case.unproved, "usable_devices", None)
     here = devices_case.digests(cases, block, samples, [1])
     for case in cases:
         *digests, kinds = found[case]
@@ -86,12 +83,3 @@ def test_the_default_device_is_respected():
     for chosen in (device, "cpu"):
         with jax.default_device(chosen):
             assert usable_devices() == (device,)
-
-
-def test_unproved_margins_run_on_any_device(monkeypatch):
-    class Accelerator:
-        platform = "gpu"
-
-    monkeypatch.setattr(devices_case.unproved, "usable_devices", lambda: (Accelerator(),))
-    margins = jb.margins(jb.parity_relations(paper()), np.zeros((5, 1)), np.zeros((5, 2)))
-    np.testing.assert_array_equal(margins[1:] > 0, True)

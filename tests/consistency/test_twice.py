@@ -143,7 +143,11 @@ def test_faults_of_faulty_recordings_are_confirmed(name, rng):
     status = jb.detect(relations, u, y, method=method).status
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(drive, "decided_twice", lambda test, judged, *_: judged)
-        patch.setattr(drive._Gathering, "_proved", lambda self, part, block, judged: judged[:2])
+        patch.setattr(
+            drive._Gathering,
+            "_proved",
+            lambda self, part, block, judged: judged[: len(self.filling.outs) + 1],
+        )
         patch.setattr(
             "jaxbound.estimation.set_observer.doubtful",
             lambda watch, carry, samples, fault: np.zeros_like(fault),

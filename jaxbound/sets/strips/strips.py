@@ -9,16 +9,15 @@ every circuit h,
 (Source: a zonotope is the intersection of the strips of its circuits; the exactness theorem for Adrot
 2000.) The gauge is the largest ratio of the two sides; the margin is 1 - gauge.
 
-m, r and the magnitudes are sequences with one entry a row; an entry is a scalar (one window) or an array over
+m, r and the magnitudes are arrays with one entry a row; an entry is a number (one window) or an array over
 windows, and so is the result. A few circuits are unrolled with static supports, so that everything fuses into
 one pass over memory; many run in a scan over circuits, whose compile time does not grow with their number.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -31,8 +30,6 @@ from jaxbound.sets.floats.status import Status
 
 __all__ = ["Strips", "status_of", "strip_margin", "strip_verdict", "strips_of"]
 
-RowValues: TypeAlias = Sequence[jax.Array] | jax.Array
-"""Numbers (N,) of each row: a list of them, or an array (rows, N)."""
 UNROLLED = 8  # up to here circuits are unrolled: above, compiling takes longer than a scan loses
 FEW = 64  # up to here known values are unrolled in a scan: 366 of them compile for minutes
 
@@ -87,7 +84,7 @@ def strips_of(exact_h: Rows, exact_k: Rows, unrolled: int = UNROLLED) -> Strips:
     return Strips(np.array(rows, np.int32), np.array(coefficients), known, supports, inputs)
 
 
-def strip_margin(strips: Strips, mid: RowValues, rad: RowValues, known: RowValues) -> jax.Array:
+def strip_margin(strips: Strips, mid: jax.Array, rad: jax.Array, known: jax.Array) -> jax.Array:
     """Return 1 - gauge, unrounded and differentiable; NaN where no circuit has all its data.
 
     Args:
@@ -95,7 +92,6 @@ def strip_margin(strips: Strips, mid: RowValues, rad: RowValues, known: RowValue
         mid, rad: q middles (NaN: absent) and radii > 0 of the box.
         known: l known values.
     """
-    mid, rad = _indexable(strips, mid, rad)
 
     def step(gauge, strip):
         residual, width, _ = _one(strip, mid, rad, None, known, None)
@@ -108,11 +104,11 @@ def strip_margin(strips: Strips, mid: RowValues, rad: RowValues, known: RowValue
 
 def strip_verdict(
     strips: Strips,
-    mid: RowValues,
-    rad: RowValues,
-    scale: RowValues,
-    known: RowValues,
-    known_scale: RowValues,
+    mid: jax.Array,
+    rad: jax.Array,
+    scale: jax.Array,
+    known: jax.Array,
+    known_scale: jax.Array,
     lift: jax.Array | float,
 ) -> jax.Array:
     """Return the margin with a proved sign: > 0 inside, < 0 outside, 0 where rounding cannot tell, NaN where
@@ -130,7 +126,6 @@ def strip_verdict(
     """
     gamma, least = rounding.residual_error(strips.h.shape[1] + strips.k.shape[1], mid[0].dtype)
     floor = least * (1 + jnp.max(jnp.abs(strips.h))) * lift
-    mid, rad, scale = _indexable(strips, mid, rad, scale)
 
     def step(gauge, strip):
         residual, width, magnitude = _one(strip, mid, rad, scale, known, known_scale)
@@ -168,7 +163,7 @@ def _one(strip, mid, rad, scale, known, known_scale):
         residual += h[a] * mid[i]
         width += size * rad[i]
         magnitude += size * scale[i] if scale is not None else 0
-    if k.shape[0] > FEW and isinstance(known, jax.Array):
+    if k.shape[0] > FEW:
         driven, driven_size = _driven(k, known, known_scale)
         return residual - driven, width, magnitude + driven_size
     for b in range(k.shape[0]):  # a missing value counts only where it is used
@@ -194,15 +189,6 @@ def _driven(k, known, known_scale):
     if known_scale is None:
         return driven, 0
     return driven, jax.lax.fori_loop(0, len(k), add_size, none)
-
-
-def _indexable(strips, *rows):
-    """Stack the rows for a scan, which picks them by traced numbers."""
-    return (
-        rows
-        if strips.supports is not None
-        else tuple(x if isinstance(x, jax.Array) else jnp.stack(x) for x in rows)
-    )
 
 
 def _fold(step, carry, strips):

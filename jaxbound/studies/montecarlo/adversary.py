@@ -88,14 +88,13 @@ def _factors(reading: Reading, u: Array, y: Array) -> jax.Array:
     # in a kernel these are traced
     inputs, outputs = cast("tuple[jax.Array, jax.Array]", (u, y))
     us, ys = _windows(inputs, reading.lags, count), _windows(outputs, reading.horizon + 1, count)
+    flat = jnp.zeros((reading.lags, 0, count * N), y.dtype)
+    if us and us[0]:
+        flat = jnp.stack([jnp.stack(row) for row in us])
+    mid, rad, _, known, _ = reading.block(flat, jnp.stack([jnp.stack(row) for row in ys]))
     if isinstance(reading.shape, Frame):
-        flat = jnp.zeros((reading.lags, 0, count * N), y.dtype)
-        if us and us[0]:
-            flat = jnp.stack([jnp.stack(row) for row in us])
-        mid, rad, _, known, _ = reading.block(flat, jnp.stack([jnp.stack(row) for row in ys]))
         return 1 - separation_margin(reading.shape, mid, rad, known).reshape(count, N)
-    mids, rads, _, knowns, _ = reading.rows(us, ys)
-    t: jax.Array = 1 - strip_margin(reading.strips, stored(mids), stored(rads), knowns).reshape(count, N)
+    t: jax.Array = 1 - strip_margin(reading.strips, stored(mid), stored(rad), known).reshape(count, N)
     return stored(t)
 
 

@@ -2,7 +2,7 @@
 
 A block of scenarios steps through time together. At each step the kernel draws the unknowns, moves the plant
 (`recursion.step`), applies the fault, and gives the newest window to the test that `detect` uses
-(`strip_verdict`, with its proof). The window of step k is tested at step k + 1: its samples are then the
+(`folded_verdict`, with its proof). The window of step k is tested at step k + 1: its samples are then the
 loop's carry, numbers in memory that all their uses share, not expressions that a compiler may round
 differently for each.
 
@@ -20,9 +20,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.consistency.folded import folded_verdict
 from jaxbound.consistency.reading import Reading
 from jaxbound.random.threefry import Array
-from jaxbound.sets.strips.strips import Strips, strip_verdict
 from jaxbound.studies.montecarlo import draws, recursion, scenarios
 from jaxbound.studies.montecarlo.recursion import FloatPlant
 from jaxbound.studies.montecarlo.scenarios import Act
@@ -182,8 +182,7 @@ def count_block(
             samples from the onset to the
         end of the first FAULT window that the fault touches, -1 if there is none; onset. All (N,) int32.
     """
-    strips, s, (n, m, p, _) = reading.shape, reading.horizon, plant.shape
-    assert isinstance(strips, Strips), "many circuits are no work for this kernel"
+    s, (n, m, p, _) = reading.horizon, plant.shape
     pair = key[0], key[1]
     inputs, size, onset = prepared(course, act, limits, pair, numbers)
     zero = jnp.zeros_like(size)
@@ -197,8 +196,7 @@ def count_block(
         hits = hits + (fault & (end - s >= onset) & (end < stop))
         false = false + (fault & ~touched)
         delay = jnp.where(fault & touched & (delay < 0), end - onset, delay)
-        mid, rad, scale, known, known_scale = reading.rows(us[: reading.lags], ys)
-        margin = strip_verdict(strips, mid, rad, scale, known, known_scale, reading.lift)
+        margin = folded_verdict(reading, us[: reading.lags], ys)
         u_now = recorded_input(u, inputs, k, course)
         unknowns = unknown_draws(course, act, plant, pair, numbers, k)
         x, y, held, _ = move(act, plant, unknowns, size, onset, u_now, k, x, held)

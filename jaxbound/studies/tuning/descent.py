@@ -271,7 +271,7 @@ def _factors(values: jax.Array, problem: Objective, u: jax.Array, y: jax.Array) 
     if isinstance(test.shape, Frame):
         return 1 - separation_margin(test.shape, mid, rad, known)
     mid, rad = stored((mid, rad))
-    return 1 - strip_margin(test.strips, list(mid), list(rad), list(known))
+    return 1 - strip_margin(test.strips, mid, rad, known)
 
 
 def _falling(ends: tuple[float, float], share: float) -> float:

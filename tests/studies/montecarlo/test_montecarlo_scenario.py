@@ -142,7 +142,9 @@ def test_a_plain_comparison_would_be_wrong_at_the_vertices(rng):
             e = 1 / ((1 - sigma) * (1 + sigma))
             mid.append(e * (value + sigma * np.clip(value, -rho, rho)))
             rad.append(e * (rho + sigma * np.maximum(abs(value), rho)))
-    wrong = float((np.asarray(strip_margin(test.shape, mid, rad, [pairs[0][0][0]])) < 0).mean())
+    wrong = float(
+        (np.asarray(strip_margin(test.shape, *map(jax.numpy.stack, (mid, rad, [pairs[0][0][0]])))) < 0).mean()
+    )
     print(f"plain comparison: {100 * wrong:.2f} % of {pairs[0][0][0].size} windows wrongly outside")
     assert 0.003 < wrong < 0.1
     assert not (jb.detect(bare, u, y).status == Status.FAULT).any()
