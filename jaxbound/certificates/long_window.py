@@ -18,7 +18,8 @@ by follow from the others, see `models.unknown_directions`.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -78,18 +79,28 @@ def stretch(
     return Stretch(plain, horizon, model_bounds(plain), ends)
 
 
-@dataclass(frozen=True)
-class TakenOut:
+class TakenOut(NamedTuple):
     """The way in which multipliers of outputs are changed so that no unknown input counts: see
     `models.unknown_directions`.
 
-    Fields: plant, with a state for what acts on outputs at once; hidden: dimensions of it that no output
-    shows; H: of each sample, None where none is needed or where outputs are missing.
+    Fields: plant, with a state for what acts on outputs at once; shown: dimensions of it that outputs show;
+    H: of each sample, None where none is needed or where outputs are missing.
     """
 
     plant: LinearSystem
-    hidden: int
+    shown: int
     H: list[Matrix | None]
+
+
+class Left(NamedTuple):
+    """The multipliers that those of outputs leave of the first state (n,), of disturbances (s g,), inputs
+    (l,) and unknown inputs.
+    """
+
+    first: Vector
+    disturbances: Vector
+    inputs: Vector
+    unknown: Vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,44 +109,43 @@ class LongWindow(ExactWindow):
 
     first: tuple[Ends, ...] | None = None
 
-    def outputs_at(self, h: Sequence[Fraction], j: int) -> Sequence[Fraction]:
+    def outputs_at(self, h: Sequence[Fraction], j: int) -> Vector:
         """Return the multipliers of the outputs of sample j."""
         p = self.model.p
-        return h[j * p : (j + 1) * p]
+        return tuple(h[j * p : (j + 1) * p])
 
-    def backward(self, h: Sequence[Fraction]) -> tuple[Vector, Vector, Vector]:
-        """Return (x (n,), g (s g,), k (l,)): what multipliers h ((s+1) p,) of the outputs leave of the first
-        state, the disturbances and the inputs.
-        """
+    def backward(self, h: Sequence[Fraction]) -> Left:
+        """Return the multipliers that those of the outputs, h ((s+1) p,), leave."""
         m, inputs = self.model, len(self.u) // max(self.model.m, 1)
-        A, B, C, D, G = (_columns(m, name) for name in "ABCDG")
+        A, B, C, D, G, F, D_v = (_columns(m, name) for name in ("A", "B", "C", "D", "G", "F", "D_v"))
         q: Vector = (ZERO,) * m.n
-        of_disturbances, of_inputs = [], []
+        of_disturbances, of_inputs, of_unknown = [], [], []
         for j in range(self.horizon, -1, -1):
             row = self.outputs_at(h, j)
             if j < self.horizon:
                 of_disturbances.append(linalg.scale(multiply(G, q), -1))  # g_j = -(q after j) G
             if j < inputs:
                 of_inputs.append(_sum(multiply(D, row), multiply(B, q)))  # k_j = h_j D + (q after j) B
+            of_unknown.append(_sum(multiply(D_v, row), multiply(F, q)))
             q = _sum(multiply(C, row), multiply(A, q))  # q = h_j C + q A
-        return q, _in_order(of_disturbances), _in_order(of_inputs)
+        return Left(q, _in_order(of_disturbances), _in_order(of_inputs), _in_order(of_unknown))
 
     def relation(self, h: Sequence[Fraction]) -> tuple[Vector, Fraction, Fraction]:
         """Return (k, residual, width) of a relation h of outputs and disturbances, with what it leaves of a
         first state that has bounds.
         """
-        left, _, k = self.backward(h[: len(self.y)])
-        if self.first is None and any(left):
+        left = self.backward(h[: len(self.y)])
+        if self.first is None and any(left.first):
             raise ValueError("the relation leaves the first state over")
-        if self._leaves_unknown_input(h):
+        if any(left.unknown):
             raise ValueError("the relation leaves an unknown input over")
         used = [(x, self.known_limits(i)) for i, x in enumerate(h) if x]
         if self.first is not None:
-            used += [(-x, ends) for x, ends in zip(left, self.first, strict=True) if x]  # 0 = q + x
+            used += [(-x, ends) for x, ends in zip(left.first, self.first, strict=True) if x]  # 0 = q + x
         weights = [x for x, _ in used]
         sums, widths = [lo + hi for _, (lo, hi) in used], [hi - lo for _, (lo, hi) in used]
-        residual = dot(weights, sums) / 2 - dot(k, known_inputs(self.model, self.u))
-        return k, residual, dot(map(abs, weights), widths) / 2
+        residual = dot(weights, sums) / 2 - dot(left.inputs, known_inputs(self.model, self.u))
+        return left.inputs, residual, dot(map(abs, weights), widths) / 2
 
     def multipliers(self) -> Vector:
         """Return about the multipliers of the outputs that are violated most; exact ones that leave nothing
@@ -144,56 +154,48 @@ class LongWindow(ExactWindow):
         _, floats = _program(self)
         largest = max(np.abs(floats).max(initial=0), 1e-300)
         h: Vector = tuple(Fraction(round(float(x) / largest * 2**DIGITS), 2**DIGITS) for x in floats)
-        way = self._taken_out()
-        if self.model.d and None in way.H[1:]:  # outputs are missing that unknown inputs are taken out by
+        if self.model.d and None in self._way.H[1:]:  # outputs are missing that take unknown inputs out
             return (ZERO,) * len(h)
-        h, _ = self._without_unknown(h, way)
-        if self.first is None:
-            h, _ = self._without_unknown(self._corrected(h, way), way)
+        h, left = self._without_unknown(h)
+        if self.first is not None:
+            return h
+        # as many outputs as tell the first state are changed: d rows = left, d = (rows rows')^-1 rows left
+        changes, rows = self._changes()
+        if rows:
+            across = linalg.inverse(linalg.matmul(rows, transpose(rows)))
+            for change, d in zip(changes, multiply(across, multiply(rows, left)), strict=True):
+                h = add_multiple(h, -d, change)
         return h
 
-    def _corrected(self, h: Vector, way: TakenOut) -> Vector:
-        """Return multipliers changed in as many places as there are states, so that the first state does not
-        count.
+    def _changes(self) -> tuple[list[Vector], list[Vector]]:
+        """Return (multipliers for each of the first outputs that together tell the first state, rows that
+        these leave of it).
         """
-        places, rows = self._independent(way)
-        if len(rows) != way.plant.n - way.hidden:
-            return h
-        # the change d in these places has d rows = q: d = (rows rows')^-1 rows q
-        _, left = self._without_unknown(h, way)
-        across = linalg.matmul(rows, transpose(rows))
-        change = multiply(linalg.inverse(across), multiply(rows, left))
-        corrected = list(h)
-        for place, x in zip(places, change, strict=True):
-            corrected[place] -= x
-        return tuple(corrected)
-
-    def _independent(self, way: TakenOut) -> tuple[list[int], list[Vector]]:
-        """Return (numbers of the first outputs that together tell the first state, how they act on it)."""
-        places: list[int] = []
+        changes: list[Vector] = []
         rows: list[Vector] = []
-        for j in range(self.horizon + 1):
-            for i, row in enumerate(self._on_first(j, way), j * self.model.p):
-                if self.y[i] is not None and linalg.rank([*rows, row]) > len(rows):
-                    places.append(i)
-                    rows.append(row)
-            if len(rows) == way.plant.n - way.hidden:
-                break
-        return places, rows
+        for i, sample in enumerate(self.y):
+            if sample is None or len(rows) == self._way.shown:
+                continue
+            change, left = self._without_unknown([Fraction(i == place) for place in range(len(self.y))])
+            if linalg.rank([*rows, left]) > len(rows):
+                changes.append(change)
+                rows.append(left)
+        return changes, rows
 
-    def _taken_out(self) -> TakenOut:
-        """Return the way by which unknown inputs are taken out of this window."""
+    @cached_property
+    def _way(self) -> TakenOut:
+        """The way by which unknown inputs are taken out of this window."""
         plant = with_direct_states(self.model)
         directions = unknown_directions(plant)
         if directions is None:
             nothing = None
             if self.model.d:
                 nothing = linalg.zeros(plant.n, self.model.p)
-            return TakenOut(plant, 0, [nothing] * (self.horizon + 1))
+            return TakenOut(plant, plant.n, [nothing] * (self.horizon + 1))
         H = [self._first_way(directions.ways, j) for j in range(self.horizon + 1)]
         if self.first is None or plant.n == self.model.n:
             H[0] = None  # no unknown input came before it
-        return TakenOut(plant, len(directions.hidden), H)
+        return TakenOut(plant, plant.n - len(directions.hidden), H)
 
     def _first_way(self, ways: Sequence[Way], j: int) -> Matrix | None:
         """Return H of the first way whose outputs are all there at sample j, or None."""
@@ -202,49 +204,24 @@ class LongWindow(ExactWindow):
                 return way.H
         return None
 
-    def _without_unknown(self, h: Sequence[Fraction], way: TakenOut) -> tuple[Vector, Vector]:
+    def _without_unknown(self, h: Sequence[Fraction]) -> tuple[Vector, Vector]:
         """Return (multipliers h with those changed that take unknown inputs out, what they leave of the first
         state).
         """
-        A, C = transpose(way.plant.A), transpose(way.plant.C)
-        q: Vector = (ZERO,) * way.plant.n
+        plant, _, H = self._way
+        A, C = transpose(plant.A), transpose(plant.C)
+        q: Vector = (ZERO,) * plant.n
         changed: list[Vector] = []
         for j in range(self.horizon, -1, -1):
-            row: Vector = tuple(self.outputs_at(h, j))
-            q = _sum(multiply(C, row), multiply(A, q))
-            H = way.H[j]
-            if H is not None:
-                change = multiply(transpose(H), q)
-                row = add_multiple(row, -1, change)
-                q = add_multiple(q, -1, multiply(C, change))
+            row = self.outputs_at(h, j)
+            if any(row) or any(q):
+                q = _sum(multiply(C, row), multiply(A, q))
+                of_sample = H[j]
+                if of_sample is not None:
+                    change = multiply(transpose(of_sample), q)
+                    row, q = add_multiple(row, -1, change), add_multiple(q, -1, multiply(C, change))
             changed.append(row)
         return _in_order(changed), q
-
-    def _on_first(self, j: int, way: TakenOut) -> Matrix:
-        """Return how the multipliers of sample j act on the first state, others changed with them, (p, n)."""
-        rows = way.plant.C
-        for i in range(j, -1, -1):
-            H = way.H[i]
-            if H is not None:
-                through = linalg.matmul(linalg.matmul(rows, H), way.plant.C)
-                rows = tuple(add_multiple(row, -1, by) for row, by in zip(rows, through, strict=True))
-            if i:
-                rows = linalg.matmul(rows, way.plant.A)
-        return rows
-
-    def _leaves_unknown_input(self, h: Sequence[Fraction]) -> bool:
-        """Return whether an unknown input would count in a relation: h_j D_v + (q after j) F is not 0."""
-        m = self.model
-        if not m.d:
-            return False
-        A, C, F, D_v = transpose(m.A), transpose(m.C), transpose(m.F), transpose(m.D_v)
-        q: Vector = (ZERO,) * m.n
-        for j in range(self.horizon, -1, -1):
-            row = self.outputs_at(h, j)
-            if any(_sum(multiply(D_v, row), multiply(F, q))):
-                return True
-            q = _sum(multiply(C, row), multiply(A, q))
-        return False
 
 
 def _columns(model: LinearSystem, name: str) -> Matrix:
@@ -283,51 +260,41 @@ def _program(window: LongWindow) -> tuple[float, np.ndarray]:
         |w - middle| <= t half-width, and the same of a first state that has bounds
     """
     from scipy.optimize import linprog
-    from scipy.sparse import csr_array, eye_array, hstack, kron, vstack
+    from scipy.sparse import csr_array, diags_array, eye_array, hstack, kron, vstack
 
     m, s = window.model, window.horizon
     A, B, C, D, G, F, D_v = (_floats(m, name) for name in ("A", "B", "C", "D", "G", "F", "D_v"))
-    n, g, p, free = m.n, m.g, m.p, (s + 1) * (m.n + m.d)
-    inputs = _float_inputs(window)
-    w_mid, w_rad = _middles(window.disturbance * s)
+    n, free, g, every = m.n, (s + 1) * (m.n + m.d), s * m.g, eye_array(s + 1)
+    inputs, known = np.zeros((s + 1, m.m)), known_inputs(m, window.u)
+    inputs.flat[: len(known)] = list(map(float, known))
+    w_mid, w_rad = _middles(window.disturbance)
     # disturbances are scaled by their half-widths
-    moves = pushed = None
-    if s:
-        steps = kron(eye_array(s, s + 1), A) - kron(eye_array(s, s + 1, k=1), np.eye(n))
-        noise, drift = csr_array((s * n, 0)), np.zeros((s, n))
-        if g:
-            noise, drift = kron(eye_array(s), G) @ _diagonal(w_rad), w_mid.reshape(s, g) @ G.T
-        moves = hstack([steps, kron(eye_array(s, s + 1), F), noise, csr_array((s * n, 1))])
-        pushed = -(inputs[:s] @ B.T + drift).ravel()
+    pushed = [csr_array((s * n, 0))] * (not g) + [kron(eye_array(s), G * w_rad)] * (g > 0)
+    steps = kron(eye_array(s, s + 1), A) - kron(eye_array(s, s + 1, k=1), np.eye(n))
+    moves = hstack([steps, kron(eye_array(s, s + 1), F), *pushed, csr_array((s * n, 1))])
 
-    there = [i for i, ends in enumerate(window.limits[: (s + 1) * p]) if ends is not None]
+    there = [i for i, ends in enumerate(window.limits[: (s + 1) * m.p]) if ends is not None]
     mid, rad = _middles([window.known_limits(i) for i in there])
-    through = np.zeros(len(there))
-    if D.size:
-        through = (inputs @ D.T).ravel()[there]
-    on_outputs = hstack([kron(eye_array(s + 1), C), kron(eye_array(s + 1), D_v)])
-    seen = _diagonal(1 / rad) @ csr_array(on_outputs)[there]
-    bounded = [(hstack([seen, csr_array((len(there), s * g))]), (mid - through) / rad, np.ones(len(there)))]
-    if g:
-        bounded.append(
-            (hstack([csr_array((s * g, free)), eye_array(s * g)]), np.zeros(s * g), np.ones(s * g))
-        )
-    if window.first is not None:
-        middle, half = _middles(window.first)
-        bounded.append((hstack([eye_array(n, free), csr_array((n, s * g))]), middle, half))
-    sides, right = [], []
-    for rows, middle, half in bounded:
-        for sign in (1, -1):  # sign (rows z - middle) <= t half
-            sides.append(hstack([sign * rows, -half[:, None]]))
-            right.append(sign * middle)
-    cost = np.append(np.zeros(free + s * g), 1.0)
-    ends = [(None, None)] * (free + s * g) + [(0, None)]
-    best = linprog(cost, vstack(sides), np.concatenate(right), moves, pushed, bounds=ends, method="highs")
+    seen = hstack([kron(every, C), kron(every, D_v), csr_array(((s + 1) * m.p, g))]).tocsr()[there]
+    first_mid, first_rad = _middles(window.first or ())
+    first = eye_array(len(first_mid), free + g)
+    rows = vstack([diags_array(1 / rad) @ seen, eye_array(g, free + g, k=free), first])
+    middle = np.concatenate([(mid - (inputs @ D.T).ravel()[there]) / rad, np.zeros(g), first_mid])
+    half = np.concatenate([np.ones(len(there) + g), first_rad])
+    best = linprog(
+        np.eye(free + g + 1)[-1],
+        hstack([vstack([rows, -rows]), -np.tile(half, 2)[:, None]]),  # +-(rows z - middle) <= t half
+        np.concatenate([middle, -middle]),
+        moves,
+        -np.ravel(inputs[:s] @ B.T + w_mid @ G.T),
+        bounds=(None, None),
+        method="highs",
+    )
+    h = np.zeros((s + 1) * m.p)
     if best.status != 0:
-        return 0.0, np.zeros((s + 1) * p)
-    marks, count = best.ineqlin.marginals, len(there)
-    h = np.zeros((s + 1) * p)
-    h[there] = (marks[:count] - marks[count : 2 * count]) / rad
+        return 0.0, h
+    upper, lower = np.split(best.ineqlin.marginals, 2)
+    h[there] = (upper - lower)[: len(there)] / rad
     return float(best.fun), h
 
 
@@ -336,27 +303,10 @@ def _floats(model: LinearSystem, name: str) -> np.ndarray:
     return np.array([list(map(float, row)) for row in rows]).reshape(len(rows), -1)
 
 
-def _float_inputs(window: LongWindow) -> np.ndarray:
-    """Return the inputs (s + 1, m) in deviations, 0 where one is missing or matters to no output."""
-    m = window.model.m
-    inputs = np.zeros((window.horizon + 1, m))
-    offset = list(map(float, window.model.offset["u"]))
-    for j, v in enumerate(window.u):
-        if v is not None:
-            inputs[j // m, j % m] = float(v) - offset[j % m]
-    return inputs
-
-
 def _middles(ends: Sequence[Ends]) -> tuple[np.ndarray, np.ndarray]:
     """Return (middles, half-widths) of pairs in floats."""
     pairs = np.array([[float(lo), float(hi)] for lo, hi in ends]).reshape(-1, 2)
     return pairs.mean(1), np.diff(pairs, axis=1)[:, 0] / 2
-
-
-def _diagonal(x: np.ndarray) -> Any:  # of scipy.sparse, which has no types
-    from scipy.sparse import diags_array
-
-    return diags_array(x)
 
 
 @readable
@@ -394,7 +344,7 @@ class LongCertificate(Certificate):
     def _relation_dict(self, h: Vector, window: ExactWindow) -> Numbers:
         numbers = super()._relation_dict(h, window)
         if self.window.first is not None:
-            numbers["x"] = linalg.scale(self.window.backward(h)[0], -1)
+            numbers["x"] = linalg.scale(self.window.backward(h).first, -1)
         return numbers
 
     def _document(
@@ -418,7 +368,7 @@ def _(
         at = (relations.horizon,)
     window = _long_window(relations, u, y)
     rows = window.multipliers()
-    h = (*rows, *window.backward(rows)[1])
+    h = (*rows, *window.backward(rows).disturbances)
     k, residual, width = window.relation(h)
     if not any(h) or not width or abs(residual) <= width:
         raise NotImplementedError(

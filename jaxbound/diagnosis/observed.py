@@ -7,7 +7,6 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxbound.consistency.drive import drive
 from jaxbound.consistency.interface import Judged
 from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.estimation.set_observer import Observation, SetObserver
@@ -65,7 +64,7 @@ class ObserverResult(Result):
     def _observed(self, u: np.ndarray, y: np.ndarray, starts: tuple[int, ...]) -> Observation:
         """Return the Observation of a recording, or of a batch with the same gaps."""
         recording = Recording.of(self.relations.signals, u, y, starts)
-        observation: Observation = drive(self.relations.telling(enclosures=True), recording)
+        observation = self.relations.telling(enclosures=True).enclosed(recording)
         on_host: Observation = jax.tree.map(np.asarray, observation)
         return on_host
 

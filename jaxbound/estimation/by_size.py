@@ -12,13 +12,7 @@ __all__ = ["ascending"]
 def ascending(sizes: jax.Array) -> jax.Array:
     """Return the numbers of the rows of sizes (Q, N) >= 0, the smallest first, for each of N."""
     # floats >= 0 are ordered as their bits are; the last digits count the rows
-    bits, below = _integers(sizes.dtype), power(len(sizes)) - 1
+    bits, below = np.dtype(f"i{sizes.dtype.itemsize}").type, power(len(sizes)) - 1
     key = jax.lax.bitcast_convert_type(sizes, bits) & bits(~below)
-    return jnp.sort(key | jnp.arange(len(sizes), dtype=bits)[:, None], 0) & bits(below)
-
-
-def _integers(dtype: np.dtype) -> type[np.int32] | type[np.int64]:
-    """Return the integers that are as wide as floats of a dtype."""
-    if dtype == np.float64:
-        return np.int64
-    return np.int32
+    order: jax.Array = jnp.sort(key | jnp.arange(len(sizes), dtype=bits)[:, None], 0) & bits(below)
+    return order

@@ -49,15 +49,18 @@ class Known(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """One sample of the p outputs, each (p, N): |mid - through - C x| <= rad.
+    """One sample of the p outputs: |mid - C x - through| <= rad.
 
-    Fields: through: D v; loose: by which that may be off.
+    Fields: driven (p, N): no missing input acts on it; seen: it can be tested; through: of inputs; loose: by
+    which that may be off; mid, rad: 0 where it is not seen.
     """
 
-    mid: Array
-    rad: Array
+    driven: Array
+    seen: Array
     through: Array
     loose: Array
+    mid: Array
+    rad: Array
 
 
 def known_again(
@@ -66,19 +69,18 @@ def known_again(
     known: Known,
     size: Array,
     reading: Reading,
-    seen: Array,
     whole: Array,
 ) -> tuple[Known, Array, Array]:
     """Return (the set of M x_0 + H m, the outputs (p, N) that are left to look at, where (N,) not all of S
     can be taken out), by the first way whose outputs are all there.
 
     Args:
-        g: bounds of rounding, of sums of n + p terms. known: of x_0; size (n, N): bounds of |x_0|. seen (p,
-            N): outputs that are there. whole (N,): where x_0 is the state itself.
+        g: bounds of rounding, of sums of n + p terms. known: of x_0; size (n, N): bounds of |x_0|. whole
+            (N,): where x_0 is the state itself.
     """
-    (c, G, r), (mid, rad, through, loose) = known, reading
+    (c, G, r), (_, there, through, loose, mid, rad) = known, reading
     (n, _, k), (p, N) = free.M.shape, mid.shape
-    usable = jnp.all(seen[:, None] | ~free.used[:, :, None], 0)
+    usable = jnp.all(there[:, None] | ~free.used[:, :, None], 0)
     way, taken = jnp.argmax(usable, 0), jnp.any(usable, 0) & ~whole
 
     def of_way(x: Array) -> jax.Array:
@@ -96,22 +98,17 @@ def known_again(
     off = off + _times_vector(wide_H + g.gamma * jnp.abs(H), values)
     r = g.up * (_times_vector(jnp.abs(M), r) + _times_vector(jnp.abs(H), loose) + off) + g.least
     c = _times_vector(M, c) + _times_vector(H, mid - through)
-    moved = summed(_columns_by_row, M, G[:, :-p], axes=(1, 0))
+    moved = summed(_outer, M, G[:, :-p], axes=(1, 0))
     lost = ~(taken | whole)
-    left = seen & ~(taken[None] & of_way(free.used)) & ~(lost[None] & free.shown[:, None])
+    left = there & ~(taken[None] & of_way(free.used)) & ~(lost[None] & free.shown[:, None])
     return Known(c, jnp.concatenate([moved, H * rad[None]], 1), r), left, lost
 
 
 def _times_vector(M: Array, x: Array) -> jax.Array:
     """Return M x for M (r, n, N), x (n, N), recording by recording."""
-    return summed(_column_by_number, M, x, axes=(1, 0))
+    return summed(_outer, M, x, axes=(1, 0))
 
 
-def _column_by_number(column: jax.Array, number: jax.Array) -> jax.Array:
-    """Return a column (r, N) times a number (N,)."""
-    return column * number[None]
-
-
-def _columns_by_row(column: jax.Array, row: jax.Array) -> jax.Array:
-    """Return a column (r, N) times a row (q, N)."""
-    return column[:, None] * row[None]
+def _outer(column: jax.Array, row: jax.Array) -> jax.Array:
+    """Return a column (r, N) times a number (N,), or a row (q, N)."""
+    return column[(slice(None), *[None] * (row.ndim - 1))] * row[None]

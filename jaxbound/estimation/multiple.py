@@ -2,7 +2,7 @@
 is made of all.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import jax
@@ -110,23 +110,11 @@ def _agreed(each: np.ndarray) -> np.ndarray:
 @kernel
 def _weighed(mu: Interval, parts: Sequence[tuple[Interval, ...]]) -> tuple[Interval, ...]:
     """Return sum_i mu_i x_i for each of the Intervals x_i that the sub-models have."""
-    return tuple(_weighed_sum(mu, of_each) for of_each in zip(*parts, strict=True))
-
-
-def _weighed_sum(mu: Interval, of_each: Sequence[Interval]) -> Interval:
-    """Return sum_i mu_i x_i."""
-    lo, hi = zip(*_weighed_ends(mu, of_each), strict=True)
-    return interval_sum(_stored(Interval(jnp.stack(lo), jnp.stack(hi))), axis=0)
-
-
-def _weighed_ends(mu: Interval, of_each: Sequence[Interval]) -> Iterator[tuple[jax.Array, jax.Array]]:
-    """Yield the ends of each mu_i x_i."""
-    for i, x in enumerate(of_each):
-        share = _stored(product(mu[..., i : i + 1], x))
-        yield share.lo, share.hi
-
-
-def _stored(x: Interval) -> Interval:
-    """Return an Interval that is not worked out together with its use."""
-    stored: Interval = jax.lax.optimization_barrier(x)  # type: ignore[no-untyped-call]  # JAX states no types
-    return stored
+    mu = jax.tree.map(lambda end: jnp.moveaxis(end, -1, 0)[..., None], mu)
+    sums = []
+    for of_each in zip(*parts, strict=True):
+        x = jax.tree.map(lambda *ends: jnp.stack(ends), *of_each)
+        # not worked out together with its use
+        share: Interval = jax.lax.optimization_barrier(product(mu, x))  # type: ignore[no-untyped-call]
+        sums.append(interval_sum(share, axis=0))
+    return tuple(sums)

@@ -8,7 +8,7 @@ first. Only a FAULT that rests on samples of a piece before, which nobody keeps,
 carried to there.
 """
 
-from typing import Any, Protocol, Self
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -17,9 +17,11 @@ from jaxbound.estimation.arrays import Array
 from jaxbound.estimation.contradictions import staying
 from jaxbound.estimation.observation import State
 from jaxbound.estimation.piece import Piece
-from jaxbound.estimation.zonotope_steps import Found
 from jaxbound.sets.floats.kernel import outside_xla
 from jaxbound.sets.floats.status import Status
+
+if TYPE_CHECKING:
+    from jaxbound.estimation.set_observer import SetObserver
 
 __all__ = ["doubtful", "ignorant"]
 
@@ -29,26 +31,7 @@ BESIDE = 128
 """Stretches that are followed side by side, at most."""
 
 
-class Repeatable(Protocol[State]):
-    """An observer whose FAULTs can be decided again: restart, weights, shown_after as of SetObserver."""
-
-    @property
-    def restart(self) -> bool: ...
-    @property
-    def weights(self) -> np.ndarray: ...
-    @property
-    def shown_after(self) -> float: ...
-    def begin(self) -> State:
-        """Return the state before the first sample."""
-
-    def found(self, carry: State, samples: Piece) -> tuple[State, Found]:
-        """Return (state, Found) of samples, decided once."""
-
-    def forgetful(self) -> Self:
-        """Return the same observer, which begins knowing nothing."""
-
-
-def doubtful(watch: Repeatable[State], carry: State, samples: Piece, fault: np.ndarray) -> np.ndarray:
+def doubtful(watch: "SetObserver[State]", carry: State, samples: Piece, fault: np.ndarray) -> np.ndarray:
     """Return (T, N) bool: which of the FAULTs are not proved outside XLA.
 
     Args:
@@ -62,7 +45,9 @@ def doubtful(watch: Repeatable[State], carry: State, samples: Piece, fault: np.n
         first = fault & ~staying(np.asarray(empty.any(0)), fault, samples.fresh)
     begins = np.maximum.accumulate(np.where(anew, np.arange(len(fault))[:, None], 0))
     left = np.argwhere(first)
-    shorter = watch.shown_after
+    shorter: float = watch.plant.past  # as many show the state, if samples do
+    if watch.plant.start is None:
+        shorter = np.inf
     for length in LENGTHS:
         long_enough = np.flatnonzero(left[:, 0] - begins[tuple(left.T)] >= shorter)
         proved = []
@@ -86,7 +71,7 @@ def doubtful(watch: Repeatable[State], carry: State, samples: Piece, fault: np.n
 
 
 def _by_samples(
-    watch: Repeatable[State], samples: Piece, ends: np.ndarray, begins: np.ndarray, length: int
+    watch: "SetObserver[State]", samples: Piece, ends: np.ndarray, begins: np.ndarray, length: int
 ) -> np.ndarray:
     """Return (K,) bool: which FAULTs so many last samples show.
 
@@ -111,7 +96,7 @@ def _by_samples(
     return np.asarray((np.asarray(found.status) == Status.FAULT).any(0))
 
 
-def _from_begin(watch: Repeatable[State], own: State, samples: Piece) -> bool:
+def _from_begin(watch: "SetObserver[State]", own: State, samples: Piece) -> bool:
     """Return whether the last sample of one recording is FAULT again, where it is followed from a state."""
     near = max(0, len(samples.fresh) - LENGTHS[-1])
     if near:
@@ -121,27 +106,22 @@ def _from_begin(watch: Repeatable[State], own: State, samples: Piece) -> bool:
     return bool(found.status[-1, 0] == Status.FAULT)
 
 
-def ignorant(watch: Repeatable[State], samples: np.int64) -> State:
+def ignorant(watch: "SetObserver[State]", samples: np.int64) -> State:
     """Return the state of an observer that knows nothing behind so many samples."""
     nothing: Any = watch.forgetful().begin()  # a NamedTuple, whatever fields a method has
     state: State = nothing._replace(samples=np.int64(samples))
     return state
 
 
-def _lanes(watch: Repeatable[State], x: Array) -> np.ndarray:
-    """Return numbers with sets side by side and recordings as axes of their own, the last ones."""
-    x, lanes = np.asarray(x), len(watch.weights)
-    return np.reshape(x, (*x.shape[:-1], lanes, x.shape[-1] // lanes))
+def _carried_of(watch: "SetObserver[State]", carry: State, number: int) -> State:
+    """Return the carry of one recording; one of a single recording is that of all."""
+    count = carry.carry.age.shape[-1] // len(watch.weights)
 
+    def own(x: Array) -> np.ndarray:
+        x = np.asarray(x)
+        if not x.ndim:
+            return x
+        return np.asarray(x.reshape(*x.shape[:-1], x.shape[-1] // count, count)[..., number % count])
 
-def _carried_of(watch: Repeatable[State], carry: State, number: int) -> State:
-    """Return the carry of one recording."""
-    if carry.carry.age.shape[-1] == len(watch.weights):
-        return carry
-    state: Any = carry  # a NamedTuple, with whatever fields a method has beside the two that all have
-    own: dict[str, Any] = {"carry": jax.tree.map(lambda x: _lanes(watch, x)[..., number], carry.carry)}
-    for name, part in state._asdict().items():
-        if name not in ("carry", "samples"):
-            own[name] = jax.tree.map(lambda x: np.asarray(x)[..., number : number + 1], part)
-    alone: State = state._replace(**own)
+    alone: State = jax.tree.map(own, carry)
     return alone

@@ -11,7 +11,7 @@ encloses states as well, is another value (`dataclasses.replace`) that shares th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
@@ -24,7 +24,7 @@ from jaxbound.consistency.interface import Budget, Judged, Observer
 from jaxbound.consistency.twice import warn_doubtful
 from jaxbound.estimation import zonotope_steps as steps
 from jaxbound.estimation.arrays import Array
-from jaxbound.estimation.blocks import in_blocks, repeated
+from jaxbound.estimation.blocks import chosen, in_blocks
 from jaxbound.estimation.lanes import emptied, joined
 from jaxbound.estimation.observation import Observation, State
 from jaxbound.estimation.observed_plant import ObservedModel, ObservedPlant, observed_plant
@@ -39,6 +39,7 @@ from jaxbound.recordings.signals import SignalModel, signals_of
 from jaxbound.relations.bounds import Bounds, model_bounds
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import is_outside_xla
+from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.objects import readable
@@ -213,27 +214,14 @@ class SetObserver(Observer[State], Generic[State]):
         """How many generators a zonotope has."""
         return int(self.order * self.plant.system.n)
 
-    @property
-    def shown_after(self) -> float:
-        """How many samples have passed when a sample alone can contradict those before; inf where samples do
-        not show the state.
-        """
-        if self.plant.start is None:
-            return np.inf
-        return self.plant.past
-
     def init(self) -> State:
         """Return the state of an observer that has seen nothing."""
-        return self._with_carry(self._first_carry())
-
-    def _first_carry(self) -> steps.ZonotopeCarry:
-        """Return the zonotopes before the first sample."""
         system = self.plant.system
         sizes = system.n, self.generators, system.p, system.m, self.plant.past
         carry = steps.unknown(sizes, self.weights.astype(self.plant.dtype))
         if self.x0 is not None:
             carry = _begun_in(carry, self.x0.padded(system.n))
-        return carry
+        return self._with_carry(carry)
 
     def _with_carry(self, carry: steps.ZonotopeCarry) -> State:
         """Return the state before the first sample, whose zonotopes are known."""
@@ -260,6 +248,14 @@ class SetObserver(Observer[State], Generic[State]):
                 margin = np.where(gone, 0, found.margin).astype(found.margin.dtype)
                 state, found = ignorant(self, state.samples), found._replace(status=status, margin=margin)
         return state, self._verdicts(found, lead, len(samples.fresh), carry)
+
+    def enclosed(self, recording: Recording) -> Observation | Judged:
+        """Return the verdicts of `fold` on a recording, decided once: FAULTs are proved already."""
+        with where_proofs_hold():
+            carry = self.begin()
+            lead, samples = self.side_by_side(carry, recording)
+            _, found = self.found(carry, samples)
+            return self._verdicts(found, lead, len(samples.fresh), carry)
 
     def found(self, carry: State, samples: Piece) -> tuple[State, steps.Found]:
         """Return (state, Found) of samples, decided once."""
@@ -318,55 +314,24 @@ class SetObserver(Observer[State], Generic[State]):
     def _followed(
         self, carry: steps.ZonotopeCarry, samples: Piece
     ) -> tuple[steps.ZonotopeCarry, steps.Found, steps.Read | None]:
-        """Return (carry, Found (T, .., N), the Read or None) of zonotopes that follow samples."""
-        room = self._room
-        count = samples.fresh.shape[-1]
+        """Return (carry, Found (T, .., N), the Read or None) of zonotopes that follow samples, in blocks."""
+        lanes, count, room = len(self.weights), samples.fresh.shape[-1], self._room
         if is_outside_xla() and count > room:
             room = max(room, BESIDE)  # NumPy rounds alike whatever is beside
-        if count == 1:
-            return self._followed_alone(carry, samples, room)
-        return self._followed_in_blocks(carry, samples, room)
-
-    def _followed_alone(
-        self, carry: steps.ZonotopeCarry, samples: Piece, room: int
-    ) -> tuple[steps.ZonotopeCarry, steps.Found, steps.Read | None]:
-        """Follow one recording, which fills a block with copies of itself: whoever follows a recording sample
-        by sample is in a hurry, and nothing is to be cut.
-        """
-
-        def full(x: np.ndarray) -> np.ndarray:
-            return np.repeat(np.asarray(x), room, -1)
-
-        after, found, known = self._block(jax.tree.map(full, carry), samples.mapped(full))
-        after = jax.tree.map(lambda x: np.array(np.asarray(x)[..., ::room]), after)
-        known = jax.tree.map(lambda x: x[..., :1], known)
-        return after, joined(jax.tree.map(lambda x: x[..., ::room, None], found)), known
-
-    def _followed_in_blocks(
-        self, carry: steps.ZonotopeCarry, samples: Piece, room: int
-    ) -> tuple[steps.ZonotopeCarry, steps.Found, steps.Read | None]:
-        """Follow recordings side by side, `room` of them in a block, each with its weights."""
-        lanes, count = len(self.weights), samples.fresh.shape[-1]
-
-        def split(x: np.ndarray) -> np.ndarray:
-            x = np.asarray(x)
-            return x.reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes)
-
-        def beside(x: np.ndarray) -> np.ndarray:
-            return x.reshape(*x.shape[:-2], x.shape[-2] * x.shape[-1])
+        number, lane, followed = np.arange(count), np.arange(lanes)[:, None], carry.age.shape[-1] // lanes
 
         def job(block: np.ndarray) -> tuple[Any, ...]:
-            own = jax.tree.map(lambda x: beside(x[..., block]), past)
-            return self._block(own, samples.of_recordings(block))
+            own = (lane * followed + block % followed).ravel()
+            return self._block(chosen(carry, own), samples.of_recordings(block))
 
-        def together(*parts: np.ndarray) -> np.ndarray:
-            return np.concatenate([split(x) for x in parts], -1)[..., :count]
+        def together(places: np.ndarray) -> Callable[..., np.ndarray]:
+            return lambda *parts: np.take(np.concatenate(parts, -1), places, -1)
 
-        past = repeated(jax.tree.map(split, carry), count)
+        place = (number // room * lanes + lane) * room + number % room
         carries, founds, reads = zip(*in_blocks(job, count, room), strict=True)
-        after = jax.tree.map(lambda *parts: beside(together(*parts)), *carries)
-        known = jax.tree.map(lambda *parts: np.concatenate(parts, -1)[..., :count], *reads)
-        return after, joined(jax.tree.map(together, *founds)), known
+        after = jax.tree.map(together(place.ravel()), *carries)
+        found = joined(jax.tree.map(together(place), *founds))
+        return after, found, jax.tree.map(together(number), *reads)
 
     @property
     def _room(self) -> int:
@@ -379,8 +344,7 @@ class SetObserver(Observer[State], Generic[State]):
         """Follow some recordings side by side, piece by piece; the carry stays where it was worked out."""
         T = len(samples.fresh)
         numbers, start = self.plant.placed
-        wanted = 2 if self.enclosures else int(self.hulls)
-        enclosures, also = steps.worked_out(wanted), self.hulls or not is_outside_xla()
+        wanted = self.enclosures or self.hulls
         whole = samples.filled(-(-max(T, 1) // PIECE) * PIECE)
         parts: list[tuple[steps.Found, steps.Read | None]] = []
         for first in range(0, max(T, 1), PIECE):
@@ -392,11 +356,13 @@ class SetObserver(Observer[State], Generic[State]):
                 tuple(piece),
                 count,
                 len(self.weights),
-                enclosures,
+                wanted or not is_outside_xla(),
                 self.restart,
-                also,
             )
-            parts.append((steps.kept(verdicts, wanted), as_read if self.hulls else None))
+            if not wanted:  # what is left out is not fetched from its device
+                nothing = np.zeros((PIECE, 0, *verdicts.margin.shape[1:]), verdicts.margin.dtype)
+                verdicts = verdicts._replace(states=nothing, outputs=nothing)
+            parts.append((verdicts, as_read if self.hulls else None))
         return carry, *_fetched(parts, T)
 
     def _verdicts(

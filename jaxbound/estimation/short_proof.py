@@ -1,5 +1,6 @@
 """The shortest window of the last samples that proves a FAULT of an observer."""
 
+from contextlib import suppress
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
@@ -19,9 +20,6 @@ LONGEST, SHORT, CLEARLY = 512, 8, 1 + 1e-6
 """Steps of the longest window that a certificate speaks of, of the longest of parity relations, and the
 factor it must be beyond.
 """
-FACTORED = 64
-"""Steps of the longest window where noise is times a factor."""
-
 WindowProof: TypeAlias = tuple[Any, np.ndarray, np.ndarray]
 """(relations of a window, u, y): a stretch, or parity relations."""
 
@@ -86,17 +84,17 @@ def _window_proof(
     model: LinearSystem, h: int, u: np.ndarray, y: np.ndarray, first_box: np.ndarray | None
 ) -> WindowProof | None:
     """Return the proof by the h + 1 samples u, y, if there is one. first_box: bounds of their first state."""
-    if model.factors or model.uncertainties:  # parity relations alone know these
-        if h > (FACTORED if model.factors else SHORT):
+    if model.uncertainties:  # parity relations alone know these
+        if h > SHORT:
             return None
         return _parity_proof(model, h, u, y)
     about = stretch(model, h, None if first_box is None else list(first_box))
     if exceeds(about, u, y) <= CLEARLY:
         return None
-    shown = None
     if first_box is None and h <= SHORT:  # parity relations know no bounds of a state
-        shown = _parity_proof(model, h, u, y)
-    return shown or (about, u, y)
+        with suppress(ValueError):  # which relations of large models are too dear for
+            return parity_relations(model, h), u, y
+    return about, u, y
 
 
 def _parity_proof(model: LinearSystem, h: int, u: np.ndarray, y: np.ndarray) -> WindowProof | None:

@@ -1,16 +1,17 @@
 """How an observer begins: the newest state as it follows from a few samples alone.
 
-With h + 1 samples one above the other, x the first state and q = B v + w of all steps,
+With h + 1 samples one above the other, x_0 the first state, O of rows C A^j, and q = B v + w of all steps,
 
-    m = O x + T q + D v + delta,    newest state = A^h x + S q.
+    m = O x_0 + T q + D v + delta,    newest state = A^h x_0 + S q.
 
 K0 is a left inverse of O, K = A^h K0, both exact for the middle of the model, so that there
 
-    newest state = K (m - D v - delta) + R q,    R = S - K T.
+    newest state = K (m - D v - delta) + R q,    R = S - K T,    x_0 = K0 (m - D v - delta) - K0 T q.
 
-Within the bounds of the model A^j is off by at most W_j, W_(j+1) = (|A| + wide) W_j + wide |A^j|, which
-bounds the errors of O, T and S; they act on |x| <= (I - |K0| wide_O)^-1 |K0| (|m| + s + |D v| + |T q|), and
-on q.
+Parameters that deviate from the middle by dA, dB, .. act as more disturbance, q + dA x + dB v, and as more
+error of a sample, delta + dC x + dD v: what they move is below |R| (|dA| |x| + |dB| |v|) + |K| (|dC| |x| +
+|dD| |v|), x the states of all samples. |x| is below |A^j| |x_0| and what else moves it; |x_0| is below the
+same bound of its own equation, |x_0| <= a + N |x_0|, so |x_0| <= (I - N)^-1 a.
 
 With unknown inputs all of this is said of the plant x+ = M (A x + B v + w) + H (m - D v - delta of the next
 sample), see `models.unknown_directions`: M A takes the place of A, and q holds samples, too.
@@ -41,41 +42,28 @@ class _Middle(NamedTuple):
     """The middle of a plant, exact, and how far its matrices may be from it.
 
     Fields: A (n, n), C (p, n): of the plant whose unknown inputs are taken out; off_A, off_C: bounds in
-    float64; M (n, n), H (n, p): how they are taken out, or None without any; places: states that are 0 then.
+    float64, the first before they are; M (n, n), H (n, p): how they are taken out; places: states that are 0
+    then.
     """
 
     A: Matrix
     off_A: np.ndarray
     C: Matrix
     off_C: np.ndarray
-    M: Matrix | None
-    H: Matrix | None
+    M: Matrix
+    H: Matrix
     places: tuple[int, ...]
 
 
 class _Response(NamedTuple):
-    """How the newest state follows from samples, inputs and disturbances at the middle of the model, exact.
+    """How a state follows from samples and disturbances at the middle of the model, exact.
 
-    Fields: first (n, (h+1) p): K of samples alone; K: with the samples that take unknown inputs out; steps:
-    for each step (n, n) how the state moves with that step's disturbance.
+    Fields: steps: for each of h steps (n, n) how the state moves with that step's disturbance; samples: for
+    each of h + 1 samples (n, p) how with that sample.
     """
 
-    first: Matrix
-    K: Matrix
     steps: tuple[Matrix, ...]
     samples: tuple[Matrix, ...]
-
-
-class _Errors(NamedTuple):
-    """Bounds of the errors that uncertain parameters make in O, T and S.
-
-    Fields: state (h + 1 of (n, n)): of powers of A; seen (h + 1 of (p, n)): of C times them; reach: the size
-    of C times them, errors included.
-    """
-
-    state: list[np.ndarray]
-    seen: list[np.ndarray]
-    reach: list[np.ndarray]
 
 
 def price(n: int, p: int, horizon: int | None) -> None:
@@ -139,23 +127,17 @@ def _middle_plant(
     """Return the _Middle of a model; of unknown inputs the first way to take them out."""
     if directions is None or linear is None:
         (A, off_A), (C, off_C) = middle(system.A), middle(system.C)
-        return _Middle(exactly(A), off_A, exactly(C), off_C, None, None, ())
+        n, p = system.n, system.p
+        return _Middle(exactly(A), off_A, exactly(C), off_C, linalg.identity(n), linalg.zeros(n, p), ())
     n, way = system.n, directions.ways[0]
     spread = linalg.zeros(n, n)
     for uncertainty in linear.uncertainties:
         rows = uncertainty.on("A")
         if rows:
             spread = _matrix_sum(spread, [[abs(x) for x in row] for row in rows])
-    off_A = rounding.round_up(np.array(spread, object))
-    return _Middle(
-        linalg.matmul(way.M, linear.A),
-        _sizes(way.M) * ROUNDED @ off_A * ROUNDED,
-        linear.C,
-        np.zeros((system.p, n)),
-        way.M,
-        way.H,
-        directions.places,
-    )
+    off_A, off_C = rounding.round_up(np.array(spread, object)), np.zeros((system.p, n))
+    taken_out = linalg.matmul(way.M, linear.A)
+    return _Middle(taken_out, off_A, linear.C, off_C, way.M, way.H, directions.places)
 
 
 def zonotope_begin(
@@ -183,31 +165,22 @@ def zonotope_begin(
     if places is None:
         return None
     K0 = left_inverse(O, np.tile(system.noise, h + 1), places)
-    response = _response(plant, powers, K0)
+    response = _response(plant, h, linalg.matmul(powers[h], K0), h)
     float64 = numbers(linear, system, np.dtype(np.float64))
-    K, off_K = nearest(response.K, dtype)
+    K, off_K = nearest(_beside(response.samples, system.n), dtype)
     U, off_U = nearest(_of_inputs(response, system), dtype)
-    W, off_W = nearest(
-        _beside([linalg.matmul(x, exactly(np.asarray(float64.W))) for x in response.steps], system.n), dtype
-    )
-    w, off_w = nearest(_of_middle(response, float64), dtype)
+    pushes = exactly(np.asarray(float64.W))
+    W, off_W = nearest(_beside([linalg.matmul(x, pushes) for x in response.steps], system.n), dtype)
+    middles = linalg.multiply(_beside(response.steps, system.n), exactly(np.tile(float64.w, (1, h)))[0])
+    w, off_w = nearest(linalg.transpose([middles]), dtype)
     wide = _deviations(plant, system, powers, K0, response, float64)
     if wide is None:
         return None
-    wide_K, wide_U, wide_w = wide
-
-    def up(x: np.ndarray) -> np.ndarray:
-        return rounding.round_up(x * ROUNDED, dtype)
-
-    return Start(
-        K,
-        U,
-        w[:, 0],
-        W,
-        wide_K=up(wide_K + off_K),
-        wide_U=up(wide_U + off_U),
-        wide=up(wide_w + off_w[:, 0] + off_W.sum(1)),
+    off = np.concatenate([off_K, off_U, off_w + off_W.sum(1, keepdims=True)], 1)
+    wide_K, wide_U, wide_w = np.split(
+        rounding.round_up((wide + off) * ROUNDED, dtype), [K.shape[1], K.shape[1] + U.shape[1]], 1
     )
+    return Start(K, U, w[:, 0], W, wide_K, wide_U, wide_w[:, 0])
 
 
 def _hidden_places(
@@ -224,25 +197,23 @@ def _hidden_places(
     return tuple(j for j in range(n) if j not in shown)
 
 
-def _response(plant: _Middle, powers: Sequence[Matrix], K0: Matrix) -> _Response:
-    """Return the response at the middle of the model; R_j is how a disturbance at step j of h acts.
+def _response(plant: _Middle, h: int, K: Matrix, number: int) -> _Response:
+    """Return the response of state `number` of h + 1, K (n, (h+1) p) times the samples but for disturbances.
 
-    R_j is A^(h-1-j) less the part that the samples behind it say of it: R_(j+1) A - K_(j+1) C.
+    R_j, how a disturbance at step j acts, is R_(j+1) A - K_(j+1) C, and 1 more where the state is the next.
     """
-    p, h = len(plant.C), len(powers) - 1
-    K = linalg.matmul(powers[h], K0)
+    n, p = len(plant.A), len(plant.C)
     samples = [tuple(row[i * p : (i + 1) * p] for row in K) for i in range(h + 1)]
     R: list[Matrix] = []
     for j in reversed(range(h)):
-        ahead = linalg.matmul(R[0], plant.A) if R else powers[0]
+        ahead = linalg.matmul(R[0], plant.A) if R else linalg.zeros(n, n)
+        if j + 1 == number:
+            ahead = _matrix_sum(ahead, linalg.identity(n))
         R.insert(0, _matrix_difference(ahead, linalg.matmul(samples[j + 1], plant.C)))
-    if plant.M is None or plant.H is None:
-        return _Response(K, K, tuple(R), tuple(samples))
     # samples are steps, too: each takes out the unknown inputs before it
     for j in range(h):
         samples[j + 1] = _matrix_sum(samples[j + 1], linalg.matmul(R[j], plant.H))
-    steps = tuple(linalg.matmul(x, plant.M) for x in R)
-    return _Response(K, _beside(samples, len(K)), steps, tuple(samples))
+    return _Response(tuple(linalg.matmul(x, plant.M) for x in R), tuple(samples))
 
 
 def _of_inputs(response: _Response, system: IntervalSystem) -> Matrix:
@@ -253,85 +224,56 @@ def _of_inputs(response: _Response, system: IntervalSystem) -> Matrix:
     return _beside([_matrix_difference(a, b) for a, b in zip(moved, through, strict=True)], system.n)
 
 
-def _of_middle(response: _Response, plant: Numbers) -> Matrix:
-    """Return (n, 1): how far the middle of disturbances moves the newest state."""
-    w = [Fraction(float(x)) for x in plant.w]
-    total = linalg.zeros(len(w), 1)
-    for step in response.steps:
-        total = _matrix_sum(total, [(x,) for x in linalg.multiply(step, w)])
-    return total
-
-
 def _deviations(
     plant: _Middle,
     system: IntervalSystem,
     powers: Sequence[Matrix],
     K0: Matrix,
-    response: _Response,
+    newest: _Response,
     float64: Numbers,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Return bounds (n, (h+1) p), (n, (h+1) m), (n,) of what uncertain parameters add to the newest state,
-    for each |m| + s, each |v|, and beside; None where they may add anything.
+) -> np.ndarray | None:
+    """Return bounds (n, (h+1) (p + m) + 1) of what uncertain parameters add to the newest state, for each |m|
+    + s, each |v|, and beside; None where they may add anything. newest: its response.
     """
-    n, p, h = system.n, system.p, len(powers) - 1
+    n, m, p, h = system.n, system.m, system.p, len(powers) - 1
     (B, off_B), (D, off_D) = middle(system.B), middle(system.D)
-    size_M = np.eye(n) * ROUNDED
-    size_H = np.zeros((n, p))
-    if plant.M is not None and plant.H is not None:
-        size_M, size_H = _sizes(plant.M) * ROUNDED, _sizes(plant.H) * ROUNDED
-    errors = _errors(plant, powers)
-    size_K0, size_K, first_K = _sizes(K0), _sizes(response.K), _sizes(response.first)
-    O_off = np.concatenate(errors.seen)
-    bound = _inverse_above(size_K0 @ O_off * ROUNDED)
-    if bound is None:
-        return None
-    T, T_off = _staircase(errors.reach), _staircase(errors.seen)
-    S_off = np.zeros((n, 0))
-    if h:
-        S_off = np.concatenate([errors.state[h - 1 - j] for j in range(h)], 1)
-    B_all = _of_each_step(size_M @ (np.abs(B) + off_B), h, system.m)
-    off_B_all = _of_each_step(off_B, h, system.m)
-    D_all, off_D_all = np.kron(np.eye(h + 1), np.abs(D) + off_D), np.kron(np.eye(h + 1), off_D)
-    H_all = np.concatenate([np.zeros((h * n, p)), np.kron(np.eye(h), size_H)], 1)
-    pushed = np.tile(size_M @ (np.abs(float64.w) + np.abs(float64.W).sum(1) + float64.wide_w), h)
-    steps = _sizes(_beside(response.steps, n))
-    # errors act on the first state, which samples bound, and on what moves the state
-    on_x, on_q = errors.state[h] + first_K @ O_off, S_off + first_K @ T_off
-    of_x = on_x @ bound @ size_K0
-    of_q = on_q + of_x @ T
-    wide_U = of_q @ (B_all + H_all @ D_all) + steps @ off_B_all + size_K @ off_D_all + of_x @ D_all
-    wide = of_q @ pushed + steps @ np.tile(float64.wide_w, h)
-    return of_x + of_q @ H_all, wide_U, wide
+    B, D = np.abs(B) + off_B, np.abs(D) + off_D
+    # bounds are (.., n + (h+1) p + (h+1) m + 1), what they are for each |x_0|, |m| + s, |v|, and beside
+    of = np.eye(n + (h + 1) * (p + m) + 1)
+    first, seen, v, one = np.split(of, [n, n + (h + 1) * p, len(of) - 1])
+    v = v.reshape(h + 1, m, len(of))
+    seen = D @ v + seen.reshape(h + 1, p, len(of))
+    pushed = (np.abs(float64.w) + np.abs(float64.W).sum(1) + float64.wide_w)[:, None] * one
+    x = _reach(plant, powers, first, seen, B @ v[:-1] + pushed)
+    on_x = _acting(newest, plant.off_C @ x, plant.off_A @ x[:-1])
+    off = on_x + _acting(newest, off_D @ v, off_B @ v[:-1] + float64.wide_w[:, None] * one)
+    if on_x[:, :n].any():
+        moved = B @ v[:-1] + pushed + plant.off_A @ x[:-1]
+        of_first = _acting(_response(plant, h, K0, 0), seen + plant.off_C @ x, moved)
+        bound = _inverse_above(of_first[:, :n] * ROUNDED)
+        if bound is None:
+            return None
+        off += off[:, :n] @ bound @ of_first
+    return np.asarray(off[:, n:])
 
 
-def _errors(plant: _Middle, powers: Sequence[Matrix]) -> _Errors:
-    """Return the errors that uncertain parameters make in powers of A, and in C times them."""
-    n, h = len(plant.A), len(powers) - 1
-    sizes = [_sizes(power) for power in powers]
-    most_A = _sizes(plant.A) + plant.off_A
-    size_C = _sizes(plant.C)
-    most_C = size_C + plant.off_C
-    state = [np.zeros((n, n))]
-    for j in range(h):
-        state.append(most_A @ state[j] + plant.off_A @ sizes[j])
-    seen = [most_C @ off + plant.off_C @ size for off, size in zip(state, sizes, strict=True)]
-    reach = [size_C @ size + off for off, size in zip(seen, sizes, strict=True)]
-    return _Errors(state, seen, reach)
+def _reach(
+    plant: _Middle, powers: Sequence[Matrix], first: np.ndarray, seen: np.ndarray, moved: np.ndarray
+) -> np.ndarray:
+    """Return bounds of all states: what A^j makes of the first one, and what samples and steps add."""
+    A, M, H = _sizes(plant.A), _sizes(plant.M), _sizes(plant.H)
+    x, rest = [first], 0 * first
+    for j, power in enumerate(powers[1:]):
+        rest = A @ rest + M @ (plant.off_A @ x[j] + moved[j]) + H @ seen[j + 1]
+        x.append(_sizes(power) @ first + rest)
+    return np.stack(x)
 
 
-def _staircase(blocks: Sequence[np.ndarray]) -> np.ndarray:
-    """Return ((h+1) p, h n): in row i and column j < i the block i - 1 - j of h + 1 blocks (p, n)."""
-    h, (p, n) = len(blocks) - 1, blocks[0].shape
-    out = np.zeros((h + 1, p, h, n))
-    for i in range(h + 1):
-        for j in range(i):
-            out[i, :, j] = blocks[i - 1 - j]
-    return out.reshape((h + 1) * p, h * n)
-
-
-def _of_each_step(M: np.ndarray, h: int, last: int) -> np.ndarray:
-    """Return M once for each of h steps, on a diagonal, with `last` columns of zeros behind."""
-    return np.concatenate([np.kron(np.eye(h), M), np.zeros((h * len(M), last))], 1)
+def _acting(response: _Response, samples: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Return the bound of what errors of samples (h+1, p, .) and of steps (h, n, .) make of a state."""
+    n, width = len(response.samples[0]), samples.shape[-1]
+    K, R = _sizes(_beside(response.samples, n)), _sizes(_beside(response.steps, n))
+    return np.asarray(K @ samples.reshape(-1, width) + R @ steps.reshape(-1, width))
 
 
 def left_inverse(O: Matrix, noise: np.ndarray, places: Sequence[int] = ()) -> Matrix:

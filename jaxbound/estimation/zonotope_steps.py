@@ -22,7 +22,7 @@ Sources: Alamo, Bravo, Camacho 2005 (strips, Theorem 4 and section 5); Combastel
 """
 
 from functools import reduce
-from typing import NamedTuple, TypeAlias, TypeVar
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -34,32 +34,11 @@ from jaxbound.estimation.free_inputs import Free, Known, Reading, known_again
 from jaxbound.estimation.set_rounding import SetRounding, largest_number, set_rounding
 from jaxbound.models.sensor import RECORDER_ULPS, lift, true_value
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.floats.kernel import is_outside_xla, kernel
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.unrolled import stored, summed
 
-__all__ = [
-    "Found",
-    "Numbers",
-    "Read",
-    "Start",
-    "ZonotopeCarry",
-    "at_sample",
-    "begun_anew",
-    "follow",
-    "kept",
-    "nothing_found",
-    "read",
-    "sample",
-    "step_of_time",
-    "unknown",
-    "worked_out",
-    "written",
-]
-
-Tree = TypeVar("Tree")
-ALL = 2
-"""Enclosures of states and of outputs, see `follow`."""
+__all__ = ["Found", "Numbers", "Read", "Start", "ZonotopeCarry", "follow", "read", "unknown"]
 
 
 class Numbers(NamedTuple):
@@ -171,21 +150,6 @@ class _Sets(NamedTuple):
     size: Array
 
 
-class _Outputs(NamedTuple):
-    """One sample of the p outputs: |mid - C x - through| <= rad.
-
-    Fields: driven (p, N): no missing input acts on it; seen: it can be tested; through: of inputs; loose: by
-    which that may be off; mid, rad: 0 where it is not seen.
-    """
-
-    driven: Array
-    seen: Array
-    through: Array
-    loose: Array
-    mid: Array
-    rad: Array
-
-
 class _Shown(NamedTuple):
     """One output of a set.
 
@@ -276,9 +240,7 @@ def _all_along(x: Array) -> Array:
     return x[None, :, None]
 
 
-@kernel(
-    static_argnames=("lanes", "enclosures", "also"), compiler_options={"xla_cpu_multi_thread_eigen": False}
-)
+@kernel(static_argnames=("lanes", "enclosures"), compiler_options={"xla_cpu_multi_thread_eigen": False})
 def follow(
     plant: Numbers,
     start: Start | None,
@@ -286,90 +248,52 @@ def follow(
     samples: tuple[jax.Array, ...],
     stop: int,
     lanes: int,
-    enclosures: int,
+    enclosures: bool,
     restart: jax.Array | bool,
-    also: bool = False,
-) -> tuple[ZonotopeCarry, Found, Read | None]:
+) -> tuple[ZonotopeCarry, Found, Read]:
     """Follow N / lanes recordings over the first `stop` of these samples.
 
     Args:
         start: how the state is found from samples alone, or None: where it is lost it stays so.
         samples: u, y, slip, fresh, rounded, as of `read`: one kernel with this, since a sample that comes
             alone pays for each call.
-        lanes: weights side by side: recording i stands at i, i + N / lanes, .. enclosures: 0 none, 1 of
-            states, 2 of outputs too.
-        restart: whether the sample after a contradiction begins anew; else FAULT stays. also: whether what is
-            read is wanted.
+        lanes: weights side by side: recording i stands at i, i + N / lanes, .. enclosures: whether states and
+            outputs are enclosed: under XLA always, in one program for every verb, which takes no longer.
+        restart: whether the sample after a contradiction begins anew; else FAULT stays.
 
     Returns:
-        (carry, Found, Read or None); what they have of other samples means nothing.
+        (carry, Found, Read); what they have of other samples means nothing.
     """
     alone = read(plant, *samples)
-    known = jax.tree.map(lambda x: jnp.tile(x, lanes), alone)
-    empty = nothing_found(known, len(plant.A), enclosures)
+    tiled = jax.tree.map(lambda x: jnp.tile(x, lanes), alone)
 
     def step(k: jax.Array, state: tuple[ZonotopeCarry, Found]) -> tuple[ZonotopeCarry, Found]:
-        carry, found = state
-        now = at_sample(known, k)
-        carry, size, row = sample(plant, start, begun_anew(carry, now.fresh), now, enclosures)
-        carry = begun_anew(carry, restart & _of_every_lane(carry.empty, lanes))
-        carry = step_of_time(plant, carry, size, now)
-        return carry, written(found, row, k)
+        carry, rows = state
+        now = jax.tree.map(lambda x: _row(x, k), tiled)
+        carry, size, row = _sample(plant, start, _begun_anew(carry, now.fresh), now, enclosures)
+        refuted = jnp.any(carry.empty.reshape(lanes, -1), 0)  # by any of its sets
+        carry = _begun_anew(carry, restart & jnp.tile(refuted, lanes))
+        carry = _step_of_time(plant, carry, size, now)
+        return carry, jax.tree.map(
+            lambda old, new: jax.lax.dynamic_update_index_in_dim(old, new, k, 0), rows, row
+        )
 
-    carry, found = jax.lax.fori_loop(0, stop, step, (carry, empty))
-    if also:
-        return carry, found, alone
-    return carry, found, None
-
-
-def _of_every_lane(empty: Array, lanes: int) -> jax.Array:
-    """Return for each set whether any set of its recording is empty."""
-    return jnp.tile(jnp.any(empty.reshape(lanes, -1), 0), lanes)
+    carry, rows = jax.lax.fori_loop(0, stop, step, (carry, _nothing_found(tiled, plant, enclosures)))
+    return carry, rows, alone
 
 
-def nothing_found(known: Read, n: int, enclosures: int) -> Found:
-    """Return the Found of samples before any is looked at. n: states; enclosures: as of `follow`."""
+def _nothing_found(known: Read, plant: Numbers, enclosures: bool) -> Found:
+    """Return the Found of samples before any is looked at."""
     (T, p, N), dtype = known.mid.shape, known.mid.dtype
-    return Found(
-        jnp.zeros((T, N), jnp.int8),
-        jnp.zeros((T, N), dtype),
-        jnp.zeros((T, N), jnp.int32),
-        jnp.zeros((T, 2 * n * min(enclosures, 1), N), dtype),
-        jnp.zeros((T, 4 * p * (enclosures // 2), N), dtype),
-    )
+
+    def zero(count: int) -> jax.Array:
+        return jnp.zeros((T, count * enclosures, N), dtype)
+
+    status, age = jnp.zeros((T, N), jnp.int8), jnp.zeros((T, N), jnp.int32)
+    return Found(status, jnp.zeros((T, N), dtype), age, zero(2 * len(plant.A)), zero(4 * p))
 
 
-def worked_out(wanted: int) -> int:
-    """Return the enclosures that a kernel works out where so many are wanted, see `follow`: all of them, in
-    one program for every verb, which takes no longer. NumPy does what is wanted.
-    """
-    if is_outside_xla():
-        return wanted
-    return ALL
-
-
-def kept(found: Found, enclosures: int) -> Found:
-    """Return a Found with the enclosures that are wanted; the others are not fetched from their device."""
-    nothing = np.zeros((len(found.margin), 0, *found.margin.shape[1:]), found.margin.dtype)
-    if enclosures < 1:
-        found = found._replace(states=nothing)
-    if enclosures < ALL:
-        found = found._replace(outputs=nothing)
-    return found
-
-
-def at_sample(known: Read, k: jax.Array) -> Read:
-    """Return one sample."""
-    return Read(*(jax.lax.dynamic_index_in_dim(x, k, 0, keepdims=False) for x in known))
-
-
-def written(rows: Tree, row: Tree, k: jax.Array) -> Tree:
-    """Return arrays of T samples with those of one sample in their place."""
-    out: Tree = jax.tree.map(lambda old, new: jax.lax.dynamic_update_index_in_dim(old, new, k, 0), rows, row)
-    return out
-
-
-def begun_anew(carry: ZonotopeCarry, where: Array) -> ZonotopeCarry:
+def _begun_anew(carry: ZonotopeCarry, where: Array) -> ZonotopeCarry:
     """Forget the samples and sets before."""
     return carry._replace(
         age=jnp.where(where, -1, carry.age),
@@ -378,8 +302,8 @@ def begun_anew(carry: ZonotopeCarry, where: Array) -> ZonotopeCarry:
     )
 
 
-def sample(
-    plant: Numbers, start: Start | None, carry: ZonotopeCarry, now: Read, enclosures: int
+def _sample(
+    plant: Numbers, start: Start | None, carry: ZonotopeCarry, now: Read, enclosures: bool
 ) -> tuple[ZonotopeCarry, jax.Array, Found]:
     """Look at one sample: return (carry with the set after it, its magnitudes (n, N), one row of `Found`)."""
     alive, (n, q, N), p = carry.age >= 0, carry.G.shape, len(now.mid)
@@ -392,9 +316,8 @@ def sample(
     whole: Array = jnp.zeros(N, bool)
     if plant.free is not None:
         whole = plant.free.first & (carry.age == 0)  # a first state in bounds is the state itself
-        reading = Reading(outputs.mid, outputs.rad, outputs.through, outputs.loose)
         prior, there, lost = known_again(
-            plant.free, _rounding(plant, carry, p), prior, first.size, reading, outputs.seen, whole
+            plant.free, _rounding(plant, carry, p), prior, first.size, outputs, whole
         )
         before = _sized(g, *prior)
 
@@ -425,11 +348,12 @@ def sample(
     carry = carry._replace(age=age, empty=empty)
     if start is not None:
         begins = (age < 0) & (ready > len(carry.mid))
-        after, age = _begun_where(plant, start, carry, now, g, begins, after, age)
+        after = _begun_where(plant, start, carry, now, g, begins, after)
+        age = jnp.where(begins, len(carry.mid) + 1, age)
         carry = carry._replace(age=age)
     if enclosures:
         sets = _Around(first, before, after, refuted=wrong, tested=alive, there=age >= 0, whole=whole)
-        ends = _enclosures(plant, g, outputs, sets, p * (enclosures // 2))
+        ends = _enclosures(plant, g, outputs, sets)
     past = {name: _later(getattr(carry, name), getattr(now, name)) for name in ("mid", "rad", "v", "slip")}
     ready = jnp.minimum(ready, len(carry.mid))
     return (
@@ -439,7 +363,7 @@ def sample(
     )
 
 
-def _outputs(plant: Numbers, now: Read, g: SetRounding) -> _Outputs:
+def _outputs(plant: Numbers, now: Read, g: SetRounding) -> Reading:
     """Return one sample of the outputs."""
     direct = jnp.sum(jnp.abs(plant.D) + plant.wide_D, 1) > 0
     # else what a perfect sensor shows depends on an input that nobody knows
@@ -452,7 +376,7 @@ def _outputs(plant: Numbers, now: Read, g: SetRounding) -> _Outputs:
         g.up * (_map(plant.wide_D + g.gamma * sizes, jnp.abs(now.v)) + _map(sizes, now.slip)),
         0,
     )
-    return _Outputs(driven, seen, through, loose, jnp.where(seen, now.mid, 0), jnp.where(seen, now.rad, 0))
+    return Reading(driven, seen, through, loose, jnp.where(seen, now.mid, 0), jnp.where(seen, now.rad, 0))
 
 
 def _sized(g: SetRounding, c: Array, G: Array, r: Array) -> _Sets:
@@ -466,7 +390,7 @@ def _row(x: Array, i: jax.Array) -> jax.Array:
     return row
 
 
-def _shown(plant: Numbers, g: SetRounding, outputs: _Outputs, i: jax.Array, sets: _Sets) -> _Shown:
+def _shown(plant: Numbers, g: SetRounding, outputs: Reading, i: jax.Array, sets: _Sets) -> _Shown:
     """Return output i of sets."""
     row, wide = _row(plant.C, i), _row(plant.wide_C, i)
     P = summed(_product, row, sets.G)
@@ -525,10 +449,6 @@ def _met(
     return _Sets(c, G, r, _sized(g, c, G, 2 * r).size)
 
 
-_State: TypeAlias = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
-"""c, G, r, age and size of sets."""
-
-
 def _begun_where(
     plant: Numbers,
     start: Start,
@@ -537,22 +457,22 @@ def _begun_where(
     g: SetRounding,
     begins: jax.Array,
     sets: _Sets,
-    age: jax.Array,
-) -> tuple[_Sets, jax.Array]:
-    """Return (sets, age), where it begins those that the last samples alone allow."""
+) -> _Sets:
+    """Return the sets, where it begins those that the last samples alone allow."""
 
-    def begun(state: _State) -> _State:
-        c, G, r, age, size = state
-        c, G, r, age = _begun(plant, start, carry, now, begins, _Sets(c, G, r, size), age)
-        # of others nothing changes
-        return c, G, r, age, jnp.where(begins[None], _sized(g, c, G, r).size, size)
+    def begun(sets: _Sets) -> _Sets:
+        new = _sized(g, *_begun(plant, start, carry, now, begins, sets.G))
 
-    def left(state: _State) -> _State:
-        return state
+        def pick(x: Array, y: Array) -> jax.Array:
+            return jnp.where(jnp.broadcast_to(begins, x.shape), x, y)
 
-    state = sets.c, sets.G, sets.r, age, sets.size
-    c, G, r, age, size = jax.lax.cond(jnp.any(begins), begun, left, state)
-    return _Sets(c, G, r, size), age
+        return _Sets(*map(pick, new, sets))
+
+    def left(sets: _Sets) -> _Sets:
+        return sets
+
+    after: _Sets = jax.lax.cond(jnp.any(begins), begun, left, sets)
+    return after
 
 
 def _later(past: Array, x: Array) -> jax.Array:
@@ -585,11 +505,12 @@ def _begun(
     carry: ZonotopeCarry,
     now: Read,
     begin: jax.Array,
-    sets: _Sets,
-    age: jax.Array,
-) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Return (c, G, r, age), where it begins those of the set that the last samples alone allow."""
-    (n, wide, N), h = sets.G.shape, len(carry.mid)
+    old: Array,
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return (c, G, r) of the sets that the last samples alone allow, with as many generators as the old
+    ones have.
+    """
+    n, wide, N = old.shape
     g = _rounding(plant, carry, start.K.shape[1] + start.U.shape[1] + start.W.shape[1])
     mid, rad = _all_samples(carry.mid, now.mid), _all_samples(carry.rad, now.rad)
     v, slip = _all_samples(carry.v, now.v), _all_samples(carry.slip, now.slip)
@@ -604,13 +525,9 @@ def _begun(
     loose = _map(start.wide_K, jnp.abs(mid) + rad) + _map(start.wide_U, jnp.abs(v)) + start.wide[:, None]
     off = g.up * (_map(U, slip) + g.gamma * whole + loose) + g.least
     columns = [start.K[:, :, None] * rad[None], jnp.broadcast_to(start.W[:, :, None], (*start.W.shape, N))]
-    generators = jnp.concatenate([jnp.zeros((n, wide, N), sets.G.dtype), *columns], 1)
+    generators = jnp.concatenate([jnp.zeros((n, wide, N), old.dtype), *columns], 1)
     G, off, _ = _reduced(generators, off, wide, g)
-
-    def pick(new: Array, old: Array) -> jax.Array:
-        return jnp.where(begin.reshape(*[1] * (new.ndim - 1), N), new, old)
-
-    return pick(centre, sets.c), pick(G, sets.G), pick(off, sets.r), jnp.where(begin, h + 1, age)
+    return centre, G, off
 
 
 def _all_samples(past: Array, now: Array) -> jax.Array:
@@ -618,7 +535,7 @@ def _all_samples(past: Array, now: Array) -> jax.Array:
     return jnp.concatenate([past, now[None]]).reshape(-1, now.shape[-1])
 
 
-def step_of_time(plant: Numbers, carry: ZonotopeCarry, size: jax.Array, now: Read) -> ZonotopeCarry:
+def _step_of_time(plant: Numbers, carry: ZonotopeCarry, size: jax.Array, now: Read) -> ZonotopeCarry:
     """Move the set on by one sample, and put its smallest generators into a box.
 
     Args:
@@ -648,7 +565,10 @@ def _reduced(G: jax.Array, r: jax.Array, q: int, g: SetRounding) -> tuple[jax.Ar
     The smallest are in a box, if it has more than q.
     """
     n, Q, N = G.shape
-    S = _sorted_by_length(G)
+    # row by row: a reduction over few rows is no vector code, and cost a quarter of a step
+    sizes = list(jnp.abs(G))
+    length = jnp.maximum(reduce(jnp.add, sizes) - reduce(jnp.maximum, sizes), 0)
+    S = jnp.take_along_axis(G, ascending(length)[None], 1)  # by their 1-norm less the largest entry
     rest, some, kept = S[:, : Q - q], S[:, Q - q : Q - q + n], S[:, Q - q + n :]
     boxed, few, many = (jnp.sum(jnp.abs(x), 1) for x in (rest, some, kept))
     free = jnp.all(some == 0, (0, 1)) & jnp.any(r > 2.0**-36 * many, 0)  # r moved as a box would grow
@@ -661,14 +581,6 @@ def _reduced(G: jax.Array, r: jax.Array, q: int, g: SetRounding) -> tuple[jax.Ar
         jnp.where(enough[None], r, 0),
         reach,
     )
-
-
-def _sorted_by_length(G: jax.Array) -> jax.Array:
-    """Return generators (n, Q, N) in the order of their 1-norm less the largest entry, the smallest first."""
-    # row by row: a reduction over few rows is no vector code, and cost a quarter of a step
-    sizes = list(jnp.abs(G))
-    length = jnp.maximum(reduce(jnp.add, sizes) - reduce(jnp.maximum, sizes), 0)
-    return jnp.take_along_axis(G, ascending(length)[None], 1)
 
 
 class _Around(NamedTuple):
@@ -689,23 +601,20 @@ class _Around(NamedTuple):
 
 
 def _enclosures(
-    plant: Numbers, g: SetRounding, outputs: _Outputs, sets: _Around, p: int
+    plant: Numbers, g: SetRounding, outputs: Reading, sets: _Around
 ) -> tuple[jax.Array, jax.Array]:
-    """Return the ends (2 n, N) of the states and (4 p, N) of the p outputs."""
+    """Return the ends (2 n, N) of the states and (4 p, N) of the outputs."""
     free = plant.free
     prior, now = _where(_hull(sets.first, g), sets.tested), _where(_hull(sets.after, g), sets.there)
     if free is not None:
         prior, now = _blind(prior, free.before, sets.whole), _blind(now, free.after, sets.whole)
     refuted = (sets.refuted & sets.tested)[None]
     states = jnp.where(refuted, prior, jnp.minimum(prior, now))
-    if not p:
-        return states, states[:0]
-    rows = jnp.arange(p)
-    first = _shown_ends(plant, g, outputs, rows, sets.before, sets.tested)
+    first = _shown_ends(plant, g, outputs, sets.before, sets.tested)
     if free is not None:
         first = _blind(first, free.shown, sets.whole)
     after = _sized(g, *sets.after[:3])
-    second = _shown_ends(plant, g, outputs, rows, after, sets.there)
+    second = _shown_ends(plant, g, outputs, after, sets.there)
     return states, jnp.concatenate([first, jnp.where(refuted, first, jnp.minimum(first, second))])
 
 
@@ -725,16 +634,14 @@ def _blind(ends: Array, moved: Array, whole: Array) -> jax.Array:
     return jnp.where(both[:, None] & ~whole[None], jnp.inf, ends)
 
 
-def _shown_ends(
-    plant: Numbers, g: SetRounding, outputs: _Outputs, rows: jax.Array, sets: _Sets, known: Array
-) -> jax.Array:
+def _shown_ends(plant: Numbers, g: SetRounding, outputs: Reading, sets: _Sets, known: Array) -> jax.Array:
     """Return the ends of the outputs of sets, as perfect sensors would show them."""
 
     def value_and_reach(i: jax.Array) -> tuple[Array, Array]:
         shown = _shown(plant, g, outputs, i, sets)
         return shown.value, shown.reach
 
-    value, reach = jax.lax.map(value_and_reach, rows)
+    value, reach = jax.lax.map(value_and_reach, jnp.arange(len(plant.C)))
     y0 = plant.y0[:, None]
     ends = _outward(value + y0, reach + 4 * g.gamma * (jnp.abs(value) + jnp.abs(y0)), g)
     driven = jnp.concatenate([outputs.driven, outputs.driven])
