@@ -28,30 +28,32 @@ ZERO, ONE = Fraction(0), Fraction(1)
 class _Sides:
     """The sides of all bounds as rows of a Chebyshev problem in (z, g): |middle - row (z, g)| <= radius.
 
-    Fields: gains: how many unknowns g there are; rows, middles, radii; signs: (row of (Y, w), sign) that each
-    speaks of, sign 0: of a gain alone.
+    Fields: free: the gains that are unknowns, by their output; the others are 1. rows, middles, radii; signs:
+    (row of (Y, w), sign) that each speaks of, sign 0: of a gain alone.
     """
 
-    gains: int
+    free: Sequence[int]
     rows: list[Vector] = field(default_factory=list)
     middles: list[Fraction] = field(default_factory=list)
     radii: list[Fraction] = field(default_factory=list)
     signs: list[tuple[int, int]] = field(default_factory=list)
 
     def add(
-        self, place: tuple[int, int], unknowns: Vector, gain: Vector, middle: Fraction, r: Fraction
+        self,
+        place: tuple[int, int],
+        unknowns: Vector,
+        middle: Fraction,
+        r: Fraction,
+        gain: tuple[int | None, Fraction] = (None, ZERO),
     ) -> None:
-        """Add middle - r <= sign unknowns z + gain g <= middle + r."""
-        self.rows.append((*scale(unknowns, place[1]), *gain))
+        """Add middle - r <= sign unknowns z + g_i value <= middle + r; gain: (i, value)."""
+        i, value = gain
+        if i is not None and i not in self.free:
+            middle -= value
+        self.rows.append((*scale(unknowns, place[1]), *(value * (i == other) for other in self.free)))
         self.middles.append(middle)
         self.radii.append(r)
         self.signs.append(place)
-
-    def one_gain(self, i: int, value: Fraction) -> Vector:
-        """Return the multipliers of the gains, all but one of them 0."""
-        own = [ZERO] * self.gains
-        own[i] = value
-        return tuple(own)
 
 
 class ConstantWindow(ExactWindow):
@@ -62,7 +64,7 @@ class ConstantWindow(ExactWindow):
         size that of no bound.
         """
         sides = self._sides()
-        best = chebyshev(*self._with_known_gains(sides), sides.radii, start)
+        best = chebyshev(sides.rows, sides.middles, sides.radii, start)
         h = [ZERO] * len(self.limits)
         for (j, sign), x in zip(sides.signs, best.h, strict=True):
             h[j] += sign * x  # both sides of a reading together: Farkas' lemma, see the module
@@ -75,23 +77,21 @@ class ConstantWindow(ExactWindow):
     def _sides(self) -> _Sides:
         """Return the rows of the module in (z, g)."""
         p, unknowns = self.model.p, self.unknown_columns()
-        sides = _Sides(p)
+        sides = _Sides([i for i, sigma in enumerate(self.tolerance) if sigma])
         for j, (d, rho) in enumerate(self.readings()):
             if d is None:
                 continue
             i = j % p
             # 0 <= E z + K U + g (rho - d) and 0 <= g (rho + d) - E z - K U: each is at most 2 reach
             reach = rho * self._gain_ends(i)[1]
-            sides.add((j, 1), unknowns[j], sides.one_gain(i, rho - d), reach - self.drive[j], reach)
-            sides.add((j, -1), unknowns[j], sides.one_gain(i, rho + d), reach + self.drive[j], reach)
+            sides.add((j, 1), unknowns[j], reach - self.drive[j], reach, (i, rho - d))
+            sides.add((j, -1), unknowns[j], reach + self.drive[j], reach, (i, rho + d))
         for j in range(len(self.y), len(self.limits)):
             lo, hi = self.known_limits(j)
-            middle = (lo + hi) / 2 - self.drive[j]
-            sides.add((j, 1), unknowns[j], (ZERO,) * p, middle, (hi - lo) / 2)
-        for i in range(p):
+            sides.add((j, 1), unknowns[j], (lo + hi) / 2 - self.drive[j], (hi - lo) / 2)
+        for i in sides.free:
             lo, hi = self._gain_ends(i)
-            if lo < hi:
-                sides.add((0, 0), unknowns[0], sides.one_gain(i, ONE), (lo + hi) / 2, (hi - lo) / 2)
+            sides.add((0, 0), unknowns[0], (lo + hi) / 2, (hi - lo) / 2, (i, ONE))
         return sides
 
     def relation(self, h: Sequence[Fraction]) -> tuple[Vector, Fraction, Fraction]:
@@ -150,16 +150,6 @@ class ConstantWindow(ExactWindow):
     def _gain_ends(self, i: int) -> Ends:
         """Return (lo, hi) of 1 / (1 + theta)."""
         return 1 / (1 + self.tolerance[i]), 1 / (1 - self.tolerance[i])
-
-    def _with_known_gains(self, sides: _Sides) -> tuple[list[Vector], list[Fraction]]:
-        """Return (rows, middles) with the gains that are known to be 1 on the other side."""
-        known = [i for i, sigma in enumerate(self.tolerance) if not sigma]
-        rows, middles = [], []
-        for row, middle in zip(sides.rows, sides.middles, strict=True):
-            z, g = row[: -sides.gains], row[-sides.gains :]
-            rows.append((*z, *(x for i, x in enumerate(g) if i not in known)))
-            middles.append(middle - sum((g[i] for i in known), ZERO))
-        return rows, middles
 
 
 def _short(lo: Fraction, hi: Fraction) -> Fraction:

@@ -36,7 +36,6 @@ __all__ = ["FixedWindow", "Point", "PolynomialWindow", "polynomial_window"]
 
 ZERO, ONE = Fraction(0), Fraction(1)
 HALVINGS = 90
-REFINEMENTS, ENOUGH = 10, 1e-30
 
 Polynomial: TypeAlias = dict[Exponents, Fraction]
 Point: TypeAlias = tuple[Vector, Vector]
@@ -139,69 +138,11 @@ class PolynomialWindow:
         for _ in range(HALVINGS):
             t = (below + above) / 2
             v, e = (_between(a, b, t) for a, b in zip(lowest[1], highest[1], strict=True))
-            if self._value(0, v, e) > 0:
+            if _at(P[0], v) + sum((x * _at(q[0], v) for x, q in zip(e, Q, strict=True)), ZERO) > 0:
                 above = t
             else:
                 below = t
         return _between(lowest[1][0], highest[1][0], below)
-
-    def _value(self, k: int, v: Vector, e: Vector) -> Fraction:
-        """Return p_k(v, e) = P_k(v) + sum_j e_j Q_kj(v)."""
-        P, Q = self.parts
-        value = _at(P[k], v)
-        for x, q in zip(e, Q, strict=True):
-            if x and q[k]:
-                value += x * _at(q[k], v)
-        return value
-
-    def near(self, v: np.ndarray, e: np.ndarray) -> tuple[Fraction, ...] | None:
-        """Return v near the given one, within its box, where p(v, e) = 0 almost exactly for some e, or None:
-        Newton's method, exact values.
-
-        Args: v (floats, in units of size), e (floats, one for each row).
-        """
-        n = len(v)
-        x = [Fraction(float(a)) for a in (*v, *e)]
-        for _ in range(REFINEMENTS):
-            point, noise = self._in_box(x[:n]), tuple(x[n:])
-            p = [self._value(k, point, noise) for k in range(self.relations.count)]
-            J, room = self._slopes(point, noise), 1 - np.abs(np.array(x, float))
-            size = np.abs(J) @ room
-            if not (size > 0).all():
-                return None
-            gap = np.array([float(a / Fraction(b)) for a, b in zip(p, size.tolist(), strict=True)])
-            if np.abs(gap).max() < ENOUGH:
-                break
-            K = J / size[:, None]
-            step = room * (K.T @ np.linalg.lstsq(K * room @ K.T, gap, rcond=None)[0])
-            for i, d in enumerate(step.tolist()):
-                x[i] = max(-ONE, min(x[i] - Fraction(d), ONE))
-        return self._in_box(x[:n])
-
-    def _in_box(self, v: Iterable[Fraction]) -> Vector:
-        """Return parameters from units of their bounds."""
-        return tuple(a * s for a, s in zip(v, self.size, strict=True))
-
-    def _slopes(self, v: Vector, e: Vector) -> np.ndarray:
-        """Return the derivative of p by (v / size, e), floats (count, n + rows)."""
-        P, Q = self.parts
-        rows = []
-        for k, f in enumerate(P):
-            parts = [(ONE, f), *((b, q[k]) for b, q in zip(e, Q, strict=True) if b)]
-            row = []
-            for i, s in enumerate(self.size):
-                row.append(s * sum((b * _at(_derivative(q, i), v) for b, q in parts), ZERO))
-            rows.append([float(x) for x in (*row, *(_at(q[k], v) for q in Q))])
-        return np.array(rows)
-
-
-def _derivative(polynomial: Polynomial, i: int) -> Polynomial:
-    """Return the derivative by v_i."""
-    out = {}
-    for alpha, c in polynomial.items():
-        if alpha[i]:
-            out[*alpha[:i], alpha[i] - 1, *alpha[i + 1 :]] = c * alpha[i]
-    return out
 
 
 def _between(a: Vector, b: Vector, t: Fraction) -> Vector:

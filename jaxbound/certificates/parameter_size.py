@@ -3,13 +3,14 @@
 What it multiplies is a state that nobody knows, so the rows of a window are E(f) z + K(f) U: linear in z for
 each size f and each sample from which on it holds, not in both. A search in floats looks for an f whose
 smallest factor on all bounds is at most 1: over sizes up to `most` of the fault and over onsets, then around
-the pair of the smallest factor, then towards 0. A proof in exact rationals, on the rows of that f, confirms
-what it finds. Nothing found is no proof, so no parameter is ever excluded.
+the pair of the smallest factor, or of the smallest size that explains. A proof in exact rationals, on the
+rows of that f, confirms what it finds. Nothing found is no proof, so no parameter is ever excluded.
 """
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from fractions import Fraction
+from itertools import product
 from typing import TypeAlias
 
 import numpy as np
@@ -28,7 +29,7 @@ STEPS = 8
 ONSETS = 5
 """Onsets that are tried at first."""
 HALVINGS = 6
-"""How often steps are halved around the best, and towards 0."""
+"""How often steps are halved around the best."""
 SURE = 1 - 1e-7
 """A factor in floats up to which a size is worth a proof."""
 TOLD = 1e-12
@@ -87,69 +88,38 @@ class _Search:
         return Fraction(number, self.finest) * self.fault.most
 
     def explaining(self) -> Iterator[Trial]:
-        """Yield the trials that explain in floats, the smallest size first."""
-        coarse = 2**HALVINGS
+        """Yield the trials that explain in floats, the smallest size first.
+
+        From the best of a coarse grid on, steps in both directions are halved where none is better.
+        """
+        step = 2**HALVINGS
         spread = np.linspace(0, len(self.onsets) - 1, min(ONSETS, len(self.onsets))).round().astype(int)
-        for onset in spread.tolist():
-            for number in range(coarse, self.finest + 1, coarse):
-                self._try((number, onset))
-                self._try((-number, onset))
-        if not self.factors:
-            return
-        self._descend(coarse, max(1, len(self.onsets) // len(spread)))
-        self._shrink()
-        yield from sorted((t for t in self.factors if self._explains(t)), key=lambda t: (abs(t[0]), t[1]))
-
-    def _explains(self, trial: Trial) -> bool:
-        return self.factors.get(trial, np.inf) <= SURE
-
-    def _descend(self, step: int, apart: int) -> None:
-        """Follow the smallest factor, by steps in both directions that are halved where it is left."""
-        best = min(self.factors, key=lambda t: self.factors[t])
-        while step > 1 and not self._explains(best):
+        grid = product(spread.tolist(), range(-self.finest, self.finest + 1, step))
+        best = min(((number, onset) for onset, number in grid), key=self._rank)
+        apart = max(1, len(self.onsets) // len(spread))
+        while step and self.factors:
             number, onset = best
-            for around in (
-                (number - step, onset),
-                (number + step, onset),
-                (number, onset - apart),
-                (number, onset + apart),
-            ):
-                if self._try(around) < self.factors[best]:
-                    best = around
+            sizes, moments = (number - step, number + step), (onset - apart, onset + apart)
+            best = min(best, *((x, onset) for x in sizes), *((number, x) for x in moments), key=self._rank)
             if best == (number, onset):
                 step, apart = step // 2, max(1, apart // 2)
+        explaining = [trial for trial, factor in self.factors.items() if factor <= SURE]
+        yield from sorted(explaining, key=lambda t: (abs(t[0]), t[1]))
 
-    def _shrink(self) -> None:
-        """Halve the way from the smallest size that explains to the next smaller one that does not."""
-        explaining = [t for t in self.factors if self._explains(t)]
-        if not explaining:
-            return
-        number, onset = min(explaining, key=lambda t: abs(t[0]))
-        sign = 1
-        if number < 0:
-            sign = -1
-        smaller = [abs(n) for n, o in self.factors if o == onset and n * sign > 0 and abs(n) < abs(number)]
-        low, high = max(smaller, default=0), abs(number)
-        while high - low > 1:
-            middle = (low + high) // 2
-            self._try((sign * middle, onset))
-            if self._explains((sign * middle, onset)):
-                high = middle
-            else:
-                low = middle
-
-    def _try(self, trial: Trial) -> float:
-        """Return the factor of a trial; infinite beyond what is stated of the fault or the window."""
+    def _rank(self, trial: Trial) -> tuple[float, int]:
+        """Return (factor, size), the least of the best, the size where trials explain; infinite beyond the
+        bounds of the fault or the window.
+        """
         number, onset = trial
         fault = self.fault
         beyond = abs(number) > self.finest or not 0 <= onset < len(self.onsets) or not number
         wrong = fault.sign is not None and (number < 0) != (fault.sign == "-")
         small = fault.least is not None and abs(self.size(number)) < fault.least
         if beyond or wrong or small:
-            return np.inf
+            return np.inf, 0
         if trial not in self.factors:
             self.factors[trial] = self._factor(float(self.size(number)), self.onsets[onset])
-        return self.factors[trial]
+        return max(SURE, self.factors[trial]), abs(number)
 
     def _factor(self, size: float, since: int) -> float:
         """Return the factor on all bounds at which the window is explained, about."""

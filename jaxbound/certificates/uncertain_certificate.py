@@ -311,11 +311,12 @@ def _proof(
         return _tree_of(p, leaves), None
     if status == Status.FAULT:
         return None, None
-    n, noise = len(p.size), np.zeros(len(p.window.limits))
-    start = points[:, 0]
-    noise[list(reading.noisy)] = start[n:]
-    near = _explained(p, p.near(start[:n], noise))
-    return None, near or _explained(p, p.near(np.zeros(n), 0 * noise))
+    for start in (points, 0.5 * points, 0 * points):
+        near = parametric_windows.refined(reading, samples, start)[: len(p.size), 0]
+        explained = _explained(p, tuple(Fraction(x) * s for x, s in zip(near.tolist(), p.size, strict=True)))
+        if explained is not None:
+            return None, explained
+    return None, None
 
 
 def _tree_of(p: PolynomialWindow, leaves: parametric_windows.Leaves) -> Tree | None:
@@ -362,10 +363,8 @@ def _directed(p: PolynomialWindow, h: np.ndarray, lo: Vector, hi: Vector) -> Lea
     return None
 
 
-def _explained(p: PolynomialWindow, v: Vector | None) -> Explained | None:
+def _explained(p: PolynomialWindow, v: Vector) -> Explained | None:
     """Return (FixedWindow, z) of parameters with as few digits as explain the window, or None."""
-    if v is None:
-        return None
     candidates = [tuple(Fraction(f"{float(x):.{digits}g}") for x in v) for digits in DIGITS]
     for candidate in (*candidates, v):
         inside = [max(-size, min(x, size)) for x, size in zip(candidate, p.size, strict=True)]

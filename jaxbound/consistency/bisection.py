@@ -5,7 +5,6 @@ for all samples within what a recording rounds away, like everywhere in this lib
 last digits put outside is UNDECIDED.
 """
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
@@ -26,7 +25,7 @@ from jaxbound.sets.inclusion.inclusion import inclusion
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.paving.paving import Paving, pave
 
-__all__ = ["BUDGET", "BisectionTest", "Thick", "flat", "search", "span", "whole_budget"]
+__all__ = ["BUDGET", "BisectionTest", "Thick", "flat", "search", "span", "thick", "whole_budget"]
 
 BUDGET = 1000
 """Boxes that may be evaluated for a window."""
@@ -132,14 +131,11 @@ class BisectionTest(WindowTest):
         return judged
 
     def _judged(self, U: np.ndarray, Y: np.ndarray) -> np.ndarray:
-        """Return the status of windows (N, s + 1, channels), their number filled up to one of two sizes,
-        which alone are compiled.
-        """
-        size = self.short if len(Y) <= self.short else self.block
-        status = np.array(search(self.relations, U, Y, self.budget, size).status)
+        """Return the status of windows (N, s + 1, channels)."""
+        status = np.array(search(self.relations, U, Y, self.budget).status)
         outside = np.flatnonzero(status == Status.FAULT)
         if len(outside):
-            status[outside] = _exclude(self.relations, U[outside], Y[outside], self.budget, size).status
+            status[outside] = _exclude(self.relations, U[outside], Y[outside], self.budget).status
         return status
 
 
@@ -156,21 +152,22 @@ def whole_budget(budget: object) -> int:
     return int(budget)
 
 
-def search(
-    relations: ResidualRelations, U: np.ndarray, Y: np.ndarray, budget: int, size: int = BisectionTest.short
-) -> Paving:
+def search(relations: ResidualRelations, U: np.ndarray, Y: np.ndarray, budget: int) -> Paving:
     """Search for unknowns that explain each window."""
-    f = flat(frozen(relations.f))
-    return _paved(relations, f, (U, Y), budget, size, solutions="one", cut="smear")
+    return _paved(relations, flat(frozen(relations.f)), (U, Y), budget, solutions="one", cut="smear")
 
 
-def _exclude(relations: ResidualRelations, U: np.ndarray, Y: np.ndarray, budget: int, size: int) -> Paving:
-    """Exclude unknowns for all samples that round to the recorded ones, and inputs that round to ours."""
+def _exclude(relations: ResidualRelations, U: np.ndarray, Y: np.ndarray, budget: int) -> Paving:
+    """Exclude unknowns for all that rounds to the recorded samples."""
+    return _paved(relations, Thick(frozen(relations.f)), thick(U, Y), budget, solutions="none", cut="widest")
+
+
+def thick(U: np.ndarray, Y: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return (lo, hi) of all inputs that round to ours, then of all samples that round to the recorded
+    ones.
+    """
     slip = 2 * input_slip(U)  # 2: for this computation
-    windows = U - slip, U + slip, *recorded(Y, RECORDER_ULPS + 2)
-    return _paved(
-        relations, Thick(frozen(relations.f)), windows, budget, size, solutions="none", cut="widest"
-    )
+    return U - slip, U + slip, *_recorded(Y, RECORDER_ULPS + 2)
 
 
 def _paved(
@@ -178,27 +175,26 @@ def _paved(
     f: Callable[..., Any],
     windows: tuple[np.ndarray, ...],
     budget: int,
-    size: int,
     solutions: str,
     cut: str,
 ) -> Paving:
-    """Pave for every window, their number filled up to `size` by targets that are empty, which the first box
-    excludes.
-    """
-    inputs, outputs, count = windows[0], windows[-1], len(windows[0])
+    """Pave for every window."""
+    inputs, outputs = windows[0], windows[-1]
     dtype = np.result_type(relations.box.dtype, outputs.dtype)
-    lo, hi = np.asarray(relations.box.lo), np.asarray(relations.box.hi)
-    box = Interval(lo.astype(dtype), hi.astype(dtype))
-    args = []
-    for x in windows:
-        args.append(np.concatenate([x, np.zeros((size - count, *x.shape[1:]), x.dtype)]))
-    residuals = relations.shape(inputs.shape[-1], outputs.shape[-1])
-    filler = np.repeat((np.arange(size) >= count)[:, None], residuals, 1)
-    target = Interval(np.where(filler, np.inf, 0).astype(dtype), np.where(filler, -np.inf, 0).astype(dtype))
+    lo, hi = np.asarray(relations.box.lo, dtype), np.asarray(relations.box.hi, dtype)
+    box = Interval(lo, hi)
+    zero = np.zeros((len(inputs), relations.shape(inputs.shape[-1], outputs.shape[-1])), dtype)
     depth = box.shape[0] * (np.finfo(dtype).nmant + 1) // 2
-    paving = pave(f, box, target, max_boxes=budget, max_depth=depth, args=args, solutions=solutions, cut=cut)
-    status = np.asarray(paving.status)[:count]
-    return dataclasses.replace(paving, status=status, evaluated=paving.evaluated[:count])
+    return pave(
+        f,
+        box,
+        Interval(zero, zero),
+        max_boxes=budget,
+        max_depth=depth,
+        args=windows,
+        solutions=solutions,
+        cut=cut,
+    )
 
 
 @dataclass(frozen=True)
@@ -213,7 +209,7 @@ class flat:
         return jnp.concatenate(parts) if parts else jnp.zeros(0, z.dtype)
 
 
-def recorded(y: np.ndarray, ulps: float) -> tuple[np.ndarray, np.ndarray]:
+def _recorded(y: np.ndarray, ulps: float) -> tuple[np.ndarray, np.ndarray]:
     """Return (lo, hi) of the values recorded as y (N, s + 1, p): samples are known to so many unit roundoffs
     of the largest in the window.
     """

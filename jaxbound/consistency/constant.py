@@ -103,8 +103,7 @@ class ConstantTest(SignedTest):
         sizes = margin[at]
         refuted = self.contradicted(u, y, left)
         margin[at] = np.where(refuted, -1, 0)
-        search = self._search()
-        search.settle(u, y, outs, again(search, left[~refuted]), again, progress)
+        again(self._search(), left[~refuted])
         settled = np.abs(margin[at]) > 0  # not where it is NaN, which proves nothing
         margin[at] = np.where(settled, signed(sizes, margin[at] > 0), 0)
 
@@ -181,14 +180,6 @@ def _first(reading: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
     fits = _kept(reading, strips, gains)
     margin = jnp.where(fits, jnp.maximum(1 - factor, LEAST), jnp.minimum(1 - factor, -LEAST))
     return jnp.where(jnp.all(strips.absent, 0), jnp.nan, margin)
-
-
-@kernel
-def keeps(reading: Reading, u: jax.Array, y: jax.Array, gains: jax.Array) -> jax.Array:
-    """Return (N,) bool: whether gains (g, N) are proved to keep all strips of windows u (lags, m, N), y (s +
-    1, p, N).
-    """
-    return _kept(reading, _strips(reading, u, y), gains)
 
 
 class _Strips(NamedTuple):

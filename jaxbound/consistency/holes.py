@@ -37,7 +37,7 @@ from jaxbound.models.sensor import input_slip
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.strips.chebyshev import fitted
 
-__all__ = ["HolesTest"]
+__all__ = ["TOLD", "Given", "HolesTest", "explained", "refuted"]
 
 HELD = 2**21
 """Numbers of the problems that are searched at once."""
@@ -75,17 +75,25 @@ class HolesTest(SignedTest):
         """Return the margins (N,) of windows u (lags, m, N), y (s + 1, p, N): NaN where no relation has its
         data, 0 where nothing is proved.
         """
-        given = _Given.of(HostRows(self.reading, u, y), self.reading, u)
+        given = self.given(u, y)
         frame, (c, k) = self.relations.frame, given.R.shape
         assert frame is not None
         width = k + given.most
         size = max(1, HELD // ((c + width) * width))
         parts = [np.arange(i, min(i + size, y.shape[2])) for i in range(0, y.shape[2], size)]
-        return np.concatenate([_decided(given.of_windows(part), frame, y.dtype) for part in parts])
+        return np.concatenate([self.decided(given.of_windows(part), frame, y.dtype) for part in parts])
+
+    def given(self, u: np.ndarray, y: np.ndarray) -> "Given":
+        """Return the rows of windows."""
+        return Given.of(HostRows(self.reading, u, y), self.reading, u)
+
+    def decided(self, given: "Given", frame: ExactFrame, dtype: np.dtype) -> np.ndarray:
+        """Return the margins (N,) of windows."""
+        return _decided(given, frame, dtype)
 
 
 @dataclass(frozen=True, eq=False)
-class _Given:
+class Given:
     """The rows of N windows, ordered as a frame has them, windows on the last axis.
 
     Fields: R, K: of the frame; lo, hi (c + k, N): ends of the outer rows, then of the inner ones, NaN without
@@ -109,7 +117,7 @@ class _Given:
     most: int
 
     @classmethod
-    def of(cls, rows: HostRows, reading: Reading, u: np.ndarray) -> "_Given":
+    def of(cls, rows: HostRows, reading: Reading, u: np.ndarray) -> "Given":
         """Return the rows of windows with inputs u (lags, m, N), as the frame of a reading orders them."""
         frame = reading.frame
         R, K = np.asarray(frame.R), np.asarray(frame.K)
@@ -128,10 +136,19 @@ class _Given:
         off = (1 + gamma) * (np.abs(K) @ slip)
         return cls(R, K, lo, hi, known, lost, off, size[c:], magnitude, gamma, floor, most)
 
-    def of_windows(self, part: np.ndarray | slice) -> "_Given":
+    def of_windows(self, part: np.ndarray | slice) -> "Given":
         """Return the rows of some windows."""
         names = "lo", "hi", "known", "lost", "off", "size", "magnitude", "floor"
         return replace(self, **{name: getattr(self, name)[..., part] for name in names})
+
+    @property
+    def hull(self) -> "Given":
+        """The same with ends that hold in every behaviour."""
+        return self
+
+    def excludes(self, weights: np.ndarray, value: np.ndarray, error: np.ndarray) -> np.ndarray:
+        """Return (N,) bool: whether weighted rows, less a value, are never 0; see `contradicts`."""
+        return contradicts(weights, self.lo, self.hi, value, error)
 
     @cached_property
     def there(self) -> np.ndarray:
@@ -178,7 +195,7 @@ class _Given:
         return np.concatenate([~self.there[c:].T, self.slots.T < len(self.lost)], 1)
 
 
-def _decided(given: _Given, frame: ExactFrame, dtype: np.dtype) -> np.ndarray:
+def _decided(given: Given, frame: ExactFrame, dtype: np.dtype) -> np.ndarray:
     """Return the margins (N,) of windows."""
     c, k = given.R.shape
     least = np.finfo(dtype).eps
@@ -193,27 +210,25 @@ def _decided(given: _Given, frame: ExactFrame, dtype: np.dtype) -> np.ndarray:
     h = np.where(given.there[:c], fit.h.T / unit.T, 0)
     top = np.abs(h).max(0, initial=0)
     h /= np.where(top > 0, top, 1)
-    inside = _explained(given, (fit.x * scale).T)
+    inside = explained(given, (fit.x * scale).T)
     open_ = np.flatnonzero((fit.t > 1) & ~inside & ~fit.idle)
     outside = np.zeros_like(inside)
     if len(open_):
-        outside[open_] = _refuted(
-            given.of_windows(open_), frame, h[:, open_], fit.telling[open_], free[open_]
-        )
+        outside[open_] = refuted(given.of_windows(open_), frame, h[:, open_], fit.telling[open_], free[open_])
     margin = np.nan_to_num(1 - fit.t, nan=0.0)
     margin = np.where(outside, np.minimum(margin, -least), np.where(inside, np.maximum(margin, least), 0))
     return np.where(fit.idle, np.nan, margin).astype(dtype)
 
 
-def _refuted(
-    given: _Given, frame: ExactFrame, h: np.ndarray, telling: np.ndarray, free: np.ndarray
+def refuted(
+    given: Given, frame: ExactFrame, h: np.ndarray, telling: np.ndarray, free: np.ndarray
 ) -> np.ndarray:
     """Return (N,) bool: which windows combinations h (c, N) contradict, or those near them that are exact.
 
     Args:
         telling: (N, k + n), the outer row that tells each unknown. free: which are without bounds.
     """
-    outside = _contradicted(given, h, free, _reach(given, telling, free))
+    outside = _contradicted(given, h, free, _reach(given.hull, telling, free))
     for w in np.flatnonzero(~outside):
         exact = _exactly(given, frame, h[:, w], telling[w], free[w], int(w))
         if exact is not None:
@@ -222,7 +237,7 @@ def _refuted(
     return outside
 
 
-def _explained(given: _Given, x: np.ndarray) -> np.ndarray:
+def explained(given: Given, x: np.ndarray) -> np.ndarray:
     """Return (N,) bool: which windows x (k + n, N), the deviations of inner rows and what lost inputs are,
     explains.
     """
@@ -239,7 +254,7 @@ def _explained(given: _Given, x: np.ndarray) -> np.ndarray:
     return np.asarray(np.all(within | ~given.there, 0))
 
 
-def _contradicted(given: _Given, h: np.ndarray, free: np.ndarray, reach: np.ndarray) -> np.ndarray:
+def _contradicted(given: Given, h: np.ndarray, free: np.ndarray, reach: np.ndarray) -> np.ndarray:
     """Return (N,) bool: which windows combinations h (c, N) contradict, each number of them rounded once.
 
     Args:
@@ -259,11 +274,11 @@ def _contradicted(given: _Given, h: np.ndarray, free: np.ndarray, reach: np.ndar
     error += np.where(through * reach > 0, through * reach, 0).sum(1)
     error *= 1 + 64 * (c + k) * UNIT
     # infinite where the reach of an unknown is not known
-    return contradicts(weights, given.lo, given.hi, value, error)
+    return given.excludes(weights, value, error)
 
 
 def _exactly(
-    given: _Given, frame: ExactFrame, h: np.ndarray, telling: np.ndarray, free: np.ndarray, w: int
+    given: Given, frame: ExactFrame, h: np.ndarray, telling: np.ndarray, free: np.ndarray, w: int
 ) -> np.ndarray | None:
     """Return the combination near h (c,) in which every unknown without bounds cancels exactly, None where
     there is none, or fractions would take too long.
@@ -301,7 +316,7 @@ def _exactly(
     return exact
 
 
-def _reach(given: _Given, telling: np.ndarray, free: np.ndarray) -> np.ndarray:
+def _reach(given: Given, telling: np.ndarray, free: np.ndarray) -> np.ndarray:
     """Return (N, k + n), at least the size of each unknown without bounds in every behaviour: V; infinite
     where rows do not tell.
     """

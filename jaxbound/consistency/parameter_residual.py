@@ -12,11 +12,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.bisection import ResidualRelations, Thick, recorded
+from jaxbound.consistency.bisection import ResidualRelations, Thick, thick
 from jaxbound.consistency.parameter_boxes import Ends, Hint, Look, ParameterBoxes, blocks_of, joined
 from jaxbound.consistency.parametric_windows import SEARCHED
 from jaxbound.consistency.reading import gather
-from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.sets.floats.kernel import is_outside_xla, kernel
 from jaxbound.sets.inclusion.functions import forgets, frozen
 from jaxbound.sets.intervals.interval import Interval
@@ -53,9 +52,7 @@ class ResidualBoxes(ParameterBoxes):
         self._f = Thick(frozen(relations.f))
         U, Y = gather(u, y, starts, relations.horizon + 1, relations.horizon)
         U, Y = np.moveaxis(U, -1, 0), np.moveaxis(Y, -1, 0)
-        slip = 2 * input_slip(U)  # 2: for this computation
-        windows = U - slip, U + slip, *recorded(Y, RECORDER_ULPS + 2)
-        self._windows = tuple(np.ascontiguousarray(np.moveaxis(x, 0, -1)) for x in windows)
+        self._windows = tuple(np.ascontiguousarray(np.moveaxis(x, 0, -1)) for x in thick(U, Y))
 
     def looked(
         self, boxes: Ends, box: np.ndarray, window: np.ndarray, closely: bool, hint: Hint = None

@@ -3,13 +3,16 @@ bisected.
 """
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from functools import cached_property
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
 from jaxbound.consistency.bisection import whole_budget
+from jaxbound.consistency.drive import raw_outputs
 from jaxbound.consistency.interface import (
     Again,
     Array,
@@ -24,31 +27,30 @@ from jaxbound.consistency.interface import (
 )
 from jaxbound.consistency.parametric_margins import parametric_margins
 from jaxbound.consistency.parametric_windows import (
+    BLOCK,
     LEAST,
     SEARCHED,
     Leaves,
     bisected,
-    block_of,
+    by_vertices,
     cases,
     finite,
-    judged_by,
     judged_whole,
     refuted,
 )
 from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations
 from jaxbound.consistency.reading import Block, gather
 from jaxbound.consistency.twice import warn_doubtful
-from jaxbound.consistency.unproved import within
+from jaxbound.consistency.unproved import is_traced, within
 from jaxbound.recordings.arrays import refuse_infinite
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
 from jaxbound.sets.floats.status import Status
-from jaxbound.sets.strips.polynomials import multiaffine
 
 __all__ = ["ParametricTest"]
 
 LACKING = 2**5
-"""Windows at once that lack the same samples."""
+"""Windows at once that lack the same samples, where they are few."""
 
 
 class ParametricTest(WindowTest):
@@ -63,7 +65,8 @@ class ParametricTest(WindowTest):
 
     Args:
         budget: boxes into which the parameters of a window that stays open may be cut; None: one.
-        whole: for windows that lack samples, the test of those that lack none.
+        lacking: whether windows lack samples: each pattern has kernels of its own, for too few windows to
+            compile them.
 
     Raises:
         ValueError: a budget that is no whole number >= 1.
@@ -79,41 +82,31 @@ class ParametricTest(WindowTest):
         method: str,
         dtype: DTypeLike,
         budget: Budget = None,
-        whole: "ParametricTest | None" = None,
+        lacking: bool = False,
     ) -> None:
         super().__init__(relations, method, dtype)
         self.budget = 1 if budget is None else whole_budget(budget)
-        self.kind, self.proved = judged_by(relations, method), relations.complete == "proved"
-        self.whole = whole
+        self.is_alone, self.proved = method == "box" or by_vertices(relations), relations.complete == "proved"
+        self.lacking = lacking
         # by vertices, or relation by relation, many windows are seen again at once, behind the driver
-        by_driver = self.kind != "zonotope" and self.budget == 1
-        self.confirms = not by_driver or (whole is not None and whole.confirms)
+        self.confirms = not self.is_alone or self.budget > 1
 
     @property
     def block(self) -> int:
-        """How many windows are judged at once; fewer where they lack samples: each pattern has its own."""
-        return block_of(self.kind) if self.whole is None else LACKING
+        """How many windows are judged at once; fewer where they lack samples."""
+        if self.lacking:
+            return 8 * LACKING
+        return BLOCK if self.is_alone else SEARCHED
 
     @property
     def short(self) -> int:  # type: ignore[override]  # nobody sets it, here least of all
-        """How many windows are judged at once where there are few: no fewer."""
-        return self.block
+        """How many windows are judged at once where there are few: no fewer where kernels are compiled."""
+        return LACKING if self.lacking else self.block
 
     @cached_property
     def reading(self) -> PolynomialReading:
-        """How kernels read a window: where samples are missing, in the shape of others that lack some, if it
-        fits.
-        """
-        read, whole = self.relations.reading(self.dtype, self.method), self.whole
-        if whole is None:
-            return read
-        exponents, single = whole.relations.exponents_of_losses, self.kind == "vertices"
-        count = 1 if single else whole.relations.count
-        if read.count > count or not set(read.exponents) <= set(exponents):
-            return read
-        if single and not multiaffine(exponents):
-            return read
-        return read.filled(count, exponents, whole.reading.noisy)
+        """How kernels read a window."""
+        return self.relations.reading(self.dtype, self.method)
 
     @cached_property
     def _on_device(self) -> PolynomialReading:
@@ -133,19 +126,23 @@ class ParametricTest(WindowTest):
         refuse_infinite("y", y, self.relations.model.outputs)
         tests: list[tuple[WindowTest, np.ndarray]] = []
         for case, chosen in cases(self.relations, u, y, starts):
-            test = Open(self, 0.0) if case is None else self._of(case)
+            test: WindowTest = self
+            if case is None:
+                test = Open(self, 0.0)
+            elif case is not self.relations:
+                test = ParametricTest(case, self.method, self.dtype, self.budget, lacking=True)
             tests.append((test, starts[chosen]))
         return tests
 
-    def _of(self, case: PolynomialRelations) -> "ParametricTest":
-        """Return the test of windows that lack the same samples, or none."""
-        whole = None if case is self.relations else self
-        return ParametricTest(case, self.method, self.dtype, self.budget, whole)
+    def _where(self) -> AbstractContextManager[None]:
+        """Return the context in which kernels run."""
+        return outside_xla() if self.lacking else nullcontext()
 
     def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return (status, margin, open) of blocks of windows; open is what more boxes may decide."""
         # all blocks are under way before the host waits for the first
-        whole = [judged_whole(self._read, finite(block), self.kind, self.proved) for block in blocks]
+        with self._where():
+            whole = [judged_whole(self._read, finite(block), self.is_alone, self.proved) for block in blocks]
         judged: list[Arrays] = []
         for block, (said, margin, h) in zip(blocks, whole, strict=True):
             status, doubtful = np.array(said), self._doubtful(finite(block), said, h)
@@ -157,14 +154,14 @@ class ParametricTest(WindowTest):
     def _doubtful(self, samples: Block, status: Array, h: Array | None) -> np.ndarray:
         """Return (N,) bool: which FAULT windows of a block NumPy does not refute from their samples."""
         fault: np.ndarray = np.asarray(status) == Status.FAULT
-        if is_outside_xla() or not self.confirms or not fault.any():
+        if self.lacking or is_outside_xla() or not self.confirms or not fault.any():
             return np.zeros(len(fault), bool)
         at = np.flatnonzero(fault)
         if h is None:
             chosen = np.resize(at, len(fault))
             with outside_xla():
                 u, y = samples
-                again = judged_whole(self.reading, (u[..., chosen], y[..., chosen]), self.kind, False)
+                again = judged_whole(self.reading, (u[..., chosen], y[..., chosen]), self.is_alone, False)
             proved = np.asarray(again[0])[: len(at)] == Status.FAULT
         else:
             one = np.ones((len(self.reading.size), len(at)), self.dtype)
@@ -182,8 +179,9 @@ class ParametricTest(WindowTest):
         for first in range(0, len(left), SEARCHED):
             at = left[first : first + SEARCHED] + self.horizon
             windows = finite(gather(u, y, at - self.horizon, self.lags, self.horizon))
-            now, leaves, _ = bisected(self.reading, windows, self.proved, self.budget)
-            now = self._confirmed(now, windows, leaves)
+            with self._where():
+                now, leaves, _ = bisected(self.reading, windows, self.proved, self.budget)
+                now = self._confirmed(now, windows, leaves)
             status[at] = now
             margin[at] = np.where(now == Status.FAULT, np.minimum(margin[at], -LEAST), margin[at])
             margin[at] = np.where(now == Status.CONSISTENT, np.maximum(margin[at], LEAST), margin[at])
@@ -202,4 +200,8 @@ class ParametricTest(WindowTest):
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""
-        return within(parametric_margins(self.relations, given.u, given.y), given, self.horizon)
+        if is_traced(given.u, given.y, *self.relations.bounds.values()):
+            return within(parametric_margins(self.relations, given.u, given.y), given, self.horizon)
+        test = ParametricTest(self.relations, self.method, self.dtype)
+        _, margin = raw_outputs(test, given.u, given.y, given.starts)
+        return jnp.asarray(margin)

@@ -7,31 +7,19 @@ held.
 """
 
 import math
-from collections.abc import Callable, Iterable
-from typing import TypeAlias
+from collections.abc import Iterable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency.interface import Array
-from jaxbound.consistency.parametric_windows import (
-    at_vertices,
-    block_of,
-    cases,
-    judged_by,
-    on_whole,
-    samples_of,
-    terms_of,
-)
+from jaxbound.consistency.parametric_windows import SEARCHED, by_vertices, cases, terms_of
 from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations
 from jaxbound.consistency.unproved import is_traced
 from jaxbound.sets.strips import polynomials, varying
 
 __all__ = ["parametric_margins"]
-
-Measure: TypeAlias = Callable[[PolynomialReading, Array, Array, str], jax.Array]
-"""Of (reading, u (lags, m, N), y (s + 1, p, N), kind): a number (N,) for each window."""
 
 
 def parametric_margins(relations: PolynomialRelations, u: Array, y: Array) -> jax.Array:
@@ -43,73 +31,43 @@ def parametric_margins(relations: PolynomialRelations, u: Array, y: Array) -> ja
     shape, s = y.shape[:-1], relations.horizon
     u, y = (x.reshape(math.prod(shape), x.shape[-1]) for x in (u, y))
     out = jnp.full(len(y), jnp.nan, y.dtype)
-    if not len(y):
-        return out.reshape(shape)
     samples = np.arange(len(y))
-    starts = samples[samples % shape[-1] < shape[-1] - s]
-    chosen: Iterable[tuple[PolynomialRelations | None, np.ndarray]]
+    starts = samples[samples % shape[-1] < shape[-1] - s] if len(y) else samples
+    chosen: Iterable[tuple[PolynomialRelations | None, np.ndarray]] = [(relations, np.arange(len(starts)))]
     if not is_traced(u, y):
-        u, y = np.asarray(u), np.asarray(y)
-        chosen = cases(relations, u, y, starts)
-    elif len(starts):
-        chosen = [(relations, np.arange(len(starts)))]
-    else:
-        chosen = []
+        chosen = cases(relations, np.asarray(u), np.asarray(y), starts)
     for case, own in chosen:
         found: Array | float = 0.0
-        if case is not None:
-            found = _over_blocks(_margins, case, u, y, starts[own])
+        if case is not None and len(own):
+            found = _over_blocks(case, jnp.asarray(u), jnp.asarray(y), starts[own])
         out = out.at[starts[own] + s].set(found)
     return out.reshape(shape)
 
 
-def _over_blocks(
-    measure: Measure, relations: PolynomialRelations, u: Array, y: Array, starts: np.ndarray
-) -> jax.Array:
-    """Return the numbers of the windows that start at `starts`: compiled blocks, one loop inside where
-    something is traced.
-    """
-    kind = judged_by(relations, "joint")
-    block, test = block_of(kind), relations.reading(y.dtype)
-    filled = np.concatenate([starts, np.repeat(starts[:1], -len(starts) % block)]).reshape(-1, block)
-    if not is_traced(u, y, *relations.bounds.values()):
-        assert isinstance(u, np.ndarray) and isinstance(y, np.ndarray)
-        test = jax.device_put(test)
-        blocks = [measure(test, *samples_of(test, u, y, chosen), kind) for chosen in filled]
-        return jnp.concatenate(blocks)[: len(starts)]
-    u, y = jnp.asarray(u), jnp.asarray(y)
+def _over_blocks(relations: PolynomialRelations, u: jax.Array, y: jax.Array, starts: np.ndarray) -> jax.Array:
+    """Return the margins of the windows that start at `starts`, in a loop over blocks."""
+    reading, vertices = relations.reading(y.dtype), by_vertices(relations)
+    filled = np.concatenate([starts, np.repeat(starts[:1], -len(starts) % SEARCHED)]).reshape(-1, SEARCHED)
 
     def taken(x: jax.Array, first: jax.Array, lags: int) -> jax.Array:
         return jnp.moveaxis(x[first[None] + np.arange(lags)[:, None]], 1, 2)
 
     def one_block(first: jax.Array) -> jax.Array:
-        return measure(test, taken(u, first, test.lags), taken(y, first, test.horizon + 1), kind)
+        windows = taken(u, first, reading.lags), taken(y, first, reading.horizon + 1)
+        return _smooth_margins(reading, *windows, vertices)
 
     numbers: jax.Array = jax.lax.map(one_block, jnp.asarray(filled))
     return numbers.reshape(-1)[: len(starts)]
 
 
-def _margins(reading: PolynomialReading, u: Array, y: Array, kind: str) -> jax.Array:
-    """Return 1 - gauge (N,) of windows u (lags, m, N), y (s + 1, p, N): outside of a trace by the kernels
-    that `detect` has compiled already.
+def _smooth_margins(reading: PolynomialReading, u: jax.Array, y: jax.Array, vertices: bool) -> jax.Array:
+    """Return 1 - gauge (N,) of windows u (lags, m, N), y (s + 1, p, N), with derivatives; a missing sample
+    that matters gives NaN.
     """
-    if is_traced(u, y, reading):
-        return _smooth_margins(reading, u, y, kind)
-    margin: jax.Array
-    terms = terms_of(reading, u, y)
-    if kind == "vertices":
-        _, margin = at_vertices(reading, terms, False)
-    else:
-        _, margin, *_ = on_whole(reading, terms, False)
-    return margin
-
-
-def _smooth_margins(reading: PolynomialReading, u: Array, y: Array, kind: str) -> jax.Array:
-    """Return the same, with derivatives; a missing sample that matters gives NaN."""
     value, spread, rad, _ = terms_of(reading, u, y)
     gone = jnp.isnan(value[:, 0])
     value = jnp.where(gone[:, None], 0, value)
-    if kind == "vertices":
+    if vertices:
         t = polynomials.vertex_gauge(value, spread, rad, reading.exponents)[0]
     else:
         c, G = polynomials.image(value, spread, rad, reading.exponents)

@@ -11,13 +11,13 @@ that are proved to say all. What is neither is UNDECIDED; a budget of boxes cuts
 the two proofs holds on every part.
 
 A window that lacks samples is tested by relations made for it: those without the lost rows, the lost inputs
-being unknown. All that are no more than those of a whole window, in monomials that the loss of one sample
-brings about, share one compiled shape.
+being unknown. Their kernels are evaluated in NumPy, which takes less time than compiling those of a pattern.
 
 Source: Ploix, Adrot 2006, sections 3-4; golden "Sound test".
 """
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import NamedTuple, TypeAlias, TypeVar
 
 import jax
@@ -26,7 +26,7 @@ import numpy as np
 
 from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations
 from jaxbound.consistency.reading import Block, gather
-from jaxbound.sets.floats.kernel import kernel, outside_xla
+from jaxbound.sets.floats.kernel import is_outside_xla, kernel, outside_xla
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.paving.frontier import Verdicts, explore
 from jaxbound.sets.strips import polynomials, varying
@@ -38,16 +38,16 @@ __all__ = [
     "VERTICES",
     "Leaves",
     "Terms",
-    "at_vertices",
+    "alone",
     "bisected",
-    "block_of",
+    "by_vertices",
     "candidates",
     "cases",
     "concluded",
     "finite",
-    "judged_by",
     "judged_whole",
     "on_whole",
+    "refined",
     "refuted",
     "samples_of",
     "terms_of",
@@ -140,40 +140,25 @@ def finite(windows: Block) -> Block:
     )
 
 
-def judged_by(relations: PolynomialRelations, method: str) -> str:
-    """Return how a block is judged: "vertices", "zonotope" or "box"."""
-    if method == "box":
-        return method
+def by_vertices(relations: PolynomialRelations) -> bool:
+    """Return whether the vertices of the box of parameters decide windows: a single relation's."""
     few = relations.count == 1 and len(relations.variables) <= VERTICES
-    if few and polynomials.multiaffine(relations.exponents):
-        return "vertices"
-    return "zonotope"
+    return few and polynomials.multiaffine(relations.exponents)
 
 
-def block_of(kind: str) -> int:
-    """Return how many windows are judged at once, by how they are judged."""
-    return SEARCHED if kind == "zonotope" else BLOCK
-
-
-def judged_whole(reading: PolynomialReading, samples: Block, kind: str, proved: bool) -> Judgement:
-    """Return (status, margin, h) of a block of windows."""
+def judged_whole(reading: PolynomialReading, samples: Block, is_alone: bool, proved: bool) -> Judgement:
+    """Return (status, margin, h) of a block of windows: of each relation alone, or of all together."""
     terms = terms_of(reading, *samples)
-    if kind == "zonotope":
-        status, margin, _, hints = on_whole(reading, terms, proved)
-        return status, margin, hints.h
-    alone = _box
-    if kind == "vertices":
-        alone = at_vertices
-    return *alone(reading, terms, proved), None
+    if is_alone:
+        return *alone(reading, terms, proved), None
+    status, margin, _, hints = on_whole(reading, terms, proved)
+    return status, margin, hints.h
 
 
 def _noise_part(reading: PolynomialReading, z: jax.Array) -> jax.Array:
     """Return the noises among the columns of an image."""
-    own = len(reading.noisy)
-    if reading.spare is not None:
-        own += len(reading.spare)
-    lumps = len(reading.N) if own and len(reading.exponents) > 1 else 0
-    return z[len(z) - lumps - own : len(z) - lumps]
+    lumps = len(reading.N) if reading.noisy and len(reading.exponents) > 1 else 0
+    return z[len(z) - lumps - len(reading.noisy) : len(z) - lumps]
 
 
 def _status(margin: jax.Array, inside: jax.Array) -> jax.Array:
@@ -189,15 +174,7 @@ def terms_of(reading: PolynomialReading, u: jax.Array, y: jax.Array) -> Terms:
 
 
 @kernel
-def at_vertices(reading: PolynomialReading, terms: Terms, proved: bool) -> tuple[jax.Array, jax.Array]:
-    """Return (status, margin) of a single multi-affine relation: see `polynomials.vertex_margin`."""
-    value, spread, rad, error = terms
-    margin, inside = polynomials.vertex_margin(value, spread, rad, reading.exponents, error)
-    return _status(margin, inside & proved), margin
-
-
-@kernel
-def _box(reading: PolynomialReading, terms: Terms, proved: bool) -> tuple[jax.Array, jax.Array]:
+def alone(reading: PolynomialReading, terms: Terms, proved: bool) -> tuple[jax.Array, jax.Array]:
     """Return (status, margin) where each relation is tested alone: by its vertices if it has few, else by the
     sum of all its parts.
     """
@@ -273,6 +250,28 @@ def _refuting(
     return varying.refutes(c, G, error, h)
 
 
+def _newton(reading: PolynomialReading, terms: Terms, z: jax.Array) -> tuple[jax.Array, At]:
+    """Return (the next point of Newton's method, the At of this one)."""
+    p, J, bend = polynomials.slopes(terms.value, terms.spread, terms.rad, reading.exponents, z)
+    R = varying.right_inverse(J, z)
+    moved = jnp.clip(z - jnp.sum(R * p[None], 1), z - SHARE * (1 + z), z + SHARE * (1 - z))
+    return moved, (z, p, J, bend, R)
+
+
+def refined(reading: PolynomialReading, samples: Block, z: np.ndarray) -> np.ndarray:
+    """Return points nearer to a zero than z (v, e) of windows, by some steps of Newton's method in NumPy."""
+    with outside_xla():
+        terms = terms_of(reading, *samples)
+        for _ in range(2 * TRIED[-1]):
+            z = np.asarray(_step(reading, terms, z))
+    return z
+
+
+@kernel
+def _step(reading: PolynomialReading, terms: Terms, z: jax.Array) -> jax.Array:
+    return _newton(reading, terms, z)[0]
+
+
 def _explained(reading: PolynomialReading, terms: Terms, start: jax.Array, wanted: jax.Array) -> jax.Array:
     """Say near which starts a zero is proved to exist, among the windows where that is wanted.
 
@@ -280,14 +279,7 @@ def _explained(reading: PolynomialReading, terms: Terms, start: jax.Array, wante
     room left. It is carried by a loop, so that values, slopes and proof are of one point. A proof is tried
     at the points of `TRIED`; what one of them proves stays proved, so that no window depends on another.
     """
-    value, spread, rad, error = terms
-    order = max(1, *map(sum, reading.exponents))
-
-    def newton(z: jax.Array) -> tuple[jax.Array, At]:
-        p, J, bend = polynomials.slopes(value, spread, rad, reading.exponents, z)
-        R = varying.right_inverse(J, z)
-        moved = jnp.clip(z - jnp.sum(R * p[None], 1), z - SHARE * (1 + z), z + SHARE * (1 - z))
-        return moved, (z, p, J, bend, R)
+    error, order = terms.error, max(1, *map(sum, reading.exponents))
 
     def proved(at: At) -> jax.Array:
         z, p, J, bend, R = at
@@ -298,7 +290,9 @@ def _explained(reading: PolynomialReading, terms: Terms, start: jax.Array, wante
         number, z, at, found = carry
         tried = jnp.any(number == np.array(TRIED, np.int32))
         found = jax.lax.cond(tried, lambda: found | proved(at), lambda: found)
-        moved, at = jax.lax.cond(jnp.any(wanted & ~found), lambda: newton(z), lambda: (z, at))
+        moved, at = jax.lax.cond(
+            jnp.any(wanted & ~found), lambda: _newton(reading, terms, z), lambda: (z, at)
+        )
         return number + 1, moved, at, found
 
     def going(carry: Newton) -> jax.Array:
@@ -306,7 +300,7 @@ def _explained(reading: PolynomialReading, terms: Terms, start: jax.Array, wante
         return (number <= TRIED[-1]) & jnp.any(wanted & ~found)
 
     first = jnp.clip(start, -SHARE, SHARE)
-    shapes = jax.eval_shape(newton, first)[1]
+    shapes = jax.eval_shape(partial(_newton, reading, terms), first)[1]
     nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
     *_, found = jax.lax.while_loop(going, step, (jnp.int32(0), first, nothing, jnp.zeros_like(wanted)))
     return wanted & found
@@ -368,7 +362,7 @@ def bisected(
     """
     count, n, dtype = samples[1].shape[-1], len(reading.size), samples[1].dtype
     filled = (np.concatenate([x, np.repeat(x[..., :1], SEARCHED - count, -1)], -1) for x in samples)
-    on_device = jax.device_put(reading)
+    on_device = reading if is_outside_xla() else jax.device_put(reading)
     terms = terms_of(on_device, *filled)
     boxes: list[tuple[np.ndarray, ...]] = []
     starts: list[np.ndarray] = []

@@ -8,10 +8,9 @@ some v in the box
 Source: Ploix, Adrot 2006, (6), (14).
 """
 
-import dataclasses
 from collections.abc import Collection
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar, NamedTuple, Self, TypeAlias, cast
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, Self, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -49,8 +48,7 @@ class PolynomialReading:
     Fields: window, how rows z are read; N (count, K, R) and K (count, K, l), nearest to the exact
     coefficients; size (nv,), the bounds |v_i| <= size_i; exponents, K tuples of which the first is all zeros;
     noisy, the rows whose xi_j is kept as a variable: the others are known to a few units roundoff, which
-    count as rounding. spare (count,): 1 for a row that says nothing, its own e within [-1, 1] being 0; None:
-    there is none.
+    count as rounding.
     """
 
     window: Reading
@@ -59,7 +57,6 @@ class PolynomialReading:
     size: jax.Array
     exponents: Exponents = field(metadata={"static": True})
     noisy: tuple[int, ...] = field(metadata={"static": True})
-    spare: jax.Array | None = None
 
     @property
     def horizon(self) -> int:
@@ -75,26 +72,6 @@ class PolynomialReading:
     def count(self) -> int:
         """Number of relations."""
         return self.N.shape[0]
-
-    def filled(self, count: int, exponents: Exponents, noisy: tuple[int, ...]) -> Self:
-        """Return the same relations in a larger shape, which others share with them: what is compiled for one
-        is compiled for all.
-
-        Monomials that do not occur have the coefficient 0; a row beyond the relations says that a number of
-        its own is 0.
-        """
-        place, more = [exponents.index(a) for a in self.exponents], count - self.count
-
-        def wide(x: jax.Array) -> jax.Array:
-            out = np.zeros((count, len(exponents), x.shape[2]), x.dtype)
-            out[: self.count, place] = x
-            return cast("jax.Array", out)  # on the host, as x is: kernels take arrays of either kind
-
-        own, others = np.zeros(self.count, self.N.dtype), np.ones(more, self.N.dtype)
-        spare = cast("jax.Array", np.append(own, others))
-        return dataclasses.replace(
-            self, N=wide(self.N), K=wide(self.K), exponents=exponents, noisy=noisy, spare=spare
-        )
 
     def polynomials(self, u: jax.Array, y: jax.Array) -> Polynomials:
         """Return (value, error, spread, rad): the relations of every window as polynomials in v and xi within
@@ -112,7 +89,7 @@ class PolynomialReading:
         Returns:
             value (count, K, N), where value[k, 0] is NaN if relation k needs a missing sample (what else is
             said of k then means nothing); error (count, K, N); spread (count, K, R') and rad (R', N) for the
-            noisy rows, and behind them for what is spare.
+            noisy rows.
 
         Encloses: with coefficients and bounds as exact as the model's, in real arithmetic, the value of
         relation k at v and xi is within sum_a error[k, a] |v^exponents[a]| of the above. With an infinite
@@ -144,12 +121,7 @@ class PolynomialReading:
             error = error.at[:, 0].add((1 + gamma) * rest)
         noisy = np.array(self.noisy, int)
         value = value.at[:, 0].set(jnp.where(absent, jnp.nan, value[:, 0]))
-        spread, rad = N[:, :, noisy], rad[noisy]
-        if self.spare is not None:
-            own = jnp.where(np.arange(N.shape[1])[:, None] == 0, jnp.diag(self.spare)[:, None], 0)
-            spread = jnp.concatenate([spread, own], 2)
-            rad = jnp.concatenate([rad, jnp.ones_like(value[:, 0])])
-        return Polynomials(value, error, spread, rad)
+        return Polynomials(value, error, N[:, :, noisy], rad[noisy])
 
     def _scaled(self, coefficients: jax.Array) -> jax.Array:
         """Return coefficients for v in [-1, 1]: times size^alpha."""
@@ -194,11 +166,6 @@ class PolynomialRelations(Relations):
     @property
     def exponents(self) -> Exponents:
         """The monomials of the relations and all that divide one of them, orders ascending."""
-        raise NotImplementedError
-
-    @property
-    def exponents_of_losses(self) -> Exponents:
-        """The monomials of these relations and of those for windows that lack one sample."""
         raise NotImplementedError
 
     def reading(self, dtype: DTypeLike, method: str = "joint") -> PolynomialReading:

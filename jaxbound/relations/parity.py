@@ -143,13 +143,8 @@ class ParityRelation(LinearRelations):
         return dataclasses.replace(self, frame=_frame(self.model, self.horizon, self.lags))
 
     def _search(self, dtype: DTypeLike) -> GainsTest:
-        """Return the search for gains of these relations, with the circuits where they are listed."""
-        framed = self._framed
-        assert framed.frame is not None
-        test = GainsTest(framed, dtype, frames=KeptFrames(framed.frame, framed._reframed))
-        if self.circuits:
-            test.listed = jax.device_put(self.reading(dtype))
-        return test
+        """Return the search for gains of these relations."""
+        return GainsTest(self._framed, dtype)
 
     @cached_property
     def _joint(self) -> Strips:
@@ -199,8 +194,9 @@ class ParityRelation(LinearRelations):
             raise ValueError(f"averages are tested by method 'joint': {method!r} looks at single samples")
         constant = self.model.constant_tolerance
         if method == "joint" and self.frame is not None:
-            kind = GainsTest if constant else ExchangeTest
-            return kind(self, dtype, frames=KeptFrames(self.frame, self._reframed))
+            if constant:
+                return GainsTest(self, dtype)
+            return ExchangeTest(self, dtype, frames=KeptFrames(self.frame, self._reframed))
         if constant:
             return ConstantTest(self, method, dtype, partial(self._search, dtype))
         return StripsTest(self, method, dtype)

@@ -51,8 +51,6 @@ __all__ = ["UncertainRelations", "uncertain_relations"]
 
 Polynomial: TypeAlias = list[tuple[Exponents, Fraction]]
 """[(exponents, coefficient)], the constant first."""
-LOSSES = 64
-"""Samples of a window up to which all relations without one of them are made."""
 
 
 @readable
@@ -176,23 +174,6 @@ class UncertainRelations(PolynomialRelations):
         if found is None:
             return None
         return dataclasses.replace(self, **found)
-
-    @property
-    def exponents_of_losses(self) -> tuple[Exponents, ...]:
-        """The monomials of these relations and of those that are left where a window lacks one sample: see
-        `without`.
-        """
-        rows = (self.horizon + 1) * self.model.p
-        if rows + self.K.columns > LOSSES:
-            return self.exponents
-        nothing: frozenset[int] = frozenset()
-        lost = [_without(self.model, self.horizon, frozenset([i]), nothing) for i in range(rows)]
-        lost += [_without(self.model, self.horizon, nothing, frozenset([j])) for j in range(self.K.columns)]
-        exponents = list(self.exponents)
-        for found in lost:
-            if found is not None:
-                exponents += [*found["N"].terms, *found["K"].terms]
-        return closure(tuple(exponents))
 
     def polynomials(self, u: ArrayLike, y: ArrayLike) -> Polynomials:
         """Return the relations of N windows as polynomials: see `PolynomialReading.polynomials`.

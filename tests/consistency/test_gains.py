@@ -90,21 +90,17 @@ def test_verdicts_are_those_of_a_linear_program(kind):
 
 
 @pytest.mark.parametrize("noisy", [True, False])
-def test_windows_that_are_settled_first_have_margins_that_a_linear_program_confirms(noisy):
+def test_margins_are_of_bounds_under_which_a_linear_program_explains_the_window(noisy):
     """The bounds of the noise are what matters, or those of the gains."""
-    u, y, exact = detected("plain")
+    u, y, res = detected("plain")
     r = relations("plain")
     if not noisy:
         clean = r.model.replace(noise=[0.001, 0.001], tolerance=[0, 0])
         y = np.array(jb.simulate(clean, u, jax.random.key(1)).y) * [1.045, 0.985]
-        y[120:, 1] += 3
-        exact = jb.detect(r, u, y, margins="exact")
-    res = jb.detect(r, u, y)
-    np.testing.assert_array_equal(res.status, exact.status)
-    first = res.margin != exact.margin
-    for status in (jb.Status.CONSISTENT, jb.Status.FAULT):
-        assert (first & (res.status == status)).sum() > 5
-    for k in np.flatnonzero(first & (res.status == jb.Status.CONSISTENT))[::3]:
+        res = jb.detect(r, u, y)
+    consistent = np.flatnonzero(res.status == jb.Status.CONSISTENT)
+    assert len(consistent) > 15
+    for k in consistent[::3]:
         part, share = slice(k - HORIZON, k + 1), Fraction(1 - res.margin[k])
         limits = {name: [x * share for x in getattr(r.model, name)] for name in ("noise", "tolerance")}
         assert excess(r.model.replace(**limits), u[part], y[part]) < 1e-9

@@ -6,7 +6,6 @@ from scipy.optimize import linprog
 
 import jaxbound as jb
 from jaxbound.consistency import holes, kept_frames
-from jaxbound.consistency.gains import GainsTest
 from jaxbound.sets.floats.status import Status
 
 A, B, C = [["0.9", "0.2"], ["-0.3", "0.8"]], [["0.2", "0.1"], ["0.5", "-0.4"]], [[1, 0], ["0.5", 1]]
@@ -134,22 +133,16 @@ def test_whatever_a_search_finds_no_false_verdict_follows(relations, rng, monkey
     assert exact, "some hints are still good"
 
 
-def test_holes_under_constant_gains_say_what_the_search_for_gains_says(rng, monkeypatch):
+def test_holes_under_constant_gains_are_decided(rng):
     model = jb.LinearSystem(A, B, C, noise=NOISE, tolerance=["0.02", "0.02"], constant_tolerance=True)
     r = jb.parity_relations(model, horizon=S)
     seen = set()
     for fault, gain in ((0.0, 0.98), (0.0, 0.99), (2.5, 1.0)):
         u, y = recording(rng, 60, 0.05, fault, errors="vertices")
-        quick = jb.detect(r, u, y * gain).status
+        status = jb.detect(r, u, y * gain).status
         if not fault:
-            assert not (quick == Status.FAULT).any()
-        seen |= set(quick.tolist())
-        with monkeypatch.context() as patch:
-            patch.setattr(GainsTest, "_past_holes", lambda self, u, y, margin, left, again: left)
-            slow = jb.detect(r, u, y * gain).status
-        both = (quick != Status.UNDECIDED) & (slow != Status.UNDECIDED)
-        np.testing.assert_array_equal(quick[both], slow[both])
-        assert (quick[both] > Status.UNDECIDED).sum() or not fault
+            assert not (status == Status.FAULT).any()
+        seen |= set(status.tolist())
     assert {Status.CONSISTENT, Status.FAULT} <= seen
 
 

@@ -283,7 +283,7 @@ def test_a_single_relation_is_tested_at_its_vertices(rng, runs):
 def test_a_second_call_does_not_trace(rng):
     r, (u, y) = relations("n2p1_Btwo_h3"), record(rng, "n2p1_Btwo_h3", 4, "uniform")
     jb.detect(r, u, y)
-    sizes = lambda: [f._cache_size() for f in (parametric_windows.terms_of, parametric_windows.at_vertices)]
+    sizes = lambda: [f._cache_size() for f in (parametric_windows.terms_of, parametric_windows.alone)]
     before = sizes()
     jb.detect(r, u[:3, :77], y[:3, :77])
     assert sizes() == before

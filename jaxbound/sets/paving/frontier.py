@@ -149,27 +149,12 @@ def in_blocks(
         if count < size:
             block = [np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, size - count)], mode="edge") for x in block]
         running.append((kernel(*block), count))  # runs while the host prepares the next one
-    parts = [_host(said if isinstance(said, tuple) else (said,), count) for said, count in running]
-    return tuple(_concatenated(field) for field in zip(*parts, strict=True))
-
-
-def _host(said, count):
-    """Return the first `count` columns of everything, on the host."""
-
-    def here(x: Any) -> Any:
-        return (
-            None if x is None else tuple(map(here, x)) if isinstance(x, tuple) else np.asarray(x)[..., :count]
-        )
-
-    return tuple(map(here, said))
-
-
-def _concatenated(parts):
-    if parts[0] is None:
-        return None
-    if isinstance(parts[0], tuple):
-        return tuple(_concatenated(x) for x in zip(*parts, strict=True))
-    return np.concatenate(parts, -1)
+    parts = []
+    for said, count in running:
+        fields = said if isinstance(said, tuple) else (said,)
+        parts.append(jax.tree.map(lambda x, count=count: np.asarray(x)[..., :count], fields))
+    whole: tuple[Any, ...] = jax.tree.map(lambda *x: np.concatenate(x, -1), *parts)
+    return whole
 
 
 def _join(parts: Iterable[Boxes]) -> Boxes:

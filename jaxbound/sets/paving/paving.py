@@ -12,7 +12,7 @@ and closed containment.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from typing import Any
 
@@ -24,11 +24,10 @@ from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.probe import refuse_unverified
-from jaxbound.sets.floats.status import Status
 from jaxbound.sets.inclusion.functions import forgets, frozen
 from jaxbound.sets.intervals.interval import Interval, Operand, interval
 from jaxbound.sets.paving.existence import components, continuous, is_interval_function, search
-from jaxbound.sets.paving.frontier import BLOCKS, Boxes, Kernel, Verdicts, explore, in_blocks
+from jaxbound.sets.paving.frontier import BLOCKS, Boxes, Cover, Kernel, Verdicts, explore, in_blocks
 from jaxbound.text.objects import readable
 from jaxbound.text.progress import Progress, reporter
 
@@ -190,7 +189,6 @@ def pave(
     cut = ("alternate" if solutions == "none" else "smear") if cut is None else cut
     _check_options(subdivision, q, cut, max_boxes, max_depth, solutions, plain)
     most = (10**7 if solutions != "none" else 10**8) if max_boxes is None else max_boxes
-    status, proofs, levels = None, None, 0
     if subdivision == "uniform":
         if max_depth is not None:
             raise ValueError("max_depth belongs to subdivision='adaptive': the depth of a uniform one is q")
@@ -200,7 +198,7 @@ def pave(
                 f"{q} pieces of {len(lo)} variables are {int(q) ** len(lo)} boxes, more than max_boxes = "
                 f"{most}"
             )
-        left_lo, left_hi, owner, evaluated = _uniform(f, lo, hi, goal, arguments, count, int(q), report)
+        cover = _uniform(f, lo, hi, goal, arguments, count, int(q), report)
     else:
         if goal is None:
             raise ValueError(
@@ -230,28 +228,16 @@ def pave(
             report,
             sizes,
         )
-        left_lo, left_hi, owner, evaluated, levels = (
-            cover.lo,
-            cover.hi,
-            cover.owner,
-            cover.evaluated,
-            cover.levels,
-        )
-        proofs = cover.proofs if len(cover.proofs[2]) else None
-        if proofs is not None and not (solutions == "all" and thick):
-            proofs = _distinct(proofs, solutions, kernel)
-    if goal is not None:
-        status = np.where(
-            np.bincount(owner, minlength=count) == 0, np.int8(Status.FAULT), np.int8(Status.UNDECIDED)
-        )
-        if proofs is not None:
-            status[proofs[2]] = Status.CONSISTENT
+        if solutions != "none" and not (solutions == "all" and thick) and len(cover.proofs[2]):
+            cover = replace(cover, proofs=_distinct(cover.proofs, solutions, kernel))
+    status, evaluated = None if goal is None else cover.status(count), cover.evaluated
     if single:
         status, evaluated = None if status is None else status[0], evaluated[0]
     turned = lambda lo, hi: Interval(jnp.asarray(lo.T), jnp.asarray(hi.T))
-    again = partial(_images, f, left_lo, left_hi, owner, arguments, goal.shape[1] if goal is not None else 0)
-    witness, witness_owner = (None, None) if proofs is None else (turned(*proofs[:2]), proofs[2])
-    return Paving(status, turned(left_lo, left_hi), owner, evaluated, witness, witness_owner, levels, again)
+    left, (*proofs, proved) = (cover.lo, cover.hi), cover.proofs
+    again = partial(_images, f, *left, cover.owner, arguments, goal.shape[1] if goal is not None else 0)
+    witness, witness_owner = (turned(*proofs), proved) if len(proved) else (None, None)
+    return Paving(status, turned(*left), cover.owner, evaluated, witness, witness_owner, cover.levels, again)
 
 
 def _check_options(
@@ -432,8 +418,8 @@ def _uniform(
     count: int,
     q: int,
     report: Progress,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    n = len(lo)
+) -> Cover:
+    n, none = len(lo), (np.zeros((len(lo), 0), lo.dtype),) * 2
     share = np.arange(q + 1, dtype=lo.dtype) / q
     edges = np.clip(
         lo[:, None] * (1 - share) + hi[:, None] * share, lo[:, None], hi[:, None]
@@ -443,7 +429,8 @@ def _uniform(
     cell_lo, cell_hi = (np.stack([edges[i][digits[i] + k] for i in range(n)]) for k in (0, 1))
     total = digits.shape[1]
     if goal is None:
-        return cell_lo, cell_hi, np.zeros(total, np.int32), np.array([total])
+        owner = np.zeros(total, np.int32)
+        return Cover(cell_lo, cell_hi, owner, (*none, owner[:0]), np.array([total]), 0)
     kept = []
     at_once = max(1, 2**27 // total)  # targets at once: the answers are one byte a box
     for start in range(0, count, at_once):
@@ -454,7 +441,9 @@ def _uniform(
         kept.append((which + start, cell))
         report(min(start + at_once, count) / count)
     owner, cell = (np.concatenate(x) for x in zip(*kept, strict=True))
-    return cell_lo[:, cell], cell_hi[:, cell], owner.astype(np.int32), np.full(count, total)
+    owner = owner.astype(np.int32)
+    proofs = *none, owner[:0]
+    return Cover(cell_lo[:, cell], cell_hi[:, cell], owner, proofs, np.full(count, total), 0)
 
 
 @forgets
