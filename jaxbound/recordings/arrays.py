@@ -245,33 +245,29 @@ def _told_by_clock(e: Expression, frames: Mapping[str, Any]) -> dict[str, np.nda
     return derived(e.clock, len(index), since, times.stamps)
 
 
-def without_words(model: Named, u: Data, y: Data) -> tuple[Data, Data, list[str]]:
-    """Return (u, y, sentences): tables with missing samples in the place of words.
+def without_words(model: Named, u: Data, y: Data) -> tuple[Data, Data, np.ndarray | None, list[str]]:
+    """Return (u, y, excluded, sentences): tables with missing samples in the place of words; (T,) bool, the
+    samples that the model's `where` leaves out by them, None where it has none or there is no table.
 
     Raises:
-        ValueError: a word, no error of a spreadsheet, in a row that the model's `where` does not leave out.
+        ValueError: a word, no error of a spreadsheet, in a row that is not left out.
     """
-    frames = {name: x for name, x in (("y", y), ("u", u)) if is_table(x)}
+    cleaned = {name: x for name, x in (("y", y), ("u", u)) if is_table(x)}
     odd: dict[str, OddCells] = {}
-    cleaned: dict[str, Any] = {}
-    for name, frame in frames.items():
-        cleaned[name] = frame
+    for name, frame in cleaned.items():
         for column in _text_columns(frame, model):
             numbers, cells = odd_of_frame(frame[column])
             if len(cells.rows):
                 odd[column] = cells
                 cleaned[name] = cleaned[name].assign(**{column: numbers})
-    if not odd:
-        return u, y, []
-    condition, excluded = _condition(model), None
-    if condition is not None:
+    condition, excluded, row = _condition(model), None, "row {}".format
+    if condition is not None and cleaned:
         excluded = fails(computed(condition, cleaned, "the recording"))
-    row = "row {}".format
     refuse_odd(odd, excluded, row)
     hints = error_hints(odd, excluded, row)
     if condition is not None:
         hints += unsaid_hints(odd, condition.columns, row)
-    return cleaned.get("u", u), cleaned.get("y", y), hints
+    return cleaned.get("u", u), cleaned.get("y", y), excluded, hints
 
 
 def _condition(model: Named) -> Expression | None:

@@ -15,7 +15,7 @@ from jaxbound.recordings.seams import TOLERATED_DT, TOLERATED_STEP
 from jaxbound.recordings.timestamps import EPOCHS, epoch_scale, from_epoch, scale_of, since_epoch
 from jaxbound.text.units import time_unit
 
-__all__ = ["SECONDS", "Counting", "counting_of", "read_numbers"]
+__all__ = ["SECONDS", "SECONDS_ALONE", "Counting", "Numbers", "counting_of", "numbers_of", "read_numbers"]
 
 DAY = 86400.0
 SCALES = {"ns": 1e9, "us": 1e6, "ms": 1e3, "s": 1.0, "min": 1 / 60, "h": 1 / 3600, "d": 1 / DAY}
@@ -72,6 +72,38 @@ class Counting(NamedTuple):
 
 
 SECONDS = Counting()
+
+
+class Numbers(NamedTuple):
+    """How the numbers of a time column tell the time.
+
+    Fields: counting: in seconds, or an epoch; scale: units a second of an epoch, None: they are none; origin:
+    the first number of an epoch.
+    """
+
+    counting: Counting
+    scale: float | None
+    origin: float
+
+    def times(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return (time in s, of an epoch since the first; datetime64[ns] of an epoch, else None)."""
+        values = self.counting.seconds(values)
+        if self.scale is None:
+            return values, None
+        return (values - self.origin) / self.scale, from_epoch(values, self.scale)
+
+
+SECONDS_ALONE = Numbers(SECONDS, None, 0.0)
+
+
+def numbers_of(values: np.ndarray, dt: float | None, name: str) -> tuple[Numbers, str]:
+    """Return (how the first numbers of a time column tell the time, a sentence or ""); see `counting_of`."""
+    counting = counting_of(values, dt, name)
+    values, hint = counting.seconds(values), counting.hint
+    scale = epoch_scale(values, dt)
+    if scale not in (None, 1):
+        hint = f"the time column is read as an epoch in {EPOCHS[scale]}"
+    return Numbers(counting, scale, float(values[0])), hint
 
 
 def counting_of(values: np.ndarray, dt: float | None, name: str) -> Counting:
@@ -170,15 +202,8 @@ def read_numbers(
             None,
             f"the time column is read as the digits of a clock, {clock.form}: it has no day",
         )
-    counting = counting_of(values, dt, name)
-    values = counting.seconds(values)
-    scale = epoch_scale(values, dt)
-    if scale is None:
-        return values, None, counting.hint
-    hint = counting.hint
-    if scale != 1:
-        hint = f"the time column is read as an epoch in {EPOCHS[scale]}"
-    return (values - values[0]) / scale, from_epoch(values, scale), hint
+    numbers, hint = numbers_of(values, dt, name)
+    return *numbers.times(values), hint
 
 
 class _Clock(NamedTuple):

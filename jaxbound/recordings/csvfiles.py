@@ -2,24 +2,24 @@
 names.
 """
 
-from collections.abc import Mapping
-from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import IO, TYPE_CHECKING
 
 import numpy as np
 
-from jaxbound.recordings.columns import from_arrow, valid
+from jaxbound.recordings.columns import to_arrow, valid
 from jaxbound.recordings.counting import read_numbers
-from jaxbound.recordings.csvtext import Layout, Planned, above_header, parse_columns, planned, sniff
-from jaxbound.recordings.oddcells import OddCells, error_hints, no_number, refuse_odd, unsaid_hints
+from jaxbound.recordings.csvtext import Layout, above_header, sniff
+from jaxbound.recordings.linetext import Cells, LineReader, Opened, refuse_infinite
+from jaxbound.recordings.oddcells import error_hints, no_number, refuse_odd, thousands, unsaid_hints
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.seams import check_period, rows_apart, usual_period
+from jaxbound.recordings.seams import period_of, rows_apart
 from jaxbound.recordings.selection import NO_TIME, STAMPS, TELLING, Wanted
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import Progress, Source, with_hints
-from jaxbound.recordings.timestamps import parse_stamps, with_day
+from jaxbound.recordings.thousands import all_grouped, in_doubt, may_be_grouped
+from jaxbound.recordings.timestamps import parse_stamps
 from jaxbound.text.progress import reporter
 
 if TYPE_CHECKING:
@@ -49,139 +49,116 @@ class CsvFile(Source):
 
 def _recording_of(path: Path, model: SignalModel, report: Progress) -> Recording:
     layout = sniff(path)
+
+    def opened() -> IO[bytes]:
+        return open(path, "rb", buffering=0)
+
     try:
-        plan = planned(layout, model)
+        reader = LineReader(layout, model)
     except ValueError as e:
         raise ValueError(f"{e}{above_header(layout)}") from None
     report(0.05)
-    table, odd = parse_columns(layout, plan)
+    cells, plan = reader.read(opened), reader.plan
+    _refuse_thousands(reader, opened, cells)
     report(0.7)
-    count = len(table[plan.wanted.columns[0]])
-    if count < 2:
+    if cells.rows < 2:
         raise ValueError("the file has one row of data: a recording has at least two")
-    _refuse_odd_times(layout, plan.wanted, odd)
-    written = _written_times(layout, plan.wanted, table)
-    columns = _columns_of(layout, plan, table, odd)
-    times = _times_of(layout, plan, written, model, count)
-    if plan.wanted.time is not None:  # an expression may compare it with a date
-        columns.setdefault(plan.wanted.time, times.time if times.stamps is None else times.stamps)
-    samples = plan.wanted.samples(columns, count, (times.time - times.time[0], times.stamps))
-    hints = _about_cells(layout, plan.wanted, columns, odd, samples[2])
-    recording = Recording.filed(model, samples, (times.time, times.stamps, written), path.name)
-    dt = _period_of(layout, plan.wanted, model, times.time)
+    written = _written_times(layout, plan, cells)
+    _refuse_empty(layout, plan, cells)
+    time, stamps, hint = _times_of(layout, plan, written, cells, model)
+    columns = dict(cells.columns)
+    if plan.time is not None:  # an expression may compare it with a date
+        columns.setdefault(plan.time, time if stamps is None else stamps)
+    samples = plan.samples(columns, cells.rows, (time - time[0], stamps))
+    reader.refuse(cells, samples[2], layout.row)
+    condition = () if plan.where is None else plan.where.read
+    hints = [*layout.hints, *filter(None, [hint]), *error_hints(cells.odd, samples[2], layout.row)]
+    hints += unsaid_hints(cells.odd, condition, layout.row)
+    dt = _period_of(layout, plan, model, time)
+    recording = Recording.filed(model, samples, (time, stamps, written), path.name, dt)
     report(0.9)
-    hints = [*layout.hints, *filter(None, [times.hint]), *hints]
-    return with_hints(model, replace(recording, dt=dt), layout.row, plan.wanted.condition, hints)
+    return with_hints(model, recording, layout.row, plan.condition, hints)
 
 
-class _FileTimes(NamedTuple):
-    """The times of all rows: in s; as datetime64 or None; a sentence for the owner or ""."""
-
-    time: np.ndarray
-    stamps: np.ndarray | None
-    hint: str
+_FileTimes = tuple[np.ndarray, np.ndarray | None, str]
+"""(time of all rows in s, as datetime64 or None, a sentence for the owner or "")."""
 
 
-def _written_times(layout: Layout, plan: Wanted, table: Mapping[str, "pa.Array"]) -> "pa.Array | None":
+def _refuse_thousands(reader: LineReader, opened: Opened, cells: Cells) -> None:
+    """Raise ValueError for a column whose decimal signs may be signs for thousands."""
+    layout, doubted = reader.layout, []
+    for name, values in cells.columns.items():
+        if layout.delimiter == "," or not cells.decimal or name in reader.texts or name == reader.plan.time:
+            continue  # cells that are parted by commas have decimal points
+        if may_be_grouped(values):
+            doubted.append(name)
+    if not doubted:
+        return
+    texts = reader.written(opened)
+    assert texts is not None, "it was read before"
+    for name in doubted:
+        is_other = cells.decimal == "." and layout.decimal == ","
+        places = in_doubt(texts[name], cells.columns[name], cells.decimal, is_other)
+        if places:
+            found = [f"{texts[name][k].as_py().strip()} in {layout.row(k)}" for k in places]
+            raise ValueError(thousands(name, found))
+        like = all_grouped(texts[name])
+        if like:
+            decimals = f"column {name!r} is read as decimals, like {like}"
+            layout.hints.append(f"{decimals}: if points are for thousands, write it without them")
+
+
+def _written_times(layout: Layout, plan: Wanted, cells: Cells) -> "pa.Array | None":
     """Return the times as they stand in the file, None where there are none; refuse a row without."""
     if plan.time is None:
         return None
-    written = table[plan.time]
-    if plan.day is not None:
-        written = with_day(table[plan.day], written)
+    if plan.time in cells.odd:
+        odd = cells.odd[plan.time]
+        raise ValueError(no_number(layout.row(int(odd.rows[0])), plan.time, odd.words[0]))
+    written = cells.times
+    if written is None:
+        written = to_arrow(cells.columns[plan.time])
     if written.null_count:
         first = layout.row(int(np.argmin(valid(written))))
         raise ValueError(f"{first} has no time: every row needs one, {written.null_count} do not have it")
     return written
 
 
-def _refuse_odd_times(layout: Layout, plan: Wanted, odd: Mapping[str, OddCells]) -> None:
-    """Refuse a time that is no number where others are."""
-    if plan.time is not None and plan.time in odd:
-        cells = odd[plan.time]
-        raise ValueError(no_number(layout.row(int(cells.rows[0])), plan.time, cells.words[0]))
-
-
-def _about_cells(
-    layout: Layout,
-    plan: Wanted,
-    columns: Mapping[str, np.ndarray],
-    odd: Mapping[str, OddCells],
-    excluded: np.ndarray | None,
-) -> list[str]:
-    """Return sentences on cells that hold no numbers; refuse those, and infinite ones, in rows that count."""
-    condition: tuple[str, ...] = ()
-    if plan.where is not None:
-        condition = plan.where.read
-    refuse_odd(odd, excluded, layout.row)
-    for name in plan.numbers:
-        if name in columns and columns[name].dtype.kind == "f":
-            _refuse_infinite(layout, name, np.isinf(columns[name]), excluded)
-    return [*error_hints(odd, excluded, layout.row), *unsaid_hints(odd, condition, layout.row)]
-
-
-def _refuse_infinite(layout: Layout, name: str, infinite: np.ndarray, excluded: np.ndarray | None) -> None:
-    """Refuse an infinite number in a row that counts."""
-    if excluded is not None:
-        infinite = infinite & ~excluded
-    if infinite.any():
-        first = layout.row(int(np.argmax(infinite)))
-        wrong = "is infinite or too large for a number (leave a missing sample blank)"
-        raise ValueError(f"{first} of column {name!r} {wrong}")
-
-
-def _columns_of(
-    layout: Layout, plan: Planned, table: Mapping[str, "pa.Array"], odd: Mapping[str, OddCells]
-) -> dict[str, np.ndarray]:
-    """Return {column: floats, or texts} of the columns that signals and the condition need."""
-    columns: dict[str, np.ndarray] = {}
-    for name in plan.wanted.numbers:
-        if name not in (plan.wanted.time, plan.wanted.day) or not plan.is_text:
-            columns[name] = from_arrow(table[name])
-            _refuse_empty(layout, name, columns[name], odd)
-    for name in plan.wanted.texts:
-        columns[name] = np.array(table[name].to_pylist(), object)
-    return columns
-
-
 def _times_of(
-    layout: Layout, plan: Planned, written: "pa.Array | None", model: SignalModel, count: int
+    layout: Layout, plan: Wanted, written: "pa.Array | None", cells: Cells, model: SignalModel
 ) -> _FileTimes:
     """Return the times of all rows; refuse a file without any where the model has no dt."""
-    name, dt = plan.wanted.time, model.dt
-    if name is None:
+    dt = model.dt
+    if plan.time is None:
         if not getattr(model, "regular", True):
             raise ValueError("the file has no time column, which means over intervals of a clock need")
         if dt is None:
             raise ValueError(f"the file has no time column: {NO_TIME}")
-        return _FileTimes(np.arange(count) * dt, None, f"the file has no time column: {rows_apart(dt)}")
-    if plan.is_text:
-        return _FileTimes(*parse_stamps(written, dt, layout.row))
-    seconds = from_arrow(written)
-    _refuse_infinite(layout, name, np.isinf(seconds), None)
-    return _FileTimes(*read_numbers(seconds, dt, name))
+        return (np.arange(cells.rows) * dt, None, f"the file has no time column: {rows_apart(dt)}")
+    if cells.times is not None:
+        return parse_stamps(written, dt, layout.row)
+    refuse_infinite(plan.time, cells.columns[plan.time], None, layout.row)
+    return read_numbers(cells.columns[plan.time], dt, plan.time)
 
 
 def _period_of(layout: Layout, plan: Wanted, model: SignalModel, time: np.ndarray) -> float | None:
     """Return the sampling period in s, None where there need not be one; refuse times that have another than
     the model's.
     """
-    if not getattr(model, "regular", True):
-        return None
     try:
-        dt = usual_period(time) if model.dt is None else model.dt
-        check_period(time, dt, getattr(model, "stated", "the model has"))
+        return period_of(time, model)
     except ValueError as e:
         for name in layout.names:
             if name not in (plan.time, plan.day) and layout.dated(name) in STAMPS:
                 taken = f"the time is taken from column {plan.time!r}, another is {name!r}"
                 raise ValueError(f"{e}; {taken}: say which it is, {TELLING}") from None
         raise
-    return dt
 
 
-def _refuse_empty(layout: Layout, name: str, x: np.ndarray, odd: Mapping[str, OddCells]) -> None:
+def _refuse_empty(layout: Layout, plan: Wanted, cells: Cells) -> None:
     """Refuse a column without any number."""
-    if np.isnan(x).all():
-        refuse_odd({name: odd[name]} if name in odd else {}, None, layout.row)
-        raise ValueError(f"column {name!r} holds no number at all: all {len(x)} cells are blank or NaN")
+    for name in plan.numbers:
+        if name in cells.columns and np.isnan(cells.columns[name]).all():
+            refuse_odd({name: cells.odd[name]} if name in cells.odd else {}, None, layout.row)
+            count = cells.rows
+            raise ValueError(f"column {name!r} holds no number at all: all {count} cells are blank or NaN")

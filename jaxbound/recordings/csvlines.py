@@ -10,17 +10,13 @@ such a line is refused. What stands behind the last end is no row: it may be cut
 import re
 from collections.abc import Iterator
 from functools import cache
-from os import PathLike
 from typing import IO
 
 import numpy as np
 
-from jaxbound.recordings.oddcells import ERRORS
-
-__all__ = ["BOM", "CountedLines", "is_blank", "is_open", "lines_of", "split_lines"]
+__all__ = ["BOM", "CountedLines", "is_open", "lines_of", "split_lines"]
 
 BOM = b"\xef\xbb\xbf"
-ERROR = re.compile(b"|".join(re.escape(word.encode()) for word in ERRORS))
 BLOCK = 1 << 20  # bytes looked at at once
 
 
@@ -34,9 +30,8 @@ class CountedLines:
         file: open for reading, not yet read.
 
     Fields: lines: how many there are; last: number of the last that holds more than blanks; open_end: whether
-    a block ends in a line with an open quotation mark, where a parser would not notice it; has_errors:
-    whether an error of a spreadsheet is in it; unended: at the end, whether a line without its end was left
-    out.
+    a block ends in a line with an open quotation mark, where a parser would not notice it; unended: at the
+    end, whether a line without its end was left out.
     """
 
     closed = False  # what pyarrow asks of a file
@@ -44,7 +39,7 @@ class CountedLines:
     def __init__(self, file: IO[bytes], delimiter: str = ",") -> None:
         self._file, self._delimiter, self._held = file, delimiter.encode(), b""
         self.lines = self._trailing = 0
-        self.open_end = self.has_errors = self.unended = False
+        self.open_end = self.unended = False
 
     @property
     def last(self) -> int:
@@ -71,14 +66,12 @@ class CountedLines:
         return data
 
     def _counted(self, data: bytes) -> bytes:
-        if b"#" in data:
-            self.has_errors |= ERROR.search(data) is not None
         bytes_of = np.frombuffer(data, np.uint8)
         ends = np.count_nonzero(bytes_of == 10)
         if b"\r" in data:
             returns = bytes_of == 13
             if (returns[1:] & returns[:-1]).any() and b"\r\r\n" in data:
-                return self._counted(re.sub(rb"\r\r+\n", b"\n", data))
+                return self._counted(_with_newlines(data))
             ends += np.count_nonzero(returns) - np.count_nonzero(returns[:-1] & (bytes_of[1:] == 10))
         self.lines += int(ends)
         filled = data.rstrip(b" \r\n")
@@ -110,29 +103,23 @@ def split_lines(data: bytes) -> list[bytes]:
 
 def _line_ends(data: bytes) -> list[bytes]:
     """Return the lines of bytes and what stands behind the last end, perhaps nothing."""
-    if b"\r" in data:
-        if b"\r\r\n" in data:
-            data = re.sub(rb"\r\r+\n", b"\n", data)
-        data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    return data.split(b"\n")
+    return _with_newlines(data).split(b"\n")
 
 
-def lines_of(path: str | PathLike[str]) -> Iterator[bytes]:
+def _with_newlines(data: bytes) -> bytes:
+    r"""Return bytes in which \n ends each line."""
+    if b"\r" not in data:
+        return data
+    if b"\r\r\n" in data:
+        data = re.sub(rb"\r\r+\n", b"\n", data)
+    return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+
+
+def lines_of(file: IO[bytes]) -> Iterator[bytes]:
     """Yield the lines of a file, without their ends; not one that has none."""
-    with open(path, "rb", buffering=0) as file:
-        counted = CountedLines(file)
-        while block := counted.read():
-            yield from _line_ends(block)[:-1]
-
-
-def is_blank(line: bytes, columns: int, delimiter: bytes) -> bool:
-    r"""Return whether a line holds nothing and is no row; of one column it is one, a missing sample.
-
-    Example:
-        >>> is_blank(b" ", 3, b","), is_blank(b"\t\t", 3, b"\t"), is_blank(b"", 1, b",")
-        (True, False, False)
-    """
-    return columns > 1 and not line.removeprefix(BOM).strip() and delimiter not in line
+    counted = CountedLines(file)
+    while block := counted.read():
+        yield from _line_ends(block)[:-1]
 
 
 def is_open(line: bytes, delimiter: bytes) -> bool:

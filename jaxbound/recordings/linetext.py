@@ -1,147 +1,126 @@
-"""Lines of CSV of one stream: how they are written, and the cells of some of them."""
+"""Lines of CSV to columns, of a file or of a few lines that came through a pipe.
 
-import re
-from collections.abc import Sequence
-from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING
+Columns are parsed by pyarrow, only those that are wanted. When that fails, or gives another number of rows
+than there are lines, a second, slow pass finds the row and says what stands there.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from io import BytesIO
+from typing import IO, TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from jaxbound.recordings.columns import from_arrow
+from jaxbound.recordings.csvlines import CountedLines, lines_of
 from jaxbound.recordings.csvtext import (
     BLANK,
+    BLANK_CELLS,
     MISSING_CELLS,
+    NUMBER,
     UNCLOSED,
-    cells_of,
-    converting,
+    UNENDED,
+    Layout,
     is_number,
-    numbered_columns,
-    parsing,
-    planned,
-    sniff,
 )
-from jaxbound.recordings.oddcells import no_number, thousands
+from jaxbound.recordings.oddcells import OddCells, no_number, refuse_odd
+from jaxbound.recordings.selection import wanted
 from jaxbound.recordings.signals import SignalModel
-from jaxbound.recordings.thousands import Doubt
 from jaxbound.recordings.timestamps import with_day
 
 if TYPE_CHECKING:
     import pyarrow as pa
+    import pyarrow.csv as pc
 
-__all__ = ["FEW", "SOURCE", "Cells", "LineReader", "WrongCells"]
+__all__ = ["FEW", "Cells", "LineReader", "Opened", "refuse_infinite"]
 
-FEW = 8  # lines that are read one by one
-PLAIN = re.compile(r" *[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)? *", re.ASCII)
-SOURCE = "standard input"
-Cells = tuple[dict[str, np.ndarray], "pa.Array | None"]
-"""({column: (N,) numbers or texts}, the time as texts or None where it is a column of numbers or none)."""
+FEW = 8  # lines that are read one by one, sooner than pyarrow gets going
+Opened = Callable[[], IO[bytes]]
+"""Opens the bytes of the lines, from their beginning."""
 
 
-class WrongCells(ValueError):
-    """The first row of data does not fit the header."""
+class Cells(NamedTuple):
+    """The wanted columns of some rows.
+
+    Fields: columns: {name: (N,) floats, NaN where there is none, or texts, None where there is none}; times:
+    the time as it is written, a pyarrow array of texts, or None where it is a column of numbers or none; odd:
+    of columns of numbers, the cells that hold none; rows: N; decimal: the sign of all numbers, "" where some
+    cells hold none.
+    """
+
+    columns: dict[str, np.ndarray]
+    times: "pa.Array | None"
+    odd: dict[str, OddCells]
+    rows: int
+    decimal: str = ""
 
 
 class LineReader:
-    """Reads lines without their ends.
+    """Reads lines of one layout.
 
     Args:
-        head: the header and the first line of data, before them perhaps one with the delimiter, as bytes.
-            model: whose signals are wanted.
+        layout: of the text; its .blank and .hints are filled. model: whose signals are wanted.
 
-    Fields: head; layout (`csvtext.Layout`); plan (`selection.Wanted`); index: {column: its number}; texts:
-    columns that are not read as numbers; is_text: the time is written as text.
+    Fields: layout; plan (`selection.Wanted`); index: {column: its number}; texts: columns that are not read
+    as numbers; is_text: the time is written as text.
 
     Raises:
-        WrongCells: the first line of data has more or fewer cells than the header. ValueError: a column is
-            not there, no header, no text.
+        ValueError: see `selection.wanted`.
     """
 
-    def __init__(self, head: list[bytes], model: SignalModel) -> None:
-        import pyarrow.csv as pc
+    def __init__(self, layout: Layout, model: SignalModel) -> None:
+        self.layout, names, first = layout, layout.names, layout.first[0]
+        self.plan = wanted(names, model, layout.dated)
+        if self.plan.time is None and names[0] == "" and first and not is_number(first, layout.decimal):
+            self.plan = replace(self.plan, time="")  # an index of time stamps without a name, as of pandas
+        self.index = {name: names.index(name) for name in self.plan.columns}
+        self.texts, time = {*self.plan.texts}, self.plan.time
+        self.is_text = time is not None and not is_number(layout.first[self.index[time]], layout.decimal)
+        if self.is_text:
+            self.texts |= {name for name in (time, self.plan.day) if name is not None}
 
-        try:
-            layout = sniff(Path(SOURCE), b"\n".join(head) + b"\n")
-            plan = planned(layout, model)
-        except ValueError as e:
-            raise ValueError(f"{SOURCE}: {str(e).replace('the file', 'the stream')}") from None
-        self.head, self.layout = head, layout
-        self.plan, self.index, self.is_text, self.texts = plan
-        if not self.fits(head[-1]) or layout.is_open(head[-1]):
-            raise WrongCells(self.trouble(head[-1]))
-        self.doubts: dict[str, Doubt] = {}
-        if layout.delimiter != ",":
-            self.doubts = {name: Doubt() for name in self.index if name not in {*self.texts, self.plan.time}}
-        # one thread: lines come a few at a time
-        names = numbered_columns(layout)
-        self.reading = pc.ReadOptions(column_names=names, encoding=layout.encoding, use_threads=False)
-        self.parsing, self.converting = parsing(layout), converting(layout, plan)
-
-    def cells(self, line: bytes) -> list[str]:
-        """Return the cells of a line as texts."""
-        text = line.decode(self.layout.encoding, "replace")
-        return cells_of(text, self.layout.delimiter, spaced=False)
-
-    def _cell(self, lines: Sequence[bytes], number: int, k: int) -> str:
-        """Return the cell of a column in line k."""
-        return self.cells(lines[k])[number]
-
-    def is_row(self, line: bytes) -> bool:
-        """Return whether a line is a row, or where no time shows that one is missing, may have been meant for
-        one.
-        """
-        return self.plan.time is None or not self.layout.is_blank(line)
-
-    def fits(self, line: bytes) -> bool:
-        """Return whether a line has as many cells as the header."""
-        return len(self.cells(line)) == len(self.layout.names)
-
-    def columns(self, lines: list[bytes]) -> Cells:
-        """Return ({column: (N,) numbers or texts}, the time as a pyarrow array of texts, or None where it is
-        a column of numbers or none).
+    def read(self, opened: Opened) -> Cells:
+        """Return the cells of all rows.
 
         Raises:
-            ValueError: some line cannot be read, or holds an infinite number.
+            ValueError: a row that cannot be read, or is not what pyarrow took for one: which, and why.
         """
-        cells = None
-        if len(lines) <= FEW:
-            cells = self._few(lines)
-        if cells is None:
-            cells = self._many(lines)
-        for name, x in cells[0].items():
-            if x.dtype != object and np.isinf(x).any():
-                raise ValueError(f"of column {name!r} is infinite")
-            if name in self.doubts:
-                odd = self.doubts[name].next_odd(x, partial(self._cell, lines, self.index[name]))
-                if odd:
-                    raise ValueError(f"of {thousands(name, [f'{odd} behind whole numbers'])}")
-        return cells
+        for decimal in self.layout.decimals:
+            # the first rows may be whole numbers, which do not show the decimal sign of those below
+            table = self._table(opened, decimal)
+            if table is not None:
+                return self._cells(table, {}, decimal)
+        texts = self.written(opened)
+        if texts is None:
+            raise ValueError(self._bad_row(opened))
+        readings = [self._numbers_among(texts, sign) for sign in self.layout.decimals]
+        return min(readings, key=lambda cells: sum(len(odd.rows) for odd in cells.odd.values()))
 
-    def numbers_in(self, line: bytes) -> Cells:
-        """Return the same as `columns` of one line, in which a cell that is no number is a missing sample.
+    def written(self, opened: Opened) -> "dict[str, pa.Array] | None":
+        """Return all columns as the texts that stand there; None where some row cannot be read."""
+        return self._table(opened, None)
+
+    def read_few(self, lines: Sequence[bytes]) -> Cells:
+        """Return the cells of a few lines without their ends, as `read` does.
 
         Raises:
-            ValueError: it has not as many cells as the header, or an open quotation mark.
+            ValueError: a line that is no row.
         """
-        import pyarrow as pa
-
-        cells = self.cells(line)
-        if len(cells) != len(self.layout.names) or self.layout.is_open(line):
-            raise ValueError("is no row")
-        columns: dict[str, np.ndarray] = {}
-        times: dict[str, pa.Array] = {}
-        for name, i in self.index.items():
-            cell = cells[i].strip()
-            is_missing = cell in MISSING_CELLS
-            if name in self.plan.texts:
-                columns[name] = np.array([None if is_missing else cells[i]], object)
-            elif name in self.texts:
-                times[name] = pa.array([None if is_missing else cells[i]], pa.string())
-            elif is_number(cell, self.layout.decimal):
-                columns[name] = np.array([float(cell.replace(self.layout.decimal, "."))])
-            else:
-                columns[name] = np.array([np.nan])
-        return columns, self._time_of(times)
+        if len(lines) > FEW:
+            cells = self.read(lambda: BytesIO(b"\n".join(lines) + b"\n"))
+            if not cells.decimal:  # a few lines at a time have a sign each, however a stream is cut
+                raise ValueError("some cells hold no numbers")
+            return cells
+        rows: list[list[str]] = []
+        for line in lines:
+            row = self.layout.text(line).split(self.layout.delimiter)
+            if b'"' in line:
+                row = self.layout.cells(line)
+            if len(row) != len(self.layout.names) or self.layout.is_open(line):
+                raise ValueError(self.trouble(line))
+            rows.append(row)
+        return self._plain_cells(rows)
 
     def trouble(self, line: bytes) -> str:
         """Return the trouble with a line, as far as its cells show; or ""."""
@@ -149,7 +128,7 @@ class LineReader:
             return UNCLOSED
         if self.layout.is_blank(line):
             return BLANK
-        cells = self.cells(line)
+        cells = self.layout.cells(line)
         if len(cells) != len(self.layout.names):
             return f"has {len(cells)} cells, the header has {len(self.layout.names)} columns"
         for name, i in self.index.items():
@@ -159,81 +138,122 @@ class LineReader:
                 return no_number("", name, cell).strip()
         return ""
 
-    def stamp(self, line: bytes) -> str:
-        """Return the time of a line as it is written, the day before the clock where they have columns of
-        their own.
+    def refuse(self, cells: Cells, excluded: np.ndarray | None, row: Callable[[int], str]) -> None:
+        """Raise ValueError if a cell holds no number, or an infinite one, in a row that `where` does not
+        leave out.
         """
-        cells = self.cells(line)
-        halves = [name for name in (self.plan.day, self.plan.time) if name is not None]
-        return " ".join(cells[self.index[name]].strip() for name in halves)
+        refuse_odd(cells.odd, excluded, row)
+        for name in self.plan.numbers:
+            if name in cells.columns:
+                refuse_infinite(name, cells.columns[name], excluded, row)
 
-    def _few(self, lines: list[bytes]) -> Cells | None:
-        """Return the same as `_many`, sooner than pyarrow gets going; None where it must look at lines."""
+    def _plain_cells(self, rows: Sequence[Sequence[str]]) -> Cells:
+        """Return the cells of rows, the numbers of each by the decimal sign that leaves least of it over."""
         import pyarrow as pa
 
-        if self.plan.texts:
-            return None
-        rows: list[list[str]] = []
-        for line in lines:
-            cells = line.decode(self.layout.encoding, "replace").split(self.layout.delimiter)
-            if len(cells) != len(self.layout.names) or b'"' in line:
-                return None
-            rows.append([cells[i] for i in self.index.values()])
         columns: dict[str, np.ndarray] = {}
         times: dict[str, pa.Array] = {}
-        for name, column in zip(self.index, zip(*rows, strict=True), strict=True):
-            if name in self.texts:
-                times[name] = pa.array([None if c in MISSING_CELLS else c for c in column], pa.string())
-                continue
-            numbers = self._plain_numbers(column)
-            if numbers is None:
-                return None
-            columns[name] = numbers
-        return columns, self._time_of(times)
-
-    def _plain_numbers(self, cells: Sequence[str]) -> np.ndarray | None:
-        """Return the numbers in cells, NaN where one is missing; None where some is written otherwise."""
-        numbers: list[float] = []
-        for cell in cells:
-            if self.layout.decimal == ",":
-                cell = cell.replace(",", ".")
-            if cell in MISSING_CELLS:
-                numbers.append(np.nan)
-            elif PLAIN.fullmatch(cell):
-                numbers.append(float(cell))
-            else:
-                return None
-        return np.array(numbers)
-
-    def _many(self, lines: list[bytes]) -> Cells:
-        """Return ({column: (N,) numbers or texts}, the time as a pyarrow array of texts or None)."""
-        table = self._table(b"\n".join(lines) + b"\n")
-        if table.num_rows != len(lines) or self.layout.is_open(lines[-1]):
-            raise ValueError(UNCLOSED)
-        columns: dict[str, np.ndarray] = {}
-        times: dict[str, pa.Array] = {}
+        odd: dict[str, OddCells] = {}
+        read = [self._numbers_in(row) for row in rows]
         for name, i in self.index.items():
-            cells = table[f"f{i}"].combine_chunks()
+            written = [None if row[i] in BLANK_CELLS else row[i] for row in rows]
             if name in self.plan.texts:
-                columns[name] = np.array(cells.to_pylist(), object)
+                columns[name] = np.array(written, object)
             elif name in self.texts:
-                times[name] = cells
+                times[name] = pa.array([None if x in MISSING_CELLS else x for x in written], pa.string())
             else:
-                columns[name] = from_arrow(cells)
-        return columns, self._time_of(times)
+                numbers = [row[name] for row in read]
+                columns[name] = np.array([np.nan if x is None else x for x in numbers])
+                bad = [k for k, x in enumerate(numbers) if x is None]
+                if bad:
+                    odd[name] = OddCells(np.array(bad), [rows[k][i].strip() for k in bad])
+        return Cells(columns, self._time_of(times), odd, len(rows))
 
-    def _table(self, body: bytes) -> "pa.Table":
+    def _numbers_in(self, row: Sequence[str]) -> dict[str, float | None]:
+        """Return {column: its number in a row, NaN of a blank cell, None where it holds none}."""
+        best: dict[str, float | None] = {}
+        fewest = math.inf
+        for sign in self.layout.decimals:
+            numbers = {n: _number(row[i], sign) for n, i in self.index.items() if n not in self.texts}
+            count = list(numbers.values()).count(None)
+            if count < fewest:
+                best, fewest = numbers, count
+            if not count:
+                break
+        return best
+
+    def _table(self, opened: Opened, decimal: str | None) -> "dict[str, pa.Array] | None":
+        """Return the wanted columns; None where some row or cell cannot be read. decimal: of numbers; None:
+        all are read as texts.
+        """
         import pyarrow as pa
         import pyarrow.csv as pc
 
-        for convert in self.converting:
+        # those in the file may stand twice
+        names = [f"f{i}" for i in range(len(self.layout.names))]
+        # a block has to hold a whole line, and a line of thousands of columns is longer than a megabyte
+        size = max(1 << 20, 64 * len(names), 16 * sum(map(len, self.layout.names)))
+        read = pc.ReadOptions(
+            column_names=names, skip_rows=self.layout.skip, encoding=self.layout.encoding, block_size=size
+        )
+        with opened() as file:
+            lines = CountedLines(file, self.layout.delimiter)
             try:
-                return pc.read_csv(pa.BufferReader(body), self.reading, self.parsing, convert)
-            except pa.ArrowInvalid:
-                continue
-        raise ValueError("cannot be read")
+                table = pc.read_csv(lines, read, self._parsing(), self._converting(decimal))
+            except (pa.ArrowInvalid, pa.ArrowKeyError, UnicodeError):
+                table = None
+        if lines.unended and (table is not None or lines.lines <= self.layout.skip):
+            self._note_unended(lines.lines + 1)
+        if table is None:
+            return None
+        self._refuse_lost_rows(opened, lines, table.num_rows)
+        return {name: table[f"f{i}"].combine_chunks() for name, i in self.index.items()}
 
-    def _time_of(self, texts: "dict[str, pa.Array]") -> "pa.Array | None":
+    def _parsing(self) -> "pc.ParseOptions":
+        """Return the options by which lines are taken apart: a blank one is no row; where there is one column
+        it is a missing sample.
+        """
+        import pyarrow.csv as pc
+
+        def of_wrong_length(row: "pc.InvalidRow") -> str:
+            if self.layout.is_blank(row.text.encode()):
+                return "skip"
+            return "error"
+
+        return pc.ParseOptions(
+            delimiter=self.layout.delimiter,
+            newlines_in_values=False,
+            ignore_empty_lines=len(self.layout.names) > 1,
+            invalid_row_handler=of_wrong_length,
+        )
+
+    def _converting(self, decimal: str | None) -> "pc.ConvertOptions":
+        """Return the options by which cells are read, see `_table`."""
+        import pyarrow as pa
+        import pyarrow.csv as pc
+
+        kinds = dict.fromkeys([f"f{i}" for i in self.index.values()], pa.string())
+        if decimal is not None:
+            kinds |= {f"f{i}": pa.float64() for name, i in self.index.items() if name not in self.texts}
+        return pc.ConvertOptions(
+            include_columns=list(kinds),
+            decimal_point=decimal or ".",
+            null_values=list(BLANK_CELLS),
+            strings_can_be_null=True,
+            column_types=kinds,
+        )
+
+    def _cells(self, table: "Mapping[str, pa.Array]", odd: dict[str, OddCells], decimal: str = "") -> Cells:
+        """Return the cells of columns of numbers and of texts."""
+        columns: dict[str, np.ndarray] = {}
+        for name in self.index:
+            if name in self.plan.texts:
+                columns[name] = np.array(table[name].to_pylist(), object)
+            elif name not in self.texts:
+                columns[name] = from_arrow(table[name])
+        return Cells(columns, self._time_of(table), odd, len(next(iter(table.values()))), decimal)
+
+    def _time_of(self, texts: "Mapping[str, pa.Array]") -> "pa.Array | None":
         """Return the time of columns of texts; None where it is a column of numbers or none."""
         if not self.is_text:
             return None
@@ -241,3 +261,96 @@ class LineReader:
         if self.plan.day is None:
             return texts[self.plan.time]
         return with_day(texts[self.plan.day], texts[self.plan.time])
+
+    def _numbers_among(self, texts: "Mapping[str, pa.Array]", decimal: str) -> Cells:
+        """Return the cells of columns of texts, as numbers with this decimal sign."""
+        columns, odd = dict(texts), {}
+        for name in texts:
+            if name not in self.texts:
+                columns[name], cells = _numbers_of(texts[name], decimal)
+                if len(cells.rows):
+                    odd[name] = cells
+        return self._cells(columns, odd)
+
+    def _note_unended(self, number: int) -> None:
+        """Say once that the last line has no end; refuse a file without any row before it."""
+        if number <= self.layout.skip + 1:
+            raise ValueError(f"row {number}, the only one, {UNENDED}")
+        note = f"row {number}, the last, {UNENDED}"
+        if note not in self.layout.hints:
+            self.layout.hints.append(note)
+
+    def _refuse_lost_rows(self, opened: Opened, counted: CountedLines, rows: int) -> None:
+        """Raise ValueError unless every line below the header is a row that was read; note those that are
+        blank.
+        """
+        layout, last, blank = self.layout, counted.last, self.layout.blank
+        if len(layout.names) == 1:  # a blank line is a row there
+            last = counted.lines
+        # pyarrow counts rows, CountedLines lines: they differ where a quotation mark took line ends in
+        if rows == last - layout.skip and not counted.open_end:
+            return
+        blank.clear()
+        with opened() as file:
+            for number, line in enumerate(lines_of(file), 1):
+                if number <= layout.skip or number > last:
+                    continue
+                if layout.is_open(line):
+                    raise ValueError(f"row {number} {UNCLOSED}")
+                if layout.is_blank(line):
+                    blank.append(number)
+        lines = last - layout.skip - len(blank)
+        if rows != lines:
+            remedy = "write the file again without quotation marks"
+            raise ValueError(f"of {lines} rows {rows} can be read: {remedy}")
+        between = [number for i, number in enumerate(blank) if number > layout.skip + 1 + i]
+        if between and self.plan.time is None:
+            raise ValueError(f"row {between[0]} {BLANK}")
+
+    def _bad_row(self, opened: Opened) -> str:
+        """Return a sentence on the first row that is none, or has a cell that is no number."""
+        with opened() as file:
+            for number, line in enumerate(lines_of(file), 1):
+                if number > self.layout.skip and not self.layout.is_blank(line):
+                    trouble = self.trouble(line)
+                    if trouble:
+                        return f"row {number} {trouble}"
+        return "the file cannot be read"
+
+
+def refuse_infinite(name: str, x: np.ndarray, excluded: np.ndarray | None, row: Callable[[int], str]) -> None:
+    """Raise ValueError for an infinite number in a row that is not left out."""
+    infinite = np.isinf(x)
+    if excluded is not None:
+        infinite &= ~excluded
+    if infinite.any():
+        wrong = "is infinite or too large for a number (leave a missing sample blank)"
+        raise ValueError(f"{row(int(np.argmax(infinite)))} of column {name!r} {wrong}")
+
+
+def _number(cell: str, decimal: str) -> float | None:
+    """Return the number in a cell, NaN of a blank one; None where it holds none."""
+    if cell in BLANK_CELLS:
+        return np.nan
+    text = cell.strip()
+    if decimal != ".":  # a point stands in no number then
+        text = text.replace(".", "#").replace(decimal, ".")
+    if NUMBER.fullmatch(text) is None:
+        return None
+    return float(text)
+
+
+def _numbers_of(cells: "pa.Array", decimal: str) -> "tuple[pa.Array, OddCells]":
+    """Return (floats, null where there is none, the cells that are no numbers) of a column of texts."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    trimmed = pc.utf8_trim_whitespace(cells)
+    plain = trimmed
+    if decimal != ".":  # a point stands in no number then
+        plain = pc.replace_substring(pc.replace_substring(trimmed, ".", "#"), decimal, ".")
+    plain = pc.utf8_ltrim(plain, "+")
+    is_number = pc.match_substring_regex(plain, f"^({NUMBER.pattern})$", ignore_case=True)
+    numbers = pc.if_else(is_number, plain, pa.scalar(None, pa.string())).cast(pa.float64())
+    odd = np.flatnonzero(pc.fill_null(pc.invert(is_number), False).to_numpy(zero_copy_only=False))
+    return numbers, OddCells(odd, trimmed.take(pa.array(odd)).to_pylist())

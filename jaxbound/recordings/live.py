@@ -14,6 +14,7 @@ one that ends is a recording: `detect(relations, read(readings(model), model))`.
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
 from runpy import run_path
 from typing import Any
@@ -24,16 +25,14 @@ from jaxbound.recordings.expressions import TIME_SINCE_START, expression, is_exp
 from jaxbound.recordings.means import every_of
 from jaxbound.recordings.meansource import means_source
 from jaxbound.recordings.recording import NOWHERE, Recording
-from jaxbound.recordings.seams import around, check_period, tick
+from jaxbound.recordings.seams import check_period
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import Progress, Source
 from jaxbound.recordings.stream import Complain, Stream, Taken, digests_of
-from jaxbound.recordings.timestamps import from_epoch, time_label
 
 __all__ = ["LiveSource", "Readings", "joined"]
 
 NAMED = re.compile(r"(.+\.py):([A-Za-z_]\w*)")
-EPOCH = 1e9  # a time in seconds that large is counted from 1970
 
 
 class LiveSource(Source):
@@ -138,14 +137,6 @@ class Readings(Stream):
         assert piece.time is not None, "a piece of this stream has times"
         return float(piece.time[k])
 
-    def label(self, when: str | float) -> str:
-        """Return a time as text."""
-        seconds = float(when)
-        stamp = None
-        if seconds > EPOCH:
-            stamp = np.datetime64(round(seconds * 1e9), "ns")
-        return time_label(seconds, stamp, self.dt)
-
     def _new(self, piece: Recording) -> Recording:
         """Return the samples of a reading that were not judged before, with the seams before and in them."""
         counted = piece.time is None
@@ -161,24 +152,19 @@ class Readings(Stream):
             piece, time, digests = piece.cut(old, piece.samples), time[old:], digests[old:]
             if not piece.samples:
                 return piece
-            if self.skipped:
-                self.complain("replay", self.skipped_text)
         self.taken.add(digests)
-        known = self.clock.samples
-        starts = NOWHERE
+        starts = [NOWHERE]
         if self.regular:
             check_period(time, self.dt)
-            self.clock, seams = tick(self.clock, time)
-            starts = np.union1d(np.union1d(piece.starts, seams - known), around(piece.excluded))
+            starts = [piece.starts]
         elif counted:
             raise ValueError("a reading has no times: means over intervals need a column of times")
-        else:
-            self.clock = replace(self.clock, samples=known + len(time), last=float(time[-1]))
         if self.resumed and counted:
             self.complain("replay", "no time says whether samples were lost between: windows begin anew")
-            starts = np.union1d(starts, [0])
+            starts.append(np.zeros(1, np.int64))
         self.resumed = False
-        return replace(piece, time=time, origin=0.0, starts=starts.astype(np.int64))
+        starts += self.seams(time, piece.excluded)
+        return replace(piece, time=time, origin=0.0, starts=np.unique(np.concatenate(starts)))
 
     def _times(self, piece: Recording) -> np.ndarray:
         """Return the times of samples in s, counted from one instant in all pieces."""
@@ -201,17 +187,8 @@ def _names_used(model: SignalModel) -> set[str]:
 def joined(model: SignalModel, readings: Iterable[Any]) -> Recording:
     """Return the readings of a stream that ends as one Recording."""
     stream = Readings(model, readings)
-    whole: Recording | None = None
-    seams: list[np.ndarray] = []
-    for first, piece in stream.pieces(stream.raw):
-        seams.append(piece.starts + first)
-        if whole is None:
-            whole = piece
-        else:
-            whole = whole.followed(piece)
-    if whole is None:
+    pieces = [piece for _, piece in stream.pieces(stream.raw)]
+    if not pieces:
         raise ValueError("there is no reading: a recording has at least two samples")
-    stamps = None
-    if stream.clock.last > EPOCH and whole.time is not None:
-        stamps = from_epoch(whole.time, 1.0)
-    return replace(whole, starts=np.unique(np.concatenate(seams)), stamps=stamps, hints=())
+    whole = reduce(Recording.followed, pieces)
+    return replace(whole, stamps=whole.dates, hints=())

@@ -11,7 +11,7 @@ count only where they are whole. A condition holds in an interval where it holds
 fails where it fails at each: else it is `IN_PART`.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -75,6 +75,10 @@ class Grid(NamedTuple):
         return self._replace(
             number=self.number[here], first=self.first[here], stop=self.stop[here], whole=self.whole[here]
         )
+
+    def lacks(self, rows: np.ndarray) -> None:
+        """Let no interval of some rows be whole."""
+        self.whole[np.searchsorted(self.first, rows, "right") - 1] = False
 
     def time(self, zero: int) -> np.ndarray:
         """Return the beginnings of the intervals in s. zero: number of the interval that dates count from."""
@@ -257,45 +261,30 @@ def _length(every: str, usual: int) -> int:
 
 
 def finished(
-    instant: np.ndarray,
-    broken: np.ndarray,
-    every: str,
-    usual: int,
-    origin: np.datetime64 | None,
-    has_before: bool,
-    begun: bool,
+    rows: Rows, every: str, usual: int, origin: np.datetime64 | None, has_before: bool, begun: bool
 ) -> tuple[Grid, int]:
     """Return (intervals of a stream that are over, number of the first row of the one that is not).
 
     Args:
-        instant: (N,) ns, of the rows that are kept. broken: (N,) bool, rows before which something was lost.
-        every, usual, origin: as of `grid_of`. has_before: whether the first row is the last one of an
-            interval that was over before. begun: whether that interval, or one before, counted.
+        rows: those that are kept. every, usual, origin: as of `grid_of`. has_before: whether the first row is
+            the last one of an interval that was over before. begun: whether that interval, or one before,
+            counted.
 
     Raises:
         ValueError: an interval that is shorter than the usual step.
     """
-    length = _length(every, usual)
-    number, step = instant // length, np.diff(instant)
-    first = np.append(0, np.flatnonzero((np.diff(number) != 0) | (step < 0)) + 1)
-    odd = _beside_holes(instant, number, step, usual, length)
-    lost = np.flatnonzero(broken)
-    odd += [lost, lost[lost > 0] - 1]
-    if not has_before and (instant[0] - usual) // length >= number[0]:
-        odd.append(np.zeros(1, np.int64))
-    whole = np.ones(len(first), bool)
-    whole[np.searchsorted(first, np.concatenate(odd), "right") - 1] = False
-    grid = Grid(number[first], first, np.append(first[1:], len(instant)), whole, length, origin)
-    last = len(first) - 1
+    grid = _intervals([rows.instant], every, usual, origin, has_before)
+    lost = np.flatnonzero(rows.broken)
+    grid.lacks(np.append(lost, lost[lost > 0] - 1))
+    last = len(grid.first) - 1
     if begun:  # behind the one before, from which empty intervals are counted
         spread = _with_empty(grid.part(0, last))
-        return spread.part(1, len(spread.number)), int(first[last])
+        return spread.part(1, len(spread.number)), int(grid.first[last])
     # a recording begins with an interval that is whole, or with the second one
-    ahead = int(has_before or not whole[0])
-    over = grid.part(ahead, last)
+    over = grid.part(int(has_before or not grid.whole[0]), last)
     if len(over.number):
         over = _with_empty(over)
-    return over, int(first[last])
+    return over, int(grid.first[last])
 
 
 def grid_of(
@@ -317,6 +306,32 @@ def grid_of(
     Raises:
         ValueError: an interval that is shorter than the usual step, or no interval that is whole.
     """
+    last = np.zeros(0, np.int64)
+
+    def seen() -> Iterator[np.ndarray]:
+        nonlocal last
+        for chunk in chunks:
+            last = chunk[-1:] if len(chunk) else last
+            yield chunk
+
+    grid = _intervals(seen(), every, usual, origin)
+    if (last[0] + (shortest or usual)) // grid.every <= last[0] // grid.every:
+        grid.lacks(grid.stop[-1:] - 1)
+    if number is None:
+        return _with_empty(_without_ends(grid, every))
+    return _from(grid, every, number)
+
+
+def _intervals(
+    chunks: Iterable[np.ndarray],
+    every: str,
+    usual: int,
+    origin: np.datetime64 | None,
+    has_before: bool = False,
+) -> Grid:
+    """Return the intervals of rows, whole where no sample is lacking between these; arguments as of `grid_of`
+    and `finished`.
+    """
     length = _length(every, usual)
     firsts: list[np.ndarray] = []
     numbers: list[np.ndarray] = []
@@ -334,21 +349,16 @@ def grid_of(
         odd += [at + row for row in _beside_holes(instant, own, step, usual, length)]
         if not len(last):
             begins = np.append(0, begins)
-            if (instant[0] - usual) // length >= own[0]:
+            if not has_before and (instant[0] - usual) // length >= own[0]:
                 odd.append(np.zeros(1, np.int64))
         firsts.append(at + begins)
         numbers.append(own[begins])
         rows += len(chunk)
         last = instant[-1:]
-    if len(last) and (last[0] + (shortest or usual)) // length <= last[0] // length:
-        odd.append(np.array([rows - 1]))
     first, each = np.concatenate(firsts), np.concatenate(numbers)
-    whole = np.ones(len(first), bool)
-    whole[np.searchsorted(first, np.concatenate(odd), "right") - 1] = False
-    grid = Grid(each, first, np.append(first[1:], rows), whole, length, origin)
-    if number is None:
-        return _with_empty(_without_ends(grid, every))
-    return _from(grid, every, number)
+    grid = Grid(each, first, np.append(first[1:], rows), np.ones(len(first), bool), length, origin)
+    grid.lacks(np.concatenate(odd))
+    return grid
 
 
 def _beside_holes(

@@ -6,12 +6,13 @@ samples is the same however the recording is cut.
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, reduce
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jaxbound.recordings.clockintervals import seconds_of
 from jaxbound.recordings.columns import from_arrow, moments, to_arrow
 from jaxbound.recordings.means import (
     Grid,
@@ -25,12 +26,10 @@ from jaxbound.recordings.means import (
     recorded_model,
     usual_step,
 )
-from jaxbound.recordings.parquet import PROBE, ParquetSource
+from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.seams import Clock, around, tick
-from jaxbound.recordings.selection import Wanted
 from jaxbound.recordings.signals import SignalModel
-from jaxbound.recordings.source import Progress, Source, overlapping, with_hints
+from jaxbound.recordings.source import PartSource, Progress, Source, with_hints
 from jaxbound.recordings.timestamps import SECOND
 
 if TYPE_CHECKING:
@@ -101,31 +100,15 @@ class MeansSource(Source):
         return self.raw.whole(progress)
 
 
-class PartMeans(MeansSource):
+class PartMeans(PartSource, MeansSource):
     """The means of a recording in Parquet files, none of which is held in memory."""
 
-    parts = True
     raw: ParquetSource
 
-    @property
-    def path(self) -> Path:
-        """The path as given."""
-        return self.raw.path
-
-    @property
-    def dtype(self) -> np.dtype:
-        """The type that outputs were recorded in."""
-        return self.raw.dtype
-
-    @property
-    def dt(self) -> float:
-        """The interval in s."""
-        return self.grid.every / 1e9
-
-    @property
-    def hints(self) -> tuple[str, ...]:
-        """Sentences on how the files were read."""
-        return self.raw.hints
+    def __init__(self, raw: ParquetSource, data: object, model: SignalModel) -> None:
+        super().__init__(raw, data, model)
+        self.path, self.dtype, self.hints, self.plan = raw.path, raw.dtype, raw.hints, raw.plan
+        self.dt = seconds_of(self.every)
 
     @property
     def layout(self) -> str:
@@ -152,15 +135,6 @@ class PartMeans(MeansSource):
         except ValueError as e:
             raise ValueError(f"{raw.path}: {e}") from None
 
-    @property
-    def plan(self) -> Wanted:
-        """The columns that are read."""
-        return self.raw.plan
-
-    def probe(self) -> Recording:
-        """Return the first 100 000 samples."""
-        return self._part(0, min(self.samples, PROBE))
-
     def unchanged(self, *files: Path) -> None:
         """Raise ValueError if one of the files was written since it was opened."""
         self.raw.unchanged(*files)
@@ -180,47 +154,23 @@ class PartMeans(MeansSource):
         """Return the time of sample k in seconds."""
         return float(self.grid.part(k, k + 1).time(self._zero)[0])
 
-    def stamp(self, seconds: float) -> np.datetime64 | None:
-        """Return the time stamp that lies so many seconds behind the first, or None where there are none."""
+    @property
+    def zero(self) -> np.datetime64 | None:
+        """The time stamp of 0 s, or None where there are none."""
         stamps = self.grid.part(0, 1).stamps
-        if stamps is None:
-            return None
-        begin: np.datetime64 = stamps[0]
-        return begin + np.timedelta64(round(seconds * 1e9), "ns")
+        return None if stamps is None else stamps[0]
 
     def times(self, start: int, written: "pa.Array") -> tuple[np.ndarray, np.ndarray | None]:
         """Return (seconds, datetime64[ns] or None) of a column of times of means."""
         times = from_arrow(written)
-        stamps = self.grid.part(0, 1).stamps
-        if stamps is None:
+        if self.zero is None:
             return times, None
-        return (times - stamps[0]) / SECOND, times
+        return (times - self.zero) / SECOND, times
 
-    def find(self, text: str) -> None:
-        """Return None: times are not searched in files, but found by number."""
-        return None
-
-    def pieces(
-        self, size: int, overlap: int = 0, first: int = 0, stop: int | None = None
-    ) -> Iterator[tuple[int, Recording]]:
-        """Yield (number of its first sample, Recording) of `size` samples each, behind the `overlap` before
-        them.
-        """
-        end = self.samples if stop is None else stop
-        chunks = ((at, self._part(at, min(at + size, end))) for at in range(first, end, size))
-        return overlapping(chunks, overlap, self.dt)
-
-    def read(self, first: int = 0, stop: int | None = None, progress: Progress | None = None) -> Recording:
-        """Return the samples first..stop as one Recording, with its seams; hints only if that is all."""
-        end = self.samples if stop is None else stop
-        r = self._part(first, end)
-        if end - first < self.samples:
-            _, seams = tick(Clock(self.dt), r.time)
-            return replace(r, starts=np.union1d(seams, around(r.excluded)))
-        try:
-            return with_hints(self.model, r, self.row, self.raw.plan.condition, self.hints)
-        except ValueError as e:
-            raise ValueError(f"{self.path}: {e}") from None
+    def chunks(self, first: int, stop: int, size: int) -> Iterator[tuple[int, Recording]]:
+        """Yield (number of its first sample, Recording) of `size` samples each."""
+        for at in range(first, stop, size):
+            yield at, self._part(at, min(at + size, stop))
 
     @property
     def _zero(self) -> int:
@@ -229,33 +179,22 @@ class PartMeans(MeansSource):
 
     def _part(self, first: int, stop: int) -> Recording:
         """Return the samples first..stop without starts and hints, of some rows at a time."""
-        u: list[np.ndarray] = []
-        y: list[np.ndarray] = []
-        left_out: list[np.ndarray | None] = []
-        like: Recording | None = None
+        pieces: list[Recording] = []
         at = first
         while at < stop:
             rows = int(self.grid.first[at]) + ROWS
             end = min(max(int(np.searchsorted(self.grid.stop, rows, "right")), at + 1), stop)
             part = self.grid.part(at, end)
             like = self._recorded(int(part.first[0]), int(part.stop[-1]))
-            samples = like.u, like.y, like.excluded
-            means = means_of(part, int(part.first[0]), *samples, self.model.m)
-            u.append(means[0])
-            y.append(means[1])
-            left_out.append(means[2])
+            means = means_of(part, int(part.first[0]), like.u, like.y, like.excluded, self.model.m)
+            pieces.append(like.on_grid(part, self._zero, means))
             at = end
-        assert like is not None, "a part has samples"
-        excluded = None
-        if like.excluded is not None:
-            excluded = np.concatenate(cast("list[np.ndarray]", left_out))
-        grid = self.grid.part(first, stop)
-        return like.on_grid(grid, self._zero, (np.concatenate(u), np.concatenate(y), excluded))
+        return reduce(Recording.followed, pieces)
 
     def _recorded(self, first: int, stop: int) -> Recording:
         """Return the rows first..stop as they were recorded; where there are none, one that is in no mean."""
         stop = max(stop, first + 1)
         if stop > self.raw.samples:
             first, stop = self.raw.samples - 1, self.raw.samples
-        ((_, table),) = self.raw.tables(first, stop, stop - first)
-        return self.raw.chunk(first, table)
+        ((_, recorded),) = self.raw.chunks(first, stop, stop - first)
+        return recorded

@@ -19,20 +19,15 @@ from jaxbound.recordings.means import (
     Rows,
     every_of,
     finished,
-    instants,
     means_of,
     midnight_of,
     usual_step,
 )
 from jaxbound.recordings.recording import NOWHERE, Recording
-from jaxbound.recordings.seams import tick
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stream import Stream
-from jaxbound.recordings.timestamps import from_epoch, time_label
 
 __all__ = ["MeansStream"]
-
-SINCE_1970 = 1e9  # a time in seconds that large is counted from 1970
 
 
 class MeansStream(Stream):
@@ -51,7 +46,7 @@ class MeansStream(Stream):
         self.usual: int | None = None  # step in ns
         self.origin: np.datetime64 | None = None
         self.zero: int | None = None  # number of the first interval that counts
-        self.has_before = self.aside = False
+        self.has_before = False
         if memory is not None:
             self._resume_from(memory)
 
@@ -66,7 +61,7 @@ class MeansStream(Stream):
         if memory["rows"] is not None:
             self.rows = self._rows_of(memory["rows"])
         self.usual, self.zero = memory["usual"], memory["zero"]
-        self.has_before, self.aside = memory["has_before"], memory["aside"]
+        self.has_before = memory["has_before"]
         if memory["origin"] is not None:
             self.origin = np.datetime64(memory["origin"], "ns")
 
@@ -100,7 +95,6 @@ class MeansStream(Stream):
             "origin": origin,
             "zero": self.zero,
             "has_before": self.has_before,
-            "aside": self.aside,
         }
 
     def pieces(self, arrivals: Iterator[Any]) -> Iterator[tuple[int, Recording]]:
@@ -123,32 +117,12 @@ class MeansStream(Stream):
                 "means", f"of {FIRST} samples that show the usual step some did not come: none is judged"
             )
 
-    def when(self, piece: Recording, k: int) -> str | float:
-        """Return the time of a sample: its text, or seconds."""
-        when: str | float = piece.column[k].as_py()
-        return when
-
-    def label(self, when: str | float) -> str:
-        """Return a time from `when` as a reader would write it."""
-        if isinstance(when, str):
-            return when
-        return time_label(when, None, self.dt)
-
     def _take(self, piece: Recording) -> None:
         """Keep the samples of a piece."""
-        assert piece.time is not None, "a piece of a stream has times"
-        stamps = piece.stamps
-        if stamps is None and float(piece.time[0]) > SINCE_1970:
-            stamps = from_epoch(piece.time, 1.0)
         if self.rows is None:
-            self.origin = midnight_of(stamps)
-        excluded = piece.excluded
-        if excluded is None:
-            excluded = np.zeros(piece.samples, bool)
-        broken = np.zeros(piece.samples, bool)
-        broken[piece.starts] = True
-        instant = instants(piece.time, stamps, self.origin)
-        rows = Rows(instant, np.asarray(piece.u, float), np.asarray(piece.y, float), excluded, broken)
+            self.origin = midnight_of(piece.dates)
+        rows = replace(piece, u=np.asarray(piece.u, float), y=np.asarray(piece.y, float)).rows(self.origin)
+        rows.broken[piece.starts] = True
         if self.rows is not None:
             rows = self.rows.followed(rows)
         self.rows = rows
@@ -163,9 +137,7 @@ class MeansStream(Stream):
                 return None
             self.usual = usual_step(rows.instant, self.every)
         begun = self.zero is not None
-        done, rest = finished(
-            rows.instant, rows.broken, self.every, self.usual, self.origin, self.has_before, begun
-        )
+        done, rest = finished(rows, self.every, self.usual, self.origin, self.has_before, begun)
         if rest:
             self.rows, self.has_before = rows.behind(rest - 1), True
         if not len(done.number):
@@ -184,11 +156,4 @@ class MeansStream(Stream):
         means = like.on_grid(grid, self.zero, samples)
         if means.stamps is not None:
             means = replace(means, written=moments(to_arrow(means.stamps)))
-        before = self.clock.samples
-        self.clock, seams = tick(self.clock, means.time)
-        starts = seams - before
-        if means.excluded is not None:
-            edges = np.diff(means.excluded.astype(np.int8), prepend=np.int8(self.aside))
-            starts = np.union1d(starts, np.flatnonzero(edges))
-            self.aside = bool(means.excluded[-1])
-        return replace(means, starts=starts.astype(np.int64))
+        return replace(means, starts=np.union1d(*self.seams(means.time, means.excluded)))

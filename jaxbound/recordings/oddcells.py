@@ -34,25 +34,14 @@ class OddCells(NamedTuple):
     rows: np.ndarray
     words: Sequence[str]
 
-    def counting(self, excluded: np.ndarray | None) -> "OddCells":
-        """Return those in rows that `where`, (N,) bool or None, does not leave out."""
-        if excluded is None:
-            return self
-        return self._among(np.flatnonzero(~excluded[self.rows]).tolist())
-
-    def errors(self) -> "OddCells":
-        """Return those that are errors of a spreadsheet."""
-        return self._which(True)
-
-    def others(self) -> "OddCells":
-        """Return those that are other words."""
-        return self._which(False)
-
-    def _which(self, are_errors: bool) -> "OddCells":
-        return self._among([i for i, word in enumerate(self.words) if (word in ERRORS) == are_errors])
-
-    def _among(self, chosen: list[int]) -> "OddCells":
-        return OddCells(self.rows[chosen], [self.words[i] for i in chosen])
+    def among(self, excluded: np.ndarray | None, errors: bool) -> "OddCells":
+        """Return those that are errors of a spreadsheet, or the other words, in rows that `where`, (N,) bool
+        or None, does not leave out.
+        """
+        pairs = zip(self.rows.tolist(), self.words, strict=True)
+        chosen = [(k, word) for k, word in pairs if (word in ERRORS) == errors]
+        chosen = [(k, word) for k, word in chosen if excluded is None or not excluded[k]]
+        return OddCells(np.array([k for k, _ in chosen], np.int64), [word for _, word in chosen])
 
 
 Odd = Mapping[str, OddCells]
@@ -84,7 +73,7 @@ def refuse_odd(odd: Odd, excluded: np.ndarray | None, row: Callable[[int], str])
     """
     found: list[tuple[int, int, str, str]] = []
     for place, (column, cells) in enumerate(odd.items()):
-        counting = cells.others().counting(excluded)
+        counting = cells.among(excluded, errors=False)
         for k, word in zip(counting.rows.tolist(), counting.words, strict=True):
             found.append((k, place, column, word))
     if not found:
@@ -101,7 +90,7 @@ def error_hints(odd: Odd, excluded: np.ndarray | None, row: Callable[[int], str]
     """Return a sentence for each column with errors of a spreadsheet in rows that count; as `refuse_odd`."""
     sentences: list[str] = []
     for column, cells in odd.items():
-        errors = cells.errors().counting(excluded)
+        errors = cells.among(excluded, errors=True)
         if not errors.words:
             continue
         one = f"{len(errors.words)} cells of column {column!r} hold"

@@ -9,14 +9,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from jaxbound.recordings.columns import from_arrow, valid
 from jaxbound.recordings.contents import Contents
-from jaxbound.recordings.counting import SECONDS, Counting, counting_of
-from jaxbound.recordings.expressions import Expression
+from jaxbound.recordings.counting import SECONDS_ALONE, Numbers, numbers_of
 from jaxbound.recordings.parquetfiles import (
     PARTIAL,
     SUFFIXES,
@@ -31,32 +30,25 @@ from jaxbound.recordings.parquetfiles import (
     spans_of,
 )
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.seams import Clock, around, check_period, rows_apart, tick, usual_period
-from jaxbound.recordings.selection import NO_TIME, Wanted, source_columns
+from jaxbound.recordings.seams import period_of, rows_apart
+from jaxbound.recordings.selection import NO_TIME, Column, Wanted
 from jaxbound.recordings.signals import SignalModel
-from jaxbound.recordings.source import Progress, Source, overlapping, with_hints
+from jaxbound.recordings.source import PROBE, PartSource
 from jaxbound.recordings.timestamps import (
-    EPOCHS,
-    epoch_scale,
-    from_epoch,
     in_ns,
     iso_stamps,
     since_epoch,
     time_label,
 )
-from jaxbound.text.progress import reporter
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 __all__ = ["PARTIAL", "VERDICTS", "ParquetSource", "is_parquet", "open_parquet"]
 
-PROBE = 100_000  # samples that show the sampling period, the unit of time and the rounding of the recorder
 BATCH = 1 << 16  # rows decoded at once at least
 Types = dict[str, "pa.DataType"]
 """{column: its type}."""
-Origin = Any
-"""The instant that times are counted from: a float of an epoch, a datetime64 of time stamps, or None."""
 
 
 def is_parquet(path: Path) -> bool:
@@ -72,7 +64,7 @@ def is_parquet(path: Path) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class ParquetSource(Source):
+class ParquetSource(PartSource):
     """A recording in Parquet files, none of which is held in memory. Build it with `open_parquet`.
 
     Fields:
@@ -82,8 +74,8 @@ class ParquetSource(Source):
         dt: sampling period in s, of the model, or else as the time column shows it.
         dtype: float32 if an output, or what it is computed from, is stored so, else float64: what was rounded
             away is counted in the type it was recorded in.
-        begin: time of the first sample in s. origin: what the time is counted from; scale: units a second of
-            a numeric time column that is an epoch, or None; counting: how its numbers count before that.
+        begin: time of the first sample in s. origin: the first time stamp, None where the time is written
+            as numbers; numbers: how these tell it.
         hints: sentences on how the files were read.
         states: (bytes, time of the last change) of each file when it was opened.
     """
@@ -95,14 +87,12 @@ class ParquetSource(Source):
     plan: Wanted
     dtype: np.dtype
     dt: float
-    origin: Origin = None
-    scale: float | None = None
-    counting: Counting = SECONDS
+    origin: np.datetime64 | None = None
+    numbers: Numbers = SECONDS_ALONE
     hints: tuple[str, ...] = ()
     states: tuple[tuple[int, int], ...] = ()
     begin: float = 0.0
 
-    parts = True
     as_recorded = True
 
     @classmethod
@@ -142,7 +132,8 @@ class ParquetSource(Source):
         if self.path.is_dir():
             names = list(map(self.name, self.files))
         files = [(name, size) for name, (size, _) in zip(names, self.states, strict=True)]
-        counting = (self.counting,) if self.counting.unit else ()
+        counting, scale, origin = self.numbers
+        begin = self.origin if scale is None else origin
         return repr(
             (
                 files,
@@ -150,9 +141,9 @@ class ParquetSource(Source):
                 self.plan.columns,
                 self.time_name,
                 str(self.dtype),
-                str(self.origin),
-                self.scale,
-                *counting,
+                str(begin),
+                scale,
+                *([counting] if counting.unit else []),
             )
         )
 
@@ -187,12 +178,11 @@ class ParquetSource(Source):
             return f"{row} of {self.name(self.files[i])}"
         return row
 
-    def tables(self, first: int, stop: int, size: int) -> Iterator[tuple[int, "pa.Table"]]:
-        """Yield (number of its first sample, pyarrow table) for the samples first..stop, `size` rows each,
-        the last one what is left.
+    def chunks(self, first: int, stop: int, size: int) -> Iterator[tuple[int, Recording]]:
+        """Yield (number of its first sample, Recording) of `size` samples each, the last one what is left.
 
         Raises:
-            ValueError: a file is damaged.
+            ValueError: a file is damaged; a sample is infinite or too large, or has no time.
         """
         import pyarrow as pa
 
@@ -204,16 +194,11 @@ class ParquetSource(Source):
                 held.append(part)
                 rows, batch = rows + len(part), batch.slice(len(part))
                 if rows == size or start + rows == stop:
-                    yield start, pa.Table.from_batches(held)
+                    yield start, self._chunk(start, pa.Table.from_batches(held))
                     held, rows, start = [], 0, start + rows
 
-    def chunk(self, start: int, table: "pa.Table") -> Recording:
-        """Return the samples of a table from `tables` as a Recording without hints and without starts; those
-        left out are .excluded.
-
-        Raises:
-            ValueError: a sample is infinite or too large, or has no time.
-        """
+    def _chunk(self, start: int, table: "pa.Table") -> Recording:
+        """Return the samples of a table, which begins at sample `start`."""
         columns: dict[str, np.ndarray] = {}
         written = stamps = None
         time = np.arange(start, start + len(table)) * self.dt
@@ -228,48 +213,11 @@ class ParquetSource(Source):
         for name in self.plan.texts:
             columns[name] = np.array(table.column(name).to_pylist(), object)
         try:
-            begin = time[0] if start == 0 else self.begin
-            samples = self.plan.samples(columns, len(table), (time - begin, stamps), self.dtype, start)
+            since = time - self.begin
+            samples = self.plan.samples(columns, len(table), (since, stamps), self.dtype, start)
         except ValueError as e:
             raise ValueError(f"{self.path}: {e}") from None
-        recording = Recording.filed(self.model, samples, (time, stamps, written), self.path.name)
-        return replace(recording, dt=self.dt)
-
-    def pieces(
-        self, size: int, overlap: int = 0, first: int = 0, stop: int | None = None
-    ) -> Iterator[tuple[int, Recording]]:
-        """Yield (number of its first sample, Recording) of `size` samples each, behind the `overlap` before
-        them. See `tables`, `chunk`.
-        """
-        if stop is None:
-            stop = self.samples
-        chunks = ((at, self.chunk(at, table)) for at, table in self.tables(first, stop, size))
-        return overlapping(chunks, overlap, self.dt)
-
-    def find(self, text: str) -> None:
-        """Return None: times are not searched in files, but found by number."""
-        return None
-
-    def read(self, first: int = 0, stop: int | None = None, progress: Progress | None = None) -> Recording:
-        """Return the samples first..stop as one Recording, with its seams; hints only if that is all of them.
-
-        Raises:
-            ValueError: as `tables` and `chunk`; more seams than steps of one sampling period, if these are
-                all samples.
-        """
-        report = reporter(progress)
-        if stop is None:
-            stop = self.samples
-        ((_, table),) = self.tables(first, stop, stop - first)
-        report(0.7)
-        r = self.chunk(first, table)
-        if stop - first < self.samples:
-            _, seams = tick(Clock(self.dt), r.time)
-            return replace(r, starts=np.union1d(seams, around(r.excluded)))
-        try:
-            return with_hints(self.model, r, self.row, self.plan.condition, self.hints)
-        except ValueError as e:
-            raise ValueError(f"{self.path}: {e}") from None
+        return Recording.filed(self.model, samples, (time, stamps, written), self.path.name, self.dt)
 
     def name(self, file: Path) -> str:
         """Return how the user knows one of the files."""
@@ -313,10 +261,7 @@ class ParquetSource(Source):
 
     def _is_computed_with(self, column: str) -> bool:
         """Return whether a signal, the condition or a factor is an expression over a column."""
-        signals = (*self.plan.inputs, *self.plan.outputs)
-        if any(isinstance(signal, Expression) and column in signal.columns for signal in signals):
-            return True
-        return any(column in self.plan.own(e) for e in self.plan.computed)
+        return any(column in self.plan.own(e) for e in self.plan.every if not isinstance(e, Column))
 
     def _numbers(self, start: int, name: str, column: "pa.ChunkedArray") -> np.ndarray:
         """Return a column as floats, NaN where a sample is missing."""
@@ -354,10 +299,7 @@ class ParquetSource(Source):
             return (stamps - origin) / np.timedelta64(1, "s"), stamps
         values = since_epoch(from_arrow(written.cast(pa.float64(), safe=False)))
         self._refuse_untimed(start, np.isfinite(values))
-        values = self.counting.seconds(values)
-        if self.scale is None:
-            return values, None
-        return (values - self.origin) / self.scale, from_epoch(values, self.scale)
+        return self.numbers.times(values)
 
     def _stamps(self, start: int, written: "pa.Array") -> np.ndarray:
         """Return datetime64[ns] of a piece of a column of time stamps, dates or ISO 8601 texts."""
@@ -382,16 +324,12 @@ class ParquetSource(Source):
             row = self.row(start + int(np.argmin(known)))
             raise ValueError(f"{self.path}: {row} has no time: every row needs one")
 
-    def stamp(self, seconds: float) -> np.datetime64 | None:
-        """Return the time stamp that lies so many seconds behind the first, or None where the time is in
-        seconds.
-        """
-        if self.origin is None:
-            return None
-        origin: np.datetime64 = self.origin
-        if self.scale is not None:
-            origin = np.datetime64(round(self.origin * (1e9 / self.scale)), "ns")
-        return origin + np.timedelta64(round(seconds * 1e9), "ns")
+    @property
+    def zero(self) -> np.datetime64 | None:
+        """The time stamp of 0 s, or None where the time is in seconds."""
+        if self.numbers.scale is None:
+            return self.origin
+        return np.datetime64(round(self.numbers.origin * (1e9 / self.numbers.scale)), "ns")
 
     def clock(self, size: int, stop: int) -> Iterator[tuple[np.ndarray, np.ndarray | None]]:
         """Yield (seconds, datetime64[ns] or None) of the rows before `stop`, about `size` at once."""
@@ -409,11 +347,6 @@ class ParquetSource(Source):
         size = min(self.samples, PROBE)
         rows = pa.Table.from_batches(self._batches(0, size, size, [self.time_name]))
         return self.times(0, _one_array(rows.column(0)))
-
-    def probe(self) -> Recording:
-        """Return the first 100 000 samples."""
-        ((_, table),) = self.tables(0, min(self.samples, PROBE), PROBE)
-        return self.chunk(0, table)
 
 
 def open_parquet(path: str | PathLike[str], model: SignalModel) -> ParquetSource:
@@ -443,7 +376,7 @@ def open_parquet(path: str | PathLike[str], model: SignalModel) -> ParquetSource
         raise ValueError(f"{path}: {how_many} of data: a recording has at least two")
     types = found.types
     plan = plan_of(list(types), types, model, found.dated)
-    single = any(types.get(c) == pa.float32() for signal in plan.outputs for c in source_columns(signal))
+    single = any(types.get(c) == pa.float32() for signal in plan.outputs for c in signal.read)
     dtype = np.dtype(np.float32 if single else np.float64)
     hints: tuple[str, ...] = ()
     zone = None
@@ -548,28 +481,14 @@ def _clocked(source: ParquetSource) -> ParquetSource:
     if stamps is not None:
         source = replace(source, origin=stamps[0])
     else:
-        counting = counting_of(time, dt, str(source.time_name))
-        source = replace(source, counting=counting, hints=(*source.hints, *filter(None, [counting.hint])))
-        time, _ = source.first_times()
-        scale = epoch_scale(time, dt)
-        if scale is not None:
-            if scale != 1:
-                epoch = f"the time column is read as an epoch in {EPOCHS[scale]}"
-                source = replace(source, hints=(*source.hints, epoch))
-            source = replace(source, origin=float(time[0]), scale=scale)
-            time, _ = source.first_times()
-    source = replace(source, begin=float(time[0]))
+        numbers, hint = numbers_of(time, dt, str(source.time_name))
+        source = replace(source, numbers=numbers, hints=(*source.hints, *filter(None, [hint])))
+        time, _ = numbers.times(time)
     try:
-        if not regular:
-            dt = 1.0  # of nothing: rows are as far apart as they are
-            source = replace(source, dt=dt)
-        elif dt is None:
-            dt = usual_period(time)
-            source = replace(source, dt=dt)
-        if regular:
-            check_period(time, dt, getattr(source.model, "stated", "the model has"))
+        dt = period_of(time, source.model)
     except ValueError as e:
         raise ValueError(f"{source.path}: {e}") from None
+    source = replace(source, begin=float(time[0]), dt=dt or 1.0)  # else rows are as far apart as they are
     if len(source.files) > 1:
         _refuse_disorder(source)
     return source

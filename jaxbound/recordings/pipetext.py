@@ -6,69 +6,38 @@ spans it. What has been taken is remembered in a few numbers and lines, so that 
 behind it, whether the sender begins again or not.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from functools import partial, reduce
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from jaxbound.recordings.columns import to_arrow
-from jaxbound.recordings.counting import SECONDS, Counting, counting_of
+from jaxbound.recordings.counting import SECONDS, Counting, Numbers, counting_of
 from jaxbound.recordings.csvlines import BOM, split_lines
-from jaxbound.recordings.csvtext import UNENDED, is_number
-from jaxbound.recordings.factors import known
-from jaxbound.recordings.linetext import SOURCE, Cells, LineReader, WrongCells
+from jaxbound.recordings.csvtext import BLANK, UNENDED, is_number, sniff
+from jaxbound.recordings.linetext import Cells, LineReader, refuse_infinite
+from jaxbound.recordings.oddcells import thousands
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.seams import TOLERATED_STEP, check_period, rows_apart, tick
+from jaxbound.recordings.seams import TOLERATED_STEP, check_period, rows_apart
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stream import Complain, OtherSamples, Stream, Taken, digests_of
-from jaxbound.recordings.timestamps import (
-    EPOCH,
-    SECOND,
-    from_epoch,
-    parse_stamps,
-    scale_of,
-    since_epoch,
-    time_label,
-)
+from jaxbound.recordings.thousands import Doubt
+from jaxbound.recordings.timestamps import parse_stamps, scale_of, since_epoch
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 __all__ = ["PipeText"]
 
+SOURCE = "standard input"
 LONGEST = 1 << 20  # bytes of a line
 SHOWN = 100  # samples whose steps say whether the sampling period is the model's
 TOLD = 20  # seams of one piece that get a sentence
 Line = tuple[int, bytes]
 """A line with its number."""
-
-
-class _LineSamples(NamedTuple):
-    """The samples of some lines, before they are a Recording.
-
-    Fields: time (N,) in s; written, the time as it stands there, numbers or a pyarrow array of texts; u, y;
-    starts, excluded, stamps: as of a Recording; stamps where steps may differ.
-    """
-
-    time: np.ndarray
-    written: Any
-    u: np.ndarray
-    y: np.ndarray
-    starts: np.ndarray
-    excluded: np.ndarray | None
-    stamps: np.ndarray | None = None
-
-    def behind(self, first: int) -> "_LineSamples":
-        """Return the samples from number `first` on."""
-        excluded = self.excluded
-        if excluded is not None:
-            excluded = excluded[first:]
-        stamps = self.stamps
-        if stamps is not None:
-            stamps = stamps[first:]
-        time, written, u, y = self.time[first:], self.written[first:], self.u[first:], self.y[first:]
-        return _LineSamples(time, written, u, y, self.starts, excluded, stamps)
 
 
 class _LineTimes(NamedTuple):
@@ -108,20 +77,17 @@ class PipeText(Stream):
     ) -> None:
         super().__init__(model, complain, taken)
         self.tail = self.rest = b""  # half a line; half a line of a process before
+        self.head: list[bytes] = []  # the header and the first row of data, perhaps a line with the delimiter
         self.reader: LineReader | None = None  # as soon as there is a row of data
+        self.doubts: dict[str, Doubt] = {}  # of columns whose decimal signs may be signs for thousands
         self.begun: list[Line] = []  # lines before that
         self.number = 0  # lines so far
         self.resumed = 0  # those before this process, as long as it is not clear how the stream goes on
         self.texts: list[str] = []  # the first and the last time, where it is written as text
-        self.origin: float | None = None  # of a time that is an epoch, with units a second in .scale
-        self.scale: float | None = None
-        self.counting, self.unit_known = (
-            SECONDS,
-            False,
-        )  # how numbers of a time count, and whether that is known
+        self.numbers: Numbers | None = None  # how those of a time tell it, and whether that is known
+        self.unit_known = False
         self.lone = np.zeros(0)  # the first number, as long as it is the only one
-        self.began = np.nan  # the instant at which `time` is 0, in s, see `Recording.origin`
-        self.broken = self.aside = self.repeated = False
+        self.broken = self.repeated = self.hinted = False
         self.counted: int | None = None  # samples that are sent again, where no time tells them
         self.blank: list[Line] = []  # blank lines that are wrong, without a time, where a row follows
         self.returns = 0  # carriage returns at the end, which may be the first half of a line end
@@ -137,16 +103,17 @@ class PipeText(Stream):
 
     def _resume_from(self, memory: dict[str, Any]) -> None:
         """Go on from a memory."""
-        self.reader = LineReader([line.encode("latin-1") for line in memory["head"]], self.model)
+        self._understand([line.encode("latin-1") for line in memory["head"]])
         self.rest = memory["tail"].encode("latin-1")
         if self.rest == b"\r":
             self.rest, self.returns = b"", 1
         self._resume_clock(memory)
-        self.origin, self.scale, self.texts = memory["origin"], memory["scale"], memory["texts"]
+        self.texts, counting = memory["texts"], Counting(*memory.get("counting", ()))
+        if memory["origin"] is not None:
+            self.numbers = Numbers(counting, memory["scale"], memory["origin"])
         if "counting" in memory:  # of a version that knew seconds and epochs only
-            self.counting, self.unit_known = Counting(*memory["counting"]), memory["unit_known"]
-            self.lone = np.array(memory["lone"], float)
-        self.aside, self.broken, self.resumed = memory["aside"], memory["broken"], memory["number"]
+            self.unit_known, self.lone = memory["unit_known"], np.array(memory["lone"], float)
+        self.broken, self.resumed = memory["broken"], memory["number"]
         self.was_broken, self.shown = self.broken, None
 
     @property
@@ -161,21 +128,21 @@ class PipeText(Stream):
         if self.reader is None:
             return None
         broken = self.broken or bool(self.blank)
+        counting, scale, origin = self.numbers or (SECONDS, None, None)
         if self.replaying:
             broken = self.was_broken
         return {
-            "head": [line.decode("latin-1") for line in self.reader.head],
+            "head": [line.decode("latin-1") for line in self.head],
             "number": max(self.number, self.resumed),
             "tail": (self.rest + self.tail + b"\r"[: self.returns]).decode("latin-1"),
             **self._clock_memory(),
-            "origin": self.origin,
-            "scale": self.scale,
-            "counting": [*self.counting],
+            "origin": origin,
+            "scale": scale,
+            "counting": [*counting],
             "lone": self.lone.tolist(),
             "unit_known": self.unit_known,
             "texts": self.texts,
             "broken": broken,
-            "aside": self.aside,
         }
 
     def pieces(self, arrivals: Iterable[bytes | None]) -> Iterator[tuple[int, Recording]]:
@@ -208,30 +175,19 @@ class PipeText(Stream):
                 megabyte without a line end.
         """
         rows = self._rows(self._lines(data))
-        if not rows:
-            return None
-        pieces = [piece for piece in self._pieces(rows) if len(piece.time)]
+        pieces = [piece for piece in self._pieces(rows) if piece.samples] if rows else []
         if not pieces:
             return None
-        samples = pieces[0] if len(pieces) == 1 else _in_one(pieces)
-        self._refuse_period(samples.time)
-        return self._recording(samples)
-
-    def when(self, piece: Recording, k: int) -> str | float:
-        """Return the time of a sample: its text, or seconds."""
-        written = piece.column[k].as_py()
-        if isinstance(written, str):
-            return written.strip()
-        return float(piece.time[k])
+        whole = reduce(Recording.followed, pieces)
+        self._refuse_period(whole.time)
+        return whole
 
     def label(self, when: str | float) -> str:
         """Return a time from `when` as a reader would write it."""
-        if isinstance(when, str):
-            return when
-        if self.scale is None or self.origin is None:
-            return time_label(when, None, self.dt)
-        nanoseconds = round((self.origin + when * self.scale) * (1e9 / self.scale))
-        return time_label(when, np.datetime64(nanoseconds, "ns"), self.dt)
+        numbers = self.numbers
+        if isinstance(when, str) or numbers is None or numbers.scale is None:
+            return super().label(when)
+        return super().label(numbers.origin / numbers.scale + when)
 
     def refuse_empty(self) -> None:
         """Raise ValueError at the end of a stream without samples, or with another period than dt."""
@@ -250,26 +206,6 @@ class PipeText(Stream):
         if len(self.shown) == SHOWN:
             check_period(np.array(self.shown), self.dt)
             self.shown = None
-
-    def _recording(self, samples: _LineSamples) -> Recording:
-        """Return the Recording of samples."""
-        written = samples.written
-        if isinstance(written, np.ndarray):
-            written = to_arrow(written)
-        return Recording(
-            samples.u,
-            samples.y,
-            samples.starts,
-            known(self.model),
-            self.model.outputs,
-            samples.excluded,
-            time=samples.time,
-            origin=self.began,
-            dt=self.dt,
-            stamps=samples.stamps,
-            written=written,
-            source=SOURCE,
-        )
 
     def _lose(self, sentence: str) -> None:
         """Say that a line is left out."""
@@ -301,9 +237,11 @@ class PipeText(Stream):
         if self.reader is None:
             return []
         reader = self.reader
-        rows = self.blank + [(n, line) for n, line in lines if reader.is_row(line)]
+        # where no time shows that a row is missing, a blank line may have been meant for one
+        is_blank, timed = reader.layout.is_blank, reader.plan.time is not None
+        rows = self.blank + [(n, line) for n, line in lines if not (timed and is_blank(line))]
         self.blank = []
-        while rows and reader.layout.is_blank(rows[-1][1]):
+        while rows and is_blank(rows[-1][1]):
             self.blank.insert(0, rows.pop())
         if rows and self.resumed and not self.replaying:
             rows = self._resume(rows)
@@ -345,31 +283,48 @@ class PipeText(Stream):
                 at += 1
                 continue
             head = [text for _, text in (*self.begun[: header + 1], self.begun[at])]
-            try:
-                reader = LineReader(head, self.model)
-            except WrongCells as e:
-                self._lose(f"line {number} {e}")
+            trouble = self._understand(head)
+            if trouble:
+                self._lose(f"line {number} {trouble}")
                 del self.begun[at]
                 continue
-            if not self.regular and reader.plan.time is None:
-                raise ValueError(f"{SOURCE} has no column of times: means over intervals need one")
-            self.reader = reader
+            reader = self._known_reader
             if reader.plan.time is None:
                 self.complain("hint", f"{SOURCE} has no time column: {rows_apart(self.dt)}")
             rows, self.begun = self.begun[header + 1 :], []
             return [row for row in rows if row[0] >= number or not reader.layout.is_blank(row[1])]
         return []
 
+    def _understand(self, head: list[bytes]) -> str:
+        """Find out how the stream is written by its `head`; return the trouble with the row of data in it, by
+        which that is not known, or "".
+        """
+        try:
+            layout = replace(sniff(Path(SOURCE), b"\n".join(head) + b"\n"), skip=0)
+            reader = LineReader(layout, self.model)
+        except ValueError as e:
+            raise ValueError(f"{SOURCE}: {str(e).replace('the file', 'the stream')}") from None
+        row = head[-1]
+        if len(layout.cells(row)) != len(layout.names) or layout.is_open(row):
+            return reader.trouble(row)
+        if not self.regular and reader.plan.time is None:
+            raise ValueError(f"{SOURCE} has no column of times: means over intervals need one")
+        self.head, self.reader = head, reader
+        if layout.delimiter != ",":
+            numbers = {*reader.index} - {*reader.texts, reader.plan.time}
+            self.doubts = {name: Doubt() for name in reader.index if name in numbers}
+        return ""
+
     def _joined(self, line: bytes) -> bytes | None:
         """Return the first line of a stream that goes on behind half a line: that line, or the whole one.
 
         None where one cannot tell.
         """
-        reader = self._known_reader
         both, self.rest = (line, self.rest + line), b""
-        if line.removeprefix(BOM).strip() in [head.strip() for head in reader.head]:
+        if line.removeprefix(BOM).strip() in [head.strip() for head in self.head]:
             return line
-        fitting = [text for text in both if reader.fits(text)]
+        layout = self._known_reader.layout
+        fitting = [text for text in both if len(layout.cells(text)) == len(layout.names)]
         if len(fitting) == 2:
             fitting = [text for text in fitting if self._is_next(text)]
         if len(fitting) == 1:
@@ -390,12 +345,21 @@ class PipeText(Stream):
         if reader.plan.time is None or not self.clock.samples:
             return False
         try:
-            step = self._step_to(reader.stamp(line))
+            step = self._step_to(self._stamp(line))
         except ValueError:
             return False
         if not self.regular:
             return step > 0
         return abs(step - self.dt) <= TOLERATED_STEP * self.dt
+
+    def _stamp(self, line: bytes) -> str:
+        """Return the time of a line as it is written, the day before the clock where they have columns of
+        their own.
+        """
+        reader = self._known_reader
+        cells = reader.layout.cells(line)
+        halves = [name for name in (reader.plan.day, reader.plan.time) if name is not None]
+        return " ".join(cells[reader.index[name]].strip() for name in halves)
 
     def _step_to(self, cell: str) -> float:
         """Return the seconds from the last sample to one whose time is written so."""
@@ -404,15 +368,13 @@ class PipeText(Stream):
         if self._known_reader.is_text:
             time, _, _ = parse_stamps(pa.array([*self.texts, cell]), self.dt, str)
             return float(time[-1] - time[-2])
+        assert self.numbers is not None, "there was a row of data"
         number = since_epoch(np.array([float(cell.replace(",", "."))]))
-        value = float(self.counting.seconds(number)[0])
-        if self.scale is not None and self.origin is not None:
-            value = (value - self.origin) / self.scale
-        return value - self.clock.last
+        return float(self.numbers.times(number)[0][0]) - self.clock.last
 
     def _resume(self, rows: list[Line]) -> list[Line]:
         """Find out how the stream goes on, from its first rows; return them without the header."""
-        plan, head = self._known_reader.plan, [_bare(line) for line in self._known_reader.head]
+        plan, head = self._known_reader.plan, [_bare(line) for line in self.head]
         while rows and _bare(rows[0][1]) in head[:-1]:
             rows, self.repeated = rows[1:], True
         if not rows:
@@ -433,7 +395,7 @@ class PipeText(Stream):
     def _refuse_other_header(self, line: bytes) -> None:
         """Refuse a line that is a header with other columns than before."""
         reader = self._known_reader
-        cells = [cell.strip() for cell in reader.cells(line)]
+        cells = [cell.strip() for cell in reader.layout.cells(line)]
         if self.repeated or any(is_number(cell, reader.layout.decimal) for cell in cells):
             return
         if set(cells) & set(reader.plan.columns):
@@ -449,7 +411,7 @@ class PipeText(Stream):
         self.number += behind
         return [(n + behind, line) for n, line in rows]
 
-    def _pieces(self, rows: list[Line]) -> Iterator[_LineSamples]:
+    def _pieces(self, rows: list[Line]) -> Iterator[Recording]:
         """Yield the samples of lines, which are halved until the one that cannot be read is alone."""
         try:
             yield self._samples(rows)
@@ -462,10 +424,6 @@ class PipeText(Stream):
                 yield from self._pieces(rows[half:])
                 return
             number, line = rows[0]
-            left_out = self._left_out(rows)
-            if left_out is not None:
-                yield left_out
-                return
             digest = digests_of([np.zeros(1)], [[line.decode("latin-1").strip()]])
             if self.replaying and self.taken.knows(digest).all():
                 self.skipped += 1
@@ -475,69 +433,73 @@ class PipeText(Stream):
             trouble = self._known_reader.trouble(line) or str(e).strip()
             self._lose(f"line {number} {trouble}")
 
-    def _left_out(self, rows: list[Line]) -> _LineSamples | None:
-        """Return the sample of a line with cells that are no numbers, if `where` leaves it out, else None."""
-        if self._known_reader.plan.where is None:
-            return None
-        try:
-            return self._samples(rows, self._known_reader.numbers_in(rows[0][1]))
-        except OtherSamples:
-            raise
-        except ValueError:
-            return None
-
-    def _samples(self, rows: list[Line], cells: Cells | None = None) -> _LineSamples:
-        """Return the samples of lines that can all be read. cells: of lines that count only if `where` leaves
-        all of them out; None: not read yet.
-        """
-        count, plan, counts = len(rows), self._known_reader.plan, cells is None
-        if cells is None:
-            cells = self._known_reader.columns([line for _, line in rows])
-        columns, texts = cells
-        digests = self._digests(columns, texts, count)
-        if texts is not None:
-            times = self._text_times(texts)
+    def _samples(self, rows: list[Line]) -> Recording:
+        """Return the samples of lines that can all be read, but for those that `where` leaves out."""
+        reader = self._known_reader
+        plan, cells = reader.plan, reader.read_few([line for _, line in rows])
+        if cells.rows < len(rows):
+            raise ValueError(BLANK)
+        if plan.where is None:  # before they tell how the time is counted
+            reader.refuse(cells, None, "".format)
+        digests = self._digests(cells)
+        if cells.times is not None:
+            times = self._text_times(cells.times)
         elif plan.time is not None:
-            times = self._number_times(columns[plan.time])
+            times = self._number_times(cells.columns[plan.time])
         else:
-            times = self._counted_times(count)
+            times = self._counted_times(cells.rows)
+        columns, since = cells.columns, times.time
         if plan.time is not None:
-            columns.setdefault(plan.time, times.time if times.stamps is None else times.stamps)
-        since = times.time
-        if self.origin is not None and self.scale is None:  # numbers that are seconds
-            since = since - self.origin
-        u, y, excluded = plan.samples(columns, count, (since, times.stamps))
-        if not counts and (excluded is None or not excluded.all()):
-            raise ValueError("is no row that is left out")
-        stamps = None
-        if not self.regular:
-            stamps = times.stamps
-        samples = _LineSamples(times.time, times.written, u, y, np.zeros(0, np.int64), excluded, stamps)
+            columns.setdefault(plan.time, since if times.stamps is None else times.stamps)
+        if self.numbers is not None and self.numbers.scale is None:
+            since = since - self.numbers.origin
+        samples = plan.samples(columns, cells.rows, (since, times.stamps))
+        if plan.where is not None:
+            reader.refuse(cells, samples[2], "".format)
+        self._refuse_doubt(cells, samples[2], rows)
+        piece = Recording.filed(
+            self.model, samples, (times.time, times.stamps, times.written), SOURCE, self.dt
+        )
         if self.after is not None:
-            samples, digests, rows = self._behind(samples, digests, rows, times.before)
+            piece, digests, rows = self._behind(piece, digests, rows, times.before)
             if not rows:
-                return samples
+                return piece
         self.taken.add(digests)
-        return self._seamed(samples, rows, times.before)
+        return self._seamed(piece, rows, times.before)
 
-    def _digests(self, columns: dict[str, np.ndarray], texts: "pa.Array | None", count: int) -> np.ndarray:
+    def _refuse_doubt(self, cells: Cells, excluded: np.ndarray | None, rows: list[Line]) -> None:
+        """Refuse a number whose decimal sign may be a sign for thousands, behind whole ones."""
+        reader = self._known_reader
+        for name, doubt in self.doubts.items():
+            values, at = cells.columns[name], reader.index[name]
+            if excluded is not None:
+                values = np.where(excluded, np.nan, values)
+            odd = doubt.next_odd(values, partial(self._cell, rows, at))
+            if odd:
+                raise ValueError(f"of {thousands(name, [f'{odd} behind whole numbers'])}")
+
+    def _cell(self, rows: list[Line], at: int, k: int) -> str:
+        """Return a cell of the line of row k."""
+        return self._known_reader.layout.cells(rows[k][1])[at]
+
+    def _digests(self, cells: Cells) -> np.ndarray:
         """Return the digests of rows: of their time as it is written, and of all cells that are read."""
-        numbers: list[np.ndarray] = [np.zeros(count)]
+        numbers: list[np.ndarray] = [np.zeros(cells.rows)]
         words: list[list[str | None]] = []
-        for column in columns.values():
+        for column in cells.columns.values():
             if column.dtype == object:
                 words.append(column.tolist())
             else:
                 numbers.append(column)
-        if texts is not None:
-            words.append(texts.to_pylist())
+        if cells.times is not None:
+            words.append(cells.times.to_pylist())
         elif self._known_reader.plan.time is None:
-            numbers.append(self._first_counted + np.arange(count))
+            numbers.append(self._first_counted + np.arange(cells.rows))
         return digests_of(numbers, words)
 
     def _behind(
-        self, samples: _LineSamples, digests: np.ndarray, rows: list[Line], before: float
-    ) -> tuple[_LineSamples, np.ndarray, list[Line]]:
+        self, piece: Recording, digests: np.ndarray, rows: list[Line], before: float
+    ) -> tuple[Recording, np.ndarray, list[Line]]:
         """Return samples, digests and rows behind those that an earlier process had judged."""
         timed = self._known_reader.plan.time is not None
 
@@ -545,55 +507,41 @@ class PipeText(Stream):
             number, line = rows[k]
             name, end = f"line {number}", self.label(before)
             if timed:
-                name = f"line {number}, at {self._known_reader.stamp(line)},"
+                name = f"line {number}, at {self._stamp(line)},"
             if self._known_reader.is_text:
                 end = self.label(self.texts[-1].strip())
             return name, end
 
-        old = self.old_ones(digests, samples.time, before, named)
+        old = self.old_ones(digests, piece.time, before, named)
         if self.counted is not None:
             self.counted += old
         if old:
             self.broken = self.was_broken  # what was lost lies before these
         new = rows[old:]
-        if new and self.skipped:
-            self.complain("replay", self.skipped_text)
         if new:
             new = self._numbered_behind(new)
-        return samples.behind(old), digests[old:], new
+        return piece.cut(old, piece.samples), digests[old:], new
 
-    def _seamed(self, samples: _LineSamples, rows: list[Line], before: float) -> _LineSamples:
+    def _seamed(self, piece: Recording, rows: list[Line], before: float) -> Recording:
         """Return samples that are taken, with their seams."""
-        known, time = self.clock.samples, samples.time
-        # one sample that is on time, as most are: sooner said than by `tick`
-        starts = np.zeros(0, np.int64)
-        if not self.regular:
-            self.clock = replace(self.clock, samples=known + len(time), last=float(time[-1]))
-        elif len(time) == 1 and known and abs(time[0] - before - self.dt) <= TOLERATED_STEP * self.dt:
-            self.clock = replace(self.clock, samples=known + 1, last=float(time[0]))
-        else:
-            self.clock, seams = tick(replace(self.clock, last=before), time)
-            starts = seams - known
+        starts, edges = self.seams(piece.time, piece.excluded, before)
         if self._known_reader.is_text:
-            if not self.texts:
-                self.texts = [samples.written[0].as_py()]
-            self.texts = [self.texts[0], samples.written[-1].as_py()]
-        steps = np.diff(time, prepend=before)
+            first, *_ = self.texts or [piece.column[0].as_py()]
+            self.texts = [first, piece.column[-1].as_py()]
+        steps = np.diff(piece.time, prepend=before)
         for k in starts[:TOLD]:
             late = f"comes {steps[k]:.6g} s after the sample before it, not dt = {self.dt:g} s"
             self.complain("seam", f"line {rows[k][0]} {late}: windows across are MISSING")
         if self.broken:
             starts, self.broken = np.union1d(starts, [0]), False
-        excluded = samples.excluded
-        if excluded is not None and self.regular:
-            edges = np.flatnonzero(np.diff(excluded.astype(np.int8), prepend=np.int8(self.aside)))
-            starts, self.aside = np.union1d(starts, edges), bool(excluded[-1])
-        return samples._replace(starts=starts)
+        if not len(starts) and not len(edges):
+            return piece
+        return replace(piece, starts=np.union1d(starts, edges))
 
     def _counted_times(self, count: int) -> _LineTimes:
         """Return the times of rows that tell none: they are dt apart."""
         time = (self._first_counted + np.arange(count)) * self.dt
-        return _LineTimes(time, None, time, (self.clock.samples - 1) * self.dt)
+        return _LineTimes(time, None, None, (self.clock.samples - 1) * self.dt)
 
     @property
     def _first_counted(self) -> int:
@@ -606,37 +554,31 @@ class PipeText(Stream):
         """Return times that are written as numbers: seconds, or an epoch."""
         if np.isnan(cells).any():
             raise ValueError("has no time")
-        values = self._in_seconds(since_epoch(cells))
-        if self.origin is None:
-            self.origin = float(values[0])
-            self.scale = scale_of(self.origin)
-        if self.scale is None:
-            self.began = 0.0
-            return _LineTimes(values, None, cells, self.clock.last)
-        self.began = self.origin / self.scale
-        time = (values - self.origin) / self.scale
-        return _LineTimes(time, from_epoch(values, self.scale), cells, self.clock.last)
+        refuse_infinite(str(self._known_reader.plan.time), cells, None, "".format)
+        values = since_epoch(cells)
+        if not self.unit_known or self.numbers is None:
+            self._understand_numbers(values)
+        assert self.numbers is not None, "some came"
+        time, stamps = self.numbers.times(values)
+        return _LineTimes(time, stamps, to_arrow(cells), self.clock.last)
 
-    def _in_seconds(self, values: np.ndarray) -> np.ndarray:
-        """Return numbers of the time in s: how they count, the first two of them say."""
-        if self.unit_known:
-            return self.counting.seconds(values)
+    def _understand_numbers(self, values: np.ndarray) -> None:
+        """Find out how numbers tell the time: the first two of them say."""
         shown, dt = np.append(self.lone, values), None
         if self.regular:
             dt = self.dt
-        self.counting = counting_of(shown, dt, str(self._known_reader.plan.time))
+        counting = counting_of(shown, dt, str(self._known_reader.plan.time))
         self.unit_known = len(shown) > 1
-        if self.unit_known and len(self.lone) and self.counting.zero:
+        origin = float(counting.seconds(shown[:1])[0])
+        self.numbers = Numbers(counting, scale_of(origin), origin)
+        if self.unit_known and len(self.lone) and counting.zero:
             # one that was taken to be in seconds is a day
-            self.origin = float(self.counting.seconds(self.lone)[0])
-            self.scale = scale_of(self.origin)
             self.clock = replace(self.clock, last=0.0)
             if self.shown is not None:
                 self.shown[:1] = [0.0]
         self.lone = shown[:1]
-        if self.unit_known and self.counting.hint:
-            self.complain("hint", self.counting.hint)
-        return self.counting.seconds(values)
+        if self.unit_known and counting.hint:
+            self.complain("hint", counting.hint)
 
     def _text_times(self, cells: "pa.Array") -> _LineTimes:
         """Return times that are written as text; they are read behind the first and the last, by which the
@@ -652,11 +594,10 @@ class PipeText(Stream):
         if self.regular:
             period = self.dt
         time, stamps, hint = parse_stamps(every, period, lambda k: "")
-        if stamps is not None:
-            self.began = float((stamps[0] - EPOCH) / SECOND)
         if not before:
-            if hint:
+            if hint and not self.hinted:
                 self.complain("hint", hint)
+            self.hinted = bool(hint)
             return _LineTimes(time, stamps, cells, np.nan)
         if stamps is not None:
             stamps = stamps[len(before) :]
@@ -666,27 +607,3 @@ class PipeText(Stream):
 def _bare(line: bytes) -> bytes:
     """Return a line as headers are compared."""
     return line.removeprefix(BOM).strip()
-
-
-def _in_one(pieces: list[_LineSamples]) -> _LineSamples:
-    """Return samples of lines that follow each other as one."""
-    import pyarrow as pa
-
-    starts: list[np.ndarray] = []
-    first = 0
-    for piece in pieces:
-        starts.append(piece.starts + first)
-        first += len(piece.time)
-    times, writtens, inputs, outputs, _, sets_aside, dates = zip(*pieces, strict=True)
-    join: Callable[[Any], Any] = np.concatenate
-    if isinstance(writtens[0], pa.Array):
-        join = pa.concat_arrays
-    excluded = None
-    if sets_aside[0] is not None:
-        excluded = np.concatenate(sets_aside)
-    stamps = None
-    if dates[0] is not None:
-        stamps = np.concatenate(dates)
-    signals = np.concatenate(inputs), np.concatenate(outputs)
-    seams = np.concatenate(starts)
-    return _LineSamples(np.concatenate(times), join(writtens), *signals, seams, excluded, stamps)

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxbound.recordings.arraysource import Arrays
 from jaxbound.recordings.clockintervals import every_text
 from jaxbound.recordings.csvfiles import CsvFile
 from jaxbound.recordings.live import LiveSource
@@ -91,6 +90,28 @@ def kind_of(data: object) -> type[Source]:
     if is_path and str(data) != "-" and not Path(str(data)).exists():
         raise FileNotFoundError(f"there is no data file {data}")
     return next(kind for kind in (*reversed(KINDS), *BUILT_IN) if kind.takes(data))
+
+
+class Arrays(Source):
+    """A table or a Recording that holds both inputs and outputs, or a tuple (u, y) or (u, y, starts)."""
+
+    label = "recording"
+
+    @classmethod
+    def takes(cls, data: object) -> bool:
+        """Return whether data are no path."""
+        return not isinstance(data, str | PathLike)
+
+    @classmethod
+    def digest(cls, data: object) -> None:
+        """Return None: nothing on a disk will be the same later."""
+        return None
+
+    def whole(self, progress: Progress | None = None) -> Recording:
+        """Return the Recording."""
+        if isinstance(self.data, tuple):
+            return Recording.of(self.model, *self.data)
+        return Recording.of(self.model, self.data)
 
 
 class ReadOnce(Source):

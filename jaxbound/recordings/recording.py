@@ -8,17 +8,17 @@ out, samples that are masked or null.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.recordings.arrays import computed, float_arrays, is_made, refuse_infinite, without_words
+from jaxbound.recordings.arrays import float_arrays, is_made, refuse_infinite, without_words
 from jaxbound.recordings.clockintervals import seconds_of
 from jaxbound.recordings.columns import to_arrow
-from jaxbound.recordings.expressions import expression, fails, find_column
+from jaxbound.recordings.expressions import find_column
 from jaxbound.recordings.factors import known
 from jaxbound.recordings.means import (
     FIRST,
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
-__all__ = ["NOWHERE", "Recording"]
+__all__ = ["NOWHERE", "SINCE_1970", "Recording"]
 
 NOWHERE = np.zeros(0, np.int64)
 THE_MODEL = "the model has"
@@ -150,10 +150,9 @@ class Recording:
                 raise ValueError("u is a generator: jb.read(generator, model) makes a recording of it")
             raise ValueError("y is missing: give u and y, or one table or Recording that holds both")
         u, y, jumps = paired(u, y, model)
-        u, y, hints = without_words(model, u, y)
+        u, y, excluded, hints = without_words(model, u, y)
         indexes = [x.index for x in (y, u) if hasattr(x, "iloc")]
         tables = {name: x for name, x in (("y", y), ("u", u)) if is_table(x)}
-        excluded = _excluded(model, tables)
         samples = float_arrays(model, u, y, narrow, tables, excluded)
         recording = cls(*samples, NOWHERE, known(model), tuple(model.outputs))._without(excluded)
         if indexes:
@@ -206,12 +205,14 @@ class Recording:
         )
 
     @classmethod
-    def filed(cls, model: SignalModel, samples: Samples, times: Times, source: str) -> Recording:
+    def filed(
+        cls, model: SignalModel, samples: Samples, times: Times, source: str, dt: float | None
+    ) -> Recording:
         """Return the Recording of samples as they stand in a file, without hints and starts.
 
         Args:
             model: whose signals they are. samples: (u, y, excluded). times: (time in s, stamps or None,
-                written or None). source: its name.
+                written or None). source: its name. dt: sampling period in s, None: there is none.
         """
         u, y, excluded = samples
         time, stamps, written = times
@@ -232,7 +233,7 @@ class Recording:
             index=index,
             time=time,
             origin=origin,
-            dt=model.dt,
+            dt=dt,
             stamps=stamps,
             written=written,
             source=source,
@@ -273,22 +274,25 @@ class Recording:
         Args:
             before: of the recording before; it counts if this one is known to be later.
         """
-        stamps = self.stamps
-        if stamps is None and self.origin > SINCE_1970:
-            stamps = from_epoch(self.origin + self.time, 1.0)
-        nothing = np.zeros(self.samples, bool)
-        excluded = self.excluded
-        if excluded is None:
-            excluded = nothing
-
-        def rows(origin: np.datetime64 | None) -> Rows:
-            return Rows(instants(self.time, stamps, origin), self.u, self.y, excluded, nothing)
-
-        if before is not None and np.isfinite(self.origin) and before.leads_to(self.time, stamps, self.y):
-            return before.followed(rows(before.origin))
-        origin = midnight_of(stamps)
-        alone = rows(origin)
+        if before is not None and np.isfinite(self.origin) and before.leads_to(self.time, self.dates, self.y):
+            return before.followed(self.rows(before.origin))
+        origin = midnight_of(self.dates)
+        alone = self.rows(origin)
         return Unfinished(alone, alone.instant[:FIRST], origin)
+
+    def rows(self, origin: np.datetime64 | None) -> Rows:
+        """Return the samples as they are averaged. origin: what their instants count from."""
+        excluded, broken = self.excluded, np.zeros(self.samples, bool)
+        if excluded is None:
+            excluded = np.zeros(self.samples, bool)
+        return Rows(instants(self.time, self.dates, origin), self.u, self.y, excluded, broken)
+
+    @property
+    def dates(self) -> np.ndarray | None:
+        """The stamps, or those of times in seconds since 1970; None of other times."""
+        if self.stamps is None and self.samples and self.origin + self.time[0] > SINCE_1970:
+            return from_epoch(self.origin + self.time, 1.0)
+        return self.stamps
 
     def averaged(self, left: Unfinished, grid: Grid, m: int) -> Recording:
         """Return the means over intervals of the clock, without starts and hints, see `means`.
@@ -412,7 +416,7 @@ class Recording:
         return to_arrow(np.arange(self.samples))
 
     def followed(self, other: Recording) -> Recording:
-        """Return this recording and the one that comes behind it as one; .starts stay those of the first."""
+        """Return this recording and the one that comes behind it as one."""
         parts: dict[str, Any] = {"written": None}
         if self.written is not None and other.written is not None:
             import pyarrow as pa
@@ -421,10 +425,11 @@ class Recording:
         for name in ("excluded", "index", "time", "stamps"):
             one, behind = getattr(self, name), getattr(other, name)
             parts[name] = None
-            if one is not None and behind is not None:
+            if one is not None and behind is not None and one.dtype.kind == behind.dtype.kind:
                 parts[name] = np.concatenate([one, behind])
         u, y = np.concatenate([self.u, other.u], -2), np.concatenate([self.y, other.y], -2)
-        return replace(self, u=u, y=y, **parts)
+        starts = np.concatenate([self.starts, np.asarray(other.starts) + self.samples])
+        return replace(self, u=u, y=y, starts=starts, **parts)
 
     def across(self, horizon: int) -> np.ndarray:
         """Return (T,) bool: True where the window of horizon + 1 samples that ends at a sample lies across a
@@ -441,16 +446,6 @@ class Recording:
         refuse_infinite("u", self.u, self.inputs)
         refuse_infinite("y", self.y, self.outputs)
         return self
-
-
-def _excluded(model: Named, tables: Mapping[str, pd.DataFrame]) -> np.ndarray | None:
-    """Return (T,) bool, the samples that the model's `where` leaves out by these tables; None: it has none,
-    or there is no table.
-    """
-    columns = getattr(model, "columns", {})
-    if "where" not in columns or not tables:
-        return None
-    return fails(computed(expression(columns["where"]), tables, "the recording"))
 
 
 def _stack_of(

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numbers
 import operator
-import re
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -26,8 +25,6 @@ __all__ = ["Labels", "Place", "SampleAxis", "numbered", "place_of", "row_of"]
 
 Place: TypeAlias = Any
 """What names a sample: its number, or its time, as text, a datetime, a datetime64 or a Timestamp."""
-ZONED = re.compile(r"(.+:[\d.]+)([+-]\d\d):?(\d\d)")
-"""A time with its offset from UTC."""
 Labels: TypeAlias = "pd.Index | np.ndarray | None"
 
 
@@ -104,7 +101,7 @@ class SampleAxis:
     def _parsed(self, text: str) -> np.datetime64 | float:
         try:
             if self.is_stamped:
-                return _moment(text.replace(" ", "T").removesuffix("Z"))
+                return np.datetime64(round(instant_of(text) * 1e6), "us")
             return decimal(text.removesuffix("s"))
         except ValueError:
             like = f"its time as alarms.csv has it, like {self.label(0)}"
@@ -247,14 +244,3 @@ def _no_number(number: int, count: int, what: str = "sample") -> str:
 def _nothing_at(at: Place, nearest: str, first: str, last: str) -> str:
     """Return the sentence on a time at which nothing was recorded."""
     return f"no sample lies at {at}: the nearest is at {nearest}; the recording runs from {first} to {last}"
-
-
-def _moment(text: str) -> np.datetime64:
-    """Return a time in UTC from its text, which may have an offset; raise ValueError for none."""
-    zoned = ZONED.fullmatch(text)
-    if zoned is None:
-        return np.datetime64(text, "ns")
-    local, hours, minutes = zoned.groups()
-    offset = np.timedelta64(int(hours), "h") + np.timedelta64(int(f"{hours[0]}{minutes}"), "m")
-    moment: np.datetime64 = np.datetime64(local, "ns") - offset
-    return moment

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.recordings.clockintervals import every_text, next_interval
+from jaxbound.recordings.signals import SignalModel
 
 __all__ = [
     "FEW",
@@ -25,6 +26,7 @@ __all__ = [
     "check_period",
     "crossing",
     "irregular",
+    "period_of",
     "rows_apart",
     "seam_hints",
     "tick",
@@ -254,6 +256,20 @@ def usual_period(time: np.ndarray) -> float:
     while abs(float(f"{median:.{digits}g}") - median) > 0.002 * median:
         digits += 1
     return float(f"{median:.{digits}g}")
+
+
+def period_of(time: np.ndarray, model: SignalModel) -> float | None:
+    """Return the sampling period of a recording in s, of the model or else as its times show it; None where
+    it need not have one.
+
+    Raises:
+        ValueError: as `usual_period` and `check_period`.
+    """
+    if not getattr(model, "regular", True):
+        return None
+    dt = usual_period(time) if model.dt is None else model.dt
+    check_period(time, dt, getattr(model, "stated", "the model has"))
+    return dt
 
 
 def refuse_backward(time: np.ndarray) -> int:

@@ -25,9 +25,9 @@ __all__ = [
     "Moments",
     "STAMPS",
     "TELLING",
+    "Column",
     "Wanted",
     "columns_of_signals",
-    "source_columns",
     "time_column",
     "wanted",
     "where_hints",
@@ -45,17 +45,34 @@ NO_TIME = (
 
 
 @dataclass(frozen=True, eq=False)
+class Column:
+    """A signal that is taken from a column as it is; like an Expression otherwise. Fields: name: of it."""
+
+    name: str
+    texts = clock = frozenset[str]()
+
+    @property
+    def read(self) -> tuple[str, ...]:
+        """Names of the columns that are read of a recording."""
+        return (self.name,)
+
+    def values(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return (N,) numbers."""
+        return columns[self.name]
+
+
+@dataclass(frozen=True, eq=False)
 class Wanted:
     """The columns that are read of a recording. Build it with `wanted`.
 
-    Fields: inputs, outputs: a column or an Expression for each signal; where: the Expression of the
+    Fields: inputs, outputs: a Column or an Expression for each signal; where: the Expression of the
     condition, or None; time: the column of the time, or None; day: the column of the day where the time is
     only that of a day, or None; factors: an Expression for each factor of the model, over columns and inputs;
     model: whose factors they are.
     """
 
-    inputs: tuple[str | Expression, ...]
-    outputs: tuple[str | Expression, ...]
+    inputs: tuple[Column | Expression, ...]
+    outputs: tuple[Column | Expression, ...]
     where: Expression | None
     time: str | None
     day: str | None = None
@@ -63,48 +80,34 @@ class Wanted:
     model: Named | None = None
 
     @property
-    def computed(self) -> tuple[Expression, ...]:
-        """The expressions beside signals: the condition, and those of factors."""
-        if self.where is None:
-            return self.factors
-        return (self.where, *self.factors)
+    def every(self) -> tuple[Column | Expression, ...]:
+        """The signals, the condition, and the factors."""
+        where = () if self.where is None else (self.where,)
+        return (*self.inputs, *self.outputs, *where, *self.factors)
 
-    def own(self, e: Expression) -> list[str]:
-        """Return the names of the columns that an expression needs; inputs are none."""
-        inputs: tuple[str, ...] = ()
-        if self.model is not None and e is not self.where:
-            inputs = self.model.inputs
-        return [c for c in e.read if c not in inputs]
+    def own(self, e: Column | Expression) -> list[str]:
+        """Return the names of the columns that a signal needs, a condition or a factor; inputs are none."""
+        if self.model is None or e not in self.factors:
+            return list(e.read)
+        return [c for c in e.read if c not in self.model.inputs]
 
     @property
     def signals(self) -> list[str]:
         """Names of the columns that signals need, each once, in the order of the inputs and outputs."""
-        needed: list[str] = []
-        for signal in self.inputs + self.outputs:
-            needed += source_columns(signal)
-        return list(dict.fromkeys(needed))
+        return list(dict.fromkeys(c for signal in self.inputs + self.outputs for c in signal.read))
 
     @property
     def numbers(self) -> list[str]:
         """Names of the columns that hold numbers, the signals' first; a numeric time that only orders the
         samples is not among them.
         """
-        needed: list[str] = []
-        for signal in self.inputs + self.outputs:
-            texts = signal.texts if isinstance(signal, Expression) else ()
-            needed += [c for c in source_columns(signal) if c not in texts]
-        for e in self.computed:
-            needed += [c for c in self.own(e) if c not in e.texts]
-        return list(dict.fromkeys(needed))
+        return list(dict.fromkeys(c for e in self.every for c in self.own(e) if c not in e.texts))
 
     @property
     def texts(self) -> list[str]:
         """Names of the columns that are compared with text, the time left out."""
-        texts: list[str] = []
-        for signal in (*self.inputs, *self.outputs, *self.computed):
-            if isinstance(signal, Expression):
-                texts += [c for c in signal.read if c in signal.texts and c not in (self.time, self.day)]
-        return list(dict.fromkeys(texts))
+        texts = dict.fromkeys(c for e in self.every for c in e.read if c in e.texts)
+        return [c for c in texts if c not in (self.time, self.day)]
 
     @property
     def condition(self) -> str:
@@ -122,11 +125,7 @@ class Wanted:
     @property
     def clock(self) -> list[str]:
         """Names that the clock of the recording tells, see `expressions.CLOCK`."""
-        needed: list[str] = []
-        for signal in (*self.inputs, *self.outputs, *self.computed):
-            if isinstance(signal, Expression):
-                needed += sorted(signal.clock)
-        return list(dict.fromkeys(needed))
+        return list(dict.fromkeys(name for e in self.every for name in sorted(e.clock)))
 
     def samples(
         self,
@@ -193,15 +192,8 @@ def wanted(names: Sequence[str], model: SignalModel, dated: Callable[[str], str]
     return replace(signals, where=expression(model.columns["where"]).among(names), time=time, day=day)
 
 
-def source_columns(signal: str | Expression) -> tuple[str, ...]:
-    """Return the names of the columns that a signal is taken or computed from."""
-    if isinstance(signal, Expression):
-        return signal.read
-    return (signal,)
-
-
 def _stack(
-    signals: Sequence[str | Expression],
+    signals: Sequence[Column | Expression],
     columns: Mapping[str, np.ndarray],
     count: int,
     dtype: DTypeLike | None,
@@ -209,8 +201,7 @@ def _stack(
     """Return signals as an array (count, n); dtype None: as wide as the widest of them."""
     if not signals:
         return np.zeros((count, 0), dtype)
-    values = [s.values(columns) if isinstance(s, Expression) else columns[s] for s in signals]
-    return np.stack(values, 1, dtype=dtype)
+    return np.stack([signal.values(columns) for signal in signals], 1, dtype=dtype)
 
 
 def time_column(
@@ -287,8 +278,8 @@ def _day_and_clock(
     return time, halves[0]
 
 
-def _column_for(signal: str, names: Sequence[str], model: SignalModel) -> str | Expression:
-    """Return the column of a signal or its Expression; if it is not there, the column called like it."""
+def _column_for(signal: str, names: Sequence[str], model: SignalModel) -> Column | Expression:
+    """Return the Column of a signal or its Expression; if it is not there, the column called like it."""
     stated = model.column(signal)
     computed = None
     if is_expression(stated):
@@ -297,10 +288,10 @@ def _column_for(signal: str, names: Sequence[str], model: SignalModel) -> str | 
         if computed is not None:
             return computed.among(names)
         used = (*columns_of_signals(model), *likely(names, TIMES)[:1])
-        return find_column(stated, names, "the recording", used)
+        return Column(find_column(stated, names, "the recording", used))
     except ValueError:
         if signal in names and signal != stated and (computed is not None or stated not in names):
-            return find_column(signal, names, "the recording")
+            return Column(find_column(signal, names, "the recording"))
         raise
 
 

@@ -17,15 +17,16 @@ from jaxbound.recordings.hints import missing_hints, rounding_hints
 from jaxbound.recordings.means import Unfinished
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import Clock, around, irregular, seam_hints, tick, varied_hints
-from jaxbound.recordings.selection import where_hints
+from jaxbound.recordings.selection import Wanted, where_hints
 from jaxbound.recordings.signals import Named, SignalModel
 from jaxbound.recordings.stillness import still_hints
-from jaxbound.text.progress import Progress
+from jaxbound.text.progress import Progress, reporter
 
-__all__ = ["KINDS", "Progress", "Source", "overlapping", "register", "with_hints"]
+__all__ = ["KINDS", "PROBE", "PartSource", "Progress", "Source", "register", "with_hints"]
 
 """Called with the share of the work done."""
 
+PROBE = 100_000  # samples that show the sampling period, the unit of time and the rounding of the recorder
 KINDS: list[type["Source"]] = []  # of users; the last that takes the data opens them
 
 
@@ -225,27 +226,88 @@ def with_hints(
     return replace(r, starts=starts, hints=tuple(hints))
 
 
-def overlapping(
-    chunks: Iterator[tuple[int, Recording]], overlap: int, dt: float
-) -> Iterator[tuple[int, Recording]]:
-    """Yield (number of its first sample, Recording): chunks that follow each other, each behind the `overlap`
-    samples before it.
+class PartSource(Source):
+    """A source whose samples are read in chunks, so that its size does not matter.
 
-    Args:
-        chunks: (number of its first sample, Recording without starts). dt: sampling period in s, by which
-            seams are found.
+    Fields: path: as given; dt: sampling period in s; hints: sentences on how it is read; plan: the columns
+    that are read.
     """
-    tail: Recording | None = None
-    clock: Clock | None = None
-    for start, chunk in chunks:
-        if clock is None:
-            clock = Clock(dt, samples=start)
-        clock, seams = tick(clock, chunk.time)
-        piece = chunk
-        if tail is not None:
-            piece = tail.followed(chunk)
-        origin = start + chunk.samples - piece.samples
-        seams = np.concatenate([piece.starts, seams[seams > origin] - origin])
-        piece = replace(piece, starts=np.union1d(seams, around(piece.excluded)))
-        yield origin, piece
-        tail = piece.cut(max(piece.samples - overlap, 0), piece.samples)
+
+    parts = True
+    path: Path
+    dt: float
+    hints: tuple[str, ...]
+    plan: Wanted
+
+    @property
+    def zero(self) -> np.datetime64 | None:
+        """The time stamp of 0 s, or None where the time is in seconds."""
+        raise NotImplementedError
+
+    def stamp(self, seconds: float) -> np.datetime64 | None:
+        """Return the time stamp that lies so many seconds behind the first, or None where the time is in
+        seconds.
+        """
+        if self.zero is None:
+            return None
+        return self.zero + np.timedelta64(round(seconds * 1e9), "ns")
+
+    def row(self, k: int) -> str:
+        """Return how the user finds sample k."""
+        raise NotImplementedError
+
+    def chunks(self, first: int, stop: int, size: int) -> Iterator[tuple[int, Recording]]:
+        """Yield (number of its first sample, Recording without starts and hints) of `size` samples each."""
+        raise NotImplementedError
+
+    def pieces(
+        self, size: int, overlap: int = 0, first: int = 0, stop: int | None = None
+    ) -> Iterator[tuple[int, Recording]]:
+        """Yield (number of its first sample, Recording) of `size` samples each, behind the `overlap` before
+        them.
+        """
+        tail: Recording | None = None
+        clock: Clock | None = None
+        for start, chunk in self.chunks(first, self._end(stop), size):
+            if clock is None:
+                clock = Clock(self.dt, samples=start)
+            clock, seams = tick(clock, chunk.time)
+            piece = chunk
+            if tail is not None:
+                piece = tail.followed(chunk)
+            origin = start + chunk.samples - piece.samples
+            seams = np.concatenate([piece.starts, seams[seams > origin] - origin])
+            piece = replace(piece, starts=np.union1d(seams, around(piece.excluded)))
+            yield origin, piece
+            tail = piece.cut(max(piece.samples - overlap, 0), piece.samples)
+
+    def read(self, first: int = 0, stop: int | None = None, progress: Progress | None = None) -> Recording:
+        """Return the samples first..stop as one Recording, with its seams; hints only if that is all of them.
+
+        Raises:
+            ValueError: more seams than steps of one sampling period, if these are all samples.
+        """
+        end = self._end(stop)
+        ((_, r),) = self.chunks(first, end, end - first)
+        reporter(progress)(0.9)
+        if end - first < self._end(None):
+            _, seams = tick(Clock(self.dt), r.time)
+            return replace(r, starts=np.union1d(seams, around(r.excluded)))
+        try:
+            return with_hints(self.model, r, self.row, self.plan.condition, self.hints)
+        except ValueError as e:
+            raise ValueError(f"{self.path}: {e}") from None
+
+    def probe(self) -> Recording:
+        """Return the first 100 000 samples."""
+        ((_, r),) = self.chunks(0, min(self._end(None), PROBE), PROBE)
+        return r
+
+    def find(self, text: str) -> None:
+        """Return None: times are not searched in files, but found by number."""
+        return None
+
+    def _end(self, stop: int | None) -> int:
+        if stop is None:
+            return self.samples or 0
+        return stop

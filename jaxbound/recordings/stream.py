@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from jaxbound.recordings.factors import known
-from jaxbound.recordings.recording import NOWHERE, Recording
-from jaxbound.recordings.seams import Clock, Seam
+from jaxbound.recordings.recording import NOWHERE, SINCE_1970, Recording
+from jaxbound.recordings.seams import TOLERATED_STEP, Clock, Seam, tick
 from jaxbound.recordings.signals import SignalModel
+from jaxbound.recordings.timestamps import time_label
 
 __all__ = ["Complain", "OtherSamples", "Stream", "Taken", "digests_of"]
 
@@ -97,6 +98,7 @@ class Stream:
         self.regular: bool = getattr(model, "regular", True)
         self.clock = Clock(self.dt)
         self.lost = 0
+        self.aside = False  # whether `where` leaves the last sample out
 
     def pieces(self, arrivals: Iterator[Any]) -> Iterator[tuple[int, Recording]]:
         """Yield (number of its first sample, Recording) as samples come; one without samples where there are
@@ -116,12 +118,20 @@ class Stream:
         raise NotImplementedError
 
     def when(self, piece: Recording, k: int) -> str | float:
-        """Return the time of a sample of a piece, as JSON holds it."""
-        raise NotImplementedError
+        """Return the time of a sample of a piece, as JSON holds it: its text, or seconds."""
+        if piece.written is not None and str(piece.written.type) == "string":
+            return str(piece.written[k].as_py()).strip()
+        assert piece.time is not None, "a piece of a stream has times"
+        return float(piece.time[k])
 
     def label(self, when: str | float) -> str:
         """Return a time from `when` as the owner of the samples would write it."""
-        raise NotImplementedError
+        if isinstance(when, str):
+            return when
+        stamp = None
+        if when > SINCE_1970:
+            stamp = np.datetime64(round(when * 1e9), "ns")
+        return time_label(when, stamp, self.dt)
 
     def old_ones(self, digests: np.ndarray, time: np.ndarray, last: float, named: Named) -> int:
         """Return how many samples at the beginning an earlier process had judged.
@@ -144,12 +154,40 @@ class Stream:
                 f"{one} is no sample that was judged, though all up to {end} were: another recording, or one "
                 f"whose clock was set back, needs another --out or --state"
             )
+        if count < len(old) and self.skipped:
+            self.complain("replay", self.skipped_text)
         return count
 
     @property
     def skipped_text(self) -> str:
         """The sentence on samples that are skipped."""
         return f"{self.skipped} {self.units} were judged before and are skipped"
+
+    def seams(
+        self, time: np.ndarray, excluded: np.ndarray | None, before: float | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Let the clock go on by some samples; return the numbers of those that do not come dt behind the one
+        before, and of those at either end of a stretch that `where` leaves out.
+
+        Args:
+            time, excluded: as of a Recording. before: time of the sample before them; None: as the clock has
+                it.
+        """
+        clock, count, last = self.clock, self.clock.samples, float(time[-1])
+        if before is None:
+            before = clock.last
+        # one sample that is on time, as most are: sooner said than by `tick`
+        on_time = len(time) == 1 and count and abs(last - before - self.dt) <= TOLERATED_STEP * self.dt
+        if on_time or not self.regular:
+            self.clock, starts = Clock(self.dt, count + len(time), last, clock.seams), NOWHERE
+        else:
+            self.clock, seams = tick(Clock(self.dt, count, before, clock.seams), time)
+            starts = seams - count
+        if excluded is None or not self.regular:
+            return starts, NOWHERE
+        edges = np.flatnonzero(np.diff(excluded.astype(np.int8), prepend=np.int8(self.aside)))
+        self.aside = bool(excluded[-1])
+        return starts, edges
 
     def nothing(self) -> tuple[int, Recording]:
         """Return the piece without samples."""
@@ -164,10 +202,11 @@ class Stream:
             "time": self.clock.last,
             "seams": [asdict(seam) for seam in self.clock.seams],
             "lost": self.lost,
+            "aside": self.aside,
         }
 
     def _resume_clock(self, memory: dict[str, Any]) -> None:
         """Let the clock go on from a memory."""
         seams = tuple(Seam(**seam) for seam in memory["seams"])
         self.clock = Clock(self.dt, memory["samples"], memory["time"], seams)
-        self.lost = memory["lost"]
+        self.lost, self.aside = memory["lost"], memory.get("aside", False)

@@ -11,6 +11,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,7 +21,8 @@ import jaxbound as jb
 from jaxbound.cli import evaluation, main
 from jaxbound.cli import pipe as piped
 from jaxbound.cli.options import MethodOptions
-from jaxbound.recordings.linetext import LineReader
+from jaxbound.recordings.csvtext import sniff
+from jaxbound.recordings.linetext import FEW, LineReader
 from jaxbound.runs import journal, rows
 from jaxbound.runs.refusals import Refused
 
@@ -224,16 +226,17 @@ class TestVerdicts:
         assert [rows.number_text(v) for v in x.tolist()] == pa.array(x).cast(pa.string()).to_pylist()
 
     def test_a_few_lines_are_read_as_many_are(self):
-        reader = LineReader([b"t;u1;y1;y2", b"0;1;2;3"], paper())
-        for line in (b"0,1;2,5;1e3;-5", b" 1 ;+2;3.;4 ", b"1;;NaN; null", b"1;2;3;-1e-300"):
-            few, many = reader._few([line]), reader._many([line])
-            assert (few is None) == (
-                line.startswith(b"0,1")
-            )  # there pyarrow looks which sign the decimals have
-            for name, x in (few or many)[0].items():
-                np.testing.assert_array_equal(x, many[0][name])
-        for line in (b'1;"2";3;4', b"1;2;3;1_0", b"1;2;3;inf", b"1;2;3;0x1", b"1;2;3"):
-            assert reader._few([line]) is None
+        layout = sniff("", b"t;u1;y1;y2\n0;1;2;3\n")
+        reader = LineReader(replace(layout, skip=0), paper())
+        for line in (b"0,1;2,5;1e3;-5", b"1;2;3.;4 ", b"1;;NaN; null", b"1;2;3;-1e-300", b'1;"2";3;4'):
+            few, many = reader.read_few([line]), reader.read_few([line] * (FEW + 1))
+            assert many.rows == FEW + 1 and not few.odd and not many.odd
+            for name, x in few.columns.items():
+                np.testing.assert_array_equal(np.repeat(x, FEW + 1), many.columns[name])
+        for line in (b"1;2;3;1_0", b"1;2;3;0x1"):  # many are read a few at a time then
+            assert [*reader.read_few([line]).odd] == ["y2"]
+            with pytest.raises(ValueError):
+                reader.read_few([line] * (FEW + 1))
 
 
 class TestTroubles:
@@ -679,5 +682,6 @@ def test_live_in_another_process_killed_and_stopped(samples, place, kernels):
 
 def test_a_column_of_time_stamps_is_the_time_whatever_it_is_called():
     model = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1)
-    reader = LineReader([b"remark;Messbeginn;u1;y1", b"shift 2;05.03.2024 08:00:00;1,5;2"], model)
+    head = b"remark;Messbeginn;u1;y1\nshift 2;05.03.2024 08:00:00;1,5;2\n"
+    reader = LineReader(sniff("", head), model)
     assert reader.plan.time == "Messbeginn" and reader.is_text

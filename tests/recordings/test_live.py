@@ -258,3 +258,13 @@ class TestWithoutPosix:
         os.close(reading)
         assert (place / "a/verdicts.csv").read_bytes() == (place / "b/verdicts.csv").read_bytes()
         assert io.BytesIO(capsysbinary.readouterr().out).readline() == b"time,status,margin\n"
+
+
+def test_readings_one_by_one_are_set_aside_as_their_table_is():
+    model = MODEL.replace(dt=1, columns={"where": "fan > 0"})
+    fan = np.isin(np.arange(T), (7, 8, 20), invert=True) * 1.0
+    columns = {"time": np.arange(T) * 1.0, "y1": 0.5 ** np.arange(T), "fan": fan}
+    readings = ({name: x[k : k + 1] for name, x in columns.items()} for k in range(T))
+    relations = jb.parity_relations(model, 2)
+    one_by_one, whole = jb.detect(relations, jb.read(readings, model)), jb.detect(relations, columns)
+    np.testing.assert_array_equal(one_by_one.status, whole.status)

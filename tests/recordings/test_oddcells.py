@@ -2,7 +2,6 @@
 anything, other words are refused where they stand.
 """
 
-import io
 import re
 
 import numpy as np
@@ -11,7 +10,6 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.cli import main
-from jaxbound.recordings.csvlines import CountedLines
 from jaxbound.recordings.oddcells import ERRORS
 from jaxbound.recordings.pipetext import PipeText
 
@@ -161,16 +159,6 @@ def test_a_number_among_words_keeps_all_its_digits(tmp_path):
     r = from_file(table({**changes, (31, "u1"): "#NUM!"}), EVERY_ROW, tmp_path)
     np.testing.assert_array_equal(r.y, plain.y)
     np.testing.assert_array_equal(r.u[:-1], plain.u[:-1])
-
-
-@pytest.mark.parametrize("size", [1, 2, 7, 64])
-def test_an_error_is_seen_wherever_blocks_end(size):
-    data = table({(20, "y1"): "#VALUE!"}).encode()
-    for text, there in ((data, True), (data.replace(b"#VALUE!", b"#1"), False)):
-        lines = CountedLines(io.BytesIO(text))
-        while lines.read(size):
-            pass
-        assert lines.has_errors == there
 
 
 def test_a_whole_column_of_words_is_named(tmp_path):

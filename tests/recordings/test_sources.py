@@ -130,7 +130,7 @@ def test_a_new_source_is_one_small_class_for_python_and_the_shell(lines, tmp_pat
     assert "FAULT proved" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("first", ["parquet", "csvfiles", "read", "arraysource"])
+@pytest.mark.parametrize("first", ["parquet", "csvfiles", "read"])
 def test_what_takes_any_path_is_asked_last_whatever_is_imported_first(first, tmp_path):
     table().to_parquet(tmp_path / "run.parquet")
     asked = f"kind_of({str(tmp_path / 'run.parquet')!r})"

@@ -107,3 +107,9 @@ def test_numbers_with_two_signs_are_told_apart_from_words(tmp_path):
         (tmp_path / "run.csv").write_text(text_of(["1", cell, "2"]))
         with pytest.raises(ValueError, match="is not a number: write it without signs for thousands"):
             jb.read(tmp_path / "run.csv", MODEL)
+
+
+def test_a_file_with_blank_lines_whose_cells_are_looked_at_again_is_read(tmp_path):
+    text = text_of(["35.120", "36.200", "35.125"])
+    (tmp_path / "run.csv").write_text(text.replace("\n1;", "\n\n1;"))
+    assert jb.read(tmp_path / "run.csv", MODEL).y[:, 0].tolist() == [35.12, 36.2, 35.125]

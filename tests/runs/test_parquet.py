@@ -73,7 +73,7 @@ class TestReading:
         assert source.row(4) == "row 5 of run-9.parquet" and source.row(5) == "row 1 of run-10.parquet"
 
     @pytest.mark.parametrize("groups", [1, 4, 100])
-    def test_tables_hold_every_sample_once(self, folder, groups, rng):
+    def test_chunks_hold_every_sample_once(self, folder, groups, rng):
         cuts = np.sort(rng.integers(0, 100, 3))
         parts = {
             f"p{i}": table(b - a, a) for i, (a, b) in enumerate(zip([0, *cuts], [*cuts, 100], strict=True))
@@ -81,11 +81,11 @@ class TestReading:
         source = open_parquet(folder({"row_group_size": groups}, **parts), MODEL)
         for size in (1, 7, 100, 1000):
             first, stop = np.sort(rng.choice(101, 2, replace=False))
-            pieces = list(source.tables(int(first), int(stop), size))
+            pieces = list(source.chunks(int(first), int(stop), size))
             assert [start for start, _ in pieces] == list(range(first, stop, size)) and all(
-                len(t) <= size for _, t in pieces
+                piece.samples <= size for _, piece in pieces
             )
-            got = np.concatenate([source.chunk(start, t).time for start, t in pieces])
+            got = np.concatenate([piece.time for _, piece in pieces])
             np.testing.assert_array_equal(got, 0.5 * np.arange(first, stop))
 
     @pytest.mark.parametrize(
