@@ -115,9 +115,7 @@ def test_the_other_verdict_is_not_confirmed(rng):
 def test_the_exact_window_is_what_the_kernel_reads(dtype, rng):
     relations, _ = plant("leak")
     u, y = (x.astype(dtype) for x in window(relations, 0.1, rng))
-    rows = relations.reading(dtype, "box").rows(
-        [list(now) for now in u[..., None]], [list(now) for now in y[..., None]]
-    )
+    rows = relations.reading(dtype, "box").block(u[..., None], y[..., None])
     for limits, mid, rad in zip(exact_window(relations, u, y).limits, rows[0], rows[1], strict=True):
         mid, rad = float(np.ravel(mid)[0]), float(np.ravel(rad)[0])
         assert np.isnan(mid) == (limits is None)
