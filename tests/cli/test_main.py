@@ -308,7 +308,7 @@ BAD_USAGE = {
     ),
     "no --out": (["detect", "model.toml", "good.csv"], "the following arguments are required: --out"),
     "unknown command": (["detekt"], r"there is no command 'detekt' \(did you mean detect\?\)"),
-    "fit without outputs": (["fit", "good.csv"], "the following arguments are required: --outputs, --out"),
+    "fit without outputs": (["fit", "good.csv", "--out", "m.toml"], "--outputs is needed: the columns that"),
     "info of nothing": (["info"], "needs either a model file or --template"),
     "out is a file": (
         ["detect", "model.toml", "good.csv", "--out", "good.csv"],
