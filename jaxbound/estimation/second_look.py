@@ -8,7 +8,7 @@ first. Only a FAULT that rests on samples of a piece before, which nobody keeps,
 carried to there.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol, Self
 
 import jax
 import numpy as np
@@ -16,12 +16,11 @@ import numpy as np
 from jaxbound.estimation.arrays import Array
 from jaxbound.estimation.contradictions import staying
 from jaxbound.estimation.observation import State
+from jaxbound.estimation.observed_plant import ObservedPlant
 from jaxbound.estimation.piece import Piece
+from jaxbound.estimation.zonotope_steps import Found
 from jaxbound.sets.floats.kernel import outside_xla
 from jaxbound.sets.floats.status import Status
-
-if TYPE_CHECKING:
-    from jaxbound.estimation.set_observer import SetObserver
 
 __all__ = ["doubtful", "ignorant"]
 
@@ -31,7 +30,26 @@ BESIDE = 128
 """Stretches that are followed side by side, at most."""
 
 
-def doubtful(watch: "SetObserver[State]", carry: State, samples: Piece, fault: np.ndarray) -> np.ndarray:
+class Repeatable(Protocol[State]):
+    """An observer whose FAULTs can be decided again: plant, restart, weights as of SetObserver."""
+
+    @property
+    def plant(self) -> ObservedPlant: ...
+    @property
+    def restart(self) -> bool: ...
+    @property
+    def weights(self) -> np.ndarray: ...
+    def begin(self) -> State:
+        """Return the state before the first sample."""
+
+    def found(self, carry: State, samples: Piece) -> tuple[State, Found]:
+        """Return (state, Found) of samples, decided once."""
+
+    def forgetful(self) -> Self:
+        """Return the same observer, which begins knowing nothing."""
+
+
+def doubtful(watch: Repeatable[State], carry: State, samples: Piece, fault: np.ndarray) -> np.ndarray:
     """Return (T, N) bool: which of the FAULTs are not proved outside XLA.
 
     Args:
@@ -71,7 +89,7 @@ def doubtful(watch: "SetObserver[State]", carry: State, samples: Piece, fault: n
 
 
 def _by_samples(
-    watch: "SetObserver[State]", samples: Piece, ends: np.ndarray, begins: np.ndarray, length: int
+    watch: Repeatable[State], samples: Piece, ends: np.ndarray, begins: np.ndarray, length: int
 ) -> np.ndarray:
     """Return (K,) bool: which FAULTs so many last samples show.
 
@@ -96,7 +114,7 @@ def _by_samples(
     return np.asarray((np.asarray(found.status) == Status.FAULT).any(0))
 
 
-def _from_begin(watch: "SetObserver[State]", own: State, samples: Piece) -> bool:
+def _from_begin(watch: Repeatable[State], own: State, samples: Piece) -> bool:
     """Return whether the last sample of one recording is FAULT again, where it is followed from a state."""
     near = max(0, len(samples.fresh) - LENGTHS[-1])
     if near:
@@ -106,14 +124,14 @@ def _from_begin(watch: "SetObserver[State]", own: State, samples: Piece) -> bool
     return bool(found.status[-1, 0] == Status.FAULT)
 
 
-def ignorant(watch: "SetObserver[State]", samples: np.int64) -> State:
+def ignorant(watch: Repeatable[State], samples: np.int64) -> State:
     """Return the state of an observer that knows nothing behind so many samples."""
     nothing: Any = watch.forgetful().begin()  # a NamedTuple, whatever fields a method has
     state: State = nothing._replace(samples=np.int64(samples))
     return state
 
 
-def _carried_of(watch: "SetObserver[State]", carry: State, number: int) -> State:
+def _carried_of(watch: Repeatable[State], carry: State, number: int) -> State:
     """Return the carry of one recording; one of a single recording is that of all."""
     count = carry.carry.age.shape[-1] // len(watch.weights)
 
