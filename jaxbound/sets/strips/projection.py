@@ -59,7 +59,6 @@ __all__ = [
     "WindowColumns",
     "clipped_margin",
     "forced_outputs",
-    "least_errors",
     "projected_margin",
     "projection_of",
     "witnessed_margin",
@@ -324,12 +323,6 @@ def _least_squares(given: Projection, rows: Rows) -> LeastSquares:
         return solved(factor, _product(A.T[:, : len(x)], weighted))
 
     return LeastSquares(weights, fitting)
-
-
-def least_errors(given: Projection, mid: jax.Array, known: jax.Array) -> jax.Array:
-    """Return the errors (c + k, N) of the d of least squares, linear in mid and known: as of `Rows`."""
-    z = _relations(given, mid, known)
-    return _errors(given.R, z, _product(given.step[:, : len(z)], z))
 
 
 def _relations(given: Projection, mid: jax.Array, known: jax.Array) -> jax.Array:
