@@ -156,7 +156,9 @@ def study(
         (0, np.int64(1000))
     """
     model, report = as_model(model, factors=True), reporter(progress, "study")
-    relations = parity_relations(model) if relations is None else relations.named_like(model)
+    relations = parity_relations(model) if relations is None else relations
+    relations_of(relations, "a study", "study(model, .., relations=parity_relations(model))")
+    relations = relations.named_like(model)
     if relations.remembers and method == "joint":
         method = relations.methods[0]
     _check_study(model, relations, n, samples, hold, at, method, confidence)
@@ -315,7 +317,6 @@ def _check_study(
     confidence: float,
 ) -> None:
     """Raise TypeError or ValueError for what `study` does not take."""
-    relations_of(relations, "a study", "study(model, .., relations=parity_relations(model))")
     if relations.parts and method != MONITOR:
         raise ValueError(f"method is for one test, and a monitor has tests of its own: leave out {method!r}")
     _refuse_columns(relations)
