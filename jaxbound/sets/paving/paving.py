@@ -151,6 +151,7 @@ def pave(
             a uniform subdivision into more than max_boxes boxes.
 
     Example:
+        >>> from jaxbound.sets.floats.status import Status
         >>> f = lambda z: [2 * z[0] ** 2 + z[1], z[0] - z[1]]
         >>> p = pave(f, interval([-1.0, 1.0], [2.0, 3.0]), [2.0, -2.0])
         >>> Status(p.status).name, len(p.witness), p.witness.mid[0].round(6).tolist()
