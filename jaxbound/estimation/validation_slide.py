@@ -23,7 +23,7 @@ from jaxbound.estimation.validation_windows import (
 )
 from jaxbound.models.intervals import IntervalSystem, stacked
 from jaxbound.models.multimodel import MultiModel
-from jaxbound.models.sensor import largest_error
+from jaxbound.models.sensor import input_slip, largest_error
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
 from jaxbound.sets.floats.sizes import power
@@ -207,8 +207,10 @@ class Slide:
         weight = None
         if self.several is not None:
             weight = ends(self.several.columns(u.astype(dtype)), -2)
-        # a point, unless it had to be narrowed
-        pushed = ends(Interval(rounding.round_down(u, dtype), rounding.round_up(u, dtype)), -2)
+        # a point, unless it had to be narrowed, or may have been rounded
+        given, slip = u.astype(np.float64), input_slip(u).astype(np.float64)
+        lo, hi = rounding.round_down(given - slip, dtype), rounding.round_up(given + slip, dtype)
+        pushed = ends(Interval(lo, hi), -2)
         error = largest_error(y, self.m.noise, stretch.recorded, self.s)
         return ValidationSamples(pushed, y, error, weight)
 

@@ -167,11 +167,12 @@ class WindowPlant:
         off.
         """
         plant, sizes, v = self.plant, self._sizes, np.abs(v)
-        loose = through(plant.wide_D, v) + through(sizes.D, slip)
+        loose = through(plant.wide_D, v) + through(sizes.D + plant.wide_D, slip)
         of_sample = _acting(plant.wide_C + gamma * sizes.C, size)
         drawn = plant.wide_w + gamma * (sizes.w + sizes.W.sum(1))
         of_step = _acting(plant.wide_A + gamma * sizes.A, size) + np.asarray(drawn)[:, None]
-        return loose, of_sample, of_step + through(plant.wide_B + gamma * sizes.B, v) + through(sizes.B, slip)
+        of_step += through(plant.wide_B + gamma * sizes.B, v) + through(sizes.B + plant.wide_B, slip)
+        return loose, of_sample, of_step
 
     def image(self, prior: Prior, samples: Samples) -> Image:
         """Return the Image of windows."""

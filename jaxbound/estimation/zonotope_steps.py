@@ -373,7 +373,7 @@ def _outputs(plant: Numbers, now: Read, g: SetRounding) -> Reading:
     sizes = jnp.abs(plant.D)
     loose = jnp.where(
         now.known[None],
-        g.up * (_map(plant.wide_D + g.gamma * sizes, jnp.abs(now.v)) + _map(sizes, now.slip)),
+        g.up * (_map(plant.wide_D + g.gamma * sizes, jnp.abs(now.v)) + _map(sizes + plant.wide_D, now.slip)),
         0,
     )
     return Reading(driven, seen, through, loose, jnp.where(seen, now.mid, 0), jnp.where(seen, now.rad, 0))
@@ -523,7 +523,7 @@ def _begun(
         + (jnp.abs(start.w) + jnp.sum(jnp.abs(start.W), 1))[:, None]
     )
     loose = _map(start.wide_K, jnp.abs(mid) + rad) + _map(start.wide_U, jnp.abs(v)) + start.wide[:, None]
-    off = g.up * (_map(U, slip) + g.gamma * whole + loose) + g.least
+    off = g.up * (_map(U + start.wide_U, slip) + g.gamma * whole + loose) + g.least
     columns = [start.K[:, :, None] * rad[None], jnp.broadcast_to(start.W[:, :, None], (*start.W.shape, N))]
     generators = jnp.concatenate([jnp.zeros((n, wide, N), old.dtype), *columns], 1)
     G, off, _ = _reduced(generators, off, wide, g)
@@ -546,7 +546,7 @@ def _step_of_time(plant: Numbers, carry: ZonotopeCarry, size: jax.Array, now: Re
     off = (
         _map(plant.wide_A + g.gamma * A, size)
         + _map(plant.wide_B + g.gamma * jnp.abs(plant.B), v)
-        + _map(jnp.abs(plant.B), now.slip)
+        + _map(jnp.abs(plant.B) + plant.wide_B, now.slip)
     )
     r = g.up * (_map(A, r) + off + (plant.wide_w + g.gamma * jnp.abs(plant.w))[:, None]) + g.least
     c = _map(plant.A, c) + _map(plant.B, now.v) + plant.w[:, None]
