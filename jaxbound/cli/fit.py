@@ -150,6 +150,8 @@ def _signals(args: argparse.Namespace, file: Path | None) -> tuple["Signals", di
         if getattr(args, name):
             own[name] = getattr(args, name)
     if file is not None and not args.outputs:
+        if args.inputs:
+            raise ValueError(f"--inputs without --outputs: give both, or none for the signals of {file}")
         model = load_model(file)
         columns = dict(model.columns) | own
         signals = Signals(model.inputs, model.outputs, columns, args.dt or model.dt)

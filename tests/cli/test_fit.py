@@ -273,6 +273,8 @@ def test_a_recipe_says_what_options_said_and_a_model_file_repeats_it(place, caps
     assert "the next version" not in capsys.readouterr().out
     written = (place / "tank.toml").read_text()
     assert written.endswith("\n[fit]\norder = 1\nhorizon = 4\n")
+    half = ["fit", "run.csv", "--recipe", "tank.toml", "--inputs", "nosuch", "--out", "none.toml"]
+    assert main.main(half) == 2 and "--inputs without --outputs" in capsys.readouterr().err
     assert main.main(["fit", "run.csv", "--recipe", "tank.toml", "--out", "again.toml"]) == 0
     assert (place / "again.toml").read_text() == written
     assert main.main([*FIT, "--out", "old.toml", "--name", "tank"]) == 0

@@ -2,7 +2,7 @@
 compiler fuses them.
 
 And what keeps it from fusing: `stored` and `apart` make a number one number for all its uses. No rule of the
-compiler says so, its heuristics do: `probe` asks each time, `examination` at several sizes.
+compiler says so, its heuristics do: `probe` asks each time, the tests at several sizes.
 """
 
 from collections.abc import Callable, Iterable, Sequence
