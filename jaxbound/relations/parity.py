@@ -48,7 +48,6 @@ from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.recording import Recording
 from jaxbound.relations.bounds import Bounds, changed_bounds, model_bounds, reading
 from jaxbound.relations.cost import affordable, refuse_many_states
 from jaxbound.relations.forms import Forms, forms
@@ -200,10 +199,6 @@ class ParityRelation(LinearRelations):
         if constant:
             return ConstantTest(self, method, dtype, partial(self._search, dtype))
         return StripsTest(self, method, dtype)
-
-    def recording(self, u: object, y: object = None, starts: Starts = ()) -> tuple[Self, Recording]:
-        """Return (relations, Recording) of what is given: see `Recording.of`."""
-        return self, Recording.of(self.model, u, y, starts)
 
     def with_bounds(self, bounds: Mapping[str, ArrayLike]) -> Self:
         """Return the same relations under other bounds.

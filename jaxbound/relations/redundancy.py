@@ -20,19 +20,18 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from math import gcd
-from typing import ClassVar, Self, TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 from jax.typing import DTypeLike
 
 from jaxbound.consistency.bank import BankTest
-from jaxbound.consistency.interface import Budget, Relations, Starts, WindowTest, refuse_options
+from jaxbound.consistency.interface import Budget, Relations, WindowTest, refuse_options
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.recording import Recording
 from jaxbound.relations import shift
 from jaxbound.relations.bounds import Bounds
 from jaxbound.relations.elimination import eliminate
@@ -142,10 +141,6 @@ class Redundancy(Relations):
         """
         refuse_options(method, budget)
         return BankTest(self.relations, dtype)
-
-    def recording(self, u: object, y: object = None, starts: Starts = ()) -> tuple[Self, Recording]:
-        """Return (relations, Recording) of what is given: see `Recording.of`."""
-        return self, Recording.of(self.model, u, y, starts)
 
     def windows(self) -> tuple[Matrix, Matrix]:
         """Return (W, K), rows over the samples of a window that ends at the newest sample of each relation: W

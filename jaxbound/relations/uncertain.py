@@ -34,7 +34,6 @@ from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Vector
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import window_rows
-from jaxbound.recordings.recording import Recording
 from jaxbound.relations.annihilator import Step, annihilator, generic_rank, rank_over_box
 from jaxbound.relations.bounds import Bounds, changed_bounds, float_bound, model_bounds, reading
 from jaxbound.relations.forms import Forms, forms
@@ -142,10 +141,6 @@ class UncertainRelations(PolynomialRelations):
         """
         refuse_options(method, budget, adaptive=method == "joint")
         return ParametricTest(self, method, dtype, budget)
-
-    def recording(self, u: object, y: object = None, starts: Starts = ()) -> tuple[Self, Recording]:
-        """Return (relations, Recording) of what is given: see `Recording.of`."""
-        return self, Recording.of(self.model, u, y, starts)
 
     def _noisy(self) -> tuple[int, ...]:
         """Return the rows of z that have a bound of their own beyond what the recorder rounds away."""

@@ -4,6 +4,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from jaxbound.models.numbers import is_whole
+
 __all__ = ["check_share", "stretches_listed", "numbers_of"]
 
 NAMED = 4  # stretches in a sentence
@@ -12,12 +14,8 @@ NAMED = 4  # stretches in a sentence
 def check_share(part: tuple[int, int]) -> None:
     """Raise ValueError if a share is none."""
     is_pair = isinstance(part, tuple | list) and len(part) == 2
-    if not is_pair or not all(map(_is_whole_number, part)) or not 1 <= part[0] <= part[1]:
+    if not is_pair or not all(map(is_whole, part)) or not 1 <= part[0] <= part[1]:
         raise ValueError(f"part is (i, n), the i-th of n shares with 1 <= i <= n, not {part!r}")
-
-
-def _is_whole_number(x: object) -> bool:
-    return isinstance(x, int | np.integer) and not isinstance(x, bool)
 
 
 def numbers_of(part: tuple[int, int], count: int) -> range:

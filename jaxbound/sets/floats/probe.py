@@ -201,10 +201,8 @@ def examined_devices() -> dict[str, str]:
         OSError, RuntimeError: there is no folder to write the outcome in.
     """
     refuse_other_modes()
-    if loose := loose_flags(flags := os.environ.get("XLA_FLAGS", "")):
-        raise Unverified(
-            f"XLA_FLAGS={flags} has {' and '.join(loose)}, which give rounding up: start without"
-        )
+    if why := _loosened(os.environ.get("XLA_FLAGS", "")):
+        raise Unverified(why)
     devices = {
         f"{device.device_kind} ({named(kind_of_device(device))})": device for device in usable_devices()
     }
@@ -228,11 +226,8 @@ def _found(device: jax.Device, flags: str, x64: bool) -> str:
             f"JAX_PLATFORMS=cpu, examine it once with `jaxbound info --device`, or give NumPy arrays under "
             f'`with jax.default_device("cpu")`; margins gives unproved values anywhere'
         )
-    if loose := loose_flags(flags):
-        return (
-            f"XLA_FLAGS has {' and '.join(loose)}, with which the compiler keeps to no rounding: start "
-            f"without, nothing can be proved so"
-        )
+    if why := _loosened(flags):
+        return why
     count, versions = FEW, ", ".join(VERSIONS)
     if kind["jaxlib"] not in VERSIONS:
         count = MANY
@@ -245,3 +240,14 @@ def _found(device: jax.Device, flags: str, x64: bool) -> str:
             f"or install a jaxlib that was examined ({versions})"
         )
     return ""
+
+
+def _loosened(flags: str) -> str:
+    """Return which flags of XLA give rounding up, in a sentence; empty where none does."""
+    loose = loose_flags(flags)
+    if not loose:
+        return ""
+    return (
+        f"XLA_FLAGS has {' and '.join(loose)}, with which the compiler keeps to no rounding: start without, "
+        f"nothing can be proved so"
+    )

@@ -15,7 +15,7 @@ from jax.typing import ArrayLike, DTypeLike
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.inclusion.predicates import Rule, equals, extreme, least, most, negated, whole
-from jaxbound.sets.intervals.elementary import atan2, atanh, exp, log, sqrt, tanh
+from jaxbound.sets.intervals.elementary import atan2, atanh, exp, kept_sign, log, sqrt, tanh
 from jaxbound.sets.intervals.interval import (
     Interval,
     add,
@@ -45,6 +45,7 @@ __all__ = [
     "integral",
     "log1p",
     "logistic",
+    "meets_zero",
     "multiplied",
     "of",
     "poles",
@@ -132,7 +133,7 @@ def divided(
     lo, hi = jax.lax.optimization_barrier(
         (x.lo, x.hi) if c > 0 else (-x.hi, -x.lo)
     )  # else merged with a quotient that made x
-    return _kept_sign(Interval(lo, hi), *rounding.outward(lo / abs(c), hi / abs(c)))
+    return kept_sign(Interval(lo, hi), *rounding.outward(lo / abs(c), hi / abs(c)))
 
 
 def scaled(x: Interval, factor: float | jax.Array) -> Interval:
@@ -157,14 +158,7 @@ def scaled(x: Interval, factor: float | jax.Array) -> Interval:
 
 
 def _scaled_up(x: Interval, size: float | jax.Array) -> Interval:
-    return _kept_sign(x, *rounding.outward(x.lo * size, x.hi * size))
-
-
-def _kept_sign(x: Interval, lo: jax.Array, hi: jax.Array) -> Interval:
-    """Keep rounding from carrying a positive multiple of x across 0."""
-    return Interval(
-        jnp.where(x.lo >= 0, jnp.maximum(lo, 0), lo), jnp.where(x.hi <= 0, jnp.minimum(hi, 0), hi)
-    )
+    return kept_sign(x, *rounding.outward(x.lo * size, x.hi * size))
 
 
 def summed(x: Interval, axes: Sequence[int], **_: object) -> Interval:
@@ -324,7 +318,7 @@ def power(x: Interval, y: Interval, numbers: Numbers = (None, None), **_: object
         n = Interval(y.lo.astype(x.dtype), y.hi.astype(x.dtype))
         power = lambda v: exp(mul(n, log(v)))
         even, odd = (_signed_power(x, power, odd, n.hi > 0) for odd in (False, True))
-        either = _with(hull(even, odd), 1, _meets_zero(n))
+        either = _with(hull(even, odd), 1, meets_zero(n))
         known, parity = n.lo == n.hi, jnp.abs(n.lo) % 2 == 1
         pick = lambda e, o, b: jnp.where(known, jnp.where(n.lo == 0, 1, jnp.where(parity, o, e)), b)
         return Interval(pick(even.lo, odd.lo, either.lo), pick(even.hi, odd.hi, either.hi))
@@ -337,12 +331,12 @@ def power(x: Interval, y: Interval, numbers: Numbers = (None, None), **_: object
         jnp.where(some, jnp.minimum(out.lo, -left.hi), out.lo),
         jnp.where(some, jnp.maximum(out.hi, left.hi), out.hi),
     )
-    return _with(out, 1, _meets_zero(x) & _meets_zero(y))  # 0^0
+    return _with(out, 1, meets_zero(x) & meets_zero(y))  # 0^0
 
 
 def angle(y: Interval, x: Interval, **_: object) -> Interval:
     """Return atan2, 0 at the origin."""
-    return _with(atan2(y, x), 0, _meets_zero(y) & _meets_zero(x))
+    return _with(atan2(y, x), 0, meets_zero(y) & meets_zero(x))
 
 
 def _with(x: Interval, number: float, present: jax.Array) -> Interval:
@@ -353,7 +347,8 @@ def _with(x: Interval, number: float, present: jax.Array) -> Interval:
     )
 
 
-def _meets_zero(x: Interval) -> jax.Array:
+def meets_zero(x: Interval) -> jax.Array:
+    """Return (...) bool: whether 0 is in x."""
     return (x.lo <= 0) & (x.hi >= 0)
 
 

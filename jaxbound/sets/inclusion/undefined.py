@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import JaxprEqn, Literal
 
-from jaxbound.sets.inclusion.lifted import integral
+from jaxbound.sets.inclusion.lifted import integral, meets_zero
 from jaxbound.sets.inclusion.predicates import least, most, whole
 from jaxbound.sets.intervals.interval import Interval, hull, mag
 
@@ -93,10 +93,6 @@ def _unbounded(*xs: Interval) -> jax.Array:
     return either(*((x.lo == -jnp.inf) | (x.hi == jnp.inf) for x in xs))
 
 
-def _zero(x: Interval) -> jax.Array:
-    return (x.lo <= 0) & (x.hi >= 0)
-
-
 def _sum(out: Interval, x: Interval, y: Interval, **_: object) -> jax.Array:
     return (x.hi == jnp.inf) & (y.lo == -jnp.inf) | (x.lo == -jnp.inf) & (y.hi == jnp.inf)
 
@@ -106,7 +102,7 @@ def _difference(out: Interval, x: Interval, y: Interval, **_: object) -> jax.Arr
 
 
 def _product(out: Interval, x: Interval, y: Interval, **_: object) -> jax.Array:
-    return _zero(x) & _unbounded(y) | _zero(y) & _unbounded(x)
+    return meets_zero(x) & _unbounded(y) | meets_zero(y) & _unbounded(x)
 
 
 def _unbounded_anywhere(out: Interval, *xs: Interval, **_: object) -> jax.Array:
@@ -136,10 +132,10 @@ MADE: dict[str, Callable[..., jax.Array]] = {
     "add_any": _sum,
     "sub": _difference,
     "mul": _product,
-    "div": lambda out, x, y, **_: _zero(y) | _unbounded(x) & _unbounded(y),
-    "rem": lambda out, x, y, **_: _zero(y) | _unbounded(x),
-    "pow": lambda out, x, y, numbers, **_: _zero(x) if integral(numbers[1]) or whole(y) else x.lo <= 0,
-    "integer_pow": lambda out, x, y, **_: _zero(x) & (y < 0),
+    "div": lambda out, x, y, **_: meets_zero(y) | _unbounded(x) & _unbounded(y),
+    "rem": lambda out, x, y, **_: meets_zero(y) | _unbounded(x),
+    "pow": lambda out, x, y, numbers, **_: meets_zero(x) if integral(numbers[1]) or whole(y) else x.lo <= 0,
+    "integer_pow": lambda out, x, y, **_: meets_zero(x) & (y < 0),
     "reduce_sum": _unbounded_anywhere,
     "cumsum": _unbounded_anywhere,
     "dot_general": _unbounded_anywhere,

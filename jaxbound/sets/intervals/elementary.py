@@ -109,8 +109,8 @@ def _widen(
     return jnp.maximum(lo, least), jnp.minimum(hi, largest)
 
 
-def _odd(x: Interval, lo: jax.Array, hi: jax.Array) -> Interval:
-    """Keep the sign of an odd increasing function, and 0 at 0."""
+def kept_sign(x: Interval, lo: jax.Array, hi: jax.Array) -> Interval:
+    """Keep rounding from carrying what has the sign of x, and is 0 at 0, across 0."""
     return Interval(
         jnp.where(x.lo >= 0, jnp.maximum(lo, 0), lo), jnp.where(x.hi <= 0, jnp.minimum(hi, 0), hi)
     )
@@ -263,7 +263,7 @@ def asin(x: Interval) -> Interval:
     """Return the inverse sine of the numbers of x in [-1, 1]. Source: IEEE 1788 asin."""
     low, high, empty = _within(x, -1, 1)
     top = _up(angles.PI / 2, x.dtype)
-    out = _odd(x, *_widen("asin", angles.asin(low), angles.asin(high), -top, top))
+    out = kept_sign(x, *_widen("asin", angles.asin(low), angles.asin(high), -top, top))
     return _emptied(empty, out.lo, out.hi)
 
 
@@ -279,7 +279,7 @@ def acos(x: Interval) -> Interval:
 def atan(x: Interval) -> Interval:
     """Return the inverse tangent. Source: IEEE 1788 atan."""
     top = _up(angles.PI / 2, x.dtype)
-    return _odd(x, *_widen("atan", angles.atan(x.lo), angles.atan(x.hi), -top, top))
+    return kept_sign(x, *_widen("atan", angles.atan(x.lo), angles.atan(x.hi), -top, top))
 
 
 @_elementary
@@ -306,7 +306,7 @@ def atan2(y: Interval, x: Interval) -> Interval:
 @_elementary
 def sinh(x: Interval) -> Interval:
     """Return the hyperbolic sine. Source: IEEE 1788 sinh."""
-    return _odd(x, *_widen("sinh", approximations.sinh(x.lo), approximations.sinh(x.hi)))
+    return kept_sign(x, *_widen("sinh", approximations.sinh(x.lo), approximations.sinh(x.hi)))
 
 
 @_elementary
@@ -320,13 +320,13 @@ def cosh(x: Interval) -> Interval:
 @_elementary
 def tanh(x: Interval) -> Interval:
     """Return the hyperbolic tangent. Source: IEEE 1788 tanh."""
-    return _odd(x, *_widen("tanh", approximations.tanh(x.lo), approximations.tanh(x.hi), -1, 1))
+    return kept_sign(x, *_widen("tanh", approximations.tanh(x.lo), approximations.tanh(x.hi), -1, 1))
 
 
 @_elementary
 def asinh(x: Interval) -> Interval:
     """Return the inverse hyperbolic sine. Source: IEEE 1788 asinh."""
-    return _odd(x, *_widen("asinh", approximations.asinh(x.lo), approximations.asinh(x.hi)))
+    return kept_sign(x, *_widen("asinh", approximations.asinh(x.lo), approximations.asinh(x.hi)))
 
 
 @_elementary
@@ -341,7 +341,7 @@ def acosh(x: Interval) -> Interval:
 def atanh(x: Interval) -> Interval:
     """Return the inverse hyperbolic tangent of the numbers of x in (-1, 1). Source: IEEE 1788 atanh."""
     low, high, _ = _within(x, -1, 1)
-    out = _odd(x, *_widen("atanh", approximations.atanh(low), approximations.atanh(high)))
+    out = kept_sign(x, *_widen("atanh", approximations.atanh(low), approximations.atanh(high)))
     return _emptied(
         (x.hi <= -1) | (x.lo >= 1),
         jnp.where(x.lo <= -1, -jnp.inf, out.lo),
