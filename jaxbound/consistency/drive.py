@@ -140,11 +140,17 @@ def windows(
     shape = y.shape[:-1]
     if is_outside_xla() or not searching_device():
         return _decided(test, flat_u, flat_y, shape, starts, progress, block)
+
+    def missing(some_u: np.ndarray, some_y: np.ndarray) -> np.ndarray:
+        with outside_xla():
+            alone = windows(test, some_u, some_y, NOWHERE, size=block)
+        return np.asarray(alone.status[:, -1] == Status.MISSING)
+
     with searching():
         judged = _decided(test, flat_u, flat_y, shape, starts, progress, block)
         ends = np.ones(shape, bool)
         ends[..., _endless(starts, test.horizon, shape[-1])] = False
-        return only_searched(test, judged, flat_u, flat_y, ends.reshape(-1))
+        return only_searched(test, judged, flat_u, flat_y, ends.reshape(-1), missing)
 
 
 def _decided(
