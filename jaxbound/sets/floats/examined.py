@@ -26,6 +26,7 @@ __all__ = [
     "EXAMINED",
     "FEW",
     "MANY",
+    "SWITCHES",
     "VERSIONS",
     "broken",
     "examine",
@@ -54,6 +55,15 @@ GIVES_UP = {
 }
 """Flags of XLA after which nothing is known of a rounding, and the values that leave it alone. fusion_type
 and graph_fusion_mode hand operations to libraries whose exp, for one, is another."""
+SWITCHES = {
+    "NVIDIA_TF32_OVERRIDE": ("", "0"),
+    "CUBLAS_EMULATE_SINGLE_PRECISION": ("", "0"),
+    "CUBLAS_EMULATE_DOUBLE_PRECISION": ("", "0"),
+    "CUBLAS_EMULATION_STRATEGY": ("",),
+    "CUBLAS_FIXEDPOINT_EMULATION_MANTISSA_BIT_COUNT": ("",),
+}
+"""Switches of the environment by which libraries of NVIDIA compute otherwise, and the values that leave them
+alone. No dot of a library is proved, but whoever sets one of these means to change arithmetic."""
 FEW, MANY = 16, 4096
 """Numbers of each kind that are measured: of a listed version, and of another."""
 

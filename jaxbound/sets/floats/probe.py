@@ -6,11 +6,11 @@ change it at any time. **The device** has to be of a kind whose arithmetic was e
 CPU, or an accelerator that its user examined (`examined.examine`). A device that nobody examined may search
 (`searching_device`): what decides windows then proves every FAULT on the host, and what else proves something
 goes to the CPU (`where_proofs_hold`).
-**Flags of XLA** that give arithmetic up are refused by name: what they allow, a compiler need not do to the
-kernels of a probe. **The probe** (`examined.measure`), one small kernel, catches what names do not, and asks
-the premises beside rounding: that a stored quotient is one number for all its uses, that a callee is kept
-apart. It runs once a process for each device and setting, with the flags in force; of a version of jaxlib
-that is not listed (`examined.VERSIONS`) with thousands of numbers.
+**Flags of XLA, and switches of the environment,** that give arithmetic up are refused by name: what they
+allow, a compiler need not do to the kernels of a probe. **The probe** (`examined.measure`), one small kernel,
+catches what names do not, and asks the premises beside rounding: that a stored quotient is one number for all
+its uses, that a callee is kept apart. It runs once a process for each device and setting, with the flags in
+force; of a version of jaxlib that is not listed (`examined.VERSIONS`) with thousands of numbers.
 """
 
 import contextlib
@@ -28,6 +28,7 @@ from jaxbound.sets.floats.examined import (
     EXAMINED,
     FEW,
     MANY,
+    SWITCHES,
     VERSIONS,
     broken,
     examine,
@@ -197,12 +198,13 @@ def examined_devices() -> dict[str, str]:
     `measure` that it breaks, "" where it may prove}.
 
     Raises:
-        Unverified: a rounding mode or flags of XLA with which nothing can be proved.
+        Unverified: a rounding mode, flags of XLA or switches with which nothing can be proved.
         OSError, RuntimeError: there is no folder to write the outcome in.
     """
     refuse_other_modes()
-    if why := _loosened(os.environ.get("XLA_FLAGS", "")):
-        raise Unverified(why)
+    for why in (_loosened(os.environ.get("XLA_FLAGS", "")), *map(_switched, usable_devices())):
+        if why:
+            raise Unverified(why)
     devices = {
         f"{device.device_kind} ({named(kind_of_device(device))})": device for device in usable_devices()
     }
@@ -214,7 +216,7 @@ def examined_devices() -> dict[str, str]:
 def _doubt(device: jax.Device) -> str:
     """Return why a device proves nothing, in a sentence; empty where it may."""
     x64 = bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]  # made at run time
-    return _found(device, os.environ.get("XLA_FLAGS", ""), x64)
+    return _switched(device) or _found(device, os.environ.get("XLA_FLAGS", ""), x64)
 
 
 @lru_cache
@@ -240,6 +242,22 @@ def _found(device: jax.Device, flags: str, x64: bool) -> str:
             f"or install a jaxlib that was examined ({versions})"
         )
     return ""
+
+
+def _switched(device: jax.Device) -> str:
+    """Return which switches of the environment change the arithmetic of a card, in a sentence; empty where
+    none does, and on a CPU, which minds none.
+    """
+    if device.platform == "cpu":
+        return ""
+    given = {name: os.environ.get(name, "") for name in SWITCHES}
+    found = [f"{name}={value}" for name, value in given.items() if value not in SWITCHES[name]]
+    if not found:
+        return ""
+    return (
+        f"the environment has {' and '.join(found)}, by which libraries of {named(kind_of_device(device))} "
+        f"compute otherwise: start without"
+    )
 
 
 def _loosened(flags: str) -> str:

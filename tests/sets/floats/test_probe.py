@@ -401,6 +401,34 @@ with contextlib.redirect_stderr(sys.stdout):
     )
 
 
+@pytest.mark.parametrize(
+    "name, value",
+    [
+        ("NVIDIA_TF32_OVERRIDE", "1"),
+        ("CUBLAS_EMULATE_DOUBLE_PRECISION", "1"),
+        ("CUBLAS_EMULATE_SINGLE_PRECISION", "1"),
+        ("CUBLAS_EMULATION_STRATEGY", "eager"),
+        ("XLA_FLAGS", "--xla_gpu_enable_fast_min_max=true"),
+    ],
+)
+def test_switches_that_change_arithmetic_are_refused_by_name_on_a_card_that_was_examined(
+    monkeypatch, name, value
+):
+    card = Card()
+    monkeypatch.setattr(probe, "EXAMINED", probe.EXAMINED | {"NVIDIA 9.0"})
+    monkeypatch.setattr(probe, "usable_devices", lambda: (card,))
+    monkeypatch.setattr(examined, "measure", lambda *given: {})
+    assert not probe._doubt(card)
+    monkeypatch.setenv(name, value)
+    assert f"{name}={value}" in probe._doubt(card) or value in probe._doubt(card)
+    with pytest.raises(probe.Unverified, match=value):
+        probe.examined_devices()
+    if name != "XLA_FLAGS":
+        assert not probe._doubt(jax.devices()[0])  # no CPU knows them
+        monkeypatch.setenv(name, "" if name.endswith("STRATEGY") else "0")
+        assert not probe._doubt(card)
+
+
 @pytest.mark.parametrize("coarse, dtype, units", [(0, np.float32, 4), (1, np.float32, 6), (1, np.float64, 4)])
 def test_quotients_are_widened_by_six_units_beside_a_coarse_card(monkeypatch, coarse, dtype, units):
     monkeypatch.setattr(kinds, "has_coarse_quotients", lambda: bool(coarse))
