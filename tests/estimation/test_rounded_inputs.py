@@ -31,7 +31,7 @@ def test_an_uncertain_gain_multiplies_what_rounding_took_from_an_input(method, d
     assert not found.counts["FAULT"]
 
 
-@pytest.mark.parametrize("gain, unsure", [(1, 0), (0, 1)])
+@pytest.mark.parametrize("gain, unsure", [(1, 0), (-1, 0), (0, 1)])
 def test_a_validation_allows_for_inputs_that_were_rounded(gain, unsure):
     found = jb.validate(plant(gain, unsure, False), *recording(False))
     assert not (np.asarray(found.status) == jb.Status.FAULT).any()

@@ -462,9 +462,18 @@ def test_a_card_proves_once_its_user_examined_it_with_this_driver_and_these_vers
         probe._found.cache_clear()
         assert probe._doubt(card)
         record.write_bytes(kept)
-    Examined.client.platform_version = "of next year"
-    probe._found.cache_clear()
-    assert probe._doubt(card)
+    changes = (
+        (Examined.client, "platform_version", "of next year"),
+        (Card, "device_kind", "NVIDIA H900"),
+        (kinds, "_jaxlib", lambda: "0.99"),
+        (jax, "__version__", "0.99"),
+        (examined, "__version__", "99.0"),
+    )
+    for what, name, value in changes:
+        with monkeypatch.context() as patch:
+            patch.setattr(what, name, value)
+            probe._found.cache_clear()
+            assert probe._doubt(card), name
 
 
 @pytest.mark.parametrize(
