@@ -11,8 +11,8 @@ FAR, MORE = 10**6, 0.03
 
 def recording(direct):
     """Return (u, y) of x+ = x / 2 + v, y = x, or of y = v, where v was MORE and is recorded as 0."""
-    y = np.full((20, 1), MORE) if direct else 2 * MORE * (1 - 0.5 ** np.arange(20))[:, None]
-    return np.full((20, 1), FAR, np.float32), y.astype(np.float32)
+    y = np.full((40, 1), MORE) if direct else 2 * MORE * (1 - 0.5 ** np.arange(40))[:, None]
+    return np.full((40, 1), FAR, np.float32), y.astype(np.float32)
 
 
 def plant(gain, unsure, direct):
@@ -25,10 +25,14 @@ def plant(gain, unsure, direct):
 
 
 @pytest.mark.parametrize("direct", [False, True])
-@pytest.mark.parametrize("method", ["zonotope", pytest.param("joint", marks=pytest.mark.slow)])
-def test_an_uncertain_gain_multiplies_what_rounding_took_from_an_input(method, direct):
-    found = jb.detect(jb.observer(plant(0, 1, direct), method=method), *recording(direct))
+@pytest.mark.parametrize(
+    "options", [{}, pytest.param({"method": "joint", "window": 4}, marks=pytest.mark.slow)], ids=len
+)
+def test_an_uncertain_gain_multiplies_what_rounding_took_from_an_input(options, direct):
+    found = jb.detect(jb.observer(plant(0, 1, direct), **options), *recording(direct))
     assert not found.counts["FAULT"]
+    state, truth = found.observation.state, 0 if direct else recording(direct)[1]
+    assert ((np.asarray(state.lo) <= truth) & (truth <= np.asarray(state.hi)))[2:].all()
 
 
 @pytest.mark.parametrize("gain, unsure", [(1, 0), (-1, 0), (0, 1)])
