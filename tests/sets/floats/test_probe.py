@@ -25,6 +25,15 @@ each_dtype = pytest.mark.parametrize("dtype", DTYPES, ids=["float32", "float64"]
 EXACTLY = {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv}
 
 
+@pytest.fixture(autouse=True)
+def nobody_examined_a_device(monkeypatch, tmp_path):
+    """What a user of this machine examined is not what these tests find."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    probe._found.cache_clear()
+    yield
+    probe._found.cache_clear()
+
+
 def numbers(rng, dtype, low=-40, high=40, count=COUNT):
     return (np.exp2(rng.uniform(low, high, count)) * rng.choice([-1, 1], count)).astype(dtype)
 
@@ -445,7 +454,6 @@ def test_a_card_proves_once_its_user_examined_it_with_this_driver_and_these_vers
         client = type("Client", (), {"platform_version": "cuda 13000"})()
 
     card = Examined()
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(probe, "usable_devices", lambda: (card,))
     monkeypatch.setattr(probe, "is_cpu_default", lambda: False)
     monkeypatch.setattr(examined, "measure", lambda *given: {"NaN that are lost": (3.0, 0)})
