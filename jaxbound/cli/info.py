@@ -45,6 +45,8 @@ def run(args: argparse.Namespace) -> int:
 
     if args.template + args.device + (args.model is not None) != 1:
         raise Refused("jaxbound info needs either a model file or --template or --device")
+    if args.model is None and (args.horizon is not None or args.lags is not None):
+        raise Refused("--horizon and --lags say which windows of a model file are shown: none is given")
     if args.device:
         return _examine(args.json)
     if args.template:

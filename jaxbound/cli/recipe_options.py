@@ -48,7 +48,7 @@ def recipe_fields(args: argparse.Namespace) -> tuple[Path | None, dict[str, Any]
     """Return (the model file whose recipe is asked for, if any, the fields that differ from it).
 
     Raises:
-        ValueError: no fields, or faults that are none.
+        ValueError: no fields, one that is given twice, or faults that are none.
     """
     options = [(name, getattr(args, name)) for name in _options(args)]
     if args.recipe.endswith(".toml"):
@@ -66,9 +66,15 @@ def recipe_fields(args: argparse.Namespace) -> tuple[Path | None, dict[str, Any]
 
 
 def _values(entries: Sequence[tuple[str, str]]) -> dict[str, Any]:
-    """Return {field: value} of texts, the last one of each field."""
-    values = {}
+    """Return {field: value} of texts.
+
+    Raises:
+        ValueError: a field twice.
+    """
+    values: dict[str, Any] = {}
     for name, text in entries:
+        if name in values:
+            raise ValueError(f"{name} is given twice: --recipe takes each field once")
         values[name] = _value(name, text)
     return values
 

@@ -106,6 +106,7 @@ def save_model(model: LinearSystem, path: str | PathLike[str]) -> None:
     """Write a LinearSystem to a TOML file from which `load_model` reads the very same model.
 
     What the file held before is replaced, completely or not at all; only the commands of the shell ask first.
+    A model that `fit` returned has its recipe written too; one that was read from a file has none.
 
     Args:
         model: a LinearSystem. path: of the file to write.

@@ -284,6 +284,8 @@ def test_a_recipe_says_what_options_said_and_a_model_file_repeats_it(place, caps
     assert (place / "old.toml").read_text() == written
     assert main.main([*command, "--recipe", "order=1,height=4", "--force"]) == 2
     assert "fit has no height" in capsys.readouterr().err
+    assert main.main([*command, "--recipe", "order=1,order=2", "--force"]) == 2
+    assert "order is given twice" in capsys.readouterr().err
 
 
 def test_the_fields_of_a_recipe_are_those_of_the_command():

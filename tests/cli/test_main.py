@@ -310,6 +310,7 @@ BAD_USAGE = {
     "unknown command": (["detekt"], r"there is no command 'detekt' \(did you mean detect\?\)"),
     "fit without outputs": (["fit", "good.csv", "--out", "m.toml"], "--outputs is needed: the columns that"),
     "info of nothing": (["info"], "needs either a model file or --template"),
+    "info of windows of a device": (["info", "--device", "--horizon", "3"], "none is given"),
     "out is a file": (
         ["detect", "model.toml", "good.csv", "--out", "good.csv"],
         "good.csv is a file: a folder is needed",

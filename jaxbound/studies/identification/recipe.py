@@ -295,7 +295,8 @@ def recipe_text(recipe: Recipe) -> dict[str, str]:
     values = {field.name: getattr(recipe, field.name) for field in dataclasses.fields(Recipe)}
     changed = {name: x for name, x in values.items() if x != getattr(Recipe(), name)}
     if recipe.faults:
-        changed["see"] = [[x.signal, x.kind, x.size, x.start] for x in recipe.faults]
+        fields = [dataclasses.astuple(fault) for fault in recipe.faults]
+        changed["see"] = [[x for x in fault if x is not None] for fault in fields]  # TOML has no None: stop
     if recipe.observing is not None:
         changed["observer"] = [recipe.observing.name, *vars(recipe.observing).values()]
     return {name: item(x).as_string() for name, x in changed.items()}

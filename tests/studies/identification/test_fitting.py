@@ -17,6 +17,7 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.studies.identification import regression
 from jaxbound.studies.identification.bounds import verified
 from jaxbound.studies.identification.candidates import Candidate
+from jaxbound.studies.identification.recipe import recipe_of, recipe_text
 from jaxbound.studies.identification.training import Training
 from jaxbound.studies.identification.trial import Trial
 
@@ -532,3 +533,12 @@ def test_bounds_that_never_hold_are_refused(rng):
     training = Training.of((u, y), None, None, None, {}, {}, "plant")
     with pytest.raises(ValueError, match="no bounds were found that are proved to hold"):
         verified(Never(), trial, training, 1.25)
+
+
+def test_a_recipe_is_read_from_its_table_as_it_was_written(tmp_path):
+    faults = (jb.Fault("y", "bias", 0.5, 3, 9), jb.Fault("y", "drift", 0.1))
+    asked = recipe_of(None, {"order": 1, "observer": "joint", "disturbances": "auto", "see": faults})
+    lines = [f"{name} = {text}" for name, text in recipe_text(asked).items()]
+    (tmp_path / "plant.toml").write_text("\n".join(["[fit]", *lines]))
+    again = recipe_of(tmp_path / "plant.toml", {})
+    assert again.faults == faults and recipe_text(again) == recipe_text(asked)
