@@ -8,7 +8,7 @@
               moves which residual: bounds are 1.25 times the hull of the first half of the healthy samples
     skab      the Skoltech Anomaly Benchmark: trained on its folder anomaly-free; unseen: all other files
 
-Bounds are those that `fit` writes, without `tune`, as in docs/bounds.md; a delay counts from the onset of a
+Bounds are those that `fit` writes, without `tune`, as in docs/monitor.md; a delay counts from the onset of a
 fault, those that are not seen as never. Of
 skab also F1, the false alarm rate FAR and the missed alarm rate MAR over the rows of all files, from their
 column `anomaly`: FAR = FP/(FP + TN), MAR = FN/(FN + TP), F1 = 2 TP/(2 TP + FP + FN). A row is an alarm where

@@ -195,7 +195,7 @@ class Summary:
         return self.found or Evidence("", 0, 0, NOTHING_COUNTED)
 
     def plain(self, **also: object) -> Plain:
-        """Return the summary as JSON has it, in the layout that docs/summary.md describes. also: what a
+        """Return the summary as JSON has it, in the layout that docs/commands.md describes. also: what a
         command adds.
         """
         about = self._evidence

@@ -353,7 +353,7 @@ def test_errors_of_every_kind_lose_nothing(rng):
 
 
 def test_an_offset_of_unknown_size_is_a_constant_unknown_beside_an_input_that_is_1(rng):
-    """As docs/bounds.md says: an offset within .5 that keeps its value; by linear programs in state and
+    """As docs/monitor.md says: an offset within .5 that keeps its value; by linear programs in state and
     offset.
     """
     m = jb.LinearSystem(
@@ -391,7 +391,7 @@ def test_an_offset_of_unknown_size_is_a_constant_unknown_beside_an_input_that_is
 
 
 def test_a_load_of_a_day_is_a_state_that_stays_with_a_reading_of_its_bound(rng):
-    """As docs/bounds.md says: the observer of a whole day, by linear programs in state and load."""
+    """As docs/monitor.md says: the observer of a whole day, by linear programs in state and load."""
     wide, most, T = float(NOISE), 0.5, 20
     m = jb.LinearSystem(
         [["0.9", 1], [0, 1]],
