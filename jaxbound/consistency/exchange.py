@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
-from jaxbound.consistency import whole_numbers
-from jaxbound.consistency.holes import HolesTest
+from jaxbound.consistency.check import contradicted_by
+from jaxbound.consistency.holes import HolesTest, exact_margins
 from jaxbound.consistency.interface import (
     Again,
     Arrays,
@@ -28,11 +28,10 @@ from jaxbound.consistency.interface import (
     Run,
     SignedTest,
 )
-from jaxbound.consistency.kept_frames import KeptFrames
 from jaxbound.consistency.projection import easy_by
 from jaxbound.consistency.reading import Block, Reading, RowValues, gather
-from jaxbound.consistency.strips_on_host import contradicted_by
 from jaxbound.consistency.unproved import unproved_margins
+from jaxbound.consistency.whole_numbers import finite, thin
 from jaxbound.exact.frames import ExactFrame
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.kernel import kernel
@@ -88,11 +87,9 @@ class ExchangeTest(SignedTest):
         reading: Reading | None = None,
         steps: int | None = None,
         finer: float = 1.0,
-        frames: KeptFrames | None = None,
     ) -> None:
         super().__init__(relations, "joint", dtype)
         self.finer = finer
-        self.frames = KeptFrames(self.exact_frame) if frames is None else frames
         if reading is not None:
             self.reading = reading
         self.steps = 2 * len(self.exact_frame.inner) + 6 if steps is None else steps
@@ -152,13 +149,14 @@ class ExchangeTest(SignedTest):
             return lacking
         so_far = np.concatenate([[0], np.cumsum(gone)])
         touched = np.flatnonzero(so_far[starts + self.horizon + 1] > so_far[starts])
-        inner, needed = self.frames.inner, self.frames.needed
+        frame = self.reading.frame
+        needed = np.any(np.asarray(frame.K) != 0, 0)
         for first in range(0, len(touched), TOUCHED):
             chosen = touched[first : first + TOUCHED]
             inputs, outputs = gather(u, y, starts[chosen], self.lags, self.horizon)
             missing = np.isnan(self.reading.inputs(inputs)).reshape(-1, len(chosen))
             absent = self.reading.window.absent(outputs)
-            lacking[chosen] = absent[inner].any(0) | missing[needed].any(0)
+            lacking[chosen] = absent[frame.inner].any(0) | missing[needed].any(0)
         return lacking
 
     def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
@@ -175,7 +173,7 @@ class ExchangeTest(SignedTest):
 
     def refuted(self, u: np.ndarray, y: np.ndarray, *hints: np.ndarray) -> np.ndarray:
         """Return which windows the combinations of a search contradict; see `contradicted_by`."""
-        return contradicted_by(self.reading, self.reading.frame, u, y, hints[0])
+        return contradicted_by(self.reading, u, y, hints[0])
 
     def write(self, outs: Sequence[np.ndarray], at: np.ndarray, values: Sequence[np.ndarray]) -> None:
         """Write margins; a proof stays one."""
@@ -197,7 +195,7 @@ class ExchangeTest(SignedTest):
         for finer in FINER:
             if not len(left):
                 break
-            finely = ExchangeTest(self.relations, self.dtype, self.reading, steps, finer, self.frames)
+            finely = ExchangeTest(self.relations, self.dtype, self.reading, steps, finer)
             left = again(finely, left)
             left = left[margin[left + self.horizon] == 0]  # what is proved needs no other search
 
@@ -211,47 +209,22 @@ class ExchangeTest(SignedTest):
         if not len(starts):
             return
         windows = self._gather(u, y, starts)
-        starts = starts[whole_numbers.thin(self.reading, *windows) | self._lacking(u, y, starts)]
+        starts = starts[thin(self.reading, *windows) | self._lacking(u, y, starts)]
         margin[starts + self.horizon] = self.exactly(u, y, starts)
 
     def exactly(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """Return (N,) margins in whole numbers, 0 where these do not tell either."""
         margin = np.zeros(len(starts), self.dtype)
-        finite = np.zeros(0, int)
-        if len(starts):
-            finite = np.flatnonzero(whole_numbers.finite(*self._gather(u, y, starts)))
-        for frame, chosen in self._frames(u, y, starts[finite]):
-            at = finite[chosen]
-            windows = gather(u, y, starts[at], self.lags, self.horizon)
-            margin[at] = whole_numbers.exact_search(self.relations, self.reading, frame, *windows)
+        if not len(starts):
+            return margin
+        at = np.flatnonzero(finite(*self._gather(u, y, starts)))
+        windows = gather(u, y, starts[at], self.lags, self.horizon)
+        margin[at] = exact_margins(self.relations, self.reading, *windows)
         return margin
 
     def _gather(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Block:
         u, y = gather(u, y, starts, self.lags, self.horizon)
         return u, self.reading.seen(y)
-
-    def _frames(
-        self, u: np.ndarray, y: np.ndarray, starts: np.ndarray
-    ) -> list[tuple[ExactFrame, np.ndarray]]:
-        """Return [(frame, numbers of windows)]: for every window a frame whose inner rows and inputs it has;
-        none where exact elimination would take too long.
-        """
-        if not len(starts):
-            return []
-        samples, outputs = gather(u, y, starts, self.lags, self.horizon)
-        missing = np.isnan(self.reading.inputs(samples)).reshape(-1, len(starts)).T
-        absent = self.reading.window.absent(outputs).T
-        lost = np.concatenate([absent, missing], 1)
-        patterns, which = lost[:1], np.zeros(len(starts), int)
-        if (lost != patterns).any():  # sorting takes as long as judging a window
-            patterns, which = np.unique(lost, axis=0, return_inverse=True)
-        frames: dict[int, tuple[ExactFrame, list[int]]] = {}
-        for number, pattern in enumerate(patterns):
-            rows, inputs = np.split(pattern, [absent.shape[1]])
-            frame = self.frames.fitting(np.flatnonzero(rows).tolist(), np.flatnonzero(inputs).tolist())
-            if frame is not None:
-                frames.setdefault(id(frame), (frame, []))[1].append(number)
-        return [(frame, np.flatnonzero(np.isin(which.ravel(), own))) for frame, own in frames.values()]
 
 
 def _given_margins(reading: Reading, u: jax.Array, y: jax.Array, *best: jax.Array) -> jax.Array:

@@ -19,17 +19,16 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from jaxbound.consistency.check import LEAST, HostImage, explained
 from jaxbound.consistency.constant import gain_bounds, no_derivative, signed
-from jaxbound.consistency.holes import TOLD, Given, HolesTest, explained, refuted
-from jaxbound.consistency.strips_on_host import HostRows, contradicts
+from jaxbound.consistency.holes import TOLD, HolesTest, refuted
+from jaxbound.consistency.strips_on_host import excludes_0
 from jaxbound.exact.frames import ExactFrame
 from jaxbound.models.rows import Kind
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.strips.chebyshev import fitted
 
 __all__ = ["GainsTest"]
-
-LEAST = float(np.finfo(np.float64).tiny)
 
 
 class GainsTest(HolesTest):
@@ -42,29 +41,28 @@ class GainsTest(HolesTest):
     block = 2**9
     confirms = True
 
-    def given(self, u: np.ndarray, y: np.ndarray) -> "_Gained":
+    def image(self, u: np.ndarray, y: np.ndarray) -> "_Gained":
         """Return the rows of windows at gains of 1."""
         frame, outputs = self.reading.frame, len(self.reading.noise)
-        rows = Given.of(HostRows(self.reading, u, y, certain=True), self.reading, u)
+        rows = HostImage.of(self.reading, u, y, certain=True)
         order = [self.reading.window.all[i] for i in np.concatenate([frame.outer, frame.inner])]
         number = np.array([row.number if row.kind is Kind.READING else outputs for row in order])
         ends = [np.append(np.asarray(x)[:outputs], 1.0)[:, None] for x in gain_bounds(self.reading, np)]
         own = number == np.arange(outputs + 1)[:, None]
         return _Gained(**vars(rows), gains=(ends[0], ends[1]), inner=(ends[2], ends[3]), own=own)
 
-    def decided(self, given: Given, frame: ExactFrame, dtype: np.dtype) -> np.ndarray:
+    def decided(self, image: HostImage, frame: ExactFrame, dtype: np.dtype) -> np.ndarray:
         """Return the margins (N,) of windows."""
-        assert isinstance(given, _Gained)
-        free = given.free & given.columns.any(1)
-        found = given.searched(free)
+        assert isinstance(image, _Gained)
+        found = image.searched(image.free & image.columns.any(1))
         tolerance = np.asarray(self.reading.tolerance)[:, None]
-        inside = explained(given.at(np.clip(found.gains, *given.inner)), found.x)
+        inside = explained(image.at(np.clip(found.gains, *image.inner)), found.x)
         open_ = np.flatnonzero(~inside & ~found.idle)
         outside = np.zeros_like(inside)
-        some = given.of_windows(open_)
-        outside[open_] = refuted(some, frame, found.h[:, open_], found.telling[open_], free[open_])
+        some = image.of_windows(open_)
+        outside[open_] = refuted(some, frame, found.h[:, open_], found.telling[open_])
         off = np.abs(1 / found.gains[:-1] - 1) / np.where(tolerance > 0, tolerance, np.inf)
-        margin = 1 - np.maximum(given.factor(found), off.max(0))
+        margin = 1 - np.maximum(image.factor(found), off.max(0))
         margin = np.where(inside | outside, signed(margin, inside), 0)
         return np.where(found.idle, np.nan, margin).astype(dtype)
 
@@ -83,8 +81,8 @@ class _Found(NamedTuple):
     idle: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class _Gained(Given):
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Gained(HostImage):
     """Rows at gains of 1. Fields: gains, inner: (lo, hi), each (g, 1), boxes of gains around all and within
     them, the last for rows that have none; own (g, c + k): which rows each multiplies.
     """
@@ -94,13 +92,13 @@ class _Gained(Given):
     own: np.ndarray
 
     @property
-    def hull(self) -> Given:
+    def hull(self) -> HostImage:
         """The same rows at any gains."""
         lo, hi = map(self._each, self.gains)
         ends = np.minimum(lo * self.lo, hi * self.lo), np.maximum(lo * self.hi, hi * self.hi)
         return self._between(*ends)
 
-    def at(self, gains: np.ndarray) -> Given:
+    def at(self, gains: np.ndarray) -> HostImage:
         """Return the rows at gains (g, N)."""
         return self._between(self._each(gains) * self.lo, self._each(gains) * self.hi)
 
@@ -108,12 +106,12 @@ class _Gained(Given):
         """Return the gain of each row."""
         return np.asarray(self.own.T @ gains)
 
-    def _between(self, lo: np.ndarray, hi: np.ndarray) -> Given:
+    def _between(self, lo: np.ndarray, hi: np.ndarray) -> HostImage:
         """Return the rows between ends; twice their magnitudes pay for the products."""
         top = 2 * self.gains[1].max()
         sizes = {"size": top * self.size, "magnitude": top * self.magnitude, "floor": top * self.floor}
-        own = {field.name: getattr(self, field.name) for field in fields(Given)}
-        return Given(**own | sizes | {"lo": lo, "hi": hi})
+        own = {field.name: getattr(self, field.name) for field in fields(HostImage)}
+        return HostImage(**own | sizes | {"lo": lo, "hi": hi})
 
     def excludes(self, weights: np.ndarray, value: np.ndarray, error: np.ndarray) -> np.ndarray:
         """Return (N,) bool: whether weighted rows, less a value, are never 0, whatever the gains.
@@ -125,7 +123,7 @@ class _Gained(Given):
         one, other = np.where(used, weights * self.lo, 0), np.where(used, weights * self.hi, 0)
         below, above = self.own @ np.minimum(one, other), self.own @ np.maximum(one, other)
         least, most = np.minimum(lo * below, hi * below), np.maximum(lo * above, hi * above)
-        return contradicts(np.ones_like(least), least, most, value, 4 * hi.max() * error)
+        return excludes_0(least.sum(0) - value, most.sum(0) - value, 4 * hi.max() * error)
 
     @cached_property
     def _parts(self) -> np.ndarray:

@@ -16,9 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
+from jaxbound.consistency.check import contradicted_by
 from jaxbound.consistency.interface import Array, Arrays, Easy, LinearRelations, Run, SignedTest
 from jaxbound.consistency.reading import AVERAGING, Block, Reading
-from jaxbound.consistency.strips_on_host import contradicted_by
 from jaxbound.exact import linalg
 from jaxbound.models import sensor, window
 from jaxbound.models.rows import Kind, Row, WeightedSum
@@ -122,7 +122,7 @@ class EasyWindows(_Easy):
         frame, (h,) = self.reading.frame, hints
         whole = np.zeros((len(frame.outer), y.shape[2]), self.dtype)
         whole[np.isin(frame.outer, self.projection.outer)] = h
-        return contradicted_by(self.reading, frame, u, y, whole)
+        return contradicted_by(self.reading, u, y, whole)
 
 
 @kernel(wide=True)
@@ -466,7 +466,7 @@ def projection(
     outer, inner = np.array(frame.outer, int), list(frame.inner)
     if not looked[inner].all():
         return None
-    kept = np.array(frame.used, bool) & (looked[outer] > 0)
+    kept = looked[outer] > 0
     outer = outer[kept]
     R, K = np.asarray(reading.frame.R)[kept], np.asarray(reading.frame.K)[kept]
     radius = typical[[*outer, *inner]]

@@ -9,19 +9,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency import whole_numbers
 from jaxbound.consistency.folded import folded_verdict, folds, known_columns
 from jaxbound.consistency.interface import Again, Arrays, LinearTest, Outs, Progress, Run
 from jaxbound.consistency.reading import Block, Reading, gather
 from jaxbound.consistency.strips_on_host import HostStrips, host_strips
 from jaxbound.consistency.unproved import stretch_block, unproved_margins
+from jaxbound.consistency.whole_numbers import BLOCK, exact_strips, thin
 from jaxbound.exact.linalg import Matrix
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips.strips import status_of, strip_margin, strip_verdict
+from jaxbound.text.progress import reporter
 
 __all__ = ["StripsTest", "verdicts"]
+
+UNDECIDED = np.int8(Status.UNDECIDED)  # an enumeration would be three times as slow to compare
 
 
 class StripsTest(LinearTest):
@@ -46,7 +49,11 @@ class StripsTest(LinearTest):
     ) -> None:
         """Decide in whole numbers what rounding leaves open far from the boundary."""
         status, margin = outs
-        whole_numbers.settle(self.relations, self.reading, self.method, u, y, status, margin, progress)
+        starts = np.flatnonzero((status == UNDECIDED) & (margin == 0)) - self.horizon
+        if len(starts):
+            starts = starts[thin(self.reading, *gather(u, y, starts, self.lags, self.horizon))]
+        margin[starts + self.horizon] = self._exactly(u, y, starts, progress)
+        status[starts + self.horizon] = status_of(margin[starts + self.horizon])
 
     def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """Return (N,) bool: which windows one strip contradicts, in NumPy, else in whole numbers; see
@@ -54,11 +61,18 @@ class StripsTest(LinearTest):
         """
         seen = np.asarray(self._host.contradicted(u, y, starts).any(0))
         left = np.flatnonzero(~seen)
-        for first in range(0, len(left), whole_numbers.BLOCK):
-            part = left[first : first + whole_numbers.BLOCK]
-            windows = gather(u, y, starts[part], self.lags, self.horizon)
-            seen[part] = whole_numbers.exact_strips(self.relations, self.reading, self._exact, *windows) < 0
+        seen[left] = self._exactly(u, y, starts[left], reporter(None)) < 0
         return seen
+
+    def _exactly(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray, progress: Progress) -> np.ndarray:
+        """Return the margins of windows that start at these samples, in whole numbers."""
+        margins = np.zeros(len(starts), self.dtype)
+        for first in range(0, len(starts), BLOCK):
+            part = slice(first, first + BLOCK)
+            windows = gather(u, y, starts[part], self.lags, self.horizon)
+            margins[part] = exact_strips(self.relations, self.reading, self._exact, *windows)
+            progress(min(first + BLOCK, len(starts)) / len(starts))
+        return margins
 
     @cached_property
     def _exact(self) -> tuple[Matrix, Matrix]:

@@ -1,6 +1,6 @@
 """Elimination by frames: of rows y = E x + K u, some tell x, and the others follow from them."""
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
@@ -11,7 +11,7 @@ from typing import NamedTuple, Self
 from jaxbound.exact.linalg import Matrix, integers, row_reduce, transpose
 from jaxbound.text.progress import in_part, reporter
 
-__all__ = ["ExactFrame", "frame", "reframe"]
+__all__ = ["ExactFrame", "frame"]
 
 
 @dataclass(frozen=True)
@@ -19,15 +19,13 @@ class ExactFrame:
     """Rows y = E x + K u with x eliminated: the `outer` rows as combinations of the `inner` ones, y_outer = R
     y_inner + K u.
 
-    Fields: R (c, k), K (c, l), inner (k,) and outer (c,) row numbers, used (c,): False where a relation was
-    given up.
+    Fields: R (c, k), K (c, l), inner (k,) and outer (c,) row numbers.
     """
 
     R: Matrix
     K: Matrix
     inner: tuple[int, ...]
     outer: tuple[int, ...]
-    used: tuple[bool, ...]
 
 
 def frame(
@@ -60,27 +58,6 @@ def frame(
 def _log(x: Fraction) -> float:
     """Return the logarithm of a fraction, which may be too large for a float."""
     return log(x.numerator) - log(x.denominator)
-
-
-def reframe(given: ExactFrame, absent: Collection[int], missing: Iterable[int]) -> ExactFrame:
-    """Return a frame for a window in which the rows `absent` and the known values `missing` are not there.
-
-    Absent inner rows change places with present ones; a missing known value is eliminated by one relation,
-    whose row joins the inner ones. What cannot be replaced so matters to no used relation: its coefficients
-    there are zeros.
-    """
-    out = _Frame.of(given)
-    for i, row in enumerate(given.inner):
-        if row in absent:
-            size, j = out.largest_usable(i, absent)
-            if size:
-                out = out.exchanged(j, i)
-    for b in missing:
-        column = len(out.inner) + b
-        size, j = out.largest_usable(column, absent)
-        if size:
-            out = out.given_up(j, column)
-    return out.in_fractions()
 
 
 class _Row(NamedTuple):
@@ -119,12 +96,6 @@ class _Row(NamedTuple):
         numbers[column] = share * other.over
         return self.reduced(numbers, self.over * head)
 
-    def with_column_at(self, place: int, column: int) -> Self:
-        """Return the row with a new column at a place, whose entry comes from a later one: there 0 stays."""
-        numbers = list(self.numbers)
-        moved, numbers[column] = numbers[column], 0
-        return self.reduced([*numbers[:place], moved, *numbers[place:]], self.over)
-
 
 @dataclass(frozen=True)
 class _Frame:
@@ -133,7 +104,6 @@ class _Frame:
     rows: tuple[_Row, ...]
     inner: tuple[int, ...]
     outer: tuple[int, ...]
-    used: tuple[bool, ...]
 
     @classmethod
     def eliminated(cls, R: Matrix, inner: tuple[int, ...], K: Matrix) -> Self:
@@ -149,13 +119,7 @@ class _Frame:
                 through = sum(map(mul, mine, column))
                 numbers.append(x * (common // under) - through * (common // (over * below)))
             rows.append(_Row.reduced(numbers, common))
-        return cls(tuple(rows), inner, outer, (True,) * len(outer))
-
-    @classmethod
-    def of(cls, given: ExactFrame) -> Self:
-        """Return a frame in whole numbers."""
-        rows = tuple(_Row(*integers([*R, *K])) for R, K in zip(given.R, given.K, strict=True))
-        return cls(rows, given.inner, given.outer, given.used)
+        return cls(tuple(rows), inner, outer)
 
     def in_fractions(self) -> ExactFrame:
         """Return the frame in fractions."""
@@ -164,21 +128,13 @@ class _Frame:
             entries = tuple(Fraction(x, row.over) for x in row.numbers)
             R.append(entries[:k])
             K.append(entries[k:])
-        return ExactFrame(tuple(R), tuple(K), self.inner, self.outer, self.used)
+        return ExactFrame(tuple(R), tuple(K), self.inner, self.outer)
 
     def largest_entry(self) -> tuple[Fraction, int, int]:
         """Return (size, row, column) of the largest entry of R, the last one of equals."""
         columns = range(len(self.inner))
         entries = ((row.size(i), j, i) for j, row in enumerate(self.rows) for i in columns)
         return max(entries, default=(Fraction(0), 0, 0))
-
-    def largest_usable(self, column: int, absent: Collection[int]) -> tuple[Fraction, int]:
-        """Return (size, row) of a column's largest entry among relations in use whose outer row is present.
-
-        A relation of an absent outer row stays in use, for windows that have it.
-        """
-        usable = (j for j, used in enumerate(self.used) if used and self.outer[j] not in absent)
-        return max(((self.rows[j].size(column), j) for j in usable), default=(Fraction(0), 0))
 
     def exchanged(self, j: int, i: int) -> Self:
         """Let outer row j and inner row i change places."""
@@ -187,15 +143,4 @@ class _Frame:
         rows[j] = pivot.solved_for(i)
         inner, outer = list(self.inner), list(self.outer)
         inner[i], outer[j] = outer[j], inner[i]
-        return type(self)(tuple(rows), tuple(inner), tuple(outer), self.used)
-
-    def given_up(self, j: int, column: int) -> Self:
-        """Solve relation j for the known value of a column, put that into the other relations, and take row j
-        among the inner ones.
-        """
-        k, pivot = len(self.inner), self.rows[j]
-        rows = [row.through(column, pivot).with_column_at(k, column) for row in self.rows]
-        nothing = [0] * (1 + len(pivot.numbers) - k)
-        rows[j] = _Row.reduced([*pivot.numbers[:k], *nothing], pivot.over)
-        used = tuple(u and a != j for a, u in enumerate(self.used))
-        return type(self)(tuple(rows), (*self.inner, self.outer[j]), self.outer, used)
+        return type(self)(tuple(rows), tuple(inner), tuple(outer))

@@ -37,7 +37,6 @@ from jaxbound.consistency.interface import (
     WindowTest,
     refuse_options,
 )
-from jaxbound.consistency.kept_frames import KeptFrames, Reframed
 from jaxbound.consistency.reading import Reading
 from jaxbound.consistency.strips import StripsTest
 from jaxbound.exact import linalg
@@ -157,10 +156,6 @@ class ParityRelation(LinearRelations):
     def _frames(self) -> dict[np.dtype, Frame]:
         return {}
 
-    @cached_property
-    def _reframed(self) -> Reframed:
-        return {}
-
     def _rounded_frame(self, dtype: DTypeLike) -> Frame:
         """Return the frame in floats, rounded once for each type."""
         assert self.frame is not None
@@ -195,7 +190,7 @@ class ParityRelation(LinearRelations):
         if method == "joint" and self.frame is not None:
             if constant:
                 return GainsTest(self, dtype)
-            return ExchangeTest(self, dtype, frames=KeptFrames(self.frame, self._reframed))
+            return ExchangeTest(self, dtype)
         if constant:
             return ConstantTest(self, method, dtype, partial(self._search, dtype))
         return StripsTest(self, method, dtype)

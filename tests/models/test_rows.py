@@ -9,7 +9,7 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.certificates.exact_window import exact_window
-from jaxbound.consistency.whole_rows import whole_rows
+from jaxbound.consistency.host_rows import HostRows
 from jaxbound.models.rows import Kind, WeightedSum
 from jaxbound.models.window import window_rows
 
@@ -75,7 +75,8 @@ def test_three_evaluators_give_a_sum_of_any_signals_its_limits(name, rng):
     u, y = rng.uniform(-1, 1, (HORIZON, 1, WINDOWS)), rng.uniform(10, 30, (HORIZON + 1, 2, WINDOWS))
     y[1, 1, 0] = np.nan
     mid, rad, scale, *_ = jax.jit(lambda u, y: reading.block(u, y))(u, y)
-    whole = whole_rows(relations.model, reading, u, y)
+    whole = HostRows(reading, u, y, model=relations.model)
+    ends = whole.ends()
     for n in range(WINDOWS):
         window = exact_window(relations, np.append(u[..., n], [[0]], 0), y[..., n])
         window = dataclasses.replace(window, average=(BOUND,))
@@ -83,13 +84,11 @@ def test_three_evaluators_give_a_sum_of_any_signals_its_limits(name, rng):
         for number, row in enumerate(rows.of_sums, rows.single):
             wanted = limits(rows, row, y[..., n])
             if wanted is None:
-                assert whole.absent[number, n] and np.isnan(mid[number, n])
+                assert whole.absent()[number, n] and np.isnan(mid[number, n])
                 assert window.limits[number] is None
                 continue
             lo, hi = wanted
-            share = whole.factor[number] / whole.scale / 2
-            twice, spread = int(whole.twice[number][n]), int(whole.spread[number][n])
-            assert (share * (twice - spread), share * (twice + spread)) == (lo, hi)
+            assert tuple(Fraction(int(x[number, n]), whole.unit) for x in ends) == (lo, hi)
             floor = 10 * (row.values.terms + row.values.size) * window.floor
             assert window.limits[number] == (lo - floor, hi + floor)
             slip = 16 * Fraction(1, 2**53) * Fraction(float(scale[number, n]))

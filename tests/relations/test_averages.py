@@ -14,10 +14,10 @@ import pytest
 from agreement import certificates_hold, monitor_agrees
 
 import jaxbound as jb
+from jaxbound.consistency.check import contradicted_by
 from jaxbound.consistency.exchange import candidates
 from jaxbound.consistency.projection import columns_of
 from jaxbound.consistency.reading import gather
-from jaxbound.consistency.strips_on_host import contradicted_by
 from jaxbound.models.modelfile import load_model, save_model
 from jaxbound.sets.strips.projection import projected_margin
 
@@ -194,7 +194,7 @@ def test_combinations_of_runs_contradict_in_numpy_what_has_no_solution(rng):
     worst = np.asarray(candidates(test.constants, np.ones(test.block), *windows)[0])
     kept = [rng.normal(size=worst.shape) * (rng.random(worst.shape) < share) for share in (0.1, 0.4, 1)]
     for h in (worst, *kept):
-        assert not contradicted_by(test.reading, test.reading.frame, *windows, h).any()
+        assert not contradicted_by(test.reading, *windows, h).any()
 
 
 @pytest.mark.parametrize("kind", ["short", "disturbed", pytest.param("lags", marks=SLOW)])

@@ -61,33 +61,24 @@ Numbers: TypeAlias = jax.Array | np.ndarray
 class Frame:
     """An `ExactFrame` in floats.
 
-    Fields: R (c, k), K (c, l) nearest to the exact ones; inner (k,), outer (c,) row numbers; used (c,) as
-    there; real (k,): False where a column only fills up to a fixed width.
+    Fields: R (c, k), K (c, l) nearest to the exact ones; inner (k,), outer (c,) row numbers.
     """
 
     R: Numbers
     K: Numbers
     inner: Numbers
     outer: Numbers
-    used: Numbers
-    real: Numbers
 
 
-def frame_of(exact_frame: ExactFrame, dtype: DTypeLike, width: int | None = None) -> Frame:
-    """Round an `ExactFrame`; fill its inner rows up to `width`."""
+def frame_of(exact_frame: ExactFrame, dtype: DTypeLike) -> Frame:
+    """Round an `ExactFrame`."""
     c, k = len(exact_frame.outer), len(exact_frame.inner)
-    width = k if width is None else width
-    rounded = lambda rows: rounding.nearest_normals([x for row in rows for x in row], dtype).reshape(c, -1)
-    R = np.zeros((c, width), dtype)
-    R[:, :k], K = rounded(exact_frame.R), rounded(exact_frame.K)
-    inner = np.array([*exact_frame.inner, *[0] * (width - k)], np.int32)
+    R, K = (
+        rounding.nearest_normals([x for row in rows for x in row], dtype).reshape(c, -1)
+        for rows in (exact_frame.R, exact_frame.K)
+    )
     return Frame(
-        R,
-        K,
-        inner,
-        np.array(exact_frame.outer, np.int32),
-        np.array(exact_frame.used, bool),
-        np.arange(width) < k,
+        R.reshape(c, k), K, np.array(exact_frame.inner, np.int32), np.array(exact_frame.outer, np.int32)
     )
 
 
@@ -254,13 +245,13 @@ def separation_verdict(
 def _ordered(
     frame: Frame, rows: jax.Array, absent: jax.Array, missing: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return (rows (.., c + k, N), 0 without a sample, outer ones first; present, which have one and count;
-    complete (N,)).
+    """Return (rows (.., c + k, N), 0 without a sample, outer ones first; present, which have one; complete
+    (N,)).
     """
-    c = len(frame.used)
+    c = len(frame.outer)
     order = jnp.concatenate([frame.outer, frame.inner]).astype(jnp.uint32)
     take = lambda x, axis: jnp.take(x, order, axis, mode="clip")
-    present = jnp.concatenate([frame.used, frame.real])[:, None] & ~take(absent, 0)
+    present = ~take(absent, 0)
     gone = jnp.concatenate([~present[c:], missing]).astype(jnp.float32)
     lacking = (_matrix(frame) != 0).astype(
         jnp.float32

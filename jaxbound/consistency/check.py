@@ -1,0 +1,252 @@
+"""The check: what multipliers, or unknowns, prove of windows, in NumPy: in float64 or in whole numbers.
+
+Rows y_outer = R y_inner + K u hold whatever is missing. A row without a sample bounds nothing; an inner row
+without one, or a missing input, is an unknown f without bounds, whose column F is one of R or of K:
+
+    |z - R d - F f| <= r (outer rows with a sample),   |d| <= r (inner rows with one).
+
+Any (d, f) that satisfies all rows proves a window consistent. Any h with
+
+    |h z| > sum |h_j| r_j + sum |h R|_i r_i + sum |h F|_a V_a
+
+proves it inconsistent, if |f| <= V in every behaviour. Errors of float64 are those of
+`rounding.search_error`, twice for an h that is rounded. In whole numbers there are none: then h F has to be
+0, and the outer rows, R and K are times a number that makes R and K whole.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import lcm
+from typing import Any, Self
+
+import numpy as np
+
+from jaxbound.consistency.host_rows import Ends, HostRows, doubles
+from jaxbound.consistency.reading import Reading
+from jaxbound.consistency.strips_on_host import excludes_0
+from jaxbound.exact.frames import ExactFrame
+from jaxbound.models.system import LinearSystem
+from jaxbound.sets.floats import rounding
+
+__all__ = ["LEAST", "UNIT", "HostImage", "contradicted", "contradicted_by", "explained"]
+
+ALONE = 128
+"""Windows of a product that one thread works out."""
+UNIT, LEAST = float(rounding.unit(np.float64)), float(rounding.tiny(np.float64))
+"""The unit roundoff of float64, and the smallest normal number."""
+
+
+@dataclass(frozen=True, eq=False)
+class HostImage:
+    """The rows of N windows, ordered as a frame has them, windows on the last axis.
+
+    Fields: R (c, k), K (c, l): of the frame, times `scale`; lo, hi, there (c + k, N): ends of the outer rows,
+    then of the inner ones, and which have a sample; known (l, N): inputs, 0 where missing; lost (l, N): which
+    are missing and used by a row that is there; most: of one window at most; off (c, N): how far rows may be
+    off since inputs were rounded; size (k, N), magnitude (c, N): what rounding errors of inner rows, and of
+    z, are relative to; gamma, floor (N,): of `rounding.search_error`, 0 of whole numbers; left (c, 1): at
+    least what these leave out of the bounds of what a multiplier of 1 weighs.
+    """
+
+    R: np.ndarray
+    K: np.ndarray
+    lo: np.ndarray
+    hi: np.ndarray
+    there: np.ndarray
+    known: np.ndarray
+    lost: np.ndarray
+    most: int
+    off: np.ndarray
+    size: np.ndarray
+    magnitude: np.ndarray
+    gamma: float
+    floor: np.ndarray
+    scale: int = 1
+    left: Ends = 0
+
+    @classmethod
+    def of(cls, reading: Reading, u: np.ndarray, y: np.ndarray, certain: bool = False) -> Self:
+        """Return the rows of windows u (lags, m, N), y (s + 1, p, N) in float64, as the frame of a reading
+        orders them; certain: as of `HostRows`.
+        """
+        frame, rows = reading.frame, HostRows(reading, u, y, certain)
+        R, K, order = doubles(frame.R), doubles(frame.K), np.concatenate([frame.outer, frame.inner])
+        of_rows, of_inputs = rows.sizes()
+        outer, inner = of_rows[order[: len(R)]], of_rows[order[len(R) :]]
+        gamma, floor = map(float, rounding.search_error(len(R), len(R.T), len(K.T), np.float64))
+        largest = 1 + max(np.abs(R).max(initial=0), np.abs(K).max(initial=0))
+        floors = floor * largest * largest * (1 + outer.sum(0) + inner.sum(0) + of_inputs.sum(0))
+        magnitude = outer + _times(np.abs(R), inner) + _times(np.abs(K), of_inputs)
+        ends = cls._ends(rows, R, K, order)
+        ends["off"] = (1 + gamma) * ends["off"]
+        return cls(R, K, **ends, size=inner, magnitude=magnitude, gamma=gamma, floor=floors)
+
+    @classmethod
+    def whole(
+        cls, model: LinearSystem, reading: Reading, frame: ExactFrame, u: np.ndarray, y: np.ndarray
+    ) -> Self:
+        """Return the rows of windows of a model in whole numbers."""
+        rows, c, k = HostRows(reading, u, y, model=model), len(frame.outer), len(frame.inner)
+        scale = lcm(*(x.denominator for M in (frame.R, frame.K) for row in M for x in row))
+        R, K = (np.array([[int(x * scale) for x in row] for row in M], object) for M in (frame.R, frame.K))
+        R, K, order = R.reshape(c, k), K.reshape(c, -1), np.array([*frame.outer, *frame.inner], int)
+        size, magnitude, floor = (np.zeros((count, y.shape[2])) for count in (k, c, 1))
+        left = rows.floor() * (scale + np.abs(R).sum(1, keepdims=True))
+        return cls(
+            R,
+            K,
+            **cls._ends(rows, R, K, order),
+            size=size,
+            magnitude=magnitude,
+            gamma=0,
+            floor=floor[0],
+            scale=scale,
+            left=left,
+        )
+
+    @staticmethod
+    def _ends(rows: HostRows, R: np.ndarray, K: np.ndarray, order: np.ndarray) -> dict[str, Any]:
+        """Return the fields that have no rounding errors."""
+        there = ~rows.absent()[order]
+        lo, hi = (np.where(there, x[order], 0) for x in rows.ends())
+        known, slips, missing = rows.known()
+        lost = missing & ((K != 0).T.astype(float) @ there[: len(R)] > 0)
+        off = np.zeros((len(R), rows.count), lo.dtype)
+        if slips is not None:
+            off = np.abs(K) @ np.where(missing, 0, slips)
+        known, most = np.where(missing, 0, known), int(lost.sum(0).max(initial=0))
+        return {"lo": lo, "hi": hi, "there": there, "known": known, "lost": lost, "most": most, "off": off}
+
+    def of_windows(self, part: np.ndarray | slice) -> Self:
+        """Return the rows of some windows."""
+        names = "lo", "hi", "there", "known", "lost", "off", "size", "magnitude", "floor"
+        return replace(self, **{name: getattr(self, name)[..., part] for name in names})
+
+    @property
+    def exact(self) -> bool:
+        """Whether these are whole numbers."""
+        return self.lo.dtype == object
+
+    @property
+    def hull(self) -> "HostImage":
+        """The same with ends that hold in every behaviour."""
+        return self
+
+    def excludes(self, weights: np.ndarray, value: np.ndarray, error: np.ndarray) -> np.ndarray:
+        """Return (N,) bool: whether weighted rows (c + k, N), less a value, are never 0, even off by an
+        error.
+        """
+        low, high = weights * self.lo, weights * self.hi
+        return excludes_0(np.minimum(low, high).sum(0) - value, np.maximum(low, high).sum(0) - value, error)
+
+    @cached_property
+    def middle(self) -> np.ndarray:
+        """(c + k, N): the middles of rows, 0 without a sample."""
+        return (self.lo + self.hi) // 2 if self.exact else (self.lo + self.hi) / 2
+
+    @cached_property
+    def radius(self) -> np.ndarray:
+        """(c + k, N): the radii of rows, 0 without a sample."""
+        return (self.hi - self.lo) // 2 if self.exact else (self.hi - self.lo) / 2
+
+    @cached_property
+    def z(self) -> np.ndarray:
+        """(c, N): `scale` times what outer rows are beyond those that the middles of inner ones give."""
+        c = len(self.R)
+        return np.asarray(self.scale * self.middle[:c] - self.R @ self.middle[c:] - self.K @ self.known)
+
+    @cached_property
+    def slots(self) -> np.ndarray:
+        """(n, N): the numbers of the inputs that are lost, then l."""
+        order = np.argsort(~self.lost, axis=0, kind="stable")[: self.most]
+        return np.where(np.take_along_axis(self.lost, order, 0), order, len(self.lost))
+
+    @cached_property
+    def columns(self) -> np.ndarray:
+        """(N, c, k + n): the columns of d, or f, of inner rows, then those of lost inputs; 0 in rows that are
+        not there.
+        """
+        c, N = len(self.R), self.lo.shape[1]
+        R, K = ((M / self.scale).astype(float) for M in (self.R, self.K))
+        lost = np.concatenate([K, np.zeros((c, 1))], 1)[:, self.slots].transpose(2, 0, 1)
+        whole = np.concatenate([np.broadcast_to(R, (N, *R.shape)), lost], 2)
+        return np.where(self.there[:c].T[:, :, None], whole, 0)
+
+    @cached_property
+    def free(self) -> np.ndarray:
+        """(N, k + n): which columns are unknowns without bounds."""
+        c = len(self.R)
+        return np.concatenate([~self.there[c:].T, self.slots.T < len(self.lost)], 1)
+
+
+def contradicted_by(reading: Reading, u: np.ndarray, y: np.ndarray, h: np.ndarray) -> np.ndarray:
+    """Return (N,) bool: which windows u (lags, m, N), y (s + 1, p, N) are contradicted by combinations h (c,
+    N) of the outer rows of the frame of a reading: whatever they are, what is said here is proved. Of a
+    window that lacks an inner row, or an input, nothing is said.
+    """
+    image = HostImage.of(reading, u, y)
+    return contradicted(image, doubles(h), np.where(image.free, np.inf, 0))
+
+
+def contradicted(image: HostImage, h: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    """Return (N,) bool: which windows combinations h (c, N) contradict, each number of them rounded once.
+
+    Args:
+        reach: (N, k + n), of unknowns without bounds their V; 0 where h cancels them exactly.
+    """
+    (c, k), h = image.R.shape, np.where(image.there[: len(h)], h, 0)
+    weights = np.concatenate([image.scale * h, np.where(image.there[c:], -_times(image.R.T, h), 0)])
+    value = (_times(image.K.T, h) * image.known).sum(0)
+    off = image.off + image.left
+    if not image.exact:
+        off = off + 2 * image.gamma * image.magnitude + image.floor
+    error = (np.abs(h) * off).sum(0)
+    if not image.exact:
+        error = error + image.floor
+        if reach.any():
+            error = error + _leaked(image, h, reach)
+        error = error * (1 + 64 * (c + k) * UNIT)
+    return image.excludes(weights, value, error)
+
+
+def _leaked(image: HostImage, h: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    """Return (N,), at least what unknowns without bounds add to combinations; infinite where the reach of one
+    is not known.
+    """
+    F = np.where(image.free[:, None, :], image.columns, 0)
+    through = np.abs(np.einsum("jn,njf->nf", h, F))
+    # entries of F may be off by LEAST, see `rounding.nearest_normals`
+    rounded = UNIT * np.abs(F) + LEAST * (F != 0)
+    through += 4 * (len(h) + 4) * np.einsum("jn,njf->nf", np.abs(h), rounded)
+    through += LEAST * np.einsum("jn,njf->nf", h != 0, F != 0)
+    return np.where(through * reach > 0, through * reach, 0).sum(1)
+
+
+def explained(image: HostImage, x: np.ndarray) -> np.ndarray:
+    """Return (N,) bool: which windows x (k + n, N), the deviations of inner rows and of lost inputs from what
+    they are taken for, explains.
+    """
+    c, k = image.R.shape
+    known = np.concatenate([image.known, np.zeros((1, image.known.shape[1]), image.known.dtype)])
+    np.put_along_axis(known, image.slots, np.take_along_axis(known, image.slots, 0) + x[k:], 0)
+    known, inner = known[:-1], image.middle[c:] + x[:k]
+    values = np.concatenate([image.R @ inner + image.K @ known, inner])
+    error = np.zeros(values.shape, values.dtype)
+    if not image.exact:
+        sizes = np.abs(image.R) @ np.abs(inner) + np.abs(image.K) @ np.abs(known)
+        sizes = np.concatenate([image.magnitude + sizes, image.size + np.abs(inner)])
+        error = image.gamma * sizes + image.floor * (1 + sizes.sum(0) + np.abs(known).sum(0))
+    error[:c] += image.off
+    scale = np.where(np.arange(c + k) < c, np.array(image.scale, values.dtype), 1)[:, None]
+    within = (scale * image.lo + error <= values) & (values <= scale * image.hi - error)
+    return np.asarray(np.all(within.astype(bool) | ~image.there, 0))
+
+
+def _times(A: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Return A x (a, N), some columns at a time: of larger products the library starts threads, which wait
+    for each other where others are at work.
+    """
+    out = np.empty((len(A), x.shape[1]), x.dtype)
+    for first in range(0, x.shape[1], ALONE):
+        np.matmul(A, x[:, first : first + ALONE], out=out[:, first : first + ALONE])
+    return out
