@@ -8,11 +8,11 @@ certificate is complete in itself: whoever checks it needs fractions, but neithe
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from jaxbound.certificates.diagnosis import Diagnosis, diagnose_window
 from jaxbound.certificates.exact_window import ExactWindow, Explanation, exact_window, rounded_witness
 from jaxbound.certificates.fault_size import Scale, SensorError
 from jaxbound.certificates.interface import Index, Sample, WindowCertificate, certify, nothing_to_explain
-from jaxbound.certificates.witness import Numbers, Witnessed, rows_of
+from jaxbound.certificates.witness import Numbers, Witnessed, every_sample, rows_of
 from jaxbound.exact.linalg import Vector
 from jaxbound.models.named_faults import NamedFault
 from jaxbound.relations.parity import ParityRelation
@@ -32,9 +32,6 @@ from jaxbound.text.objects import readable
 from jaxbound.text.progress import Progress, reporter
 
 __all__ = ["Certificate"]
-
-Judged: TypeAlias = tuple[Vector, Vector, Fraction, Fraction]
-"""(h, k, residual, width) of a relation."""
 
 
 class Sizes(dict[str, "Fraction | float"]):
@@ -57,8 +54,7 @@ class Certificate(Witnessed, WindowCertificate):
             the inputs: h (Y, w) = k U for an exact plant.
         residual, width: the value of the relation at the middles of the intervals of samples and
             disturbances, and the largest that the bounds allow; a FAULT, because |residual| > width.
-        factor: |residual| / width, the factor on all bounds at which the window just becomes consistent (for
-            method "box": that relation).
+        factor: |residual| / width, the factor on all bounds at which the window just becomes consistent.
         state: where the window can be explained, the first state of a behaviour that does (the witness), in
             deviations; else None.
         outputs, disturbances, unknown_inputs, inputs: that behaviour's true outputs (s+1, p), disturbances
@@ -84,7 +80,7 @@ class Certificate(Witnessed, WindowCertificate):
         """FAULT or CONSISTENT: what the exact numbers say, also where the method of the detection left it
         UNDECIDED.
         """
-        return _proved(self.explanation)
+        return _proved(self.factor)
 
     @cached_property
     def _scale(self) -> Scale:
@@ -96,7 +92,7 @@ class Certificate(Witnessed, WindowCertificate):
         """A SensorError for each output: the smallest error of that sensor alone that would explain the
         window.
         """
-        if self.window.constant:
+        if self.window.unweighed:
             return ()
         return tuple(map(self._scale.error, range(self.window.model.p)))
 
@@ -121,14 +117,14 @@ class Certificate(Witnessed, WindowCertificate):
         its bounds allow first, then inputs, if the actuator did something else than was recorded. Of any
         other it is proved that it cannot.
         """
-        if self.proves != Status.FAULT or self.window.constant:
+        if self.proves != Status.FAULT or self.window.unweighed:
             return ()
         inputs = enumerate(self.window.model.inputs)
         return *self.sensor_candidates, *(name for i, name in inputs if self._scale.explained_without(i))
 
     def work_out(self, progress: Progress | None = None) -> None:
         """Work out .errors and .candidates: see `WindowCertificate.work_out`."""
-        if self.proves != Status.FAULT or self.window.constant:
+        if self.proves != Status.FAULT or self.window.unweighed:
             return
         report = reporter(progress, "errors and candidates")
         model, scale = self.window.model, self._scale
@@ -142,7 +138,7 @@ class Certificate(Witnessed, WindowCertificate):
     @property
     def sensor_candidates(self) -> tuple[str, ...]:
         """The outputs among the candidates: without the exact program of each input."""
-        if self.proves != Status.FAULT or self.window.constant:
+        if self.proves != Status.FAULT or self.window.unweighed:
             return ()
         shares = []
         for error in self.sensor_errors:
@@ -157,10 +153,8 @@ class Certificate(Witnessed, WindowCertificate):
             raise ValueError(
                 f"window {self.at[-1]} is explained without a fault: there is nothing to diagnose"
             )
-        if self.window.constant:
-            raise NotImplementedError(
-                "named faults are not weighed beside constant_tolerance: give the tolerance as noise"
-            )
+        if self.window.unweighed:
+            raise NotImplementedError(self.window.unweighed)
         return diagnose_window(self._scale, self.at[-1], faults)
 
     def _widest(self, i: int) -> Fraction:
@@ -218,16 +212,18 @@ class Certificate(Witnessed, WindowCertificate):
         numbers: Numbers = {}
         if rows.of_sums:
             numbers["a"] = h[rows.single :]
+        if window.first is not None:
+            numbers["x"] = window.of_first(h)
         numbers["h"] = rows_of(h[: rows.readings], model.p)
-        numbers["g"] = self._every_sample(h[rows.readings : rows.single], [Fraction(0)] * model.g)
-        numbers["k"] = self._every_sample(k, [Fraction(0)] * model.m)
+        numbers["g"] = every_sample(window.horizon, h[rows.readings : rows.single], [Fraction(0)] * model.g)
+        numbers["k"] = every_sample(window.horizon, k, [Fraction(0)] * model.m)
         numbers |= {"residual": residual, "width": width, "factor": abs(residual) / width}
         return numbers
 
 
-def _proved(explanation: Explanation) -> Status:
+def _proved(factor: Fraction) -> Status:
     """Return the verdict of exact numbers: a window is FAULT where its bounds would have to be wider."""
-    if explanation.factor > 1:
+    if factor > 1:
         return Status.FAULT
     return Status.CONSISTENT
 
@@ -249,17 +245,7 @@ def _(
     best = window.solve()
     if not any(best.h):
         raise nothing_to_explain(at)
-    h, k, residual, width = best.h, best.k, best.residual, best.width
-    if method == "box":
-        alone = list(_relations_with_data(relations, window))
-        if not alone:
-            raise nothing_to_explain(at)
-        worst = max(alone, key=_factor)
-        if _factor(worst) > 1:
-            h, k, residual, width = worst
-        if status is None:
-            status = _said_by_box(worst, relations.count)
-    proved = _proved(best)
+    proved = _proved(best.factor)
     if status not in (None, Status.UNDECIDED, proved):
         raise NotImplementedError(
             f"the verdict of window {at[-1]} rests on more than its samples and bounds: certificates of such "
@@ -270,9 +256,9 @@ def _(
     z = None
     if proved == Status.CONSISTENT:
         z = rounded_witness(window, best.z)
-    text = relation_text(window.model, window.horizon, h, k)
-    factor = abs(residual) / width
-    return Certificate(status, at, text, h, k, residual, width, factor, window, best, z)
+    text = relation_text(window.model, window.horizon, best.h, best.k)
+    numbers = best.h, best.k, best.residual, best.width, best.factor
+    return Certificate(status, at, text, *numbers, window, best, z)
 
 
 @certify.register
@@ -294,25 +280,3 @@ def _window(relations: ParityRelation, u: np.ndarray, y: np.ndarray) -> ExactWin
         return window
     fields = dataclasses.fields(window)
     return ConstantWindow(**{field.name: getattr(window, field.name) for field in fields})
-
-
-def _relations_with_data(relations: ParityRelation, window: ExactWindow) -> Iterator[Judged]:
-    """Yield (h, k, residual, width) of each relation that needs no missing sample."""
-    for h in relations.W:
-        used = zip((*h[: len(window.y)], *window.action(h)), (*window.y, *window.u), strict=True)
-        if not any(x and v is None for x, v in used):
-            yield h, *window.relation(h)
-
-
-def _factor(judged: Judged) -> Fraction:
-    """Return the factor on all bounds at which a relation alone just holds."""
-    return abs(judged[2]) / judged[3]
-
-
-def _said_by_box(worst: Judged, count: int) -> Status:
-    """Return the verdict of relations that are tested one by one: that all hold alone is no proof."""
-    if _factor(worst) > 1:
-        return Status.FAULT
-    if count == 1:
-        return Status.CONSISTENT
-    return Status.UNDECIDED

@@ -11,11 +11,12 @@ all gains at once: the sum over i of g_i (h d -+ |h| rho)_i, whose ends lie at t
 Source: Adrot, Maquin, Ragot 2000, (7)-(9), with theta constant as in Adrot 1999.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
+from functools import cached_property
+from typing import ClassVar, NamedTuple
 
-from jaxbound.certificates.exact_window import DIGITS, Ends, ExactWindow, Explanation, readable_relation
+from jaxbound.certificates.exact_window import Ends, ExactWindow, Explanation, readable_relation
 from jaxbound.exact.chebyshev import Reference, chebyshev
 from jaxbound.exact.linalg import Vector, dot, scale
 
@@ -24,75 +25,67 @@ __all__ = ["ConstantWindow"]
 ZERO, ONE = Fraction(0), Fraction(1)
 
 
-@dataclass
-class _Sides:
-    """The sides of all bounds as rows of a Chebyshev problem in (z, g): |middle - row (z, g)| <= radius.
-
-    Fields: free: the gains that are unknowns, by their output; the others are 1. rows, middles, radii; signs:
-    (row of (Y, w), sign) that each speaks of, sign 0: of a gain alone.
+class _Side(NamedTuple):
+    """One side of a bound, |middle - row (z, g)| <= radius; number of the row of (Y, w) that it speaks of,
+    and its sign, 0 where it bounds a gain alone.
     """
 
-    free: Sequence[int]
-    rows: list[Vector] = field(default_factory=list)
-    middles: list[Fraction] = field(default_factory=list)
-    radii: list[Fraction] = field(default_factory=list)
-    signs: list[tuple[int, int]] = field(default_factory=list)
-
-    def add(
-        self,
-        place: tuple[int, int],
-        unknowns: Vector,
-        middle: Fraction,
-        r: Fraction,
-        gain: tuple[int | None, Fraction] = (None, ZERO),
-    ) -> None:
-        """Add middle - r <= sign unknowns z + g_i value <= middle + r; gain: (i, value)."""
-        i, value = gain
-        if i is not None and i not in self.free:
-            middle -= value
-        self.rows.append((*scale(unknowns, place[1]), *(value * (i == other) for other in self.free)))
-        self.middles.append(middle)
-        self.radii.append(r)
-        self.signs.append(place)
+    number: int
+    sign: int
+    row: Vector
+    middle: Fraction
+    radius: Fraction
 
 
 class ConstantWindow(ExactWindow):
-    """An ExactWindow with one gain an output."""
+    """An ExactWindow with one gain an output. Its unknowns are (z, gains of outputs with a tolerance)."""
+
+    unweighed: ClassVar[str] = (
+        "named faults are not weighed beside constant_tolerance: give the tolerance as noise"
+    )
+
+    @cached_property
+    def free(self) -> list[int]:
+        """The outputs whose gains are unknowns; the others are 1."""
+        return [i for i, sigma in enumerate(self.tolerance) if sigma]
 
     def solve(self, start: Reference | None = None) -> Explanation:
         """Return the Explanation of this window: factor > 1 where no unknowns and gains keep all rows, its
         size that of no bound.
         """
-        sides = self._sides()
-        best = chebyshev(sides.rows, sides.middles, sides.radii, start)
+        numbers, signs, rows, middles, radii = zip(*self._sides(), strict=True)
+        best = chebyshev(rows, middles, radii, start)
         h = [ZERO] * len(self.limits)
-        for (j, sign), x in zip(sides.signs, best.h, strict=True):
+        for j, sign, x in zip(numbers, signs, best.h, strict=True):
             h[j] += sign * x  # both sides of a reading together: Farkas' lemma, see the module
         if not any(h):
             h = list(super().solve().h)
         shown = readable_relation(h)
-        z = best.z[: len(self.unknown_columns()[0])]  # the gains follow from it
-        return Explanation(best.t, shown, *self.relation(shown), z, best.reference)
+        return Explanation(best.t, shown, *self.relation(shown), best.z, best.reference)
 
-    def _sides(self) -> _Sides:
-        """Return the rows of the module in (z, g)."""
+    def _sides(self) -> Iterator[_Side]:
+        """Yield the rows of the module in (z, g)."""
         p, unknowns = self.model.p, self.unknown_columns()
-        sides = _Sides([i for i, sigma in enumerate(self.tolerance) if sigma])
+        none: Vector = (ZERO,) * len(self.free)
         for j, (d, rho) in enumerate(self.readings()):
             if d is None:
                 continue
             i = j % p
             # 0 <= E z + K U + g (rho - d) and 0 <= g (rho + d) - E z - K U: each is at most 2 reach
             reach = rho * self._gain_ends(i)[1]
-            sides.add((j, 1), unknowns[j], reach - self.drive[j], reach, (i, rho - d))
-            sides.add((j, -1), unknowns[j], reach + self.drive[j], reach, (i, rho + d))
+            for sign, value in ((1, rho - d), (-1, rho + d)):
+                middle = reach - sign * self.drive[j]
+                if i not in self.free:
+                    middle -= value
+                row = (*scale(unknowns[j], sign), *(value * (i == other) for other in self.free))
+                yield _Side(j, sign, row, middle, reach)
         for j in range(len(self.y), len(self.limits)):
             lo, hi = self.known_limits(j)
-            sides.add((j, 1), unknowns[j], (lo + hi) / 2 - self.drive[j], (hi - lo) / 2)
-        for i in sides.free:
+            yield _Side(j, 1, (*unknowns[j], *none), (lo + hi) / 2 - self.drive[j], (hi - lo) / 2)
+        for i in self.free:
             lo, hi = self._gain_ends(i)
-            sides.add((0, 0), unknowns[0], (lo + hi) / 2, (hi - lo) / 2, (i, ONE))
-        return sides
+            row = (*scale(unknowns[0], 0), *(ONE * (i == other) for other in self.free))
+            yield _Side(0, 0, row, (lo + hi) / 2, (hi - lo) / 2)
 
     def relation(self, h: Sequence[Fraction]) -> tuple[Vector, Fraction, Fraction]:
         """Return (k, residual, width) of a relation h that annihilates E and needs no missing sample, under
@@ -118,45 +111,30 @@ class ConstantWindow(ExactWindow):
             low, high = low + min(x * lo, x * hi), high + max(x * lo, x * hi)
         return self.action(h), (low + high) / 2 - dot(h, self.drive), (high - low) / 2
 
-    def gains(self, z: Sequence[Fraction]) -> Vector | None:
-        """Return gains with which unknowns z keep every reading, or None."""
-        p, true = self.model.p, self.rows_at(z)
-        ends = [list(self._gain_ends(i)) for i in range(p)]
-        for j, (d, rho) in enumerate(self.readings()):
-            if d is None:
-                continue
-            lo, hi = ends[j % p]
-            for slope, least in ((rho + d, true[j]), (rho - d, -true[j])):  # gain times slope >= least
-                if slope > 0:
-                    lo = max(lo, least / slope)
-                elif slope < 0:
-                    hi = min(hi, least / slope)
-                elif least > 0:
-                    return None
-            ends[j % p] = [lo, hi]
-        if any(lo > hi for lo, hi in ends):
-            return None
-        return tuple(_short(lo, hi) for lo, hi in ends)
+    def rows_at(self, z: Sequence[Fraction]) -> Vector:
+        """Return the true (Y, w) at unknowns (z, gains)."""
+        return super().rows_at(z[: len(z) - len(self.free)])
+
+    def gains(self, z: Sequence[Fraction]) -> Vector:
+        """Return the gain of every output at unknowns (z, gains)."""
+        known = dict(zip(self.free, z[len(z) - len(self.free) :], strict=True))
+        return tuple(known.get(i, ONE) for i in range(self.model.p))
 
     def explained_by(self, z: Sequence[Fraction]) -> bool:
-        """Return True if unknowns z and some gains keep every row within its limits."""
-        true = self.rows_at(z)
+        """Return True if unknowns (z, gains) keep every row and gain within its limits."""
+        gains, true = self.gains(z), self.rows_at(z)
+        kept = [
+            lo <= g <= hi for g, (lo, hi) in zip(gains, map(self._gain_ends, range(len(gains))), strict=True)
+        ]
+        for j, (d, rho) in enumerate(self.readings()):
+            if d is not None:
+                g = gains[j % self.model.p]
+                kept.append(g * (d - rho) <= true[j] <= g * (d + rho))
         for number in range(len(self.y), len(true)):
             lo, hi = self.known_limits(number)
-            if not lo <= true[number] <= hi:
-                return False
-        return self.gains(z) is not None
+            kept.append(lo <= true[number] <= hi)
+        return all(kept)
 
     def _gain_ends(self, i: int) -> Ends:
         """Return (lo, hi) of 1 / (1 + theta)."""
         return 1 / (1 + self.tolerance[i]), 1 / (1 - self.tolerance[i])
-
-
-def _short(lo: Fraction, hi: Fraction) -> Fraction:
-    """Return a number between lo and hi, of few digits where one is."""
-    middle = (lo + hi) / 2
-    for digits in DIGITS:
-        short = Fraction(f"{float(middle):.{digits}g}")
-        if lo <= short <= hi:
-            return short
-    return middle

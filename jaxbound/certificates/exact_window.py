@@ -15,14 +15,14 @@ from copy import copy
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
-from typing import Any, Protocol, Self, TypeAlias
+from typing import Any, ClassVar, Protocol, Self, TypeAlias
 
 import numpy as np
 
 from jaxbound.certificates.plain import exact_floats, plain_factors
 from jaxbound.consistency.interface import Bounds
 from jaxbound.exact import linalg
-from jaxbound.exact.chebyshev import Reference, Subspace, chebyshev, subspace
+from jaxbound.exact.chebyshev import Reference, chebyshev
 from jaxbound.exact.linalg import Matrix, Vector, dot
 from jaxbound.models import window
 from jaxbound.models.rows import Row, WindowRows
@@ -83,7 +83,7 @@ class Explanation:
     residual: Fraction
     width: Fraction
     z: Vector
-    reference: Reference
+    reference: Reference | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,8 @@ class ExactWindow:
     floor: its smallest normal number, in every bound; drive: what the inputs that are there make of each row.
     average (a,): bounds of averages; whole ((s+1)p,): all samples, also those that only averages look at;
     lags: of the relations. factors ((s+1)p,): on the noise of each sample, 1 where there is none; empty: the
-    model has none. own: (E, K) of its rows, where a parameter is another; None: those of the model.
+    model has none. own: (E, K) of its rows, where a parameter is another; None: those of the model. first:
+    bounds of the first state, or None. unweighed: why no fault of it is weighed; "": they are.
     """
 
     model: LinearSystem
@@ -114,6 +115,8 @@ class ExactWindow:
     lags: tuple[int, ...] | None = None
     factors: Vector = ()
     own: tuple[Matrix, Matrix] | None = None
+    first: tuple[Ends, ...] | None = None
+    unweighed: ClassVar[str] = ""
 
     def with_limits(self, limits: Iterable[Ends | None]) -> Self:
         """Return the window with other limits of its rows: what is supposed, bounds do not know."""
@@ -217,7 +220,8 @@ class ExactWindow:
             lo, hi = self.known_limits(i)
             middles.append((lo + hi) / 2 - self.drive[i])
             radii.append((hi - lo) / 2)
-        best = chebyshev(self.space(rows), middles, radii, start)
+        E = self.unknown_columns()
+        best = chebyshev([E[i] for i in rows], middles, radii, start)
         h = [ZERO] * len(self.limits)
         for i, x in zip(rows, best.h, strict=True):
             h[i] = x
@@ -234,13 +238,6 @@ class ExactWindow:
         """Return E with the columns of the missing inputs, which are unknowns as well, behind it."""
         E, K = self.forms
         return linalg.beside(E, linalg.columns_of(K, self.missing_inputs))
-
-    def space(self, rows: Sequence[int]) -> Subspace:
-        """Return the Subspace of some rows over all unknowns."""
-        if self.own is not None:
-            E = self.unknown_columns()
-            return subspace([E[i] for i in rows])
-        return _subspace(self.model, self.horizon, tuple(rows), self.missing_inputs)
 
     @property
     def constant(self) -> bool:
@@ -284,10 +281,12 @@ class ExactWindow:
         moved = linalg.multiply(self.unknown_columns(), z)
         return linalg.add_multiple(moved, 1, self.drive)
 
-    def gains(self, z: Sequence[Fraction]) -> Vector | None:
-        """Return the gains, the same in all samples of an output, with which unknowns z keep every reading:
-        none here.
-        """
+    def of_first(self, h: Sequence[Fraction]) -> Vector:
+        """Return the multipliers of bounds of the first state: none here."""
+        return ()
+
+    def gains(self, z: Sequence[Fraction]) -> Vector:
+        """Return the gains, the same in all samples of an output, that unknowns z end with: none here."""
         return ()
 
     def explained_by(self, z: Sequence[Fraction]) -> bool:
@@ -397,11 +396,3 @@ def _exactly(bounds: np.ndarray) -> Vector:
 @lru_cache(maxsize=16)
 def _forms(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
     return window.unknowns(model, horizon)
-
-
-@lru_cache(maxsize=64)
-def _subspace(model: LinearSystem, horizon: int, rows: tuple[int, ...], missing: tuple[int, ...]) -> Subspace:
-    """Return the span of the unknowns over the rows that are there."""
-    E, K = _forms(model, horizon)
-    columns = linalg.beside(E, linalg.columns_of(K, missing))
-    return subspace([columns[i] for i in rows])

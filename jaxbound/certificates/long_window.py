@@ -19,27 +19,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from jaxbound.certificates.certificate import Certificate
-from jaxbound.certificates.diagnosis import Diagnosis
 from jaxbound.certificates.exact_window import Ends, ExactWindow, Explanation, exact_samples, known_inputs
-from jaxbound.certificates.fault_size import SensorError
-from jaxbound.certificates.interface import Index, Sample, certify
-from jaxbound.certificates.witness import Numbers
+from jaxbound.certificates.interface import Index, certify
 from jaxbound.consistency.interface import Bounds
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector, add_multiple, dot, multiply, transpose
-from jaxbound.models.named_faults import NamedFault
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.unknown_directions import Way, unknown_directions, with_direct_states
 from jaxbound.relations.bounds import model_bounds
 from jaxbound.relations.sentence import relation_text
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
-from jaxbound.text.progress import Progress
 
 __all__ = ["LongCertificate", "LongWindow", "Stretch", "exceeds", "stretch"]
 
@@ -105,9 +100,18 @@ class Left(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LongWindow(ExactWindow):
-    """An ExactWindow that is never written out as one matrix. first: bounds of the first state, or None."""
+    """An ExactWindow that is never written out as one matrix."""
 
-    first: tuple[Ends, ...] | None = None
+    unweighed: ClassVar[str] = (
+        "named faults are weighed on windows, and an observer's verdict rests on all samples since it began: "
+        "detect with a horizon or lags for a diagnosis"
+    )
+
+    def of_first(self, h: Sequence[Fraction]) -> Vector:
+        """Return the multipliers x of the first state where it has bounds."""
+        if self.first is None:
+            return ()
+        return linalg.scale(self.backward(h[: len(self.y)]).first, -1)
 
     def outputs_at(self, h: Sequence[Fraction], j: int) -> Vector:
         """Return the multipliers of the outputs of sample j."""
@@ -321,39 +325,6 @@ class LongCertificate(Certificate):
 
     window: LongWindow
 
-    def work_out(self, progress: Progress | None = None) -> None:
-        """Work out nothing: errors and candidates are empty."""
-
-    @property
-    def sensor_errors(self) -> tuple[SensorError, ...]:
-        """Empty: not worked out."""
-        return ()
-
-    @property
-    def candidates(self) -> tuple[str, ...]:
-        """Empty: not worked out."""
-        return ()
-
-    def diagnose(self, faults: Sequence[NamedFault] | None = None) -> Diagnosis:
-        """Raise NotImplementedError: not worked out."""
-        raise NotImplementedError(
-            "named faults are weighed on windows, and an observer's verdict rests on all samples since it "
-            "began: detect with a horizon or lags for a diagnosis"
-        )
-
-    def _relation_dict(self, h: Vector, window: ExactWindow) -> Numbers:
-        numbers = super()._relation_dict(h, window)
-        if self.window.first is not None:
-            numbers["x"] = linalg.scale(self.window.backward(h).first, -1)
-        return numbers
-
-    def _document(
-        self, verdict: Status, proof: Numbers, times: Sequence[str] | None, sample: Sample
-    ) -> dict[str, Any]:
-        if self.window.first is not None:
-            proof = {"first_state": self.window.first, **proof}
-        return super()._document(verdict, proof, times, sample)
-
 
 @certify.register
 def _(
@@ -376,6 +347,6 @@ def _(
             f"{at[-1]} alone"
         )
     factor = abs(residual) / width
-    best = Explanation(factor, h, k, residual, width, (), ())
+    best = Explanation(factor, h, k, residual, width, ())
     text = relation_text(window.model, window.horizon, h, k)
     return LongCertificate(Status.FAULT, at, text, h, k, residual, width, factor, window, best, None)

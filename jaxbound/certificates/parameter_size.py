@@ -18,7 +18,7 @@ import numpy as np
 from jaxbound.certificates.exact_window import ExactWindow, Explanation, known_inputs, rounded_witness
 from jaxbound.certificates.fault_size import FaultSize
 from jaxbound.exact import linalg
-from jaxbound.exact.chebyshev import exchanged
+from jaxbound.exact.chebyshev import nearest
 from jaxbound.models.named_faults import NamedFault
 from jaxbound.models.window import ParameterForm
 
@@ -32,8 +32,6 @@ HALVINGS = 6
 """How often steps are halved around the best."""
 SURE = 1 - 1e-7
 """A factor in floats up to which a size is worth a proof."""
-TOLD = 1e-12
-"""Share of the largest singular value up to which a direction of unknowns counts as none."""
 Trial: TypeAlias = tuple[int, int]
 """(size in the finest steps, number of the onset)."""
 
@@ -62,7 +60,7 @@ def found_size(
     for number, onset in search.explaining():
         size = search.size(number)
         changed = changed_window(window, fault, size, search.onsets[onset])
-        best = changed.solve(explanation.reference)
+        best = changed.solve()
         if best.factor <= 1:
             z = rounded_witness(changed, best.z)
             return FaultSize(fault, size, search.onsets[onset], z=z, tried=len(search.factors))
@@ -126,13 +124,7 @@ class _Search:
         E, K = self.form(size, since)
         z = np.concatenate([E, K[:, list(self.window.missing_inputs)]], 1)[self.rows] / self.radii[:, None]
         off = (self.middles - (K @ self.inputs)[self.rows]) / self.radii
-        if not np.isfinite(z).all():
-            return np.inf  # so far from the model that numbers end
-        span, sizes, _ = np.linalg.svd(z, full_matrices=False)
-        span = span[:, sizes > TOLD * sizes.max(initial=0)]
-        if span.shape[1] == len(off):
-            return 0.0
-        found = exchanged(span, off)
+        found = nearest(z, off)
         if found is None:
-            return np.inf
-        return found[1]
+            return np.inf  # so far from the model that numbers end
+        return found[0]

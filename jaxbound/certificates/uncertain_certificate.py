@@ -1,70 +1,56 @@
 """The certificate of one verdict on a model with uncertain parameters, in exact rational arithmetic.
 
 FAULT: a tree of boxes of the parameters, a leaf for each with a direction h over the relations: 0 is not in
-the range of h p over it (`exact_polynomials`). Mostly the whole box is the only leaf. CONSISTENT: parameters
-at which what is left, a linear window, is explained by a first state and noise. Floats only propose boxes,
-directions and points.
+the range of h p over it (`checker.boxes`). Mostly the whole box is the only leaf. CONSISTENT: parameters at
+which what is left, a linear window, is explained by a first state and noise. Floats only propose boxes,
+directions and points; ranges in fractions are those of the checker.
 """
 
+import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, lru_cache
 from types import MappingProxyType
 from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
-from jaxbound.certificates.exact_polynomials import FixedWindow, PolynomialWindow, polynomial_window
-from jaxbound.certificates.exact_window import DIGITS, ExactWindow, rounded_witness
+from jaxbound.certificates.checker.boxes import Parts, box_of, range_of, relations_of
+from jaxbound.certificates.exact_window import (
+    DIGITS,
+    Ends,
+    ExactWindow,
+    exact_window,
+    known_inputs,
+    rounded_witness,
+)
 from jaxbound.certificates.interface import Index, Sample, WindowCertificate, certify, nothing_to_explain
-from jaxbound.certificates.witness import Numbers, Witnessed, rows_of
+from jaxbound.certificates.witness import Numbers, Witnessed, claim_of, every_sample, rows_of
 from jaxbound.consistency import parametric_windows
-from jaxbound.exact.linalg import Vector, identity
+from jaxbound.exact import linalg
+from jaxbound.exact.linalg import Vector
+from jaxbound.models.system import LinearSystem
 from jaxbound.relations.polynomial import PolynomialMatrix
 from jaxbound.relations.sentence import main_terms
 from jaxbound.relations.uncertain import UncertainRelations
-from jaxbound.relations.uncertain_window import Variable
+from jaxbound.relations.uncertain_window import Variable, uncertain_window
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.kernel import outside_xla
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips import polynomials
 from jaxbound.text.objects import readable
 
-__all__ = ["Leaf", "UncertainCertificate"]
+__all__ = ["UncertainCertificate"]
 
 BOXES = 2000
 """Boxes that the proof of one FAULT may look at."""
-
-
-@dataclass(frozen=True)
-class Leaf:
-    """A box of the parameters that explains nothing.
-
-    Fields: lo, hi: the box, in half-widths of the parameters; direction: the numbers h of a combination of
-    the relations; low, high: what holds all its values over the box, without 0; vertices: whether these are
-    the extremes over all vertices, or bounds of each monomial.
-    """
-
-    lo: Vector
-    hi: Vector
-    direction: Vector
-    low: Fraction
-    high: Fraction
-    vertices: bool
-
-
-@dataclass(frozen=True)
-class Cut:
-    """Two boxes instead of one: v_variable <= at, and the rest; each part is a Leaf or a Cut."""
-
-    variable: int
-    at: Fraction
-    below: "Leaf | Cut"
-    above: "Leaf | Cut"
-
-
-Tree: TypeAlias = Leaf | Cut
-Explained: TypeAlias = tuple[FixedWindow, Vector]
-"""A window at chosen parameters, and unknowns that explain it."""
+Tree: TypeAlias = dict[str, Any]
+"""A box of the parameters that explains nothing, as a certificate shows it: a leaf {direction, vertices, low,
+high}, or a cut {variable, at, below, above} with two more of them.
+"""
+Explained: TypeAlias = tuple[Vector, ExactWindow, Vector]
+"""Parameters, a window at them, and unknowns that explain it."""
 
 
 @readable
@@ -76,11 +62,10 @@ class UncertainCertificate(Witnessed, WindowCertificate):
         status: of the window, as detected. at: the index at which it ends, a tuple.
         relations: the UncertainRelations that the proof is about: for a window with missing samples those
             without them.
-        proof: for FAULT a Leaf, or a Cut with more of them: no parameters and errors within bounds explain
-            the window; else None.
+        proof: for FAULT a Tree: no parameters and errors within bounds explain the window; else None.
         window: the samples and bounds; for CONSISTENT at the parameters of the witness. z: its unknowns, or
             None.
-        bounds: of the parameters, in half-widths.
+        bounds: of the parameters, in half-widths. chosen: the variables of the witness, or ().
         state, outputs, disturbances, unknown_inputs, inputs: of the witness, as in `Certificate`.
         errors, candidates: empty, the smallest errors of single sensors are not known here.
     """
@@ -92,6 +77,7 @@ class UncertainCertificate(Witnessed, WindowCertificate):
     window: ExactWindow
     z: Vector | None
     bounds: Vector
+    chosen: Vector
     errors: ClassVar[Mapping[str, Fraction | float]] = MappingProxyType({})
     candidates: ClassVar[tuple[str, ...]] = ()
 
@@ -105,8 +91,8 @@ class UncertainCertificate(Witnessed, WindowCertificate):
         return Status.FAULT
 
     @cached_property
-    def leaves(self) -> tuple[Leaf, ...]:
-        """The Leaf of each part of the parameters' box, () for CONSISTENT."""
+    def leaves(self) -> tuple[Tree, ...]:
+        """The leaf of each part of the parameters' box, () for CONSISTENT."""
         if self.proof is None:
             return ()
         return tuple(_leaves(self.proof))
@@ -127,9 +113,7 @@ class UncertainCertificate(Witnessed, WindowCertificate):
 
     def _values(self) -> dict[Variable, Fraction]:
         """Return the variables of the relations at the witness."""
-        if not isinstance(self.window, FixedWindow):
-            return {}
-        return dict(zip(self.relations.variables, self.window.variables, strict=True))
+        return dict(zip(self.relations.variables, self.chosen, strict=self.z is not None))
 
     @property
     def relation(self) -> str:
@@ -141,7 +125,7 @@ class UncertainCertificate(Witnessed, WindowCertificate):
         lines = self.relations.text().split("\n")
         if len(lines) == 1:
             return lines[0].split(": ", 1)[1]
-        return _combination(self.leaves[0].direction)
+        return _combination(self.leaves[0]["direction"])
 
     def __str__(self) -> str:
         """Return one sentence."""
@@ -152,8 +136,8 @@ class UncertainCertificate(Witnessed, WindowCertificate):
         if len(self.leaves) == 1:
             (leaf,) = self.leaves
             return (
-                f"{main_terms(self.relation)} cannot hold: its left side is in [{float(leaf.low):.6g}, "
-                f"{float(leaf.high):.6g}]"
+                f"{main_terms(self.relation)} cannot hold: its left side is in [{float(leaf['low']):.6g}, "
+                f"{float(leaf['high']):.6g}]"
             )
         return (
             f"no parameters within their bounds explain it: each of {len(self.leaves)} parts of their box "
@@ -179,40 +163,41 @@ class UncertainCertificate(Witnessed, WindowCertificate):
         numbers.variables: the parameter and the sample (null: constant) that each variable v is. A polynomial
         is a list of [coefficient, number of a variable, ..], with a variable squared twice.
         """
-        r, parameters = self.relations, self.window.model.uncertainties
-        names = [parameter.name for parameter in parameters]
-        variables = _variables(r)
-        number = [Fraction(variables.index(v)) for v in r.variables]
-        numbers: Numbers = {"uncertainties": [], "variables": [], "relations": [], "proof": None}
-        for parameter, bound in zip(parameters, self.bounds, strict=True):
-            change: Numbers = {letter: parameter.on(letter) for letter in "ABCD"}
-            change |= {"bound": bound, "varying": Fraction(int(parameter.varying))}
-            numbers["uncertainties"].append(change)
-        for name, lag in variables:
-            numbers["variables"].append([Fraction(names.index(name)), None])
-            if lag is not None:
-                numbers["variables"][-1][1] = Fraction(lag)
+        numbers = {**_claim(self.window, self.bounds), "relations": [], "proof": None, "parameters": None}
         if self.proof is not None:
-            numbers["relations"] = [self._polynomial_dict(k, number) for k in range(r.count)]
-            numbers["proof"] = _tree(self.proof, number)
-        numbers["parameters"] = None
+            numbers |= {"relations": _shown(self.relations), "proof": self.proof}
         if self.z is not None:
             chosen = self._values()
-            numbers["parameters"] = [chosen.get(v, Fraction(0)) for v in variables]
+            numbers["parameters"] = [chosen.get(v, Fraction(0)) for v in _variables(self.relations)]
         return self._document(self.proves, numbers, times, sample)
 
-    def _polynomial_dict(self, k: int, number: Sequence[Fraction]) -> Numbers:
-        """Return the polynomials of one relation on the outputs, disturbances and inputs of each sample."""
-        r, model = self.relations, self.relations.model
+
+def _claim(window: ExactWindow, bounds: Vector) -> Numbers:
+    """Return the numbers that a proof is about, with bounds of the parameters."""
+    claim = claim_of(window)
+    for parameter, bound in zip(claim["uncertainties"], bounds, strict=True):
+        parameter["bound"] = bound
+    return claim
+
+
+def _shown(r: UncertainRelations) -> list[Numbers]:
+    """Return the polynomials of relations on the outputs, disturbances and inputs of each sample."""
+    model, readings, number = r.model, (r.horizon + 1) * r.model.p, _numbers(r)
+    nothing: list[Fraction] = []
+    shown = []
+    for k in range(r.count):
         on_rows = [_flat(r.N, k, j, number) for j in range(r.N.columns)]
         on_inputs = [_flat(r.K, k, j, number) for j in range(r.K.columns)]
-        readings = (r.horizon + 1) * model.p
-        nothing: list[Fraction] = []
-        return {
-            "h": rows_of(on_rows[:readings], model.p),
-            "g": self._every_sample(on_rows[readings:], [nothing] * model.g),
-            "k": self._every_sample(on_inputs, [nothing] * model.m),
-        }
+        g = every_sample(r.horizon, on_rows[readings:], [nothing] * model.g)
+        u = every_sample(r.horizon, on_inputs, [nothing] * model.m)
+        shown.append({"h": rows_of(on_rows[:readings], model.p), "g": g, "k": u})
+    return shown
+
+
+def _numbers(relations: UncertainRelations) -> list[Fraction]:
+    """Return the number of each variable of relations among all of the parameters."""
+    variables = _variables(relations)
+    return [Fraction(variables.index(v)) for v in relations.variables]
 
 
 def _variables(relations: UncertainRelations) -> list[Variable]:
@@ -263,15 +248,15 @@ def _(
         raise nothing_to_explain(at)
     case, _ = cases[0]  # without the samples that the window lacks
     assert case is not None  # a single pattern of missing samples
-    p = polynomial_window(case, u, y)
+    p = _Proving(case, u, y)
     budget = 1
     if status in (Status.FAULT, Status.CONSISTENT):
         budget = BOXES
     proof, explained = _proof(p, u, y, status, budget)
-    window: ExactWindow = p.window
-    z = None
+    chosen: Vector = ()
+    window, z = p.window, None
     if explained is not None:
-        window, z = explained
+        chosen, window, z = explained
     elif proof is None:
         raise NotImplementedError(
             f"neither a contradiction nor a behaviour is at hand for window {at[-1]}; a larger budget= of "
@@ -281,34 +266,80 @@ def _(
         status = Status.CONSISTENT
         if proof is not None:
             status = Status.FAULT
-    return UncertainCertificate(Status(status), at, case, proof, window, z, p.bounds)
+    return UncertainCertificate(Status(status), at, case, proof, window, z, p.bounds, chosen)
+
+
+class _Proving:
+    """Relations and samples of one window, for a proof in fractions.
+
+    Fields: relations, that need no missing sample; window; bounds of the uncertainties; numbers of the
+    variables, size: their bounds; parts of the relations; box of all variables.
+    """
+
+    def __init__(self, relations: UncertainRelations, u: np.ndarray, y: np.ndarray) -> None:
+        self.relations, self.window = relations, exact_window(relations, u, y)
+        bounds = rounding.round_up(np.asarray(relations.bounds["parameters"], np.float64), y.dtype)
+        self.bounds: Vector = tuple(map(Fraction, bounds.tolist()))
+        claim = _claim(self.window, self.bounds)
+        self.parts: list[Parts] = relations_of(claim, _shown(relations))
+        self.numbers, self.box = _numbers(relations), box_of(claim)
+        self.size: Vector = tuple(self.box[f"p{k}"][1] for k in self.numbers)
+
+    def leaf(self, h: Vector, box: Mapping[str, Ends], few: bool = False) -> Tree | None:
+        """Return the leaf of a direction over a box, None if it proves nothing. few: the vertices may be
+        tried.
+        """
+        for vertices in (False, True)[: 1 + few]:
+            low, high = range_of(h, self.parts, box, vertices)
+            if low > 0 or high < 0:
+                return {"direction": h, "vertices": Fraction(int(vertices)), "low": low, "high": high}
+        return None
+
+    def at(self, v: Vector) -> ExactWindow:
+        """Return the window at parameters v: what is left is linear."""
+        w, model = self.window, self.window.model
+        E, H, V = (m.at(v) for m in _matrices(model, w.horizon))
+        n, g = model.n, model.g * w.horizon
+        rows = [(*e[:n], *x, *e[n:]) for e, x in zip(E, V, strict=True)]  # x, w, v as in `models.window`
+        for i in range(g):  # disturbances are rows of their own
+            own = [Fraction(0)] * len(rows[0])
+            own[n + i] = Fraction(1)
+            rows.append(tuple(own))
+        K = H + linalg.zeros(g, len(w.u))
+        drive = linalg.multiply(K, known_inputs(model, w.u))
+        return dataclasses.replace(w, own=(tuple(rows), K), drive=drive)
+
+
+@lru_cache(maxsize=16)
+def _matrices(
+    model: LinearSystem, horizon: int
+) -> tuple[PolynomialMatrix, PolynomialMatrix, PolynomialMatrix]:
+    """Return (E, H, V) of `uncertain_window`."""
+    return uncertain_window(model, horizon)[1:]
 
 
 def _proof(
-    p: PolynomialWindow, u: np.ndarray, y: np.ndarray, status: Status | None, budget: int
+    p: _Proving, u: np.ndarray, y: np.ndarray, status: Status | None, budget: int
 ) -> tuple[Tree | None, Explained | None]:
     """Return (a proof of FAULT, None), or (None, parameters and unknowns that explain the window), or (None,
     None) if neither was found.
 
-    Each relation alone over the whole box comes first, which is the shortest proof, and the zero of a single
-    one; then the boxes, directions and the point that `bisected` found, in fractions.
+    Each relation alone over the whole box comes first, which is the shortest proof; then the boxes,
+    directions and the point that `bisected` found, in fractions.
     """
-    r, lo = p.relations, tuple(-x for x in p.size)
+    r = p.relations
     few = polynomials.multiaffine(r.exponents) and len(p.size) <= parametric_windows.VERTICES
     if status != Status.CONSISTENT:
-        for h in identity(r.count):
-            leaf = _leaf(p, h, lo, p.size, few)
+        for h in linalg.identity(r.count):
+            leaf = p.leaf(h, p.box, few)
             if leaf is not None:
                 return leaf, None
-    if status != Status.FAULT and r.count == 1 and few:
-        explained = _explained(p, p.zero())
-        if explained is not None:
-            return None, explained
     reading = r.reading(y.dtype)
     samples = np.nan_to_num(u[: reading.lags])[..., None], np.nan_to_num(y)[..., None]
-    found, leaves, points = parametric_windows.bisected(reading, samples, status != Status.FAULT, budget)
+    with outside_xla():  # a single window is not worth a compilation
+        found, leaves, points = parametric_windows.bisected(reading, samples, status != Status.FAULT, budget)
     if found[0] == Status.FAULT:
-        return _tree_of(p, leaves), None
+        return _tree_of(p, leaves, p.box), None
     if status == Status.FAULT:
         return None, None
     for start in (points, 0.5 * points, 0 * points):
@@ -319,85 +350,56 @@ def _proof(
     return None, None
 
 
-def _tree_of(p: PolynomialWindow, leaves: parametric_windows.Leaves) -> Tree | None:
+def _tree_of(p: _Proving, leaves: parametric_windows.Leaves, box: Mapping[str, Ends]) -> Tree | None:
     """Return the proof that leaves, whose boxes fill one box, are; None where one of them proves nothing."""
     lo, hi = leaves.lo.min(1), leaves.hi.max(1)
     if len(leaves.owner) == 1:
-        ends = [[Fraction(float(x)) * s for x, s in zip(end, p.size, strict=True)] for end in (lo, hi)]
-        return _directed(p, leaves.h[:, 0], *map(tuple, ends))
+        return _directed(p, leaves.h[:, 0], box)
     middle = 0.5 * (lo + hi)
     for i, at in enumerate(middle):
         below, above = leaves.hi[i] <= at, leaves.lo[i] >= at
         if not (below | above).all():
             continue
-        first = _tree_of(p, leaves.chosen(below))
-        rest = _tree_of(p, leaves.chosen(above))
+        cut, name = Fraction(float(at)) * p.size[i], f"p{p.numbers[i]}"
+        low, high = box[name]
+        first = _tree_of(p, leaves.chosen(below), {**box, name: (low, cut)})
+        rest = _tree_of(p, leaves.chosen(above), {**box, name: (cut, high)})
         if first is None or rest is None:
             return None
-        return Cut(i, Fraction(float(at)) * p.size[i], first, rest)
+        return {"variable": p.numbers[i], "at": cut, "below": first, "above": rest}
     raise AssertionError("boxes of a bisection are halves of halves")
 
 
-def _leaf(p: PolynomialWindow, h: Vector, lo: Vector, hi: Vector, few: bool = False) -> Leaf | None:
-    """Return the Leaf of a direction, or None if it proves nothing. few: the vertices may be tried."""
-    ways = [False]
-    if few:
-        ways.append(True)
-    for vertices in ways:
-        low, high = p.spread(h, lo, hi, vertices)
-        if low > 0 or high < 0:
-            return Leaf(lo, hi, h, low, high, vertices)
-    return None
-
-
-def _directed(p: PolynomialWindow, h: np.ndarray, lo: Vector, hi: Vector) -> Leaf | None:
-    """Return the Leaf of a direction in floats with as few digits as prove it, or None."""
+def _directed(p: _Proving, h: np.ndarray, box: Mapping[str, Ends]) -> Tree | None:
+    """Return the leaf of a direction in floats with as few digits as prove it, or None."""
     top = np.abs(h).max()
     if not 0 < top < np.inf:
         return None
     for digits in (2, *DIGITS):
-        short = tuple(Fraction(f"{x:.{digits}g}") for x in (h / top).tolist())
-        leaf = _leaf(p, short, lo, hi)
+        leaf = p.leaf(tuple(Fraction(f"{x:.{digits}g}") for x in (h / top).tolist()), box)
         if leaf is not None:
             return leaf
     return None
 
 
-def _explained(p: PolynomialWindow, v: Vector) -> Explained | None:
-    """Return (FixedWindow, z) of parameters with as few digits as explain the window, or None."""
+def _explained(p: _Proving, v: Vector) -> Explained | None:
+    """Return the parameters, with as few digits as explain the window, or None."""
     candidates = [tuple(Fraction(f"{float(x):.{digits}g}") for x in v) for digits in DIGITS]
     for candidate in (*candidates, v):
-        inside = [max(-size, min(x, size)) for x, size in zip(candidate, p.size, strict=True)]
-        window = p.at(tuple(inside))
+        inside = tuple(max(-size, min(x, size)) for x, size in zip(candidate, p.size, strict=True))
+        window = p.at(inside)
         best = window.solve()
         if best.factor <= 1:
-            return window, rounded_witness(window, best.z)
+            return inside, window, rounded_witness(window, best.z)
     return None
 
 
-def _leaves(proof: Tree) -> Iterator[Leaf]:
-    if isinstance(proof, Leaf):
+def _leaves(proof: Tree) -> Iterator[Tree]:
+    if "at" not in proof:
         yield proof
     else:
-        yield from _leaves(proof.below)
-        yield from _leaves(proof.above)
-
-
-def _tree(proof: Tree, number: Sequence[Fraction]) -> Numbers:
-    """Return a proof as a tree of numbers."""
-    if isinstance(proof, Leaf):
-        return {
-            "direction": proof.direction,
-            "vertices": Fraction(int(proof.vertices)),
-            "low": proof.low,
-            "high": proof.high,
-        }
-    return {
-        "variable": number[proof.variable],
-        "at": proof.at,
-        "below": _tree(proof.below, number),
-        "above": _tree(proof.above, number),
-    }
+        yield from _leaves(proof["below"])
+        yield from _leaves(proof["above"])
 
 
 def _flat(matrix: PolynomialMatrix, k: int, j: int, number: Sequence[Fraction]) -> list[list[Fraction]]:

@@ -13,7 +13,7 @@ from jaxbound.certificates.plain import plain_model, plain_names, plain_sums
 from jaxbound.exact.linalg import Matrix, Vector, dot
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["Numbers", "Witnessed", "rows_of", "texts"]
+__all__ = ["Numbers", "Witnessed", "claim_of", "every_sample", "rows_of", "texts"]
 
 Numbers: TypeAlias = dict[str, Any]
 """A tree of Fractions by name."""
@@ -72,15 +72,7 @@ class Witnessed:
         """Return a certificate ready for JSON: the model, samples and bounds, the numbers of the proof, and
         their sum.
         """
-        w, model = self.window, self.window.model
-        plain = plain_model(model)
-        for bound in ("tolerance", "noise", "resolution", "disturbance"):
-            plain[bound] = getattr(w, bound)
-        plain["averages"] = plain_sums(w.rows.sums, w.average)
-        (precision,) = (name for name, (unit, _) in PRECISIONS.items() if unit == w.unit)
-        u = self._every_sample(w.u, [None] * model.m)
-        whole, factors = rows_of(w.whole, model.p), rows_of(w.factors, model.p) or None
-        numbers: Numbers = {**claimed(plain, u, whole, precision, w.lags, None, factors)}
+        numbers: Numbers = claim_of(self.window)
         numbers["witness"] = None
         if self.z is not None:
             numbers["witness"] = self._witness_dict(self.z)
@@ -89,7 +81,7 @@ class Witnessed:
         numbers["sum"] = dot(every, [1] * len(every))  # faster than `sum`, which reduces after each number
         if sample is None:
             sample = list(self.at)
-        names = plain_names(model, sample, times)
+        names = plain_names(self.window.model, sample, times)
         sentence = statement(verdict.name, names, numbers)
         document: dict[str, Any] = {"certificate": verdict.name, "statement": sentence, "names": names}
         if self.test:
@@ -105,24 +97,36 @@ class Witnessed:
             numbers["gains"] = gains
         numbers["state"] = of.state
         lowest = [lo for lo, _ in w.disturbance]
-        numbers["disturbances"] = self._every_sample(_flat(of.disturbances), lowest)
+        numbers["disturbances"] = every_sample(w.horizon, _flat(of.disturbances), lowest)
         nothing = [Fraction(0)] * model.d
-        numbers["unknown_inputs"] = self._every_sample(_flat(of.unknown_inputs), nothing)
-        numbers["inputs"] = self._every_sample(_flat(of.inputs), model.offset["u"])
+        numbers["unknown_inputs"] = every_sample(w.horizon, _flat(of.unknown_inputs), nothing)
+        numbers["inputs"] = every_sample(w.horizon, _flat(of.inputs), model.offset["u"])
         numbers["outputs"] = of.outputs
         return numbers
 
-    def _every_sample(self, values: Sequence[T], last: Sequence[T]) -> tuple[tuple[T, ...], ...]:
-        """Return flat values as s + 1 rows; the last sample's, where the window does not depend on them, are
-        `last`.
-        """
-        s = self.window.horizon
-        if not last:
-            return ((),) * (s + 1)
-        rows = rows_of(values, len(last))
-        if len(rows) == s:
-            return (*rows, tuple(last))
-        return rows
+
+def claim_of(w: ExactWindow) -> Numbers:
+    """Return the numbers of a certificate that its proof is about."""
+    plain = plain_model(w.model)
+    for bound in ("tolerance", "noise", "resolution", "disturbance"):
+        plain[bound] = getattr(w, bound)
+    plain["averages"] = plain_sums(w.rows.sums, w.average)
+    (precision,) = (name for name, (unit, _) in PRECISIONS.items() if unit == w.unit)
+    u = every_sample(w.horizon, w.u, [None] * w.model.m)
+    whole, factors = rows_of(w.whole, w.model.p), rows_of(w.factors, w.model.p) or None
+    return claimed(plain, u, whole, precision, w.lags, w.first, factors)
+
+
+def every_sample(horizon: int, values: Sequence[T], last: Sequence[T]) -> tuple[tuple[T, ...], ...]:
+    """Return flat values as s + 1 rows; the last sample's, where the window does not depend on them, are
+    `last`.
+    """
+    if not last:
+        return ((),) * (horizon + 1)
+    rows = rows_of(values, len(last))
+    if len(rows) == horizon:
+        return (*rows, tuple(last))
+    return rows
 
 
 class _Behaviour(NamedTuple):
@@ -139,6 +143,10 @@ def _behaviour(w: ExactWindow, z: Vector) -> _Behaviour:
     """Return the behaviour at unknowns of a window."""
     model, s, missing = w.model, w.horizon, w.missing_inputs
     n, g = model.n, model.g * s
+    outputs = []
+    for i, v in enumerate(w.rows_at(z)[: len(w.y)]):
+        outputs.append(v + model.offset["y"][i % model.p])
+    z = z[: len(w.unknown_columns()[0])]
     state, disturbances, rest = z[:n], z[n : n + g], z[n + g :]
     free = len(rest) - len(missing)
     unknown = dict(zip(missing, rest[free:], strict=True))
@@ -147,9 +155,6 @@ def _behaviour(w: ExactWindow, z: Vector) -> _Behaviour:
         if v is None:
             v = unknown.get(j, Fraction(0)) + model.offset["u"][j % model.m]
         filled.append(v)
-    outputs = []
-    for i, v in enumerate(w.rows_at(z)[: len(w.y)]):
-        outputs.append(v + model.offset["y"][i % model.p])
     return _Behaviour(
         state,
         rows_of(disturbances, model.g) or ((),) * s,

@@ -108,7 +108,7 @@ def _uncertain_rows(certificate: UncertainCertificate) -> list[Row]:
         rows = [("violated", certificate.relation or parts)]
         if len(certificate.leaves) == 1:
             (leaf,) = certificate.leaves
-            low, high = six_digits(leaf.low), six_digits(leaf.high)
+            low, high = six_digits(leaf["low"]), six_digits(leaf["high"])
             rows.append(("", f"is in [{low}, {high}] at these samples, whatever the parameters"))
         return rows
     parameters = []

@@ -32,7 +32,7 @@ from jaxbound.diagnosis.observer_sizes import least_seen
 from jaxbound.estimation.observer import observer
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.exact import linalg
-from jaxbound.exact.chebyshev import chebyshev, subspace
+from jaxbound.exact.chebyshev import chebyshev
 from jaxbound.exact.linalg import Number, Row, Vector, dot
 from jaxbound.exact.price import SECONDS
 from jaxbound.models import window
@@ -499,7 +499,7 @@ def _size(
     E = window.unknowns(model, s)[0]
     looked_at = window.window_rows(model, s, lags).seen
     shift, widths, spread = window_shift(model, signal, s, reach, lags)
-    space = subspace([E[i] for i in looked_at])
+    space = [E[i] for i in looked_at]
     best = chebyshev(space, shift, widths)
     if best.t == 0:
         return None

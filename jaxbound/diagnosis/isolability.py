@@ -269,9 +269,13 @@ def _showing(healthy: ExactWindow, moves: Moves, x: Fraction) -> ExactWindow:
 
 def _detectable(healthy: ExactWindow, push: Vector) -> Fraction | None:
     """Return the size from which on a push shows whatever else happens; None: it never does for certain."""
-    rows = [i for i, pair in enumerate(healthy.limits) if pair is not None]
-    widths = [healthy.known_limits(i)[1] for i in rows]
-    best = chebyshev(healthy.space(rows), [push[i] for i in rows], widths)
+    E, shown, widths = [], [], []
+    for row, pair, by in zip(healthy.unknown_columns(), healthy.limits, push, strict=True):
+        if pair is not None:
+            E.append(row)
+            shown.append(by)
+            widths.append(pair[1])
+    best = chebyshev(E, shown, widths)
     if not best.t:
         return None
     return 1 / best.t

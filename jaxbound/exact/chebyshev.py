@@ -7,40 +7,50 @@ Rationals, no rounding.
 **Method** (single exchange; Source: Stiefel 1959, the dual simplex method on references of N + 1 rows, N the
 rank of E). N independent rows S and one more row q determine a circuit h, its ratio t and a point z whose
 errors on these rows are t times their radii. The row that z misses most enters, the one whose multiplier
-first falls to zero leaves. The search runs in floats; exact integers then go on from where it stopped,
-usually for a single step, and accept an optimum only if z keeps every row. What floats got wrong costs steps,
-never truth.
+first falls to zero leaves. HiGHS says in floats which rows the last reference is likely to have; exact
+integers begin there, usually for a single step, and accept an optimum only if z keeps every row. What floats
+got wrong costs steps, never truth.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from math import gcd, lcm
+from math import lcm
 from operator import mul
-from typing import TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxbound.exact import linalg
 
-__all__ = ["Optimum", "Subspace", "chebyshev", "exchanged", "subspace"]
+__all__ = ["Optimum", "Reference", "chebyshev", "nearest"]
 
-Reference: TypeAlias = tuple[tuple[int, int], ...]
-"""Rows, each with the sign of its error."""
-Rows: TypeAlias = Sequence[Sequence[Fraction]]
-Integers: TypeAlias = Sequence[int]
-System: TypeAlias = Sequence[Integers]
-"""Rows of integers."""
+SPREAD = 1e12
+"""The largest radius over the smallest one that floats are told of."""
+NUDGE = 1e-6
+"""By which multipliers that are 0 are moved, so that each row of a reference is seen: beyond what HiGHS
+neglects.
+"""
+TOLD = 1e-12
+"""Share of the largest singular value up to which a direction counts as none."""
 
-PRIME = 2**61 - 1
-"""Ranks are guessed modulo this prime; what rests on a guess is checked exactly."""
+
+class Reference(NamedTuple):
+    """Fields: basis: rows S of E; rows: multiples of those of T, integers, with E = T' E_S; last: the row q,
+    None where S is all rows; signs: of the errors of all rows, as far as they are known.
+    """
+
+    basis: list[int]
+    rows: list[Sequence[int]]
+    last: int | None
+    signs: list[int]
 
 
 @dataclass(frozen=True)
 class Optimum:
     """Fields: t, a Fraction; h (m,), coprime integers as Fractions with h E = 0 and |h b| = t sum |h_i| r_i,
-    zeros where no circuit exists; z (N,) with |b_i - E_i z| <= t r_i for all i; reference: the rows that
-    determine both and the signs of their errors, a start for a similar problem.
+    zeros where no circuit exists; z (N,) with |b_i - E_i z| <= t r_i for all i; reference: what determines
+    both, a start for other b and r.
     """
 
     t: Fraction
@@ -49,34 +59,14 @@ class Optimum:
     reference: Reference
 
 
-@dataclass(frozen=True, eq=False)
-class Subspace:
-    """E prepared once for many problems. Build it with `subspace`.
-
-    Fields: rows: E as integers, a row each multiplied by its entry of `scales`; columns, independent: of a
-    regular minor of largest size.
-    """
-
-    rows: tuple[tuple[int, ...], ...]
-    scales: tuple[int, ...]
-    columns: list[int]
-    independent: list[int]
-
-
-def subspace(E: Rows) -> Subspace:
-    """Return the Subspace of rows E (m, N) of Fractions."""
-    rows, scales = zip(*map(linalg.integers, E), strict=True)
-    return Subspace(rows, scales, *_independent(rows))
-
-
 def chebyshev(
-    E: Rows | Subspace, b: Sequence[Fraction], r: Sequence[Fraction], start: Reference | None = None
+    E: linalg.Rows, b: Sequence[Fraction], r: Sequence[Fraction], start: Reference | None = None
 ) -> Optimum:
     """Solve min over z of max |b_i - E_i z| / r_i exactly.
 
     Args:
-        E (m, N): rows of Fractions, of any rank, or their `subspace`. b, r (m,): Fractions, r > 0. start: the
-            reference of a similar problem.
+        E (m, N): rows of Fractions, of any rank. b, r (m,): Fractions, r > 0. start: the reference of a
+            problem with the same E.
 
     Returns:
         An Optimum. Columns of E that depend on earlier ones get z = 0.
@@ -92,247 +82,138 @@ def chebyshev(
     """
     if not len(b) or min(r) <= 0:
         raise ValueError("a Chebyshev problem needs at least one row, and radii > 0")
-    space = E
-    if not isinstance(space, Subspace):
-        space = subspace(space)
     common = lcm(*(x.denominator for x in (*b, *r)))
-    right, radii = _whole(b, common, space.scales), _whole(r, common, space.scales)
-    while True:
-        kept = [[row[j] for j in space.columns] for row in space.rows]
-        reference = _search(kept, right, radii, common, space.independent, start)
-        t, h, z, reference = _settle(kept, right, radii, reference, space.independent)
-        if _annihilates(h, space):
-            break
-        # the prime divided a minor: an exact rank, which takes longer, is never wrong
-        columns = list(linalg.row_reduce(space.rows)[1])
-        independent = list(linalg.row_reduce(linalg.transpose(space.rows))[1])
-        space, start = Subspace(space.rows, space.scales, columns, independent), None
-    out = [Fraction(0)] * len(space.rows[0])
-    for j, x in zip(space.columns, z, strict=True):
-        out[j] = x / common
-    circuit = linalg.primitive(list(map(mul, h, space.scales)))
-    return Optimum(t, circuit, tuple(out), reference)
+    middles, radii = ([int(x * common) for x in values] for values in (b, r))
+    t, h, reference = _settled(middles, radii, start or _likely_reference(E, b, r))
+    # E z = b - (errors) on the rows S
+    system = []
+    for i in reference.basis:
+        system.append((*E[i], Fraction(middles[i], common) - reference.signs[i] * t * r[i]))
+    z = [Fraction(0)] * len(E[0])
+    for row, j in zip(*linalg.row_reduce(system), strict=True):
+        z[j] = row[-1]
+    return Optimum(t, linalg.primitive(h), tuple(z), reference)
 
 
-def _whole(values: Sequence[Fraction], common: int, scales: Integers) -> list[int]:
-    """Return numbers times a common denominator, each times the scale of its row."""
-    return [x.numerator * (common // x.denominator) * f for x, f in zip(values, scales, strict=True)]
-
-
-def _annihilates(h: Integers, space: Subspace) -> bool:
-    """Return whether h E = 0 in the columns too that were taken for dependent ones."""
-    unused = set(range(len(space.rows[0]))) - set(space.columns)
-    return not any(_product(h, [row[j] for row in space.rows]) for j in unused)
-
-
-def _product(a: Integers, b: Integers) -> int:
-    """Return the sum of products of integers."""
-    return sum(map(mul, a, b))
-
-
-def _independent(rows: System) -> tuple[list[int], list[int]]:
-    """Return (columns, rows) of a largest minor that is not zero modulo a prime."""
-    work = [[x % PRIME for x in row] for row in rows]
-    left, columns, pivots = list(range(len(work))), [], []
-    for j in range(len(work[0])):
-        i = next((i for i in left if work[i][j]), None)
-        if i is None:
-            continue
-        left.remove(i)
-        columns.append(j)
-        pivots.append(i)
-        inverse = pow(work[i][j], -1, PRIME)
-        head = [(k, x * inverse % PRIME) for k, x in enumerate(work[i]) if x]
-        for row in (work[a] for a in left):
-            factor = row[j]
-            if not factor:
-                continue
-            for k, x in head:
-                row[k] = (row[k] - factor * x) % PRIME
-    return columns, pivots
-
-
-def _search(
-    E: System, b: Integers, r: Integers, common: int, independent: list[int], start: Reference | None
-) -> Reference:
-    """Return a reference that is nearly optimal: rows S..., q, each with the sign of its error: by
-    the exchange in floats.
-
-    Source: the dual simplex method; a reference determines multipliers >= 0, and (z, t) with all its errors
-    at t times their radii.
+def _likely_reference(E: linalg.Rows, b: Sequence[Fraction], r: Sequence[Fraction]) -> Reference:
+    """Return the reference of the first independent rows in the order of `_likely`, and the first one that
+    depends on them.
     """
-    m, N = len(E), len(E[0])
-    if N == m:
-        return ()
-    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        F, c = _in_floats(E, b, r, common)
-    if not np.isfinite(F).all() or not np.isfinite(c).all():
-        return _plain(m, independent)
-    found = exchanged(F, c, start)
-    if found is None:
-        return _plain(m, independent)
-    return found[0]
+    order, signs = _likely(E, b, r)
+    reduced, pivots = linalg.row_reduce(linalg.transpose([E[i] for i in order]))
+    basis = [order[j] for j in pivots]
+    rows: list[Sequence[int]] = []
+    for row in reduced:
+        own = [0] * len(order)
+        for i, x in zip(order, linalg.integers(row)[0], strict=True):
+            own[i] = x
+        rows.append(own)
+    last = next((i for i in order if i not in basis), None)
+    return Reference(basis, rows, last, signs)
 
 
-def exchanged(F: np.ndarray, c: np.ndarray, start: Reference | None = None) -> tuple[Reference, float] | None:
-    """Return (a reference that is nearly optimal, t) of rows F (m, N), orthonormal columns, and c (m,), over
-    their radii; None where floats lose their way.
-    """
-    N = F.shape[1]
-    # Many multipliers are zero where rows are sparse. A nudge, the same for all references, decides which of
-    # them leaves: no cycles.
-    nudge = np.append(1e-9 * np.random.default_rng(0).uniform(0.5, 1, N), 1)
+def _likely(E: linalg.Rows, b: Sequence[Fraction], r: Sequence[Fraction]) -> tuple[list[int], list[int]]:
+    """Return (all rows, those first that determine the optimum in floats; the signs of their errors)."""
+    nothing = list(range(len(b))), [1] * len(b)
     try:
-        if start is None or len(start) != N + 1:
-            own, signs = _spread_reference(F, c)
-        else:
-            own, signs = map(np.array, zip(*start, strict=True))
-        for _ in range(50 + 20 * N):
-            inverse = np.linalg.inv(np.column_stack([signs[:, None] * F[own], np.ones(N + 1)]))
-            *z, t = inverse @ (signs * c[own])
-            gap = c - F @ np.array(z)
-            j = int(np.argmax(np.abs(gap)))
-            if abs(gap[j]) <= t * (1 + 1e-12) + 1e-14 * np.abs(c).max():
-                break
-            multipliers, share = nudge @ inverse, np.append(np.sign(gap[j]) * F[j], 1) @ inverse
-            ratio = np.where(share > 1e-10, share / np.maximum(multipliers, 1e-15), 0)
-            leaves = int(np.argmax(ratio))
-            own[leaves], signs[leaves] = j, np.sign(gap[j])
-    except np.linalg.LinAlgError:
+        rows = np.array([[*map(float, row), float(x)] for row, x in zip(E, b, strict=True)])
+        radii = np.array(list(map(float, r)))
+    except OverflowError:
+        return nothing
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        # enough to search; the exact steps know better
+        rows /= np.maximum(radii, radii.max() / SPREAD)[:, None]
+    found = nearest(rows[:, :-1], rows[:, -1])
+    if found is None:
+        return nothing
+    _, h = found
+    return np.argsort(-abs(h), kind="stable").tolist(), np.where(h > 0, 1, -1).tolist()
+
+
+def nearest(F: np.ndarray, c: np.ndarray) -> tuple[float, np.ndarray] | None:
+    """Return (t, h): about the least max |c - F z|, and multipliers of the rows that determine it, h F near 0
+    and h c near t |h|; None where floats lose their way.
+    """
+    from scipy.optimize import linprog
+
+    if not (np.isfinite(F).all() and np.isfinite(c).all()):
         return None
-    # the row of the largest multiplier comes last: the others are independent
-    last = int(np.argmax(np.abs(inverse[-1])))
-    order = [*range(last), *range(last + 1, N + 1), last]
-    return tuple((int(own[i]), int(signs[i])) for i in order), float(t)
+    span, sizes, _ = np.linalg.svd(F, full_matrices=False)
+    span = span[:, sizes > TOLD * sizes.max(initial=0)]
+    gap = c - span @ (span.T @ c)
+    top = abs(gap).max()
+    if not top > 0:
+        return 0.0, gap
+    nudge = NUDGE * np.random.default_rng(0).uniform(0.5, 1, span.shape[1])
+    rows = np.vstack([np.hstack([span.T, -span.T]), np.ones(2 * len(c))])
+    best = linprog(np.append(-gap, gap) / top, A_eq=rows, b_eq=np.append(nudge, 1), method="highs-ds")
+    if best.status != 0:
+        return None
+    above, below = np.split(best.x, 2)
+    return abs(gap + top * (span @ best.eqlin.marginals[:-1])).max(), above - below
 
 
-def _in_floats(E: System, b: Integers, r: Integers, common: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return (F, c): rows over their radii, with F orthonormal, and what they are to be near.
+def _settled(b: Sequence[int], r: Sequence[int], start: Reference) -> tuple[Fraction, list[int], Reference]:
+    """Return (t, h, reference) of the optimum: exact exchanges on integers, from a reference on.
 
-    Whatever the unit of integers is, it need not fit a float: a row is divided by its largest entry, and all
-    numbers of the right by what brings the largest of them near 1.
+    A reference has one circuit h (h E = 0), t = |h b| / sum |h_i| r_i, and a z at which every error b_i - E_i
+    z of the reference is t r_i with the sign of h_i. If no other error is larger, primal and dual are equal:
+    that is the optimum. Else the worst row enters and one leaves, so that t grows.
     """
-    m, N = len(E), len(E[0])
-    tops = [max(map(abs, row), default=0) or 1 for row in E]
-    sizes = [abs(x) // (top * common) for v in (b, r) for x, top in zip(v, tops, strict=True)]
-    unit = common * max(1, *sizes)
-    F = np.array([[x / top for x in row] for row, top in zip(E, tops, strict=True)]).reshape(m, N)
-    c, radius = _over(b, tops, unit), _over(r, tops, unit)
-    weight = 1 / np.maximum(radius, radius.max() * 1e-12)  # enough to search; the exact steps know better
-    F, _ = np.linalg.qr(F * weight[:, None])
-    return F, c * weight
-
-
-def _over(values: Integers, tops: Integers, unit: int) -> np.ndarray:
-    return np.array([x / (top * unit) for x, top in zip(values, tops, strict=True)])
-
-
-def _plain(m: int, independent: list[int]) -> Reference:
-    """Return a reference without any search."""
-    other = next(i for i in range(m) if i not in independent)
-    return tuple((i, 1) for i in (*independent, other))
-
-
-def _spread_reference(F: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (rows, signs): N rows of F (m, N), each the farthest from the span of those before, and the
-    worst at their z.
-    """
-    rest = F.copy()
-    S: list[int] = []
-    for _ in range(F.shape[1]):
-        size = (rest**2).sum(1)
-        size[S] = -1
-        S.append(int(np.argmax(size)))
-        axis = rest[S[-1]] / (np.linalg.norm(rest[S[-1]]) or 1)
-        rest -= np.outer(rest @ axis, axis)
-    inverse = np.linalg.inv(F[S])
-    away = np.abs(c - F @ (inverse @ c[S]))
-    away[S] = -1
-    own = np.array([*S, np.argmax(away)])
-    h = np.append(-F[own[-1]] @ inverse, 1)
-    signs = np.where(h < 0, -1, 1)
-    if h @ c[own] < 0:
-        signs = -signs
-    return own, signs
-
-
-def _settle(
-    E: System, b: Integers, r: Integers, reference: Reference, independent: list[int]
-) -> tuple[Fraction, list[int], list[Fraction], Reference]:
-    """Return (t, h, z, reference) of the optimum: exact exchanges on integers, from a reference on.
-
-    A reference S, q has one circuit h (h E = 0), t = |h b| / sum |h_i| r_i, and a z at which every error
-    b_i - E_i z of the reference is t r_i with the sign of h_i. If no other error is larger, primal and dual
-    are equal: that is the optimum. Else the worst row enters and one leaves, so that t grows.
-    """
-    m = len(E)
-    if not reference:  # as many rows as unknowns: everything fits
-        Z, det = _regular(E, b)
-        return Fraction(0), [0] * m, [Fraction(x, det) for x in Z], reference
-    signs, steps = [1] * m, 0
-    for i, sign in reference:
-        signs[i] = sign
-    *S, q = [i for i, _ in reference]
+    m, steps = len(b), 0
+    basis, rows, last, signs = list(start.basis), list(start.rows), start.last, list(start.signs)
+    if last is None:  # as many rows as unknowns: everything fits
+        return Fraction(0), [0] * m, start
     while True:
-        h = _circuit(E, b, S, q)
-        if h is None:  # floats took dependent rows for independent ones
-            *S, q = [i for i, _ in _plain(m, independent)]
-            continue
-        for i, x in h.items():
-            if x:
-                signs[i] = _sign(x)
-        total = sum(x * b[i] for i, x in h.items())
-        size = sum(abs(x) * r[i] for i, x in h.items())  # t = total / size
-        Z, det = _regular([E[i] for i in S], [b[i] * size - signs[i] * total * r[i] for i in S])
-        gaps = [b[i] * size * det - _product(E[i], Z) for i in range(m)]  # of z = Z / (det size)
-        limit = total * abs(det)
+        shares = [Fraction(row[last], row[i]) for i, row in zip(basis, rows, strict=True)]
+        *parts, own = linalg.integers([*shares, Fraction(1)])[0]
+        h = [0] * m
+        h[last] = own
+        for i, x in zip(basis, parts, strict=True):
+            h[i] = -x
+        total, size = sum(map(mul, h, b)), sum(map(mul, map(abs, h), r))  # t = total / size
+        if total < 0:
+            total, h = -total, [-x for x in h]
+        for i in (*basis, last):
+            if h[i]:
+                signs[i] = _sign(h[i])
+        at = [(b[i] * size - signs[i] * total * r[i], row[i]) for i, row in zip(basis, rows, strict=True)]
+        values, common = linalg.integers([Fraction(*x) for x in at])
+        gaps = [x * size * common for x in b]  # of z, times size common
+        for value, row in zip(values, rows, strict=True):
+            gaps = [gap - value * x for gap, x in zip(gaps, row, strict=True)]
+        limit = total * common
         out = [i for i in range(m) if abs(gaps[i]) > limit * r[i]]
         if not out:
-            circuit = [h.get(i, 0) for i in range(m)]
-            z = [Fraction(x, det * size) for x in Z]
-            return Fraction(total, size), circuit, z, tuple((i, signs[i]) for i in (*S, q))
+            return Fraction(total, size), h, Reference(basis, rows, last, signs)
         steps += 1
         worst = out[0]  # by number: cannot cycle
         if steps < 200:
             worst = max(out, key=lambda i: Fraction(abs(gaps[i]), r[i]))
-        signs[worst] = _sign(gaps[worst] * det)
-        leaves = _leaving(E, S, worst, signs, h)
-        if leaves is None:
-            q = worst
-        else:
-            S[S.index(leaves)] = worst
+        signs[worst] = _sign(gaps[worst])
+        place = _leaving(basis, rows, worst, signs, h)
+        if place is None:
+            last = worst
+            continue
+        basis[place] = worst
+        for k, row in enumerate(rows):
+            if k != place and row[worst]:
+                rows[k] = linalg.cancel(row, rows[place], worst)
 
 
-def _circuit(E: System, b: Integers, S: list[int], q: int) -> dict[int, int] | None:
-    """Return the integers h with h E = 0 on rows S, q and h b >= 0; None where rows S are dependent, or q is
-    one of them: floats may take a row twice, with either sign.
+def _leaving(
+    basis: Sequence[int], rows: Sequence[Sequence[int]], worst: int, signs: Sequence[int], h: Sequence[int]
+) -> int | None:
+    """Return the place in S of the row whose multiplier first falls to zero as that of the worst row grows;
+    None: none does, and it takes the place of q.
     """
-    if q in S:
-        return None
-    solved = _solve(linalg.transpose([E[i] for i in S]), E[q])
-    if solved is None:
-        return None
-    T, det = solved  # E_q det = T E_S
-    h = {i: -x for i, x in zip(S, T, strict=True)} | {q: det}
-    if sum(x * b[i] for i, x in h.items()) < 0:
-        h = {i: -x for i, x in h.items()}
-    return h
-
-
-def _leaving(E: System, S: list[int], worst: int, signs: Integers, h: Mapping[int, int]) -> int | None:
-    """Return the row of S whose multiplier first falls to zero as that of the worst row grows; None: none
-    does, and it takes the place of q.
-    """
-    share, det = _regular(linalg.transpose([E[i] for i in S]), E[worst])
-    falling = {}
-    for i, x in zip(S, share, strict=True):
-        speed = signs[worst] * signs[i] * x * _sign(det)
+    falling: dict[int, tuple[bool, Fraction | bool, int]] = {}
+    for place, (i, row) in enumerate(zip(basis, rows, strict=True)):
+        speed = Fraction(signs[worst] * signs[i] * row[worst], row[i])
         if speed > 0:
-            falling[i] = speed
-    at_once = [i for i in falling if h[i] == 0]
-    if at_once:
-        return min(at_once)
-    return max(falling, key=lambda i: (Fraction(falling[i], abs(h[i])), -i), default=None)
+            at_once = not h[i]
+            falling[place] = at_once, at_once or speed / abs(h[i]), -i
+    return max(falling, key=lambda place: falling[place], default=None)
 
 
 def _sign(x: int) -> int:
@@ -340,46 +221,3 @@ def _sign(x: int) -> int:
     if x > 0:
         return 1
     return -1
-
-
-def _regular(M: System, right: Integers) -> tuple[Sequence[int], int]:
-    """Solve a system that is known to be regular."""
-    solved = _solve(M, right)
-    assert solved is not None
-    return solved
-
-
-def _solve(M: System, right: Integers) -> tuple[Sequence[int], int] | None:
-    """Return (x, det) of integers with M x = right * det, or None if M is singular.
-
-    det is any common denominator; pivots come from the sparsest row, so that identity rows cost nothing.
-    """
-    left = [[*row, y] for row, y in zip(M, right, strict=True)]
-    heads: list[tuple[int, list[int]]] = []
-    while left:
-        head = min(left, key=_crowd)
-        left.remove(head)
-        j = next((j for j, x in enumerate(head[:-1]) if x), None)
-        if j is None:
-            return None
-        heads.append((j, head))
-        left = [_without(row, head, j) for row in left]
-    x = [Fraction(0)] * len(M)
-    for j, head in reversed(heads):
-        x[j] = (head[-1] - linalg.dot(head[:-1], x)) / head[j]
-    return linalg.integers(x)
-
-
-def _crowd(row: Integers) -> int:
-    """Return how many numbers of a row, but the last, are not 0."""
-    return sum(map(bool, row[:-1]))
-
-
-def _without(row: list[int], head: list[int], j: int) -> list[int]:
-    """Return a row without unknown j, by that of the pivot, and without a common factor."""
-    f = row[j]
-    if not f:
-        return row
-    combined = [head[j] * x - f * y for x, y in zip(row, head, strict=True)]
-    common = gcd(*combined) or 1
-    return [x // common for x in combined]

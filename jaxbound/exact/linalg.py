@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike
 
 __all__ = """
     Matrix MatrixLike Number Row Rows Vector
-    add_multiple beside columns_of determinant dot identity integers inverse left_null_space matmul matrix
-    minimal_span multiply presentable primitive rank rational row_reduce scale transpose zeros
+    add_multiple beside cancel columns_of determinant dot identity integers inverse left_null_space matmul
+    matrix minimal_span multiply presentable primitive rank rational row_reduce scale transpose zeros
 """.split()
 
 Vector: TypeAlias = tuple[Fraction, ...]
@@ -196,15 +196,15 @@ def row_reduce(a: Rows, progress: Callable[[float], object] | None = None) -> tu
     pivots: list[int] = []
     for j in range(_width(a)):
         top = len(pivots)
-        column = [row[j] for row in rows[top:]]
-        if not any(column):
+        there = [i for i in range(top, len(rows)) if rows[i][j]]
+        if not there:
             continue
-        k = top + _first(column)
+        k = min(there, key=lambda i: sum(map(truth, rows[i])))  # the sparsest fills in least
         rows[top], rows[k] = rows[k], rows[top]
         pivots.append(j)
         for i, row in enumerate(rows):
             if i != top and row[j]:
-                rows[i] = _cancel(row, rows[top], j)
+                rows[i] = cancel(row, rows[top], j)
         if progress is not None:
             progress(((j + 1) / len(rows[0])) ** 2)  # numbers grow
     reduced = []
@@ -224,7 +224,7 @@ def _first(row: Row) -> int:
     return list(map(truth, row)).index(True)
 
 
-def _cancel(row: Sequence[int], pivot: Sequence[int], j: int) -> Sequence[int]:
+def cancel(row: Sequence[int], pivot: Sequence[int], j: int) -> Sequence[int]:
     """Return a multiple of a row plus a multiple of the pivot row, with a zero at j and no common factor."""
     f, head = row[j], pivot[j]
     combined = [head * x - f * y for x, y in zip(row, pivot, strict=True)]

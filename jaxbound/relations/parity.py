@@ -40,7 +40,6 @@ from jaxbound.consistency.interface import (
 from jaxbound.consistency.reading import Reading
 from jaxbound.consistency.strips import StripsTest
 from jaxbound.exact import linalg
-from jaxbound.exact.chebyshev import PRIME
 from jaxbound.exact.circuits import circuits
 from jaxbound.exact.frames import ExactFrame, frame
 from jaxbound.exact.linalg import Matrix, Vector
@@ -67,6 +66,8 @@ T = TypeVar("T")
 SUBSETS, TESTED = 4_000, 400
 """Subsets of rows among which circuits are looked for, and circuits up to which they are tested one by one;
 beyond, an exchange search is faster."""
+PRIME = 2**61 - 1
+"""Ranks that need not be right are taken modulo this prime."""
 
 
 @readable

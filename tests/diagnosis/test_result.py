@@ -128,12 +128,6 @@ def test_a_missing_sample_is_not_part_of_the_explanation(result):
     assert [res.explain((i, 1)).h[1] for i in range(10)] == [0] * 10
 
 
-def test_the_explanation_of_the_box_is_one_of_the_residuals():
-    r = jb.parity_relations(paper())
-    res = jb.detect(r, np.zeros((2, 1)), [[0.0, 0.0], [5.0, 0.0]], method="box")
-    assert res.explain(1).h in r.W
-
-
 def test_a_window_without_data_cannot_be_explained():
     with pytest.raises(ValueError, match="window 0 is MISSING: there is nothing to explain"):
         jb.detect(jb.parity_relations(paper()), np.zeros((3, 1)), np.zeros((3, 2))).explain(0)

@@ -110,19 +110,12 @@ def test_a_start_changes_nothing_but_the_work(rng):
     first = chebyshev(E, b, r)
     wider = [x * (1 + i % 3) for i, x in enumerate(r)]
     assert chebyshev(E, b, wider, first.reference).t == chebyshev(E, b, wider).t
-    assert chebyshev(E, b, r, first.reference[:-1]).t == first.t
 
 
-def test_neither_a_bad_search_nor_an_unlucky_prime_spoils_the_optimum(rng, monkeypatch):
+def test_a_bad_search_does_not_spoil_the_optimum(rng, monkeypatch):
     E, b, r = draw(rng, 12, 3)
     expected = chebyshev(E, b, r).t
-    monkeypatch.setattr(
-        module, "_search", lambda E, b, r, common, independent, start: module._plain(len(E), independent)
-    )
-    best = chebyshev(E, b, r)
-    assert_optimal(E, b, r, best)
-    assert best.t == expected
-    monkeypatch.setattr(module, "PRIME", 2)
+    monkeypatch.setattr(module, "nearest", lambda F, c: (0.0, rng.normal(size=len(c))))
     best = chebyshev(E, b, r)
     assert_optimal(E, b, r, best)
     assert best.t == expected
@@ -142,16 +135,15 @@ def test_numbers_beyond_what_floats_hold_are_solved_too():
     assert best.t == Fraction(3, 2) and best.z == (Fraction(3, 2) * huge,)
 
 
-def test_a_row_that_floats_take_twice_is_no_circuit():
-    """Radii of 1e-2 beside 1e-15: the search ends in a row with both of its signs."""
+def test_radii_of_which_floats_see_some_only():
+    """Radii of 1e-2 beside 1e-15."""
     first = ["0.9", "-0.1", "0.18", "-0.02", "0.036", "-0.004", "0.0072", "-0.0008"]
     E = [tuple(map(Fraction, row)) for row in zip(first, [0] * 6 + ["0.18", "-0.02"], strict=True)]
     b = [28.790000000000003, -3.2, 5.7700000000000005, -0.64, 1.1620000000000004, -0.128]
     b = list(map(Fraction, [*b, -0.020488471716176352, 0.002400000000000004]))
     r = [0.010000000000023665, 1.4210854715202005e-15] * 3
     r = list(map(Fraction, [*r, 0.0011115282838108926, 1.4210854715202005e-15]))
-    best = chebyshev(E, b, r, ((7, -1), (1, -1), (6, -1)))
-    assert_optimal(E, b, r, best)
+    assert_optimal(E, b, r, chebyshev(E, b, r))
 
 
 def test_radii_beyond_each_other_in_floats_are_left_to_the_exact_steps():

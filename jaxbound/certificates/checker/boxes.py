@@ -14,7 +14,7 @@ from jaxbound.certificates.checker.polynomial import Polynomial, Value, combine,
 from jaxbound.certificates.checker.trajectories import Error, limits, multipliers
 from jaxbound.certificates.checker.words import Document, Ends, insist
 
-__all__ = ["contradict", "relation_range"]
+__all__ = ["Box", "Parts", "box_of", "contradict", "range_of", "relation_range", "relations_of"]
 
 LEAF = {"direction", "vertices", "low", "high"}
 CUT = {"variable", "at", "below", "above"}
@@ -40,10 +40,18 @@ def contradict(c: Document, shown: Sequence[Document], proof: Document) -> None:
     Each relation holds for every trajectory at every v, so a healthy window has a v and errors at which all
     of them are 0.
     """
+    _exclude(proof, relations_of(c, shown), box_of(c))
+
+
+def box_of(c: Document) -> dict[str, Ends]:
+    """Return the bounds of every v."""
     ends = limits(c)
-    count = len(c["variables"])
-    box = {f"p{k}": ends[f"p{k}"] for k in range(count)}
-    relations = []
+    return {name: ends[name] for name in (f"p{k}" for k in range(len(c["variables"])))}
+
+
+def relations_of(c: Document, shown: Sequence[Document]) -> list[Parts]:
+    """Return the parts of relations at the samples, checked to hold for every trajectory."""
+    ends, count, relations = limits(c), len(c["variables"]), []
     for r in shown:
         insist(set(r) == {"h", "g", "k"}, "a number of a relation is missing or unknown")
         read: Document = {"h": [], "g": [], "k": []}
@@ -51,7 +59,17 @@ def contradict(c: Document, shown: Sequence[Document], proof: Document) -> None:
             for row in rows:
                 read[name].append([_polynomial(terms, count) for terms in row])
         relations.append(_parts(c, read, ends, variables("p", count)))
-    _exclude(proof, relations, box)
+    return relations
+
+
+def range_of(direction: Sequence[F], relations: Sequence[Parts], box: Box, vertices: bool) -> Ends:
+    """Return (low, high), which holds a combination of relations over a box: at its vertices, or by
+    monomials.
+    """
+    P, Q = _polynomials(combine(direction, relations))
+    if vertices:
+        return _at_vertices(P, Q, box)
+    return _by_monomials(P, Q, box)
 
 
 def _parts(c: Document, r: Document, ends: Mapping[str, Ends], v: Sequence[Value]) -> Parts:
@@ -99,11 +117,7 @@ def _exclude(proof: Document, relations: Sequence[Parts], box: Box) -> None:
 def _exclude_at_once(leaf: Document, relations: Sequence[Parts], box: Box) -> None:
     """Check that one combination l of the relations, l P + sum_j e_j l Q_j, is not 0 anywhere in a box."""
     insist(set(leaf) == LEAF and leaf["vertices"] in (0, 1), "a leaf is not known")
-    P, Q = _polynomials(combine(leaf["direction"], relations))
-    if leaf["vertices"]:
-        low, high = _at_vertices(P, Q, box)
-    else:
-        low, high = _by_monomials(P, Q, box)
+    low, high = range_of(leaf["direction"], relations, box, leaf["vertices"] == 1)
     insist([low, high] == [leaf["low"], leaf["high"]], "the range of a combination is wrong")
     insist(low > 0 or high < 0, "a combination may be 0")
 
