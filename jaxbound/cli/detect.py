@@ -198,15 +198,15 @@ def _run_live(args: argparse.Namespace) -> int:
         if is_there:
             raise Refused(f"{option} is for recordings: give a file instead of {args.data}")
     with swift_imports():
-        from jaxbound.cli.pipe import judge_input
+        from jaxbound.cli.pipe import judge_stream
         from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
     alarm: AlarmRule | None = alarm_rule(args)
     if alarm == EVERY_FAULT and args.alarm is None:
         alarm = None  # no option asks for alarms
-    return judge_input(
+    return judge_stream(
         args.model,
-        args.data,
-        MethodOptions.of(args),
+        options=MethodOptions.of(args),
+        data=args.data,
         out=args.out,
         state=args.state,
         min_coverage=args.min_coverage,

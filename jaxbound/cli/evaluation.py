@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 from jaxbound.cli.engine import engine
 from jaxbound.cli.options import MethodOptions
@@ -33,7 +34,7 @@ from jaxbound.runs.outputs import OutputFolder
 from jaxbound.runs.refusals import Interrupted
 from jaxbound.runs.sink import Outcome
 from jaxbound.runs.sinks import Beside, close_all, file_names, open_sinks
-from jaxbound.runs.streaming import CHUNK, all_parts, kept, publish, write_parts
+from jaxbound.runs.streaming import all_parts, kept, publish, write_parts
 from jaxbound.runs.summary import Summary, summarised
 from jaxbound.text.quantities import percent
 
@@ -91,36 +92,29 @@ def evaluate_parts(
         chunk: samples in memory at once. overlap: of an observer, samples before each part. merge: the parts
         are there, judged before. scheduler, workers: of dask, which then do the work.
     """
-    source, relations = opened(model, data, options, step)
+    source, asked = opened(model, data, options, step, overlap, chunk)
+    relations = asked.relations
     with door():
         alarm = fitted(alarm, relations)
     seconds: dict[str, float] = {}
     try:
         if merge:
-            kind = options.margins, options.outside
-            parts = all_parts(relations, source, out, options.method, overlap, *kind)
+            parts = all_parts(asked, source, out)
         else:
             progress = lambda share: step("test", share)
-            wanted = relations, source, out, options.method, chunk or CHUNK, progress
             with engine(scheduler, workers) as client:
-                parts, seconds = write_parts(
-                    *wanted,
-                    client=client,
-                    overlap=overlap,
-                    margins=options.margins,
-                    outside=options.outside,
-                )
+                parts, seconds = write_parts(asked, source, out, progress, client=client)
         start = time.perf_counter()
         with folder.work() as work:
             progress = lambda share: step("report", 0.4 * share)
             sinks = open_sinks(work, whole=False)
-            how = options.method, alarm, work / "alarms.csv", progress, sinks
-            res = digest(relations, source, parts, *how, margins=options.margins, outside=options.outside)
+            res = digest(asked, source, parts, alarm, work / "alarms.csv", progress, sinks)
             sizes = sizes_seen(res, res.alarms)
             reaches = outgrown(source.model, relations)
             hints = dict.fromkeys((*res.hints, *reaches, *ending_hints(res, res.alarms, sizes)))
             summary = summarised(res, res.alarms, res.label, min_coverage, hints, sizes, bool(reaches))
-            about = relations.model, Path(data), source.content, method_of(relations, options)
+            tested = cast(LinearSystem, relations.model)
+            about = tested, Path(data), source.content, method_of(relations, options)
             told = relations.horizon, options.observer_options, alarm.names
             close_all(sinks, Outcome(res.alarms, summary, *about, *told))
             write_report(

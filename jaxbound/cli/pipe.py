@@ -12,7 +12,7 @@ import os
 import stat
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, cast
@@ -26,8 +26,7 @@ from jaxbound.cli.terminal import door, nobody_reads, say, system_trouble, usabl
 from jaxbound.cli.window import stated_model, window_relations
 from jaxbound.consistency.interface import Relations
 from jaxbound.consistency.monitor import Monitor
-from jaxbound.diagnosis.alarmrule import AlarmRule
-from jaxbound.diagnosis.alarms import forgets_after
+from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
 from jaxbound.diagnosis.hints import bound_hints, judging_hints, outgrown, unfit
 from jaxbound.diagnosis.severity import fitted
 from jaxbound.files.locks import refuse_link
@@ -55,56 +54,23 @@ from jaxbound.runs.rows import VERDICTS, RowFile, RowText
 from jaxbound.runs.sink import Outcome, Sink, Verdicts
 from jaxbound.runs.sinks import close_all, file_names, open_sinks
 from jaxbound.runs.summary import Evidence, Summary, Window, rests_on_outgrown, said, unsaid
-from jaxbound.runs.tally import AlarmEnds, Tally, alarm_goes_on
+from jaxbound.runs.tally import Tally
 from jaxbound.runs.testcounts import CountsByTest
-from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import finite
 
-__all__ = ["judge_input", "judge_stream"]
+__all__ = ["judge_stream"]
 
 STDIN = "-"
 RULE = "rule of alarms"
+RULED = "alarms", "rule"  # the name of alarms in a checkpoint: of every FAULT, or by a rule that is asked for
 BY_VALUE = {"way to know samples that are sent again": "by time and values"}
 OTHER_RULE = f"{{}} is of a {RULE}: give it again, choose another place, or delete it to begin anew"
 TALKATIVE, QUIET = 20, 60.0  # sentences of a kind at first, then one in so many seconds
 
 
-def judge_input(
-    model: Path,
-    data: str,
-    options: MethodOptions,
-    *,
-    out: Path | None = None,
-    state: Path | None = None,
-    min_coverage: float = 0.5,
-    as_json: bool = False,
-    alarm: AlarmRule | None = None,
-) -> int:
-    """Judge samples from standard input, or from a live source, until a signal or its end.
-
-    Args:
-        As of `judge_stream`; data: "-", or the name of a live source, see `live`.
-
-    Returns:
-        The exit code.
-    """
-    with ends() as end:
-        return judge_stream(
-            model,
-            lambda stream: arrivals(stream.raw, end),
-            options,
-            data=data,
-            out=out,
-            state=state,
-            min_coverage=min_coverage,
-            as_json=as_json,
-            alarm=alarm,
-        )
-
-
 def judge_stream(
     model: Path | str,
-    chunks: Iterable[Any] | Callable[[Stream], Iterable[Any]],
+    chunks: Iterable[Any] | None = None,
     options: MethodOptions | None = None,
     *,
     data: str = STDIN,
@@ -117,8 +83,9 @@ def judge_stream(
     """Judge samples as they come; return the exit code.
 
     Args:
-        model: path of the model file. chunks: what arrives, bytes of a pipe or readings of a live source, or
-            a function of the Stream that gives it; None in it ends the run as a signal does.
+        model: path of the model file. chunks: what arrives, bytes of a pipe or readings of a live source;
+            None in it ends the run as a signal does. None: what arrives at standard input, or at the live
+            source that `data` names, until a signal or its end.
         options: of the test. data: "-", or the name of a live source. out: folder of the verdicts; state:
             file to go on from; None: none. min_coverage: least share of decided windows. as_json: verdicts as
             JSON, else as CSV. alarm: the rule by which alarms are told; None: none are.
@@ -129,6 +96,9 @@ def judge_stream(
     """
     options = options or MethodOptions()
     with door(), ExitStack() as opened:
+        end = None
+        if chunks is None:
+            end = opened.enter_context(ends())
         files = [VERDICTS, STATE]
         if alarm is not None:
             files.append(ALARMS)
@@ -136,7 +106,6 @@ def judge_stream(
         stated = stated_model(model, options.every)
         tested, relations = window_relations(stated, options, model, None, lambda stage, share: None)
         how = {"method": options.method, "word outside training": options.outside, **BY_VALUE}
-        alarms = None
         if alarm is not None:
             alarm = fitted(alarm, relations)
             how[RULE] = json.dumps(alarm.plain(), sort_keys=True)
@@ -154,7 +123,7 @@ def judge_stream(
         before = taken = None
         if journal is not None:
             before, taken = journal.before, journal.taken
-        if before is not None and alarm is None and "rule" in before["sinks"]:
+        if before is not None and alarm is None and RULED[True] in before["sinks"]:
             raise Refused(OTHER_RULE.format(path))
         work: Any = nullcontext()
         if folder is not None:
@@ -165,14 +134,16 @@ def judge_stream(
             work = folder.work()
         with work as place:
             stream = _stream(data, relations.model, _Complaints(), before and before["source"], taken)
-            if alarm is not None:
-                alarms = LiveAlarms(alarm, relations, options.method, stream.dt, stream.complain)
-            lines = _PrintedLines(as_json, out is None, judge.region is not None, bool(relations.parts))
-            run = opened.enter_context(_LiveRun(stated, stream, judge, journal, lines, out, place, alarms))
+            rule = alarm or EVERY_FAULT
+            alarms = LiveAlarms(rule, relations, options.method, stream.dt, stream.complain)
+            lines = _PrintedLines(as_json, out is None, alarms, alarm is not None)
+            run = opened.enter_context(_LiveRun(stated, stream, judge, journal, lines, out, place))
             run.resume()
             if folder is not None:
                 folder.claim(*files)
-            summary = run.to_the_end(chunks(stream) if callable(chunks) else chunks, min_coverage)
+            if end is not None:
+                chunks = arrivals(stream.raw, end)
+            summary = run.to_the_end(chunks or (), min_coverage)
             about = tested, Path(data), None, options.method, relations.horizon, options.observer_options
             close_all(run.outputs, Outcome([], summary, *about))
         if journal is not None:
@@ -258,7 +229,6 @@ class _LiveRun:
         lines: "_PrintedLines",
         out: Path | None,
         place: Path | None,
-        rule: LiveAlarms | None = None,
     ) -> None:
         """Begin with nothing judged."""
         self.stream, self.judge, self.lines = stream, judge, lines
@@ -266,17 +236,15 @@ class _LiveRun:
         self.hints = [*bound_hints(stated, relations), *judging_hints(relations.remembers)]
         self.outgrown = bool(outgrown(stated, relations))
         self.tally = Tally(stream.when, relations.horizon, region=judge.region)
-        self.alarms = AlarmEnds(forgets_after(relations))
-        lines.alarms, lines.rule = self.alarms, rule
+        self.alarms = lines.alarms
         self.by_test = None
         if relations.parts:
             self.by_test = CountsByTest(relations)
-        self.rule = rule
         self.file = self.alarm_file = None
         if out is not None and journal is not None:  # a folder has a state
             self.file = RowFile(out / VERDICTS, lines.text, journal.path)
-            if rule is not None:
-                self.alarm_file = RowFile(out / ALARMS, rule, journal.path)
+            if lines.tells:
+                self.alarm_file = RowFile(out / ALARMS, self.alarms, journal.path)
         self.outputs: list[Sink] = [] if place is None else open_sinks(place, whole=False)
         self.sinks = self._named_sinks()
         self.checkpoint = None
@@ -289,11 +257,9 @@ class _LiveRun:
 
     def _named_sinks(self) -> Mapping[str, Any]:
         """Return {name in the checkpoint: sink}, in the order in which they hand on: a file before stdout."""
-        named: dict[str, Any] = {"counts": self.tally, "alarms": self.alarms}
+        named: dict[str, Any] = {"counts": self.tally, RULED[self.lines.tells]: self.alarms}
         if self.by_test is not None:
             named["tests"] = self.by_test
-        if self.rule is not None:
-            named["rule"] = self.rule
         if self.file is not None:
             named["file"] = self.file
         if self.alarm_file is not None:
@@ -339,11 +305,9 @@ class _LiveRun:
                 file.force()
         if self.checkpoint is not None:
             self.checkpoint.finish()
-        alarms, endings = self.alarms.alarms, self.alarms.endings
-        if self.rule is not None:
-            alarms, endings = self.rule.counted()
-            if self.alarm_file is not None:
-                self.alarm_file.end_with(self.rule.written(self.rule.pending()))
+        alarms, endings = self.alarms.counted()
+        if self.alarm_file is not None:
+            self.alarm_file.end_with(self.alarms.written_rows(self.alarms.pending()))
         tally, clock = self.tally, self.stream.clock
         relations = self.judge.monitor.relations
         observes = relations.remembers
@@ -420,20 +384,16 @@ class _PrintedLines:
     """Lines of verdicts on stdout, a sink.
 
     Args:
-        as_json: as JSON, else as CSV. alone: the verdicts are written nowhere else. has_region: whether they
-            say how they depart from the region of training. has_tests: whether they name the test of a
-            monitor that speaks.
+        as_json: as JSON, else as CSV. alone: the verdicts are written nowhere else. alarms: in the same loop,
+            before this sink. tells: whether they are told behind the sample at which they are known, by a
+            rule that is asked for; else JSON says where one ends.
 
-    Fields: text: of the rows; alarms: an AlarmEnds in the same loop, before this sink; rule: alarms by a
-    rule, in the same loop before this sink, which are told behind the sample at which they are known; None:
-    there is no rule.
+    Fields: text: of the rows.
     """
 
-    def __init__(self, as_json: bool, alone: bool, has_region: bool = False, has_tests: bool = False) -> None:
-        self.json, self.alone = as_json, alone
-        self.text = RowText(has_region, has_tests)
-        self.alarms = AlarmEnds(None)
-        self.rule: LiveAlarms | None = None
+    def __init__(self, as_json: bool, alone: bool, alarms: LiveAlarms, tells: bool) -> None:
+        self.json, self.alone, self.alarms, self.tells = as_json, alone, alarms, tells
+        self.text = RowText(alarms.region is not None, bool(alarms.relations.parts))
         self.notices: list[Notice] = []
         self.header = b""
         if not as_json:
@@ -446,20 +406,16 @@ class _PrintedLines:
         self.fresh = self.text.of(piece, verdicts)
         if self.json:
             self.texts = _is_text(piece)
-        if self.rule is not None:
-            self.notices = self.rule.notices
+        self.notices = self.alarms.notices
 
     def memory(self) -> Memory:
         """Return the rows and notices that may not be printed yet."""
-        rows = {"rows": self.fresh.decode("latin-1"), "texts": self.texts}
-        if self.rule is None:
-            return rows
-        return rows | {"notices": self.notices}
+        return {"rows": self.fresh.decode("latin-1"), "texts": self.texts, "notices": self.notices}
 
     def resume(self, memory: Any) -> None:
         """Take the rows of a process that was killed before it printed them for sure."""
         self.fresh, self.texts = memory["rows"].encode("latin-1"), memory["texts"]
-        self.notices = memory.get("notices", [])
+        self.notices = memory["notices"]
 
     def flush(self) -> None:
         """Print the rows, with the header before the first.
@@ -486,7 +442,7 @@ class _PrintedLines:
 
     def _with_notices(self, printed: bytes) -> bytes:
         """Return lines with each notice behind the line of the sample at which it is known."""
-        if not self.notices:
+        if not self.notices or not self.tells:
             return printed
         lines = printed.split(b"\n")[:-1]
         for row, notice in self.notices:
@@ -509,15 +465,14 @@ class _PrintedLines:
         """Return rows of verdicts.csv as they go to stdout."""
         if not self.json:
             return rows.replace(b",true\n", b"\n").replace(b",false\n", b"\n")
-        on, lines = self.alarms.before, []
-        for cells in csv.reader(io.StringIO(rows.decode())):
+        lines, ended = [], {}
+        if not self.tells:  # else a line of its own says it
+            ended = {number: notice.get("ended") for number, notice in self.notices}
+        for number, cells in enumerate(csv.reader(io.StringIO(rows.decode()))):
             row = dict(zip(self.text.names, cells, strict=False))
-            when, status, margin = row["time"], row["status"], row["margin"]
-            on, ended = alarm_goes_on(on, Status[status], self.alarms.forgets)
+            when, margin = row["time"], _number(row["margin"])
             time = when if self.texts else _number(when)
-            if self.rule is not None:  # a line of its own says it
-                ended = None
-            line = {"time": time, "status": status, "margin": _number(margin), "ended": ended}
+            line = {"time": time, "status": row["status"], "margin": margin, "ended": ended.get(number)}
             if "outside" in row:
                 line["outside"] = _number(row["outside"])
                 line["outside_by"] = row["outside_by"] or None

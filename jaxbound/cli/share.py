@@ -19,7 +19,7 @@ from jaxbound.runs.outputs import shared_folder
 from jaxbound.runs.parts import part_files
 from jaxbound.runs.refusals import Interrupted
 from jaxbound.runs.shares import numbers_of
-from jaxbound.runs.streaming import CHUNK, part_count, samples_of, write_parts
+from jaxbound.runs.streaming import CHUNK, Asked, part_count, samples_of, write_parts
 
 __all__ = ["judge_share", "opened", "same_test"]
 
@@ -48,23 +48,12 @@ def judge_share(
         shared_folder(out, (PARTIAL,), (model, data)),
         progress_bars(("relations", "test")) as step,
     ):
-        source, relations = opened(model, data, options, step)
+        source, asked = opened(model, data, options, step, overlap, chunk)
         count = part_count(source)
         mine = numbers_of(part, count)
         try:
             progress = lambda share: step("test", share)
-            _, seconds = write_parts(
-                relations,
-                source,
-                out,
-                options.method,
-                chunk or CHUNK,
-                progress,
-                part,
-                overlap=overlap,
-                margins=options.margins,
-                outside=options.outside,
-            )
+            _, seconds = write_parts(asked, source, out, progress, part)
         except KeyboardInterrupt:
             if part_files(where, mine):
                 said = (
@@ -82,7 +71,7 @@ def judge_share(
             "model": source.model.name,
             "data": str(data),
             "method": options.method,
-            "horizon": relations.horizon,
+            "horizon": asked.relations.horizon,
             "samples": source.samples,
             "first_sample": first,
             "last_sample": last,
@@ -105,13 +94,20 @@ def judge_share(
 
 
 def opened(
-    model: Path, data: Path | str, options: MethodOptions, step: Callable[[str, float], object]
-) -> tuple[Any, Any]:
-    """Return (Source, relations) of what is to be tested chunk by chunk."""
+    model: Path,
+    data: Path | str,
+    options: MethodOptions,
+    step: Callable[[str, float], object],
+    overlap: int | None,
+    chunk: int | None,
+) -> tuple[Any, Asked]:
+    """Return (Source, its test) of what is to be tested chunk by chunk."""
     stated = stated_model(model, options.every)
     usable_device()
     source = open_source(data, recorded(stated, options))
-    return source, window_relations(stated, options, data, source.samples, step)[1]
+    _, relations = window_relations(stated, options, data, source.samples, step)
+    kinds = options.margins, options.outside
+    return source, Asked(relations, options.method, *kinds, overlap, chunk or CHUNK)
 
 
 def same_test(

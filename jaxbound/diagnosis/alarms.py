@@ -4,22 +4,20 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from jaxbound.certificates.diagnosis import Diagnosis
 from jaxbound.certificates.interface import WindowCertificate
 from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.causes import Judged, diagnose
-from jaxbound.diagnosis.region import farthest_of
-from jaxbound.diagnosis.suspects import Suspect
-from jaxbound.diagnosis.watch import ENDS, NO_DATA, NO_SAMPLE, OTHER, Event, Raised, Seen, Watch
+from jaxbound.diagnosis.suspects import UNKNOWN, Suspect
+from jaxbound.diagnosis.watch import NO_DATA, NO_SAMPLE, OTHER, Raised, Seen, alarms_in
 from jaxbound.models.named_faults import NamedFault
-from jaxbound.models.region import Departure
+from jaxbound.models.region import Departure, Region
 from jaxbound.recordings.sample_axis import Place
 from jaxbound.recordings.timestamps import label_text
 from jaxbound.sets.floats.status import Status
@@ -34,13 +32,10 @@ __all__ = [
     "ONSET_LEFT",
     "OTHER",
     "Alarm",
-    "alarm_of",
+    "alarms_of",
     "endings",
     "forgets_after",
-    "follows",
     "group_alarms",
-    "over_of",
-    "stretches",
 ]
 
 ENDINGS = (
@@ -235,104 +230,59 @@ def group_alarms(
         blame: the suspects of the FAULT window at an index; None: nothing tells them.
         instants: (T,) times by which alarms are acknowledged; None: nobody does.
     """
-    *batch, T = result.status.shape
-    recordings = math.prod(batch)
     if margin is None:
         margin = result.margin
-    status, margin = result.status.reshape(recordings, T), margin.reshape(recordings, T)
-    fault, missing = status == Status.FAULT, status == Status.MISSING
-    if counts is not None:
-        fault = counts.reshape(recordings, T)
+    if counts is None:
+        counts = result.status == Status.FAULT
     alarms = []
-    for row in np.flatnonzero(fault.any(1)):
-        recording = tuple(map(int, np.unravel_index(row, tuple(batch))))
-        if rule.names:
-            about = result, recording, rule, horizon, blame, instants
-            alarms += _by_suspect(*about, fault[row], margin[row], missing[row])
+    for recording in np.ndindex(result.status.shape[:-1]):
+        if not counts[recording].any():
             continue
-        *columns, first, last = stretches(fault[row], margin[row], rule.k, rule.n, rule.hold, rule.clear)
-        codes = endings(first, last, follows(missing[row], columns[1]), horizon)
-        outside = _outside(result, recording, fault[row], columns[0], columns[1])
-        rows = zip(*map(np.ndarray.tolist, columns), codes.tolist(), *outside, strict=True)
-        for start, end, windows, depth, worst, code, count, words in rows:
-            why = ENDINGS[code]
-            alarms.append(Alarm(start, end, windows, depth, worst, recording, result, why, count, words))
+        departure, region, missing = result.departure, None, result.status[recording] == Status.MISSING
+        if departure is not None:
+            departure, region = departure.cut(recording), departure.region
+        seen = Seen.of(counts[recording], margin[recording], missing, departure, instants)
+        own = None
+        if blame is not None and rule.names:
+            own = partial(_blamed, blame, recording)
+        alarms += alarms_of(alarms_in(rule, seen, own), horizon, region, recording, result)
     return alarms
 
 
-def _by_suspect(
-    result: Grouped,
-    recording: tuple[int, ...],
-    rule: AlarmRule,
-    horizon: int | None,
-    blame: Blame | None,
-    instants: np.ndarray | None,
-    fault: np.ndarray,
-    margin: np.ndarray,
-    missing: np.ndarray,
-) -> list[Alarm]:
-    """Return the alarms of one recording by a rule that names suspects, in the order in which they begin."""
-    watch = Watch(rule)
-    if blame is not None:
-        of_batch = blame
-
-        def blamed(sample: int) -> Suspect:
-            return of_batch((*recording, sample))
-
-        watch.blame = blamed
-    departure = result.departure
-    if departure is not None:
-        departure = departure.cut(recording)
-    over = [*watch.add(Seen.of(fault, margin, missing, departure, instants)), *watch.finish()]
-    found = []
-    for raised in sorted(over_of(over), key=lambda alarm: alarm.number):
-        found.append(alarm_of(raised, horizon, departure, recording, result))
-    return found
+def _blamed(blame: Blame, recording: tuple[int, ...], sample: int) -> Suspect:
+    """Return the suspects of the FAULT window that ends at a sample of a recording."""
+    return blame((*recording, sample))
 
 
-def over_of(events: Sequence[Event]) -> list[Raised]:
-    """Return the alarms that end among events."""
-    return [event.alarm for event in events if event.kind == ENDS]
-
-
-def alarm_of(
+def alarms_of(
     raised: Raised,
     horizon: int | None,
-    departure: Departure | None = None,
+    region: Region | None = None,
     recording: tuple[int, ...] = (),
     result: Explained | None = None,
-) -> Alarm:
-    """Return the Alarm of one that is over.
+    tests: Sequence[str] | None = None,
+) -> list[Alarm]:
+    """Return the Alarms of those that are over.
 
     Args:
-        horizon: as for `endings`. departure: of any windows of the recording; None: there is no region.
+        horizon: as for `endings`. region: of training; None: there is none. tests: that speak where they are
+            worst; None: there are none.
     """
-    why = raised.ended
-    if not why:
-        why = ENDINGS[int(endings(raised.first, raised.last, np.array([raised.after]), horizon)[0])]
-    outside, words = None, ""
-    if departure is not None:
-        outside = raised.outside
-        share, by, reading = raised.farthest
-        if share > 0:
-            words = departure.region.words(by, reading)
-    about = raised.start, raised.end, raised.windows, raised.depth, raised.worst
-    suspect = raised.suspect
-    named = suspect.names, suspect.size
-    return Alarm(*about, recording, result, why, outside, words, *named, cause=suspect.cause)
-
-
-def _outside(
-    result: Grouped, recording: tuple[int, ...], fault: np.ndarray, start: np.ndarray, end: np.ndarray
-) -> tuple[Sequence[int | None], Sequence[str]]:
-    """Return (how many FAULT windows of each alarm lie outside the region of training, the farthest in
-    words).
-    """
-    departure = result.departure
-    if departure is None:
-        return [None] * len(start), [""] * len(start)
-    counts, farthest = farthest_of(departure.cut(recording), fault, start, end)
-    return counts.tolist(), farthest.words()
+    codes = endings(raised.first, raised.last, raised.after, horizon)
+    outside: Sequence[int | None] = [None] * len(codes)
+    words: Sequence[str] = [""] * len(codes)
+    if region is not None:
+        outside = raised.outside.tolist()
+        words = Departure(raised.share, raised.by, raised.reading, region).words()
+    numbers = raised.start, raised.end, raised.windows, raised.depth, raised.worst
+    columns = map(np.ndarray.tolist, (*numbers, codes, raised.suspect, raised.ended))
+    rows = zip(*columns, outside, words, tests or [""] * len(codes), strict=True)
+    alarms = []
+    for start, end, windows, depth, worst, code, suspect, ended, count, text, test in rows:
+        names, size, _, cause = suspect or UNKNOWN
+        about = recording, result, ended or ENDINGS[code], count, text, names, size, test, cause
+        alarms.append(Alarm(start, end, windows, depth, worst, *about))
+    return alarms
 
 
 def forgets_after(relations: Relations) -> int | None:
@@ -354,15 +304,6 @@ def forgets_after(relations: Relations) -> int | None:
     return relations.horizon
 
 
-def follows(missing: np.ndarray, end: ArrayLike) -> np.ndarray:
-    """Return NO_SAMPLE, NO_DATA or OTHER: what comes after each alarm that ends at samples `end`.
-
-    Args: missing: (T,) bool, windows without data.
-    """
-    after = np.append(np.where(missing, NO_DATA, OTHER), NO_SAMPLE)
-    return np.asarray(after[np.asarray(end, int) + 1])
-
-
 def endings(
     first: int | np.ndarray, last: int | np.ndarray, after: np.ndarray, horizon: int | None
 ) -> np.ndarray:
@@ -379,39 +320,3 @@ def endings(
     if horizon == LATCHED:
         return np.where(after == NO_SAMPLE, 0, ENDINGS.index(GAP))
     return np.where(after == OTHER, np.where(last - first < horizon, 2, 3), after)
-
-
-def stretches(
-    fault: np.ndarray,
-    margin: np.ndarray,
-    k: int,
-    n: int,
-    hold: int,
-    clear: int,
-    before: Sequence[bool] | np.ndarray = (),
-) -> tuple[np.ndarray, ...]:
-    """Return (start, end, windows, depth, worst, first, last) of the alarms of one recording, an array each:
-    as in `Alarm`, and the first and the last FAULT window that made it.
-
-    Args:
-        fault: (T,) bool. margin: (T,). k, n, hold, clear: see `Result.alarms`.
-        before: the entries of `fault` that came before, n - 1 at most.
-    """
-    count = np.cumsum(np.concatenate([np.zeros(n - len(before), int), before, fault]).astype(int))
-    on = np.flatnonzero(count[n:] - count[:-n] >= k)
-    if not len(on):
-        return on, on, on, margin[on], on, on, on
-    breaks = np.flatnonzero(np.diff(on) > hold + clear)  # quiet samples between two: their distance - 1
-    starts = on[np.concatenate([[0], breaks + 1])]
-    ends = np.minimum(on[np.concatenate([breaks, [len(on) - 1]])] + hold, len(fault) - 1)
-    lengths = ends - starts + 1
-    alarm = np.repeat(np.arange(len(starts)), lengths)
-    rows = np.arange(len(alarm)) + np.repeat(starts - np.cumsum(lengths) + lengths, lengths)
-    depth = np.where(fault, np.where(np.isnan(margin), -np.inf, margin), np.inf)[rows]
-    first = np.cumsum(lengths) - lengths
-    deepest = np.flatnonzero(depth == np.minimum.reduceat(depth, first)[alarm])
-    worst = rows[deepest[np.searchsorted(alarm[deepest], np.arange(len(starts)))]]
-    # of all FAULT windows: the rule counts some that an alarm begins after
-    at = np.flatnonzero(np.concatenate([before, fault])) - len(before)
-    made = at[np.searchsorted(at, starts - n + 1)], at[np.searchsorted(at, ends, "right") - 1]
-    return starts, ends, np.add.reduceat(fault[rows].astype(int), first), margin[worst], worst, *made

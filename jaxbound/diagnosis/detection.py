@@ -104,18 +104,22 @@ def detect(
     starts, recorded = tuple(recording.starts.tolist()), None
     if recording.source:
         recorded = recording.hints
-    about = test.method, test.relations, recording.u, recording.y, recording.index, starts
-    aside, device = recording.aside(test.horizon), judging_device(named.remembers)
-    return result_of(
-        relations,
-        judged,
-        *about,
-        aside=aside,
+    result = Result(
+        judged.status,
+        judged.margin,
+        test.method,
+        test.relations,
+        recording.u,
+        recording.y,
+        recording.index,
+        starts,
+        aside=recording.aside(test.horizon),
         recorded=recorded,
-        device=device,
+        device=judging_device(named.remembers),
         margins=test.margins_are,
         outside_is=outside,
     )
+    return result_of(relations, judged, result)
 
 
 def margins(relations: Relations, u: Data, y: Data = None, starts: Starts = ()) -> jax.Array:

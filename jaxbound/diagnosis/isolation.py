@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -148,10 +147,9 @@ class BankResult(Result):
 
 
 @result_of.register
-def _(family: Redundancy, judged: Judged, *about: Any, **more: Any) -> BankResult:
+def _(family: Redundancy, judged: Judged, result: Result) -> BankResult:
     assert judged.words is not None, "a bank is judged relation by relation"
-    table = signatures(family)
-    return BankResult(judged.status, judged.margin, *about, signatures=table, words=judged.words, **more)
+    return BankResult(**vars(result), signatures=signatures(family), words=judged.words)
 
 
 def words_of(statuses: np.ndarray) -> np.ndarray:

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxbound.certificates.interface import WindowCertificate, nothing_to_explain
-from jaxbound.consistency.claims import CLAIMED
-from jaxbound.consistency.interface import EXACT, Judged, Relations
+from jaxbound.consistency.interface import EXACT, Judged
 from jaxbound.consistency.monitorbank import BankVerdicts, MonitorBank, combined
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.alarms import Alarm
@@ -91,9 +90,8 @@ class MonitorResult(Result):
         if self.margins != EXACT:
             kind = test.margins_are
         judged = Judged(self.statuses[..., number], self.test_margins[..., number])
-        result = result_of(
-            relations,
-            judged,
+        result = Result(
+            *judged[:2],
             test.method,
             test.relations,
             u,
@@ -104,8 +102,9 @@ class MonitorResult(Result):
             device=self.device,
             margins=kind,
             outside_is=self.outside_is,
+            apart=apart,
         )
-        return replace(result, apart=apart)
+        return result_of(relations, judged, result)
 
     def test_at(self, at: Place) -> str:
         """Return the name of the test that speaks at a sample, see `explain`; "" where none does."""
@@ -201,37 +200,6 @@ def _(result: MonitorResult) -> list[str]:
 
 
 @result_of.register
-def _(
-    family: MonitorBank,
-    judged: BankVerdicts,
-    method: str,
-    relations: Relations,
-    u: np.ndarray,
-    y: np.ndarray,
-    index: object = None,
-    starts: tuple[int, ...] = (),
-    *,
-    aside: int = 0,
-    recorded: tuple[str, ...] | None = None,
-    device: str = "",
-    margins: str = EXACT,
-    outside_is: str = CLAIMED,
-) -> MonitorResult:
-    return MonitorResult(
-        judged.status,
-        judged.margin,
-        method,
-        relations,
-        u,
-        y,
-        index,
-        starts,
-        aside=aside,
-        recorded=recorded,
-        device=device,
-        margins=margins,
-        outside_is=outside_is,
-        by=judged.by,
-        statuses=judged.statuses,
-        test_margins=judged.margins,
-    )
+def _(family: MonitorBank, judged: BankVerdicts, result: Result) -> MonitorResult:
+    statuses, margins = judged.statuses, judged.margins
+    return MonitorResult(**vars(result), by=judged.by, statuses=statuses, test_margins=margins)

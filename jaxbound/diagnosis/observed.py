@@ -87,5 +87,5 @@ class ObserverResult(Result):
 
 
 @result_of.register(SetObserver)
-def _(family: SetObserver[Any], judged: Judged, *about: Any, **more: Any) -> ObserverResult:
-    return ObserverResult(judged.status, judged.margin, *about, **more)
+def _(family: SetObserver[Any], judged: Judged, result: Result) -> ObserverResult:
+    return ObserverResult(**vars(result))

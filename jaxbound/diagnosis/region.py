@@ -11,7 +11,7 @@ from jaxbound.models.region import Departure, Region
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 
-__all__ = ["Excursions", "Outside", "farthest_of"]
+__all__ = ["Excursions", "Outside"]
 
 NEARLY_ALL = 0.9
 """Share of FAULT windows from which on a sentence begins with the region."""
@@ -139,22 +139,3 @@ class Excursions:
     def resume(self, memory: dict[str, Any]) -> None:
         """Go on from a memory."""
         vars(self).update(memory)
-
-
-def farthest_of(
-    departure: Departure, fault: np.ndarray, start: np.ndarray, end: np.ndarray
-) -> tuple[np.ndarray, Departure]:
-    """Return (how many FAULT windows of each alarm lie outside, the farthest of them).
-
-    Args:
-        departure: (T,). fault: (T,) bool. start, end: (N,) first and last sample of alarms, which share none.
-    """
-    share = np.where(fault & (departure.share > 0), departure.share, 0.0)
-    before = np.concatenate([[0], np.cumsum(share > 0)])
-    at = np.array(start, np.int64)
-    counts = before[end + 1] - before[at]
-    for i in np.flatnonzero(counts).tolist():
-        at[i] += int(np.argmax(share[start[i] : end[i] + 1]))
-    farthest = departure.cut(at)
-    farthest.share[counts == 0] = 0
-    return counts, farthest

@@ -10,7 +10,7 @@ import numpy as np
 from jaxbound.certificates.diagnosis import Diagnosis
 from jaxbound.certificates.interface import WindowCertificate, explain
 from jaxbound.consistency.claims import CLAIMED
-from jaxbound.consistency.interface import EXACT, Judged, Relations
+from jaxbound.consistency.interface import EXACT, Judged
 from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
 from jaxbound.diagnosis.alarms import Alarm, forgets_after, group_alarms
 from jaxbound.diagnosis.causes import diagnose
@@ -424,35 +424,10 @@ class Result:
 
 
 @singledispatch
-def result_of(
-    family: object,
-    judged: Judged,
-    method: str,
-    relations: Relations,
-    u: np.ndarray,
-    y: np.ndarray,
-    index: object = None,
-    starts: tuple[int, ...] = (),
-    *,
-    aside: int = 0,
-    recorded: tuple[str, ...] | None = None,
-    device: str = "",
-    margins: str = EXACT,
-    outside_is: str = CLAIMED,
-) -> Result:
-    """Return the Result of verdicts, its kind chosen by the relations that a user gave.
+def result_of(family: object, judged: Judged, result: Result) -> Result:
+    """Return a Result as the kind that the relations which a user gave have of their own.
 
     Args:
-        family: as given to `detect`. judged: the verdicts. The others: see the fields of Result.
+        family: as given to `detect`. judged: the verdicts. result: of them.
     """
-    about = method, relations, u, y, index, starts
-    return Result(
-        judged.status,
-        judged.margin,
-        *about,
-        aside=aside,
-        recorded=recorded,
-        device=device,
-        margins=margins,
-        outside_is=outside_is,
-    )
+    return result

@@ -1,15 +1,14 @@
 """Alarms by a rule, as verdicts come: the same whatever the pieces they come in.
 
-First FAULT windows are grouped into stretches (k of n, hold, clear). A stretch then belongs to the alarm of
-its suspect: it begins one, joins one that is on or was on a moment ago, or ends one as an opposite jump. An
-acknowledgement ends alarms that had begun, and the stretch that is on with them: what follows begins anew.
-Array operations over samples; loops are over stretches.
+First FAULT windows are grouped into stretches (k of n, hold, clear), by array operations over samples. Where
+the rule names nobody each is an alarm. Else a stretch belongs to the alarm of its suspect: it begins one,
+joins one that is on or was on a moment ago, or ends one as an opposite jump. An acknowledgement ends alarms
+that had begun, and the stretch that is on with them: what follows begins anew.
 """
 
-import math
 from collections.abc import Callable
 from copy import deepcopy
-from dataclasses import asdict, dataclass, field
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,6 +30,7 @@ __all__ = [
     "Raised",
     "Seen",
     "Watch",
+    "alarms_in",
 ]
 
 OPPOSITE = "ended by an opposite jump"
@@ -38,10 +38,10 @@ ACKNOWLEDGED = "acknowledged"
 LASTING = "open at the end: nothing speaks for a repair"
 BEGINS, ENDS = "begins", "ends"
 NO_SAMPLE, NO_DATA, OTHER = range(3)  # what follows an alarm
-Labels = Callable[[int], object]
-"""The time of a sample of a piece, by its number there."""
 Blame = Callable[[int], Suspect]
 """The suspects of the FAULT window that ends at a sample."""
+SAMPLES = "start", "end", "worst", "first", "last", "sure"
+"""Fields of Raised that are numbers of samples."""
 
 
 class Seen(NamedTuple):
@@ -82,95 +82,114 @@ class Seen(NamedTuple):
 
     def cut(self, first: int, stop: int | None = None) -> "Seen":
         """Return the samples from one on, up to another."""
-        return Seen(*(x[first:stop] for x in self))
+        return Seen(*map(itemgetter(slice(first, stop)), self))
+
+    def counted(self) -> "Seen":
+        """Return these, the first of them as one that was counted."""
+        fault, share = self.fault.copy(), self.share.copy()
+        fault[:1], share[:1] = False, 0.0
+        return self._replace(fault=fault, share=share)
 
     def behind(self, before: "Seen") -> "Seen":
         """Return these behind others."""
-        return Seen(*(np.concatenate(pair) for pair in zip(before, self, strict=True)))
+        if not len(before.fault):
+            return self
+        return Seen(*map(np.concatenate, zip(before, self, strict=True)))
 
 
 NOTHING = Seen.of(np.zeros(0, bool), np.zeros(0), np.zeros(0, bool))
+KINDS = bool, float, bool, float, float, float, float  # of the fields of Seen
 
 
-@dataclass
-class Raised:
-    """An alarm that is on or over.
+class Raised(NamedTuple):
+    """Alarms, or the stretches that they are made of, arrays (N,).
 
-    Fields: number: counted from 1. start, end, windows, depth, worst: as of an Alarm; first, last: its first
-    and last FAULT window. suspect: see `Suspect`. outside: how many of its FAULT windows lie outside the
-    region of training; farthest: (share, input, reading) of the farthest. labels: the times of start, worst
-    and end. after: what follows it, see `alarms.follows`. sure: the sample at which it was known to be over.
-    on: whether its stretch lasts. ended: why it is over, where the rule says it. instant: of its start, see
-    `Seen`.
+    Fields: number: counted from 1. start, end, windows, depth, worst: as of an Alarm; first, last: the first
+    and last FAULT window that made it. after: what follows it, NO_SAMPLE, NO_DATA or OTHER. sure: the sample
+    at which it is known to be over. outside: how many of its FAULT windows lie outside the region of
+    training; share, by, reading: of the farthest. instant: of its start, see `Seen`. suspect: a Suspect,
+    None: not asked for. ended: why it is over, "" where the rule does not say it.
     """
 
-    number: int
-    start: int
-    end: int = -1
-    windows: int = 0
-    depth: float = math.inf
-    worst: int = -1
-    first: int = -1
-    last: int = -1
-    suspect: Suspect = UNKNOWN
-    outside: int = 0
-    farthest: tuple[float, int, float] = (0.0, -1, math.nan)
-    labels: dict[str, Any] = field(default_factory=dict)
-    after: int = OTHER
-    sure: int = -1
-    on: bool = True
-    ended: str = ""
-    instant: float = math.nan
+    number: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+    windows: np.ndarray
+    depth: np.ndarray
+    worst: np.ndarray
+    first: np.ndarray
+    last: np.ndarray
+    after: np.ndarray
+    sure: np.ndarray
+    outside: np.ndarray
+    share: np.ndarray
+    by: np.ndarray
+    reading: np.ndarray
+    instant: np.ndarray
+    suspect: np.ndarray
+    ended: np.ndarray
 
     @classmethod
-    def of(cls, memory: dict[str, Any]) -> "Raised":
-        """Return the alarm of a memory."""
-        found = cls(**memory)
-        names, size, jump, cause = found.suspect
-        found.suspect = Suspect(tuple(names), size, jump, cause)
-        share, by, reading = found.farthest
-        found.farthest = share, by, reading
-        return found
+    def of(cls, memory: list[list[Any]]) -> "Raised":
+        """Return the alarms of a memory."""
+        columns = []
+        for empty, values in zip(NOBODY, memory, strict=True):
+            column = np.zeros(len(values), empty.dtype)
+            for i, value in enumerate(values):
+                column[i] = value
+            columns.append(column)
+        alarms = cls(*columns)
+        for i, suspect in enumerate(alarms.suspect):
+            if suspect is not None:
+                alarms.suspect[i] = Suspect(tuple(suspect[0]), *suspect[1:])
+        return alarms
 
-    def take(self, seen: Seen, low: int, high: int, offset: int, label: Labels | None) -> None:
-        """Count the samples low <= k < high of `seen`, whose first is number `offset`."""
-        fault = np.flatnonzero(seen.fault[low:high]) + low
-        if not len(fault):
-            return
-        self.windows += len(fault)
-        self.last = int(fault[-1]) + offset
-        if self.first < 0:
-            self.first = int(fault[0]) + offset
-        margin = seen.margin[fault]
-        deepest = int(np.argmin(np.where(np.isnan(margin), -np.inf, margin)))
-        if self.worst < 0 or _below(float(margin[deepest]), self.depth):
-            self.depth, self.worst = float(margin[deepest]), int(fault[deepest]) + offset
-            if label is not None:
-                self.labels["worst"] = label(int(fault[deepest]))
-        share = seen.share[fault]
-        self.outside += int(np.count_nonzero(share > 0))
-        far = int(np.argmax(share))
-        if share[far] > self.farthest[0]:
-            at = int(fault[far])
-            self.farthest = float(share[far]), int(seen.by[at]), float(seen.reading[at])
+    def memory(self) -> list[list[Any]]:
+        """Return them as JSON holds them."""
+        return list(map(np.ndarray.tolist, self))
 
-    def join(self, other: "Raised") -> None:
-        """Take a stretch of the same suspect that came later."""
-        self.windows += other.windows
-        self.last, self.end, self.after = other.last, other.end, other.after
-        if _below(other.depth, self.depth):
-            self.depth, self.worst = other.depth, other.worst
-            self.labels["worst"] = other.labels.get("worst")
-        self.labels["end"] = other.labels.get("end")
-        self.outside += other.outside
-        if other.farthest[0] > self.farthest[0]:
-            self.farthest = other.farthest
+    def cut(self, at: slice | np.ndarray) -> "Raised":
+        """Return some of them."""
+        return Raised(*map(itemgetter(at), self))
+
+    def behind(self, *others: "Raised") -> "Raised":
+        """Return these behind others."""
+        return Raised(*map(np.concatenate, zip(*others, self, strict=True)))
+
+    def joined(self, other: "Raised") -> "Raised":
+        """Return an alarm with a stretch that came later."""
+        deeper = (other.windows > 0) & ~np.isnan(self.depth)
+        deeper &= np.isnan(other.depth) | (other.depth < self.depth)
+        columns = self._asdict()
+        picked = {("depth", "worst"): deeper, ("share", "by", "reading"): other.share > self.share}
+        picked["last",] = other.windows > 0
+        for names, which in picked.items():
+            for name in names:
+                columns[name] = np.where(which, getattr(other, name), columns[name])
+        columns |= {"windows": self.windows + other.windows, "outside": self.outside + other.outside}
+        return Raised(**columns | {"end": other.end, "after": other.after, "sure": other.sure})
+
+    @property
+    def name(self) -> str:
+        """The first suspect of a single one, "" where there is none."""
+        return (self.suspect[0] or UNKNOWN).first
+
+
+WHOLE, REAL, NAMED = np.zeros(0, np.int64), np.zeros(0), np.zeros(0, object)
+NOBODY = Raised(
+    *(WHOLE, WHOLE, WHOLE, WHOLE, REAL, WHOLE, WHOLE, WHOLE, WHOLE, WHOLE, WHOLE),
+    *(REAL, WHOLE, REAL, REAL, NAMED, NAMED),
+)
+"""No alarm."""
 
 
 class Event(NamedTuple):
-    """The begin or the end of an alarm. Fields: sample: at which it was known; kind: BEGINS or ENDS."""
+    """The begin or the end of an alarm. Fields: sample: at which it was known; number: of the alarm; kind:
+    BEGINS or ENDS; alarm: a single one.
+    """
 
     sample: int
+    number: int
     kind: str
     alarm: Raised
 
@@ -180,6 +199,9 @@ class Watch:
 
     Args:
         rule: an AlarmRule that is `fitted`. blame: tells suspects; None: not asked for.
+
+    Fields: samples: how many there were. count: of alarms. began: those that began in the last samples, of
+    which number, start, instant and suspect count.
     """
 
     def __init__(self, rule: AlarmRule, blame: Blame | None = None) -> None:
@@ -187,25 +209,25 @@ class Watch:
         self.acknowledged = rule.acknowledgements
         self.reach = rule.hold + rule.clear
         self.samples = self.count = 0
-        self.before = np.zeros(0, bool)  # the n - 1 entries of `fault` before the tail
-        self.tail = NOTHING  # samples behind the last at which a stretch was on
-        self.times: list[Any] = []  # of the tail
-        self.now: Any = None  # time of the last sample
-        self.stretch: Raised | None = None
-        self.until = -1  # the last sample at which it was on
+        self.before = np.zeros(0, bool)  # the last n - 1 entries of `fault`
+        self.open = NOBODY  # the stretch that is on
+        self.tail = NOTHING  # the last sample at which it was on, counted, and those behind it
         self.repairs = False
-        self.alarms: dict[str, Raised] = {}
-        self.events: list[Event] = []
+        self.alarms: dict[str, Raised] = {}  # by suspect, of a rule that names them; without windows at first
+        self.began, self.over = NOBODY, NOBODY
 
-    def add(self, seen: Seen, label: Labels | None = None) -> list[Event]:
-        """Take the next samples; return what begins and ends in them, in order. label: of their times."""
+    def add(self, seen: Seen) -> Raised:
+        """Take the next samples; return the alarms that are over by them, in the order in which it is
+        known.
+        """
         begin, low = self.samples, 0
+        self.began = NOBODY
         for instant, known, stop in self._acknowledgements(seen):
-            self._take(seen.cut(low, stop), _labels_from(label, low))
+            self._take(seen.cut(low, stop))
             self._acknowledge(instant, begin + known)
             low = stop
-        self._take(seen.cut(low), _labels_from(label, low))
-        return self._said()
+        self._take(seen.cut(low))
+        return self._told()
 
     def _acknowledgements(self, seen: Seen) -> list[tuple[float, int, int]]:
         """Return (time, number of the sample at which it is known, that of the first sample behind it) of
@@ -224,260 +246,243 @@ class Watch:
 
         Whoever does it twice ends nothing more: an alarm that begins behind it began later.
         """
-        acknowledged = [alarm for alarm in self.alarms.values() if alarm.instant <= instant]
-        for alarm in acknowledged:
-            name = alarm.suspect.first
-            if self.stretch is not None and self.stretch.suspect.first == name:
-                self._close(self.tail, self.until + 1, known, self._labels())
-                self.tail, self.times = NOTHING, []
+        acknowledged = [name for name, alarm in self.alarms.items() if alarm.instant[0] <= instant]
+        for name in acknowledged:
+            if self._is_on(name):
+                self._take(NOTHING, known)
             if name in self.alarms:  # not ended by an opposite jump just now
-                alarm.ended = ACKNOWLEDGED
-                self._up_to_now(alarm)
-                self._end(alarm, known)
-        if acknowledged and self.stretch is None:
+                self._end_now(name, ACKNOWLEDGED, known)
+        if acknowledged and not len(self.open.start):
             self.before = np.zeros(len(self.before), bool)
 
-    def _take(self, seen: Seen, label: Labels | None) -> None:
-        """Take samples between acknowledgements."""
-        new = len(seen.fault)
-        if not new:
+    @property
+    def is_quiet(self) -> bool:
+        """Whether no alarm is on, and none of the last flags counts for one."""
+        return not (len(self.open.start) or self.alarms or self.before.any())
+
+    def _is_on(self, name: str) -> bool:
+        """Whether the stretch that is on is one of a suspect."""
+        return len(self.open.start) > 0 and self.open.name == name
+
+    def _take(self, seen: Seen, sure: int | None = None) -> None:
+        """Take samples between acknowledgements. sure: the stretch that is on is known to be over there."""
+        is_on, before = len(self.open.start), self.open
+        if self.is_quiet and not seen.fault.any():
+            self.samples += len(seen.fault)
+            self.before = np.zeros(min(self.rule.n - 1, len(self.before) + len(seen.fault)), bool)
             return
-        if label is not None:
-            self.now = label(new - 1)
-        if self.stretch is None and not self.alarms and not seen.fault.any() and not self.before.any():
-            self.samples += new
-            self.before = np.zeros(min(self.rule.n - 1, len(self.before) + new), bool)
-            return
-        held, times = len(self.tail.fault), self.times
-        everything = seen.behind(self.tail)
-        offset = self.samples - held
-
-        def labelled(k: int) -> object:
-            if k < held:
-                return times[k]
-            assert label is not None
-            return label(k - held)
-
-        own = None
-        if label is not None:
-            own = labelled
-        for start, last in self._stretches(everything.fault):
-            self._follow(everything, start, last, offset, own)
-        self.samples += new
-        self._settle(everything, offset, own)
-        self._sweep(self.samples)
-        self._keep(everything, offset, own)
-
-    def finish(self) -> list[Event]:
-        """Close the alarms that are on at the end of the recording."""
-        last = self.samples - 1
-        if self.stretch is not None:
-            self._close(self.tail, self.until + 1, last, self._labels())
-        for alarm in list(self.alarms.values()):
-            if self.rule.latch:
-                if not alarm.on and alarm.after != NO_SAMPLE:
-                    alarm.ended = LASTING
-                self._up_to_now(alarm)
-            self._end(alarm, last)
-        return self._said()
-
-    def pending(self) -> list[Raised]:
-        """Return the alarms that are on, as they would end if the recording ended here."""
-        twin = deepcopy(vars(self) | {"blame": None})
-        other = Watch(self.rule, None)
-        vars(other).update(twin, blame=self.blame)
-        return [event.alarm for event in other.finish()]
-
-    def memory(self) -> dict[str, Any]:
-        """Return the state, as JSON holds it."""
-        stretch = None
-        if self.stretch is not None:
-            stretch = asdict(self.stretch)
-        return {
-            "samples": self.samples,
-            "count": self.count,
-            "before": self.before.tolist(),
-            "tail": [np.asarray(x).tolist() for x in self.tail],
-            "times": self.times,
-            "now": self.now,
-            "stretch": stretch,
-            "until": self.until,
-            "repairs": self.repairs,
-            "alarms": {key: asdict(alarm) for key, alarm in self.alarms.items()},
-        }
-
-    def resume(self, memory: dict[str, Any]) -> None:
-        """Go on from a memory."""
-        self.samples, self.count, self.until = memory["samples"], memory["count"], memory["until"]
-        self.before = np.array(memory["before"], bool)
-        kinds = bool, float, bool, float, float, float, float
-        tail = zip(memory["tail"], kinds, strict=True)
-        self.tail = Seen(*(np.array(x, kind) for x, kind in tail))
-        self.times, self.now, self.repairs = memory["times"], memory["now"], memory["repairs"]
-        self.stretch = None
-        if memory["stretch"] is not None:
-            self.stretch = Raised.of(memory["stretch"])
-        self.alarms = {key: Raised.of(alarm) for key, alarm in memory["alarms"].items()}
-
-    def _stretches(self, fault: np.ndarray) -> list[tuple[int, int]]:
-        """Return (first, last) sample at which each stretch is on, by k of n."""
-        k, n = self.rule.k, self.rule.n
-        filled = np.concatenate([np.zeros(n - len(self.before), bool), self.before, fault])
-        count = np.cumsum(filled)
-        on = np.flatnonzero(count[n:] - count[:-n] >= k)
-        if not len(on):
-            return []
-        breaks = np.flatnonzero(np.diff(on) > self.reach)
-        starts = on[np.concatenate([[0], breaks + 1])]
-        lasts = on[np.concatenate([breaks, [len(on) - 1]])]
-        return list(zip(starts.tolist(), lasts.tolist(), strict=True))
-
-    def _follow(self, seen: Seen, start: int, last: int, offset: int, label: Labels | None) -> None:
-        """Go through one stretch: it is on from a sample to another."""
-        low = start
-        if self.stretch is not None and start + offset - self.until <= self.reach:
-            low = self.until + 1 - offset
+        everything, offset = seen.behind(self.tail), self.samples - len(self.tail.fault)
+        alarms, left = self._stretches(everything, seen.fault, sure)
+        if len(alarms.start):
+            alarms = alarms._replace(**{name: getattr(alarms, name) + offset for name in SAMPLES})
+        if is_on:
+            alarms = alarms.cut(slice(1, None)).behind(before.joined(alarms.cut(slice(0, 1))))
+        if sure is not None:
+            alarms.sure[:] = sure
+        self.samples += len(seen.fault)
+        flags = np.concatenate([self.before, seen.fault])
+        self.before = flags[max(len(flags) - self.rule.n + 1, 0) :]
+        self.open, self.tail, count = NOBODY, NOTHING, len(alarms.start)
+        if left is not None:
+            self.tail, count = everything.cut(left).counted(), count - 1
+        if self.rule.names:
+            self._follow(alarms, is_on, count)
         else:
-            self._settle(seen, offset, label, start + offset)
-            self._begin(seen, start, offset, label)
-        assert self.stretch is not None, "it was begun"
-        self.stretch.take(seen, low, last + 1, offset, label)
-        self.until = last + offset
-        if label is not None:
-            self.stretch.labels["end"] = label(last)
+            fresh = alarms.number[is_on:]
+            fresh[:] = self.count + 1 + np.arange(len(fresh))
+            self.count += len(fresh)
+            self.began = alarms.cut(slice(is_on, None)).behind(self.began)
+            self.over = alarms.cut(slice(0, count)).behind(self.over)
+        self.open = alarms.cut(slice(count, None))
+        if sure is None:
+            self._sweep(self.samples)
 
-    def _begin(self, seen: Seen, start: int, offset: int, label: Labels | None) -> None:
-        """Begin a stretch, and the alarm of its suspect where none is on."""
-        at = start + offset
+    def _stretches(self, seen: Seen, new: np.ndarray, sure: int | None) -> tuple[Raised, int | None]:
+        """Return (the stretches of samples, the first being the rest of the one that is on; the number of the
+        last sample at which the last stretch was on, None: it is over).
+
+        Args:
+            seen: samples from the tail on. new: the flags of those behind it.
+        """
+        k, n = self.rule.k, self.rule.n
+        tail = len(seen.fault) - len(new)
+        flags = np.concatenate([np.zeros(n - len(self.before), bool), self.before, new])
+        count = np.cumsum(flags)
+        on = np.flatnonzero(count[n:] - count[:-n] >= k) + tail
+        if tail:
+            on = np.append(0, on)
+        if not len(on):
+            return NOBODY, None
+        breaks = np.flatnonzero(np.diff(on) > self.reach)  # quiet samples between two: their distance - 1
+        starts, until = on[np.append(0, breaks + 1)], on[np.append(breaks, len(on) - 1)]
+        ends, left = np.minimum(until + self.rule.hold, len(seen.fault) - 1), None
+        if sure is None and len(seen.fault) - 1 - until[-1] < self.reach:
+            ends[-1] = left = int(until[-1])
+        lengths = ends - starts + 1
+        first = np.cumsum(lengths) - lengths
+        owner = np.repeat(np.arange(len(starts)), lengths)
+        at = np.arange(len(owner)) + np.repeat(starts - first, lengths)
+        fault, share = seen.fault[at], seen.share[at]
+
+        def least(x: np.ndarray) -> np.ndarray:
+            hits = np.flatnonzero(x == np.minimum.reduceat(x, first)[owner])
+            return np.asarray(at[hits[np.searchsorted(owner[hits], np.arange(len(starts)))]])
+
+        margin = np.where(np.isnan(seen.margin[at]), -np.inf, seen.margin[at])
+        worst, farthest = least(np.where(fault, margin, np.inf)), starts
+        if share.any():
+            farthest = least(-share)
+        # of all FAULT windows: the rule counts some that an alarm begins after
+        made = np.append(np.flatnonzero(flags) + tail - n, len(seen.fault))
+        after = np.append(np.where(seen.missing, NO_DATA, OTHER), NO_SAMPLE)
+        alarms = Raised(
+            number=np.zeros(len(starts), np.int64),
+            start=starts,
+            end=ends,
+            windows=np.add.reduceat(fault.astype(np.int64), first),
+            depth=seen.margin[worst],
+            worst=worst,
+            first=made[np.searchsorted(made, starts - n + 1)],
+            last=np.maximum.reduceat(np.where(fault, at, -1), first),
+            after=after[ends + 1],
+            sure=until + self.reach,
+            outside=np.add.reduceat((share > 0).astype(np.int64), first),
+            share=seen.share[farthest],
+            by=seen.by[farthest].astype(np.int64),
+            reading=seen.reading[farthest],
+            instant=seen.instant[starts],
+            suspect=np.full(len(starts), None, object),
+            ended=np.full(len(starts), "", object),
+        )
+        return alarms, left
+
+    def _follow(self, alarms: Raised, begun: int, over: int) -> None:
+        """Give stretches to the alarms of their suspects. begun: how many began before; over: how many are
+        over.
+        """
+        for i in range(len(alarms.start)):
+            stretch = alarms.cut(slice(i, i + 1))
+            if i >= begun:
+                self._begin(stretch)
+            if i < over:
+                self._close(stretch)
+
+    def _begin(self, stretch: Raised) -> None:
+        """Ask for the suspect of a stretch, and begin its alarm where none is on."""
+        at = int(stretch.start[0])
         self._sweep(at)
-        suspect = UNKNOWN
+        self.repairs = False
         if self.blame is not None:
-            suspect = self.blame(at)
-        stretch = Raised(0, at, suspect=suspect)
-        if label is not None:
-            stretch.labels["start"] = label(start)
-        stretch.first = at - self._counted(seen.fault, start)
-        self.stretch, self.repairs = stretch, False
-        alarm = self.alarms.get(suspect.first)
+            stretch.suspect[0] = self.blame(at)
+        alarm = self.alarms.get(stretch.name)
         if alarm is not None:
-            alarm.on = True
-            self.repairs = suspect.ends(alarm.suspect)
+            self.repairs = (stretch.suspect[0] or UNKNOWN).ends(alarm.suspect[0] or UNKNOWN)
             return
         self.count += 1
-        begun = Raised(self.count, at, first=stretch.first, suspect=suspect)
-        begun.instant = float(seen.instant[start])
-        begun.labels = {"start": stretch.labels.get("start")}
-        self.alarms[suspect.first] = begun
-        self.events.append(Event(at, BEGINS, deepcopy(begun)))
+        number, none = np.array([self.count]), np.zeros(1, np.int64)
+        self.alarms[stretch.name] = stretch._replace(number=number, windows=none)
+        self.began = self.alarms[stretch.name].behind(self.began)
 
-    def _counted(self, fault: np.ndarray, start: int) -> int:
-        """Return how many samples before the first of a stretch its first FAULT window lies."""
-        low = start + 1 - self.rule.n
-        early = fault[max(low, 0) : start + 1]
-        if low < 0:
-            early = np.concatenate([self.before[max(len(self.before) + low, 0) :], early])
-        return len(early) - 1 - int(np.argmax(early))
-
-    def _settle(self, seen: Seen, offset: int, label: Labels | None, before: int | None = None) -> None:
-        """Close the stretch that is on if it is over by now, or by the next one at sample `before`."""
-        if self.stretch is None:
-            return
-        if before is not None or self.samples - 1 - self.until >= self.reach:
-            self._close(seen, offset, self.until + self.reach, label)
-
-    def _close(self, seen: Seen, offset: int, sure: int, label: Labels | None) -> None:
-        """Close the stretch, known at sample `sure` to be over."""
-        stretch = self.stretch
-        assert stretch is not None, "it is on"
-        self.stretch = None
-        last = len(seen.fault) - 1 + offset
-        stretch.end = min(self.until + self.rule.hold, last)
-        low, high = self.until + 1 - offset, stretch.end + 1 - offset
-        stretch.take(seen, max(low, 0), max(high, 0), offset, label)
-        if label is not None and stretch.end > self.until:
-            stretch.labels["end"] = label(stretch.end - offset)
-        stretch.after = NO_SAMPLE
-        if stretch.end < last:
-            stretch.after = OTHER
-            if seen.missing[high]:
-                stretch.after = NO_DATA
-        alarm = self.alarms[stretch.suspect.first]
-        if alarm.windows:
-            alarm.join(stretch)
+    def _close(self, stretch: Raised) -> None:
+        """Give a stretch that is over to its alarm."""
+        alarm = self.alarms[stretch.name]
+        if alarm.windows[0]:
+            alarm = alarm.joined(stretch)
         else:
-            own = {"number": alarm.number, "instant": alarm.instant}
-            vars(alarm).update(vars(stretch), **own)
-        alarm.on, alarm.sure = False, sure
+            alarm = stretch._replace(number=alarm.number, instant=alarm.instant)
+        self.alarms[stretch.name] = alarm
         if self.rule.latch and self._repaired(stretch, alarm):
-            alarm.ended = f"{OPPOSITE} of {alarm.suspect.first}"
-            self._end(alarm, sure)
+            alarm.ended[0] = f"{OPPOSITE} of {alarm.name}"
+            self._end(alarm.name, int(stretch.sure[0]))
 
     def _repaired(self, stretch: Raised, alarm: Raised) -> bool:
         """Whether a stretch shows the opposite of the jump that an alarm began with, first or last."""
         if self.repairs:
             return True
-        if self.blame is None or not alarm.suspect.jump or stretch.last == stretch.start:
+        first, last = alarm.suspect[0] or UNKNOWN, int(stretch.last[0])
+        if self.blame is None or not first.jump or last == stretch.start[0]:
             return False
-        return self.blame(stretch.last).ends(alarm.suspect)
+        return self.blame(last).ends(first)
 
     def _sweep(self, sample: int) -> None:
         """End the alarms that nothing from a sample on can join any more."""
         if self.rule.latch:
             return
-        for alarm in list(self.alarms.values()):
-            if not alarm.on and sample > alarm.end + int(self.rule.merge):
-                self._end(alarm, max(alarm.sure, alarm.end + int(self.rule.merge)))
+        for name, alarm in list(self.alarms.items()):
+            last = int(alarm.end[0]) + int(self.rule.merge)
+            if not self._is_on(name) and sample > last:
+                self._end(name, max(int(alarm.sure[0]), last))
 
-    def _end(self, alarm: Raised, sample: int) -> None:
+    def _end(self, name: str, sample: int) -> None:
         """End an alarm, as is known at a sample."""
-        del self.alarms[alarm.suspect.first]
-        self.events.append(Event(sample, ENDS, alarm))
+        alarm = self.alarms.pop(name)
+        self.over = alarm._replace(sure=np.array([sample])).behind(self.over)
 
-    def _keep(self, seen: Seen, offset: int, label: Labels | None) -> None:
-        """Keep the samples that the next ones need."""
-        low = len(seen.fault)
-        if self.stretch is not None:
-            low = self.until + 1 - offset
-        self._keep_flags(seen.fault[:low])
-        self.tail, self.times = seen.cut(low), []
-        if label is not None:
-            self.times = [label(k) for k in range(low, len(seen.fault))]
+    def _end_now(self, name: str, why: str, sample: int) -> None:
+        """End an alarm at the last sample."""
+        alarm = self.alarms[name]
+        alarm.ended[0], alarm.end[0] = why, self.samples - 1
+        self._end(name, sample)
 
-    def _keep_flags(self, fault: np.ndarray) -> None:
-        """Keep the last n - 1 of the flags that were kept and those behind them."""
-        flags = np.concatenate([self.before, fault])
-        self.before = flags[max(len(flags) - self.rule.n + 1, 0) :]
+    def finish(self) -> Raised:
+        """Close the alarms that are on at the end of the recording; return them."""
+        last, self.began = self.samples - 1, NOBODY
+        if len(self.open.start):
+            self._take(NOTHING, last)
+        for name, alarm in list(self.alarms.items()):
+            if not self.rule.latch:
+                self._end(name, last)
+            elif alarm.after[0] == NO_SAMPLE:
+                self._end_now(name, "", last)
+            else:
+                self._end_now(name, LASTING, last)
+        return self._told()
 
-    def _up_to_now(self, alarm: Raised) -> None:
-        """Let an alarm last to the last sample."""
-        alarm.end = self.samples - 1
-        alarm.labels["end"] = self.now
+    def events(self, over: Raised) -> list[Event]:
+        """Return the begins and the ends of alarms in the last samples, in order. over: those that end."""
+        events = []
+        for kind, alarms, samples in ((BEGINS, self.began, self.began.start), (ENDS, over, over.sure)):
+            for i, number in enumerate(alarms.number.tolist()):
+                events.append(Event(int(samples[i]), number, kind, alarms.cut(slice(i, i + 1))))
+        return sorted(events, key=lambda event: event[:3])
 
-    def _labels(self) -> Labels | None:
-        """Return the times of the tail, where they are known."""
-        if len(self.times) < len(self.tail.fault):
-            return None
-        return self.times.__getitem__
+    def pending(self) -> Raised:
+        """Return the alarms that are on, as they would end if the recording ended here."""
+        twin = Watch(self.rule)
+        vars(twin).update(deepcopy(vars(self) | {"blame": None}), blame=self.blame)
+        return twin.finish()
 
-    def _said(self) -> list[Event]:
-        """Return the events since the last call, in order."""
-        events, self.events = sorted(self.events, key=lambda event: event.sample), []
-        return events
+    def memory(self) -> dict[str, Any]:
+        """Return the state, as JSON holds it."""
+        return {
+            "samples": self.samples,
+            "count": self.count,
+            "before": self.before.tolist(),
+            "tail": list(map(np.ndarray.tolist, self.tail)),
+            "open": self.open.memory(),
+            "repairs": self.repairs,
+            "alarms": {name: alarm.memory() for name, alarm in self.alarms.items()},
+        }
+
+    def resume(self, memory: dict[str, Any]) -> None:
+        """Go on from a memory."""
+        self.samples, self.count, self.repairs = memory["samples"], memory["count"], memory["repairs"]
+        self.before = np.array(memory["before"], bool)
+        self.tail = Seen(*map(np.array, memory["tail"], KINDS))
+        self.open = Raised.of(memory["open"])
+        self.alarms = {name: Raised.of(alarm) for name, alarm in memory["alarms"].items()}
+
+    def _told(self) -> Raised:
+        """Return the alarms that are over since the last call."""
+        over, self.over = self.over, NOBODY
+        if not len(over.start):
+            return NOBODY
+        return over.cut(np.argsort(over.sure, kind="stable"))
 
 
-def _below(one: float, other: float) -> bool:
-    """Whether a margin is deeper than another; one that is not known is deepest."""
-    if math.isnan(other):
-        return False
-    return math.isnan(one) or one < other
-
-
-def _labels_from(label: Labels | None, first: int) -> Labels | None:
-    """Return the times of samples from one on, by their number behind it."""
-    if label is None or not first:
-        return label
-
-    def of_these(k: int) -> object:
-        return label(first + k)
-
-    return of_these
+def alarms_in(rule: AlarmRule, seen: Seen, blame: Blame | None = None) -> Raised:
+    """Return the alarms of a whole recording, in the order in which they begin. blame: see `Watch`."""
+    watch = Watch(rule, blame)
+    over = watch.add(seen)
+    over = watch.finish().behind(over)
+    return over.cut(np.argsort(over.number))

@@ -222,19 +222,23 @@ def followed(
     region = Region.of(observer)
     if region is not None and outside == UNCLAIMED:
         judged = unclaimed(judged, region.departure(recording.u, judged.status == Status.MISSING))
-    starts = tuple(recording.starts.tolist())
-    about = watch.method, watch.continued(carry), recording.u, recording.y, recording.index, starts
     fresh = recording.cut(max(given.known - observer.horizon, 0), recording.samples)
-    result = result_of(
-        observer,
-        judged,
-        *about,
+    result = Result(
+        judged.status,
+        judged.margin,
+        watch.method,
+        watch.continued(carry),
+        recording.u,
+        recording.y,
+        recording.index,
+        tuple(recording.starts.tolist()),
         aside=fresh.aside(observer.horizon),
         device=judging_device(remembers=True),
         margins=watch.margins_are,
         outside_is=outside,
+        known=given.known,
     )
-    return replace(result, known=given.known), between
+    return result_of(observer, judged, result), between
 
 
 def _edge(relations: Relations, recording: Recording) -> int:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 
 from jaxbound.consistency.claims import CLAIMED, refuse_outside
-from jaxbound.consistency.interface import AUTO, BOUNDS, EXACT, Relations, with_margins
+from jaxbound.consistency.interface import AUTO, BOUNDS, EXACT, Relations
 from jaxbound.diagnosis.alarmrule import RuleLike, rule_of
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detection import detect
@@ -38,16 +39,16 @@ from jaxbound.recordings.signals import Named
 from jaxbound.recordings.stillness import signal_hints, windows_inside
 from jaxbound.recordings.timestamps import time_label
 from jaxbound.relations.sentence import looked_at
+from jaxbound.runs.alarmbook import AlarmBook
 from jaxbound.runs.contradiction import REACHES, refuted_again
 from jaxbound.runs.judges import as_judged
 from jaxbound.runs.loop import Quiet, Taker, follow
 from jaxbound.runs.outputs import output_folder, shared_folder
 from jaxbound.runs.partnotes import read_again, read_by_test, read_extremes, read_runs
 from jaxbound.runs.parts import forget_parts, part_files, verdicts_of
-from jaxbound.runs.rulebook import alarm_book
 from jaxbound.runs.shares import check_share, numbers_of
 from jaxbound.runs.sink import Sink, Verdicts
-from jaxbound.runs.streaming import CHUNK, all_parts, part_count, publish, write_parts
+from jaxbound.runs.streaming import CHUNK, Asked, all_parts, part_count, publish, write_parts
 from jaxbound.runs.summary import Evidence, evidence
 from jaxbound.runs.tally import Tally
 from jaxbound.runs.testcounts import CountsByTest, Unwatched
@@ -69,8 +70,8 @@ class Digest:
     """The outcome of a test of a recording larger than memory; the verdicts themselves are in files.
 
     Fields:
-        relations, method: as tested. data: the ParquetSource. samples: their number. counts: {status name:
-            number of windows}.
+        asked: the test, of which relations and method are properties. data: the ParquetSource. samples: their
+            number. counts: {status name: number of windows}.
         worst: (sample, margin) of the FAULT window with the smallest margin (without FAULT: of any window),
             or None.
         margins: "exact", or "bounds": margins of CONSISTENT windows, and that of `worst` where none is FAULT,
@@ -84,13 +85,11 @@ class Digest:
         signals: (low, high), each (k, bins): extremes of the recorded signals in the bins of the line,
             outputs before inputs; or None.
         beyond: the windows outside the region of training, counted; None: the model states no ranges.
-            outside_is: see `Result`.
         by_test, unwatched: of a monitor the counts of its tests, and the stretches without a verdict; else
             None.
     """
 
-    relations: Relations
-    method: str
+    asked: Asked
     data: ParquetSource
     samples: int
     counts: dict[str, int]
@@ -105,9 +104,18 @@ class Digest:
     signals: tuple[np.ndarray, np.ndarray] | None = None
     margins: str = EXACT
     beyond: Outside | None = None
-    outside_is: str = CLAIMED
     by_test: CountsByTest | None = None
     unwatched: Unwatched | None = None
+
+    @property
+    def relations(self) -> Relations:
+        """As tested."""
+        return self.asked.relations
+
+    @property
+    def method(self) -> str:
+        """Of the test."""
+        return self.asked.method
 
     @property
     def bounded(self) -> bool:
@@ -163,16 +171,8 @@ class Digest:
         UNDECIDED what was FAULT.
         """
         r = self.near(k, samples)
-        result = detect(
-            self.relations,
-            r.u,
-            r.y,
-            method=self.method,
-            starts=r.starts,
-            margins=EXACT,
-            outside=self.outside_is,
-        )
-        return result, r
+        test = partial(detect, self.relations, method=self.method, outside=self.asked.outside)
+        return test(r.u, r.y, starts=r.starts, margins=EXACT), r
 
     def near(self, k: int, samples: int = 600) -> Recording:
         """Return so many samples around sample k, and those before them that `around` needs."""
@@ -299,24 +299,23 @@ def detect_dataset(
         raise ValueError("part makes verdicts and merge reports on them: give one of the two")
     refuse_unusable()
     report = reporter(progress, "detect_dataset")
+    asked = Asked(relations, method, margins, outside, overlap, chunk)
     if part is not None:
         with shared_folder(out, (PARTIAL,), (path,)):
             source = _source_in_parts(path, relations.model)
-            how = method, chunk, report, part, client, overlap, margins, outside
-            folder, _ = write_parts(relations, source, out, *how)
+            folder, _ = write_parts(asked, source, out, report, part, client)
             return part_files(folder, numbers_of(part, part_count(source)))
     with output_folder(out, (VERDICTS,), (path,)) as place:
         source = _source_in_parts(path, relations.model)
         if merge:
-            folder = all_parts(relations, source, out, method, overlap, margins, outside)
+            folder = all_parts(asked, source, out)
         else:
 
             def most(share: float) -> None:
                 report(0.95 * share)
 
-            more = method, chunk, most, None, client, overlap, margins, outside
-            folder, _ = write_parts(relations, source, out, *more)
-        found = digest(relations, source, folder, method, rule, margins=margins, outside=outside)
+            folder, _ = write_parts(asked, source, out, most, client=client)
+        found = digest(asked, source, folder, rule)
         publish(place)
     report(1.0)
     return found
@@ -331,38 +330,34 @@ def _source_in_parts(path: str | PathLike[str], model: Named) -> ParquetSource:
 
 
 def digest(
-    relations: Relations,
+    asked: Asked,
     source: ParquetSource,
     folder: Path,
-    method: str = "joint",
     alarm: RuleLike = (1, 1),
     alarms_csv: Path | None = None,
     progress: Progress | None = None,
     also: Sequence[Sink] = (),
-    margins: str = AUTO,
-    outside: str = CLAIMED,
 ) -> Digest:
     """Read the verdicts of a ParquetSource once.
 
     Args:
-        relations, method: as tested. source: the ParquetSource that was tested. folder: of the parts, as
+        asked: as it was tested. source: the ParquetSource that was tested. folder: of the parts, as
             `write_parts` left it.
         alarm: (k, n), an alarm needs k FAULT among n windows; or an AlarmRule. alarms_csv: where to write all
             alarms, or None.
-        progress: called with the share of the work done. also: sinks that take the verdicts too. margins,
-            outside: as for `write_parts`.
+        progress: called with the share of the work done. also: sinks that take the verdicts too.
 
     Returns:
         A Digest.
     """
-    report = reporter(progress, "detect_dataset")
+    report, relations = reporter(progress, "detect_dataset"), asked.relations
     region = Region.of(relations)
     tally = Tally(_seconds_at, relations.horizon, region=region)
     times = _SampleTimes(source)
     drawing = _Drawing(Timeline(source.samples))
     ticking = _Ticking(source.dt, times)
     rule = fitted(rule_of(alarm), relations)
-    book = alarm_book(rule, source, relations, method, alarms_csv, drawing.line.mark)
+    book = AlarmBook(rule, source, relations, asked.method, alarms_csv, drawing.line.mark)
     by_test = unwatched = None
     sinks: list[Taker[Recording, Verdicts]] = [tally, ticking, drawing, book, *also]
     if relations.parts:
@@ -381,25 +376,21 @@ def digest(
     if event is not None:
         worst = event.sample, event.margin
         times[event.sample] = float(event.when)
-    test = relations.test(method, source.dtype)
-    test = with_margins(test, margins, source.samples - relations.horizon)
     digested = Digest(
-        relations,
-        method,
+        asked,
         source,
         tally.samples,
         tally.named(),
         worst,
         alarms,
-        book.count,
+        book.total,
         (),
         drawing.line,
         times,
         ended=book.ended,
         signals=read_extremes(part_files(folder), source.samples),
-        margins=test.margins_are,
-        beyond=tally.outside(outside),
-        outside_is=outside,
+        margins=asked.test_of(source).margins_are,
+        beyond=tally.outside(asked.outside),
         by_test=by_test,
         unwatched=unwatched,
     )

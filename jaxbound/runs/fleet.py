@@ -279,23 +279,17 @@ def detect_fleet(
     Yields:
         UnitResult. Trouble with a unit makes it "not tested" and leaves the others alone.
     """
-    if client is not None:
-        same = {
-            "method": method,
-            "horizon": horizon,
-            "alarm": alarm,
-            "min_coverage": min_coverage,
-            "lags": lags,
-            "options": options,
-            "state": state,
-            "page": page,
-            "margins": margins,
-            "outside": outside,
-        }
-        yield from _test_by_workers(client, _FleetJob(same), units, progress)
-        return
-    report = reporter(progress, "fleet")
     how = _How(method, horizon, lags, options, state, rule_of(alarm), min_coverage, margins, outside)
+    if client is not None:
+        yield from _test_by_workers(client, _FleetJob(how, page), units, progress)
+    else:
+        yield from _test_here(units, how, page, reporter(progress, "fleet"))
+
+
+def _test_here(
+    units: Sequence[Unit], how: "_How", page: Page | None, report: Progress = lambda share: None
+) -> Iterator[UnitResult]:
+    """Test units in this process."""
     results, done = _Collected(page), 0
     try:
         for _ in follow(_read_groups(units, how), partial(_tested, how=how), [results]):
@@ -446,15 +440,14 @@ class _Reader:
 
 @dataclass(frozen=True, eq=False)
 class _FleetJob:
-    """The test of units as a `Job`: a task is a list of units. Fields: options: as `detect_fleet` takes
-    them.
-    """
+    """The test of units as a `Job`: a task is a list of units."""
 
-    options: dict[str, Any]
+    how: _How
+    page: Page | None
 
     def run(self, units: Sequence[Unit]) -> list[UnitResult]:
         """Return the UnitResult of each."""
-        return list(detect_fleet(units, **self.options))
+        return list(_test_here(units, self.how, self.page))
 
 
 def _test_by_workers(

@@ -9,12 +9,12 @@ import jax
 import numpy as np
 
 from jaxbound.consistency.claims import CLAIMED, UNCLAIMED, unclaimed
-from jaxbound.consistency.interface import AUTO, Judged, Observer, Relations
+from jaxbound.consistency.interface import Judged, Observer, Relations
 from jaxbound.consistency.interface import Verdicts as OfObserver
 from jaxbound.consistency.monitor import Monitor
 from jaxbound.consistency.monitorbank import BankVerdicts
 from jaxbound.consistency.searched import NOT_REFUTED, judging_device
-from jaxbound.diagnosis.detection import detect
+from jaxbound.diagnosis.result import Result
 from jaxbound.diagnosis.spot_checks import COUNT, decided_again, judged_elsewhere
 from jaxbound.files.checkpoint import as_texts, from_texts
 from jaxbound.models.region import Region
@@ -42,34 +42,23 @@ class Windows:
     judge.
 
     Args:
-        samples: of the whole recording, over which those that are decided again are spread. done: so many of
-            them are judged already. laps: gets the seconds of the stage "transfer". margins, outside: as of
-            `detect`.
+        test: of a Recording. horizon: of its windows. samples: of the whole recording, over which those that
+            are decided again are spread. done: so many of them are judged already. laps: gets the seconds of
+            the stage "transfer".
     """
 
     def __init__(
-        self,
-        relations: Relations,
-        method: str,
-        samples: int,
-        done: int,
-        laps: Laps,
-        margins: str = AUTO,
-        outside: str = CLAIMED,
+        self, test: Callable[[Recording], Result], horizon: int, samples: int, done: int, laps: Laps
     ) -> None:
-        self.relations, self.method, self.samples, self.done = relations, method, samples, done
-        self.margins, self.outside = margins, outside
-        self.overlap = self.begins = relations.horizon
+        self.test, self.samples, self.done = test, samples, done
+        self.overlap = self.begins = horizon
         self.again: dict[str, int] = {}
         self.laps = laps
 
     def __call__(self, piece: Numbered) -> Iterator[tuple[Recording, Verdicts]]:
         """Judge the samples that are new in a piece."""
         first, recording = piece
-        recorded = on_device(recording, self.laps)
-        result = detect(
-            self.relations, recorded, method=self.method, margins=self.margins, outside=self.outside
-        )
+        result = self.test(on_device(recording, self.laps))
         if devices := judged_elsewhere():
             share = -(-COUNT * recording.samples // self.samples)
             count = 0

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import asdict
 from functools import reduce
+from itertools import starmap
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +33,6 @@ __all__ = [
 
 NONE = '{"bin": 0, "low": [], "high": []}'  # an earlier jaxbound noted no extremes
 RUNS, EXTREMES, AGAIN, TESTS = b"runs", b"extremes", b"again", b"tests"
-Written = tuple[int, int, float]
-"""A Run as JSON holds it."""
 
 
 class Noted:
@@ -77,30 +76,17 @@ def read_runs(parts: Iterable[Path]) -> list[Runs]:
     where it holds.
     """
     notes = [json.loads(_metadata(part)[RUNS]) for part in parts]
-    every = [[_runs_from(**signal) for signal in note] for note in notes]
+    every = [list(map(_runs_from, note)) for note in notes]
     return [reduce(joined_runs, signal) for signal in zip(*every, strict=True)]
 
 
-def _runs_from(
-    counts: list[int],
-    longest: list[Written],
-    last: Written | None,
-    first: Written | None,
-    samples: int,
-    present: int,
-    low: float,
-    high: float,
-) -> Runs:
+def _runs_from(note: dict[str, Any]) -> Runs:
     """Return the Runs of one signal from the fields that `asdict` wrote."""
-    runs = tuple(Run(*run) for run in longest)
-    ends = _run_from(last), _run_from(first)
-    return Runs(samples, np.array(counts), present, runs, low, high, *ends)
-
-
-def _run_from(written: Written | None) -> Run | None:
-    if written is None:
-        return None
-    return Run(*written)
+    runs = {"counts": np.array(note["counts"]), "longest": tuple(starmap(Run, note["longest"]))}
+    for end in ("last", "first"):
+        if note[end] is not None:
+            runs[end] = Run(*note[end])
+    return Runs(**note | runs)
 
 
 def read_extremes(parts: Iterable[Path], samples: int) -> tuple[np.ndarray, np.ndarray]:

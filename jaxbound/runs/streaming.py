@@ -9,7 +9,8 @@ earlier.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from hashlib import blake2b
 from os import PathLike
 from pathlib import Path
@@ -18,11 +19,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxbound.consistency.claims import CLAIMED
-from jaxbound.consistency.interface import AUTO, Relations, margins_for, with_margins
+from jaxbound.consistency.interface import (
+    AUTO,
+    Observer,
+    Relations,
+    WindowTest,
+    margins_for,
+    with_margins,
+)
+from jaxbound.diagnosis.detection import detect
+from jaxbound.diagnosis.result import Result
 from jaxbound.files.checkpoint import from_texts
 from jaxbound.models.fingerprint import fingerprint
 from jaxbound.recordings.contents import Digests
 from jaxbound.recordings.parquet import PARTIAL, VERDICTS, ParquetSource
+from jaxbound.recordings.recording import Recording
 from jaxbound.relations.identity import identity
 from jaxbound.runs.judges import Carried, Windows
 from jaxbound.runs.loop import Laps, follow
@@ -47,7 +58,7 @@ from jaxbound.workers.engine import spread, stretches_for
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["CHUNK", "all_parts", "kept", "part_count", "publish", "samples_of", "write_parts"]
+__all__ = ["CHUNK", "Asked", "all_parts", "kept", "part_count", "publish", "samples_of", "write_parts"]
 
 CHUNK = 1_000_000  # samples in memory at once
 LEAST = 2**16  # and at least so many: a call of the kernel takes them anyway
@@ -55,18 +66,39 @@ PART = 1_000_000  # samples in a file of verdicts
 STAGES = "read", "transfer", "compute", "write"
 
 
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """The test that a recording in parts is to be given.
+
+    Fields: relations, method, margins, outside: see `detect`. overlap: samples that an observer of its own is
+    given before each part; None: one for all. chunk: samples in memory at once.
+    """
+
+    relations: Relations
+    method: str = "joint"
+    margins: str = AUTO
+    outside: str = CLAIMED
+    overlap: int | None = None
+    chunk: int = CHUNK
+
+    def detect(self, recording: Recording) -> Result:
+        """Return the Result of samples in memory."""
+        test = partial(detect, self.relations, margins=self.margins, outside=self.outside)
+        return test(recording, method=self.method)
+
+    def test_of(self, source: ParquetSource) -> WindowTest | Observer[Any]:
+        """Return the test of a recording; refuse what these relations cannot be tested by."""
+        test = self.relations.test(self.method, source.dtype)
+        return with_margins(test, self.margins, source.samples - self.relations.horizon)
+
+
 def write_parts(
-    relations: Relations,
+    asked: Asked,
     source: ParquetSource,
     out: str | PathLike[str],
-    method: str = "joint",
-    chunk: int = CHUNK,
     progress: Progress | None = None,
     part: tuple[int, int] | None = None,
     client: "Client | None" = None,
-    overlap: int | None = None,
-    margins: str = AUTO,
-    outside: str = CLAIMED,
 ) -> tuple[Path, dict[str, float]]:
     """Test a ParquetSource and write the parts that are missing in the folder `verdicts.partial` of `out`.
 
@@ -78,8 +110,7 @@ def write_parts(
         copying of columns into the arrays that the kernel reads. Where workers do it, their seconds are
         added.
     """
-    how = part, chunk, overlap, margins, outside
-    folder, job = _job_of(relations, source, Path(out), method, *how)
+    folder, job = _job_of(asked, source, Path(out), part)
     report = reporter(progress)
     seconds = dict.fromkeys(STAGES, 0.0)
     mine = numbers_of(part or (1, 1), part_count(source))
@@ -132,22 +163,13 @@ def _write_by_workers(
         yield seconds
 
 
-def all_parts(
-    relations: Relations,
-    source: ParquetSource,
-    out: str | PathLike[str],
-    method: str = "joint",
-    overlap: int | None = None,
-    margins: str = AUTO,
-    outside: str = CLAIMED,
-) -> Path:
+def all_parts(asked: Asked, source: ParquetSource, out: str | PathLike[str]) -> Path:
     """Return the folder of the parts that `write_parts` made of the same.
 
     Raises:
         ValueError: some are not there, or of another model, recording, version or method.
     """
-    how = None, CHUNK, overlap, margins, outside
-    folder, _ = _job_of(relations, source, Path(out), method, *how)
+    folder, _ = _job_of(asked, source, Path(out))
     count = part_count(source)
     missing = missing_parts(folder, range(count))
     if missing:
@@ -195,37 +217,31 @@ def _ranges_of(numbers: Sequence[int]) -> list[range]:
 class _Judging:
     """The test of a recording as a `Job`: a task is a range of parts, each written completely or not at all.
 
-    Fields: relations, source, method: as for `write_parts`. folder: of the parts. chunk: samples in memory at
-    once. size: of a part, in samples. common: what all parts depend on. overlap: samples that an observer of
-    its own is given before each part; None: one for all. margins, outside: see `detect`. chain: of parts that
-    follow each other, digests of the recording up to the end of each.
+    Fields: asked, source: as for `write_parts`. folder: of the parts. size: of a part, in samples. common:
+    what all parts depend on. chain: of parts that follow each other, digests of the recording up to the end
+    of each.
     """
 
-    relations: Relations
+    asked: Asked
     source: ParquetSource
     folder: Path
-    method: str
-    chunk: int
     size: int
     common: dict[str, str]
-    overlap: int | None = None
-    margins: str = AUTO
-    outside: str = CLAIMED
     chain: list[str] = field(default_factory=list)
 
     @property
     def follows(self) -> bool:
         """Whether a part needs the carry of all those before it."""
-        return self.relations.remembers and self.overlap is None
+        return self.asked.relations.remembers and self.asked.overlap is None
 
     def note(self, number: int) -> dict[str, str]:
         """Return {name: text} of all that the verdicts in a part depend on, before any of it is read."""
         if self.follows:
             content = self._content_up_to(number)
-        elif self.overlap is not None:
-            content = self._content(number, self.overlap)
+        elif self.asked.overlap is not None:
+            content = self._content(number, self.asked.overlap)
         else:
-            content = self._content(number, self.relations.horizon)
+            content = self._content(number, self.asked.relations.horizon)
         place = f"part {number} of {self.size} samples each"
         return self.common | {"place in the recording": place, "content of the recording": content}
 
@@ -261,7 +277,7 @@ class _Judging:
 
     def _together(self, parts: range) -> list[range]:
         """Return the ranges of parts that one judge takes: all, or each by itself."""
-        if self.overlap is None:
+        if self.asked.overlap is None:
             return [parts]
         return [range(i, i + 1) for i in parts]
 
@@ -271,64 +287,54 @@ class _Judging:
         notes = {i: self.note(i) for i in parts}
         laps = Laps(seconds)
         judge = self._judge(parts.start, laps)
-        about = Noted(self.source.samples, self.relations.model)
-        bank = self.relations if self.relations.parts else None
+        relations = self.asked.relations
+        about = Noted(self.source.samples, relations.model)
+        bank = relations if relations.parts else None
         sink = Parts(self.folder, notes, self.size, first, end, about, judge, bank)
-        pieces = self.source.pieces(self.chunk, judge.overlap, max(first - judge.begins, 0), end)
+        pieces = self.source.pieces(self.asked.chunk, judge.overlap, max(first - judge.begins, 0), end)
         report(first)
         for at, piece in follow(pieces, judge, [sink], laps=laps):
             report(at + piece.samples)
 
     def _judge(self, part: int, laps: Laps) -> Windows | Carried[Any]:
         """Return the judge of the samples from a part on."""
-        done = part * self.size
-        if not self.relations.remembers:
-            about = self.relations, self.method, self.source.samples
-            return Windows(*about, done, laps, self.margins, self.outside)
-        test, windows = self.relations.test(self.method, self.source.dtype), self.source.samples
-        observer = with_margins(test, self.margins, windows - self.relations.horizon)
+        done, asked = part * self.size, self.asked
+        if not asked.relations.remembers:
+            return Windows(asked.detect, asked.relations.horizon, self.source.samples, done, laps)
+        observer = asked.test_of(self.source)
         assert observer.remembers, "what remembers is an observer"
         carry = observer.init()
         if part and self.follows:
             carry = from_texts(carry, carry_behind(self.folder / part_name(part - 1)))
-        return Carried(observer, carry, self.size, done, laps, self.overlap, self.outside)
+        return Carried(observer, carry, self.size, done, laps, asked.overlap, asked.outside)
 
 
 def _job_of(
-    relations: Relations,
-    source: ParquetSource,
-    out: Path,
-    method: str,
-    part: tuple[int, int] | None = None,
-    chunk: int = CHUNK,
-    overlap: int | None = None,
-    margins: str = AUTO,
-    outside: str = CLAIMED,
+    asked: Asked, source: ParquetSource, out: Path, part: tuple[int, int] | None = None
 ) -> tuple[Path, _Judging]:
     """Return (folder for the parts, _Judging that makes them); refuse parts of another run, or not ours.
 
     A share looks at the content of its own parts only: where many are made at once, each reads what it judges
     and not all of the recording.
     """
-    # refuses what these relations cannot be tested by
-    windows = source.samples - relations.horizon
-    test = with_margins(relations.test(method, source.dtype), margins, windows)
-    begins = _begins(relations, part, overlap)
+    relations, test = asked.relations, asked.test_of(source)
+    begins = _begins(relations, part, asked.overlap)
     if source.samples <= relations.horizon:
         raise ValueError(
             f"{source.path}: the recording has {source.samples} samples, one window needs "
             f"{relations.horizon + 1}"
         )
-    also: dict[str, str | int] = {"margins": test.margins_are, "word outside training": outside}
+    also: dict[str, str | int] = {"margins": test.margins_are, "word outside training": asked.outside}
     if relations.remembers:
         also["overlap"] = begins if begins is not None else "none"
     folder = out / PARTIAL
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"{folder} is a file: move it, or choose another folder")
-    common = identity(relations, method=method, recording=fingerprint(source.layout), **also)
-    chunk = max(chunk, LEAST, relations.horizon + 1, (begins or 0) + 1)
-    kind = margins_for(margins, windows)
-    job = _Judging(relations, source, folder, method, chunk, PART, common, begins, kind, outside)
+    common = identity(relations, method=asked.method, recording=fingerprint(source.layout), **also)
+    chunk = max(asked.chunk, LEAST, relations.horizon + 1, (begins or 0) + 1)
+    kind = margins_for(asked.margins, source.samples - relations.horizon)
+    asked = replace(asked, chunk=chunk, overlap=begins, margins=kind)
+    job = _Judging(asked, source, folder, PART, common)
     mine = numbers_of(part or (1, 1), part_count(source))
     for file in part_files(folder):
         number = part_number(file)

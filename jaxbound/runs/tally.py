@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxbound.diagnosis.alarms import ENDINGS, NO_DATA, OTHER, endings
 from jaxbound.diagnosis.region import Excursions, Outside
 from jaxbound.models.region import Region
 from jaxbound.recordings.recording import Recording
@@ -14,7 +13,7 @@ from jaxbound.runs.loop import Memory, Quiet
 from jaxbound.runs.sink import Verdicts
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["AlarmEnds", "Event", "Tally", "alarm_goes_on"]
+__all__ = ["Event", "Tally"]
 
 When = str | float
 FAULT = int(Status.FAULT)
@@ -143,52 +142,3 @@ def _smaller(old: Event | None, new: Event | None) -> Event | None:
     if new.margin < old.margin or (np.isnan(old.margin) and not np.isnan(new.margin)):
         return new
     return old
-
-
-class AlarmEnds(Quiet):
-    """A sink that counts alarms, and why they are over.
-
-    Args:
-        forgets: from `forgets_after`.
-
-    Fields: on: FAULT windows in a row up to now; before: and before the last piece. endings: {ending of an
-    Alarm: number of alarms}.
-    """
-
-    def __init__(self, forgets: int | None) -> None:
-        self.forgets = forgets
-        self.on = self.before = 0
-        self.endings: dict[str, int] = {}
-
-    @property
-    def alarms(self) -> int:
-        """The number of alarms, with one that is on."""
-        return sum(self.endings.values()) + bool(self.on)
-
-    def add(self, piece: Recording, verdicts: Verdicts) -> None:
-        """Follow the alarms through the next samples."""
-        self.before = self.on
-        if not self.on and not (verdicts.status == FAULT).any():
-            return
-        for status in verdicts.status.tolist():
-            self.on, ended = alarm_goes_on(self.on, status, self.forgets)
-            if ended is not None:
-                self.endings[ended] = self.endings.get(ended, 0) + 1
-
-    def memory(self) -> Memory:
-        """Return the counts."""
-        return {"on": self.on, "before": self.before, "endings": self.endings}
-
-    def resume(self, memory: dict[str, Any]) -> None:
-        """Go on from a memory."""
-        self.on, self.before, self.endings = memory["on"], memory["before"], memory["endings"]
-
-
-def alarm_goes_on(on: int, status: int, forgets: int | None) -> tuple[int, str | None]:
-    """Return (FAULT windows in a row up to this one, why the alarm is over; None if none ended here)."""
-    if status == FAULT:
-        return on + 1, None
-    if not on:
-        return 0, None
-    after = NO_DATA if status == Status.MISSING else OTHER
-    return 0, ENDINGS[endings(0, on - 1, np.array([after]), forgets)[0]]

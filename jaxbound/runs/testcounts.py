@@ -21,6 +21,7 @@ STRETCHES = 10
 """Stretches that nobody watched, of which the longest are kept."""
 NEVER = -1
 """In place of the sample of a first FAULT."""
+REMEMBERED = "samples", "covered", "counts", "speaks", "within", "first", "least", "modes"
 KNOWLEDGE = 3
 """A condition holds, does not, or is unknown."""
 
@@ -114,28 +115,18 @@ class CountsByTest(Quiet):
 
     def memory(self) -> Memory:
         """Return the counts, as JSON holds them."""
-        least = []
-        for margin in self.least.tolist():
-            least.append(margin if np.isfinite(margin) else str(margin))
-        return {
-            "samples": self.samples,
-            "covered": self.covered,
-            "counts": self.counts.tolist(),
-            "speaks": self.speaks.tolist(),
-            "within": self.within.tolist(),
-            "first": self.first.tolist(),
-            "least": least,
-            "modes": self.modes.tolist(),
-        }
+        counts = {name: np.asarray(getattr(self, name)).tolist() for name in REMEMBERED}
+        least = counts["least"]
+        for i in np.flatnonzero(~np.isfinite(self.least)):
+            least[i] = str(least[i])
+        return counts
 
     def resume(self, memory: dict[str, Any]) -> None:
         """Go on from a memory."""
         self.samples, self.covered = memory["samples"], memory["covered"]
-        self.counts = np.array(memory["counts"], np.int64).reshape(self.counts.shape)
-        for name in ("speaks", "within", "first"):
-            setattr(self, name, np.array(memory[name], np.int64))
-        self.least = np.array(memory["least"], float)
-        self.modes = np.array(memory["modes"], np.int64).reshape(self.modes.shape)
+        for name in REMEMBERED[2:]:
+            before = getattr(self, name)
+            setattr(self, name, np.array(memory[name], before.dtype).reshape(before.shape))
 
     def tests(self) -> dict[str, OfTest]:
         """Return {name: OfTest}."""

@@ -1,10 +1,10 @@
 """Verdicts and alarms as files: CSV with the times of the recording as its owner wrote them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import singledispatch
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "AlarmTable",
+    "Columns",
     "VerdictTable",
     "alarm_columns",
     "columns_of",
@@ -167,74 +168,62 @@ def write_alarms(
     has_tests: bool = False,
     has_causes: bool = False,
 ) -> None:
-    """Write one row an alarm: start and end (time of the recording), duration in s, FAULT windows, depth and
-    when it was reached.
+    """Write one row an alarm, see `alarm_columns`, with the times of the recording."""
+    written, time = recording.column, recording.time
+
+    def at(samples: np.ndarray) -> tuple["pa.Array", np.ndarray]:
+        return written.take(to_arrow(samples)), time[samples]
+
+    write_columns(path, alarm_columns(alarms, at, dt, has_region, names, has_tests, has_causes))
+
+
+def alarm_columns(
+    alarms: Sequence[Alarm],
+    at: Callable[[np.ndarray], tuple["pa.Array", np.ndarray]],
+    dt: float,
+    has_region: bool,
+    names: bool,
+    has_tests: bool,
+    has_causes: bool,
+) -> Columns:
+    """Return the columns of alarms.csv: start and end (time of the recording), duration in s, FAULT windows,
+    depth and when it was reached.
 
     `factor` is how many times wider the bounds would have to be; an alarm of a single sample lasts dt;
     `ended`, `test`, `suspect`, `size`, `cause`, `outside`, `outside_by`: see `Alarm`; test where a monitor
     judged, suspect and size where the rule of alarms names suspects, cause where the model names faults, too,
     the last two where there is a region of training.
-    """
-    written = recording.column
-    starts = np.array([alarm.start for alarm in alarms], np.int64)
-    ends = np.array([alarm.end for alarm in alarms], np.int64)
-    worst = np.array([alarm.worst for alarm in alarms], np.int64)
-    columns = {
-        "start": written.take(to_arrow(starts)),
-        "end": written.take(to_arrow(ends)),
-        "worst": written.take(to_arrow(worst)),
-        "from": recording.time[starts],
-        "to": recording.time[ends],
-        "first_sample": starts,
-        "last_sample": ends,
-        "windows": np.array([alarm.windows for alarm in alarms], np.int64),
-        "depth": np.array([alarm.depth for alarm in alarms], np.float64),
-        "ended": [alarm.ended for alarm in alarms],
-    }
-    if has_tests:
-        columns["test"] = [alarm.test for alarm in alarms]
-    if names:
-        columns["suspect"] = [alarm.suspect for alarm in alarms]
-        columns["size"] = np.array([alarm.size for alarm in alarms], np.float64)
-    if has_causes:
-        columns["cause"] = [alarm.cause for alarm in alarms]
-    if has_region:
-        columns["outside"] = np.array([alarm.outside for alarm in alarms], np.int64)
-        columns["outside_by"] = [alarm.outside_by for alarm in alarms]
-    write_columns(path, alarm_columns(columns, dt))
-
-
-def alarm_columns(alarms: Mapping[str, Any], dt: float) -> Columns:
-    """Return the columns of alarms.csv.
 
     Args:
-        alarms: {"start", "end", "worst": times as the recording has them (pyarrow), "from", "to": seconds,
-            "first_sample", "last_sample", "windows", "depth": NumPy; "ended": texts}, one entry an alarm;
-            "test" (texts) of a monitor; "suspect" (texts), "size" where they are named, "cause" (texts);
-            "outside", "outside_by" (texts) where there is a region of training.
+        at: the times of samples, as written and in seconds.
     """
-    tests, suspects = {}, {}
-    if "test" in alarms:
-        tests = {"test": texts(alarms["test"])}
-    if "suspect" in alarms:
-        suspects = {"suspect": texts(alarms["suspect"]), "size": to_arrow(alarms["size"])}
-    if "cause" in alarms:
-        suspects["cause"] = texts(alarms["cause"])
-    outside = {}
-    if "outside" in alarms:
-        outside = {"outside": to_arrow(alarms["outside"]), "outside_by": texts(alarms["outside_by"])}
-    return {
-        "start": alarms["start"],
-        "end": alarms["end"],
-        "duration_s": to_arrow(np.round(alarms["to"] - alarms["from"] + dt, 9)),
-        "first_sample": to_arrow(alarms["first_sample"]),
-        "last_sample": to_arrow(alarms["last_sample"]),
-        "windows": to_arrow(alarms["windows"]),
-        "depth": to_arrow(alarms["depth"]),
-        "factor": to_arrow(1 - alarms["depth"]),
-        "worst": alarms["worst"],
-        "ended": texts(alarms["ended"]),
-        **tests,
-        **suspects,
-        **outside,
+
+    def numbers(name: str, kind: type = np.int64) -> np.ndarray:
+        return np.array([getattr(alarm, name) for alarm in alarms], kind)
+
+    def said(name: str) -> "pa.Array":
+        return texts([getattr(alarm, name) for alarm in alarms])
+
+    start, end, depth = numbers("start"), numbers("end"), numbers("depth", np.float64)
+    (begun, begin), (over, stop) = at(start), at(end)
+    columns = {
+        "start": begun,
+        "end": over,
+        "duration_s": to_arrow(np.round(stop - begin + dt, 9)),
+        "first_sample": to_arrow(start),
+        "last_sample": to_arrow(end),
+        "windows": to_arrow(numbers("windows")),
+        "depth": to_arrow(depth),
+        "factor": to_arrow(1 - depth),
+        "worst": at(numbers("worst"))[0],
+        "ended": said("ended"),
     }
+    if has_tests:
+        columns["test"] = said("test")
+    if names:
+        columns |= {"suspect": said("suspect"), "size": to_arrow(numbers("size", np.float64))}
+    if has_causes:
+        columns["cause"] = said("cause")
+    if has_region:
+        columns |= {"outside": to_arrow(numbers("outside")), "outside_by": said("outside_by")}
+    return columns

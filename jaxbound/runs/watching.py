@@ -1,42 +1,50 @@
-"""Alarms by a rule over verdicts that come in pieces: the samples of their FAULT windows are asked for."""
+"""Alarms by a rule over verdicts that come in pieces: in words, and with their times."""
 
-from collections.abc import Callable, Mapping
-from typing import Any, TypeAlias, cast
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from jaxbound.consistency.interface import Relations
 from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.alarmrule import AlarmRule
+from jaxbound.diagnosis.alarms import Alarm, alarms_of, forgets_after
 from jaxbound.diagnosis.severity import MonitorSeverity, Severity, severity_of
-from jaxbound.diagnosis.suspects import UNKNOWN, Suspect, nameless, suspect_of_window
-from jaxbound.diagnosis.watch import Event, Labels, Seen, Watch
+from jaxbound.diagnosis.suspects import UNKNOWN, Suspect, nameless, suspect_of_window, tells_causes
+from jaxbound.diagnosis.watch import NOBODY, Raised, Seen, Watch
+from jaxbound.models.region import Region
+from jaxbound.recordings.columns import to_arrow
 from jaxbound.recordings.recording import NOWHERE, Recording
+from jaxbound.runs.loop import Quiet
 from jaxbound.runs.sink import Verdicts
+from jaxbound.runs.verdictfiles import Columns, alarm_columns
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["Samples", "Watching"]
+if TYPE_CHECKING:
+    import pyarrow as pa
 
-Samples: TypeAlias = Callable[[int, int], tuple[np.ndarray, np.ndarray]]
-"""samples(first, stop) returns (u, y) of some samples, by their numbers in the recording."""
+__all__ = ["Watching"]
 
 
-class Watching:
-    """The alarms of relations, by a rule.
+class Watching(Quiet):
+    """The alarms of relations, by a rule, and the times of the samples by which they are told.
 
     Args:
-        rule: that is `fitted`. relations, method: as tested. samples: those up to the piece that is being
-            taken.
+        rule: that is `fitted`. relations, method: as tested. dt: sampling period in s.
 
     Fields: watch: the alarms so far. before: so many samples before its last one a test of them reads. keep:
-    suspects are asked of so many of the last samples, and of those of the piece that is being taken.
+    suspects are asked of so many of the last samples, and of those of the piece that is being taken. numbers,
+    written, seconds, tests: of the samples whose times are known: those of the piece, and earlier ones of
+    alarms that are on. ended: {ending of an Alarm: number of alarms}.
 
     Raises:
         ValueError: a rule with least sizes for relations that do not tell errors of single sensors.
     """
 
-    def __init__(self, rule: AlarmRule, relations: Relations, method: str, samples: Samples) -> None:
-        self.relations, self.method, self.samples = relations, method, samples
+    def __init__(self, rule: AlarmRule, relations: Relations, method: str, dt: float) -> None:
+        self.rule, self.relations, self.method, self.dt = rule, relations, method, dt
+        self.horizon, self.region = forgets_after(relations), Region.of(relations)
+        self.causes = rule.names and tells_causes(relations.model)
         self.watch = Watch(rule)
         self.before = relations.reach
         # those of a stretch are asked for once it is over
@@ -48,37 +56,94 @@ class Watching:
         self.severity: Severity | MonitorSeverity | None = None
         if rule.least is not None:
             self.severity = severity_of(relations, method, cast(Mapping[str, float], rule.least))
+        self.numbers: np.ndarray = np.zeros(0, np.int64)
+        self.seconds: np.ndarray = np.zeros(0)
+        self.tests, self.written = np.zeros(0, object), to_arrow(self.seconds)
+        self.ended: dict[str, int] = {}
+
+    def samples(self, first: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return (u, y) of some samples up to the piece that is being taken, by their numbers."""
+        raise NotImplementedError(f"{type(self).__name__} has no samples")
 
     @property
     def asks(self) -> bool:
         """Whether it asks for samples."""
         return self.watch.blame is not None or self.severity is not None
 
-    def add(self, piece: Recording, verdicts: Verdicts, label: Labels | None) -> list[Event]:
-        """Take the next verdicts; return what begins and ends in them. piece: their times; label: the same as
-        alarms have them.
-        """
-        fault = verdicts.status == Status.FAULT
+    def follow(self, piece: Recording, verdicts: Verdicts, written: "pa.Array") -> Raised:
+        """Take the next verdicts; return the alarms that are over. written: the times as alarms have them."""
+        import pyarrow as pa
+
+        begin, fault = self.watch.samples, verdicts.status == Status.FAULT
+        if fault.any() or len(self.numbers):
+            if len(self.numbers):
+                written = pa.concat_arrays([self.written, written])
+            self.written = written
+            self.numbers = np.concatenate([self.numbers, begin + np.arange(piece.samples)])
+            self.seconds = np.concatenate([self.seconds, piece.time])
+            self.tests = np.concatenate([self.tests, speakers(verdicts)])
         by = self._speaking(verdicts)
         if by is not None:
             self.by = np.concatenate([self.by[len(self.by) - self.keep :], by])
-            self.first = self.watch.samples - self.keep
+            self.first = begin - self.keep
         if self.severity is not None and fault.any():
             fault = self._counted(fault, by, self.severity)
+        instants = None
+        if self.rule.acknowledgements.is_given:
+            instants = piece.instants
         missing = verdicts.status == Status.MISSING
-        about = fault, verdicts.margin, missing, verdicts.departure, piece.instants
-        return self.watch.add(Seen.of(*about), label)
+        return self.watch.add(Seen.of(fault, verdicts.margin, missing, verdicts.departure, instants))
+
+    def at(self, samples: np.ndarray) -> tuple["pa.Array", np.ndarray]:
+        """Return the times of samples that are known, as written and in seconds."""
+        places = np.searchsorted(self.numbers, samples)
+        return self.written.take(to_arrow(places)), self.seconds[places]
+
+    def forget(self, over: Raised = NOBODY) -> None:
+        """Forget the times of samples that no alarm that is on, and none of those that are over, needs."""
+        if not len(self.numbers):
+            return
+        last = np.arange(self.watch.samples - max(len(self.watch.tail.fault), 1), self.watch.samples)
+        if self.watch.is_quiet:
+            last = last[:0]
+        on = NOBODY.behind(over, self.watch.open, *self.watch.alarms.values())
+        needed = np.unique(np.concatenate([last, on.start, on.worst, on.end]))
+        places = np.searchsorted(self.numbers, needed)
+        self.written, self.numbers = self.written.take(to_arrow(places)), self.numbers[places]
+        self.seconds, self.tests = self.seconds[places], self.tests[places]
+
+    def alarms_of(self, over: Raised) -> list[Alarm]:
+        """Return the Alarms of those that are over."""
+        tests = self.tests[np.searchsorted(self.numbers, over.worst)]
+        return alarms_of(over, self.horizon, self.region, tests=tests.tolist())
+
+    def count(self, alarms: Sequence[Alarm], ended: dict[str, int]) -> None:
+        """Count alarms by why they are over."""
+        for alarm in alarms:
+            ended[alarm.ended] = ended.get(alarm.ended, 0) + 1
+
+    def columns(self, alarms: Sequence[Alarm]) -> Columns:
+        """Return the columns of alarms.csv."""
+        shown = self.region is not None, self.rule.names, bool(self.relations.parts), self.causes
+        return alarm_columns(alarms, self.at, self.dt, *shown)
 
     def memory(self) -> dict[str, Any]:
         """Return the state, as JSON holds it."""
         by = self.by[len(self.by) - self.keep :]
-        return {"watch": self.watch.memory(), "by": by.tolist()}
+        times = {"numbers": self.numbers.tolist(), "seconds": self.seconds.tolist()}
+        times |= {"written": self.written.to_pylist(), "tests": self.tests.tolist()}
+        return {"watch": self.watch.memory(), "by": by.tolist(), "times": times, "ended": self.ended}
 
     def resume(self, memory: dict[str, Any]) -> None:
         """Go on from a memory."""
+        import pyarrow as pa
+
         self.watch.resume(memory["watch"])
         self.by = np.array(memory["by"], np.int16)
         self.first = self.watch.samples - self.keep
+        times, self.ended = memory["times"], memory["ended"]
+        self.numbers, self.seconds = np.array(times["numbers"], np.int64), np.array(times["seconds"], float)
+        self.tests, self.written = np.array(times["tests"], object), pa.array(times["written"], pa.string())
 
     def _speaking(self, verdicts: Verdicts) -> np.ndarray | None:
         """Return the numbers of the tests of a monitor that speak at each sample, else None."""
@@ -117,3 +182,11 @@ class Watching:
         u, y = (np.asarray(x) for x in self.samples(sample - relations.horizon, sample + 1))
         seen = bank.seen_by(number, Recording(u, y, NOWHERE), bank.modes_of(u))
         return suspect_of_window(relations, "joint", seen.u, seen.y)
+
+
+def speakers(verdicts: Verdicts) -> np.ndarray:
+    """Return the name of the test that speaks at each sample, of a monitor; else ""."""
+    by, names = getattr(verdicts, "by", None), getattr(verdicts, "names", ())
+    if by is None:
+        return np.full(len(verdicts.status), "", object)
+    return np.asarray(np.array(["", *names], object)[by + 1])

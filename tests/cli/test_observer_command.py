@@ -165,14 +165,14 @@ def test_parts_carry_on_and_are_made_again_where_they_are_lost(place, capsys, mo
     assert told(place / "parts") == told(place / "out")
     observer = jb.observer(jb.load_model("plant.toml"), restart=not method)
     source = open_source(place / "run.parquet", observer.model)
-    folder, _ = streaming.write_parts(observer, source, place / "again", "observer")
+    folder, _ = streaming.write_parts(streaming.Asked(observer, "observer"), source, place / "again")
     read = lambda: [pd.read_parquet(p).to_csv() for p in parts.part_files(folder)]
     before = read()
     parts.part_files(folder)[2].unlink()
-    streaming.write_parts(observer, source, place / "again", "observer")
+    streaming.write_parts(streaming.Asked(observer, "observer"), source, place / "again")
     assert len(before) == 4 and read() == before
     with pytest.raises(ValueError, match="carries what it knows from each part to the next"):
-        streaming.write_parts(observer, source, place / "shared", "observer", part=(1, 2))
+        streaming.write_parts(streaming.Asked(observer, "observer"), source, place / "shared", part=(1, 2))
 
 
 def test_parts_with_an_observer_of_their_own_can_be_shared_and_say_what_one_says_that_begins_there(
@@ -281,7 +281,9 @@ def test_what_a_part_of_an_observer_depends_on_is_read_once(place, monkeypatch):
     )
     observer = jb.observer(jb.load_model("plant.toml"))
     streaming.write_parts(
-        observer, open_source(place / "run.parquet", observer.model), place / "out", "observer"
+        streaming.Asked(observer, "observer"),
+        open_source(place / "run.parquet", observer.model),
+        place / "out",
     )
     assert sum(read) == T
 

@@ -20,9 +20,9 @@ from systems import paper
 import jaxbound as jb
 from jaxbound.cli import evaluation, main
 from jaxbound.recordings.parquet import open_parquet
-from jaxbound.runs import judges
+from jaxbound.runs import streaming
 from jaxbound.runs.parts import part_files
-from jaxbound.runs.streaming import write_parts
+from jaxbound.runs.streaming import Asked, write_parts
 
 
 @pytest.fixture
@@ -98,7 +98,7 @@ class TestCommand:
                 raise KeyboardInterrupt
             return jb.detect(*args, **options)
 
-        monkeypatch.setattr(judges, "detect", detect)
+        monkeypatch.setattr(streaming, "detect", detect)
         assert main.main([*DETECT, "--chunk", "500"]) == 130
         out, err = capsys.readouterr()
         assert out == "" and err == (
@@ -114,7 +114,7 @@ class TestCommand:
         def stop(*args, **options):
             raise KeyboardInterrupt
 
-        monkeypatch.setattr(judges, "detect", stop)
+        monkeypatch.setattr(streaming, "detect", stop)
         assert main.main(DETECT) == 130
         assert (
             capsys.readouterr().err == "jaxbound: interrupted: nothing was written\n"
@@ -189,7 +189,7 @@ class TestCommand:
         assert (
             "interrupted: 100 % of the verdicts are kept in out/verdicts.partial" in capsys.readouterr().err
         )
-        monkeypatch.setattr(judges, "detect", None)  # nothing is tested again
+        monkeypatch.setattr(streaming, "detect", None)  # nothing is tested again
         assert main.main(DETECT) == 1 and [p.name for p in (place / "out").glob("verdicts*")] == [
             "verdicts.parquet"
         ]
@@ -198,7 +198,10 @@ class TestCommand:
         r = jb.parity_relations(paper(name="paper"))
         with pytest.raises(Stop):
             write_parts(
-                r, open_parquet(place / "run", r.model), place / "out", chunk=500, progress=stopped_after(0.5)
+                Asked(r, chunk=500),
+                open_parquet(place / "run", r.model),
+                place / "out",
+                progress=stopped_after(0.5),
             )
         jb.save_model(paper(name="paper", noise=["0.2", "0.01"]), place / "model.toml")
         assert main.main(DETECT) == 2

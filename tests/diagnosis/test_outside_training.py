@@ -3,6 +3,7 @@ asked to.
 """
 
 from collections import Counter
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -14,6 +15,7 @@ from systems import paper
 import jaxbound as jb
 from jaxbound.consistency.interface import Judged
 from jaxbound.consistency.monitor import Monitor
+from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.models.region import Departure, Region
 from jaxbound.runs.alarmbook import AlarmBook
 from jaxbound.runs.digest import detect_dataset
@@ -123,7 +125,8 @@ def test_parts_made_with_one_word_are_not_taken_for_those_of_another(tmp_path, m
 def test_an_alarm_over_two_parts_has_the_farthest_of_both(first, second, tmp_path):
     """The part of which a window lies farther outside need not be the one of the deeper window."""
     region = Region.of(jb.parity_relations(paper(ranges={"u1": (0, 0.5)}), 1))
-    book = AlarmBook((1, 1), 1.0, jb.parity_relations(paper(), 1), tmp_path / "alarms.csv", lambda at: None)
+    source, relations = SimpleNamespace(dt=1.0), jb.parity_relations(paper(), 1)
+    book = AlarmBook(AlarmRule(), source, relations, "joint", tmp_path / "alarms.csv", lambda at: None)
     book.region = region
     for k, readings in enumerate((first, second)):
         reading = np.array([*readings])

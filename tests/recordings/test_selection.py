@@ -17,7 +17,7 @@ from jaxbound.models.modelfile import load_model, model_text, save_model
 from jaxbound.recordings.parquet import open_parquet
 from jaxbound.recordings.read import read, read_signals
 from jaxbound.recordings.selection import wanted
-from jaxbound.runs.streaming import write_parts
+from jaxbound.runs.streaming import Asked, write_parts
 
 COLUMNS = {
     "u1": "= `in [V]` * 2",
@@ -215,7 +215,7 @@ class TestChunks:
                 raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
-            write_parts(relations, source, tmp_path / "out", chunk=500, progress=stop)
+            write_parts(Asked(relations, chunk=500), source, tmp_path / "out", progress=stop)
         found = jb.detect_dataset(relations, tmp_path / "run", tmp_path / "out")
         r = read(tmp_path / "run", model())
         assert found.aside == r.aside(1) and found.hints == r.hints

@@ -71,7 +71,7 @@ class TestSameBytes:
     ):
         r, folder, _, _ = case("section 5")
         held, source = open_parquet(folder, r.model).content, open_parquet(folder, r.model)
-        streaming.write_parts(r, source, tmp_path, client=client)
+        streaming.write_parts(streaming.Asked(r), source, tmp_path, client=client)
         monkeypatch.setattr(contents, "_digest_of_block", None)
         assert source.content == held
 

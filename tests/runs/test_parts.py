@@ -17,10 +17,10 @@ import jaxbound as jb
 from jaxbound.cli import evaluation, main
 from jaxbound.recordings import contents
 from jaxbound.recordings.parquet import ParquetSource, open_parquet
-from jaxbound.runs import judges
+from jaxbound.runs import streaming
 from jaxbound.runs.digest import detect_dataset
 from jaxbound.runs.parts import part_files
-from jaxbound.runs.streaming import write_parts
+from jaxbound.runs.streaming import Asked, write_parts
 
 COUNT = 6  # parts of the recording
 
@@ -60,7 +60,9 @@ class TestSameBytes:
         detect_dataset(r, folder, tmp_path, part=(4, 4))
         tested = []
         monkeypatch.setattr(
-            judges, "detect", lambda r, piece, **k: tested.append(piece.samples) or jb.detect(r, piece, **k)
+            streaming,
+            "detect",
+            lambda r, piece, **k: tested.append(piece.samples) or jb.detect(r, piece, **k),
         )
         assert detect_dataset(r, folder, tmp_path).counts == whole.counts
         assert sum(tested) == 2 * 1024 + r.horizon  # parts 2 and 3, and the window before them
@@ -169,7 +171,9 @@ class TestMissing:
         )  # kill -9
         tested = []
         monkeypatch.setattr(
-            judges, "detect", lambda r, piece, **k: tested.append(piece.samples) or jb.detect(r, piece, **k)
+            streaming,
+            "detect",
+            lambda r, piece, **k: tested.append(piece.samples) or jb.detect(r, piece, **k),
         )
         shares(case, tmp_path, 2, chunk=N)
         assert sum(tested) == N - 1024 + r.horizon and {p: p.stat().st_mtime_ns for p in kept} == kept
@@ -356,7 +360,7 @@ class TestCommand:
                 raise KeyboardInterrupt
             return jb.detect(*args, **options)
 
-        monkeypatch.setattr(judges, "detect", detect)
+        monkeypatch.setattr(streaming, "detect", detect)
         assert main.main([*DETECT, "out", "--part", "1/2", "--chunk", "500"]) == 130
         assert capsys.readouterr().err == (
             "jaxbound: interrupted: what part 1/2 has done is kept in out/verdicts.partial; the same command "
@@ -417,7 +421,7 @@ def test_a_part_made_by_another_share_meanwhile_is_looked_at_before_it_is_replac
             made.extend(detect_dataset(other, folder, tmp_path, part=(1, 2)))
 
     with pytest.raises(ValueError, match="part-00000.parquet is of another model"):
-        write_parts(r, open_parquet(folder, r.model), tmp_path, part=(1, 2), progress=meanwhile)
+        write_parts(Asked(r), open_parquet(folder, r.model), tmp_path, part=(1, 2), progress=meanwhile)
 
 
 def test_killed_shares_leave_no_lock(case, tmp_path):

@@ -23,7 +23,7 @@ from jaxbound.runs.digest import detect_dataset, digest
 from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.partnotes import read_runs
 from jaxbound.runs.parts import part_files
-from jaxbound.runs.streaming import publish, write_parts
+from jaxbound.runs.streaming import Asked, publish, write_parts
 from jaxbound.runs.summary import evidence
 from jaxbound.runs.verdictfiles import write_alarms
 
@@ -137,9 +137,13 @@ class TestDigest:
     @pytest.mark.parametrize("k, n", [(1, 1), (2, 3), (3, 3), (5, 40), (1, 1500)])
     def test_alarms_are_those_of_one_piece(self, case, small, tmp_path, k, n):
         r, folder, whole, rec = case("section 5")
-        partial, _ = write_parts(r, open_parquet(folder, r.model), tmp_path)
+        partial, _ = write_parts(Asked(r), open_parquet(folder, r.model), tmp_path)
         found = digest(
-            r, open_parquet(folder, r.model), partial, alarm=(k, n), alarms_csv=tmp_path / "streamed.csv"
+            Asked(r),
+            open_parquet(folder, r.model),
+            partial,
+            alarm=(k, n),
+            alarms_csv=tmp_path / "streamed.csv",
         )
         alarms = whole.alarms(k, n)
         write_alarms(tmp_path / "whole.csv", alarms, rec, r.model.dt)
@@ -205,7 +209,7 @@ class TestDigest:
 
     def test_runs_survive_their_way_through_a_file(self, case, small, tmp_path):
         r, folder, _, rec = case("section 5")
-        partial, _ = write_parts(r, open_parquet(folder, r.model), tmp_path, chunk=500)
+        partial, _ = write_parts(Asked(r, chunk=500), open_parquet(folder, r.model), tmp_path)
         last = read_runs(part_files(partial))
         for runs, x in zip(last, (rec.u[:, 0], rec.y[:, 0], rec.y[:, 1]), strict=True):
             once = follow_runs(Runs(), x)
@@ -251,15 +255,17 @@ class TestResume:
             before = len(part_files(out / "verdicts.partial"))
             tested.clear()
             with pytest.raises(Stop):
-                write_parts(r, source, out, chunk=int(rng.integers(200, 900)), progress=stopped_after(share))
+                write_parts(
+                    Asked(r, chunk=int(rng.integers(200, 900))), source, out, progress=stopped_after(share)
+                )
             assert len(part_files(out / "verdicts.partial")) >= before
             assert (
                 sum(tested) < (share + 0.3) * N - 1024 * before + len(tested) * 2
             )  # parts that are there are not tested again
-        write_parts(r, source, out, chunk=400)
+        write_parts(Asked(r, chunk=400), source, out)
         parts = part_files(out / "verdicts.partial")
         assert [pq.read_metadata(p).num_rows for p in parts] == [1024] * 5 + [N - 5 * 1024]
-        found = digest(r, source, out / "verdicts.partial")
+        found = digest(Asked(r), source, out / "verdicts.partial")
         with output_folder(out) as place:
             publish(place)
         status, margin = verdicts(out)
@@ -270,7 +276,9 @@ class TestResume:
     def test_a_part_that_was_being_written_is_no_part(self, case, small, tmp_path):
         r, folder, whole, _ = case("section 5")
         with pytest.raises(Stop):
-            write_parts(r, open_parquet(folder, r.model), tmp_path, chunk=500, progress=stopped_after(0.5))
+            write_parts(
+                Asked(r, chunk=500), open_parquet(folder, r.model), tmp_path, progress=stopped_after(0.5)
+            )
         (tmp_path / "verdicts.partial/.part-00003.parquet.jaxbound-part").write_bytes(
             b"PAR1 and half of the rest"
         )
@@ -280,7 +288,7 @@ class TestResume:
 
     def test_all_parts_there_and_the_report_missing(self, case, small, tmp_path):
         r, folder, whole, _ = case("section 5")
-        write_parts(r, open_parquet(folder, r.model), tmp_path)
+        write_parts(Asked(r), open_parquet(folder, r.model), tmp_path)
         assert detect_dataset(r, folder, tmp_path).counts == whole.counts
 
     @pytest.mark.parametrize(
@@ -301,7 +309,9 @@ class TestResume:
         r, folder, _, _ = case("section 5")
         folder = shutil.copytree(folder, tmp_path / "copy")
         with pytest.raises(Stop):
-            write_parts(r, open_parquet(folder, r.model), tmp_path, chunk=500, progress=stopped_after(0.5))
+            write_parts(
+                Asked(r, chunk=500), open_parquet(folder, r.model), tmp_path, progress=stopped_after(0.5)
+            )
         kept = part_files(tmp_path / "verdicts.partial")
         method = "box" if change == "method" else "joint"
         if change == "matrix":
@@ -332,7 +342,9 @@ class TestResume:
         r, folder, whole, _ = case("section 5")
         folder = shutil.copytree(folder, tmp_path / "copy")
         with pytest.raises(Stop):
-            write_parts(r, open_parquet(folder, r.model), tmp_path, chunk=500, progress=stopped_after(0.5))
+            write_parts(
+                Asked(r, chunk=500), open_parquet(folder, r.model), tmp_path, progress=stopped_after(0.5)
+            )
         shutil.copyfile(folder / "1.parquet", tmp_path / "spare")
         (tmp_path / "spare").replace(folder / "1.parquet")
         assert detect_dataset(r, folder, tmp_path).counts == whole.counts
@@ -344,12 +356,12 @@ class TestResume:
             share > 0.5 and (folder / "0.parquet").write_bytes((folder / "0.parquet").read_bytes() + b" ")
         )
         with pytest.raises(ValueError, match="0.parquet has changed since it was opened: test it again"):
-            write_parts(r, open_parquet(folder, r.model), tmp_path / "out", chunk=500, progress=touch)
+            write_parts(Asked(r, chunk=500), open_parquet(folder, r.model), tmp_path / "out", progress=touch)
         assert not any((tmp_path / "out").iterdir())
 
     def test_a_part_that_was_damaged_is_noticed(self, case, small, tmp_path):
         r, folder, _, _ = case("section 5")
-        write_parts(r, open_parquet(folder, r.model), tmp_path)
+        write_parts(Asked(r), open_parquet(folder, r.model), tmp_path)
         part = part_files(tmp_path / "verdicts.partial")[2]
         edited_in_place(part)
         with pytest.raises(
