@@ -9,16 +9,14 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from jaxbound.estimation.joint import Joint
     from jaxbound.estimation.joint_observer import JointObserver, JointState
-    from jaxbound.estimation.method import ObserverMethod
+    from jaxbound.estimation.methods import Joint, LeastZonotope, ObserverMethod, WeightedZonotopes
     from jaxbound.estimation.observation import Observation
     from jaxbound.estimation.parameter_set import ParameterSet
     from jaxbound.estimation.set_observer import ObserverState, SetObserver, ZonotopeObserver
     from jaxbound.estimation.unknown_inputs import UnknownInputs
     from jaxbound.estimation.validation_observer import ValidationObserver
     from jaxbound.estimation.validation_result import Validation
-    from jaxbound.estimation.zonotopes import LeastZonotope, WeightedZonotopes
 
 __all__ = [
     "Joint",
@@ -38,16 +36,14 @@ __all__ = [
 ]
 
 _HOMES = {
-    "joint": "Joint",
     "joint_observer": "JointObserver JointState",
-    "method": "ObserverMethod",
+    "methods": "Joint LeastZonotope ObserverMethod WeightedZonotopes",
     "observation": "Observation",
     "parameter_set": "ParameterSet",
     "set_observer": "ObserverState SetObserver ZonotopeObserver",
     "unknown_inputs": "UnknownInputs",
     "validation_result": "Validation",
     "validation_observer": "ValidationObserver",
-    "zonotopes": "LeastZonotope WeightedZonotopes",
 }
 _MODULES = {name: module for module, names in _HOMES.items() for name in names.split()}
 

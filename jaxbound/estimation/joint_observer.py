@@ -32,7 +32,8 @@ from jaxbound.estimation.parallelotope import (
     principal,
     template,
 )
-from jaxbound.estimation.set_observer import ObserverSetup, Piece, SetObserver, checked_weights
+from jaxbound.estimation.piece import Piece
+from jaxbound.estimation.set_observer import SetObserver, ZonotopeObserver
 from jaxbound.estimation.window import Prior, Samples, WindowPlant
 from jaxbound.estimation.window_programs import ROOM, WindowPrograms
 from jaxbound.estimation.window_runs import AverageRows, average_rows
@@ -124,9 +125,9 @@ class JointObserver(SetObserver[JointState]):
         D, back = self._principal[min(number, SETTLED)]
         return np.concatenate([D, self.programs.plant.strips]), back
 
-    def _with_carry(self, carry: steps.ZonotopeCarry) -> JointState:
-        """Return the state before the first sample, whose zonotopes are known."""
-        system, dtype = self.plant.system, self.plant.dtype
+    def init(self) -> JointState:
+        """Return the state of an observer that has seen nothing."""
+        system, dtype, carry = self.plant.system, self.plant.dtype, self._first_state.carry
 
         def zero(*shape: int) -> np.ndarray:
             return np.zeros((*shape, 1), dtype)
@@ -137,19 +138,24 @@ class JointObserver(SetObserver[JointState]):
         prior = Prior(c, zero(system.n, system.n), c + np.inf, *self._no_strips(1))
         return JointState(carry, np.int64(0), window, prior, prior, prior)
 
-    def _of_all(self, carry: JointState, count: int) -> JointState:
-        """Return the carry of `count` recordings; one of a single recording is that of all."""
+    def found(self, carry: JointState, samples: Piece) -> tuple[JointState, steps.Found]:
+        """Return (state, Found) of samples, decided once: block by block."""
+        T, count = samples.fresh.shape
         # the zonotopes are repeated where they are followed: each recording has several
-        return carry._replace(
+        state = carry._replace(
             window=repeated(carry.window, count),
             prior=repeated(carry.prior, count),
             mark=repeated(carry.mark, count),
             path=repeated(carry.path, count),
         )
-
-    def _next_samples(self, state: JointState) -> int:
-        """Return how many samples are tested at once: to the end of a block."""
-        return self.half - int(state.samples) % self.half
+        parts: list[steps.Found] = []
+        first = 0
+        while first < T or not parts:
+            stop = min(first + self.half - int(state.samples) % self.half, T)  # to the end of a block
+            state, part = self._tested(state, samples.cut(first, stop))
+            parts.append(part)
+            first = stop
+        return state, jax.tree.map(lambda *x: np.concatenate(x), *parts)
 
     def _next_block(self, state: JointState) -> JointState:
         """Move the window on by a block, and enclose the state that will be the first of windows."""
@@ -274,9 +280,9 @@ class JointObserver(SetObserver[JointState]):
             state = self._behind_gap(state, samples.fresh[0])
         t, before = int(state.samples), state.carry
         block = t // self.half * self.half
-        after, found, known = self._followed(before, samples)
+        after, found = self._followed(before, samples)
         begin = self.half + t % self.half
-        state = state._replace(window=self._with_samples(state.window, begin, known, found))
+        state = state._replace(window=self._with_samples(state.window, begin, samples, found))
         since = t + np.arange(T)[:, None] - found.age + 1
         asked = np.asarray((found.age > 0) & (since <= block - self.half) & _is_known(state.prior))
         asked &= np.asarray(found.status) == Status.UNDECIDED
@@ -298,11 +304,8 @@ class JointObserver(SetObserver[JointState]):
         """
         return _believed(state, ~fresh, ~fresh, ~fresh)
 
-    def _with_samples(
-        self, window: Samples, begin: int, known: steps.Read | None, found: steps.Found
-    ) -> Samples:
+    def _with_samples(self, window: Samples, begin: int, known: Piece, found: steps.Found) -> Samples:
         """Return the window with the samples of a piece at their place."""
-        assert known is not None  # hulls asks for it
         numbers, n = self.plant.numbers, self.plant.system.n
         direct = (np.abs(numbers.D) + numbers.wide_D).sum(1) > 0
         blind = ~known.known[:, None] & direct[:, None]
@@ -352,7 +355,7 @@ class JointObserver(SetObserver[JointState]):
         """Return (carry, Found) of samples where windows are refuted at some (T, N)."""
         if self.restart:
             anew = samples._replace(fresh=fresh_behind(samples.fresh, wrong))
-            after, found, _ = self._followed(before, anew)
+            after, found = self._followed(before, anew)
             return ended(after, wrong[-1]), found
         # the zonotopes carry on themselves what was refuted before these samples
         stays = wrong | staying(np.zeros_like(wrong[0]), wrong, samples.fresh)
@@ -427,18 +430,18 @@ def _believed(state: JointState, prior: np.ndarray, mark: np.ndarray, path: np.n
     )
 
 
-def joint_observer(setup: ObserverSetup, window: int) -> JointObserver:
-    """Return the observer that tests windows of up to `window` samples.
+def joint_observer(zonotopes: ZonotopeObserver, window: int) -> JointObserver:
+    """Return the observer that tests windows of up to `window` samples beside zonotopes.
 
     Raises:
         ValueError: unknown inputs that outputs do not show at once.
     """
     return JointObserver(
-        plant=_with_one_way(setup.plant),
-        order=setup.order,
-        weights=checked_weights(setup.weight),
-        restart=setup.restart,
-        x0=setup.x0,
+        plant=_with_one_way(zonotopes.plant),
+        order=zonotopes.order,
+        weights=zonotopes.weights,
+        restart=zonotopes.restart,
+        x0=zonotopes.x0,
         window=window,
     )
 

@@ -1,12 +1,134 @@
-"""The table of methods of set observers, and how a method is chosen by name."""
+"""The methods of set observers: the options of each as a frozen value, their words for the command line, and
+how one is chosen by name.
+
+A command line builds its options from this file before anything is computed: it imports nothing heavy.
+"""
 
 import dataclasses
+import html
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
-from jaxbound.estimation.joint import Joint
-from jaxbound.estimation.method import ObserverMethod, ShellOption
-from jaxbound.estimation.zonotopes import LeastZonotope, WeightedZonotopes
+from jaxbound.models.numbers import is_whole
 
-__all__ = ["OBSERVERS", "observer_method", "shell_options"]
+if TYPE_CHECKING:
+    from jaxbound.estimation.set_observer import SetObserver, ZonotopeObserver
+
+__all__ = [
+    "OBSERVERS",
+    "Joint",
+    "LeastZonotope",
+    "ObserverMethod",
+    "ShellOption",
+    "WeightedZonotopes",
+    "observer_method",
+    "shell_options",
+]
+
+
+class ShellOption(NamedTuple):
+    """An option of a method on the command line, a whole number.
+
+    Fields: field: its name in the method's value; flag: its name on the command line; default, least, most:
+    of its value; help: one line, without the default.
+    """
+
+    field: str
+    flag: str
+    default: int
+    least: int
+    most: int
+    help: str
+
+    @property
+    def dest(self) -> str:
+        """The name that argparse gives the option's value."""
+        return self.flag.strip("-").replace("-", "_")
+
+
+class ObserverMethod(ABC):
+    """A way to observe: options that are checked when they are given, and the observer that they make.
+
+    A new method is a frozen dataclass of this kind, and an entry of `OBSERVERS`. Its fields are its options.
+
+    name: of `observer(model, method=name)` and of the command line. about: a few words for the help.
+    sharp: whether it tests windows of samples together, which sees smaller faults than zonotopes do.
+    shell: its options on the command line.
+    """
+
+    name: ClassVar[str]
+    about: ClassVar[str]
+    sharp: ClassVar[bool] = False
+    shell: ClassVar[tuple[ShellOption, ...]] = ()
+
+    def _repr_html_(self) -> str:
+        return f"<code>{html.escape(repr(self))}</code>"
+
+    @abstractmethod
+    def observer(self, zonotopes: "ZonotopeObserver") -> "SetObserver[Any]":
+        """Return the observer of this method, of the choices that all methods share: those of an observer
+        that carries zonotopes.
+        """
+
+
+@dataclass(frozen=True)
+class WeightedZonotopes(ObserverMethod):
+    """Carry one zonotope for each weight, side by side: the fast method, and the usual one."""
+
+    name: ClassVar[str] = "zonotope"
+    about: ClassVar[str] = "fast"
+
+    def observer(self, zonotopes: "ZonotopeObserver") -> "SetObserver[Any]":
+        """Return the observer of this method."""
+        return zonotopes
+
+
+@dataclass(frozen=True)
+class LeastZonotope(ObserverMethod):
+    """Carry the zonotope that is least after every sample, whatever weights are asked for."""
+
+    name: ClassVar[str] = "strips"
+    about: ClassVar[str] = "one set, least after every sample"
+
+    def observer(self, zonotopes: "ZonotopeObserver") -> "SetObserver[Any]":
+        """Return the observer of this method."""
+        return dataclasses.replace(zonotopes, weights=zonotopes.weights[:1] ** 0)
+
+
+WINDOW, SHORTEST, LONGEST = 32, 4, 1000
+"""Samples of a window of "joint": the usual number, the least, the most that the command line takes."""
+
+
+@dataclass(frozen=True)
+class Joint(ObserverMethod):
+    """Test every window of up to `window` samples exactly, beside zonotopes.
+
+    Fields: window: samples, even and at least 4.
+
+    Raises:
+        ValueError: another window.
+    """
+
+    window: int = WINDOW
+
+    name: ClassVar[str] = "joint"
+    about: ClassVar[str] = "exact tests of windows that remember: slow faults, some hundred times slower"
+    sharp: ClassVar[bool] = True
+    shell: ClassVar[tuple[ShellOption, ...]] = (
+        ShellOption("window", "--span", WINDOW, SHORTEST, LONGEST, "samples of such a window, even"),
+    )
+
+    def __post_init__(self) -> None:
+        if not is_whole(self.window) or self.window < SHORTEST or self.window % 2:
+            raise ValueError(f"window must be an even number of samples >= 4, not {self.window!r}")
+
+    def observer(self, zonotopes: "ZonotopeObserver") -> "SetObserver[Any]":
+        """Return the observer of this method."""
+        from jaxbound.estimation.joint_observer import joint_observer
+
+        return joint_observer(zonotopes, int(self.window))
+
 
 OBSERVERS: dict[str, type[ObserverMethod]] = {
     kind.name: kind for kind in (WeightedZonotopes, LeastZonotope, Joint)

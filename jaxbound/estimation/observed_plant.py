@@ -7,11 +7,14 @@ from typing import Any, TypeAlias
 import jax
 import numpy as np
 
-from jaxbound.estimation.counts import is_whole
+from jaxbound.estimation.piece import Piece
+from jaxbound.estimation.set_rounding import largest_number
 from jaxbound.estimation.zonotope_begin import least_horizon, price, zonotope_begin
 from jaxbound.estimation.zonotope_numbers import free_numbers, numbers
 from jaxbound.estimation.zonotope_steps import Numbers, Start
 from jaxbound.models.intervals import IntervalSystem, as_intervals
+from jaxbound.models.numbers import is_whole
+from jaxbound.models.sensor import RECORDER_ULPS
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.unknown_directions import Directions, unknown_directions, with_direct_states
 from jaxbound.recordings.factors import raised
@@ -59,19 +62,52 @@ class ObservedPlant:
         placed: tuple[Numbers, Start | None] = jax.device_put((self.numbers, self.start))
         return placed
 
-    def noise_of(self, factors: np.ndarray) -> np.ndarray:
-        """Return the bounds (..., T, p) of errors of samples, rounded up to the dtype, NaN where a factor is.
+    def read(self, u: np.ndarray, y: np.ndarray, slip: np.ndarray, fresh: np.ndarray, unit: float) -> Piece:
+        """Return samples of N recordings as kernels take them, of `sensor.true_value`.
 
         Args:
-            factors: (..., T, q) on the noise of the outputs that have one; a resolution stays as it is.
+            u, slip (T, m + q, N): inputs, q factors on noise behind them, and how far inputs may be off.
+            y (T, p, N), fresh (T, N). unit: roundoff of the type in which y was recorded.
         """
+        x, m, dtype = self.numbers, self.system.m, self.dtype
+        sigma, y0, u0 = (np.asarray(column)[:, None] for column in (x.tolerance, x.y0, x.u0))
+        gamma, floor = rounding.residual_error(8, dtype)
+        factors, u, slip = u[:, m:], u[:, :m], slip[:, :m]
+        absent, bound = np.isnan(y), self._noise(factors)
+        with np.errstate(all="ignore"):
+            size = np.where(absent, 0, np.abs(y))
+            rho = bound + RECORDER_ULPS * dtype.type(unit) * (size + bound)
+            rho = rho + RECORDER_ULPS * rounding.unit(dtype) * (size + rho) + rounding.tiny(dtype)
+            e, d = 1 / ((1 - sigma) * (1 + sigma)), y - y0
+            above, below, half = np.abs(d + rho), np.abs(d - rho), sigma / 2
+            mid, rad = e * (d + half * (above - below)), e * (rho + half * (above + below))
+            scale = e * (1 + sigma) * (np.abs(y) + np.abs(y0)) + rad
+            gone = absent | ~(scale < largest_number(dtype))
+            rad = rad + gamma * scale + floor * (1 + np.max(e, initial=0))
+            known = (np.abs(u) < largest_number(dtype)).all(1)
+            wide = np.asarray(x.wide_u0)[:, None] + 4 * rounding.unit(dtype) * (np.abs(u) + np.abs(u0))
+            off = slip + wide + rounding.tiny(dtype)
+        v = np.where(np.isnan(u), 0, u) - u0
+        mid, rad, off = np.where(gone, 0, mid), np.where(gone, np.inf, rad), np.where(known[:, None], off, 0)
+        return Piece(mid.astype(dtype), rad.astype(dtype), v.astype(dtype), off.astype(dtype), known, fresh)
+
+    def _noise(self, factors: np.ndarray) -> np.ndarray:
+        """Return the bounds (p, 1), or (T, p, N), of errors of samples, rounded up to the dtype.
+
+        Args:
+            factors: (T, q, N) on the noise of the outputs that have one; a resolution stays as it is.
+        """
+        if not factors.shape[1]:
+            return np.asarray(self.numbers.noise)[:, None]
         assert isinstance(self.model, LinearSystem), "others have no factors"
-        bounds = np.broadcast_to(self.system.noise, (*factors.shape[:-1], self.system.p)).copy()
+        bounds = np.repeat(
+            np.repeat(self.system.noise[None, :, None], len(factors), 0), factors.shape[-1], -1
+        )
         for column, factor in enumerate(self.model.factors):
             noise = rounding.round_up(self.model.noise[factor.number])
             resolution = rounding.round_up(self.model.resolution[factor.number])
-            scaled = np.nextafter(noise * factors[..., column].astype(np.float64), np.inf)
-            bounds[..., factor.number] = np.nextafter(scaled + resolution, np.inf)
+            scaled = np.nextafter(noise * factors[:, column].astype(np.float64), np.inf)
+            bounds[:, factor.number] = np.nan_to_num(np.nextafter(scaled + resolution, np.inf))  # with y
         return raised(bounds, self.dtype)
 
     def __getstate__(self) -> dict[str, Any]:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.consistency.drive import drive
-from jaxbound.estimation.method import ObserverMethod
-from jaxbound.estimation.methods import observer_method
+from jaxbound.estimation.methods import ObserverMethod, observer_method
 from jaxbound.estimation.observed_plant import ObservedModel, observed_plant
-from jaxbound.estimation.set_observer import Observation, ObserverSetup, SetObserver
+from jaxbound.estimation.set_observer import Observation, SetObserver, ZonotopeObserver
 from jaxbound.estimation.zonotope_numbers import first_set
 from jaxbound.recordings.table import Data
 from jaxbound.sets.floats.probe import where_proofs_hold
@@ -89,7 +89,23 @@ def observer(
     first = None
     if x0 is not None:
         first = first_set(x0, model.n, float(order), plant.dtype)
-    return options.observer(ObserverSetup(plant, float(order), weight, bool(restart), first))
+    weights = _checked(weight)
+    return options.observer(
+        ZonotopeObserver(plant=plant, order=float(order), weights=weights, restart=bool(restart), x0=first)
+    )
+
+
+def _checked(weight: float | Sequence[float]) -> np.ndarray:
+    """Return weights (k,), k at least 1.
+
+    Raises:
+        ValueError: others than positive numbers.
+    """
+    weights = np.atleast_1d(np.asarray(weight, np.float64))
+    positive = (weights > 0) & np.isfinite(weights)
+    if weights.ndim > 1 or not len(weights) or not positive.all():
+        raise ValueError(f"weight must be a positive number, or several: it is {weight!r}")
+    return weights
 
 
 @where_proofs_hold()

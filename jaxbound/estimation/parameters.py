@@ -14,9 +14,9 @@ from jaxbound.consistency.bisection import span
 from jaxbound.consistency.interface import Observer, Relations, relations_of
 from jaxbound.consistency.parameter_boxes import ParameterBoxes, PolynomialBoxes
 from jaxbound.consistency.parameter_residual import ResidualBoxes
-from jaxbound.estimation.counts import is_whole
 from jaxbound.estimation.parameter_search import explored
 from jaxbound.estimation.parameter_set import EMPTY, NAMED, ParameterSet
+from jaxbound.models.numbers import is_whole
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.table import Data
 from jaxbound.relations.residual import Residual

@@ -2,52 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 __all__ = ["Piece"]
 
 
 class Piece(NamedTuple):
-    """Samples of N recordings side by side, as kernels take them.
+    """T samples of N recordings, read once. Of one sample all are without their first axis.
 
-    Fields: u, y, slip (T, ., N): inputs, outputs, and the error of recorded inputs; fresh (T, N): whether a
-    sample does not follow the one before; rounded (): the unit roundoff of the type in which y was recorded;
-    noise (T, p, N): bounds of errors, or None: those of the model at every sample.
+    Fields: mid, rad (T, p, N): of the outputs, radius infinite where there is none; v, slip (T, m, N): inputs
+    less their offset, and by which they may be off; known (T, N): whether every input is there; fresh (T, N):
+    whether it does not follow the sample before.
     """
 
-    u: np.ndarray
-    y: np.ndarray
+    mid: np.ndarray
+    rad: np.ndarray
+    v: np.ndarray
     slip: np.ndarray
+    known: np.ndarray
     fresh: np.ndarray
-    rounded: np.ndarray
-    noise: np.ndarray | None = None
-
-    def mapped(self, change: Callable[[np.ndarray], np.ndarray]) -> Piece:
-        """Return the piece with another choice of its samples or recordings."""
-        noise = None
-        if self.noise is not None:
-            noise = change(self.noise)
-        columns = change(self.u), change(self.y), change(self.slip), change(self.fresh)
-        return Piece(*columns, self.rounded, noise)
-
-    def of_recordings(self, lanes: np.ndarray) -> Piece:
-        """Return some of the recordings."""
-        return self.mapped(lambda x: np.take(x, lanes, -1))
 
     def cut(self, first: int, stop: int) -> Piece:
         """Return some of the samples."""
-        return self.mapped(lambda x: x[first:stop])
+        return Piece(*(x[first:stop] for x in self))
 
     def filled(self, length: int) -> Piece:
         """Return the samples with zeros behind them, up to a length."""
-        return self.mapped(lambda x: _filled(x, length))
-
-
-def _filled(x: np.ndarray, length: int) -> np.ndarray:
-    """Return x with zeros behind, up to a length."""
-    out = np.zeros((length, *x.shape[1:]), x.dtype)
-    out[: len(x)] = x
-    return out
+        return jax.tree.map(lambda x: np.pad(x, [(0, length - len(x)), *[(0, 0)] * (x.ndim - 1)]), self)

@@ -8,7 +8,7 @@ first. Only a FAULT that rests on samples of a piece before, which nobody keeps,
 carried to there.
 """
 
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 import jax
 import numpy as np
@@ -22,7 +22,7 @@ from jaxbound.estimation.zonotope_steps import Found
 from jaxbound.sets.floats.kernel import outside_xla
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["doubtful", "ignorant"]
+__all__ = ["doubtful"]
 
 LENGTHS = (4, 16, 64, 256, 1024)
 """Samples that are followed once more."""
@@ -39,14 +39,8 @@ class Repeatable(Protocol[State]):
     def restart(self) -> bool: ...
     @property
     def weights(self) -> np.ndarray: ...
-    def begin(self) -> State:
-        """Return the state before the first sample."""
-
     def found(self, carry: State, samples: Piece) -> tuple[State, Found]:
         """Return (state, Found) of samples, decided once."""
-
-    def forgetful(self) -> Self:
-        """Return the same observer, which begins knowing nothing."""
 
 
 def doubtful(watch: Repeatable[State], carry: State, samples: Piece, fault: np.ndarray) -> np.ndarray:
@@ -62,84 +56,60 @@ def doubtful(watch: Repeatable[State], carry: State, samples: Piece, fault: np.n
         empty = np.asarray(carry.carry.empty).reshape(len(watch.weights), -1)
         first = fault & ~staying(np.asarray(empty.any(0)), fault, samples.fresh)
     begins = np.maximum.accumulate(np.where(anew, np.arange(len(fault))[:, None], 0))
-    left = np.argwhere(first)
-    shorter: float = watch.plant.past  # as many show the state, if samples do
-    if watch.plant.start is None:
-        shorter = np.inf
-    for length in LENGTHS:
-        long_enough = np.flatnonzero(left[:, 0] - begins[tuple(left.T)] >= shorter)
-        proved = []
-        for some in np.split(long_enough, range(BESIDE, len(long_enough), BESIDE)):
-            proved.append(_by_samples(watch, samples, left[some], begins, length))
-        left = np.delete(left, long_enough[np.concatenate(proved)], 0)
-        shorter = length
+    ends = np.argwhere(first)
+    for length in LENGTHS * (watch.plant.start is not None):  # else samples do not show the state
+        begin, gone = np.maximum(begins[tuple(ends.T)], ends[:, 0] - length + 1), np.ones(len(ends), bool)
+        for part in range(0, len(ends), BESIDE):
+            some = slice(part, part + BESIDE)
+            gone[some] = ~_again(watch, carry, samples, begin[some], ends[some], np.int64(0))
+        ends = ends[gone]
     gone = np.zeros(fault.shape, bool)
-    for end, number in left:
-        begin = int(begins[end, number])
-        own, alone = ignorant(watch, carry.samples + begin), watch.forgetful()
-        if not anew[begin, number]:
-            own, alone = _carried_of(watch, carry, number), watch
-        piece = samples.of_recordings(np.array([number])).cut(begin, end + 1)
-        gone[end, number] = not _from_begin(alone, own, piece)
-    if watch.restart:
-        return gone
-    # a FAULT that stays goes as a whole
-    gone |= staying(np.zeros_like(fault[0]), gone, samples.fresh | ~fault)
+    for end in ends:  # with windows that begin where they began
+        begin = begins[tuple(end)]
+        gone[tuple(end)] = ~_again(watch, carry, samples, begin[None], end[None], begin)[0]
+    if not watch.restart:  # a FAULT that stays goes as a whole
+        gone |= staying(np.zeros_like(fault[0]), gone, samples.fresh | ~fault)
     return gone
 
 
-def _by_samples(
-    watch: Repeatable[State], samples: Piece, ends: np.ndarray, begins: np.ndarray, length: int
+def _again(
+    watch: Repeatable[State],
+    carry: State,
+    samples: Piece,
+    begin: np.ndarray,
+    ends: np.ndarray,
+    before: np.int64,
 ) -> np.ndarray:
-    """Return (K,) bool: which FAULTs so many last samples show.
+    """Return (K,) bool: which FAULTs the samples from begin (K,) on show.
 
     Args:
-        ends (K, 2): their samples, and their recordings. begins (T, N): where these began.
+        ends (K, 2): their samples, and their recordings. before: samples before the first.
     """
-    if not len(ends):
-        return np.zeros(0, bool)
-    end, number = ends.T
-    rows = end - length + 1 + np.arange(length)[:, None]
-    absent = (rows < begins[end, number])[:, None]
-
-    def last(x: np.ndarray) -> np.ndarray:
-        return np.moveaxis(np.moveaxis(x, -1, 1)[np.maximum(rows, 0), number], 1, -1)
-
-    some = samples.mapped(last)
-    u, y = np.where(absent, np.nan, some.u), np.where(absent, np.nan, some.y)
-    some = some._replace(u=u, y=y, fresh=np.zeros(rows.shape, bool))
-    alone = watch.forgetful()
-    with outside_xla():
-        _, found = alone.found(alone.begin(), some)
-    return np.asarray((np.asarray(found.status) == Status.FAULT).any(0))
-
-
-def _from_begin(watch: Repeatable[State], own: State, samples: Piece) -> bool:
-    """Return whether the last sample of one recording is FAULT again, where it is followed from a state."""
-    near = max(0, len(samples.fresh) - LENGTHS[-1])
+    last, numbers = ends.T
+    rows = np.minimum(begin + np.arange((last - begin).max() + 1)[:, None], last)
+    some = jax.tree.map(lambda x: np.moveaxis(np.moveaxis(x, -1, 1)[rows, numbers], 1, -1), samples)
+    some.fresh[0] |= begin > 0  # what is carried to the first sample of all is the only set that is believed
+    own: Any = _of_recordings(watch, carry, numbers)  # a NamedTuple, whatever fields a method has
+    state: State = own._replace(samples=carry.samples + before)
+    near = max(0, len(rows) - LENGTHS[-1])
     if near:
-        own, _ = watch.found(own, samples.cut(0, near))
+        state, _ = watch.found(state, some.cut(0, near))
     with outside_xla():
-        _, found = watch.found(own, samples.cut(near, len(samples.fresh)))
-    return bool(found.status[-1, 0] == Status.FAULT)
+        _, found = watch.found(state, some.cut(near, len(rows)))
+    shown = np.asarray(found.status) == Status.FAULT
+    return np.asarray((shown & (begin + np.arange(near, len(rows))[:, None] <= last)).any(0))
 
 
-def ignorant(watch: Repeatable[State], samples: np.int64) -> State:
-    """Return the state of an observer that knows nothing behind so many samples."""
-    nothing: Any = watch.forgetful().begin()  # a NamedTuple, whatever fields a method has
-    state: State = nothing._replace(samples=np.int64(samples))
-    return state
-
-
-def _carried_of(watch: Repeatable[State], carry: State, number: int) -> State:
-    """Return the carry of one recording; one of a single recording is that of all."""
+def _of_recordings(watch: Repeatable[State], carry: State, numbers: np.ndarray) -> State:
+    """Return the carry of some recordings; one of a single recording is that of all."""
     count = carry.carry.age.shape[-1] // len(watch.weights)
 
     def own(x: Array) -> np.ndarray:
         x = np.asarray(x)
         if not x.ndim:
             return x
-        return np.asarray(x.reshape(*x.shape[:-1], x.shape[-1] // count, count)[..., number % count])
+        places = np.arange(x.shape[-1]).reshape(-1, count)[:, numbers % count]
+        return x[..., places.ravel()]
 
-    alone: State = jax.tree.map(own, carry)
-    return alone
+    some: State = jax.tree.map(own, carry)
+    return some

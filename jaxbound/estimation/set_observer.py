@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
 import jax
@@ -29,7 +30,7 @@ from jaxbound.estimation.lanes import emptied, joined
 from jaxbound.estimation.observation import Observation, State
 from jaxbound.estimation.observed_plant import ObservedModel, ObservedPlant, observed_plant
 from jaxbound.estimation.piece import Piece
-from jaxbound.estimation.second_look import doubtful, ignorant
+from jaxbound.estimation.second_look import doubtful
 from jaxbound.estimation.short_proof import ObservedResult, short_proof
 from jaxbound.estimation.zonotope_numbers import ROUNDED, FirstSet
 from jaxbound.models.sensor import input_slip
@@ -46,13 +47,10 @@ from jaxbound.text.objects import readable
 
 __all__ = [
     "Observation",
-    "ObserverSetup",
     "ObserverState",
     "Piece",
     "SetObserver",
     "ZonotopeObserver",
-    "checked_weights",
-    "zonotope_observer",
 ]
 
 BLOCK = 32
@@ -81,20 +79,6 @@ class ObserverState(NamedTuple):
     samples: np.int64
 
 
-class ObserverSetup(NamedTuple):
-    """The choices that all methods share.
-
-    Fields: plant; order: generators a state; weight: one or several; restart; x0: the set of the first state,
-    or None. See `observer`.
-    """
-
-    plant: ObservedPlant
-    order: float
-    weight: float | Sequence[float]
-    restart: bool
-    x0: FirstSet | None
-
-
 @readable
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SetObserver(Observer[State], Generic[State]):
@@ -107,7 +91,7 @@ class SetObserver(Observer[State], Generic[State]):
 
     batched: ClassVar[bool] = True
     untuned: ClassVar[str | None] = None
-    hulls: ClassVar[bool] = False  # whether it needs the enclosures of states, and of samples, itself
+    hulls: ClassVar[bool] = False  # whether it needs the enclosures of states itself
 
     plant: ObservedPlant = field(repr=False)
     order: float
@@ -205,27 +189,17 @@ class SetObserver(Observer[State], Generic[State]):
             horizon = self.plant.past
         return replace(self, plant=observed_plant(model, horizon, self.x0 is not None), begun=None)
 
-    def forgetful(self) -> Self:
-        """Return the same observer, which begins knowing nothing."""
-        return replace(self, x0=None, begun=None)
-
-    @property
-    def generators(self) -> int:
-        """How many generators a zonotope has."""
-        return int(self.order * self.plant.system.n)
-
-    def init(self) -> State:
-        """Return the state of an observer that has seen nothing."""
-        system = self.plant.system
-        sizes = system.n, self.generators, system.p, system.m, self.plant.past
+    @cached_property
+    def _first_state(self) -> ObserverState:
+        """The state of zonotopes that have seen nothing."""
+        n, sets = self.plant.system.n, len(self.weights)
+        sizes = n, int(self.order * n), self.plant.system.p, self.plant.system.m, self.plant.past
         carry = steps.unknown(sizes, self.weights.astype(self.plant.dtype))
         if self.x0 is not None:
-            carry = _begun_in(carry, self.x0.padded(system.n))
-        return self._with_carry(carry)
-
-    def _with_carry(self, carry: steps.ZonotopeCarry) -> State:
-        """Return the state before the first sample, whose zonotopes are known."""
-        raise NotImplementedError
+            c, G, r = (np.repeat(x[..., None], sets, -1) for x in self.x0.padded(n))
+            G = np.pad(G, [(0, 0), (0, sizes[1] - G.shape[1]), (0, 0)])
+            carry = carry._replace(c=c, G=G, r=r, age=np.zeros_like(carry.age))
+        return ObserverState(carry, np.int64(0))
 
     def fold(self, carry: State, piece: Recording) -> tuple[State, Observation | Judged]:
         """Take the next samples (..., T, .) of a recording, or of recordings side by side; return (carry,
@@ -246,7 +220,9 @@ class SetObserver(Observer[State], Generic[State]):
                 )
                 status = np.where(gone, np.int8(Status.UNDECIDED), found.status)
                 margin = np.where(gone, 0, found.margin).astype(found.margin.dtype)
-                state, found = ignorant(self, state.samples), found._replace(status=status, margin=margin)
+                found = found._replace(status=status, margin=margin)
+                nothing: Any = replace(self, x0=None, begun=None).begin()  # a NamedTuple
+                state = nothing._replace(samples=state.samples)
         return state, self._verdicts(found, lead, len(samples.fresh), carry)
 
     def enclosed(self, recording: Recording) -> Observation | Judged:
@@ -259,36 +235,14 @@ class SetObserver(Observer[State], Generic[State]):
 
     def found(self, carry: State, samples: Piece) -> tuple[State, steps.Found]:
         """Return (state, Found) of samples, decided once."""
-        T, count = samples.fresh.shape
-        state = self._of_all(carry, count)
-        parts: list[steps.Found] = []
-        first = 0
-        while first < T or not parts:
-            stop = min(first + self._next_samples(state), T)
-            state, part = self._tested(state, samples.cut(first, stop))
-            parts.append(part)
-            first = stop
-        if len(parts) == 1:
-            return state, parts[0]
-        return state, jax.tree.map(lambda *x: np.concatenate(x), *parts)
-
-    def _of_all(self, carry: State, count: int) -> State:
-        """Return the carry of `count` recordings; one of a single recording is that of all."""
-        return carry
-
-    def _next_samples(self, state: State) -> int:
-        """Return how many samples are tested at once."""
-        raise NotImplementedError
-
-    def _tested(self, state: State, samples: Piece) -> tuple[State, steps.Found]:
-        """Return (state, Found) of samples that follow those before."""
-        raise NotImplementedError
+        state: Any = carry  # a NamedTuple
+        after, found = self._followed(carry.carry, samples)
+        return state._replace(carry=after, samples=carry.samples + len(samples.fresh)), found
 
     def side_by_side(self, carry: State, piece: Recording) -> tuple[tuple[int, ...], Piece]:
         """Return (leading shape, samples) of a piece."""
         piece.finite()
         u, y = np.asarray(piece.u), np.asarray(piece.y)
-        u, factors = u[..., : self.plant.system.m], u[..., self.plant.system.m :]
         *lead, T, p = y.shape
         count = int(np.prod(lead))
         followed = carry.carry.c.shape[-1] // len(self.weights)
@@ -304,17 +258,14 @@ class SetObserver(Observer[State], Generic[State]):
         fresh[np.asarray(piece.starts, np.int64)] = True
         if piece.excluded is not None:
             fresh |= piece.excluded[:, None]
-        rounded = max(float(rounding.unit(y.dtype)), float(rounding.unit(self.plant.dtype)))
+        unit = max(float(rounding.unit(y.dtype)), float(rounding.unit(self.plant.dtype)))
         columns = time_first(u), time_first(y), time_first(input_slip(u))
-        noise = None
-        if factors.shape[-1]:
-            noise = time_first(self.plant.noise_of(factors))
-        return tuple(lead), Piece(*columns, fresh, np.asarray(rounded, self.plant.dtype), noise)
+        return tuple(lead), self.plant.read(*columns, fresh, unit)
 
     def _followed(
         self, carry: steps.ZonotopeCarry, samples: Piece
-    ) -> tuple[steps.ZonotopeCarry, steps.Found, steps.Read | None]:
-        """Return (carry, Found (T, .., N), the Read or None) of zonotopes that follow samples, in blocks."""
+    ) -> tuple[steps.ZonotopeCarry, steps.Found]:
+        """Return (carry, Found (T, .., N)) of zonotopes that follow samples, in blocks."""
         lanes, count, room = len(self.weights), samples.fresh.shape[-1], self._room
         if is_outside_xla() and count > room:
             room = max(room, BESIDE)  # NumPy rounds alike whatever is beside
@@ -322,39 +273,35 @@ class SetObserver(Observer[State], Generic[State]):
 
         def job(block: np.ndarray) -> tuple[Any, ...]:
             own = (lane * followed + block % followed).ravel()
-            return self._block(chosen(carry, own), samples.of_recordings(block))
+            return self._block(chosen(carry, own), chosen(samples, block))
 
         def together(places: np.ndarray) -> Callable[..., np.ndarray]:
             return lambda *parts: np.take(np.concatenate(parts, -1), places, -1)
 
         place = (number // room * lanes + lane) * room + number % room
-        carries, founds, reads = zip(*in_blocks(job, count, room), strict=True)
+        carries, founds = zip(*in_blocks(job, count, room), strict=True)
         after = jax.tree.map(together(place.ravel()), *carries)
-        found = joined(jax.tree.map(together(place), *founds))
-        return after, found, jax.tree.map(together(number), *reads)
+        return after, joined(jax.tree.map(together(place), *founds))
 
     @property
     def _room(self) -> int:
         """How many recordings a block has."""
         return max(BLOCK // len(self.weights) // EVEN, 1) * EVEN
 
-    def _block(
-        self, carry: steps.ZonotopeCarry, samples: Piece
-    ) -> tuple[steps.ZonotopeCarry, steps.Found, steps.Read | None]:
+    def _block(self, carry: steps.ZonotopeCarry, samples: Piece) -> tuple[steps.ZonotopeCarry, steps.Found]:
         """Follow some recordings side by side, piece by piece; the carry stays where it was worked out."""
         T = len(samples.fresh)
         numbers, start = self.plant.placed
         wanted = self.enclosures or self.hulls
         whole = samples.filled(-(-max(T, 1) // PIECE) * PIECE)
-        parts: list[tuple[steps.Found, steps.Read | None]] = []
+        parts: list[steps.Found] = []
         for first in range(0, max(T, 1), PIECE):
-            piece, count = whole.cut(first, first + PIECE), min(PIECE, T - first)
-            carry, verdicts, as_read = steps.follow(
+            carry, verdicts = steps.follow(
                 numbers,
                 start,
                 carry,
-                tuple(piece),
-                count,
+                whole.cut(first, first + PIECE),
+                min(PIECE, T - first),
                 len(self.weights),
                 wanted or not is_outside_xla(),
                 self.restart,
@@ -362,8 +309,8 @@ class SetObserver(Observer[State], Generic[State]):
             if not wanted:  # what is left out is not fetched from its device
                 nothing = np.zeros((PIECE, 0, *verdicts.margin.shape[1:]), verdicts.margin.dtype)
                 verdicts = verdicts._replace(states=nothing, outputs=nothing)
-            parts.append((verdicts, as_read if self.hulls else None))
-        return carry, *_fetched(parts, T)
+            parts.append(verdicts)
+        return carry, _fetched(parts, T)
 
     def _verdicts(
         self, found: steps.Found, lead: tuple[int, ...], T: int, before: State
@@ -411,42 +358,9 @@ class ZonotopeObserver(SetObserver[ObserverState]):
     Fields: as of SetObserver.
     """
 
-    def _with_carry(self, carry: steps.ZonotopeCarry) -> ObserverState:
-        """Return the state before the first sample, whose zonotopes are known."""
-        return ObserverState(carry, np.int64(0))
-
-    def _next_samples(self, state: ObserverState) -> int:
-        """Return how many samples are tested at once: all of them."""
-        return np.iinfo(np.int64).max
-
-    def _tested(self, state: ObserverState, samples: Piece) -> tuple[ObserverState, steps.Found]:
-        """Return (state, Found) of samples that follow those before."""
-        carry, found, _ = self._followed(state.carry, samples)
-        return ObserverState(carry, state.samples + len(samples.fresh)), found
-
-
-def zonotope_observer(setup: ObserverSetup) -> ZonotopeObserver:
-    """Return the observer that carries zonotopes, one a weight."""
-    return ZonotopeObserver(
-        plant=setup.plant,
-        order=setup.order,
-        weights=checked_weights(setup.weight),
-        restart=setup.restart,
-        x0=setup.x0,
-    )
-
-
-def checked_weights(weight: float | Sequence[float]) -> np.ndarray:
-    """Return weights (k,), k at least 1.
-
-    Raises:
-        ValueError: others than positive numbers.
-    """
-    weights = np.atleast_1d(np.asarray(weight, np.float64))
-    positive = (weights > 0) & np.isfinite(weights)
-    if weights.ndim > 1 or not len(weights) or not positive.all():
-        raise ValueError(f"weight must be a positive number, or several: it is {weight!r}")
-    return weights
+    def init(self) -> ObserverState:
+        """Return the state of an observer that has seen nothing."""
+        return self._first_state
 
 
 def _fetched(parts: Sequence[Tree], T: int) -> Tree:
@@ -465,22 +379,6 @@ def _fetched(parts: Sequence[Tree], T: int) -> Tree:
 def _interval(ends: np.ndarray, width: int) -> Interval:
     """Return the Interval of ends -lo, hi, one behind the other."""
     return Interval(-ends[..., :width], ends[..., width:])
-
-
-def _begun_in(carry: steps.ZonotopeCarry, first: FirstSet) -> steps.ZonotopeCarry:
-    """Return the carry of a first sample whose state is in a set."""
-
-    def of_each(x: np.ndarray) -> np.ndarray:
-        return np.repeat(x[..., None], len(carry.age), -1)
-
-    spare = carry.G.shape[1] - first.generators.shape[1]
-    generators = np.pad(first.generators, ((0, 0), (0, spare)))
-    return carry._replace(
-        c=of_each(first.center),
-        G=of_each(generators),
-        r=of_each(first.box),
-        age=np.zeros_like(carry.age),
-    )
 
 
 @evidence.register(SetObserver)

@@ -26,12 +26,12 @@ from jaxbound.consistency.folded import tested
 from jaxbound.consistency.interface import Arrays, Block, LinearRelations, LinearTest, Run
 from jaxbound.consistency.reading import Reading
 from jaxbound.consistency.unproved import stretch_block
-from jaxbound.estimation.counts import is_whole
 from jaxbound.exact import linalg
 from jaxbound.exact.circuits import circuits
 from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model
+from jaxbound.models.numbers import is_whole
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.table import Data

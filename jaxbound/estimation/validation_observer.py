@@ -8,11 +8,11 @@ import jax
 import numpy as np
 
 from jaxbound.consistency.interface import Observer
-from jaxbound.estimation.counts import is_whole
 from jaxbound.estimation.validation_result import Validation
 from jaxbound.estimation.validation_slide import HostCarry, Slide, Stretch
 from jaxbound.models.intervals import IntervalSystem, as_intervals
 from jaxbound.models.multimodel import MultiModel
+from jaxbound.models.numbers import is_whole
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import around

@@ -26,7 +26,7 @@ import numpy as np
 from jaxbound.estimation.zonotope_numbers import ROUNDED, exactly, middle, nearest, numbers
 from jaxbound.estimation.zonotope_steps import Numbers, Start
 from jaxbound.exact import linalg
-from jaxbound.exact.linalg import Matrix, Rows
+from jaxbound.exact.linalg import Matrix, Rows, columns_of
 from jaxbound.exact.price import refuse_or_say
 from jaxbound.models.intervals import IntervalSystem
 from jaxbound.models.system import LinearSystem
@@ -42,8 +42,8 @@ class _Middle(NamedTuple):
     """The middle of a plant, exact, and how far its matrices may be from it.
 
     Fields: A (n, n), C (p, n): of the plant whose unknown inputs are taken out; off_A, off_C: bounds in
-    float64, the first before they are; M (n, n), H (n, p): how they are taken out; places: states that are 0
-    then.
+    float64, the first before they are; M (n, n), H (n, p): how they are taken out; kept: states that are not
+    0 then.
     """
 
     A: Matrix
@@ -52,7 +52,7 @@ class _Middle(NamedTuple):
     off_C: np.ndarray
     M: Matrix
     H: Matrix
-    places: tuple[int, ...]
+    kept: tuple[int, ...]
 
 
 class _Response(NamedTuple):
@@ -96,14 +96,12 @@ def least_horizon(
             those that are ever shown. A state that A has forgotten by then need not be.
     """
     plant = _middle_plant(linear, system, directions)
-    wanted, newest, reached = system.n - len(plant.places), plant.C, 0
-    rows: list[Sequence[Fraction]] = []
+    newest, reached = plant.C, -1
+    rows: Matrix = ()
     for h in range(system.n + 1):
-        rows += _without(newest, plant.places)
+        rows += columns_of(newest, plant.kept)
         before, reached = reached, linalg.rank(rows)
-        if reached == wanted:
-            return h
-        if directions is not None and _is_forgotten(linear, plant, rows, h):
+        if reached == len(plant.kept) or (directions is not None and _is_forgotten(linear, plant, rows, h)):
             return h
         if reached == before and directions is None:
             return None
@@ -118,26 +116,26 @@ def _is_forgotten(linear: LinearSystem | None, plant: _Middle, rows: Fractions, 
     power = linalg.identity(len(plant.A))
     for _ in range(h):
         power = linalg.matmul(power, plant.A)
-    return linalg.rank([*rows, *_without(power, plant.places)]) == linalg.rank(rows)
+    return linalg.rank([*rows, *columns_of(power, plant.kept)]) == linalg.rank(rows)
 
 
 def _middle_plant(
     linear: LinearSystem | None, system: IntervalSystem, directions: Directions | None
 ) -> _Middle:
     """Return the _Middle of a model; of unknown inputs the first way to take them out."""
+    (A, off_A), (C, off_C), n = middle(system.A), middle(system.C), system.n
+    every = tuple(range(n))
     if directions is None or linear is None:
-        (A, off_A), (C, off_C) = middle(system.A), middle(system.C)
-        n, p = system.n, system.p
-        return _Middle(exactly(A), off_A, exactly(C), off_C, linalg.identity(n), linalg.zeros(n, p), ())
-    n, way = system.n, directions.ways[0]
-    spread = linalg.zeros(n, n)
+        unit, nothing = linalg.identity(n), linalg.zeros(n, system.p)
+        return _Middle(exactly(A), off_A, exactly(C), off_C, unit, nothing, every)
+    way, spread = directions.ways[0], linalg.zeros(n, n)
     for uncertainty in linear.uncertainties:
         rows = uncertainty.on("A")
         if rows:
-            spread = _matrix_sum(spread, [[abs(x) for x in row] for row in rows])
-    off_A, off_C = rounding.round_up(np.array(spread, object)), np.zeros((system.p, n))
-    taken_out = linalg.matmul(way.M, linear.A)
-    return _Middle(taken_out, off_A, linear.C, off_C, way.M, way.H, directions.places)
+            spread = _plus(spread, [list(map(abs, row)) for row in rows])
+    off_A = rounding.round_up(np.array(spread, object))
+    kept = tuple(j for j in every if j not in directions.places)
+    return _Middle(linalg.matmul(way.M, linear.A), off_A, linear.C, 0 * off_C, way.M, way.H, kept)
 
 
 def zonotope_begin(
@@ -161,14 +159,17 @@ def zonotope_begin(
     for _ in range(h):
         powers.append(linalg.matmul(plant.A, powers[-1]))
     O = tuple(row for power in powers for row in linalg.matmul(plant.C, power))
-    places = _hidden_places(linear, plant, O, h, directions is not None)
-    if places is None:
+    kept = _shown_states(linear, plant, O, h, directions is not None)
+    if kept is None:
         return None
-    K0 = left_inverse(O, np.tile(system.noise, h + 1), places)
+    K0 = left_inverse(O, np.tile(system.noise, h + 1), kept)
     response = _response(plant, h, linalg.matmul(powers[h], K0), h)
     float64 = numbers(linear, system, np.dtype(np.float64))
     K, off_K = nearest(_beside(response.samples, system.n), dtype)
-    U, off_U = nearest(_of_inputs(response, system), dtype)
+    B, D = exactly(middle(system.B)[0]), exactly(middle(system.D)[0])
+    moved = [*(linalg.matmul(x, B) for x in response.steps), linalg.zeros(system.n, system.m)]
+    through = [linalg.matmul(x, D) for x in response.samples]
+    U, off_U = nearest(_plus(_beside(moved, system.n), _beside(through, system.n), -1), dtype)
     pushes = exactly(np.asarray(float64.W))
     W, off_W = nearest(_beside([linalg.matmul(x, pushes) for x in response.steps], system.n), dtype)
     middles = linalg.multiply(_beside(response.steps, system.n), exactly(np.tile(float64.w, (1, h)))[0])
@@ -183,18 +184,15 @@ def zonotope_begin(
     return Start(K, U, w[:, 0], W, wide_K, wide_U, wide_w[:, 0])
 
 
-def _hidden_places(
+def _shown_states(
     linear: LinearSystem | None, plant: _Middle, O: Matrix, h: int, unknown_inputs: bool
 ) -> tuple[int, ...] | None:
-    """Return the states that a left inverse of O leaves 0; None if O does not show the others."""
-    n, thin = len(plant.A), _without(O, plant.places)
-    if linalg.rank(thin) >= n - len(plant.places):
-        return plant.places
-    if not unknown_inputs or not _is_forgotten(linear, plant, thin, h):
-        return None
-    there = [j for j in range(n) if j not in plant.places]
-    shown = {there[i] for i in linalg.row_reduce(thin)[1]}
-    return tuple(j for j in range(n) if j not in shown)
+    """Return the states that a left inverse of O does not leave 0; None if O does not show what it must."""
+    thin = columns_of(O, plant.kept)
+    shown = linalg.row_reduce(thin)[1]
+    if len(shown) == len(plant.kept) or (unknown_inputs and _is_forgotten(linear, plant, thin, h)):
+        return tuple(plant.kept[i] for i in shown)
+    return None
 
 
 def _response(plant: _Middle, h: int, K: Matrix, number: int) -> _Response:
@@ -208,20 +206,12 @@ def _response(plant: _Middle, h: int, K: Matrix, number: int) -> _Response:
     for j in reversed(range(h)):
         ahead = linalg.matmul(R[0], plant.A) if R else linalg.zeros(n, n)
         if j + 1 == number:
-            ahead = _matrix_sum(ahead, linalg.identity(n))
-        R.insert(0, _matrix_difference(ahead, linalg.matmul(samples[j + 1], plant.C)))
+            ahead = _plus(ahead, linalg.identity(n))
+        R.insert(0, _plus(ahead, linalg.matmul(samples[j + 1], plant.C), -1))
     # samples are steps, too: each takes out the unknown inputs before it
     for j in range(h):
-        samples[j + 1] = _matrix_sum(samples[j + 1], linalg.matmul(R[j], plant.H))
+        samples[j + 1] = _plus(samples[j + 1], linalg.matmul(R[j], plant.H))
     return _Response(tuple(linalg.matmul(x, plant.M) for x in R), tuple(samples))
-
-
-def _of_inputs(response: _Response, system: IntervalSystem) -> Matrix:
-    """Return (n, (h+1) m): how the newest state follows from the inputs of all samples."""
-    B, D = exactly(middle(system.B)[0]), exactly(middle(system.D)[0])
-    moved = [*(linalg.matmul(x, B) for x in response.steps), linalg.zeros(system.n, system.m)]
-    through = [linalg.matmul(x, D) for x in response.samples]
-    return _beside([_matrix_difference(a, b) for a, b in zip(moved, through, strict=True)], system.n)
 
 
 def _deviations(
@@ -276,38 +266,26 @@ def _acting(response: _Response, samples: np.ndarray, steps: np.ndarray) -> np.n
     return np.asarray(K @ samples.reshape(-1, width) + R @ steps.reshape(-1, width))
 
 
-def left_inverse(O: Matrix, noise: np.ndarray, places: Sequence[int] = ()) -> Matrix:
-    """Return K0 with K0 O x = x exactly, of least squares weighted by the noise of the rows, for x with 0 at
-    some places.
+def left_inverse(O: Matrix, noise: np.ndarray, kept: Sequence[int]) -> Matrix:
+    """Return K0 with K0 O x = x exactly, of least squares weighted by the noise of the rows, for x that is 0
+    but at `kept`. Weights are within twelve digits of each other, all 1 where nothing has noise.
 
     One elimination of (O, I) gives L with L O = I and N with N O = 0. Then K0 = L - L V N' (N V N')^-1 N, V =
     diag(1 / weights), which is (O' V^-1 O)^-1 O' V^-1, whose elimination would have twice the digits.
     """
-    thin, columns = _without(O, places), len(O[0]) - len(places)
-    unit = linalg.identity(len(O))
-    reduced, _ = linalg.row_reduce([(*row, *more) for row, more in zip(thin, unit, strict=True)])
-    L = [row[columns:] for row in reduced[:columns]]
-    N = [row[columns:] for row in reduced[columns:]]
-    K0: Fractions = L
+    reduced, _ = linalg.row_reduce(linalg.beside(columns_of(O, kept), linalg.identity(len(O))))
+    K0, N = (
+        columns_of(rows, range(len(kept), len(kept) + len(O)))
+        for rows in (reduced[: len(kept)], reduced[len(kept) :])
+    )
     if N:
-        weight = _weights(noise)
+        most = noise.max() if noise.max() * 1e-6 else 1.0
+        weight = [Fraction(x) for x in (1 / np.maximum(noise / most, 1e-6) ** 2).tolist()]
         VN = linalg.transpose([[x / v for x, v in zip(row, weight, strict=True)] for row in N])
-        across = linalg.matmul(linalg.matmul(L, VN), linalg.inverse(linalg.matmul(N, VN)))
-        K0 = _matrix_difference(L, linalg.matmul(across, N))
-    rows = iter(K0)
-    nothing = (Fraction(0),) * len(O)
-    out = []
-    for j in range(len(O[0])):
-        out.append(nothing if j in places else tuple(next(rows)))
-    return tuple(out)
-
-
-def _weights(noise: np.ndarray) -> list[Fraction]:
-    """Return weights 1 / noise^2 of rows, within twelve digits of each other; 1 where nothing has noise."""
-    most = noise.max()
-    if not most * 1e-6:
-        return [Fraction(1)] * len(noise)
-    return [Fraction(float(x)) for x in 1 / np.maximum(noise / most, 1e-6) ** 2]
+        across = linalg.matmul(linalg.matmul(K0, VN), linalg.inverse(linalg.matmul(N, VN)))
+        K0 = _plus(K0, linalg.matmul(across, N), -1)
+    rows, nothing = dict(zip(kept, K0, strict=True)), (Fraction(0),) * len(O)
+    return tuple(rows.get(j, nothing) for j in range(len(O[0])))
 
 
 def _inverse_above(X: np.ndarray) -> np.ndarray | None:
@@ -334,19 +312,9 @@ def _sizes(rows: Rows) -> np.ndarray:
     return np.asarray(np.abs(floats))
 
 
-def _without(rows: Fractions, places: Sequence[int]) -> list[tuple[Fraction, ...]]:
-    """Return rows without some columns."""
-    return [tuple(x for j, x in enumerate(row) if j not in places) for row in rows]
-
-
-def _matrix_difference(a: Fractions, b: Fractions) -> Matrix:
-    """Return a matrix less another."""
-    return tuple(tuple(x - y for x, y in zip(*pair, strict=True)) for pair in zip(a, b, strict=True))
-
-
-def _matrix_sum(a: Fractions, b: Fractions) -> Matrix:
-    """Return a matrix plus another."""
-    return tuple(tuple(x + y for x, y in zip(*pair, strict=True)) for pair in zip(a, b, strict=True))
+def _plus(a: Fractions, b: Fractions, factor: int = 1) -> Matrix:
+    """Return a matrix plus a factor times another."""
+    return tuple(linalg.add_multiple(x, factor, y) for x, y in zip(a, b, strict=True))
 
 
 def _beside(blocks: Sequence[Fractions], n: int) -> Matrix:

@@ -3,7 +3,6 @@
 from fractions import Fraction
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -62,35 +61,19 @@ def numbers(
         linear: the model, or None of an `interval_system`. system: with intervals as its entries. free: see
             `free_numbers`.
     """
-    A, wide_A = _narrowed(*middle(system.A), dtype)
-    B, wide_B = _narrowed(*middle(system.B), dtype)
-    C, wide_C = _narrowed(*middle(system.C), dtype)
-    D, wide_D = _narrowed(*middle(system.D), dtype)
+    matrices = system.A, system.B, system.C, system.D, system.offset["u"]
+    (A, off_A), (B, off_B), (C, off_C), (D, off_D), (u0, off_u0) = (
+        _narrowed(*middle(x), dtype) for x in matrices
+    )
     if linear is not None and linear.g:
-        W, w, wide_w = _disturbance(linear, dtype)
+        W, w, off_w = _disturbance(linear, dtype)
     else:
         w, half = _narrowed(*middle(system.w), dtype)
-        W, wide_w = np.diag(half)[:, half > 0], np.zeros_like(w)
-    u0, wide_u0 = _narrowed(*middle(system.offset["u"]), dtype)
-    return Numbers(
-        A,
-        wide_A,
-        B,
-        wide_B,
-        C,
-        wide_C,
-        D,
-        wide_D,
-        W=W,
-        w=w,
-        wide_w=wide_w,
-        u0=u0,
-        wide_u0=wide_u0,
-        tolerance=rounding.round_up(system.tolerance, dtype),
-        noise=rounding.round_up(system.noise, dtype),
-        y0=middle(system.offset["y"])[0].astype(dtype),  # rounded once: `sensor.true_value` counts it
-        free=free,
-    )
+        W, off_w = np.diag(half)[:, half > 0], np.zeros_like(w)
+    tolerance, noise = (rounding.round_up(x, dtype) for x in (system.tolerance, system.noise))
+    y0 = middle(system.offset["y"])[0].astype(dtype)  # rounded once: `sensor.true_value` counts it
+    moves = A, off_A, B, off_B, C, off_C, D, off_D, W, w, off_w
+    return Numbers(*moves, u0, off_u0, tolerance, noise, y0, free)
 
 
 def _disturbance(linear: LinearSystem, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -112,15 +95,12 @@ def free_numbers(
     """
     if directions is None or linear is None:
         return None
-    M, wide_M = _stacked([way.M for way in directions.ways], dtype)
-    H, wide_H = _stacked([way.H for way in directions.ways], dtype)
-    used = np.array([[i in way.outputs for way in directions.ways] for i in range(linear.p)])
+    ways = directions.ways
+    used = np.array([[i in way.outputs for way in ways] for i in range(linear.p)])
     moved = linalg.matmul(linear.C, linalg.transpose(directions.rows))
     return Free(
-        M,
-        wide_M,
-        H,
-        wide_H,
+        *_stacked([way.M for way in ways], dtype),
+        *_stacked([way.H for way in ways], dtype),
         used,
         before=np.array(directions.before),
         after=np.array(directions.after),
@@ -144,7 +124,9 @@ def first_set(x0: Interval | Zonotope, n: int, order: float, dtype: np.dtype) ->
     if isinstance(x0, Zonotope):
         center, generators = np.asarray(x0.center, np.float64), np.asarray(x0.generators, np.float64)
     else:
-        center, radius = _box(interval(x0))
+        box = interval(x0)
+        with np.errstate(invalid="ignore"):  # of ends that are infinite: refused below
+            center, radius = middle(box)
         generators = np.diag(radius) if radius.ndim == 1 else radius
     if center.shape != (n,):
         raise ValueError(f"x0 needs one interval for each of {n} states: its shape is {center.shape}")
@@ -157,13 +139,6 @@ def first_set(x0: Interval | Zonotope, n: int, order: float, dtype: np.dtype) ->
     return FirstSet(np.asarray(fewer.center), np.asarray(fewer.generators), box)
 
 
-def _box(x0: Interval) -> tuple[np.ndarray, np.ndarray]:
-    """Return (center, radius) of a box; both are inf where it has no bound."""
-    bounded = np.isfinite(x0.lo) & np.isfinite(x0.hi)
-    center, radius = middle(jax.tree.map(lambda end: np.where(bounded, end, 0), x0))
-    return np.where(bounded, center, np.inf), np.where(bounded, radius, np.inf)
-
-
 def _narrowed(mid: np.ndarray, away: np.ndarray, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:
     """Return (mid, away) in floats of a dtype, the second not too small."""
     near = mid.astype(dtype)
@@ -173,14 +148,9 @@ def _narrowed(mid: np.ndarray, away: np.ndarray, dtype: np.dtype) -> tuple[np.nd
 
 def nearest(rows: Rows, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:
     """Return (floats of a dtype, bounds of their errors in float64) of exact rows."""
-    width = len(rows[0]) if len(rows) else 0
-    near = np.array([[float(x) for x in row] for row in rows]).reshape(len(rows), width).astype(dtype)
-    if not width:
-        return near, np.zeros(near.shape)
-    off = np.empty(near.shape, object)
-    for i, row in enumerate(rows):
-        off[i] = [abs(x - Fraction(float(y))) for x, y in zip(row, near[i], strict=True)]
-    return near, rounding.round_up(off)
+    exact = np.array(rows, object).reshape(len(rows), -1 if len(rows) else 0)
+    near = exact.astype(np.float64).astype(dtype)
+    return near, rounding.round_up(np.abs(exact - np.array(exactly(near), object).reshape(near.shape)))
 
 
 def exactly(floats: np.ndarray) -> Matrix:

@@ -21,6 +21,7 @@ Sources: Alamo, Bravo, Camacho 2005 (strips, Theorem 4 and section 5); Combastel
 (which generators stay).
 """
 
+from collections.abc import Sequence
 from functools import reduce
 from typing import NamedTuple
 
@@ -29,16 +30,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.estimation.arrays import Array
-from jaxbound.estimation.by_size import ascending
 from jaxbound.estimation.free_inputs import Free, Known, Reading, known_again
-from jaxbound.estimation.set_rounding import SetRounding, largest_number, set_rounding
-from jaxbound.models.sensor import RECORDER_ULPS, lift, true_value
-from jaxbound.sets.floats import rounding
+from jaxbound.estimation.piece import Piece
+from jaxbound.estimation.set_rounding import SetRounding, set_rounding
 from jaxbound.sets.floats.kernel import kernel
+from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.unrolled import stored, summed
 
-__all__ = ["Found", "Numbers", "Read", "Start", "ZonotopeCarry", "follow", "read", "unknown"]
+__all__ = ["Found", "Numbers", "Start", "ZonotopeCarry", "follow", "unknown"]
 
 
 class Numbers(NamedTuple):
@@ -82,23 +82,6 @@ class Start(NamedTuple):
     wide_K: Array
     wide_U: Array
     wide: Array
-
-
-class Read(NamedTuple):
-    """T samples as the kernels read them.
-
-    Fields: mid, rad (T, p, N), radius infinite where there is none; v, slip (T, m, N) inputs less their
-    offset, and by which they may be off; whole (T, N): whether every output is there; known: every input;
-    fresh: does not follow the sample before. Of one sample all are without their first axis.
-    """
-
-    mid: Array
-    rad: Array
-    v: Array
-    slip: Array
-    whole: Array
-    known: Array
-    fresh: Array
 
 
 class ZonotopeCarry(NamedTuple):
@@ -191,81 +174,29 @@ def unknown(sizes: tuple[int, int, int, int, int], weight: np.ndarray) -> Zonoto
     )
 
 
-@kernel
-def read(
-    plant: Numbers,
-    u: jax.Array,
-    y: jax.Array,
-    slip: jax.Array,
-    fresh: jax.Array,
-    rounded: jax.Array,
-    bounds: jax.Array | None = None,
-) -> Read:
-    """Return samples u, slip (T, m, N), y (T, p, N) as the kernels read them.
-
-    Args:
-        rounded: the unit roundoff of the type in which y was recorded. bounds (T, p, N): the noise of each
-            sample, in place of the plant's; None: that.
-    """
-    mid, rad = [], []
-    gamma, floor = rounding.residual_error(8, y.dtype)
-    for i in range(y.shape[1]):
-        recorded = y[:, i]
-        size = jnp.where(jnp.isnan(recorded), 0, jnp.abs(recorded))
-        bound = plant.noise[i]
-        if bounds is not None:
-            bound = jnp.nan_to_num(bounds[:, i])  # NaN only where y is
-        noise = bound + RECORDER_ULPS * rounded * (size + bound)
-        (middle,), (radius,), (scale,) = true_value(
-            [recorded], plant.tolerance[i], noise, jnp.zeros_like(noise), plant.y0[i], size
-        )
-        gone = jnp.isnan(recorded) | ~(scale < largest_number(y.dtype))
-        mid.append(jnp.where(gone, 0, middle))
-        rad.append(jnp.where(gone, jnp.inf, radius + gamma * scale + floor * (1 + lift(plant.tolerance))))
-    middles, radii = jnp.stack(mid, 1), jnp.stack(rad, 1)
-    known = jnp.all(jnp.abs(u) < largest_number(u.dtype), 1)
-    v = jnp.where(jnp.isnan(u), 0, u) - _all_along(plant.u0)
-    off = (
-        slip
-        + _all_along(plant.wide_u0)
-        + 4 * rounding.unit(u.dtype) * (jnp.abs(u) + jnp.abs(_all_along(plant.u0)))
-        + rounding.tiny(u.dtype)
-    )
-    whole = jnp.all(jnp.isfinite(radii), 1) & known
-    return Read(middles, radii, v, jnp.where(known[:, None], off, 0), whole, known, fresh)
-
-
-def _all_along(x: Array) -> Array:
-    """Return numbers of signals (m,) as (T, m, N) takes them."""
-    return x[None, :, None]
-
-
 @kernel(static_argnames=("lanes", "enclosures"), compiler_options={"xla_cpu_multi_thread_eigen": False})
 def follow(
     plant: Numbers,
     start: Start | None,
     carry: ZonotopeCarry,
-    samples: tuple[jax.Array, ...],
+    samples: Piece,
     stop: int,
     lanes: int,
     enclosures: bool,
     restart: jax.Array | bool,
-) -> tuple[ZonotopeCarry, Found, Read]:
+) -> tuple[ZonotopeCarry, Found]:
     """Follow N / lanes recordings over the first `stop` of these samples.
 
     Args:
         start: how the state is found from samples alone, or None: where it is lost it stays so.
-        samples: u, y, slip, fresh, rounded, as of `read`: one kernel with this, since a sample that comes
-            alone pays for each call.
         lanes: weights side by side: recording i stands at i, i + N / lanes, .. enclosures: whether states and
             outputs are enclosed: under XLA always, in one program for every verb, which takes no longer.
         restart: whether the sample after a contradiction begins anew; else FAULT stays.
 
     Returns:
-        (carry, Found, Read); what they have of other samples means nothing.
+        (carry, Found); what they have of other samples means nothing.
     """
-    alone = read(plant, *samples)
-    tiled = jax.tree.map(lambda x: jnp.tile(x, lanes), alone)
+    tiled = jax.tree.map(lambda x: jnp.tile(x, lanes), samples)
 
     def step(k: jax.Array, state: tuple[ZonotopeCarry, Found]) -> tuple[ZonotopeCarry, Found]:
         carry, rows = state
@@ -279,10 +210,10 @@ def follow(
         )
 
     carry, rows = jax.lax.fori_loop(0, stop, step, (carry, _nothing_found(tiled, plant, enclosures)))
-    return carry, rows, alone
+    return carry, rows
 
 
-def _nothing_found(known: Read, plant: Numbers, enclosures: bool) -> Found:
+def _nothing_found(known: Piece, plant: Numbers, enclosures: bool) -> Found:
     """Return the Found of samples before any is looked at."""
     (T, p, N), dtype = known.mid.shape, known.mid.dtype
 
@@ -303,11 +234,11 @@ def _begun_anew(carry: ZonotopeCarry, where: Array) -> ZonotopeCarry:
 
 
 def _sample(
-    plant: Numbers, start: Start | None, carry: ZonotopeCarry, now: Read, enclosures: bool
+    plant: Numbers, start: Start | None, carry: ZonotopeCarry, now: Piece, enclosures: bool
 ) -> tuple[ZonotopeCarry, jax.Array, Found]:
     """Look at one sample: return (carry with the set after it, its magnitudes (n, N), one row of `Found`)."""
     alive, (n, q, N), p = carry.age >= 0, carry.G.shape, len(now.mid)
-    dtype, g = carry.c.dtype, _rounding(plant, carry)
+    dtype, g = carry.c.dtype, _rounding(plant, carry.G)
     outputs = _outputs(plant, now, g)
     first = before = _sized(g, carry.c, carry.G, carry.r)
     prior = Known(carry.c, jnp.concatenate([carry.G, jnp.zeros((n, p, N), dtype)], 1), carry.r)
@@ -317,7 +248,7 @@ def _sample(
     if plant.free is not None:
         whole = plant.free.first & (carry.age == 0)  # a first state in bounds is the state itself
         prior, there, lost = known_again(
-            plant.free, _rounding(plant, carry, p), prior, first.size, outputs, whole
+            plant.free, _rounding(plant, carry.G, p), prior, first.size, outputs, whole
         )
         before = _sized(g, *prior)
 
@@ -344,26 +275,27 @@ def _sample(
     age = jnp.where(alive & bounded & ~lost, carry.age + 1, -1)
     whole &= age == 1
     ends = jnp.zeros((0, N), dtype), jnp.zeros((0, N), dtype)
-    ready = jnp.where(now.whole, carry.ready + 1, 0)
-    carry = carry._replace(age=age, empty=empty)
+    past = carry.mid, carry.rad, carry.v, carry.slip
+    mid, rad, v, slip = recent = [jnp.concatenate([x, new[None]]) for x, new in zip(past, now, strict=False)]
+    ready = jnp.where(now.known & jnp.all(jnp.isfinite(now.rad), 0), carry.ready + 1, 0)
     if start is not None:
         begins = (age < 0) & (ready > len(carry.mid))
-        after = _begun_where(plant, start, carry, now, g, begins, after)
+        after = _begun_where(plant, start, recent, g, begins, after)
         age = jnp.where(begins, len(carry.mid) + 1, age)
-        carry = carry._replace(age=age)
     if enclosures:
         sets = _Around(first, before, after, refuted=wrong, tested=alive, there=age >= 0, whole=whole)
         ends = _enclosures(plant, g, outputs, sets)
-    past = {name: _later(getattr(carry, name), getattr(now, name)) for name in ("mid", "rad", "v", "slip")}
     ready = jnp.minimum(ready, len(carry.mid))
     return (
-        carry._replace(c=after.c, G=after.G, r=after.r, ready=ready, **past),
+        ZonotopeCarry(
+            *(after.c, after.G, after.r, age, empty, mid[1:], rad[1:], v[1:], slip[1:], ready, carry.weight)
+        ),
         after.size,
         Found(status, margin, jnp.maximum(age, 0), *ends),
     )
 
 
-def _outputs(plant: Numbers, now: Read, g: SetRounding) -> Reading:
+def _outputs(plant: Numbers, now: Piece, g: SetRounding) -> Reading:
     """Return one sample of the outputs."""
     direct = jnp.sum(jnp.abs(plant.D) + plant.wide_D, 1) > 0
     # else what a perfect sensor shows depends on an input that nobody knows
@@ -452,39 +384,46 @@ def _met(
 def _begun_where(
     plant: Numbers,
     start: Start,
-    carry: ZonotopeCarry,
-    now: Read,
+    recent: Sequence[jax.Array],
     g: SetRounding,
     begins: jax.Array,
     sets: _Sets,
 ) -> _Sets:
-    """Return the sets, where it begins those that the last samples alone allow."""
+    """Return the sets, where it begins those that the last samples alone allow, with as many generators.
+
+    Args:
+        recent: mid, rad, v, slip of the last samples, the oldest first.
+    """
 
     def begun(sets: _Sets) -> _Sets:
-        new = _sized(g, *_begun(plant, start, carry, now, begins, sets.G))
+        mid, rad, v, slip = (x.reshape(-1, x.shape[-1]) for x in recent)
+        rad = jnp.where(begins[None], rad, 0)
+        n, wide, N = sets.G.shape
+        h = _rounding(plant, sets.G, start.K.shape[1] + start.U.shape[1] + start.W.shape[1])
+        K, U, size = jnp.abs(start.K), jnp.abs(start.U), jnp.abs(mid) + rad
+        centre = _map(start.K, mid) + _map(start.U, v) + start.w[:, None]
+        drawn = (jnp.abs(start.w) + jnp.sum(jnp.abs(start.W), 1))[:, None]
+        whole = _map(K, size) + _map(U, jnp.abs(v)) + drawn
+        loose = _map(start.wide_K, size) + _map(start.wide_U, jnp.abs(v)) + start.wide[:, None]
+        off = h.up * (_map(U + start.wide_U, slip) + h.gamma * whole + loose) + h.least
+        columns = [
+            start.K[:, :, None] * rad[None],
+            jnp.broadcast_to(start.W[:, :, None], (*start.W.shape, N)),
+        ]
+        generators = jnp.concatenate([jnp.zeros((n, wide, N), off.dtype), *columns], 1)
+        G, off, _ = _reduced(generators, off, wide, h)
+        new = _sized(g, centre, G, off)
+        return _Sets(*(jnp.where(begins, x, y) for x, y in zip(new, sets, strict=True)))
 
-        def pick(x: Array, y: Array) -> jax.Array:
-            return jnp.where(jnp.broadcast_to(begins, x.shape), x, y)
-
-        return _Sets(*map(pick, new, sets))
-
-    def left(sets: _Sets) -> _Sets:
-        return sets
-
-    after: _Sets = jax.lax.cond(jnp.any(begins), begun, left, sets)
+    after: _Sets = jax.lax.cond(jnp.any(begins), begun, lambda sets: sets, sets)
     return after
 
 
-def _later(past: Array, x: Array) -> jax.Array:
-    """Return the last samples with one more, without the oldest."""
-    return jnp.concatenate([past, x[None]])[1:]
-
-
-def _rounding(plant: Numbers, carry: ZonotopeCarry, more: int = 0) -> SetRounding:
+def _rounding(plant: Numbers, G: Array, more: int = 0) -> SetRounding:
     """Return the factors for a plant and its sets. more: terms that sums have beyond those of a step."""
-    (n, m), (p, _), (_, q, _) = plant.B.shape, plant.C.shape, carry.G.shape
+    (n, m), (p, _), (_, q, _) = plant.B.shape, plant.C.shape, G.shape
     terms = q + p + plant.W.shape[1] + 4 * (n + m) + 64 + more
-    return set_rounding(n + m + 8 + more, terms, carry.G.dtype)
+    return set_rounding(n + m + 8 + more, terms, G.dtype)
 
 
 def _map(M: Array, X: Array) -> jax.Array:
@@ -499,49 +438,13 @@ def _outer(column: jax.Array, row: jax.Array) -> jax.Array:
     return column[(slice(None), *[None] * row.ndim)] * row[None]
 
 
-def _begun(
-    plant: Numbers,
-    start: Start,
-    carry: ZonotopeCarry,
-    now: Read,
-    begin: jax.Array,
-    old: Array,
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return (c, G, r) of the sets that the last samples alone allow, with as many generators as the old
-    ones have.
-    """
-    n, wide, N = old.shape
-    g = _rounding(plant, carry, start.K.shape[1] + start.U.shape[1] + start.W.shape[1])
-    mid, rad = _all_samples(carry.mid, now.mid), _all_samples(carry.rad, now.rad)
-    v, slip = _all_samples(carry.v, now.v), _all_samples(carry.slip, now.slip)
-    rad = jnp.where(begin[None], rad, 0)
-    K, U = jnp.abs(start.K), jnp.abs(start.U)
-    centre = _map(start.K, mid) + _map(start.U, v) + start.w[:, None]
-    whole = (
-        _map(K, jnp.abs(mid) + rad)
-        + _map(U, jnp.abs(v))
-        + (jnp.abs(start.w) + jnp.sum(jnp.abs(start.W), 1))[:, None]
-    )
-    loose = _map(start.wide_K, jnp.abs(mid) + rad) + _map(start.wide_U, jnp.abs(v)) + start.wide[:, None]
-    off = g.up * (_map(U + start.wide_U, slip) + g.gamma * whole + loose) + g.least
-    columns = [start.K[:, :, None] * rad[None], jnp.broadcast_to(start.W[:, :, None], (*start.W.shape, N))]
-    generators = jnp.concatenate([jnp.zeros((n, wide, N), old.dtype), *columns], 1)
-    G, off, _ = _reduced(generators, off, wide, g)
-    return centre, G, off
-
-
-def _all_samples(past: Array, now: Array) -> jax.Array:
-    """Return the last samples and this one, one above the other."""
-    return jnp.concatenate([past, now[None]]).reshape(-1, now.shape[-1])
-
-
-def _step_of_time(plant: Numbers, carry: ZonotopeCarry, size: jax.Array, now: Read) -> ZonotopeCarry:
+def _step_of_time(plant: Numbers, carry: ZonotopeCarry, size: jax.Array, now: Piece) -> ZonotopeCarry:
     """Move the set on by one sample, and put its smallest generators into a box.
 
     Args:
         size (n, N): at least the size of each state.
     """
-    g, A, (c, G, r), v = _rounding(plant, carry), jnp.abs(plant.A), carry[:3], jnp.abs(now.v)
+    g, A, (c, G, r), v = _rounding(plant, carry.G), jnp.abs(plant.A), carry[:3], jnp.abs(now.v)
     N, q = c.shape[-1], G.shape[1] - len(plant.C)
     off = (
         _map(plant.wide_A + g.gamma * A, size)
@@ -568,7 +471,11 @@ def _reduced(G: jax.Array, r: jax.Array, q: int, g: SetRounding) -> tuple[jax.Ar
     # row by row: a reduction over few rows is no vector code, and cost a quarter of a step
     sizes = list(jnp.abs(G))
     length = jnp.maximum(reduce(jnp.add, sizes) - reduce(jnp.maximum, sizes), 0)
-    S = jnp.take_along_axis(G, ascending(length)[None], 1)  # by their 1-norm less the largest entry
+    # floats >= 0 are ordered as their bits are; their last digits count the generators: one sort, no ties
+    bits, below = np.dtype(f"i{G.dtype.itemsize}").type, power(Q) - 1
+    key = jax.lax.bitcast_convert_type(length, bits) & bits(~below)
+    order = jnp.sort(key | jnp.arange(Q, dtype=bits)[:, None], 0) & bits(below)
+    S = jnp.take_along_axis(G, order[None], 1)  # by their 1-norm less the largest entry
     rest, some, kept = S[:, : Q - q], S[:, Q - q : Q - q + n], S[:, Q - q + n :]
     boxed, few, many = (jnp.sum(jnp.abs(x), 1) for x in (rest, some, kept))
     free = jnp.all(some == 0, (0, 1)) & jnp.any(r > 2.0**-36 * many, 0)  # r moved as a box would grow
@@ -603,39 +510,31 @@ class _Around(NamedTuple):
 def _enclosures(
     plant: Numbers, g: SetRounding, outputs: Reading, sets: _Around
 ) -> tuple[jax.Array, jax.Array]:
-    """Return the ends (2 n, N) of the states and (4 p, N) of the outputs."""
-    free = plant.free
-    prior, now = _where(_hull(sets.first, g), sets.tested), _where(_hull(sets.after, g), sets.there)
+    """Return the ends (2 n, N) of the states and (4 p, N) of the outputs: infinite where nothing is known, or
+    where unknown inputs moved them, but of a set of the state itself.
+    """
+    tested, there, free = sets.tested[None], sets.there[None], plant.free
+    known, remembered, seen = tested, there, tested
     if free is not None:
-        prior, now = _blind(prior, free.before, sets.whole), _blind(now, free.after, sets.whole)
-    refuted = (sets.refuted & sets.tested)[None]
-    states = jnp.where(refuted, prior, jnp.minimum(prior, now))
-    first = _shown_ends(plant, g, outputs, sets.before, sets.tested)
-    if free is not None:
-        first = _blind(first, free.shown, sets.whole)
+        moved = (free.before, tested), (free.after, there), (free.shown, tested)
+        known, remembered, seen = (x & (~at[:, None] | sets.whole) for at, x in moved)
+    refuted = sets.refuted & sets.tested
+    prior = _ends(g, *_hull(sets.first), known)
+    now = _ends(g, *_hull(sets.after), remembered)
+    first = _ends(g, *_outputs_of(plant, g, outputs, sets.before), seen & outputs.driven)
     after = _sized(g, *sets.after[:3])
-    second = _shown_ends(plant, g, outputs, after, sets.there)
+    second = _ends(g, *_outputs_of(plant, g, outputs, after), there & outputs.driven)
+    states = jnp.where(refuted, prior, jnp.minimum(prior, now))
     return states, jnp.concatenate([first, jnp.where(refuted, first, jnp.minimum(first, second))])
 
 
-def _hull(sets: _Sets, g: SetRounding) -> jax.Array:
-    """Return the ends of the states of sets."""
-    return _outward(sets.c, jnp.sum(jnp.abs(sets.G), 1) + sets.r, g)
+def _hull(sets: _Sets) -> tuple[Array, Array]:
+    """Return the middles of the states of sets, and how far they reach."""
+    return sets.c, jnp.sum(jnp.abs(sets.G), 1) + sets.r
 
 
-def _where(ends: Array, known: Array) -> jax.Array:
-    """Return ends that are infinite where nothing is known."""
-    return jnp.where(known[None], ends, jnp.inf)
-
-
-def _blind(ends: Array, moved: Array, whole: Array) -> jax.Array:
-    """Return ends that are infinite where unknown inputs moved them, but of a set of the state itself."""
-    both = jnp.tile(moved, len(ends) // len(moved))
-    return jnp.where(both[:, None] & ~whole[None], jnp.inf, ends)
-
-
-def _shown_ends(plant: Numbers, g: SetRounding, outputs: Reading, sets: _Sets, known: Array) -> jax.Array:
-    """Return the ends of the outputs of sets, as perfect sensors would show them."""
+def _outputs_of(plant: Numbers, g: SetRounding, outputs: Reading, sets: _Sets) -> tuple[Array, Array]:
+    """Return the outputs of sets, as perfect sensors would show them, and how far they reach."""
 
     def value_and_reach(i: jax.Array) -> tuple[Array, Array]:
         shown = _shown(plant, g, outputs, i, sets)
@@ -643,12 +542,11 @@ def _shown_ends(plant: Numbers, g: SetRounding, outputs: Reading, sets: _Sets, k
 
     value, reach = jax.lax.map(value_and_reach, jnp.arange(len(plant.C)))
     y0 = plant.y0[:, None]
-    ends = _outward(value + y0, reach + 4 * g.gamma * (jnp.abs(value) + jnp.abs(y0)), g)
-    driven = jnp.concatenate([outputs.driven, outputs.driven])
-    return _where(jnp.where(driven, ends, jnp.inf), known)
+    return value + y0, reach + 4 * g.gamma * (jnp.abs(value) + jnp.abs(y0))
 
 
-def _outward(middle: Array, reach: Array, g: SetRounding) -> jax.Array:
-    """Return ends -lo, hi, one above the other."""
+def _ends(g: SetRounding, middle: Array, reach: Array, known: Array) -> jax.Array:
+    """Return ends -lo, hi, one above the other, that are infinite where nothing is known."""
     reach = g.up * (reach + g.gamma * jnp.abs(middle)) + g.least
-    return jnp.concatenate([reach - middle, reach + middle])
+    ends = reach - middle, reach + middle
+    return jnp.concatenate([jnp.where(known, end, jnp.inf) for end in ends])

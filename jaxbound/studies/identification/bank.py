@@ -14,8 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from jaxbound.estimation.method import ObserverMethod
-from jaxbound.estimation.methods import observer_method
+from jaxbound.estimation.methods import ObserverMethod, observer_method
 from jaxbound.models.modelchanges import changes_between
 from jaxbound.models.modelfile import model_document, model_text
 from jaxbound.models.statedtests import StatedTest, stated_tests

@@ -9,8 +9,7 @@ from typing import Any, NamedTuple, TypedDict
 
 import numpy as np
 
-from jaxbound.estimation.method import ObserverMethod
-from jaxbound.estimation.methods import OBSERVERS, observer_method
+from jaxbound.estimation.methods import OBSERVERS, ObserverMethod, observer_method
 from jaxbound.models.arguments import listed_argument
 from jaxbound.models.faults import Fault
 from jaxbound.models.numbers import is_real, is_whole
