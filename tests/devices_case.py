@@ -18,12 +18,11 @@ import jaxbound as jb
 from jaxbound.consistency import devices, drive
 from jaxbound.consistency.bank import BankTest
 from jaxbound.consistency.strips import StripsTest
-from jaxbound.estimation import unknown_inputs
 
 jax.config.update("jax_enable_x64", True)
 
 
-KINDS = StripsTest, BankTest, unknown_inputs._RangeTest  # whose blocks are made small
+KINDS = StripsTest, BankTest  # whose blocks are made small
 
 
 def recording(samples, dtype=np.float64):
@@ -68,9 +67,6 @@ CASES = {
     "lying, bank": lambda u, y: lied("box", jb.structured_relations(paper()), u, y),
     "lying, long windows": lambda u, y: lied("joint", jb.parity_relations(paper(), 20), u, y),
     "long windows": lambda u, y: both(jb.detect(jb.parity_relations(paper(), 20), u, y)),
-    "unknown inputs": lambda u, y: tuple(
-        jax.tree.leaves(jb.unknown_inputs(paper(unknown_inputs=[[1], [0]]), u, y).values)
-    ),
 }
 
 

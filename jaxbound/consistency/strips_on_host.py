@@ -10,6 +10,7 @@ in every behaviour, and least > error or most < -error contradicts: whatever h a
 cancel all that is unknown.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -21,7 +22,7 @@ from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models.rows import Kind
 from jaxbound.sets.floats import rounding
 
-__all__ = ["HostStrips", "excludes_0", "host_strips"]
+__all__ = ["BLOCK", "HostStrips", "excludes_0", "host_strips"]
 
 BLOCK = 2**13
 """Windows at once: their rows stay in the cache."""
@@ -73,21 +74,26 @@ class HostStrips:
     def _of(self, u: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return the same of the windows of one `HostRows`."""
         rows = HostRows(self.reading, u, y, bool(self.gains))
-        every = [rows.row(i) for i in range(len(self.reading.window))]
-        inputs = [rows.input(b) for b in range(rows.inputs)]
         out = np.empty((len(self.strips), rows.count), bool)
-        for own, strip in zip(out, self.strips, strict=True):
-            own[:] = self._seen(strip, every, inputs)
+        for own, sums in zip(out, self.sums(rows), strict=True):
+            own[:] = excludes_0(*sums)
         return out
 
-    def _seen(self, strip: _HostStrip, rows: list[Series], inputs: list[Input]) -> np.ndarray:
-        """Return whether one strip contradicts windows: an array (N,), or one bool for all."""
+    def sums(self, rows: HostRows) -> Iterator[tuple[Ends, Ends, Ends]]:
+        """Yield (least, most, error) of each strip, as above: arrays (N,), or numbers for all windows."""
+        every = [rows.row(i) for i in range(len(self.reading.window))]
+        inputs = [rows.input(b) for b in range(rows.inputs)]
+        for strip in self.strips:
+            yield self._sums(strip, every, inputs)
+
+    def _sums(self, strip: _HostStrip, rows: list[Series], inputs: list[Input]) -> tuple[Ends, Ends, Ends]:
+        """Return the sums of one strip."""
         sums: dict[int | None, tuple[Ends, Ends]] = {}
         size: Ends = 0.0
         for i, c in zip(strip.rows, strip.h, strict=True):
             row = self.reading.window.all[i]
             if not row.seen:
-                return np.zeros((), bool)
+                return 0.0, 0.0, np.inf
             lo, hi, own = rows[i]
             if c < 0:
                 lo, hi = hi, lo
@@ -105,7 +111,7 @@ class HostStrips:
             slip, size = slip + abs(c) * off, size + abs(c) * own
         terms, largest = len(strip.rows) + len(strip.inputs), max(map(abs, (*strip.h, *strip.k)))
         gamma, floor = rounding.residual_error(terms + 8, np.float64)
-        return excludes_0(least, most, slip + (float(gamma) * size + float(floor) * (1 + largest)))
+        return least, most, slip + (float(gamma) * size + float(floor) * (1 + largest))
 
     def _together(self, sums: dict[int | None, tuple[Ends, Ends]]) -> tuple[Ends, Ends]:
         """Return the least and the most of sums, each times any of its gains."""

@@ -10,22 +10,18 @@ projection.
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
 from math import comb
 
-import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.consistency.drive import raw_outputs
-from jaxbound.consistency.folded import tested
-from jaxbound.consistency.interface import Arrays, Block, LinearRelations, LinearTest, Run
-from jaxbound.consistency.reading import Reading
-from jaxbound.consistency.unproved import stretch_block
+from jaxbound.consistency.drive import end_to_end
+from jaxbound.consistency.host_rows import HostRows
+from jaxbound.consistency.strips_on_host import BLOCK, HostStrips, host_strips
 from jaxbound.exact import linalg
 from jaxbound.exact.circuits import circuits
 from jaxbound.exact.linalg import Matrix, Vector
@@ -37,11 +33,9 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.table import Data
 from jaxbound.relations.cost import affordable
 from jaxbound.relations.parity import SUBSETS, stated_relations
-from jaxbound.sets.floats.kernel import kernel
+from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.intervals.interval import Interval
-from jaxbound.sets.strips.bank import bank_range
-from jaxbound.sets.strips.strips import strips_of
 from jaxbound.text.objects import readable
 from jaxbound.text.progress import Progress, in_part, reporter
 
@@ -126,9 +120,8 @@ def unknown_inputs(
         if position is None:
             continue
         lag = lags[j] = horizon - position
-        test = _test(model, horizon, position, j, dtype)
         share = partial(in_part, report, j / model.d, 1 / model.d)
-        least, most = raw_outputs(test, recording.u, recording.y, recording.starts, share)
+        least, most = _ranges(_ways(model, horizon, position, j), recording, share)
         empty = least > most
         least[empty], most[empty] = np.inf, -np.inf
         at = ..., slice(position, samples[-1] - lag), j
@@ -172,10 +165,8 @@ def _unit(length: int, place: int) -> tuple[Fraction, ...]:
     return tuple(Fraction(int(c == place)) for c in range(length))
 
 
-def _test(model: LinearSystem, s: int, position: int, j: int, dtype: np.dtype) -> _RangeTest:
-    """Return a WindowTest whose strips are ways to work out v_j at a position of the window: h (Y, w) - k U =
-    v.
-    """
+def _ways(model: LinearSystem, s: int, position: int, j: int) -> HostStrips:
+    """Return strips that are ways to work out v_j at a position of the window: h (Y, w) - k U = v."""
     E, K = window.unknowns(model, s)
     column = model.n + model.g * s + position * model.d + j
     extended = (*E, _unit(len(E[0]), column))
@@ -189,8 +180,8 @@ def _test(model: LinearSystem, s: int, position: int, j: int, dtype: np.dtype) -
     known: Matrix = tuple(() for _ in ways)
     if K[0]:
         known = linalg.matmul(ways, K)
-    count = (s + 1) * model.p
-    return _RangeTest(stated_relations(model, s, tuple(h[:count] for h in ways), known), ways, known, dtype)
+    relations = stated_relations(model, s, tuple(h[: (s + 1) * model.p] for h in ways), known)
+    return host_strips(relations.reading(np.float64, "box"), ways, known)
 
 
 def _tightest_ways(model: LinearSystem, s: int, combinations: Iterable[Vector]) -> Matrix:
@@ -209,32 +200,23 @@ def _tightest_ways(model: LinearSystem, s: int, combinations: Iterable[Vector]) 
     return tuple(sorted(ways, key=width)[:KEPT])
 
 
-class _RangeTest(LinearTest):
-    """Says in which interval a number is, of which each strip is a way to work it out."""
+def _ranges(ways: HostStrips, recording: Recording, report: Progress) -> tuple[np.ndarray, np.ndarray]:
+    """Return (lo, hi), each (..., T): what all ways that have their data say together of each window;
+    infinite where none has.
 
-    gathered = False
-
-    def __init__(self, relations: LinearRelations, ways: Matrix, known: Matrix, dtype: np.dtype) -> None:
-        super().__init__(relations, "box", dtype)
-        shape = strips_of(ways, known, unrolled=KEPT).astype(dtype)
-        self.reading = dataclasses.replace(relations.reading(dtype, "box"), shape=shape)
-
-    @property
-    def block(self) -> int:
-        """How many windows are judged at once."""
-        return stretch_block(self.reading)
-
-    @property
-    def outputs(self) -> tuple[tuple[np.dtype, float], ...]:
-        """Lowest and highest, infinite where there is no window."""
-        return (self.dtype, -np.inf), (self.dtype, np.inf)
-
-    def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
-        """Return (lo, hi) of each block."""
-        return run(_ranges, blocks)
-
-
-@kernel
-def _ranges(reading: Reading, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return (lo, hi) (N,) of what the strips say together."""
-    return bank_range(tested(reading, *reading.columns(u, y)), y[reading.horizon :, 0])
+    A sum is off by less than its error bound, which covers the roundings here too.
+    """
+    u, y, s = end_to_end(recording.u), end_to_end(recording.y), ways.reading.horizon
+    lo, hi = np.full(len(y), -np.inf), np.full(len(y), np.inf)
+    for first in range(0, len(y) - s, BLOCK):
+        stop = min(first + s + BLOCK, len(y))
+        low, high = lo[first + s : stop], hi[first + s : stop]
+        for below, above, error in ways.sums(HostRows(ways.reading, u[first:stop], y[first:stop])):
+            np.fmax(low, below - error, out=low)
+            np.fmin(high, above + error, out=high)
+        report(stop / len(y))
+    shape, dtype = recording.y.shape[:-1], recording.y.dtype
+    least, most = rounding.round_down(lo, dtype).reshape(shape), rounding.round_up(hi, dtype).reshape(shape)
+    gone = recording.across(s) | (np.arange(shape[-1]) < s)
+    least[..., gone], most[..., gone] = -np.inf, np.inf
+    return least, most

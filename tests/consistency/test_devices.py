@@ -46,7 +46,7 @@ def on_eight_devices(block, samples, counts, cases):
         pytest.param("1,2,8", ["joint", "bank"], marks=pytest.mark.slow),
         pytest.param(
             "1,2,4,8",
-            ["joint", "margins", "bank", "box", "batch", "float32", "unknown inputs"],
+            ["joint", "margins", "bank", "box", "batch", "float32"],
             marks=pytest.mark.long,
         ),
         pytest.param("1,2,8", ["long windows"], marks=pytest.mark.long),

@@ -14,7 +14,7 @@ from jax.typing import DTypeLike
 
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["PACKED", "Tested", "bank_range", "bank_verdicts", "unpacked", "verdict_dtypes"]
+__all__ = ["PACKED", "Tested", "bank_verdicts", "unpacked", "verdict_dtypes"]
 
 PACKED = 16
 """Statuses in a word of 32 bits."""
@@ -65,18 +65,3 @@ def verdict_dtypes(count: int, dtype: DTypeLike) -> tuple[DTypeLike, ...]:
 def _bits(dtype: DTypeLike) -> type[np.unsignedinteger]:
     sizes: dict[int, type[np.unsignedinteger]] = {4: np.uint32, 8: np.uint64}
     return sizes[np.dtype(dtype).itemsize]
-
-
-def bank_range(tested: Tested, like: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return (lo, hi), what all strips that have their data say together of one number, h x - k v for every
-    strip; entire where none has.
-
-    The number is within the width of the residual; its two ends are off by less than the error bound, which
-    also covers their own rounding twice over: it is more than 32 unit roundoffs of everything that enters.
-    """
-    lo, hi = jnp.full_like(like, -jnp.inf), jnp.full_like(like, jnp.inf)
-    for residual, width, error in tested:
-        absent = jnp.isnan(error)
-        lo = jnp.maximum(lo, jnp.where(absent, -jnp.inf, residual - width - 2 * error))
-        hi = jnp.minimum(hi, jnp.where(absent, jnp.inf, residual + width + 2 * error))
-    return lo, hi
