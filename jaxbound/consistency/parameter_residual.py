@@ -13,13 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency.bisection import ResidualRelations, Thick, thick
-from jaxbound.consistency.parameter_boxes import Ends, Hint, Look, ParameterBoxes, blocks_of, joined
-from jaxbound.consistency.parametric_windows import SEARCHED
+from jaxbound.consistency.parameter_boxes import Ends, Look, ParameterBoxes
+from jaxbound.consistency.parametric_windows import SEARCHED, Leaves
 from jaxbound.consistency.reading import gather
-from jaxbound.sets.floats.kernel import is_outside_xla, kernel
+from jaxbound.sets.floats.kernel import kernel, outside_xla
 from jaxbound.sets.inclusion.functions import forgets, frozen
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.paving.existence import components
+from jaxbound.sets.paving.frontier import in_blocks
 
 __all__ = ["ResidualBoxes"]
 
@@ -45,42 +46,31 @@ class ResidualBoxes(ParameterBoxes):
     ) -> None:
         dtype = np.result_type(relations.box.dtype, y.dtype)
         self.names, self.count = tuple(constant), len(starts)
-        self._place = np.array(list(constant.values()), int)
-        whole = np.asarray(relations.box.lo, dtype), np.asarray(relations.box.hi, dtype)
-        self._whole = whole
-        self.lo, self.hi = (x[self._place] for x in whole)
+        self.place = np.array(list(constant.values()), int)
+        self.lo, self.hi = np.asarray(relations.box.lo, dtype), np.asarray(relations.box.hi, dtype)
         self._f = Thick(frozen(relations.f))
         U, Y = gather(u, y, starts, relations.horizon + 1, relations.horizon)
         U, Y = np.moveaxis(U, -1, 0), np.moveaxis(Y, -1, 0)
         self._windows = tuple(np.ascontiguousarray(np.moveaxis(x, 0, -1)) for x in thick(U, Y))
 
-    def looked(
-        self, boxes: Ends, box: np.ndarray, window: np.ndarray, closely: bool, hint: Hint = None
-    ) -> Look:
-        """Return the Look of windows (P,) on boxes (P,), numbers both."""
-        lo, hi = self._unknowns(boxes)
-        margins, size = [], PAIRS
-        if is_outside_xla():
-            size = SEARCHED
-        for chosen, count in blocks_of(len(box), size):
-            at, own = box[chosen], [x.take(window[chosen], -1) for x in self._windows]
-            margins.append((_outside(self._f, lo[:, at], hi[:, at], tuple(own)), count))
-        return Look(np.nan_to_num(joined(margins), nan=np.inf), None, None)
+    def looked(self, lo: np.ndarray, hi: np.ndarray, window: np.ndarray, closely: bool) -> Look:
+        """Return the Look of windows (P,) on boxes (n, P); it needs no directions."""
+        (margin,) = in_blocks(self._margin, lo, hi, window, PAIRS)
+        return Look(margin, np.zeros((0, len(window))), np.ones_like(lo))
 
-    def units(self, boxes: Ends) -> Ends:
-        """Return lo, hi (N, q) of boxes in the units of the parameters."""
-        lo, hi = boxes
-        return lo.T.astype(np.float64), hi.T.astype(np.float64)
+    def refuted(self, leaves: Leaves) -> np.ndarray:
+        """Return (K,) bool: which boxes a window refutes, in NumPy from the samples."""
+        if not len(leaves.owner):
+            return np.zeros(0, bool)
+        with outside_xla():
+            return np.asarray(in_blocks(self._margin, leaves.lo, leaves.hi, leaves.owner, SEARCHED)[0] < 0)
 
-    def _unknowns(self, boxes: Ends) -> Ends:
-        """Return lo and hi (n, N) of all unknowns, those that are no parameters in their whole box."""
-        wide = []
-        for whole, x in zip(self._whole, boxes, strict=True):
-            ends = np.repeat(whole[:, None], x.shape[1], 1)
-            ends[self._place] = x
-            wide.append(ends)
-        lo, hi = wide
-        return lo, hi
+    def units(self, lo: np.ndarray, hi: np.ndarray) -> Ends:
+        """Return lo, hi (N, q) of the parameters of boxes (n, N)."""
+        return lo[self.place].T.astype(np.float64), hi[self.place].T.astype(np.float64)
+
+    def _margin(self, lo: np.ndarray, hi: np.ndarray, window: np.ndarray) -> Any:
+        return _outside(self._f, lo, hi, tuple(x.take(window, -1) for x in self._windows))
 
 
 @forgets

@@ -16,7 +16,7 @@ being unknown. Their kernels are evaluated in NumPy, which takes less time than 
 Source: Ploix, Adrot 2006, sections 3-4; golden "Sound test".
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple, TypeAlias, TypeVar
 
@@ -28,7 +28,7 @@ from jaxbound.consistency.polynomial_reading import PolynomialReading, Polynomia
 from jaxbound.consistency.reading import Block, gather
 from jaxbound.sets.floats.kernel import is_outside_xla, kernel, outside_xla
 from jaxbound.sets.floats.status import Status
-from jaxbound.sets.paving.frontier import Verdicts, explore
+from jaxbound.sets.paving.frontier import Verdicts, explore, in_blocks
 from jaxbound.sets.strips import polynomials, varying
 
 __all__ = [
@@ -46,6 +46,7 @@ __all__ = [
     "concluded",
     "finite",
     "judged_whole",
+    "middle_of",
     "on_whole",
     "refined",
     "refuted",
@@ -314,7 +315,7 @@ def _on_boxes(
     proved: bool,
 ) -> tuple[jax.Array, jax.Array, jax.Array, Hints]:
     """Return (status, margin, found, Hints) of boxes (lo, hi): see `candidates` and `concluded`."""
-    own, image, hints = candidates(reading, terms, *_middle(*boxes), owner)
+    own, image, hints = candidates(reading, terms, *middle_of(*boxes), owner)
     return *concluded(reading, own, image, hints, proved), hints
 
 
@@ -327,7 +328,7 @@ def on_whole(
     return _on_boxes(reading, terms, (-one, one), np.arange(count, dtype=np.int32), proved)
 
 
-def _middle(lo: np.ndarray, hi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def middle_of(lo: np.ndarray, hi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the middle of boxes, and radii that reach both ends."""
     mid = 0.5 * (lo + hi)
     return mid, np.maximum(hi - mid, mid - lo) * (1 + 4 * np.finfo(mid.dtype).eps)
@@ -345,13 +346,6 @@ class Leaves(NamedTuple):
         """Return some of them."""
         return Leaves(*(x[..., which] for x in self))
 
-    @classmethod
-    def of(cls, boxes: Sequence[tuple[np.ndarray, ...]]) -> "Leaves":
-        """Return those with a margin < 0 in blocks (owner, lo, hi, h, margin), which repetitions fill up."""
-        owner, lo, hi, h, margin = (np.concatenate(x, -1) for x in zip(*boxes, strict=True))
-        other = (np.diff(lo) != 0).any(0) | (np.diff(hi) != 0).any(0) | (np.diff(owner) != 0)
-        return cls(owner, lo, hi, h).chosen((margin < 0) & np.append(True, other))
-
 
 def bisected(
     reading: PolynomialReading, samples: Block, proved: bool, budget: int
@@ -364,34 +358,39 @@ def bisected(
     filled = (np.concatenate([x, np.repeat(x[..., :1], SEARCHED - count, -1)], -1) for x in samples)
     on_device = reading if is_outside_xla() else jax.device_put(reading)
     terms = terms_of(on_device, *filled)
-    boxes: list[tuple[np.ndarray, ...]] = []
+    leaves: list[Leaves] = []
     starts: list[np.ndarray] = []
 
-    def judge(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> Verdicts[np.ndarray]:
+    def on_boxes(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> tuple[jax.Array, ...]:
         _, margin, found, hints = _on_boxes(on_device, terms, (lo, hi), owner, proved)
-        size, zero = np.asarray(margin), np.asarray(found)  # a box is dropped by the number that its leaf has
-        boxes.append((owner, lo, hi, np.asarray(hints.h), size))
-        starts.append(np.asarray(hints.start))
-        return Verdicts(~(size < 0) & ~zero, zero, (starts[-1], starts[-1]), None, np.asarray(hints.axis))
+        return margin, found, *hints
+
+    def judge(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> Verdicts[np.ndarray]:
+        margin, found, h, start, axis = in_blocks(on_boxes, lo, hi, owner, SEARCHED)
+        starts.append(start)
+        leaves.append(Leaves(owner, lo, hi, h).chosen(margin < 0))
+        return Verdicts(~(margin < 0) & ~found, found, (start, start), None, axis)
 
     one = np.ones(n, dtype)
-    cover = explore(judge, -one, one, count, 200, budget, "kernel", first=True, sizes=(SEARCHED,))
-    points = np.array(starts[0])[:, :count]
-    points[:, cover.proofs[2]] = cover.proofs[0]
-    return cover.status(count), Leaves.of(boxes), points
+    *_, cover = explore(judge, -one, one, count, 200, budget, first=True)
+    points = starts[0]
+    points[:, cover.proofs.owner] = cover.proofs.lo
+    every = Leaves(*(np.concatenate(x, -1) for x in zip(*leaves, strict=True)))
+    return cover.status, every, points
 
 
 def refuted(reading: PolynomialReading, samples: Block, leaves: Leaves) -> np.ndarray:
     """Return (K,) bool: in which boxes of windows (their samples on the last axis) a direction refutes them,
     in NumPy from the samples.
     """
-    u, y = samples
-    proved = []
-    for first in range(0, len(leaves.owner), SEARCHED):
-        # one size, so that the program is written down once
-        at = np.resize(np.arange(first, min(first + SEARCHED, len(leaves.owner))), SEARCHED)
-        owner, lo, hi, h = leaves.chosen(at)
-        with outside_xla():
-            terms = terms_of(reading, u[..., owner], y[..., owner])
-            proved.append(np.asarray(_refuting(reading, terms, *_middle(lo, hi), h)) < 0)
-    return np.concatenate([np.zeros(0, bool), *proved])[: len(leaves.owner)]
+
+    def refuting(lo: np.ndarray, hi: np.ndarray, at: np.ndarray) -> jax.Array:
+        terms = terms_of(reading, *(x[..., leaves.owner[at]] for x in samples))
+        margin: jax.Array = _refuting(reading, terms, *middle_of(lo, hi), leaves.h[:, at])
+        return margin
+
+    if not len(leaves.owner):
+        return np.zeros(0, bool)
+    with outside_xla():
+        (margin,) = in_blocks(refuting, leaves.lo, leaves.hi, np.arange(len(leaves.owner)), SEARCHED)
+    return np.asarray(margin < 0)

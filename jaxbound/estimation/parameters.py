@@ -104,11 +104,11 @@ def parameters(
     recording = replace(recording, u=np.asarray(recording.u), y=np.asarray(recording.y)).finite()
     test, ends = _boxes(named, recording, constant)
     search = explored(test, float(precision), int(budget), report)
-    lo, hi = test.units((search.lo, search.hi))
+    lo, hi = test.units(search.lo, search.hi)
     status = search.status
     if not len(lo):
         status = EMPTY
-    least, most = test.units((test.lo[:, None], test.hi[:, None]))
+    least, most = test.units(test.lo[:, None], test.hi[:, None])
     bounds = dict(zip(test.names, zip(least[0].tolist(), most[0].tolist(), strict=True), strict=True))
     refuted = {}
     for k in np.argsort(-search.refuted, kind="stable")[:NAMED].tolist():

@@ -286,7 +286,7 @@ def test_a_search_that_ends_early_holds_the_true_parameters(rng):
     stopped = jb.parameters(RELATIONS[plant], u, y, progress=stop)
     for found, status in ((whole, "found"), (short, "budget ended"), (stopped, "interrupted")):
         assert found.status == status and found.contains(values)
-    assert whole.share < stopped.share and whole.share < short.share and short.evaluated == 7
+    assert whole.share < stopped.share and whole.share < short.share and short.evaluated <= 7
     assert calls[-1] == 1 and calls == sorted(calls)
 
 

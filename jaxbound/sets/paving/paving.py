@@ -12,8 +12,9 @@ and closed containment.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
+from dataclasses import dataclass
+from functools import cached_property, partial
+from itertools import pairwise
 from typing import Any
 
 import jax
@@ -27,9 +28,9 @@ from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.inclusion.functions import forgets, frozen
 from jaxbound.sets.intervals.interval import Interval, Operand, interval
 from jaxbound.sets.paving.existence import components, continuous, is_interval_function, search
-from jaxbound.sets.paving.frontier import BLOCKS, Boxes, Cover, Kernel, Verdicts, explore, in_blocks
+from jaxbound.sets.paving.frontier import BLOCK, Boxes, Cover, Kernel, Verdicts, explore, in_blocks
 from jaxbound.text.objects import readable
-from jaxbound.text.progress import Progress, reporter
+from jaxbound.text.progress import reporter
 
 __all__ = ["Paving", "pave"]
 
@@ -39,7 +40,6 @@ EXCLUDED = 2**12
 """Boxes at once where boxes are only excluded: that is little work a box, beside what it costs to start a
 kernel.
 """
-MANY = 2**62
 
 
 @readable
@@ -82,25 +82,13 @@ class Paving:
         lo, hi = np.asarray(self.images.lo), np.asarray(self.images.hi)
         if lo.shape[1] != 2:
             raise ValueError(f"area is for two-dimensional images: these have {lo.shape[1]} dimensions")
-        if not len(lo):
-            return 0.0
-        across, along = (np.unique(np.concatenate([lo[:, j], hi[:, j]])) for j in range(2))
-        first, last = np.searchsorted(across, lo[:, 0]), np.searchsorted(across, hi[:, 0])
-        low, high = np.searchsorted(along, lo[:, 1]), np.searchsorted(along, hi[:, 1])
-        total, cover, rows = 0.0, np.zeros(len(along), np.int32), max(1, 2**24 // len(along))
-        for start in range(
-            0, len(across) - 1, rows
-        ):  # a 2-D difference array, +1 at corners and -1 past edges, some rows at a time
-            stop = min(start + rows, len(across) - 1)
-            part = np.zeros((stop - start, len(along)), np.int32)
-            part[0] = cover
-            for at, sign in ((first, 1), (last, -1)):
-                here = (at >= start) & (at < stop)
-                np.add.at(part, (at[here] - start, low[here]), sign)
-                np.add.at(part, (at[here] - start, high[here]), -sign)
-            part = part.cumsum(0)
-            cover = part[-1]
-            total += float(np.diff(across[start : stop + 1]) @ (part.cumsum(1)[:, :-1] > 0) @ np.diff(along))
+        order = np.argsort(lo[:, 1])
+        lo, hi, total = lo[order], hi[order], 0.0
+        for left, right in pairwise(np.unique(np.concatenate([lo[:, 0], hi[:, 0]]))):
+            here = (lo[:, 0] <= left) & (right <= hi[:, 0])
+            top = np.maximum.accumulate(hi[here, 1])
+            new = top - np.maximum(lo[here, 1], np.append(-np.inf, top)[: len(top)])
+            total += float(right - left) * float(np.maximum(new, 0).sum())
         return total
 
 
@@ -167,7 +155,7 @@ def pave(
     if lo.ndim != 1 or not len(lo) or not (np.isfinite(lo) & np.isfinite(hi)).all() or (lo > hi).any():
         raise ValueError("box must be a bounded, non-empty Interval of shape (n,)")
     goal, single = _goals(target, lo.dtype)
-    count = 1 if goal is None else goal.shape[0]
+    count = goal.shape[0]
     arguments: tuple[Any, ...] = tuple(x if isinstance(x, jax.Array) else np.asarray(x) for x in args)
     if any(a.shape[:1] != (count,) for a in arguments):
         raise ValueError(
@@ -176,69 +164,74 @@ def pave(
         )
     plain = is_interval_function(f, lo, tuple(jax.ShapeDtypeStruct(a.shape[1:], a.dtype) for a in arguments))
     region = isinstance(target, Interval)
-    thick = region and goal is not None and bool((np.asarray(goal.lo) < np.asarray(goal.hi)).any())
+    thick = region and bool((np.asarray(goal.lo) < np.asarray(goal.hi)).any())
     if solutions is None:
-        m = 0 if goal is None else goal.shape[1]
-        solutions = (
-            "none"
-            if q is not None or plain or subdivision == "uniform"
-            else "all"
-            if m == len(lo) and not thick
-            else "one"
-        )
-    q = 10 if q is None and (solutions == "none" or subdivision == "uniform") else q
-    cut = ("alternate" if solutions == "none" else "smear") if cut is None else cut
+        solutions = "one"
+        if q is not None or plain or subdivision == "uniform":
+            solutions = "none"
+        elif goal.shape[1] == len(lo) and not thick:
+            solutions = "all"
+    if q is None and (solutions == "none" or subdivision == "uniform"):
+        q = 10
+    if cut is None:
+        cut = "alternate" if solutions == "none" else "smear"
     _check_options(subdivision, q, cut, max_boxes, max_depth, solutions, plain)
     most = (10**7 if solutions != "none" else 10**8) if max_boxes is None else max_boxes
+    of_targets = partial(_of_targets, goal, arguments)
+    again = partial(_images, of_targets(partial(_evaluate, f)), goal.shape[1])
     if subdivision == "uniform":
         if max_depth is not None:
             raise ValueError("max_depth belongs to subdivision='adaptive': the depth of a uniform one is q")
         assert q is not None
-        if int(q) ** len(lo) > most:
+        cells = int(q) ** len(lo)
+        if cells > most:
             raise ValueError(
-                f"{q} pieces of {len(lo)} variables are {int(q) ** len(lo)} boxes, more than max_boxes = "
-                f"{most}"
+                f"{q} pieces of {len(lo)} variables are {cells} boxes, more than max_boxes = {most}"
             )
-        cover = _uniform(f, lo, hi, goal, arguments, count, int(q), report)
+        whole, meets = _cells(lo, hi, int(q)), of_targets(partial(_meets, f))
+        none = Boxes(lo[:, None], hi[:, None], np.zeros(1, np.int32)).chosen(np.zeros(1, bool))
+        kept = []
+        for k in range(count):
+            own = Boxes(*whole, np.full(cells, k, np.int32))
+            if target is not None:
+                own = own.chosen(in_blocks(meets, *own, EXCLUDED)[0])
+            kept.append(own)
+            report((k + 1) / count)
+        cover = Cover(none.beside(*kept), none, np.full(count, cells), 0)
     else:
-        if goal is None:
+        if target is None:
             raise ValueError(
                 "adaptive subdivision needs a target; subdivision='uniform' covers the whole image"
             )
-        depth = (
-            len(lo) * (int(q) - 1 if q is not None else np.finfo(lo.dtype).nmant * 2 // 5)
-            if max_depth is None
-            else max_depth
-        )
+        depth = max_depth
+        if depth is None:
+            depth = len(lo) * (int(q) - 1 if q is not None else np.finfo(lo.dtype).nmant * 2 // 5)
+        inner = solutions == "all" and thick
+        one = partial(_search, f, box, solutions == "all", region)
         if solutions == "none":
-            kernel = _of_targets(partial(_meets, f), goal, arguments)
-        elif solutions == "all" and thick:
-            kernel = _of_targets(partial(_inner, f), goal, arguments)
-        else:
-            kernel = _of_targets(partial(_search, f, box, solutions == "all", region), goal, arguments)
-        sizes = (EXCLUDED,) if solutions == "none" else BLOCKS
-        cover = explore(
-            kernel,
-            lo,
-            hi,
-            count,
-            depth,
-            most,
-            "kernel" if cut == "smear" else cut,
-            solutions == "one",
-            report,
-            sizes,
-        )
-        if solutions != "none" and not (solutions == "all" and thick) and len(cover.proofs[2]):
-            cover = replace(cover, proofs=_distinct(cover.proofs, solutions, kernel))
-    status, evaluated = None if goal is None else cover.status(count), cover.evaluated
+            one = partial(_meets, f)
+        elif inner:
+            one = partial(_inner, f)
+        kernel, size = of_targets(one), EXCLUDED if solutions == "none" else BLOCK
+
+        def judge(*level: np.ndarray) -> Verdicts[np.ndarray]:
+            return Verdicts(*in_blocks(kernel, *level, size))
+
+        axis = "kernel" if cut == "smear" else cut
+        for cover in explore(judge, lo, hi, count, depth, most, axis, solutions == "one"):
+            if cover.levels:
+                report(cover.levels / depth)
+        if solutions != "none" and not inner and len(cover.proofs.owner):
+            cover = cover._replace(proofs=_distinct(cover.proofs, solutions, kernel))
+    (boxes, proofs, evaluated, levels), status = cover, None
+    if target is not None:
+        status = cover.status
     if single:
         status, evaluated = None if status is None else status[0], evaluated[0]
     turned = lambda lo, hi: Interval(jnp.asarray(lo.T), jnp.asarray(hi.T))
-    left, (*proofs, proved) = (cover.lo, cover.hi), cover.proofs
-    again = partial(_images, f, *left, cover.owner, arguments, goal.shape[1] if goal is not None else 0)
-    witness, witness_owner = (turned(*proofs), proved) if len(proved) else (None, None)
-    return Paving(status, turned(*left), cover.owner, evaluated, witness, witness_owner, cover.levels, again)
+    witness, witness_owner = (turned(*proofs[:2]), proofs.owner) if len(proofs.owner) else (None, None)
+    again = partial(again, boxes)
+    return Paving(status, turned(*boxes[:2]), boxes.owner, evaluated, witness, witness_owner, levels, again)
 
 
 def _check_options(
@@ -267,10 +260,10 @@ def _check_options(
             raise ValueError(f"{name} must be a whole number >= {least}, not {value!r}")
 
 
-def _goals(target: Operand | None, dtype: DTypeLike) -> tuple[Interval | None, bool]:
-    """Return the targets as an Interval (B, m), and whether there is just one."""
+def _goals(target: Operand | None, dtype: DTypeLike) -> tuple[Interval, bool]:
+    """Return the targets as an Interval (B, m), m = 0 where there is none, and whether there is just one."""
     if target is None:
-        return None, True
+        target = np.zeros(0)
     goal = target if isinstance(target, Interval) else interval(np.asarray(target, dtype))
     single = len(goal.shape) == 1
     if len(goal.shape) not in (1, 2):
@@ -278,37 +271,28 @@ def _goals(target: Operand | None, dtype: DTypeLike) -> tuple[Interval | None, b
     return Interval(*(jnp.asarray(np.atleast_2d(end)) for end in (goal.lo, goal.hi))), single
 
 
+@forgets
+@kernel(static_argnums=0)
 def _evaluate(
-    f: Callable[..., Any], lo: jax.Array, hi: jax.Array, args: tuple[jax.Array, ...]
-) -> list[Interval]:
-    """Enclose f over boxes (n, N) with args (..., N): a list of m Intervals (N,). Stacking them would break
-    the fusion.
+    f: Callable[..., Any], X: Interval, T: Interval, args: tuple[jax.Array, ...]
+) -> tuple[Interval, ...]:
+    """Enclose f over boxes X (n, N) with args (..., N), whatever the target: m Intervals (N,). Stacking them
+    would break the fusion.
     """
-    return jax.vmap(lambda lo, hi, *a: components(f, Interval(lo, hi), a), in_axes=-1)(lo, hi, *args)
+    return tuple(jax.vmap(lambda X, *a: components(f, X, a), in_axes=-1)(X, *args))
 
 
-def _of_targets(kernel: Callable[..., Any], goal: Interval, args: tuple[Any, ...]) -> Kernel:
+def _of_targets(goal: Interval, args: tuple[Any, ...], kernel: Callable[..., Any]) -> Kernel:
     """Return kernel(boxes, targets (m, N), args (..., N)) as one of (lo, hi, owner).
 
     The host looks up what belongs to the target of each box: then nothing that compiles depends on the number
     of targets.
     """
-    given = [np.moveaxis(np.asarray(x), 0, -1) for x in (goal.lo, goal.hi, *args)]
-    same = [x.strides[-1] == 0 for x in given]  # broadcast: one entry for all targets
-    columns = [x if one else np.ascontiguousarray(x) for x, one in zip(given, same, strict=True)]
-    alike = cache(
-        lambda size: [
-            jnp.asarray(x[..., :1].repeat(size, -1)) if one else None
-            for x, one in zip(given, same, strict=True)
-        ]
-    )
+    given = [np.ascontiguousarray(np.moveaxis(np.asarray(x), 0, -1)) for x in (goal.lo, goal.hi, *args)]
 
     def of(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> Any:
-        own = [
-            x.take(owner, -1) if one is None else one
-            for x, one in zip(columns, alike(len(owner)), strict=True)
-        ]
-        return kernel(Interval(lo, hi), Interval(*own[:2]), tuple(own[2:]))
+        low, high, *own = (x.take(owner, -1) for x in given)
+        return kernel(Interval(lo, hi), Interval(low, high), tuple(own))
 
     return of
 
@@ -317,7 +301,7 @@ def _of_targets(kernel: Callable[..., Any], goal: Interval, args: tuple[Any, ...
 @kernel(static_argnums=0)
 def _meets(f: Callable[..., Any], X: Interval, T: Interval, args: tuple[jax.Array, ...]) -> jax.Array:
     """True for each box (n, N) whose image meets its target (closed sets)."""
-    return _touch(_evaluate(f, X.lo, X.hi, args), T)
+    return _touch(_evaluate(f, X, T, args), T)
 
 
 @forgets
@@ -326,7 +310,7 @@ def _inner(
     f: Callable[..., Any], X: Interval, T: Interval, args: tuple[jax.Array, ...]
 ) -> Verdicts[jax.Array]:
     """Return the Verdicts on boxes (n, N): settled are those that map into the target altogether."""
-    images = _evaluate(f, X.lo, X.hi, args)
+    images = _evaluate(f, X, T, args)
     meets, inside = _touch(images, T), continuous(f, X.lo, X.hi, args)
     for image, low, high in zip(images, T.lo, T.hi, strict=True):
         inside &= (low <= image.lo) & (image.lo <= image.hi) & (image.hi <= high)
@@ -360,18 +344,17 @@ def _distinct(proofs: Boxes, solutions: str, kernel: Kernel) -> Boxes:
     """Return one box for each solution that was proved, ordered by target, and as small as three more steps
     make it.
     """
-    order = np.argsort(proofs[2], kind="stable")
-    lo, hi, owner = (x[..., order] for x in proofs)
+    proofs = proofs.chosen(np.argsort(proofs.owner, kind="stable"))
     if solutions == "one":
-        first = np.flatnonzero(np.diff(owner, prepend=-1))
-        lo, hi, owner = lo[:, first], hi[:, first], owner[first]
+        proofs = proofs.chosen(np.flatnonzero(np.diff(proofs.owner, prepend=-1)))
+    lo, hi, owner = proofs
     for _ in range(3):
         said = Verdicts(*in_blocks(kernel, lo, hi, owner))
         assert said.proved is not None and said.proof is not None
         smaller = said.proved & ((said.proof[1] - said.proof[0]).max(0) < (hi - lo).max(0))
         lo, hi = (np.where(smaller, new, old) for new, old in zip(said.proof, (lo, hi), strict=True))
     if solutions == "one":
-        return lo, hi, owner
+        return Boxes(lo, hi, owner)
     again = np.zeros(len(owner), bool)
     for shift in range(
         1, int(np.bincount(owner).max())
@@ -384,76 +367,23 @@ def _distinct(proofs: Boxes, solutions: str, kernel: Kernel) -> Boxes:
         if len(i):
             whole = np.minimum(lo[:, i], lo[:, i + shift]), np.maximum(hi[:, i], hi[:, i + shift])
             again[i + shift] |= Verdicts(*in_blocks(kernel, *whole, owner[i])).proved
-    return lo[:, ~again], hi[:, ~again], owner[~again]
+    return Boxes(lo, hi, owner).chosen(~again)
 
 
-@forgets
-@kernel(static_argnums=0)
-def _image_block(
-    f: Callable[..., Any], lo: jax.Array, hi: jax.Array, owner: jax.Array, args: tuple[jax.Array, ...]
-) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
-    images = _evaluate(f, lo, hi, tuple(jnp.moveaxis(a, 0, -1)[..., owner] for a in args))
-    return tuple(x.lo for x in images), tuple(x.hi for x in images)
+def _images(kernel: Kernel, m: int, boxes: Boxes) -> Interval:
+    """Return the images (N, m) of boxes."""
+    if not len(boxes.owner):
+        return Interval(jnp.zeros((0, m)), jnp.zeros((0, m)))
+    ends = in_blocks(kernel, *boxes)
+    return Interval(*(jnp.asarray(np.stack(x, 1)) for x in zip(*((x.lo, x.hi) for x in ends), strict=True)))
 
 
-def _images(
-    f: Callable[..., Any],
-    lo: np.ndarray,
-    hi: np.ndarray,
-    owner: np.ndarray,
-    args: tuple[jax.Array, ...],
-    width: int,
-) -> Interval:
-    if not len(owner):
-        return Interval(jnp.zeros((0, width), lo.dtype), jnp.zeros((0, width), lo.dtype))
-    ends = in_blocks(lambda *b: _image_block(f, *b, args), lo, hi, owner)
-    return Interval(*(jnp.asarray(np.stack(x, 1)) for x in ends))
-
-
-def _uniform(
-    f: Callable[..., Any],
-    lo: np.ndarray,
-    hi: np.ndarray,
-    goal: Interval | None,
-    args: tuple[jax.Array, ...],
-    count: int,
-    q: int,
-    report: Progress,
-) -> Cover:
-    n, none = len(lo), (np.zeros((len(lo), 0), lo.dtype),) * 2
+def _cells(lo: np.ndarray, hi: np.ndarray, q: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ends (n, q^n) of the cells into which q pieces a variable cut a box."""
     share = np.arange(q + 1, dtype=lo.dtype) / q
-    edges = np.clip(
-        lo[:, None] * (1 - share) + hi[:, None] * share, lo[:, None], hi[:, None]
-    )  # hi - lo could overflow
+    edges = lo[:, None] * (1 - share) + hi[:, None] * share  # hi - lo could overflow
+    edges = np.clip(edges, lo[:, None], hi[:, None])
     edges[:, -1] = hi
-    digits = np.indices((q,) * n).reshape(n, -1)
-    cell_lo, cell_hi = (np.stack([edges[i][digits[i] + k] for i in range(n)]) for k in (0, 1))
-    total = digits.shape[1]
-    if goal is None:
-        owner = np.zeros(total, np.int32)
-        return Cover(cell_lo, cell_hi, owner, (*none, owner[:0]), np.array([total]), 0)
-    kept = []
-    at_once = max(1, 2**27 // total)  # targets at once: the answers are one byte a box
-    for start in range(0, count, at_once):
-        part = slice(start, start + at_once)
-        block = Interval(goal.lo[part], goal.hi[part])
-        meet = np.asarray(_meets_uniform(f, cell_lo, cell_hi, block, tuple(a[part] for a in args)))
-        which, cell = np.nonzero(meet)
-        kept.append((which + start, cell))
-        report(min(start + at_once, count) / count)
-    owner, cell = (np.concatenate(x) for x in zip(*kept, strict=True))
-    owner = owner.astype(np.int32)
-    proofs = *none, owner[:0]
-    return Cover(cell_lo[:, cell], cell_hi[:, cell], owner, proofs, np.full(count, total), 0)
-
-
-@forgets
-@kernel(static_argnums=0)
-def _meets_uniform(
-    f: Callable[..., Any], lo: jax.Array, hi: jax.Array, goal: Interval, args: tuple[jax.Array, ...]
-) -> jax.Array:
-    def one(now):
-        target, a = now
-        return _touch(_evaluate(lambda z: f(z, *a), lo, hi, ()), target)
-
-    return jax.lax.map(one, (goal, args))
+    digits = np.indices((q,) * len(lo)).reshape(len(lo), -1)
+    low, high = (np.take_along_axis(edges, digits + k, 1) for k in (0, 1))
+    return low, high

@@ -18,6 +18,8 @@ w)) maps a box of w into itself, so that c + G x = 0 for some x = z + R w (Brouw
 there is room. The same for curved images, whose J is G at z.
 """
 
+from typing import TypeAlias
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,8 +29,12 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.unrolled import summed, total
 from jaxbound.sets.strips.gauge import gauge_search
 
-__all__ = ["farthest", "few_strips", "holds", "refutes", "right_inverse", "strip_margins"]
+__all__ = ["farthest", "few_strips", "holds", "refutes", "right_inverse", "strip", "strip_margins"]
 
+Strip: TypeAlias = tuple[jax.Array, jax.Array]
+"""(h (r, N), margin (N,)): a direction and what it refutes by."""
+Image: TypeAlias = tuple[jax.Array, jax.Array, jax.Array]
+"""(c, G, error) of zonotopes."""
 GENERATORS = {1: 1000, 2: 24, 3: 8}
 """Generators, by rows, up to which the normals of all strips are tried."""
 
@@ -46,10 +52,33 @@ def farthest(c: jax.Array, G: jax.Array, error: jax.Array) -> tuple[jax.Array, j
     h, z, _ = gauge_search(c / size, G / size[:, None], jnp.ones_like(c[0]))
     h = h / size
     if q <= GENERATORS.get(r, 0):
-        H = jnp.concatenate([h[:, None], _normals(G)], 1)
-        best = jnp.argmin(jax.vmap(refutes, (None, None, None, 1))(c, G, error, H), 0)
-        h = jnp.take_along_axis(H, best[None, None], 1)[:, 0]
+        other = strip(c, G, error)
+        h = jnp.where(refutes(c, G, error, other) < refutes(c, G, error, h), other, h)
     return h, z
+
+
+def strip(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array:
+    """Return the direction h (r, N) that comes closest to refuting, across r - 1 generators or axes; where
+    all rows have too many of these, of two neighbouring rows or of one.
+
+    Args: as for `strip_margins`.
+    """
+    r, q = G.shape[:2]
+    rows = next((k for k in (r, 2) if q <= GENERATORS.get(k, 0)), 1)
+    best, least = jnp.zeros_like(c), jnp.full_like(c[0], jnp.inf)
+    for first in range(0, r, rows):
+        part = slice(min(first, r - rows), min(first, r - rows) + rows)
+        some, H = (c[part], G[part], error[part]), _normals(G[part])
+
+        def nearer(k: jax.Array, found: Strip, some: Image = some, H: jax.Array = H) -> Strip:
+            margin = refutes(*some, H[:, k])
+            return jnp.where(margin < found[1], H[:, k], found[0]), jnp.minimum(margin, found[1])
+
+        none = jnp.zeros_like(c[part]), jnp.full_like(least, jnp.inf)
+        h, margin = jax.lax.fori_loop(0, H.shape[1], nearer, none)
+        best = jnp.where(margin < least, jnp.zeros_like(c).at[part].set(h), best)
+        least = jnp.minimum(least, margin)
+    return best
 
 
 def _normals(G: jax.Array) -> jax.Array:
