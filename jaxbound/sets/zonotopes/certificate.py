@@ -29,12 +29,10 @@ STATEMENTS = {
 }
 
 
-def exactly(question: Question, at: tuple[int, int], guess: np.ndarray) -> Found:
-    """Answer one question in exact numbers, from a guess (q,) of x: (x, None) or (None, l), as
-    `feasibility.feasible`.
-    """
+def exactly(question: Question, at: tuple[int, int]) -> Found:
+    """Answer one question in exact numbers: (x, None) or (None, l), as `feasibility.feasible`."""
     M, D = question.exact(at)
-    return feasible(M, [row[0] for row in D], guess.tolist(), np.argsort(abs(guess), kind="stable").tolist())
+    return feasible(M, [row[0] for row in D])
 
 
 def document(
@@ -76,7 +74,7 @@ def _proof(
             return {"l": l}
         if whole:
             raise NotImplementedError(BY_FACETS)
-    x, exact_l = exactly(question, at, point)
+    x, exact_l = exactly(question, at)
     assert (x is not None) == meets
     return {"x": x} if meets else {"l": exact_l}
 

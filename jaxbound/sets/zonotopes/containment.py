@@ -38,11 +38,13 @@ def contained(
     if lower (S, 1) is above 1, held if upper (S, 1) is not, by l (S, 1, m) and X (S, 1 + p, q).
 
     Args:
-        directions: gives to points (S, N, m) those that show them to be outside most, entries at most 1.
-            settled: see `kernels.settled`.
+        directions: gives to points (S, N, m) those that show them to be outside most. settled: see
+            `kernels.settled`.
     """
     xp, D = library(D), image.scaled(D)
-    l, corner, off, reach = _climbed(image, D, directions)
+    l, corner, off, reach = _climbed(image, D)
+    best = proof.unit(directions(corner))
+    l = xp.where((proof.gauge_above(image, corner, best, off) > reach[:, None])[..., None], best, l)
     X = _encoded(image, D, ~(reach > 1) & xp.isfinite(image.loss))
     l, corner, X = settled(l, corner, X)
     lower, upper = proof.gauge_above(image, corner, l, off), proof.gauge_below(image, D, X, together=True)
@@ -50,9 +52,7 @@ def contained(
     return lower, upper, proof.unscaled(l, image.powers), X
 
 
-def _climbed(
-    image: proof.Image[Array], D: Array, directions: Callable[[Array], Array]
-) -> tuple[Any, Any, Any, Any]:
+def _climbed(image: proof.Image[Array], D: Array) -> tuple[Any, Any, Any, Any]:
     """Return (l, corner, off (S, 1, m), gauge (S,)): the corner found to be farthest outside, or its opposite
     in the image, which is symmetric, and by how much its entries may be off.
     """
@@ -64,7 +64,9 @@ def _climbed(
         l, best, corner, least, going = state
         turns = xp.where(product(l, D.swapaxes(1, 2)) < 0, -1, 1).astype(dtype)
         far = xp.where(going[:, None, None], product(turns, D), np.nan)
-        l = directions(far)
+        z = product(far, image.R.swapaxes(1, 2))
+        l = search.project(image.M, image.R, far, z, CHUNK)[1]
+        l = proof.unit(search.beside(image.M, image.R, far, z, l))
         reach = proof.gauge_above(image, far, l, off)
         at = reach.argmax(1)[:, None]
         top = xp.take_along_axis(reach, at, 1)[:, 0]

@@ -400,7 +400,7 @@ def _exactly(
             met[i], room[i], l[i] = by_facets(*(tuple(v[i] for v in part) for part in question.sets))
             missed[i] = ~met[i]
     elif left.size == 1 and left.all() and m * m * (m + q) <= EXACT:
-        point, direction = certificate.exactly(question, (0, 0), x[0, 0])
+        point, direction = certificate.exactly(question, (0, 0))
         if point is not None:
             met[:], x[0, 0] = True, [float(v) for v in point]
         if direction is not None:

@@ -15,8 +15,8 @@ from jaxbound.sets.intervals.interval import Interval, Operand, interval, mid, r
 from jaxbound.sets.strips.gauge import gauge_search
 from jaxbound.sets.zonotopes.constrained import AnySet, parts
 from jaxbound.sets.zonotopes.intersections import cancelled
-from jaxbound.sets.zonotopes.kernels import STEPS
 from jaxbound.sets.zonotopes.maps import dimension, mapped, product, reach, up
+from jaxbound.sets.zonotopes.search import STEPS
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
 __all__ = ["interval_hull", "support"]

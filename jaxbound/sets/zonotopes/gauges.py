@@ -1,13 +1,12 @@
 """Proved bounds of the gauge of points in M [-1, 1]^q: easy points first, only the others go on.
 
-A few steps of projections for all points of a set at once (`search.project`), then interior points and the
-vertex that they point to (`search.advance`, `search.vertices`) for what is left, in blocks. Proofs are looked
-at between the stages. All of it is NumPy: nothing is compiled, so the first question takes no longer than the
-next.
+A few steps of projections for all points of a set at once (`search.project`), then the optimum of each point
+that is left: one by one where they are few, side by side in a compiled search where they are many. Every
+candidate is checked in NumPy: with few points left nothing is compiled, so the first question takes no longer
+than the next.
 """
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -15,20 +14,14 @@ from jaxbound.sets.zonotopes import containment, proof, search
 
 __all__ = ["Bounds", "bounds", "contained", "gauge_bounds"]
 
-STEPS = (6, 20)
-"""Steps of projections between two looks at the proofs; at |gauge - 1| = 0.05 some 20 suffice in 5 to 100
-dimensions.
+STEPS = 20
+"""Steps of projections; at |gauge - 1| = 0.05 they suffice in 5 to 100 dimensions."""
+FEW, LANES = 256, 256
+"""Points up to which a linear program each takes less time than the compilation of a search of many; how many
+such a search takes side by side.
 """
-FRUITLESS = 0.8
-"""The share of points still open after some steps from which on more of them are not worth it."""
-CLEAR = 2.0**-30
-"""How far from 1 a gauge must be for the interior points to stop before the optimum."""
-LATER = (3, 3, 4, 8, 16)
-"""Steps of interior points between looks at the proofs, after the first six or more."""
-TIGHT = (12, 6, 22)
-"""The same where all go on to the optimum."""
-BLOCK, LARGEST = 2**19, 1024
-"""Numbers in the largest array of a block of interior points; points in it."""
+CLOSE = 2.0**-20
+"""How much more than the lower bound an upper one may be where both are wanted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +57,9 @@ class Bounds:
 
     def left(self, tight: bool) -> np.ndarray:
         """Return (S, N), true where a point is not settled: both bounds are wanted, or which side of 1."""
-        return self.upper > 0 if tight else ~((self.lower > 1) | (self.upper <= 1))
+        if tight:
+            return self.upper > (1 + CLOSE) * self.lower
+        return ~((self.lower > 1) | (self.upper <= 1))
 
 
 def gauge_bounds(image: proof.Image[np.ndarray], d: np.ndarray, tight: bool = False) -> Bounds:
@@ -80,10 +75,11 @@ def gauge_bounds(image: proof.Image[np.ndarray], d: np.ndarray, tight: bool = Fa
     )
     d, some = _beside(d), np.isfinite(d).all(2)
     with np.errstate(all="ignore"):
-        _projected(image, d, found, some, () if tight else STEPS)
-        left = found.left(tight) & some
-        if left.any():
-            _interior(image, d, found, left, tight)
+        _projected(image, d, found, some, tight)
+        for many in (True, False):
+            left = found.left(tight) & some
+            if left.any() and (left.sum() > FEW) == many:
+                _optima(image, d, found, left, many)
     return found
 
 
@@ -99,91 +95,48 @@ def bounds(M: np.ndarray, d: np.ndarray, tight: bool = False) -> tuple[np.ndarra
 def contained(M: np.ndarray, D: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return (lower, upper, l, X) as `containment.contained`."""
     image = proof.image(M)
-    directions = lambda far: proof.unit(gauge_bounds(image, far, tight=True).l)
-    return containment.contained(image, D, directions, lambda *x: x)
-
-
-def _gathered(left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (sets (S, 1), points (S, N)): the sets with something left, as many points of each as of that
-    with most.
-    """
-    i = np.nonzero(left.any(1))[0]
-    return i[:, None], np.argsort(~left[i], axis=1, kind="stable")[:, : left.sum(1).max()]
+    return containment.contained(image, D, lambda far: gauge_bounds(image, far, True).l, lambda *x: x)
 
 
 def _projected(
-    image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds, some: np.ndarray, stages: tuple[int, ...]
+    image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds, some: np.ndarray, tight: bool
 ) -> None:
     """Try the points of least norm, and run the projections on what is left open of each set."""
-    z, before = proof.product(d, image.R.swapaxes(1, 2)), np.inf
-    at = np.ogrid[: len(d), :1][0], np.ogrid[:1, : d.shape[1]][1]
-    for steps in (0, *stages):
-        if steps:
-            left = found.left(False) & some
-            # near the boundary projections take too long; of one point a set, others are none of its business
-            if not left.any() or (d.shape[1] > 1 and left.sum() > FRUITLESS * before):
-                break
-            at, before = _gathered(left), left.sum()
-        chosen, points = (_of(image, at[0]), _beside(d[at])) if steps else (image, d)
-        x, l, z[at] = search.project(chosen.M, chosen.R, points, _beside(z[at]), steps)
-        if not steps:  # beyond the nearest point of the box the other side of it, as far
-            far, l = 2 * x - z, search.beside(image.M, d, z, l)
-            x = np.where((abs(x).max(2, initial=0) < abs(far).max(2, initial=0))[..., None], x, far)
-        found.take(at, chosen, points, l, x)
+    z = proof.product(d, image.R.swapaxes(1, 2))
+    x, l, _ = search.project(image.M, image.R, d, z, 0)
+    far, l = (
+        2 * x - z,
+        search.beside(image.M, image.R, d, z, l),
+    )  # beyond the nearest point of the box, as far
+    x = np.where((abs(x).max(2, initial=0) < abs(far).max(2, initial=0))[..., None], x, far)
+    found.take((np.ogrid[: len(d), :1][0], np.ogrid[:1, : d.shape[1]][1]), image, d, l, x)
+    left = found.left(False) & some
+    if tight or not left.any():
+        return
+    sets = np.nonzero(left.any(1))[0]  # as many points of each as of that with most
+    at = sets[:, None], np.argsort(~left[sets], axis=1, kind="stable")[:, : left.sum(1).max()]
+    chosen, points = image if len(sets) == len(image.M) else image.of(sets), _beside(d[at])
+    x, l, _ = search.project(chosen.M, chosen.R, points, _beside(z[at]), STEPS)
+    found.take(at, chosen, points, l, x)
 
 
-def _interior(
-    image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds, left: np.ndarray, tight: bool
+def _optima(
+    image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds, left: np.ndarray, many: bool
 ) -> None:
-    """Run interior points on what is left, in blocks: of sets, or of points of one set."""
-    sets, points = _gathered(left)
-    most = min(max(1, BLOCK // max(image.M[0].size, 1)), LARGEST)
-    wide = min(points.shape[1], most)
-    high = max(1, most // wide)
-    for i in range(0, len(sets), high):
-        for j in range(0, points.shape[1], wide):
-            _vertices(image, d, found, (sets[i : i + high], points[i : i + high, j : j + wide]), tight)
-
-
-def _vertices(
-    image: proof.Image[np.ndarray],
-    d: np.ndarray,
-    found: Bounds,
-    at: tuple[np.ndarray, np.ndarray],
-    tight: bool,
-) -> None:
-    """Look at the vertices that the points `at` tend to, now and then: most are known long before the
-    optimum.
-    """
-    (m, q), enough = image.M.shape[1:], np.inf if tight else CLEAR
-    some, points = _of(image, at[0]), _beside(d[at])
-    state = search.start(some.M, some.R, points)
-    stages = TIGHT if tight else (6 + m // 16, *LATER)
-    for steps in stages[:1] + (search.STEPS,) if m > search.SMALL else stages:  # where a look takes long
-        going = lambda state: not state[-1].all()
-        step = partial(search.advance, some.M, points, enough=enough)
-        state = search.repeated(step, state, steps, going)
-        x, l, s = search.reached(state)
-        found.take(at, some, points, l, _onto(some, points, x))
-        if m <= q:
-            x, l = search.vertices(some.M, points, x, s)
-            found.take(at, some, points, l, _onto(some, points, x))
-        left = ~state[-1] & found.left(tight)[at]
-        if not left.any():
-            break
-        sets, _ = keep = _gathered(left)
-        at, points, some = (at[0][sets[:, 0]], at[1][keep]), _beside(points[keep]), _of(some, sets)
-        state = tuple(_beside(v[keep]) if v.ndim == 3 else v[keep] for v in state)
-
-
-def _of(image: proof.Image[np.ndarray], sets: np.ndarray) -> proof.Image[np.ndarray]:
-    """Return the Image of the sets (S, 1) numbered, uncopied where that is all."""
-    return image if len(sets) == len(image.M) else image.of(sets[:, 0])
-
-
-def _onto(image: proof.Image[np.ndarray], d: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Move candidates onto M x = d once more, in float64."""
-    return x + proof.product(d - proof.product(x, image.M.swapaxes(1, 2)), image.R.swapaxes(1, 2))
+    """Search for the optimum of each point that is left: many side by side, or one after another."""
+    sets, points = np.nonzero(left)
+    for i in range(0, len(sets), LANES):
+        at = sets[i : i + LANES, None], points[i : i + LANES, None]
+        some = image.of(at[0][:, 0])
+        each = d[at[0][:, 0], at[1][:, 0]]
+        if many:
+            whole = np.arange(LANES) % len(each)  # one program for blocks of any length
+            l, x = (np.asarray(v)[: len(each)] for v in search.exchanged(some.M[whole], each[whole]))
+        else:
+            l, x = (np.array(v) for v in zip(*map(search.program, some.M, each), strict=True))
+        each, x = each[:, None], x[:, None]
+        x = x + proof.product(each - proof.product(x, some.M.swapaxes(1, 2)), some.R.swapaxes(1, 2))
+        found.take(at, some, each, l[:, None], x)
 
 
 def _beside(x: np.ndarray) -> np.ndarray:

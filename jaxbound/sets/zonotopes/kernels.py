@@ -1,7 +1,7 @@
 """Bounds of gauges inside jit, vmap and scan: a search of few steps, then its proof, rounded outward
 in the dtype of the sets.
 
-The search is that of windows (`strips.gauge`). What needs exact numbers, the boundary and flat sets, stays
+What needs exact numbers, the boundary and flat sets, stays
 open here; float32 proves nothing within some 1e-4 of the boundary.
 """
 
@@ -10,13 +10,9 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.strips.gauge import gauge_search
-from jaxbound.sets.zonotopes import containment, proof
+from jaxbound.sets.zonotopes import containment, proof, search
 
 __all__ = ["bounds", "candidates", "contained", "image", "settled"]
-
-STEPS = 12
-"""Vertices that a search visits at most, for each row."""
 
 
 def settled(*arrays: jax.Array) -> tuple[jax.Array, ...]:
@@ -78,17 +74,12 @@ def contained(M: jax.Array, D: jax.Array) -> tuple[jax.Array, jax.Array, jax.Arr
 
 
 def candidates(body: proof.Image[jax.Array], d: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return (l, x): the best directions and points for d (S, N, m), by `gauge_search`; no claim is made."""
+    """Return (l, x): the best directions and points for d (S, N, m), by `search.exchanged`; no
+    claim is made.
+    """
     (S, m, q), N = body.M.shape, d.shape[1]
-    if not q:
-        return proof.unit(d), jnp.zeros((S, N, 0), d.dtype)
-    usual = jnp.all(jnp.isfinite(d), 2, keepdims=True)
-    size = jnp.max(jnp.abs(d), 2, keepdims=True)
-    size = jnp.where(usual & (size > 0), size, 1)
-    c = jnp.where(usual, -d / size, 0).reshape(S * N, m).T
-    G = jnp.repeat(jnp.moveaxis(body.M, 0, 2), N, 2)
-    h, x, _ = gauge_search(c, G, jnp.ones_like(c[0]), STEPS * m)
-    l, x = proof.unit(-h.T.reshape(S, N, m)), x.T.reshape(S, N, q) * size
+    l, x = search.exchanged(jnp.repeat(body.M, N, 0), d.reshape(S * N, m))
+    l, x = proof.unit(l.reshape(S, N, m)), x.reshape(S, N, q)
     x = x + (d - x @ body.M.swapaxes(1, 2)) @ body.R.swapaxes(1, 2)
     return _clean(l), _clean(x)
 
