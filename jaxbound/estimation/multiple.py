@@ -20,7 +20,7 @@ from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval, interval
 from jaxbound.sets.intervals.interval import sum as interval_sum
-from jaxbound.sets.linear_systems.kernels import product
+from jaxbound.sets.linear_systems.products import product
 
 __all__ = ["validate_parts"]
 

@@ -128,26 +128,7 @@ RULES: dict[str, Rule] = COMPARISONS | {
         jnp.isfinite(x.lo) & jnp.isfinite(x.hi), (x.lo < jnp.inf) & (x.hi > -jnp.inf)
     ),
 }
-ELEMENTARY = (
-    "sqrt",
-    "exp",
-    "exp2",
-    "log",
-    "sin",
-    "cos",
-    "tan",
-    "asin",
-    "acos",
-    "atan",
-    "atan2",
-    "sinh",
-    "cosh",
-    "tanh",
-    "asinh",
-    "acosh",
-    "atanh",
-)
-RULES |= {name: of(getattr(elementary, name)) for name in ELEMENTARY} | {"atan2": angle}
+RULES |= {name: of(getattr(elementary, name)) for name in elementary.__all__} | {"atan2": angle}
 RULES |= {
     "log": poles(elementary.log, (0, -1)),
     "atanh": poles(elementary.atanh, (-1, -1), (1, 1)),

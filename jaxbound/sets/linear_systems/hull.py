@@ -20,7 +20,7 @@ import numpy as np
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.unrolled import largest, stored, total
 from jaxbound.sets.intervals.interval import Interval, intersection
-from jaxbound.sets.linear_systems.kernels import product
+from jaxbound.sets.linear_systems.products import product
 
 __all__ = ["orthant_hull", "tighten"]
 

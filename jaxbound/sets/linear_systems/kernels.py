@@ -1,4 +1,4 @@
-"""Kernels of interval linear systems: elimination, comparison matrices, iteration.
+"""Kernels of interval linear systems: elimination, comparison matrices, sweeps over the rows.
 
 One system lies in the leading axes, A (n, n, ...) and b (n, ...), a batch in the axis behind: every step is a
 pass over the batch. A matrix that all systems share has a last axis of length 1 and is prepared once.
@@ -8,17 +8,15 @@ M. C may be any numbers: a solution of the first system solves the second. So C 
 and C M, C h are enclosed.
 
 Source: Neumaier 1990, 1999 (comparison matrix, Hansen-Bliek-Rohn); Alhaj-Dibo, Maquin, Ragot 2004, appendix
-(Gauss, Gauss-Seidel, Krawczyk).
+(Gauss, Gauss-Seidel).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import reduce
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.unrolled import apart, most, total
@@ -30,7 +28,6 @@ from jaxbound.sets.linear_systems.products import (
     extremes,
     minus,
     over,
-    preconditioner,
     product,
     reciprocal,
     solved_for,
@@ -44,14 +41,9 @@ __all__ = [
     "enclose",
     "factor",
     "hansen_bliek_rohn",
-    "minus",
-    "over",
-    "preconditioner",
-    "product",
-    "times",
 ]
 
-SWEEPS = 100  # at most: Gauss-Seidel and Krawczyk stop where a sweep gains less than 1e-4 of the width
+SWEEPS = 100  # at most: they stop where one gains less than 1e-4 of the width
 
 
 @jax.tree_util.register_dataclass
@@ -163,20 +155,16 @@ def _proved(
 
 
 def enclose(F: Factored, b: Interval, method: str, start: Interval) -> Interval:
-    """Return an enclosure (n, N) of the solutions in the start box."""
-    boxes = [_gauss(F, b)] if method in ("gauss", "intersection") else []
+    """Return an enclosure (n, N) of the solutions in the start box: "gauss", "hbr", or of both boxes what
+    sweeps over the rows leave.
+    """
+    boxes = []
+    if method != "hbr":
+        boxes.append(_gauss(F, b))
     if method != "gauss":
-        solved, first = _hansen_bliek_rohn(F, b)
-        if method in ("hbr", "intersection"):
-            boxes.append(solved)
-        if method in (
-            "gauss_seidel",
-            "intersection",
-        ):  # its limit lies in Krawczyk's, which the intersection does not need
-            boxes.append(_iterate(gauss_seidel, F.A, b, intersection(first, start)))
-        if method == "krawczyk":
-            boxes.append(_iterate(krawczyk, F.A, b, intersection(first, start)))
-    return _all_of(start, *boxes)
+        boxes.append(_hansen_bliek_rohn(F, b))
+    box = _all_of(start, *boxes)
+    return box if method in ("gauss", "hbr") else _swept(F.A, b, box)
 
 
 _all_of = apart(lambda box, *others: reduce(intersection, others, box))
@@ -202,16 +190,14 @@ def _solved(y: Interval, left: Interval, x: list[Interval], over_pivot: Interval
     return product(_unless_infinite(y), over_pivot)
 
 
-def _hansen_bliek_rohn(F: Factored, b: Interval) -> tuple[Interval, Interval]:
-    """Return the enclosure (b_i + [-beta_i, beta_i]) / (A_ii + [-alpha_i, alpha_i]), and |x| <= <A>^-1 |b| as
-    a box.
+def _hansen_bliek_rohn(F: Factored, b: Interval) -> Interval:
+    """Return the enclosure (b_i + [-beta_i, beta_i]) / (A_ii + [-alpha_i, alpha_i]).
 
     With N = <A>^-1: alpha_i = <A>_ii - 1 / N_ii and beta_i = (sum over k != i of N_ik |b_k|) / N_ii. Source:
     Neumaier 1999, theorem 2.1.
     """
     above, low, divisor = hansen_bliek_rohn(F.A, F.inverse)
-    all_of, beside = _sums(above, b)
-    return _hbr_box(b, beside, low, divisor), _around(all_of)
+    return _hbr_box(b, _beside(above, b), low, divisor)
 
 
 def hansen_bliek_rohn(
@@ -250,13 +236,13 @@ def _divisor(A: Interval, near: jax.Array, v: jax.Array, omega: jax.Array) -> tu
 
 
 @apart
-def _sums(above: jax.Array, b: Interval) -> tuple[jax.Array, jax.Array]:
-    """Return upper bounds of N |b|, and of the same without the diagonal of N. See `_ball`."""
+def _beside(above: jax.Array, b: Interval) -> jax.Array:
+    """Return an upper bound of N |b| without the diagonal of N. See `_ball`."""
     n, eye = len(above), jnp.eye(len(above), dtype=bool)[..., None]
     gamma, floor = rounding.product_error(n, b.dtype)
     size = mag(b) * (1 + gamma) + np.sqrt(floor)
-    upward = lambda P: total([(P[:, k] + np.sqrt(floor)) * size[k][None] for k in range(n)])
-    return upward(above), upward(jnp.where(eye, 0, above))
+    others = jnp.where(eye, 0, above) + np.sqrt(floor)
+    return total([others[:, k] * size[k][None] for k in range(n)])
 
 
 @apart
@@ -266,57 +252,9 @@ def _hbr_box(b: Interval, beside: jax.Array, low: jax.Array, divisor: Interval) 
     return Interval(jnp.where(jnp.isnan(beside), -jnp.inf, x.lo), jnp.where(jnp.isnan(beside), jnp.inf, x.hi))
 
 
-_around = apart(
-    lambda size: Interval(
-        jnp.where(jnp.isnan(size), -jnp.inf, -size), jnp.where(jnp.isnan(size), jnp.inf, size)
-    )
-)
-
-
-def gauss_seidel(A: Interval, b: Interval, x: Interval) -> Interval:
-    """Solve each row for its own unknown, one after another, and intersect. Source: Alhaj-Dibo et al. 2004,
-    appendix.
-    """
-
-    def row(i, x):
-        a = at(A, i, 0)
-        return _narrowed(x, _alone(a, at(b, i, 0), x, i), at(a, i, 0), i)
-
-    return jax.lax.fori_loop(0, b.shape[0], row, x)
-
-
-@apart
-def _alone(a: Interval, b: Interval, x: Interval, i: ArrayLike) -> Interval:
-    """Enclose b minus all terms a_j x_j but the i-th."""
-    terms, own = product(a, x), jnp.arange(len(x))[:, None] == i
-    return minus(b, interval_sum(where(own, Interval(jnp.zeros_like(x.lo), jnp.zeros_like(x.hi)), terms)))
-
-
-@apart
-def _narrowed(x: Interval, known: Interval, a: Interval, i: ArrayLike) -> Interval:
-    own = jnp.arange(len(x))[:, None] == i
-    return where(own, intersection(x, over(known, a)[None]), x)
-
-
-def krawczyk(A: Interval, b: Interval, x: Interval) -> Interval:
-    """Return (b + (I - A) x) intersected with x. Source: Alhaj-Dibo et al. 2004, appendix; Krawczyk 1969."""
-    return _contracted(_off(A, x), b, x)
-
-
-@apart
-def _off(A: Interval, x: Interval) -> Interval:
-    eye = jnp.broadcast_to(jnp.eye(A.shape[0], dtype=A.dtype)[..., None], A.shape)
-    return product(minus(A, Interval(eye, eye)), x[None])
-
-
-_contracted = apart(lambda off, b, x: intersection(x, minus(b, interval_sum(off, axis=1))))
-
-
-def _iterate(
-    step: Callable[[Interval, Interval, Interval], Interval], A: Interval, b: Interval, x: Interval
-) -> Interval:
-    """Repeat a contracting step; a system whose widths no longer shrink by 1e-4 is left as it is, whatever
-    its neighbours do.
+def _swept(A: Interval, b: Interval, x: Interval) -> Interval:
+    """Repeat `contract`; a system whose widths no longer shrink by 1e-4 is left as it is, whatever its
+    neighbours do.
     """
     shape = jnp.broadcast_shapes(x.shape, b.shape, A.shape[1:])
     wide = lambda v: jax.tree.map(lambda a: jnp.broadcast_to(a, shape), v)
@@ -325,7 +263,7 @@ def _iterate(
 
     def advance(carry):
         count, x, active, gone = carry
-        return count + 1, *_progress(step(A, b, x), x, active, gone)
+        return count + 1, *_progress(contract(A, b, x), x, active, gone)
 
     active = jnp.broadcast_to(~empty, shape[1:])
     _, x, _, gone = jax.lax.while_loop(

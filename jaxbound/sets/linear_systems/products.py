@@ -34,18 +34,11 @@ Tree = TypeVar("Tree")
 
 
 def preconditioner(M: Interval, kind: str = "midpoint") -> jax.Array | None:
-    """Return C (n, r, N): near the (pseudo-)inverse of the middle of M, or of its diagonal; None for none."""
-    if kind == "none":
+    """Return C (n, r, N): near the (pseudo-)inverse of the middle of M; None for another kind."""
+    if kind != "midpoint":
         return None
     middle = _middle(M.lo, M.hi)
     r, n = middle.shape[:2]
-    if kind == "diagonal":
-        return jnp.stack(
-            [
-                jnp.stack([(1 / middle[i, i] if i == j else jnp.zeros_like(middle[i, i])) for j in range(n)])
-                for i in range(n)
-            ]
-        )
     if r == n:
         return inverse(middle)
     near = inverse(apart(lambda m: total([m[i, :, None] * m[i, None] for i in range(r)]))(middle))

@@ -15,7 +15,8 @@ from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.unrolled import apart
 from jaxbound.sets.intervals.interval import Interval, Operand, interval
 from jaxbound.sets.linear_systems.hull import orthant_hull
-from jaxbound.sets.linear_systems.kernels import Factored, contract, enclose, factor, preconditioner, times
+from jaxbound.sets.linear_systems.kernels import Factored, contract, enclose, factor
+from jaxbound.sets.linear_systems.products import preconditioner, times
 from jaxbound.text.objects import readable
 
 __all__ = ["Solution", "Solvability", "solve_interval"]
@@ -67,12 +68,12 @@ def solve_interval(
         M: Interval (or numbers) (..., r, n), r >= n. r > n: all rows hold at once.
         h: Interval (or numbers) (..., r). Leading axes of M and h broadcast; a matrix without them is
             prepared once for all h.
-        method: "gauss" elimination, "gauss_seidel" or "krawczyk" iteration from a start box that the
-            comparison matrix proves, "hbr" (Hansen-Bliek-Rohn), "intersection" of all four, or "hull": the
+        method: "gauss" elimination, "hbr" (Hansen-Bliek-Rohn), "intersection" of both, narrowed by sweeps
+            over the rows ("gauss_seidel" and "krawczyk" name the same: neither is narrower), or "hull": the
             exact hull but for rounding, orthant by orthant (n <= 8).
         x0: Interval (..., n): only solutions in this box are asked for.
-        precondition: "midpoint" inverse of the middle of M, "diagonal" inverse of the middle of its diagonal,
-            or "none". More rows than unknowns need "midpoint" (a pseudo-inverse).
+        precondition: "midpoint" inverse of the middle of M, or "none" ("diagonal", which scales rows, changes
+            no enclosure and names the same). More rows than unknowns need "midpoint" (a pseudo-inverse).
 
     Returns:
         A Solution: x Interval (..., n), status (...,).

@@ -16,7 +16,7 @@ __all__ = ["Bounds", "bounds", "contained", "gauge_bounds"]
 
 STEPS = 20
 """Steps of projections; at |gauge - 1| = 0.05 they suffice in 5 to 100 dimensions."""
-FEW, LANES = 256, 256
+FEW, LANES = 64, 256
 """Points up to which a linear program each takes less time than the compilation of a search of many; how many
 such a search takes side by side.
 """

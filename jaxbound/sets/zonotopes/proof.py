@@ -44,7 +44,6 @@ __all__ = [
     "measured",
     "more",
     "product",
-    "solved",
     "unit",
     "unscaled",
 ]
@@ -164,7 +163,7 @@ def _right_inverse(M: np.ndarray) -> np.ndarray:
     R, bad = np.zeros((S, q, m)), np.ones(S, bool)
     with np.errstate(all="ignore"):
         if m <= q:
-            R = turned @ solved(M @ turned, np.broadcast_to(np.eye(m), (S, m, m)))
+            R = turned @ _solved(M @ turned, np.broadcast_to(np.eye(m), (S, m, m)))
             R = 2 * R - R @ (M @ R)  # a Newton step: what is lost by squaring the condition
             bad = ~(abs(M @ R - np.eye(m)).sum(2).max(1) < 2.0**-10)
         if bad.any():
@@ -172,19 +171,13 @@ def _right_inverse(M: np.ndarray) -> np.ndarray:
     return R
 
 
-def solved(W: Array, B: Array) -> Array:
-    """Return W^-1 B, (..., m, m) by (..., m, k), of numbers that say nothing where there is no inverse: no
-    claim is made.
-    """
-    xp = library(W)
-    if xp is jnp:
-        Q, U = xp.linalg.qr(W)  # compiles in a third of the time that elimination takes
-        return cast(Array, jax.scipy.linalg.solve_triangular(U, Q.swapaxes(-1, -2) @ B))
+def _solved(W: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """Return W^-1 B, (S, m, m) by (S, m, k), of NaN where there is no inverse; no claim is made."""
     try:
-        return cast(Array, xp.linalg.solve(W, B))
+        return np.linalg.solve(W, B)
     except np.linalg.LinAlgError:
-        regular = xp.linalg.slogdet(W)[0] != 0
-        return cast(Array, xp.linalg.solve(np.where(regular[..., None, None], W, np.nan), B))
+        regular = np.linalg.slogdet(W)[0] != 0
+        return np.linalg.solve(np.where(regular[..., None, None], W, np.nan), B)
 
 
 def gauge_above(image: Image[Array], d: Array, l: Array, off: Array | float = 0.0) -> Array:
