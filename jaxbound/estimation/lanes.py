@@ -26,14 +26,12 @@ def emptied(found: Found, before: np.ndarray | None) -> Found:
         found: of T samples, (T, .., N). before: (N,), which recordings were refuted before these, where a
             FAULT stays; else None.
     """
-    fault = found.status == Status.FAULT
-    left = (
-        np.ones_like(fault)
-        if before is None
-        else ~(fault & np.concatenate([np.broadcast_to(before, fault[:1].shape), fault[:-1]]))
-    )
+    gone = np.zeros(found.status.shape, bool)
+    if before is not None:
+        fault = np.asarray(found.status) == Status.FAULT
+        gone = fault & np.concatenate([np.broadcast_to(before, fault[:1].shape), fault[:-1]])
     kept = []
     for ends in (found.states, *np.split(found.outputs, 2, 1)):
         least, most = np.split(ends, 2, 1)
-        kept.append(np.where((left & ~(-least > most).any(1))[:, None], ends, np.nan))
+        kept.append(np.where((gone | (-least > most).any(1))[:, None], np.nan, ends))
     return found._replace(states=kept[0], outputs=np.concatenate(kept[1:], 1))

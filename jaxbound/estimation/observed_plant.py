@@ -62,6 +62,15 @@ class ObservedPlant:
         placed: tuple[Numbers, Start | None] = jax.device_put((self.numbers, self.start))
         return placed
 
+    @cached_property
+    def _errors(self) -> tuple[np.ndarray | np.floating, ...]:
+        """(Factor of a row, factor on sizes, share of these, floor, unit, tiny, largest number) of `read`."""
+        sigma = np.asarray(self.numbers.tolerance)[:, None]
+        e, (gamma, floor) = 1 / ((1 - sigma) * (1 + sigma)), rounding.residual_error(8, self.dtype)
+        unit, tiny = rounding.unit(self.dtype), rounding.tiny(self.dtype)
+        floor = floor * (1 + np.max(e, initial=0))
+        return e, e * (1 + sigma), gamma, floor, unit, tiny, largest_number(self.dtype)
+
     def read(self, u: np.ndarray, y: np.ndarray, slip: np.ndarray, fresh: np.ndarray, unit: float) -> Piece:
         """Return samples of N recordings as kernels take them, of `sensor.true_value`.
 
@@ -69,27 +78,25 @@ class ObservedPlant:
             u, slip (T, m + q, N): inputs, q factors on noise behind them, and how far inputs may be off.
             y (T, p, N), fresh (T, N). unit: roundoff of the type in which y was recorded.
         """
-        x, m, dtype = self.numbers, self.system.m, self.dtype
-        sigma, y0, u0 = (np.asarray(column)[:, None] for column in (x.tolerance, x.y0, x.u0))
-        gamma, floor = rounding.residual_error(8, dtype)
+        x, m, (e, lift, gamma, floor, own, tiny, most) = self.numbers, self.system.m, self._errors
+        half, y0, u0 = (np.asarray(column)[:, None] for column in (x.tolerance / 2, x.y0, x.u0))
         factors, u, slip = u[:, m:], u[:, :m], slip[:, :m]
-        absent, bound = np.isnan(y), self._noise(factors)
+        absent, bound, size = np.isnan(y), self._noise(factors), np.abs(y)
         with np.errstate(all="ignore"):
-            size = np.where(absent, 0, np.abs(y))
-            rho = bound + RECORDER_ULPS * dtype.type(unit) * (size + bound)
-            rho = rho + RECORDER_ULPS * rounding.unit(dtype) * (size + rho) + rounding.tiny(dtype)
-            e, d = 1 / ((1 - sigma) * (1 + sigma)), y - y0
-            above, below, half = np.abs(d + rho), np.abs(d - rho), sigma / 2
+            rho = bound + RECORDER_ULPS * self.dtype.type(unit) * (size + bound)
+            rho = rho + RECORDER_ULPS * own * (size + rho) + tiny
+            d = y - y0
+            above, below = np.abs(d + rho), np.abs(d - rho)
             mid, rad = e * (d + half * (above - below)), e * (rho + half * (above + below))
-            scale = e * (1 + sigma) * (np.abs(y) + np.abs(y0)) + rad
-            gone = absent | ~(scale < largest_number(dtype))
-            rad = rad + gamma * scale + floor * (1 + np.max(e, initial=0))
-            known = (np.abs(u) < largest_number(dtype)).all(1)
-            wide = np.asarray(x.wide_u0)[:, None] + 4 * rounding.unit(dtype) * (np.abs(u) + np.abs(u0))
-            off = slip + wide + rounding.tiny(dtype)
+            scale = lift * (size + np.abs(y0)) + rad
+            gone = absent | ~(scale < most)
+            rad = rad + gamma * scale + floor
+            given = np.abs(u)
+            known = (given < most).all(1)
+            off = slip + np.asarray(x.wide_u0)[:, None] + 4 * own * (given + np.abs(u0)) + tiny
         v = np.where(np.isnan(u), 0, u) - u0
         mid, rad, off = np.where(gone, 0, mid), np.where(gone, np.inf, rad), np.where(known[:, None], off, 0)
-        return Piece(mid.astype(dtype), rad.astype(dtype), v.astype(dtype), off.astype(dtype), known, fresh)
+        return Piece(mid, rad, v, off, known, fresh)
 
     def _noise(self, factors: np.ndarray) -> np.ndarray:
         """Return the bounds (p, 1), or (T, p, N), of errors of samples, rounded up to the dtype.
@@ -100,9 +107,7 @@ class ObservedPlant:
         if not factors.shape[1]:
             return np.asarray(self.numbers.noise)[:, None]
         assert isinstance(self.model, LinearSystem), "others have no factors"
-        bounds = np.repeat(
-            np.repeat(self.system.noise[None, :, None], len(factors), 0), factors.shape[-1], -1
-        )
+        bounds = np.tile(self.system.noise[:, None], (len(factors), 1, factors.shape[-1]))
         for column, factor in enumerate(self.model.factors):
             noise = rounding.round_up(self.model.noise[factor.number])
             resolution = rounding.round_up(self.model.resolution[factor.number])
@@ -136,27 +141,18 @@ def observed_plant(model: ObservedModel, horizon: int | None, has_first: bool) -
     if horizon is not None and (not is_whole(horizon) or horizon < 0):
         raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
     price(system.n, system.p, horizon)
-    h = _horizon(linear, system, unknown) if horizon is None else int(horizon)
-    dtype = np.dtype(jax.dtypes.canonicalize_dtype(np.float64))
-    start = None if h is None else zonotope_begin(linear, system, h, dtype, unknown)
-    if start is None and not has_first:
-        raise ValueError(_nothing_shown(h))
-    past = 0 if start is None or h is None else h
-    return ObservedPlant(model, linear, system, unknown, start, past, dtype)
-
-
-def _horizon(linear: LinearSystem | None, system: IntervalSystem, unknown: Directions | None) -> int | None:
-    """Return the least horizon that shows all states, if there is one and it is affordable."""
-    h = least_horizon(linear, system, unknown)
-    if h is not None and h * system.p > system.n:  # more than the least that was priced
-        price(system.n, system.p, h)
-    return h
-
-
-def _nothing_shown(h: int | None) -> str:
-    """Return why samples alone do not show the state."""
+    h = horizon
     if h is None:
-        return (
-            "the outputs do not show all states, however long one looks: give x0, bounds of the first state"
-        )
-    return f"{h + 1} samples do not show all states, or the parameters are too uncertain for it: give x0"
+        h = least_horizon(linear, system, unknown)
+        if h is not None and h * system.p > system.n:  # more than the least that was priced
+            price(system.n, system.p, h)
+    dtype = np.dtype(jax.dtypes.canonicalize_dtype(np.float64))
+    start = None if h is None else zonotope_begin(linear, system, int(h), dtype, unknown)
+    if start is None and not has_first:
+        if h is None:
+            why = "the outputs do not show all states, however long one looks"
+        else:
+            why = f"{h + 1} samples do not show all states, or the parameters are too uncertain for it"
+        raise ValueError(f"{why}: give x0, bounds of the first state")
+    past = 0 if start is None or h is None else int(h)
+    return ObservedPlant(model, linear, system, unknown, start, past, dtype)

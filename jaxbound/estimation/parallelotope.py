@@ -120,16 +120,7 @@ def principal(x: Numbers, steps: int, blocks: int, dtype: np.dtype) -> list[tupl
                 M, H = np.asarray(x.free.M[..., 0]), np.asarray(x.free.H[..., 0])
                 P = M @ P @ M.T + (H * R) @ H.T + np.eye(len(M)) * (1e-6 * size) ** 2
             shown = np.asarray(x.C @ P)
-            K = _gain(shown @ x.C.T + np.diag(R), shown)
-            P = P - K @ x.C @ P
+            # where outputs without an error show the same, the gain of least norm
+            P = P - shown.T @ np.linalg.pinv(shown @ x.C.T + np.diag(R), hermitian=True) @ shown
             P = np.asarray(x.A @ (P + P.T) @ x.A.T / 2 + Q)
     return out
-
-
-def _gain(S: np.ndarray, X: np.ndarray) -> np.ndarray:
-    """Return (S^-1 X)'; where outputs without an error show the same, that of least norm."""
-    try:
-        gain = np.linalg.solve(S, X)
-    except np.linalg.LinAlgError:
-        gain = np.linalg.pinv(S, hermitian=True) @ X
-    return np.asarray(gain.T)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
 __all__ = ["Piece"]
@@ -31,4 +30,7 @@ class Piece(NamedTuple):
 
     def filled(self, length: int) -> Piece:
         """Return the samples with zeros behind them, up to a length."""
-        return jax.tree.map(lambda x: np.pad(x, [(0, length - len(x)), *[(0, 0)] * (x.ndim - 1)]), self)
+        whole = Piece(*(np.zeros((length, *x.shape[1:]), x.dtype) for x in self))
+        for out, x in zip(whole, self, strict=True):
+            out[: len(x)] = x
+        return whole

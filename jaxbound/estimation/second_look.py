@@ -57,40 +57,36 @@ def doubtful(watch: Repeatable[State], carry: State, samples: Piece, fault: np.n
         first = fault & ~staying(np.asarray(empty.any(0)), fault, samples.fresh)
     begins = np.maximum.accumulate(np.where(anew, np.arange(len(fault))[:, None], 0))
     ends = np.argwhere(first)
-    for length in LENGTHS * (watch.plant.start is not None):  # else samples do not show the state
+    rounds = [(len(fault), 1)]
+    if watch.plant.start is not None:  # samples show the state
+        rounds = [*((length, BESIDE) for length in LENGTHS), *rounds]
+    for length, beside in rounds:
         begin, gone = np.maximum(begins[tuple(ends.T)], ends[:, 0] - length + 1), np.ones(len(ends), bool)
-        for part in range(0, len(ends), BESIDE):
-            some = slice(part, part + BESIDE)
-            gone[some] = ~_again(watch, carry, samples, begin[some], ends[some], np.int64(0))
+        for part in range(0, len(ends), beside):
+            some = slice(part, part + beside)
+            gone[some] = ~_again(watch, carry, samples, begin[some], ends[some])
         ends = ends[gone]
     gone = np.zeros(fault.shape, bool)
-    for end in ends:  # with windows that begin where they began
-        begin = begins[tuple(end)]
-        gone[tuple(end)] = ~_again(watch, carry, samples, begin[None], end[None], begin)[0]
+    gone[tuple(ends.T)] = True
     if not watch.restart:  # a FAULT that stays goes as a whole
         gone |= staying(np.zeros_like(fault[0]), gone, samples.fresh | ~fault)
     return gone
 
 
 def _again(
-    watch: Repeatable[State],
-    carry: State,
-    samples: Piece,
-    begin: np.ndarray,
-    ends: np.ndarray,
-    before: np.int64,
+    watch: Repeatable[State], carry: State, samples: Piece, begin: np.ndarray, ends: np.ndarray
 ) -> np.ndarray:
-    """Return (K,) bool: which FAULTs the samples from begin (K,) on show.
-
-    Args:
-        ends (K, 2): their samples, and their recordings. before: samples before the first.
+    """Return (K,) bool: which FAULTs the samples from begin (K,) on show. ends (K, 2): their samples, and
+    their recordings.
     """
     last, numbers = ends.T
     rows = np.minimum(begin + np.arange((last - begin).max() + 1)[:, None], last)
     some = jax.tree.map(lambda x: np.moveaxis(np.moveaxis(x, -1, 1)[rows, numbers], 1, -1), samples)
     some.fresh[0] |= begin > 0  # what is carried to the first sample of all is the only set that is believed
     own: Any = _of_recordings(watch, carry, numbers)  # a NamedTuple, whatever fields a method has
-    state: State = own._replace(samples=carry.samples + before)
+    if len(begin) == 1:  # windows begin where they began
+        own = own._replace(samples=carry.samples + begin[0])
+    state: State = own
     near = max(0, len(rows) - LENGTHS[-1])
     if near:
         state, _ = watch.found(state, some.cut(0, near))

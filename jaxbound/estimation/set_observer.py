@@ -276,7 +276,7 @@ class SetObserver(Observer[State], Generic[State]):
             return self._block(chosen(carry, own), chosen(samples, block))
 
         def together(places: np.ndarray) -> Callable[..., np.ndarray]:
-            return lambda *parts: np.take(np.concatenate(parts, -1), places, -1)
+            return lambda *parts: np.take(_one_behind_the_other(parts, -1), places, -1)
 
         place = (number // room * lanes + lane) * room + number % room
         carries, founds = zip(*in_blocks(job, count, room), strict=True)
@@ -368,12 +368,15 @@ def _fetched(parts: Sequence[Tree], T: int) -> Tree:
 
     They are fetched when all pieces are under way: the host prepares one while another is worked out.
     """
-
-    def joined_in_time(*pieces: Array) -> np.ndarray:
-        return np.concatenate([np.asarray(x) for x in pieces])[:T]
-
-    whole: Tree = jax.tree.map(joined_in_time, *parts)
+    whole: Tree = jax.tree.map(lambda *pieces: _one_behind_the_other(pieces, 0)[:T], *parts)
     return whole
+
+
+def _one_behind_the_other(parts: Sequence[Array], axis: int) -> np.ndarray:
+    """Return the arrays as one on the host; of one part no copy is made."""
+    if len(parts) == 1:
+        return np.asarray(parts[0])
+    return np.concatenate([np.asarray(x) for x in parts], axis)
 
 
 def _interval(ends: np.ndarray, width: int) -> Interval:

@@ -2,10 +2,8 @@
 
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
-from jaxbound.estimation.arrays import Array
 from jaxbound.sets.floats import rounding
 
 __all__ = ["SetRounding", "largest_number", "set_rounding"]
@@ -24,11 +22,6 @@ class SetRounding(NamedTuple):
     least: np.ndarray
     most: np.ndarray
     steepest: np.ndarray
-
-    def grown(self, *terms: Array) -> jax.Array:
-        """Return at least the sum of terms >= 0."""
-        most: jax.Array = self.up * sum(terms) + self.least
-        return most
 
 
 def set_rounding(products: int, sums: int, dtype: np.dtype) -> SetRounding:

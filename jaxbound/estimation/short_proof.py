@@ -84,27 +84,15 @@ def _window_proof(
     model: LinearSystem, h: int, u: np.ndarray, y: np.ndarray, first_box: np.ndarray | None
 ) -> WindowProof | None:
     """Return the proof by the h + 1 samples u, y, if there is one. first_box: bounds of their first state."""
-    if model.uncertainties:  # parity relations alone know these
-        if h > SHORT:
-            return None
-        return _parity_proof(model, h, u, y)
-    about = stretch(model, h, None if first_box is None else list(first_box))
-    if exceeds(about, u, y) <= CLEARLY:
-        return None
+    relations: Any = None
     if first_box is None and h <= SHORT:  # parity relations know no bounds of a state
-        with suppress(ValueError):  # which relations of large models are too dear for
-            return parity_relations(model, h), u, y
-    return about, u, y
-
-
-def _parity_proof(model: LinearSystem, h: int, u: np.ndarray, y: np.ndarray) -> WindowProof | None:
-    """Return the proof by parity relations, if the window is FAULT by them."""
-    try:
-        relations = parity_relations(model, h)
-    except ValueError:  # without a relation yet
+        with suppress(ValueError):  # there are none yet, or large models are too dear for them
+            relations = parity_relations(model, h)
+    if relations is not None:
+        relations, recording = relations.recording(u, y, ())
+        status = drive(relations.test("joint", recording.y.dtype), recording).status
+        return (relations, recording.u, recording.y) if status[-1] == Status.FAULT else None
+    if model.uncertainties:  # parity relations alone know these
         return None
-    relations, recording = relations.recording(u, y, ())
-    status = drive(relations.test("joint", recording.y.dtype), recording).status
-    if status[-1] != Status.FAULT:
-        return None
-    return relations, recording.u, recording.y
+    about = stretch(model, h, None if first_box is None else list(first_box))
+    return (about, u, y) if exceeds(about, u, y) > CLEARLY else None

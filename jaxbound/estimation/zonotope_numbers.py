@@ -124,9 +124,8 @@ def first_set(x0: Interval | Zonotope, n: int, order: float, dtype: np.dtype) ->
     if isinstance(x0, Zonotope):
         center, generators = np.asarray(x0.center, np.float64), np.asarray(x0.generators, np.float64)
     else:
-        box = interval(x0)
         with np.errstate(invalid="ignore"):  # of ends that are infinite: refused below
-            center, radius = middle(box)
+            center, radius = middle(interval(x0))
         generators = np.diag(radius) if radius.ndim == 1 else radius
     if center.shape != (n,):
         raise ValueError(f"x0 needs one interval for each of {n} states: its shape is {center.shape}")

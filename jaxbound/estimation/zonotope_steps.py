@@ -517,8 +517,8 @@ def _enclosures(
     known, remembered, seen = tested, there, tested
     if free is not None:
         moved = (free.before, tested), (free.after, there), (free.shown, tested)
-        known, remembered, seen = (x & (~at[:, None] | sets.whole) for at, x in moved)
-    refuted = sets.refuted & sets.tested
+        known, remembered, seen = (x & (~at[:, None] | sets.whole[None]) for at, x in moved)
+    refuted = (sets.refuted & sets.tested)[None]
     prior = _ends(g, *_hull(sets.first), known)
     now = _ends(g, *_hull(sets.after), remembered)
     first = _ends(g, *_outputs_of(plant, g, outputs, sets.before), seen & outputs.driven)
