@@ -80,7 +80,7 @@ class Certificate(Witnessed, WindowCertificate):
         """FAULT or CONSISTENT: what the exact numbers say, also where the method of the detection left it
         UNDECIDED.
         """
-        return _proved(self.factor)
+        return _proved(self.explanation.factor)
 
     @cached_property
     def _scale(self) -> Scale:
@@ -257,7 +257,7 @@ def _(
     if proved == Status.CONSISTENT:
         z = rounded_witness(window, best.z)
     text = relation_text(window.model, window.horizon, best.h, best.k)
-    numbers = best.h, best.k, best.residual, best.width, best.factor
+    numbers = best.h, best.k, best.residual, best.width, abs(best.residual) / best.width
     return Certificate(status, at, text, *numbers, window, best, z)
 
 

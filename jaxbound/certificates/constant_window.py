@@ -120,20 +120,22 @@ class ConstantWindow(ExactWindow):
         known = dict(zip(self.free, z[len(z) - len(self.free) :], strict=True))
         return tuple(known.get(i, ONE) for i in range(self.model.p))
 
-    def explained_by(self, z: Sequence[Fraction]) -> bool:
-        """Return True if unknowns (z, gains) keep every row and gain within its limits."""
-        gains, true = self.gains(z), self.rows_at(z)
-        kept = [
-            lo <= g <= hi for g, (lo, hi) in zip(gains, map(self._gain_ends, range(len(gains))), strict=True)
-        ]
+    def limits_at(self, z: Sequence[Fraction]) -> list[Ends | None]:
+        """Return the limits of each row at unknowns (z, gains)."""
+        limits, gains = list(self.limits), self.gains(z)
         for j, (d, rho) in enumerate(self.readings()):
             if d is not None:
                 g = gains[j % self.model.p]
-                kept.append(g * (d - rho) <= true[j] <= g * (d + rho))
-        for number in range(len(self.y), len(true)):
-            lo, hi = self.known_limits(number)
-            kept.append(lo <= true[number] <= hi)
-        return all(kept)
+                limits[j] = g * (d - rho), g * (d + rho)
+        return limits
+
+    def explained_by(self, z: Sequence[Fraction]) -> bool:
+        """Return True if unknowns (z, gains) keep every row and gain within its limits."""
+        for i, g in enumerate(self.gains(z)):
+            lo, hi = self._gain_ends(i)
+            if not lo <= g <= hi:
+                return False
+        return super().explained_by(z)
 
     def _gain_ends(self, i: int) -> Ends:
         """Return (lo, hi) of 1 / (1 + theta)."""

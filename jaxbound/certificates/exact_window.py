@@ -10,7 +10,7 @@ The sensors' intervals are those of `models.sensor`, here as lo, hi: a reading y
 / (1 + sigma).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -32,8 +32,8 @@ from jaxbound.models.window import window_rows
 from jaxbound.sets.floats import rounding
 
 __all__ = """
-    DIGITS Ends ExactWindow Explanation exact_samples exact_window known_inputs rounded_up rounded_witness
-    stretched unstretched
+    Ends ExactWindow Explanation exact_samples exact_window known_inputs readable_relation rounded_up
+    rounded_witness shorter stretched unstretched
 """.split()
 
 ZERO = Fraction(0)
@@ -289,9 +289,13 @@ class ExactWindow:
         """Return the gains, the same in all samples of an output, that unknowns z end with: none here."""
         return ()
 
+    def limits_at(self, z: Sequence[Fraction]) -> list[Ends | None]:
+        """Return the limits of each row where unknowns are z: the same for all of them here."""
+        return self.limits
+
     def explained_by(self, z: Sequence[Fraction]) -> bool:
         """Return True if unknowns z keep every row within its limits."""
-        for ends, v in zip(self.limits, self.rows_at(z), strict=True):
+        for ends, v in zip(self.limits_at(z), self.rows_at(z), strict=True):
             if ends is not None and not ends[0] <= v <= ends[1]:
                 return False
         return True
@@ -316,15 +320,20 @@ def unstretched(v: Fraction, sigma: Fraction) -> Fraction:
 def rounded_witness(window: ExactWindow, z: Vector) -> Vector:
     """Return z with as few digits as still explain the window."""
     states = window.model.n
-    if any(abs(v) > LARGEST for v in z):
-        return z  # beyond floats
-    for digits in DIGITS:
-        short = [Fraction(f"{float(v):.{digits}g}") for v in z]
+    for candidate in shorter(z):
+        short = list(candidate)
         for j, (lo, hi) in enumerate(window.disturbance * window.horizon, states):
             short[j] = max(lo, min(short[j], hi))
         if window.explained_by(short):
             return tuple(short)
     return z
+
+
+def shorter(values: Sequence[Fraction]) -> Iterator[Vector]:
+    """Yield numbers rounded for readers, of few digits first; none where they are beyond floats."""
+    if all(abs(v) <= LARGEST for v in values):
+        for digits in DIGITS:
+            yield tuple(Fraction(f"{float(v):.{digits}g}") for v in values)
 
 
 def rounded_up(x: Fraction, digits: int = 4) -> Fraction:

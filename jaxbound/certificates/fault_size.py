@@ -40,7 +40,6 @@ MOST_GAIN = Fraction(10**6)
 """The largest gain error of a sensor that is looked at."""
 ENDLESS = Fraction(10**400)
 """A size, or a 1 / |1 + f| of the gain of a sensor, that no float has."""
-NOTHING = Side(ZERO, ZERO)
 Cut: TypeAlias = tuple[Vector, Fraction, Fraction]
 """(h, residual, width) of a relation of a window without a fault."""
 FAR = Fraction(10**12)
@@ -139,70 +138,59 @@ Paths: TypeAlias = Mapping[int, Sequence[Path]]
 """The sizes of a fault that begins at a sample of the window."""
 
 
-@dataclass(frozen=True, eq=False)
-class End:
-    """The upper end of a relation h as a fault grows along a Path, in t = x or -x: steady + m t + q t^2 + the
-    terms.
+class End(NamedTuple):
+    """The upper end of a relation h as a fault grows along a Path, in t = forward x: steady + the sum of all
+    weight * side.
 
-    Fields: h; steady, m, q; terms: (weight, Side in t) of rows with a tolerance whose ends move.
+    Fields: h; steady; forward; used: (weight, Side) of the rows whose ends move.
     """
 
     h: Vector
     steady: Fraction
-    m: Fraction
-    q: Fraction
-    terms: tuple[tuple[Fraction, Side], ...]
+    forward: int
+    used: Sequence[tuple[Fraction, Side]]
+
+    def at(self, t: Fraction) -> Fraction:
+        """Return its value."""
+        weights, values = [], []
+        for weight, side in self.used:
+            weights.append(weight)
+            values.append(side.at(self.forward * t))
+        return self.steady + dot(weights, values)
 
     def next_kept(self, t: Fraction) -> Fraction | None:
         """Return the first t' >= t at which the end is not below 0; None: there is none."""
-        kinks = {-side.a / side.b for _, side in self.terms if side.b}
+        if self.at(t) >= 0:
+            return t
+        kinks = {-side.a / (self.forward * side.b) for _, side in self.used if side.sigma and side.b}
         for stop in [*sorted(kink for kink in kinks if kink > t), None]:
-            c, m, q = self._piece(t, stop)
-            if c + m * t + q * t * t >= 0:
-                return t
-            root = _root_above(q, m, c, t)
-            if root is not None and (stop is None or root <= stop):
-                return root
+            # a parabola between two kinks: through three of its points
+            step = ONE
+            if stop is not None:
+                step = (stop - t) / 2
+            low, middle, high = (self.at(t + k * step) for k in range(3))
+            bend = (high - 2 * middle + low) / (2 * step * step)
+            root = _root_above(bend, (middle - low) / step - bend * step, low, ZERO)
+            if root is not None and (stop is None or t + root <= stop):
+                return t + root
             if stop is not None:
                 t = stop
         return None
-
-    def _piece(self, begin: Fraction, stop: Fraction | None) -> tuple[Fraction, Fraction, Fraction]:
-        """Return (c, m, q) between two kinks, where the end is c + m t + q t^2."""
-        inside = begin + 1
-        if stop is not None:
-            inside = (begin + stop) / 2
-        c, m = self.steady, self.m
-        for weight, side in self.terms:
-            slope = weight / (ONE - side.sigma)
-            if side.a + side.b * inside < 0:
-                slope = weight / (ONE + side.sigma)
-            c, m = c + slope * side.a, m + slope * side.b
-        return c, m, self.q
 
 
 def ends_of(cut: Cut, push: Push, forward: int, window: ExactWindow) -> Iterator[End]:
     """Yield the End of a relation h, and that of -h, in t = forward x."""
     h, residual, width = cut
-    used = [(h[row], sides, window.known_limits(row)) for row, sides in push.items() if h[row]]
     for sign in (1, -1):
-        weights, changes, slopes, squares, terms = [], [], [], [], []
-        for x, (low, high), (lo, hi) in used:
-            side, end = high, hi
-            if sign * x < 0:
-                side, end = low, -lo
-            change = ZERO
-            if side.sigma:  # its side says instead
-                terms.append((abs(x), side._replace(b=forward * side.b)))
-                change, side = -end, NOTHING
-            elif side.a != end:
-                change = side.a - end
-            weights.append(abs(x))
-            changes.append(change)
-            slopes.append(side.b)
-            squares.append(side.c)
-        steady = sign * residual + width + dot(weights, changes)
-        yield End(h, steady, forward * dot(weights, slopes), dot(weights, squares), tuple(terms))
+        used, steady = [], sign * residual + width
+        for row, (low, high) in push.items():
+            if h[row]:
+                side, end = high, window.known_limits(row)[1]
+                if sign * h[row] < 0:
+                    side, end = low, -window.known_limits(row)[0]
+                used.append((abs(h[row]), side))
+                steady -= abs(h[row]) * end
+        yield End(h, steady, forward, used)
 
 
 class Reached(NamedTuple):

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from jaxbound.consistency.interface import Bounds
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector, add_multiple, dot, multiply, transpose
 from jaxbound.models.system import LinearSystem
-from jaxbound.models.unknown_directions import Way, unknown_directions, with_direct_states
+from jaxbound.models.unknown_directions import unknown_directions, with_direct_states
 from jaxbound.relations.bounds import model_bounds
 from jaxbound.relations.sentence import relation_text
 from jaxbound.sets.floats.status import Status
@@ -38,6 +38,7 @@ from jaxbound.text.objects import readable
 
 __all__ = ["LongCertificate", "LongWindow", "Stretch", "exceeds", "stretch"]
 
+T = TypeVar("T")
 ZERO = Fraction(0)
 DIGITS = 30
 """Bits of a multiplier, beside the largest."""
@@ -74,19 +75,6 @@ def stretch(
     return Stretch(plain, horizon, model_bounds(plain), ends)
 
 
-class TakenOut(NamedTuple):
-    """The way in which multipliers of outputs are changed so that no unknown input counts: see
-    `models.unknown_directions`.
-
-    Fields: plant, with a state for what acts on outputs at once; shown: dimensions of it that outputs show;
-    H: of each sample, None where none is needed or where outputs are missing.
-    """
-
-    plant: LinearSystem
-    shown: int
-    H: list[Matrix | None]
-
-
 class Left(NamedTuple):
     """The multipliers that those of outputs leave of the first state (n,), of disturbances (s g,), inputs
     (l,) and unknown inputs.
@@ -113,8 +101,8 @@ class LongWindow(ExactWindow):
             return ()
         return linalg.scale(self.backward(h[: len(self.y)]).first, -1)
 
-    def outputs_at(self, h: Sequence[Fraction], j: int) -> Vector:
-        """Return the multipliers of the outputs of sample j."""
+    def outputs_at(self, h: Sequence[T], j: int) -> tuple[T, ...]:
+        """Return the entries of the outputs of sample j."""
         p = self.model.p
         return tuple(h[j * p : (j + 1) * p])
 
@@ -158,61 +146,53 @@ class LongWindow(ExactWindow):
         _, floats = _program(self)
         largest = max(np.abs(floats).max(initial=0), 1e-300)
         h: Vector = tuple(Fraction(round(float(x) / largest * 2**DIGITS), 2**DIGITS) for x in floats)
-        if self.model.d and None in self._way.H[1:]:  # outputs are missing that take unknown inputs out
+        _, H, needed = self._way
+        if needed and None in H[1:]:  # outputs are missing that take unknown inputs out
             return (ZERO,) * len(h)
         h, left = self._without_unknown(h)
-        if self.first is not None:
+        if self.first is not None or not any(left):
             return h
-        # as many outputs as tell the first state are changed: d rows = left, d = (rows rows')^-1 rows left
-        changes, rows = self._changes()
-        if rows:
-            across = linalg.inverse(linalg.matmul(rows, transpose(rows)))
-            for change, d in zip(changes, multiply(across, multiply(rows, left)), strict=True):
-                h = add_multiple(h, -d, change)
-        return h
-
-    def _changes(self) -> tuple[list[Vector], list[Vector]]:
-        """Return (multipliers for each of the first outputs that together tell the first state, rows that
-        these leave of it).
-        """
+        # the first outputs that tell the first state are changed, so that nothing is left of it
         changes: list[Vector] = []
         rows: list[Vector] = []
         for i, sample in enumerate(self.y):
-            if sample is None or len(rows) == self._way.shown:
+            if sample is None:
                 continue
-            change, left = self._without_unknown([Fraction(i == place) for place in range(len(self.y))])
-            if linalg.rank([*rows, left]) > len(rows):
-                changes.append(change)
-                rows.append(left)
-        return changes, rows
+            change, row = self._without_unknown([Fraction(i == place) for place in range(len(self.y))])
+            changes.append(change)
+            rows.append(row)
+            solved, pivots = linalg.row_reduce(transpose([*rows, left]))
+            if len(rows) in pivots:
+                continue
+            for shares, j in zip(solved, pivots, strict=True):
+                h = add_multiple(h, -shares[-1], changes[j])
+            return h
+        return (ZERO,) * len(h)
 
     @cached_property
-    def _way(self) -> TakenOut:
-        """The way by which unknown inputs are taken out of this window."""
+    def _way(self) -> tuple[LinearSystem, list[Matrix | None], bool]:
+        """(the plant, with a state for what acts on outputs at once; H of each sample, by which multipliers
+        of outputs change so that no unknown input counts, None where there is none; whether one is needed):
+        see `models.unknown_directions`.
+        """
         plant = with_direct_states(self.model)
         directions = unknown_directions(plant)
+        H: list[Matrix | None] = [None] * (self.horizon + 1)
         if directions is None:
-            nothing = None
-            if self.model.d:
-                nothing = linalg.zeros(plant.n, self.model.p)
-            return TakenOut(plant, plant.n, [nothing] * (self.horizon + 1))
-        H = [self._first_way(directions.ways, j) for j in range(self.horizon + 1)]
+            return plant, H, False
+        for j in range(self.horizon + 1):
+            readings = self.outputs_at(self.y, j)
+            fitting = (way.H for way in directions.ways if None not in [readings[i] for i in way.outputs])
+            H[j] = next(fitting, None)
         if self.first is None or plant.n == self.model.n:
             H[0] = None  # no unknown input came before it
-        return TakenOut(plant, plant.n - len(directions.hidden), H)
-
-    def _first_way(self, ways: Sequence[Way], j: int) -> Matrix | None:
-        """Return H of the first way whose outputs are all there at sample j, or None."""
-        for way in ways:
-            if all(self.y[j * self.model.p + i] is not None for i in way.outputs):
-                return way.H
-        return None
+        return plant, H, True
 
     def _without_unknown(self, h: Sequence[Fraction]) -> tuple[Vector, Vector]:
         """Return (multipliers h with those changed that take unknown inputs out, what they leave of the first
         state).
         """
-        plant, _, H = self._way
+        plant, H, _ = self._way
         A, C = transpose(plant.A), transpose(plant.C)
         q: Vector = (ZERO,) * plant.n
         changed: list[Vector] = []

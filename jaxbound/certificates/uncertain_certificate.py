@@ -18,12 +18,12 @@ import numpy as np
 
 from jaxbound.certificates.checker.boxes import Parts, box_of, range_of, relations_of
 from jaxbound.certificates.exact_window import (
-    DIGITS,
     Ends,
     ExactWindow,
     exact_window,
     known_inputs,
     rounded_witness,
+    shorter,
 )
 from jaxbound.certificates.interface import Index, Sample, WindowCertificate, certify, nothing_to_explain
 from jaxbound.certificates.witness import Numbers, Witnessed, claim_of, every_sample, rows_of
@@ -32,7 +32,7 @@ from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Vector
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.polynomial import PolynomialMatrix
-from jaxbound.relations.sentence import main_terms
+from jaxbound.relations.sentence import at_sample, main_terms, sum_text
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.relations.uncertain_window import Variable, uncertain_window
 from jaxbound.sets.floats import rounding
@@ -125,12 +125,15 @@ class UncertainCertificate(Witnessed, WindowCertificate):
         lines = self.relations.text().split("\n")
         if len(lines) == 1:
             return lines[0].split(": ", 1)[1]
-        return _combination(self.leaves[0]["direction"])
+        names = [f"r{k + 1}" for k in range(self.relations.count)]
+        return f"{sum_text(zip(self.leaves[0]['direction'], names, strict=True))} = 0"
 
     def __str__(self) -> str:
         """Return one sentence."""
         if self.z is not None:
-            values = [f"{self._variable(v)} = {float(x):.6g}" for v, x in (self.parameters or {}).items()]
+            values = []
+            for variable, x in (self.parameters or {}).items():
+                values.append(f"{at_sample(*variable, self.relations.horizon)} = {float(x):.6g}")
             state = [f"{float(x):.6g}" for x in self.state or ()]
             return f"explained by {', '.join(values)} and the first state ({', '.join(state)})"
         if len(self.leaves) == 1:
@@ -143,15 +146,6 @@ class UncertainCertificate(Witnessed, WindowCertificate):
             f"no parameters within their bounds explain it: each of {len(self.leaves)} parts of their box "
             f"contradicts the relations"
         )
-
-    def _variable(self, variable: Variable) -> str:
-        """Return a variable as a reader would write it: "a[k-1]", of a constant parameter its name."""
-        (name, lag), s = variable, self.relations.horizon
-        if lag is None:
-            return name
-        if lag == s:
-            return f"{name}[k]"
-        return f"{name}[k-{s - lag}]"
 
     def to_dict(
         self, times: Sequence[str] | None = None, sample: Sample = None, errors: bool = True
@@ -209,25 +203,6 @@ def _variables(relations: UncertainRelations) -> list[Variable]:
         else:
             variables.append((parameter.name, None))
     return variables
-
-
-def _combination(direction: Vector) -> str:
-    """Return "r1 - 0.5 r2 = 0" for the multipliers of relations."""
-    text = ""
-    for k, x in enumerate(direction):
-        if not x:
-            continue
-        sign = "+"
-        if x < 0:
-            sign = "-"
-        size = f"{float(abs(x)):.6g} "
-        if abs(x) == 1:
-            size = ""
-        text += f" {sign} {size}r{k + 1}"
-    text = text.removeprefix(" + ")
-    if text.startswith(" - "):
-        text = "-" + text[3:]
-    return text + " = 0"
 
 
 @certify.register
@@ -375,8 +350,8 @@ def _directed(p: _Proving, h: np.ndarray, box: Mapping[str, Ends]) -> Tree | Non
     top = np.abs(h).max()
     if not 0 < top < np.inf:
         return None
-    for digits in (2, *DIGITS):
-        leaf = p.leaf(tuple(Fraction(f"{x:.{digits}g}") for x in (h / top).tolist()), box)
+    for short in shorter(list(map(Fraction, (h / top).tolist()))):
+        leaf = p.leaf(short, box)
         if leaf is not None:
             return leaf
     return None
@@ -384,8 +359,7 @@ def _directed(p: _Proving, h: np.ndarray, box: Mapping[str, Ends]) -> Tree | Non
 
 def _explained(p: _Proving, v: Vector) -> Explained | None:
     """Return the parameters, with as few digits as explain the window, or None."""
-    candidates = [tuple(Fraction(f"{float(x):.{digits}g}") for x in v) for digits in DIGITS]
-    for candidate in (*candidates, v):
+    for candidate in (*shorter(v), v):
         inside = tuple(max(-size, min(x, size)) for x, size in zip(candidate, p.size, strict=True))
         window = p.at(inside)
         best = window.solve()

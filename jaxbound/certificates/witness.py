@@ -144,8 +144,8 @@ def _behaviour(w: ExactWindow, z: Vector) -> _Behaviour:
     model, s, missing = w.model, w.horizon, w.missing_inputs
     n, g = model.n, model.g * s
     outputs = []
-    for i, v in enumerate(w.rows_at(z)[: len(w.y)]):
-        outputs.append(v + model.offset["y"][i % model.p])
+    for i, true in enumerate(w.rows_at(z)[: len(w.y)]):
+        outputs.append(true + model.offset["y"][i % model.p])
     z = z[: len(w.unknown_columns()[0])]
     state, disturbances, rest = z[:n], z[n : n + g], z[n + g :]
     free = len(rest) - len(missing)

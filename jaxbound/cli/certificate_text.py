@@ -10,7 +10,7 @@ import numpy as np
 from jaxbound.certificates.certificate import Certificate
 from jaxbound.certificates.uncertain_certificate import UncertainCertificate
 from jaxbound.models.rows import Kind
-from jaxbound.relations.sentence import row_name
+from jaxbound.relations.sentence import at_sample, row_name
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import percent, times
 
@@ -114,17 +114,8 @@ def _uncertain_rows(certificate: UncertainCertificate) -> list[Row]:
     parameters = []
     assert certificate.parameters is not None, EXPLAINS
     for (name, lag), value in certificate.parameters.items():
-        parameters.append(f"{name}{_lag_text(lag, certificate.relations.horizon)} {six_digits(value)}")
+        parameters.append(f"{at_sample(name, lag, certificate.relations.horizon)} {six_digits(value)}")
     return [("parameters", ", ".join(parameters)), ("first state", _state_text(certificate))]
-
-
-def _lag_text(lag: int | None, horizon: int) -> str:
-    """Return the sample of a parameter that varies, like [k-2]; of a constant one nothing."""
-    if lag is None:
-        return ""
-    if lag < horizon:
-        return f"[k-{horizon - lag}]"
-    return "[k]"
 
 
 def _state_text(certificate: AnyCertificate) -> str:

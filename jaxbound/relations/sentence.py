@@ -1,5 +1,6 @@
 """Relations as a reader would write them."""
 
+from collections.abc import Iterable
 from fractions import Fraction
 
 from jaxbound.consistency.interface import Reach, Relations
@@ -9,6 +10,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import bounded_sums, window_rows
 
 __all__ = [
+    "at_sample",
     "few_lines",
     "looked_at",
     "main_terms",
@@ -16,6 +18,7 @@ __all__ = [
     "relation_text",
     "row_name",
     "sample_names",
+    "sum_text",
 ]
 
 FEW = 8
@@ -119,10 +122,23 @@ def relation_text(model: LinearSystem, horizon: int, h: Vector, k: Vector) -> st
     for i, x in enumerate(k):
         if x:
             terms.append((-x, model.inputs[i % model.m] + at[i // model.m]))
+    return f"{sum_text(terms)} = 0"
+
+
+def sum_text(terms: Iterable[tuple[Fraction, str]]) -> str:
+    """Return a sum of (factor, name) as text."""
     out = ""
-    for x, signal in terms:
-        out += _sign(x, first=not out) + _factor(abs(x)) + signal
-    return out + " = 0"
+    for x, name in terms:
+        if x:
+            out += _sign(x, first=not out) + _factor(abs(x)) + name
+    return out
+
+
+def at_sample(name: str, lag: int | None, horizon: int) -> str:
+    """Return the name of a value at a sample of a window; None: it keeps one value."""
+    if lag is None:
+        return name
+    return name + sample_names(horizon)[lag]
 
 
 def sample_names(horizon: int) -> list[str]:

@@ -46,6 +46,7 @@ def test_a_verdict_on_constant_gains_is_proved_by_fractions_whatever_it_is(rng, 
     for k in range(s, len(u), 2):
         c = res.explain(k)
         assert confirmed(c)["certificate"] == Status(int(res.status[k])).name and c.errors == {}
+        assert c.factor == abs(c.residual) / c.width
     assert res.counts["FAULT"] and res.counts["CONSISTENT"]
 
 

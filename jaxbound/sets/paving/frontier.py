@@ -97,7 +97,8 @@ def explore(
             "alternate", one too narrow to be cut in floats stays as it is.
         first: drop all boxes of a target once one solution is proved.
     """
-    now = Boxes(*(np.repeat(x[:, None], count, 1) for x in (lo, hi)), np.arange(count, dtype=np.int32))
+    first_lo, first_hi = (np.repeat(x[:, None], count, 1) for x in (lo, hi))
+    now = Boxes(first_lo, first_hi, np.arange(count, dtype=np.int32))
     aside = proofs = now.chosen(np.zeros(count, bool))
     evaluated, solved, level = np.zeros(count, np.int64), np.zeros(count, bool), 0
     while True:
@@ -113,7 +114,9 @@ def explore(
         verdicts = judge(*now)
         if verdicts.proved is not None and verdicts.proof is not None:
             found = Boxes(*verdicts.proof, now.owner).chosen(verdicts.proved)
-            proofs, solved[found.owner] = proofs.beside(found), True
+            solved[found.owner] = True
+            # proofs may have other unknowns beside those of boxes
+            proofs = proofs.beside(found) if len(proofs.owner) else found
         if verdicts.rest is not None:
             now = Boxes(*verdicts.rest, now.owner)
         now = now.chosen(verdicts.keep)
