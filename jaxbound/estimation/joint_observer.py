@@ -35,7 +35,7 @@ from jaxbound.estimation.parallelotope import (
 from jaxbound.estimation.piece import Piece
 from jaxbound.estimation.set_observer import SetObserver, ZonotopeObserver
 from jaxbound.estimation.window import Prior, Samples, WindowPlant
-from jaxbound.estimation.window_programs import ROOM, WindowPrograms
+from jaxbound.estimation.window_programs import ROOM, gauges, supports
 from jaxbound.estimation.window_runs import AverageRows, average_rows
 from jaxbound.models.system import LinearSystem
 from jaxbound.sets.floats import rounding
@@ -100,8 +100,8 @@ class JointObserver(SetObserver[JointState]):
         return self.window // 2
 
     @cached_property
-    def programs(self) -> WindowPrograms:
-        """The linear programs of windows."""
+    def windows(self) -> WindowPlant:
+        """The plant of windows."""
         exact = self.plant.exact
         runs = AverageRows.none(self.window, *exact.C.shape[:1], *exact.W.shape[1:])
         if exact.free is None and isinstance(self.model, LinearSystem):
@@ -111,7 +111,7 @@ class JointObserver(SetObserver[JointState]):
         if exact.free is not None or len(runs.m):
             strips = strips[:0]
         strips = strips.astype(self.plant.dtype).astype(np.float64)
-        return WindowPrograms(WindowPlant(exact, strips, runs), self.plant.dtype)
+        return WindowPlant(exact, strips, runs)
 
     @cached_property
     def _principal(self) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -123,7 +123,7 @@ class JointObserver(SetObserver[JointState]):
         strips.
         """
         D, back = self._principal[min(number, SETTLED)]
-        return np.concatenate([D, self.programs.plant.strips]), back
+        return np.concatenate([D, self.windows.strips]), back
 
     def init(self) -> JointState:
         """Return the state of an observer that has seen nothing."""
@@ -142,12 +142,8 @@ class JointObserver(SetObserver[JointState]):
         """Return (state, Found) of samples, decided once: block by block."""
         T, count = samples.fresh.shape
         # the zonotopes are repeated where they are followed: each recording has several
-        state = carry._replace(
-            window=repeated(carry.window, count),
-            prior=repeated(carry.prior, count),
-            mark=repeated(carry.mark, count),
-            path=repeated(carry.path, count),
-        )
+        sets = repeated((carry.window, carry.prior, carry.mark, carry.path), count)
+        state = JointState(carry.carry, carry.samples, *sets)
         parts: list[steps.Found] = []
         first = 0
         while first < T or not parts:
@@ -178,8 +174,8 @@ class JointObserver(SetObserver[JointState]):
         lo, hi, most = template(rows, mark.c[None], mark.S[None], mark.r[None])
         lo[n:] = np.maximum(lo[n:], mark.mid - mark.rad)
         hi[n:] = np.minimum(hi[n:], mark.mid + mark.rad)
-        middles, z = np.full(len(lanes), self.half), self.programs.gauges(prior, window).z
-        low, high = self.programs.supports(prior, window, z, rows, hi - lo, middles, before=True)
+        middles, (*_, z) = np.full(len(lanes), self.half), gauges(self.windows, prior, window)
+        low, high = supports(self.windows, prior, window, z, rows, hi - lo, middles, before=True)
         lo, hi = np.maximum(lo, low), np.minimum(hi, high)
         better = parallelotope(back, rows, lo, hi, most, self.plant.dtype)
         bounded = _is_known(better)
@@ -223,7 +219,7 @@ class JointObserver(SetObserver[JointState]):
 
     def _no_strips(self, N: int) -> tuple[np.ndarray, np.ndarray]:
         """Return (mid, rad) of strips that say nothing."""
-        shape = len(self.programs.plant.strips), N
+        shape = len(self.windows.strips), N
         return np.zeros(shape, self.plant.dtype), np.full(shape, np.inf, self.plant.dtype)
 
     def _path_on(self, state: JointState, number: int) -> Prior:
@@ -265,9 +261,9 @@ class JointObserver(SetObserver[JointState]):
 
         def job(lanes: np.ndarray) -> tuple[np.ndarray, ...]:
             some, samples = chosen(path, lanes), chosen(window, lanes)
-            z = self.programs.gauges(some, samples).z
+            *_, z = gauges(self.windows, some, samples)
             w = z[k : k + L * self.plant.exact.W.shape[1]].reshape(L, -1, len(lanes))
-            return self.programs.plant.explained(some, samples, z[:k], w)
+            return self.windows.explained(some, samples, z[:k], w)
 
         return in_lanes(job, path.c.shape[-1], ROOM)
 
@@ -276,33 +272,37 @@ class JointObserver(SetObserver[JointState]):
         T = len(samples.fresh)
         if T and int(state.samples) % self.half == 0:
             state = self._next_block(state)
-        if T:
-            state = self._behind_gap(state, samples.fresh[0])
+        if T:  # a set of the state at that very sample was made of the samples before the gap
+            state = _believed(state, *[~samples.fresh[0]] * 3)
         t, before = int(state.samples), state.carry
         block = t // self.half * self.half
         after, found = self._followed(before, samples)
         begin = self.half + t % self.half
         state = state._replace(window=self._with_samples(state.window, begin, samples, found))
         since = t + np.arange(T)[:, None] - found.age + 1
-        asked = np.asarray((found.age > 0) & (since <= block - self.half) & _is_known(state.prior))
-        asked &= np.asarray(found.status) == Status.UNDECIDED
-        wrong, margin, states = self._refuted(state, begin, asked, np.asarray(found.states))
-        right = self._consistent(state, begin, asked & ~wrong & _is_known(state.path) & (since == 0))
-        if wrong.any():
-            wrong = is_first(wrong)
-            # windows behind it speak of samples that are given up
-            up_to_it = np.cumsum(wrong, 0) - wrong == 0
-            asked, right = asked & up_to_it, right & up_to_it
-            after, found = self._contradicted(before, samples, wrong, after, found)
-        state = self._carried_on(state, after, T)
-        return state, self._with_windows(found, asked, wrong, right, margin, states)
-
-    def _behind_gap(self, state: JointState, fresh: np.ndarray) -> JointState:
-        """Return the state without the sets of recordings that begin anew with the next sample, fresh (N,).
-
-        A set of the state at that very sample was made of the samples before the gap.
-        """
-        return _believed(state, ~fresh, ~fresh, ~fresh)
+        judged = np.asarray((found.age > 0) & (since <= block - self.half) & _is_known(state.prior))
+        judged &= np.asarray(found.status) == Status.UNDECIDED
+        wrong, margin, states = self._refuted(state, begin, judged, np.asarray(found.states))
+        right = self._consistent(state, begin, judged & ~wrong & _is_known(state.path) & (since == 0))
+        wrong = is_first(wrong)
+        # windows behind it speak of samples that are given up
+        up_to_it = np.cumsum(wrong, 0) - wrong == 0
+        judged, right = judged & up_to_it, right & up_to_it
+        if wrong.any() and self.restart:
+            anew = samples._replace(fresh=fresh_behind(samples.fresh, wrong))
+            after, found = self._followed(before, anew)
+            after = ended(after, wrong[-1])
+        elif wrong.any():
+            # the zonotopes carry on themselves what was refuted before these samples
+            stays = wrong | staying(np.zeros_like(wrong[0]), wrong, samples.fresh)
+            after, found = latched(after, found, stays)
+        status = np.where(right, np.int8(Status.CONSISTENT), found.status)
+        found = with_refuted(found._replace(status=status), wrong, np.where(judged, margin, np.inf))
+        if self.enclosures:
+            narrower = judged[:, None] & (found.age > 0)[:, None]
+            states = np.where(narrower, np.minimum(states, found.states), found.states)
+            found = found._replace(states=states)
+        return self._carried_on(state, after, T), found
 
     def _with_samples(self, window: Samples, begin: int, known: Piece, found: steps.Found) -> Samples:
         """Return the window with the samples of a piece at their place."""
@@ -327,40 +327,6 @@ class JointObserver(SetObserver[JointState]):
         state = state._replace(carry=after, samples=state.samples + T)
         return _believed(state, since <= block - self.half, since <= block, since == 0)
 
-    def _with_windows(
-        self,
-        found: steps.Found,
-        asked: np.ndarray,
-        wrong: np.ndarray,
-        right: np.ndarray,
-        margin: np.ndarray,
-        states: np.ndarray,
-    ) -> steps.Found:
-        """Return Found with the verdicts, margins and states of windows."""
-        status = np.where(right, np.int8(Status.CONSISTENT), found.status)
-        found = with_refuted(found._replace(status=status), wrong, np.where(asked, margin, np.inf))
-        if not self.enclosures:
-            return found
-        narrower = asked[:, None] & (found.age > 0)[:, None]
-        return found._replace(states=np.where(narrower, np.minimum(states, found.states), found.states))
-
-    def _contradicted(
-        self,
-        before: steps.ZonotopeCarry,
-        samples: Piece,
-        wrong: np.ndarray,
-        after: steps.ZonotopeCarry,
-        found: steps.Found,
-    ) -> tuple[steps.ZonotopeCarry, steps.Found]:
-        """Return (carry, Found) of samples where windows are refuted at some (T, N)."""
-        if self.restart:
-            anew = samples._replace(fresh=fresh_behind(samples.fresh, wrong))
-            after, found = self._followed(before, anew)
-            return ended(after, wrong[-1]), found
-        # the zonotopes carry on themselves what was refuted before these samples
-        stays = wrong | staying(np.zeros_like(wrong[0]), wrong, samples.fresh)
-        return latched(after, found, stays)
-
     def _refuted(
         self, state: JointState, begin: int, asked: np.ndarray, states: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -372,7 +338,7 @@ class JointObserver(SetObserver[JointState]):
         if not len(ks):
             return wrong, margin, ends
         prior, window = chosen(state.prior, lanes), self._up_to(state.window, lanes, begin + ks)
-        value, bound, t, z = self.programs.gauges(prior, window)
+        value, bound, t, z = gauges(self.windows, prior, window)
         refuted = np.abs(value) > bound
         wrong[ks, lanes] = refuted
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -381,7 +347,7 @@ class JointObserver(SetObserver[JointState]):
             n = self.plant.system.n
             own = ends[ks, :, lanes].T
             width = np.maximum(own[:n] + own[n:], 0)
-            low, high = self.programs.supports(prior, window, z, np.eye(n), width, begin + ks)
+            low, high = supports(self.windows, prior, window, z, np.eye(n), width, begin + ks)
             shown = ~refuted & np.isfinite(low) & np.isfinite(high) & (low <= high)
             better = rounding.round_up(np.concatenate([-low, high]), self.plant.dtype)
             both = np.concatenate([shown, shown])
@@ -410,17 +376,10 @@ class JointObserver(SetObserver[JointState]):
 
 def _later(window: Samples, count: int) -> Samples:
     """Return windows without their first samples, and without samples behind the others."""
-
-    def later(x: np.ndarray, nothing: float) -> np.ndarray:
-        return np.concatenate([x[count:], np.full_like(x[:count], nothing)])
-
-    return Samples(
-        mid=later(window.mid, 0),
-        rad=later(window.rad, np.inf),
-        v=later(window.v, 0),
-        slip=later(window.slip, 0),
-        reach=later(window.reach, np.inf),
-    )
+    later = []
+    for x, nothing in zip(window, (0, np.inf, 0, 0, np.inf), strict=True):
+        later.append(np.concatenate([x[count:], np.full_like(x[:count], nothing)]))
+    return Samples(*later)
 
 
 def _believed(state: JointState, prior: np.ndarray, mark: np.ndarray, path: np.ndarray) -> JointState:

@@ -19,11 +19,11 @@ backward (Bryson, Frazier 1963): work and memory grow with the length of the win
 lie side by side on the last axis. Averages are met behind it, all at once (Woodbury): one more right-hand
 side each.
 
-What comes out are multipliers, one a sample. Any numbers will do for the proof (`window_proof`); these are
+What comes out are multipliers, one a sample. Any numbers will do for the proof (`window`); these are
 nearly the best ones.
 """
 
-import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -33,11 +33,19 @@ import numpy as np
 from jaxbound.estimation.arrays import Array
 from jaxbound.estimation.window import Image, WindowPlant, through
 
-__all__ = ["WindowProgram", "followed", "middle", "program_of", "searched", "split"]
+__all__ = ["WindowProgram", "program_of", "searched"]
 
 PACE = 0.15
 """Share of the complementarity that is left after a step."""
 STEPS = 40
+VERDICT = 0.02
+"""Gap, relative, at which the search for a gauge is done: far enough for a verdict."""
+CLOSE = {"float64": (1e-9, 1e-6), "float32": (1e-4, 1e-4)}
+"""The same for a support, without and with strips: several bounds of one first state are nearly parallel, and
+closer to the optimum their multipliers lose their digits.
+"""
+LOST = 1e-3
+"""How far a sample may be off the trajectory of a search, as a share of the largest unknown."""
 START = 0.3
 """Complementarity at which a support begins: directions are such that it is about 1."""
 SOFT = 2.0**-20, 2.0**-10
@@ -80,7 +88,7 @@ class _Path(NamedTuple):
     """The central path at one step, N programs side by side.
 
     Fields: z (K, N), t (1, N): the unknowns and their bound; up, down (K, N): multipliers of z <= t and -z <=
-    t; mu (1, N): complementarity; gap (1, N): relative; weight (R + a, 1, N) of samples and averages; done
+    t; mu (1, N): complementarity; gap (1, N): relative; weight (R + a, N) of samples and averages; done
     (1, N); step.
     """
 
@@ -146,49 +154,32 @@ def split(z: Array, window: WindowProgram) -> tuple[Array, Array, Array]:
     return z[:k], z[k:after].reshape(L, g, *z.shape[1:]), z[after : after + len(window.s)]
 
 
-def middle(window: WindowProgram) -> np.ndarray:
-    """Return the unknowns z (K, N) of the trajectory with xi = 0, w = 0."""
-    free = np.zeros((window.S.shape[1] + window.steps * window.W.shape[1], window.e.shape[-1]))
-    return _unknowns(window, free, window.e)
-
-
-def followed(window: WindowProgram, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (z (K, N), off (N,)): the unknowns of the trajectory that the xi and w of z make, and how far
-    the v of z are from its own.
-
-    A search moves them side by side; where samples differ by many digits, it may lose the trajectory.
+def _unknowns(window: WindowProgram, z: jax.Array) -> jax.Array:
+    """Return all unknowns (K, N) of the trajectory that the xi and w of z make: these, and the errors that it
+    leaves.
     """
-    z = np.where(np.isfinite(z), z, 0).astype(np.float64)
-    xi, w, v = split(z, window)
-    free = z[: len(z) - len(v) - len(window.b)]
-    x, states = (window.S * xi[None]).sum(1), []
-    for drawn in w * window.scale:
-        states.append(x)
-        x = through(window.A, x) + through(window.W, drawn)
-    rows = through(window.T, states[0]), *through(window.C, np.stack(states))
-    errors = window.e - np.concatenate(rows)
-    off = np.where(np.isfinite(window.s), np.abs(errors / window.s - v), 0).max(0)
-    return _unknowns(window, free, errors), off
+    first, N = window.S.shape[1], z.shape[-1]
+    free = z[: len(z) - len(window.s) - len(window.b)]
+    free = jnp.where(jnp.isfinite(free), free, 0)
+    w = free[first:].reshape(window.scale.shape) * window.scale
 
+    def move(x: jax.Array, drawn: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return _dot(window.A, x) + _dot(window.W, drawn), _dot(window.C, x)
 
-def _unknowns(window: WindowProgram, free: np.ndarray, errors: Array) -> np.ndarray:
-    """Return z (K, N) of xi and w, which are free, and of the errors (R, N) that they leave."""
-    known = np.concatenate([free, errors / window.s])
+    x = jnp.sum(window.S * free[None, :first], 1)[:, None]
+    _, shown = jax.lax.scan(move, x, w[:, :, None])
+    errors = window.e - jnp.concatenate([_dot(window.T, x)[:, 0], shown.reshape(-1, N)])
+    known = jnp.concatenate([free, errors / window.s])
     if not len(window.b):
         return known
-    seen, w = np.where(np.isfinite(window.s), errors, 0)[len(window.T) :], free[window.S.shape[1] :]
-    averages = window.m + (through(window.F_v, seen) + through(window.F_w, w)) / window.b
-    return np.concatenate([known, averages])
+    seen = jnp.where(jnp.isfinite(window.s), errors, 0)[len(window.T) :]
+    sums = window.F_v @ seen + window.F_w @ free[first:]
+    return jnp.concatenate([known, window.m + sums / window.b])
 
 
 def _dot(M: Array, X: Array) -> jax.Array:
     """Return M X for M (r, n), X (n, a, N)."""
     return jnp.sum(M[:, :, None, None] * X[None], 1)
-
-
-def _times(F: Array, X: Array) -> jax.Array:
-    """Return F X for F (a, n), X (n, ..), as one product of matrices."""
-    return jnp.reshape(F @ X.reshape(len(X), math.prod(X.shape[1:])), (len(F), *X.shape[1:]))
 
 
 def _solved(
@@ -206,13 +197,17 @@ def _solved(
 
     def rows(z: jax.Array) -> jax.Array:
         """Return the averages of unknowns."""
-        return (_times(F_v, s * z[after:]) + _times(F_w, z[first:after])) / b[:, None]
+        return (jnp.tensordot(F_v, s * z[after:], 1) + jnp.tensordot(F_w, z[first:after], 1)) / b[:, None]
 
     def back(x: jax.Array) -> jax.Array:
         """Return the pulls of averages as those of unknowns."""
         x = x / b[:, None]
         return jnp.concatenate(
-            [jnp.zeros((first, *x.shape[1:]), x.dtype), _times(F_w.T, x), s * _times(F_v.T, x)]
+            [
+                jnp.zeros((first, *x.shape[1:]), x.dtype),
+                jnp.tensordot(F_w.T, x, 1),
+                s * jnp.tensordot(F_v.T, x, 1),
+            ]
         )
 
     # one more right-hand side for each average (Woodbury)
@@ -326,62 +321,48 @@ def _beside(x: Array, y: Array) -> jax.Array:
 
 def searched(
     window: WindowProgram,
-    z: np.ndarray,
-    close: float,
+    z: np.ndarray | None = None,
     d: np.ndarray | None = None,
     J: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return (multipliers (R + a, N), t (N,), z (K, N)) of the windows, t the largest |z_i|.
+) -> tuple[np.ndarray, ...]:
+    """Return (multipliers (R + a, N), t (N,), z (K, N), lost (N,)) of the windows, t the largest |z_i|.
+
+    xi, w and v move side by side in a search; where samples differ by many digits they may part, and its
+    trajectory is lost.
 
     Args:
-        z (K, N): where to begin, a trajectory with its v; all |z_i| < 1 for a support. close: gap at which a
-            window is done, relative. d (n, N), J (N,): the direction and step of a support; None for a gauge.
+        z (K, N): where to begin: a gauge on the trajectory of its xi and w, None: of the middle; a support
+            there, all |z_i| < 1. d (n, N), J (N,): the direction and step of a support; None for a gauge.
     """
-    (n, _, N), dtype = window.S.shape, window.e.dtype
-    there, bounds = np.ones(z.shape, bool), np.concatenate([window.s, window.b])
-    there[len(z) - len(bounds) :] = np.isfinite(bounds)
-    t, mu, pull = np.ones(N), np.full(N, START), np.zeros((n, 2, N))
-    if d is None:
-        t = 1.25 * np.abs(z).max(0) + 1e-3
-        mu, J = t / there.sum(0), np.zeros(N)
-    else:
-        pull[:, 0] = d
-    up, down, size = mu / (t - z), mu / (t + z), 1
-    if d is None:
-        size = np.where(there, up + down, 0).sum(0)
-    begin = z, t[None], up / size, down / size, mu[None]
-    weight, z = _path(
-        window,
-        there,
-        tuple(x.astype(dtype) for x in begin),
-        pull.astype(dtype),
-        np.asarray(J, np.int32),
-        d is None,
-        np.asarray(close, dtype),
-    )
-    weight, z = np.asarray(weight), np.asarray(z)
-    return np.where(np.isfinite(weight), weight, 0), np.abs(np.where(there, z, 0)).max(0), z
+    (n, k, N), dtype = window.S.shape, window.e.dtype
+    if z is None:
+        z = np.zeros((k + window.steps * window.W.shape[1] + len(window.s) + len(window.b), N))
+    close, pull, at = VERDICT, np.zeros((n, 2, N)), np.zeros(N, np.int32)
+    if d is not None and J is not None:
+        at = np.asarray(J, np.int32)
+        strips = bool(np.isfinite(window.s[: len(window.T)]).any())
+        close, pull[:, 0] = CLOSE[dtype.name][strips], d
+    found = _path(window, z.astype(dtype), pull.astype(dtype), at, d is None, np.asarray(close, dtype))
+    return tuple(map(np.asarray, found))
 
 
 @jax.jit
 def _path(
     window: WindowProgram,
-    there: jax.Array,
-    begin: tuple[jax.Array, ...],
+    z: jax.Array,
     pull: jax.Array,
     J: jax.Array,
     gauge: jax.Array | bool,
     close: jax.Array,
-) -> tuple[jax.Array, jax.Array]:
-    """Follow the central path; return (multipliers, z)."""
+) -> tuple[jax.Array, ...]:
+    """Follow the central path; return as `searched`."""
+    bounds = jnp.concatenate([window.s, window.b])
+    there = jnp.ones(z.shape, bool).at[len(z) - len(bounds) :].set(jnp.isfinite(bounds))
+    z = jnp.where(gauge, _unknowns(window, z), z)
 
-    def sums(x: jax.Array, y: jax.Array) -> tuple[jax.Array, ...]:
-        """Return the sums (1, N) of both over the unknowns that there are."""
-        return tuple(jnp.sum(jnp.where(there[:, None], _pair(x, y), 0), 0)[:, None])
-
-    def largest(x: jax.Array, y: jax.Array) -> tuple[jax.Array, ...]:
-        """Return the largest (1, N) of both over the unknowns that there are."""
-        return tuple(jnp.max(jnp.where(there[:, None], _pair(x, y), 0), 0)[:, None])
+    def both(over: Callable[..., jax.Array], *pair: jax.Array) -> tuple[jax.Array, ...]:
+        """Return the sums (1, N), or the largest, of both over the unknowns that there are."""
+        return tuple(over(jnp.where(there, x, 0), 0)[None] for x in pair)
 
     count = jnp.sum(there, 0, dtype=pull.dtype)[None]
 
@@ -391,14 +372,14 @@ def _path(
         a, b = t - z, t + z
         D, E = jnp.where(there, up / a + down / b, 0), jnp.where(there, up / a - down / b, 0)
         rho = jnp.where(there, mu / b - mu / a, 0)
-        found, pulls = _solved(window, D, _pair(rho, E), pull, J)
+        found, pulls = _solved(window, D, jnp.stack([rho, E], 1), pull, J)
         p, q = found[:, 0], found[:, 1]
-        barrier, steep = sums(mu / a + mu / b + E * p, D - E * q)
+        barrier, steep = both(jnp.sum, mu / a + mu / b + E * p, D - E * q)
         dt = jnp.where(gauge, (barrier - 1) / steep, 0)
         dz = p + q * dt
         da, db = dt - dz, dt + dz
         d_up, d_down = mu / a - up - up / a * da, mu / b - down - down / b * db
-        far, far_dual = largest(jnp.maximum(-da / a, -db / b), jnp.maximum(-d_up / up, -d_down / down))
+        far, far_dual = both(jnp.max, jnp.maximum(-da / a, -db / b), jnp.maximum(-d_up / up, -d_down / down))
         longest = jnp.maximum(far, far_dual)
         finished = done | ((gap < 1e-4) & (longest > 50)) | ~(longest < jnp.inf)  # digits are used up
         alpha, beta = _length(far, finished), _length(far_dual, finished)
@@ -409,7 +390,7 @@ def _path(
             _moved(t, dt, alpha),
         )
         weight = jnp.where(finished, weight, -pulls[:, 0] - pulls[:, 1] * dt)
-        whole, gap = sums(up + down, up * (t - z) + down * (t + z))
+        whole, gap = both(jnp.sum, up + down, up * (t - z) + down * (t + z))
         whole = jnp.where(gauge, whole, 1)
         gap = gap / whole
         settled = jnp.where(gauge, (gap < close * t) & (jnp.abs(1 - t) > gap), gap < close)
@@ -421,17 +402,18 @@ def _path(
     def going(path: _Path) -> jax.Array:
         return (path.step < STEPS) & ~jnp.all(path.done)
 
-    z, t, up, down, mu = begin
+    t = jnp.where(gauge, 1.25 * jnp.max(jnp.abs(z), 0) + 1e-3, 1)[None]
+    mu = jnp.where(gauge, t / count, START)
+    up, down = mu / (t - z), mu / (t + z)
+    size = jnp.where(gauge, jnp.sum(jnp.where(there, up + down, 0), 0), 1)[None]
     gap = jnp.ones_like(t)
-    weight = jnp.zeros((len(window.s) + len(window.b), *t.shape[1:]), t.dtype)
-    path = _Path(z, t, up, down, mu, gap, weight, jnp.zeros(t.shape, bool), 0)
+    weight = jnp.zeros((len(bounds), t.shape[1]), t.dtype)
+    path = _Path(z, t, up / size, down / size, mu, gap, weight, jnp.zeros(t.shape, bool), 0)
     path = jax.lax.while_loop(going, step, path)
-    return path.weight, path.z
-
-
-def _pair(x: jax.Array, y: jax.Array) -> jax.Array:
-    """Return both, one beside the other on the second axis."""
-    return jnp.stack([x, y], 1)
+    weight = jnp.where(jnp.isfinite(path.weight), path.weight, 0)
+    off = jnp.max(jnp.abs(jnp.where(there, path.z - _unknowns(window, path.z), 0)), 0)
+    t = jnp.max(jnp.abs(jnp.where(there, path.z, 0)), 0)
+    return weight, t, path.z, ~(off <= LOST * t)
 
 
 def _length(far: jax.Array, finished: jax.Array) -> jax.Array:
