@@ -312,7 +312,9 @@ def _proof(
     reading = r.reading(y.dtype)
     samples = np.nan_to_num(u[: reading.lags])[..., None], np.nan_to_num(y)[..., None]
     with outside_xla():  # a single window is not worth a compilation
-        found, leaves, points = parametric_windows.bisected(reading, samples, status != Status.FAULT, budget)
+        found, _, leaves, points = parametric_windows.bisected(
+            reading, samples, status != Status.FAULT, budget, size=32
+        )
     if found[0] == Status.FAULT:
         return _tree_of(p, leaves, p.box), None
     if status == Status.FAULT:

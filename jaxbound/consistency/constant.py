@@ -65,8 +65,6 @@ class ConstantTest(SignedTest):
         search: makes the test that is asked of windows left open; its `outputs` are margins.
     """
 
-    confirms = True
-
     def __init__(
         self, relations: LinearRelations, method: str, dtype: DTypeLike, search: Callable[[], WindowTest]
     ) -> None:
@@ -101,16 +99,14 @@ class ConstantTest(SignedTest):
         (margin,) = outs
         at = left + self.horizon
         sizes = margin[at]
-        refuted = self.contradicted(u, y, left)
+        refuted = self._contradicted(u, y, left)
         margin[at] = np.where(refuted, -1, 0)
         again(self._search(), left[~refuted])
         settled = np.abs(margin[at]) > 0  # not where it is NaN, which proves nothing
         margin[at] = np.where(settled, signed(sizes, margin[at] > 0), 0)
 
-    def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
-        """Return (N,) bool: which windows one strip contradicts whatever the gains, in NumPy; see
-        `WindowTest.contradicted`.
-        """
+    def _contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """Return (N,) bool: which windows one strip contradicts whatever the gains, in NumPy."""
         r = self.relations
         reading = r.reading(np.float64, self.method)
         host = host_strips(reading, *r.strips(self.method), constant=True)

@@ -77,7 +77,7 @@ class ExchangeTest(SignedTest):
             from call to call; None: none yet.
     """
 
-    threads = confirms = by_strips = True
+    threads = by_strips = True
     short = 16  # the work grows with the block
 
     def __init__(

@@ -39,7 +39,6 @@ class GainsTest(HolesTest):
     """
 
     block = 2**9
-    confirms = True
 
     def image(self, u: np.ndarray, y: np.ndarray) -> "_Gained":
         """Return the rows of windows at gains of 1."""

@@ -493,8 +493,6 @@ class WindowTest:
     by_strips: ClassVar[bool] = False
     """Whether margins are those of strips, down which an adversary of a study goes."""
 
-    confirms: bool = False
-    """Whether NumPy alone says FAULT, itself or by the hints of `judge`: nobody asks again."""
     short: int = 64
     """How many windows are judged at once where there are few."""
     easy_first: bool = True
@@ -591,7 +589,7 @@ class WindowTest:
 
     def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray | None:
         """Return (N,) bool: which windows contradict their bounds, from all samples u (T, m), y (T, p) and
-        without XLA. None: `judge` and `settle` decide again, with kernels evaluated in NumPy.
+        without XLA. None: NumPy alone says FAULT here, itself or by the hints of `judge`.
         """
         return None
 

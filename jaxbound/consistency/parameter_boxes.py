@@ -19,13 +19,12 @@ from jax.typing import DTypeLike
 from jaxbound.consistency.parametric_windows import (
     SEARCHED,
     Leaves,
-    Terms,
     middle_of,
     refuted,
     samples_of,
     terms_of,
 )
-from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations
+from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations, Polynomials
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.uncertainty import Uncertainty
 from jaxbound.sets.floats import rounding
@@ -110,15 +109,17 @@ class PolynomialBoxes(ParameterBoxes):
         """Return the Look of windows (P,) on boxes (n, P): of all relations together, or not closely and
         where their strips are too many, of two relations at a time.
         """
-        search = closely and self.searched
+        size, direction = PAIRS, _strip
+        if closely and self.searched:
+            size, direction = SEARCHED, _farthest
 
         def one(lo: np.ndarray, hi: np.ndarray, window: np.ndarray) -> tuple[jax.Array, ...]:
             terms = terms_of(self.reading, *(x.take(window, -1) for x in self._samples))
             c, G, lean = _image_on(self.reading, terms, *middle_of(lo, hi))
-            h = _farthest(c, G, terms.error)[0] if search else _strip(c, G, terms.error)
+            h = direction(c, G, terms.error)
             return _refutes(c, G, terms.error, h), h, lean
 
-        margin, h, lean = in_blocks(one, lo, hi, window, SEARCHED if search else PAIRS)
+        margin, h, lean = in_blocks(one, lo, hi, window, size)
         return Look(np.nan_to_num(margin, nan=1.0), h, lean)
 
     def refuted(self, leaves: Leaves) -> np.ndarray:
@@ -131,7 +132,9 @@ class PolynomialBoxes(ParameterBoxes):
         for x, whole, rounded in ((lo, -1, rounding.round_down), (hi, 1, rounding.round_up)):
             columns = []
             for (p, radius), i in zip(self._radii.items(), self.place, strict=True):
-                row = x[i] if i >= 0 else np.full(x.shape[1], whole)
+                row = np.full(x.shape[1], whole, x.dtype)
+                if i >= 0:
+                    row = x[i]
                 few, which = np.unique(row, return_inverse=True)
                 exact = [p.centre + radius * Fraction(float(v)) for v in few]
                 columns.append(rounded(exact, np.float64)[which.ravel()])
@@ -152,16 +155,20 @@ def _constant(relations: PolynomialRelations, dtype: DTypeLike) -> dict[Uncertai
 
 @kernel
 def _image_on(
-    reading: PolynomialReading, terms: Terms, mid: jax.Array, radius: jax.Array
+    reading: PolynomialReading, terms: Polynomials, mid: jax.Array, radius: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (c, G, lean) of windows on boxes mid +- radius (n, P)."""
-    value, spread, rad, _ = terms
+    value, _, spread, rad = terms
     c, G = polynomials.image(value, spread, rad, reading.exponents, mid, radius)
     size = jnp.sum(jnp.abs(G), 1)
     share = jnp.abs(G[:, : len(mid)]) / jnp.where(size > 0, size, 1)[:, None]
     return c, G, jnp.max(share, 0)
 
 
+@kernel
+def _farthest(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array:
+    return varying.farthest(c, G, error)[0]
+
+
 _strip = kernel(varying.strip)
-_farthest = kernel(varying.farthest)
 _refutes = kernel(varying.refutes)

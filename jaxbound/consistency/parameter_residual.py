@@ -69,8 +69,9 @@ class ResidualBoxes(ParameterBoxes):
         """Return lo, hi (N, q) of the parameters of boxes (n, N)."""
         return lo[self.place].T.astype(np.float64), hi[self.place].T.astype(np.float64)
 
-    def _margin(self, lo: np.ndarray, hi: np.ndarray, window: np.ndarray) -> Any:
-        return _outside(self._f, lo, hi, tuple(x.take(window, -1) for x in self._windows))
+    def _margin(self, lo: np.ndarray, hi: np.ndarray, window: np.ndarray) -> jax.Array:
+        margin: jax.Array = _outside(self._f, lo, hi, tuple(x.take(window, -1) for x in self._windows))
+        return margin
 
 
 @forgets

@@ -3,7 +3,6 @@ bisected.
 """
 
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
 from functools import cached_property
 
 import jax
@@ -31,12 +30,13 @@ from jaxbound.consistency.parametric_windows import (
     LEAST,
     SEARCHED,
     Leaves,
+    alone,
     bisected,
     by_vertices,
     cases,
     finite,
-    judged_whole,
     refuted,
+    terms_of,
 )
 from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations
 from jaxbound.consistency.reading import Block, gather
@@ -88,8 +88,6 @@ class ParametricTest(WindowTest):
         self.budget = 1 if budget is None else whole_budget(budget)
         self.is_alone, self.proved = method == "box" or by_vertices(relations), relations.complete == "proved"
         self.lacking = lacking
-        # by vertices, or relation by relation, many windows are seen again at once, behind the driver
-        self.confirms = not self.is_alone or self.budget > 1
 
     @property
     def block(self) -> int:
@@ -108,18 +106,6 @@ class ParametricTest(WindowTest):
         """How kernels read a window."""
         return self.relations.reading(self.dtype, self.method)
 
-    @cached_property
-    def _on_device(self) -> PolynomialReading:
-        on_device: PolynomialReading = jax.device_put(self.reading)
-        return on_device
-
-    @property
-    def _read(self) -> PolynomialReading:
-        """The reading where kernels take it: outside XLA that of the host, which no device has copied."""
-        if is_outside_xla():
-            return self.reading
-        return self._on_device
-
     def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Cases:
         """Return a test for each pattern of missing samples; the rarest stay open."""
         refuse_infinite("u", u, self.relations.model.inputs)
@@ -134,42 +120,25 @@ class ParametricTest(WindowTest):
             tests.append((test, starts[chosen]))
         return tests
 
-    def _where(self) -> AbstractContextManager[None]:
-        """Return the context in which kernels run."""
-        return outside_xla() if self.lacking else nullcontext()
-
     def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return (status, margin, open) of blocks of windows; open is what more boxes may decide."""
-        # all blocks are under way before the host waits for the first
-        with self._where():
-            whole = [judged_whole(self._read, finite(block), self.is_alone, self.proved) for block in blocks]
         judged: list[Arrays] = []
-        for block, (said, margin, h) in zip(blocks, whole, strict=True):
-            status, doubtful = np.array(said), self._doubtful(finite(block), said, h)
-            status[doubtful] = Status.UNDECIDED
-            left = (status == Status.UNDECIDED) & (self.budget > 1)
-            judged.append((status, np.where(doubtful, 0, margin), left))
+        for samples in map(finite, blocks):
+            with outside_xla(self.lacking or is_outside_xla()):
+                if self.is_alone:
+                    said, margin, leaves = *self._alone(samples), None
+                else:
+                    size = samples[1].shape[-1]
+                    said, margin, leaves, _ = bisected(self.reading, samples, self.proved, 1, size)
+            status = self._confirmed(np.array(said), samples, leaves)
+            margin = np.where((status != Status.FAULT) & (margin < 0), 0, margin)
+            judged.append((status, margin, (status == Status.UNDECIDED) & (self.budget > 1)))
         return judged
 
-    def _doubtful(self, samples: Block, status: Array, h: Array | None) -> np.ndarray:
-        """Return (N,) bool: which FAULT windows of a block NumPy does not refute from their samples."""
-        fault: np.ndarray = np.asarray(status) == Status.FAULT
-        if self.lacking or is_outside_xla() or not self.confirms or not fault.any():
-            return np.zeros(len(fault), bool)
-        at = np.flatnonzero(fault)
-        if h is None:
-            chosen = np.resize(at, len(fault))
-            with outside_xla():
-                u, y = samples
-                again = judged_whole(self.reading, (u[..., chosen], y[..., chosen]), self.is_alone, False)
-            proved = np.asarray(again[0])[: len(at)] == Status.FAULT
-        else:
-            one = np.ones((len(self.reading.size), len(at)), self.dtype)
-            proved = refuted(self.reading, samples, Leaves(at, -one, one, np.asarray(h)[:, at]))
-        fault[at[proved]] = False
-        if fault.any():
-            warn_doubtful(f"{fault.sum()} windows of a block are FAULT by XLA")
-        return fault
+    def _alone(self, samples: Block) -> tuple[Array, Array]:
+        """Return (status, margin) of windows by each relation alone."""
+        status, margin = alone(self.reading, terms_of(self.reading, *samples), self.proved)
+        return status, margin
 
     def settle(
         self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress
@@ -179,23 +148,34 @@ class ParametricTest(WindowTest):
         for first in range(0, len(left), SEARCHED):
             at = left[first : first + SEARCHED] + self.horizon
             windows = finite(gather(u, y, at - self.horizon, self.lags, self.horizon))
-            with self._where():
-                now, leaves, _ = bisected(self.reading, windows, self.proved, self.budget)
+            with outside_xla(self.lacking or is_outside_xla()):
+                now, _, leaves, _ = bisected(self.reading, windows, self.proved, self.budget)
                 now = self._confirmed(now, windows, leaves)
             status[at] = now
             margin[at] = np.where(now == Status.FAULT, np.minimum(margin[at], -LEAST), margin[at])
             margin[at] = np.where(now == Status.CONSISTENT, np.maximum(margin[at], LEAST), margin[at])
             progress((first + len(at)) / len(left))
 
-    def _confirmed(self, status: np.ndarray, samples: Block, leaves: Leaves) -> np.ndarray:
-        """Return the status of windows, UNDECIDED where NumPy does not refute each leaf of a FAULT."""
-        if is_outside_xla():
+    def _confirmed(self, status: np.ndarray, samples: Block, leaves: Leaves | None) -> np.ndarray:
+        """Return the status of windows, UNDECIDED where NumPy does not refute each leaf of a FAULT; None:
+        where no relation alone does.
+        """
+        fault = status == Status.FAULT
+        if self.lacking or is_outside_xla() or not fault.any():
             return status
-        leaves = leaves.chosen(status[leaves.owner] == Status.FAULT)
-        doubtful = leaves.owner[~refuted(self.reading, samples, leaves)]
+        if leaves is None:
+            at = np.flatnonzero(fault)
+            chosen = np.resize(at, 2 ** len(at).bit_length())  # few sizes: each is a program to write down
+            u, y = samples
+            with outside_xla():
+                again, _ = self._alone((u[..., chosen], y[..., chosen]))
+            doubtful = at[np.asarray(again)[: len(at)] != Status.FAULT]
+        else:
+            leaves = leaves.chosen(fault[leaves.owner])
+            doubtful = leaves.owner[~refuted(self.reading, samples, leaves)]
         if len(doubtful):
             status[doubtful] = Status.UNDECIDED
-            warn_doubtful(f"{len(np.unique(doubtful))} windows are FAULT by boxes that XLA refuted")
+            warn_doubtful(f"{len(np.unique(doubtful))} windows of a block are FAULT by XLA")
         return status
 
     def margins(self, given: Recording) -> jax.Array:

@@ -64,7 +64,7 @@ def _smooth_margins(reading: PolynomialReading, u: jax.Array, y: jax.Array, vert
     """Return 1 - gauge (N,) of windows u (lags, m, N), y (s + 1, p, N), with derivatives; a missing sample
     that matters gives NaN.
     """
-    value, spread, rad, _ = terms_of(reading, u, y)
+    value, _, spread, rad = terms_of(reading, u, y)
     gone = jnp.isnan(value[:, 0])
     value = jnp.where(gone[:, None], 0, value)
     if vertices:

@@ -24,9 +24,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations
+from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations, Polynomials
 from jaxbound.consistency.reading import Block, gather
-from jaxbound.sets.floats.kernel import is_outside_xla, kernel, outside_xla
+from jaxbound.sets.floats.kernel import kernel, outside_xla
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.paving.frontier import Verdicts, explore, in_blocks
 from jaxbound.sets.strips import polynomials, varying
@@ -37,7 +37,6 @@ __all__ = [
     "SEARCHED",
     "VERTICES",
     "Leaves",
-    "Terms",
     "alone",
     "bisected",
     "by_vertices",
@@ -45,9 +44,7 @@ __all__ = [
     "cases",
     "concluded",
     "finite",
-    "judged_whole",
     "middle_of",
-    "on_whole",
     "refined",
     "refuted",
     "samples_of",
@@ -72,24 +69,10 @@ LEAST = 1e-6
 
 
 Family = TypeVar("Family", bound=PolynomialRelations)
-Judgement: TypeAlias = tuple[jax.Array, jax.Array, jax.Array | None]
-"""(status, margin, h) of windows: their directions, None where a FAULT needs none."""
 At: TypeAlias = tuple[jax.Array, ...]
 """(z, p, J, bend, R): a point, and what a proof there needs."""
 Newton: TypeAlias = tuple[jax.Array, jax.Array, At, jax.Array]
 """(number of points, the next point, the last one, where a proof holds)."""
-
-
-class Terms(NamedTuple):
-    """Polynomials of windows, see `PolynomialReading.polynomials`, with one bound on the error of each row.
-
-    Fields: value (count, K, N); spread (count, K, R); rad (R, N); error (count, N).
-    """
-
-    value: jax.Array
-    spread: jax.Array
-    rad: jax.Array
-    error: jax.Array
 
 
 def cases(
@@ -147,39 +130,25 @@ def by_vertices(relations: PolynomialRelations) -> bool:
     return few and polynomials.multiaffine(relations.exponents)
 
 
-def judged_whole(reading: PolynomialReading, samples: Block, is_alone: bool, proved: bool) -> Judgement:
-    """Return (status, margin, h) of a block of windows: of each relation alone, or of all together."""
-    terms = terms_of(reading, *samples)
-    if is_alone:
-        return *alone(reading, terms, proved), None
-    status, margin, _, hints = on_whole(reading, terms, proved)
-    return status, margin, hints.h
-
-
 def _noise_part(reading: PolynomialReading, z: jax.Array) -> jax.Array:
     """Return the noises among the columns of an image."""
     lumps = len(reading.N) if reading.noisy and len(reading.exponents) > 1 else 0
     return z[len(z) - lumps - len(reading.noisy) : len(z) - lumps]
 
 
-def _status(margin: jax.Array, inside: jax.Array) -> jax.Array:
-    decided = jnp.where(margin < 0, Status.FAULT, jnp.where(inside, Status.CONSISTENT, Status.UNDECIDED))
-    return jnp.where(jnp.isnan(margin), Status.MISSING, decided).astype(jnp.int8)
-
-
 @kernel
-def terms_of(reading: PolynomialReading, u: jax.Array, y: jax.Array) -> Terms:
+def terms_of(reading: PolynomialReading, u: jax.Array, y: jax.Array) -> Polynomials:
     """Return the polynomials of windows, and one bound on the error of each row."""
-    value, error, spread, rad = reading.polynomials(u, y)
-    return Terms(value, spread, rad, polynomials.row_error(value, error, spread, rad, reading.exponents))
+    p = reading.polynomials(u, y)
+    return p._replace(error=polynomials.row_error(*p, reading.exponents))
 
 
 @kernel
-def alone(reading: PolynomialReading, terms: Terms, proved: bool) -> tuple[jax.Array, jax.Array]:
+def alone(reading: PolynomialReading, terms: Polynomials, proved: bool) -> tuple[jax.Array, jax.Array]:
     """Return (status, margin) where each relation is tested alone: by its vertices if it has few, else by the
     sum of all its parts.
     """
-    value, spread, rad, error = terms
+    value, error, spread, rad = terms
     few = polynomials.multiaffine(reading.exponents) and len(reading.size) <= VERTICES
     worst = jnp.full_like(value[0, 0], jnp.inf)
     inside = jnp.asarray(proved) & (value.shape[0] == 1)
@@ -196,7 +165,8 @@ def alone(reading: PolynomialReading, terms: Terms, proved: bool) -> tuple[jax.A
             )
             inside = inside & False
         worst = jnp.minimum(worst, margin)
-    return _status(worst, inside), worst
+    decided = jnp.where(worst < 0, Status.FAULT, jnp.where(inside, Status.CONSISTENT, Status.UNDECIDED))
+    return jnp.where(jnp.isnan(worst), Status.MISSING, decided).astype(jnp.int8), worst
 
 
 class Hints(NamedTuple):
@@ -209,49 +179,49 @@ class Hints(NamedTuple):
 
 @kernel
 def candidates(
-    reading: PolynomialReading, terms: Terms, mid: jax.Array, radius: jax.Array, owner: jax.Array
-) -> tuple[Terms, tuple[jax.Array, jax.Array], Hints]:
-    """Return (Terms, (c, G), Hints) of boxes mid +- radius (n, N) of windows `owner`, for `concluded`.
+    reading: PolynomialReading, terms: Polynomials, mid: jax.Array, radius: jax.Array, owner: jax.Array
+) -> tuple[Polynomials, tuple[jax.Array, jax.Array], Hints]:
+    """Return (Polynomials, (c, G), Hints) of boxes mid +- radius (n, N) of windows `owner`, for `concluded`.
 
     The image is c + G [-1, 1]^q, up to the error.
     """
-    value, spread, rad, error = terms
+    value, error, spread, rad = terms
     value, rad, error = value[..., owner], rad[..., owner], error[..., owner]
     c, G = polynomials.image(value, spread, rad, reading.exponents, mid, radius)
     h, z = varying.farthest(c, G, error)
     start = jnp.concatenate([jnp.clip(mid + radius * z[: len(mid)], -1, 1), _noise_part(reading, z)])
     axis = jnp.argmax(polynomials.bends(value, reading.exponents, radius), 0)
-    return Terms(value, spread, rad, error), (c, G), Hints(h, start, axis)
+    return Polynomials(value, error, spread, rad), (c, G), Hints(h, start, axis)
 
 
 @kernel
 def concluded(
     reading: PolynomialReading,
-    terms: Terms,
+    terms: Polynomials,
     image: tuple[jax.Array, jax.Array],
     hints: Hints,
     proved: bool,
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return (status, margin, found) of boxes: refuted by a direction, explained by a zero near a start.
+) -> tuple[jax.Array, jax.Array]:
+    """Return (margin, found) of boxes: refuted by a direction, explained by a zero near a start.
 
     Everything is an array here, so that the compiler cannot round a hint anew for each of its uses. proved:
     whether the relations say all, so that a zero is an explanation.
     """
     margin = varying.refutes(*image, terms.error, hints.h)
     found = _explained(reading, terms, hints.start, proved & (margin >= 0))
-    return _status(margin, found), jnp.where(found, jnp.maximum(margin, LEAST), margin), found
+    return jnp.where(found, jnp.maximum(margin, LEAST), margin), found
 
 
 @kernel
 def _refuting(
-    reading: PolynomialReading, terms: Terms, mid: jax.Array, radius: jax.Array, h: jax.Array
+    reading: PolynomialReading, terms: Polynomials, mid: jax.Array, radius: jax.Array, h: jax.Array
 ) -> jax.Array:
-    value, spread, rad, error = terms
+    value, error, spread, rad = terms
     c, G = polynomials.image(value, spread, rad, reading.exponents, mid, radius)
     return varying.refutes(c, G, error, h)
 
 
-def _newton(reading: PolynomialReading, terms: Terms, z: jax.Array) -> tuple[jax.Array, At]:
+def _newton(reading: PolynomialReading, terms: Polynomials, z: jax.Array) -> tuple[jax.Array, At]:
     """Return (the next point of Newton's method, the At of this one)."""
     p, J, bend = polynomials.slopes(terms.value, terms.spread, terms.rad, reading.exponents, z)
     R = varying.right_inverse(J, z)
@@ -269,11 +239,13 @@ def refined(reading: PolynomialReading, samples: Block, z: np.ndarray) -> np.nda
 
 
 @kernel
-def _step(reading: PolynomialReading, terms: Terms, z: jax.Array) -> jax.Array:
+def _step(reading: PolynomialReading, terms: Polynomials, z: jax.Array) -> jax.Array:
     return _newton(reading, terms, z)[0]
 
 
-def _explained(reading: PolynomialReading, terms: Terms, start: jax.Array, wanted: jax.Array) -> jax.Array:
+def _explained(
+    reading: PolynomialReading, terms: Polynomials, start: jax.Array, wanted: jax.Array
+) -> jax.Array:
     """Say near which starts a zero is proved to exist, among the windows where that is wanted.
 
     Newton's method moves a point towards a zero and never onto the sides of the box, where it would have no
@@ -307,27 +279,6 @@ def _explained(reading: PolynomialReading, terms: Terms, start: jax.Array, wante
     return wanted & found
 
 
-def _on_boxes(
-    reading: PolynomialReading,
-    terms: Terms,
-    boxes: tuple[np.ndarray, np.ndarray],
-    owner: np.ndarray,
-    proved: bool,
-) -> tuple[jax.Array, jax.Array, jax.Array, Hints]:
-    """Return (status, margin, found, Hints) of boxes (lo, hi): see `candidates` and `concluded`."""
-    own, image, hints = candidates(reading, terms, *middle_of(*boxes), owner)
-    return *concluded(reading, own, image, hints, proved), hints
-
-
-def on_whole(
-    reading: PolynomialReading, terms: Terms, proved: bool
-) -> tuple[jax.Array, jax.Array, jax.Array, Hints]:
-    """Return the same of the whole box of parameters, for each window of a block."""
-    count, dtype = terms.value.shape[-1], terms.value.dtype
-    one = np.ones((len(reading.size), count), dtype)
-    return _on_boxes(reading, terms, (-one, one), np.arange(count, dtype=np.int32), proved)
-
-
 def middle_of(lo: np.ndarray, hi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the middle of boxes, and radii that reach both ends."""
     mid = 0.5 * (lo + hi)
@@ -348,35 +299,38 @@ class Leaves(NamedTuple):
 
 
 def bisected(
-    reading: PolynomialReading, samples: Block, proved: bool, budget: int
-) -> tuple[np.ndarray, Leaves, np.ndarray]:
-    """Return (status, Leaves, points (v, e)) of windows, at most a block, by bisection of their parameters.
+    reading: PolynomialReading, samples: Block, proved: bool, budget: int, size: int = SEARCHED
+) -> tuple[np.ndarray, np.ndarray, Leaves, np.ndarray]:
+    """Return (status, margin, Leaves, points (v, e)) of windows, by bisection of their parameters.
 
-    The leaves of a FAULT are its whole box. A point is where a zero is proved, else the first that was tried.
+    The margins are those of the whole box. The leaves of a FAULT are its whole box. A point is where a zero
+    is proved, else the first that was tried.
+
+    Args:
+        size: windows, no fewer than there are, and boxes that are judged at once.
     """
-    count, n, dtype = samples[1].shape[-1], len(reading.size), samples[1].dtype
-    filled = (np.concatenate([x, np.repeat(x[..., :1], SEARCHED - count, -1)], -1) for x in samples)
-    on_device = reading if is_outside_xla() else jax.device_put(reading)
-    terms = terms_of(on_device, *filled)
+    count, one = samples[1].shape[-1], np.ones(len(reading.size), samples[1].dtype)
+    filled = (np.concatenate([x, np.repeat(x[..., :1], size - count, -1)], -1) for x in samples)
+    terms = terms_of(reading, *filled)
     leaves: list[Leaves] = []
-    starts: list[np.ndarray] = []
+    levels: list[tuple[np.ndarray, np.ndarray]] = []
 
     def on_boxes(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> tuple[jax.Array, ...]:
-        _, margin, found, hints = _on_boxes(on_device, terms, (lo, hi), owner, proved)
-        return margin, found, *hints
+        own, image, hints = candidates(reading, terms, *middle_of(lo, hi), owner)
+        return *concluded(reading, own, image, hints, proved), *hints
 
     def judge(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> Verdicts[np.ndarray]:
-        margin, found, h, start, axis = in_blocks(on_boxes, lo, hi, owner, SEARCHED)
-        starts.append(start)
+        margin, found, h, start, axis = in_blocks(on_boxes, lo, hi, owner, size)
+        levels.append((margin, start))
         leaves.append(Leaves(owner, lo, hi, h).chosen(margin < 0))
         return Verdicts(~(margin < 0) & ~found, found, (start, start), None, axis)
 
-    one = np.ones(n, dtype)
     *_, cover = explore(judge, -one, one, count, 200, budget, first=True)
-    points = starts[0]
+    margin, points = levels[0]
     points[:, cover.proofs.owner] = cover.proofs.lo
     every = Leaves(*(np.concatenate(x, -1) for x in zip(*leaves, strict=True)))
-    return cover.status, every, points
+    status = np.where(np.isnan(margin), np.int8(Status.MISSING), cover.status)
+    return status, margin, every, points
 
 
 def refuted(reading: PolynomialReading, samples: Block, leaves: Leaves) -> np.ndarray:

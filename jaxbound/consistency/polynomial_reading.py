@@ -31,7 +31,7 @@ Exponents: TypeAlias = tuple[tuple[int, ...], ...]
 class Polynomials(NamedTuple):
     """The relations of N windows as polynomials in v and xi: see `PolynomialReading.polynomials`.
 
-    Fields: value, error (count, K, N); spread (count, K, R); rad (R, N).
+    Fields: value, error (count, K, N), or one error (count, N) of each row; spread (count, K, R); rad (R, N).
     """
 
     value: jax.Array

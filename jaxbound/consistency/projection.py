@@ -105,7 +105,7 @@ class EasyStretches(_Easy):
 class EasyWindows(_Easy):
     """Decides windows by a few steps of a clipped search; both verdicts are proofs."""
 
-    threads = confirms = True
+    threads = True
     block = BLOCK // 4
 
     @property

@@ -6,17 +6,12 @@ window is UNDECIDED and a warning tells what to report.
 
 A test that searches hands the driver its hints, and each FAULT of a block is proved by them
 (`WindowTest.refuted`); else the window is left open, and what no later search decides is asked of whole
-numbers (`WindowTest.exactly`). Of a test without hints each FAULT goes down this list once all windows are
-judged (`decided_twice`), until something confirms it:
-
-1. A short way of the test, in NumPy with a stated error, then in whole numbers: `WindowTest.contradicted`.
-2. Without one the test's own kernels once more, evaluated primitive by primitive in NumPy
-   (`sets.floats.kernel`).
+numbers (`WindowTest.exactly`). Of a test without hints each FAULT is confirmed once all windows are judged
+(`decided_twice`), by a short way in NumPy with a stated error, then in whole numbers:
+`WindowTest.contradicted`. What bisects boxes proves each FAULT itself, box by box in NumPy.
 """
 
-from collections.abc import Callable
 from importlib.metadata import version
-from typing import TypeAlias
 
 import jax
 import numpy as np
@@ -28,30 +23,23 @@ from jaxbound.text.warned import warn
 
 __all__ = ["Doubtful", "decided_twice", "warn_doubtful", "warn_of"]
 
-Look: TypeAlias = Callable[[np.ndarray], np.ndarray]
-"""Says without XLA which of some numbered windows contradict their bounds."""
-
 
 class Doubtful(RuntimeWarning):
     """A proof by XLA is not confirmed outside XLA: the verdict is UNDECIDED."""
 
 
-def decided_twice(
-    test: WindowTest, judged: Judged, u: np.ndarray, y: np.ndarray, contradicted: Look
-) -> Judged:
+def decided_twice(test: WindowTest, judged: Judged, u: np.ndarray, y: np.ndarray) -> Judged:
     """Return the verdicts of windows with those FAULT UNDECIDED that a second look does not confirm.
 
     Args:
-        test: the WindowTest. judged: its verdicts. u (T, m), y (T, p): all samples. contradicted: of the
-            numbers of the samples at which windows end, says which of these contradict their bounds: see
-            `WindowTest.contradicted`.
+        test: the WindowTest. judged: its verdicts. u (T, m), y (T, p): all samples.
     """
     status = judged.status.reshape(-1)
     if status.max(initial=0) < Status.FAULT:  # of nearly all recordings the maximum alone is asked for
         return judged
     faulty = np.flatnonzero(status == Status.FAULT)
-    proved = contradicted(faulty)
-    if proved.all():
+    proved = test.contradicted(u, y, faulty - test.horizon)
+    if proved is None or proved.all():
         return judged
     judged, doubtful = test.withdrawn(judged, faulty, proved, u, y)
     if doubtful.any():

@@ -105,7 +105,7 @@ class _Search:
         return window, margin, h, lean
 
     def _closest(self, lo: np.ndarray, hi: np.ndarray, windows: np.ndarray, together: int) -> Closest:
-        left, found = np.arange(lo.shape[1]), None
+        left, nearest = np.arange(lo.shape[1]), None
         best = np.argsort(-self.refuted, kind="stable")[:NEAR]
         asked = np.broadcast_to(best, (len(left), len(best)))
         for closely in (True, False, True)[: 2 + self.test.searched]:
@@ -116,11 +116,11 @@ class _Search:
             place = margin.argmin(1)
             pair = np.arange(count) * many + place
             now = asked[np.arange(count), place], look.margin[pair], look.h[:, pair], lean
-            if found is None:
-                found = now
+            if nearest is None:
+                nearest = now
             else:
-                now = *now[:3], np.maximum(lean, found[3][:, left])
-                for old, new in zip(found, now, strict=True):
+                now = *now[:3], np.maximum(lean, nearest[3][:, left])
+                for old, new in zip(nearest, now, strict=True):
                     old[..., left] = new
             still = (now[1] >= 0).reshape(-1, together).all(1).repeat(together)
             left, asked = left[still], asked[still]
@@ -131,8 +131,8 @@ class _Search:
             else:
                 order = np.argsort(margin[still], 1, kind="stable")[:, :NEAR]
                 asked = np.take_along_axis(asked, order, 1)
-        assert found is not None
-        return found
+        assert nearest is not None
+        return nearest
 
     def to_cut(self, lo: np.ndarray, hi: np.ndarray, lean: np.ndarray, windows: np.ndarray) -> np.ndarray:
         """Return (N,): the axis along which each box is cut, -1 where it is small enough, or no window

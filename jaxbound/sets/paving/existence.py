@@ -112,12 +112,11 @@ def search(
     centre = _middle(X)
     value, _ = _image(f, _point(centre), args)
     slope = _slope(f, X, args)
-    out, rest, x, P = _narrow(X, T, domain, image, smooth, centre, value, slope)
+    out, rest, x, P = _narrow(domain, X, T, image, smooth, centre, value, slope)
     reached, defined = _image(f, _point(x), args)
-    miss, r, Z, wide = _around(X, T, slope, x, P, reached, rest, unique, region)
-    return _conclude(
-        T, domain, out, rest, slope, x, P, reached, defined, miss, r, Z, _slope(f, wide, args), region
-    )
+    miss, r, Z, wide = _around(unique, region, X, T, slope, x, P, reached, rest)
+    near = _slope(f, wide, args)
+    return _conclude(region, domain, T, out, rest, slope, x, P, reached, defined, miss, r, Z, near)
 
 
 def _over_boxes(one: Callable[..., Any], *given: Any) -> Any:
@@ -129,18 +128,9 @@ def _over_boxes(one: Callable[..., Any], *given: Any) -> Any:
 
 
 @kernel
-def _narrow(
-    X: Interval,
-    T: Interval,
-    domain: Interval,
-    image: Interval,
-    smooth: jax.Array,
-    centre: jax.Array,
-    value: Interval,
-    slope: Interval,
-) -> tuple[jax.Array, Interval, jax.Array, jax.Array]:
+def _narrow(domain: Interval, *given: object) -> tuple[jax.Array, Interval, jax.Array, jax.Array]:
     """Return (excluded, what is left of X, a guess x at a solution, P)."""
-    return _over_boxes(partial(_narrowed, domain), X, T, image, smooth, centre, value, slope)
+    return _over_boxes(partial(_narrowed, domain), *given)
 
 
 def _narrowed(domain, X, T, image, smooth, centre, value, slope):
@@ -164,18 +154,8 @@ def _narrowed(domain, X, T, image, smooth, centre, value, slope):
     return out, rest, jnp.where(jnp.isnan(x), centre, jnp.clip(x, domain.lo, domain.hi)), P
 
 
-@kernel(static_argnums=(7, 8))
-def _around(
-    X: Interval,
-    T: Interval,
-    slope: Interval,
-    x: jax.Array,
-    P: jax.Array,
-    reached: Interval,
-    rest: Interval,
-    unique: bool,
-    region: bool,
-) -> tuple[jax.Array, jax.Array, Interval, Interval]:
+@kernel(static_argnums=(0, 1))
+def _around(unique: bool, region: bool, *given: object) -> tuple[jax.Array, jax.Array, Interval, Interval]:
     """Return (|f(x) - t|, r, the box Z around x, the box over which slopes have to be close).
 
     r is in proportion to how far f moves over X, component by component, and twice the largest miss.
@@ -195,26 +175,11 @@ def _around(
         Z = Interval(jnp.where(fixed, x, Z.lo), jnp.where(fixed, x, Z.hi))
         return miss, r, Z, hull(Z, rest) if unique else Z
 
-    return _over_boxes(one, X, T, slope, x, P, reached, rest)
+    return _over_boxes(one, *given)
 
 
-@kernel(static_argnums=13)
-def _conclude(
-    T: Interval,
-    domain: Interval,
-    out: jax.Array,
-    rest: Interval,
-    slope: Interval,
-    x: jax.Array,
-    P: jax.Array,
-    reached: Interval,
-    defined: jax.Array,
-    miss: jax.Array,
-    r: jax.Array,
-    Z: Interval,
-    near: Interval,
-    region: bool,
-) -> Verdicts[jax.Array]:
+@kernel(static_argnums=0)
+def _conclude(region: bool, domain: Interval, *given: object) -> Verdicts[jax.Array]:
     def one(T, out, rest, slope, x, P, reached, defined, miss, r, Z, near):
         n, m = P.shape
         J = mid(near)
@@ -231,7 +196,7 @@ def _conclude(
         axis = jnp.argmax(jnp.where(jnp.all(jnp.isfinite(lean)), lean, wid(rest) / whole))
         return Verdicts(~out & ~proved, proved, proof, (rest.lo, rest.hi), axis)
 
-    return _over_boxes(one, T, out, rest, slope, x, P, reached, defined, miss, r, Z, near)
+    return _over_boxes(one, *given)
 
 
 def _point(x: jax.Array) -> Interval:

@@ -190,13 +190,15 @@ def pave(
             )
         whole, meets = _cells(lo, hi, int(q)), of_targets(partial(_meets, f))
         none = Boxes(lo[:, None], hi[:, None], np.zeros(1, np.int32)).chosen(np.zeros(1, bool))
-        kept = []
-        for k in range(count):
-            own = Boxes(*whole, np.full(cells, k, np.int32))
+        kept, many = [], max(1, 2**20 // cells)  # targets at once
+        for k in range(0, count, many):
+            some = np.arange(k, min(k + many, count), dtype=np.int32)
+            low, high = (np.tile(x, len(some)) for x in whole)
+            own = Boxes(low, high, np.repeat(some, cells))
             if target is not None:
                 own = own.chosen(in_blocks(meets, *own, EXCLUDED)[0])
             kept.append(own)
-            report((k + 1) / count)
+            report((k + len(some)) / count)
         cover = Cover(none.beside(*kept), none, np.full(count, cells), 0)
     else:
         if target is None:
@@ -214,8 +216,8 @@ def pave(
             one = partial(_inner, f)
         kernel, size = of_targets(one), EXCLUDED if solutions == "none" else BLOCK
 
-        def judge(*level: np.ndarray) -> Verdicts[np.ndarray]:
-            return Verdicts(*in_blocks(kernel, *level, size))
+        def judge(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> Verdicts[np.ndarray]:
+            return Verdicts(*in_blocks(kernel, lo, hi, owner, size))
 
         axis = "kernel" if cut == "smear" else cut
         for cover in explore(judge, lo, hi, count, depth, most, axis, solutions == "one"):

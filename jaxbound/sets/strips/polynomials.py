@@ -184,27 +184,21 @@ def vertex_gauge(
     order = np.array([sum(a) for a in exponents])
     constants = jax.lax.stop_gradient((value, spread, rad))
 
-    def ends(value, spread, rad, t=None):
+    def ends(value, spread, rad, t=1.0):
         """Return the least and largest value over t times the box."""
-        scale = [1.0 if t is None else t**k for k in range(order.max() + 2)]
+        scale = [t**k for k in range(order.max() + 2)]
         middle = total(
             signs[:, a, None] * (value[0, a] * scale[order[a]])[None] for a in range(len(exponents))
         )
         radius = jnp.zeros_like(middle)
-        if m and t is None:
-            width = jnp.abs(
-                total(signs[:, a, None] * spread[0, a][None] for a in range(len(exponents)))
-            )  # (vertices, m)
-            radius = total(width[:, j, None] * rad[j][None] for j in range(m))
-        elif m:
-            for j in range(m):
-                by_order = {
-                    k: total(signs[:, a] * spread[0, a, j] for a in np.flatnonzero(order == k))
-                    for k in sorted(set(order.tolist()))
-                }
-                radius += jnp.abs(
-                    total(part[:, None] * (rad[j] * scale[k + 1])[None] for k, part in by_order.items())
-                )
+        for j in range(m):
+            by_order = {
+                k: total(signs[:, a] * spread[0, a, j] for a in np.flatnonzero(order == k))
+                for k in sorted(set(order.tolist()))
+            }
+            radius += jnp.abs(
+                total(part[:, None] * (rad[j] * scale[k + 1])[None] for k, part in by_order.items())
+            )
         return jnp.min(middle - radius, 0), jnp.max(middle + radius, 0)
 
     low, high = ends(value, spread, rad)
