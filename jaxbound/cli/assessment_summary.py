@@ -1,12 +1,11 @@
 """Counts of right and wrong alarms on the terminal, as JSON and as files."""
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxbound.cli.terminal import show
+from jaxbound.cli.terminal import json_text, show
 from jaxbound.plots.assessment import plot_assessment
 from jaxbound.plots.canvas import to_png
 from jaxbound.recordings.columns import texts, to_arrow, write_columns
@@ -48,7 +47,7 @@ def plain_assessment(named: Named, out: Path | None, hints: Sequence[str]) -> di
         models[model] = {
             "scores": [_plain_score(score) for score in one.marks.scores],
             "recordings": [_plain_case(case) for case in one.cases],
-            "isolation": _number(one.isolation),
+            "isolation": one.isolation,
             "note": one.marks.note,
         }
     first = next(iter(named.values()))
@@ -63,7 +62,7 @@ def plain_assessment(named: Named, out: Path | None, hints: Sequence[str]) -> di
 
 def write_assessment(work: Path, named: Named, plain: dict[str, Any]) -> None:
     """Write the files into a folder. plain: as of `plain_assessment`."""
-    (work / "evaluation.json").write_text(json.dumps(plain, indent=1, allow_nan=False) + "\n")
+    (work / "evaluation.json").write_text(json_text(plain))
     curves = []
     for model, marks in _all_marks(named):
         for factor, false, caught in marks.curve.tolist():
@@ -205,13 +204,13 @@ def _plain_score(score: Score) -> dict[str, Any]:
         "healthy_windows": score.healthy,
         "healthy_in_alarm": score.false,
         "false_alarms": score.alarms,
-        "false_alarms_a_day": _number(score.alarms_a_day),
+        "false_alarms_a_day": score.alarms_a_day,
         "faulty_windows": score.faulty,
         "faulty_in_alarm": score.caught,
-        "missed_share": _number(score.missed_share),
+        "missed_share": score.missed_share,
         "faults": score.episodes,
         "delays": list(score.delays),
-        "median_delay": _number(score.delay),
+        "median_delay": score.delay,
     }
 
 
@@ -220,10 +219,3 @@ def _plain_case(case: Case) -> dict[str, Any]:
     for naming in case.named:
         named.append({"signal": naming.signal, "candidates": list(naming.candidates)})
     return {"recording": case.name, **_plain_score(case.score), "named": named}
-
-
-def _number(x: float) -> float | None:
-    """Return None for a number that is not finite: JSON has none."""
-    if math.isfinite(x):
-        return x
-    return None

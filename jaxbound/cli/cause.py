@@ -1,13 +1,12 @@
 """The cause of a FAULT window, as `jaxbound explain` prints it: the named faults that alone explain it."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from jaxbound.certificates.diagnosis import Diagnosis, size_text, why_excluded
 from jaxbound.certificates.interface import WindowCertificate
-from jaxbound.cli.terminal import show, write
+from jaxbound.cli.terminal import json_text, show, write
 from jaxbound.models.modelfile import load_model
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import percent
@@ -46,7 +45,7 @@ def cause_text(certificate: WindowCertificate, k: int, file: Path | None) -> lis
 def show_cause(found: Diagnosis, labels: Sequence[str], as_json: bool) -> None:
     """Print a Diagnosis: the answer, then each fault; or as JSON and nothing else."""
     if as_json:
-        write(json.dumps(found.to_dict(), indent=1, ensure_ascii=False) + "\n")
+        write(json_text(found.to_dict(), ensure_ascii=False))
         return
     rows = []
     for weighed in found.explains:

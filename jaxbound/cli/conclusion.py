@@ -1,6 +1,5 @@
 """The conclusion of a recording that was tested, on the terminal or as JSON."""
 
-import json
 import re
 import shlex
 from pathlib import Path
@@ -10,9 +9,8 @@ import numpy as np
 
 from jaxbound.cli.evaluation import Evaluation
 from jaxbound.cli.options import WINDOWS
-from jaxbound.cli.terminal import show, write
+from jaxbound.cli.terminal import json_text, show, write
 from jaxbound.diagnosis.observed import shown_name
-from jaxbound.diagnosis.region import Outside
 from jaxbound.runs.summary import OUTSIDE, Evidence, OfTest, Summary, Window
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import most_percent, percent, three_digits, times
@@ -35,7 +33,7 @@ def conclude(evaluation: Evaluation, data: Path | str, out: Path, as_json: bool 
     if as_json:
         seconds = {stage: round(time, 3) for stage, time in evaluation.seconds.items()}
         plain = summary.plain(data=str(data), seconds=seconds, out=str(out))
-        write(json.dumps(plain, indent=2, allow_nan=False) + "\n")
+        write(json_text(plain, 2))
         return summary.exit_code
     evidence = cast(Evidence, summary.found)  # a recording was tested
     # A certificate of one window exists where windows, or an observer, were tested of a certain model.
@@ -46,8 +44,8 @@ def conclude(evaluation: Evaluation, data: Path | str, out: Path, as_json: bool 
         rows.append((f"test {name}", _test_text(test)))
     if np.isfinite(summary.margin):
         rows.append(_worst_row(summary, evidence))
-    if evidence.outside is not None:
-        rows.append(_training_row(evidence, evidence.outside))
+    if evidence.training:
+        rows.append(("training", evidence.training))
     if explain:
         rows.append(("proof" if summary.verdict == "fault" else "why", f"{explain}{evidence.at}"))
     rows += [("hint", hint) for hint in summary.hints]
@@ -101,13 +99,6 @@ def _test_text(test: OfTest) -> str:
     if np.isfinite(test.margin):
         return f"{counts}; least margin {three_digits(test.margin)}"
     return counts
-
-
-def _training_row(evidence: Evidence, outside: Outside) -> tuple[str, str]:
-    """Return how many windows lie outside the region of training, and the input that leads most of them
-    out.
-    """
-    return "training", outside.shown(round(evidence.tested * evidence.windows), evidence.remembers)
 
 
 def _worst_row(summary: Summary, evidence: Evidence) -> tuple[str, str]:

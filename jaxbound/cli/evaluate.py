@@ -1,7 +1,6 @@
 """The command `jaxbound evaluate`: right and wrong alarms on recordings whose truth is known."""
 
 import argparse
-import json
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -21,7 +20,7 @@ from jaxbound.cli.options import (
     refuse_unknown_method,
     some_of,
 )
-from jaxbound.cli.terminal import OK, Refused, door, progress_bars, usable_device, write
+from jaxbound.cli.terminal import OK, Refused, door, json_text, progress_bars, usable_device, write
 from jaxbound.text.quantities import decimal
 
 if TYPE_CHECKING:
@@ -146,7 +145,7 @@ def run(args: argparse.Namespace) -> int:
             with folder.work() as work:
                 write_assessment(work, named, plain)
     if args.json:
-        write(json.dumps(plain, indent=1, allow_nan=False) + "\n")
+        write(json_text(plain))
         return OK
     files: list[str] = []
     if args.out is not None:

@@ -24,12 +24,9 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.parquet import PARTIAL, VERDICTS
 from jaxbound.recordings.read import open_source
-from jaxbound.recordings.recording import Recording
 from jaxbound.reports.detection import write_report
 from jaxbound.runs.digest import digest
 from jaxbound.runs.endings import ending_hints, sizes_seen
-from jaxbound.runs.judges import Whole
-from jaxbound.runs.loop import follow
 from jaxbound.runs.outputs import OutputFolder
 from jaxbound.runs.refusals import Interrupted
 from jaxbound.runs.sink import Outcome
@@ -92,23 +89,23 @@ def evaluate_parts(
         chunk: samples in memory at once. overlap: of an observer, samples before each part. merge: the parts
         are there, judged before. scheduler, workers: of dask, which then do the work.
     """
-    source, asked = opened(model, data, options, step, overlap, chunk)
-    relations = asked.relations
+    source, how = opened(model, data, options, step, overlap, chunk)
+    relations = how.relations
     with door():
         alarm = fitted(alarm, relations)
     seconds: dict[str, float] = {}
     try:
         if merge:
-            parts = all_parts(asked, source, out)
+            parts = all_parts(how, source, out)
         else:
             progress = lambda share: step("test", share)
             with engine(scheduler, workers) as client:
-                parts, seconds = write_parts(asked, source, out, progress, client=client)
+                parts, seconds = write_parts(how, source, out, progress, client=client)
         start = time.perf_counter()
         with folder.work() as work:
             progress = lambda share: step("report", 0.4 * share)
             sinks = open_sinks(work, whole=False)
-            res = digest(asked, source, parts, alarm, work / "alarms.csv", progress, sinks)
+            res = digest(how, source, parts, alarm, work / "alarms.csv", progress, sinks)
             sizes = sizes_seen(res, res.alarms)
             reaches = outgrown(source.model, relations)
             hints = dict.fromkeys((*res.hints, *reaches, *ending_hints(res, res.alarms, sizes)))
@@ -171,22 +168,18 @@ def evaluate(
         seconds["read"], start = time.perf_counter() - start, time.perf_counter()
         usable_device()
 
-    def test(r: Recording) -> Result:
-        return detect(
-            relations,
-            r,
-            method=options.method,
-            progress=lambda share: step("test", share),
-            margins=options.margins,
-            outside=options.outside,
-        )
-
     with Beside(open_sinks(work)) as sinks:  # a million verdicts are written while the pictures are drawn
-        judge = Whole(test)
-        with door():  # one piece: sinks get their rows by the one way that all sources have
-            for _ in follow([recording], judge, [sinks]):
-                step("test", 1.0)
-        res = judge.verdicts
+        with door():
+            res = detect(
+                relations,
+                recording,
+                method=options.method,
+                progress=lambda share: step("test", share),
+                margins=options.margins,
+                outside=options.outside,
+            )
+            sinks.add(recording, res)
+            step("test", 1.0)
         alarms = res.alarms(rule=alarm)
         seconds["test"], start = time.perf_counter() - start, time.perf_counter()
         sizes = sizes_seen(res, alarms)

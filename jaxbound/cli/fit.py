@@ -1,7 +1,6 @@
 """The command `jaxbound fit`: from recordings to a model file, and the picture of a fit."""
 
 import argparse
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,7 +8,7 @@ from typing import TYPE_CHECKING
 from jaxbound.cli.command import swift_imports
 from jaxbound.cli.options import add_every, add_force, add_json, path
 from jaxbound.cli.recipe_options import add_recipe, recipe_fields, recipe_hints
-from jaxbound.cli.terminal import OK, door, progress_bars, some_device, write
+from jaxbound.cli.terminal import OK, door, json_text, progress_bars, some_device, write
 from jaxbound.text.quantities import decimal
 
 if TYPE_CHECKING:
@@ -128,7 +127,7 @@ def run(args: argparse.Namespace) -> int:
     hints = [*_hints(args.data, recordings), *recipe_hints(args)]
     if args.json:
         summary = plain_fit(model, args.data, args.out, hints)
-        write(json.dumps(summary, indent=1, allow_nan=False) + "\n")
+        write(json_text(summary))
     else:
         files = [str(args.out)]
         if args.plot:

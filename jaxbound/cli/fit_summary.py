@@ -16,7 +16,6 @@ from jaxbound.studies.identification.advice import blind
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
 from jaxbound.studies.identification.signal_choice import GIVEN
 from jaxbound.studies.identification.window_tests import RAMP, JudgedTest, best_test
-from jaxbound.text.quantities import finite
 from jaxbound.text.units import without_unit
 
 __all__ = ["named_units", "plain_fit", "promise", "show_fit", "signal_columns"]
@@ -109,7 +108,7 @@ def plain_fit(
     recordings = []
     for file, numbers in zip(files, check.recordings, strict=True):
         recordings.append({"data": str(file)} | numbers)
-    summary: dict[str, Any] = {
+    return {
         "out": str(out),
         "order": check.order,
         "delay": check.delay,
@@ -140,22 +139,6 @@ def plain_fit(
         "warnings": list(check.sentences),
         "hints": list(hints),
     }
-    for name, value in summary.items():
-        summary[name] = _plain(value)
-    return summary
-
-
-def _plain(value: object) -> object:
-    """Return a value as JSON has it: fields by their names, None for a number that is not finite."""
-    if hasattr(value, "_asdict"):
-        value = value._asdict()
-    if isinstance(value, Mapping):
-        return {name: _plain(x) for name, x in value.items()}
-    if isinstance(value, list | tuple):
-        return list(map(_plain, value))
-    if isinstance(value, float):
-        return finite(value)
-    return value
 
 
 def _average(check: FitCheck) -> int | None:

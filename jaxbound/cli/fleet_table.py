@@ -1,14 +1,13 @@
 """The results of a fleet: a table and a page with the worst unit first, and pages of faulty units."""
 
 import csv
-import json
 import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxbound.cli.terminal import show, write
+from jaxbound.cli.terminal import json_text, show, write
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.result import Result
 from jaxbound.recordings.recording import Recording
@@ -161,7 +160,7 @@ def conclude_fleet(results: Sequence[UnitResult], out: Path, as_json: bool) -> i
             "units": list(map(_plain, ordered)),
             "out": str(out),
         }
-        write(json.dumps(plain, indent=2, allow_nan=False) + "\n")
+        write(json_text(plain, 2))
         return code
     table: list[tuple[str, ...]]
     table = [("unit", "verdict", "margin", "FAULT", "outside", "decided", "first alarm", "the last alarm")]

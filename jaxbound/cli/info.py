@@ -1,12 +1,11 @@
 """The command `jaxbound info`: what a model file says, and what can be detected and isolated with it."""
 
 import argparse
-import json
 import os
 
 from jaxbound.cli.command import swift_imports
 from jaxbound.cli.options import MethodOptions, add_windows, path
-from jaxbound.cli.terminal import OK, Refused, door, progress_bars, some_device, write
+from jaxbound.cli.terminal import OK, Refused, door, json_text, progress_bars, some_device, write
 
 NAME = "info"
 HELP = "show what a model file says and what can be tested"
@@ -59,8 +58,7 @@ def run(args: argparse.Namespace) -> int:
             bank = monitor(model)
         model, relations = parity_windows(model, MethodOptions.of(args), args.model, None, step)
     if args.json:
-        text = json.dumps(plain_model(model, relations, bank), indent=1, allow_nan=False, ensure_ascii=False)
-        write(text + "\n")
+        write(json_text(plain_model(model, relations, bank), ensure_ascii=False))
         return OK
     show_model(model, relations, bank)
     return OK
@@ -79,7 +77,7 @@ def _examine(as_json: bool) -> int:
         some_device()
         devices = examined_devices()
     if as_json:
-        write(json.dumps({"devices": devices}, indent=1) + "\n")
+        write(json_text({"devices": devices}))
     else:
         for device, broken in devices.items():
             outcome = "may prove"

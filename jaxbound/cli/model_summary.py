@@ -19,7 +19,7 @@ from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import redundancy
 from jaxbound.relations.sentence import main_terms
 from jaxbound.relations.uncertain import UncertainRelations
-from jaxbound.text.quantities import finite, rough_duration
+from jaxbound.text.quantities import rough_duration
 
 __all__ = ["isolation_text", "plain_model", "show_model"]
 
@@ -233,7 +233,7 @@ def plain_model(
     is_known = not model.uncertainties and not any(model.tolerance) and not model.factors
     if is_known and _seconds(model, relations.horizon) <= PATIENCE:
         sizes = _guaranteed(model, relations.horizon, relations.lags)
-        plain["guaranteed"] = {name: finite(size) for name, size in sizes.items()}
+        plain["guaranteed"] = sizes
     if model.faults:
         apart = _named(model, relations)
         plain["named_faults"] = None
@@ -252,8 +252,7 @@ def _plain_by_tests(bank: MonitorBank) -> dict[str, Any]:
         return {}
     plain = {}
     for name, size in sizes.items():
-        tests = {test: finite(own) for test, own in size.tests.items()}
-        plain[name] = {"size": finite(size), "test": size.test or None, "tests": tests}
+        plain[name] = {"size": size, "test": size.test or None, "tests": size.tests}
     return plain
 
 

@@ -1,7 +1,6 @@
 """The command `jaxbound parameters`: values of constant parameters that can explain a whole recording."""
 
 import argparse
-import json
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -16,7 +15,7 @@ from jaxbound.cli.options import (
     share,
     whole_number,
 )
-from jaxbound.cli.terminal import INTERRUPTED, OK, door, progress_bars, show, some_device, write
+from jaxbound.cli.terminal import INTERRUPTED, OK, door, json_text, progress_bars, show, some_device, write
 
 if TYPE_CHECKING:
     from jaxbound.estimation.parameter_set import ParameterSet
@@ -107,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
                 f.write(to_png(plot_parameters(left)))
             written.append(str(args.plot))
     if args.json:
-        write(json.dumps(_plain(left, written, recording.hints), indent=1) + "\n")
+        write(json_text(_plain(left, written, recording.hints)))
     else:
         _show(left, written, recording.hints, recording.label)
     if left.status == STOPPED:

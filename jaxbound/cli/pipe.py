@@ -27,7 +27,7 @@ from jaxbound.cli.window import stated_model, window_relations
 from jaxbound.consistency.interface import Relations
 from jaxbound.consistency.monitor import Monitor
 from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
-from jaxbound.diagnosis.hints import bound_hints, judging_hints, outgrown, unfit
+from jaxbound.diagnosis.hints import bound_hints, judging_hints, outgrown, unfit_by
 from jaxbound.diagnosis.severity import fitted
 from jaxbound.files.locks import refuse_link
 from jaxbound.models.system import LinearSystem
@@ -372,11 +372,7 @@ class _LiveRun:
         if lost:
             lines = f"{lost} line{'s' * (lost != 1)}"
             hints.append(f"{lines} could not be read: left out, and no window spans them")
-        if not relations.latched:
-            if relations.remembers:
-                hints += unfit(found.counts, np.nan, "samples", found.outside)
-            else:
-                hints += unfit(found.counts, found.margin, "windows", found.outside)
+        hints += unfit_by(relations, found.counts, found.margin, found.outside)
         return [*hints, *endings_said(found.ended or {}, found.alarms)]
 
 

@@ -2,7 +2,6 @@
 each other.
 """
 
-import json
 import shlex
 import time
 from collections.abc import Callable
@@ -10,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxbound.cli.options import OUTSIDE, MethodOptions
-from jaxbound.cli.terminal import OK, door, progress_bars, show, usable_device, write
+from jaxbound.cli.terminal import OK, door, json_text, progress_bars, show, usable_device, write
 from jaxbound.cli.window import recorded, stated_model, window_relations
 from jaxbound.consistency.interface import AUTO
 from jaxbound.recordings.parquet import PARTIAL
@@ -48,12 +47,12 @@ def judge_share(
         shared_folder(out, (PARTIAL,), (model, data)),
         progress_bars(("relations", "test")) as step,
     ):
-        source, asked = opened(model, data, options, step, overlap, chunk)
+        source, how = opened(model, data, options, step, overlap, chunk)
         count = part_count(source)
         mine = numbers_of(part, count)
         try:
             progress = lambda share: step("test", share)
-            _, seconds = write_parts(asked, source, out, progress, part)
+            _, seconds = write_parts(how, source, out, progress, part)
         except KeyboardInterrupt:
             if part_files(where, mine):
                 said = (
@@ -71,7 +70,7 @@ def judge_share(
             "model": source.model.name,
             "data": str(data),
             "method": options.method,
-            "horizon": asked.relations.horizon,
+            "horizon": how.relations.horizon,
             "samples": source.samples,
             "first_sample": first,
             "last_sample": last,
@@ -80,7 +79,7 @@ def judge_share(
             "out": str(out),
             "seconds": {k: round(v, 3) for k, v in seconds.items()},
         }
-        write(json.dumps(found, indent=2) + "\n")
+        write(json_text(found, 2))
         return OK
     done = f"the verdicts of samples {first} to {last} are in {where}"
     if not mine:

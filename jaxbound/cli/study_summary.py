@@ -1,6 +1,5 @@
 """The files of a Monte-Carlo study, and its conclusion on the terminal or as JSON."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from jaxbound.cli.terminal import show, write
+from jaxbound.cli.terminal import json_text, show, write
 from jaxbound.recordings.columns import texts, to_arrow, write_columns
 from jaxbound.reports.study import COLUMNS, sentence, study_head, study_page, study_rows
 from jaxbound.studies.montecarlo.study_result import StudyResult, delay_table, study_table
@@ -49,7 +48,7 @@ def conclude_study(result: StudyResult, out: Path, seconds: float, as_json: bool
     """Print the conclusion of a study. out: the folder of its report; seconds: its duration."""
     page = str(out / "report.html")
     if as_json:
-        write(json.dumps(_plain_study(result, page), indent=1, default=float) + "\n")
+        write(json_text(_plain_study(result, page)))
         return
     speed = result.scenarios * result.samples / max(seconds, 1e-9) / 1e6
     where = f"on {jax.local_device_count()} device"
@@ -65,7 +64,7 @@ def conclude_study(result: StudyResult, out: Path, seconds: float, as_json: bool
 def _plain_study(result: StudyResult, page: str) -> dict[str, Any]:
     """Return a study as JSON has it."""
     false_alarms, clean_windows = result.false_alarms
-    columns = {name: map(_number_or_none, x.tolist()) for name, x in study_table(result).items()}
+    columns = {name: x.tolist() for name, x in study_table(result).items()}
     cells = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
     return {
         "scenarios": result.scenarios,
@@ -77,10 +76,3 @@ def _plain_study(result: StudyResult, page: str) -> dict[str, Any]:
         "cells": cells,
         "report": page,
     }
-
-
-def _number_or_none(x: object) -> object:
-    """Return None for a float that is not finite: JSON has no such number."""
-    if isinstance(x, float) and not np.isfinite(x):
-        return None
-    return x

@@ -13,6 +13,7 @@ from contextvars import ContextVar
 from jaxbound.cli.signals import ENDS
 from jaxbound.runs.refusals import Refused, Stopped
 from jaxbound.text.characters import clipped, printable
+from jaxbound.text.quantities import plain
 
 __all__ = [
     "BAD_INPUT",
@@ -24,6 +25,7 @@ __all__ = [
     "QUIET",
     "Refused",
     "VERBOSE",
+    "json_text",
     "door",
     "nobody_reads",
     "progress_bars",
@@ -160,6 +162,13 @@ def write(text: str) -> None:
     except OSError as e:
         nobody_reads()
         raise Refused(f"cannot write to standard output: {system_trouble(e)}") from e
+
+
+def json_text(value: object, indent: int = 1, ensure_ascii: bool = True) -> str:
+    """Return the JSON of a value, see `plain`, with the end of its line."""
+    import json
+
+    return json.dumps(plain(value), indent=indent, allow_nan=False, ensure_ascii=ensure_ascii) + "\n"
 
 
 def nobody_reads() -> None:

@@ -1,7 +1,6 @@
 """The command `jaxbound tune`: the smallest bounds under which healthy recordings are consistent."""
 
 import argparse
-import json
 from functools import partial
 from typing import TYPE_CHECKING, cast
 
@@ -20,7 +19,17 @@ from jaxbound.cli.options import (
     share,
     whole_number,
 )
-from jaxbound.cli.terminal import INTERRUPTED, OK, Refused, door, progress_bars, say, some_device, write
+from jaxbound.cli.terminal import (
+    INTERRUPTED,
+    OK,
+    Refused,
+    door,
+    json_text,
+    progress_bars,
+    say,
+    some_device,
+    write,
+)
 from jaxbound.text.progress import in_part
 
 if TYPE_CHECKING:
@@ -195,12 +204,12 @@ def run(args: argparse.Namespace) -> int:
     hints = notes + [f"{file}: {hint}" for file, r in zip(files, recordings, strict=True) for hint in r.hints]
     if isinstance(tuning, MonitorTuneResult):
         if args.json:
-            write(json.dumps(plain_factors(tuning, args.out, hints), indent=1) + "\n")
+            write(json_text(plain_factors(tuning, args.out, hints)))
         else:
             show_factors(tuning, [str(args.out)], hints)
         return OK
     if args.json:
-        write(json.dumps(plain_tuning(tuning, args.out, hints), indent=1) + "\n")
+        write(json_text(plain_tuning(tuning, args.out, hints)))
     else:
         written = [str(args.out)]
         if args.plot:

@@ -13,7 +13,6 @@ from jaxbound.cli.fit_summary import promise
 from jaxbound.cli.terminal import show
 from jaxbound.models.modelfile import changed_text, number_text
 from jaxbound.studies.tuning.tuning import MonitorTuneResult, TuneResult
-from jaxbound.text.quantities import finite
 
 if TYPE_CHECKING:
     from optax import GradientTransformation
@@ -81,11 +80,11 @@ def plain_tuning(tuning: TuneResult, out: Path, hints: Sequence[str]) -> dict[st
         "horizon": tuning.relations.horizon,
         "scale": tuning.scale,
         "factor": tuning.factor,
-        "left_out": _plain_factors(tuning.left_out),
+        "left_out": list(tuning.left_out),
         "safety": tuning.safety,
-        "bounds": _plain_bounds(tuning.bounds),
-        "smallest": _plain_bounds(tuning.smallest),
-        "start": _plain_bounds(tuning.start),
+        "bounds": tuning.bounds,
+        "smallest": tuning.smallest,
+        "start": tuning.start,
         "steps": tuning.steps,
         "stopped": tuning.stopped,
         "healthy": tuning.counts,
@@ -115,7 +114,7 @@ def plain_factors(tuning: MonitorTuneResult, out: Path, hints: Sequence[str]) ->
         if one is not None:
             tests[name] |= {
                 "scale": one.scale,
-                "left_out": _plain_factors(one.left_out),
+                "left_out": list(one.left_out),
                 "healthy": one.counts,
             }
             tests[name] |= {"faulty": one.faulty_counts, "caught": one.caught, "text": one.statement}
@@ -151,15 +150,6 @@ def show_factors(tuning: MonitorTuneResult, written: Sequence[str], hints: Seque
     rows += [("note", note) for note in tuning.notes]
     rows += [("hint", hint) for hint in hints]
     show(f"{tuning.model.name}: one factor a test", "bold", rows, table=table)
-
-
-def _plain_factors(factors: Sequence[float]) -> list[float | None]:
-    """Return factors, None for those that are not known: JSON has no such number."""
-    return [finite(x) for x in factors]
-
-
-def _plain_bounds(bounds: Mapping[str, np.ndarray | jax.Array]) -> dict[str, list[Any]]:
-    return {kind: np.asarray(values).tolist() for kind, values in bounds.items()}
 
 
 def show_tuning(

@@ -26,8 +26,6 @@ from jaxbound.recordings.read import open_source
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.sample_axis import Place
 from jaxbound.reports.validation import write_page
-from jaxbound.runs.judges import Whole
-from jaxbound.runs.loop import follow
 from jaxbound.runs.runfile import VALIDATION
 from jaxbound.runs.sink import Outcome
 from jaxbound.runs.sinks import close_all, open_sinks
@@ -204,11 +202,10 @@ def evaluate_validation(
         _complete(data, recording, horizon)
         seconds["read"], start = time.perf_counter() - start, time.perf_counter()
         usable_device()
-        judge, sinks = Whole(lambda r: _validated(plant, r, horizon)), open_sinks(work)
-        for _ in follow([recording], judge, sinks):
-            step("test", 1.0)
-    res = judge.verdicts
-    with door():
+        res, sinks = _validated(plant, recording, horizon), open_sinks(work)
+        for sink in sinks:
+            sink.add(recording, res)
+        step("test", 1.0)
         alarms = res.alarms(alarm, recording.instants)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
     reaches = outgrown(plant, looks_back="validation")

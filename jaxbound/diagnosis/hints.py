@@ -24,6 +24,7 @@ __all__ = [
     "outgrown",
     "outgrown_by",
     "unfit",
+    "unfit_by",
 ]
 
 FOR = "the bounds were found from data for windows of {} samples,"
@@ -198,6 +199,17 @@ def fit_hints(result: Reported) -> list[str]:
                 sentence = f"recording {', '.join(map(str, at))}: {sentence}"
             sentences.append(sentence)
     return sentences
+
+
+def unfit_by(
+    relations: Relations, counts: Mapping[str, int], margin: float, beyond: Outside | None
+) -> list[str]:
+    """Return the sentences of `unfit` on a run of relations, or of an observer."""
+    if relations.latched:  # one fault, and all that follows is FAULT
+        return []
+    if relations.remembers:
+        return unfit(counts, np.nan, "samples", beyond)
+    return unfit(counts, margin, "windows", beyond)
 
 
 def unfit(

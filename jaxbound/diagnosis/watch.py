@@ -154,7 +154,10 @@ class Raised(NamedTuple):
 
     def behind(self, *others: "Raised") -> "Raised":
         """Return these behind others."""
-        return Raised(*map(np.concatenate, zip(*others, self, strict=True)))
+        some = [alarms for alarms in (*others, self) if len(alarms.start)]
+        if len(some) < 2:
+            return (*some, NOBODY)[0]
+        return Raised(*map(np.concatenate, zip(*some, strict=True)))
 
     def joined(self, other: "Raised") -> "Raised":
         """Return an alarm with a stretch that came later."""
@@ -229,6 +232,11 @@ class Watch:
         self._take(seen.cut(low))
         return self._told()
 
+    def skip(self, count: int) -> None:
+        """Take samples without a FAULT while nothing is on."""
+        self.samples += count
+        self.before = np.zeros(min(self.rule.n - 1, len(self.before) + count), bool)
+
     def _acknowledgements(self, seen: Seen) -> list[tuple[float, int, int]]:
         """Return (time, number of the sample at which it is known, that of the first sample behind it) of
         each acknowledgement that may end an alarm in some samples.
@@ -268,8 +276,7 @@ class Watch:
         """Take samples between acknowledgements. sure: the stretch that is on is known to be over there."""
         is_on, before = len(self.open.start), self.open
         if self.is_quiet and not seen.fault.any():
-            self.samples += len(seen.fault)
-            self.before = np.zeros(min(self.rule.n - 1, len(self.before) + len(seen.fault)), bool)
+            self.skip(len(seen.fault))
             return
         everything, offset = seen.behind(self.tail), self.samples - len(self.tail.fault)
         alarms, left = self._stretches(everything, seen.fault, sure)
@@ -392,8 +399,7 @@ class Watch:
             alarm = stretch._replace(number=alarm.number, instant=alarm.instant)
         self.alarms[stretch.name] = alarm
         if self.rule.latch and self._repaired(stretch, alarm):
-            alarm.ended[0] = f"{OPPOSITE} of {alarm.name}"
-            self._end(alarm.name, int(stretch.sure[0]))
+            self._end(alarm.name, int(stretch.sure[0]), f"{OPPOSITE} of {alarm.name}")
 
     def _repaired(self, stretch: Raised, alarm: Raised) -> bool:
         """Whether a stretch shows the opposite of the jump that an alarm began with, first or last."""
@@ -413,16 +419,15 @@ class Watch:
             if not self._is_on(name) and sample > last:
                 self._end(name, max(int(alarm.sure[0]), last))
 
-    def _end(self, name: str, sample: int) -> None:
+    def _end(self, name: str, sample: int, why: str = "") -> None:
         """End an alarm, as is known at a sample."""
-        alarm = self.alarms.pop(name)
-        self.over = alarm._replace(sure=np.array([sample])).behind(self.over)
+        about = {"sure": np.array([sample]), "ended": np.array([why], object)}
+        self.over = self.alarms.pop(name)._replace(**about).behind(self.over)
 
     def _end_now(self, name: str, why: str, sample: int) -> None:
         """End an alarm at the last sample."""
-        alarm = self.alarms[name]
-        alarm.ended[0], alarm.end[0] = why, self.samples - 1
-        self._end(name, sample)
+        self.alarms[name] = self.alarms[name]._replace(end=np.array([self.samples - 1]))
+        self._end(name, sample, why)
 
     def finish(self) -> Raised:
         """Close the alarms that are on at the end of the recording; return them."""

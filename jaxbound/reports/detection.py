@@ -98,7 +98,8 @@ def write_report(
         warm_up=tested.warm_up,
         horizon=relations.horizon,
         decided=summary.decided,
-        **_training(tested),
+        training=tested.training,
+        beyond=tested.outside is not None and tested.outside.windows > 0,
         hints=summary.hints,
         extra=extra,
         charts=drawn,
@@ -196,14 +197,6 @@ def _suspects(alarm: Alarm, why: WindowCertificate | None) -> str:
     if not names and why is not None:
         names = why.sensor_candidates
     return " or ".join(names)
-
-
-def _training(found: Evidence) -> dict[str, object]:
-    """Return the values of the template on the region of training: words, and whether windows lie outside."""
-    if found.outside is None:
-        return {"training": "", "beyond": False}
-    tested = round(found.tested * found.windows)
-    return {"training": found.outside.shown(tested, found.remembers), "beyond": found.outside.windows > 0}
 
 
 def _outside(alarm: Alarm) -> str:

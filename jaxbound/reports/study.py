@@ -13,7 +13,7 @@ from jaxbound.reports.parts import computed, model_values
 from jaxbound.studies.montecarlo.scenarios import SIZELESS, Trial
 from jaxbound.studies.montecarlo.study_result import StudyResult, study_table
 from jaxbound.studies.montecarlo.tally import TrialTally
-from jaxbound.text.quantities import finite, percent
+from jaxbound.text.quantities import finite, percent, plain
 
 __all__ = ["COLUMNS", "sentence", "study_head", "study_page", "study_rows"]
 
@@ -119,7 +119,7 @@ def _size_label(res: StudyResult, trial: Trial) -> str:
 
 def _interval(name: str, colour: str, x: np.ndarray, ends: Sequence[np.ndarray]) -> Chart:
     """Return a curve of shares, low and high ends around them."""
-    share, low, high = (_plain_numbers(end) for end in ends)
+    share, low, high = map(plain, ends)
     return {
         "name": name,
         "colour": colour,
@@ -129,11 +129,6 @@ def _interval(name: str, colour: str, x: np.ndarray, ends: Sequence[np.ndarray])
         "low": low,
         "high": high,
     }
-
-
-def _plain_numbers(values: np.ndarray) -> list[float | None]:
-    """Return numbers as JSON has them, None for NaN."""
-    return [None if np.isnan(v) else float(v) for v in values]
 
 
 def _delays(trial: Trial, tally: TrialTally) -> Chart:

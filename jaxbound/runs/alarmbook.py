@@ -55,7 +55,7 @@ class AlarmBook(Watching):
         """Take the next part; of a rule that names suspects one that began first may end last, so that all
         wait for the last sample.
         """
-        over = self.follow(piece, verdicts, piece.column)
+        over = self.follow(piece, verdicts)
         if self.rule.names:
             self.over = over.behind(self.over)
         else:

@@ -18,7 +18,7 @@ from jaxbound.consistency.interface import AUTO, BOUNDS, EXACT, Relations
 from jaxbound.diagnosis.alarmrule import RuleLike, rule_of
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detection import detect
-from jaxbound.diagnosis.hints import bound_hints, unfit
+from jaxbound.diagnosis.hints import bound_hints, unfit_by
 from jaxbound.diagnosis.region import Outside
 from jaxbound.diagnosis.result import Result
 from jaxbound.diagnosis.severity import fitted
@@ -299,23 +299,23 @@ def detect_dataset(
         raise ValueError("part makes verdicts and merge reports on them: give one of the two")
     refuse_unusable()
     report = reporter(progress, "detect_dataset")
-    asked = Asked(relations, method, margins, outside, overlap, chunk)
+    how = Asked(relations, method, margins, outside, overlap, chunk)
     if part is not None:
         with shared_folder(out, (PARTIAL,), (path,)):
             source = _source_in_parts(path, relations.model)
-            folder, _ = write_parts(asked, source, out, report, part, client)
+            folder, _ = write_parts(how, source, out, report, part, client)
             return part_files(folder, numbers_of(part, part_count(source)))
     with output_folder(out, (VERDICTS,), (path,)) as place:
         source = _source_in_parts(path, relations.model)
         if merge:
-            folder = all_parts(asked, source, out)
+            folder = all_parts(how, source, out)
         else:
 
             def most(share: float) -> None:
                 report(0.95 * share)
 
-            folder, _ = write_parts(asked, source, out, most, client=client)
-        found = digest(asked, source, folder, rule)
+            folder, _ = write_parts(how, source, out, most, client=client)
+        found = digest(how, source, folder, rule)
         publish(place)
     report(1.0)
     return found
@@ -403,7 +403,8 @@ def digest(
     for devices, count in read_again(part_files(folder)).items():
         hints += again_said(devices, count)
     hints += bound_hints(relations.model, relations)
-    hints += [*_unfit_bounds(digested), *_wrong_units(digested)]
+    hints += unfit_by(relations, digested.counts, (worst or (0, np.nan))[1], digested.beyond)
+    hints += _wrong_units(digested)
     digested = replace(digested, hints=tuple(hints), aside=about.aside)
     # an alarm explains its worst window by the Digest that it was found in
     return replace(digested, alarms=[replace(alarm, result=digested) for alarm in alarms])
@@ -411,19 +412,6 @@ def digest(
 
 def _seconds_at(piece: Recording, k: int) -> float:
     return float(piece.time[k])
-
-
-def _unfit_bounds(found: Digest) -> list[str]:
-    """Return the sentences on bounds that do not fit the recording at all."""
-    relations = found.relations
-    if relations.latched:
-        return []
-    if relations.remembers:
-        return unfit(found.counts, np.nan, "samples", found.beyond)
-    margin = np.nan
-    if found.worst is not None:
-        margin = found.worst[1]
-    return unfit(found.counts, margin, "windows", found.beyond)
 
 
 def _wrong_units(found: Digest) -> list[str]:

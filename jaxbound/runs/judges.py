@@ -24,12 +24,11 @@ from jaxbound.runs.loop import Laps, Memory
 from jaxbound.runs.sink import Verdicts
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["Carried", "Live", "Numbered", "Whole", "Windows", "as_judged"]
+__all__ = ["Carried", "Live", "Numbered", "Windows", "as_judged"]
 
 Numbered = tuple[int, Recording]
 """A piece of a recording: the number of its first sample, and its samples."""
 Piece = TypeVar("Piece")
-Found = TypeVar("Found")
 State = TypeVar("State")
 """The carry of an observer."""
 
@@ -223,26 +222,6 @@ class Live:
     def _looks_back(self) -> bool:
         """Whether the state of the Monitor lacks the last inputs, which the region is asked for."""
         return self.monitor.relations.remembers and self.region is not None
-
-
-class Whole(Generic[Found]):
-    """The judge of a recording in memory.
-
-    Args:
-        test: of the Recording; returns a Result, or the verdicts of another test.
-
-    Fields: verdicts: of the recording.
-    """
-
-    verdicts: Found
-
-    def __init__(self, test: Callable[[Recording], Found]) -> None:
-        self.test = test
-
-    def __call__(self, piece: Recording) -> Iterator[tuple[Recording, Found]]:
-        """Judge the recording."""
-        self.verdicts = self.test(piece)
-        yield piece, self.verdicts
 
 
 def as_judged(piece: Piece) -> Iterator[Piece]:

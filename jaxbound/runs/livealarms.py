@@ -5,7 +5,7 @@ An alarm has a notice of its begin, another of its end, and then a row in alarms
 
 import io
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,9 +22,13 @@ from jaxbound.recordings.stream import Complain
 from jaxbound.runs.sink import Verdicts
 from jaxbound.runs.watching import Watching
 
+if TYPE_CHECKING:
+    import pyarrow as pa
+
 __all__ = ["ALARMS", "LiveAlarms", "Notice"]
 
 ALARMS = "alarms.csv"
+LATELY = 100  # samples whose times are kept before those that no alarm needs are forgotten
 Notice = tuple[int, dict[str, Any]]
 """(row of the last piece behind which it stands, {"alarm": "begin" or "end", ...}); times are texts."""
 
@@ -63,13 +67,11 @@ class LiveAlarms(Watching):
 
     def add(self, piece: Recording, verdicts: Verdicts) -> None:
         """Follow the alarms through the next samples."""
-        import pyarrow as pa
-
         begin = self.watch.samples
         if self.width:
             self.u = np.concatenate([self.u, np.asarray(piece.u)])
             self.y = np.concatenate([self.y, np.asarray(piece.y)])
-        over = self.follow(piece, verdicts, moments(piece.column).cast(pa.string()))
+        over = self.follow(piece, verdicts)
         drop = len(self.u) - self.width
         self.u, self.y, self.begin = self.u[drop:], self.y[drop:], self.begin + drop
         troubles = [*self.watch.acknowledged.troubles.values()]
@@ -81,10 +83,18 @@ class LiveAlarms(Watching):
             return
         for event in self.watch.events(over):
             self.notices.append((event.sample - begin, self._notice(event)))
-        alarms = self.alarms_of(over)
-        self.count(alarms, self.ended)
-        self.rows = self.written_rows(alarms)
-        self.forget()
+        if len(over.start):
+            alarms = self.alarms_of(over)
+            self.count(alarms, self.ended)
+            self.rows = self.written_rows(alarms)
+        if self.watch.is_quiet or len(self.numbers) > LATELY:
+            self.forget()
+
+    def shown(self, piece: Recording) -> "pa.Array":
+        """Return the times of a piece as texts."""
+        import pyarrow as pa
+
+        return moments(piece.column).cast(pa.string())
 
     def samples(self, first: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
         """Return samples that are kept, by their numbers."""

@@ -2,7 +2,6 @@
 
 | run | source | judge | sinks |
 |---|---|---|---|
-| a recording in memory | the recording, as one piece | `detect`, or `validate` | tables, `run.json` |
 | Parquet, to verdicts | chunks of the files | windows, or an observer | parts of a fixed size |
 | Parquet, to a report | the parts | none: they are judged | counts, timeline, alarms |
 | a pipe, or a live source | samples as they come | a Monitor | counts, rows of CSV, lines on stdout |

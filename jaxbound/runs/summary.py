@@ -129,6 +129,13 @@ class Evidence:
         return (self.counts["CONSISTENT"] + self.counts["FAULT"]) / self.windows
 
     @property
+    def training(self) -> str:
+        """How many windows lie outside the region of training, in words; "": there is no region."""
+        if self.outside is None:
+            return ""
+        return self.outside.shown(round(self.tested * self.windows), self.remembers)
+
+    @property
     def tested(self) -> float:
         """The share of windows that have data."""
         if not self.windows:
@@ -411,9 +418,6 @@ def _fault_sentence(found: Evidence, label: Label) -> str:
     if found.tests is not None:
         many = f"{faults} of {count} samples {share} contradict {_spoken(found.tests)}"
         where = _place_of_contradiction(found, label)
-    elif found.covered is not None:
-        many = f"{faults} of {count} samples {share} contradict a test of the monitor"
-        where = _place_of_contradiction(found, label)
     elif found.remembers:
         many = f"{faults} of {count} samples {share} contradict the model and the samples before them"
         where = _place_of_contradiction(found, label)
@@ -491,11 +495,6 @@ def _healthy(found: Evidence, label: Label) -> str:
         return (
             f"No fault found: none of {tested} samples is proved to contradict one of {len(found.tests)} "
             f"tests{_unclaimed(found)}."
-        )
-    if found.covered is not None:
-        return (
-            f"No fault found: none of {tested} samples is proved to contradict a test of the "
-            f"monitor{_unclaimed(found)}."
         )
     if found.remembers:
         return (

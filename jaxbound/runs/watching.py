@@ -65,27 +65,34 @@ class Watching(Quiet):
         """Return (u, y) of some samples up to the piece that is being taken, by their numbers."""
         raise NotImplementedError(f"{type(self).__name__} has no samples")
 
+    def shown(self, piece: Recording) -> "pa.Array":
+        """Return the times of a piece as alarms have them."""
+        return piece.column
+
     @property
     def asks(self) -> bool:
         """Whether it asks for samples."""
         return self.watch.blame is not None or self.severity is not None
 
-    def follow(self, piece: Recording, verdicts: Verdicts, written: "pa.Array") -> Raised:
-        """Take the next verdicts; return the alarms that are over. written: the times as alarms have them."""
+    def follow(self, piece: Recording, verdicts: Verdicts) -> Raised:
+        """Take the next verdicts; return the alarms that are over."""
         import pyarrow as pa
 
         begin, fault = self.watch.samples, verdicts.status == Status.FAULT
-        if fault.any() or len(self.numbers):
-            if len(self.numbers):
-                written = pa.concat_arrays([self.written, written])
-            self.written = written
-            self.numbers = np.concatenate([self.numbers, begin + np.arange(piece.samples)])
-            self.seconds = np.concatenate([self.seconds, piece.time])
-            self.tests = np.concatenate([self.tests, speakers(verdicts)])
         by = self._speaking(verdicts)
         if by is not None:
             self.by = np.concatenate([self.by[len(self.by) - self.keep :], by])
             self.first = begin - self.keep
+        if not fault.any() and self.watch.is_quiet:
+            self.watch.skip(len(fault))
+            return NOBODY
+        written = self.shown(piece)
+        if len(self.numbers):
+            written = pa.concat_arrays([self.written, written])
+        self.written = written
+        self.numbers = np.concatenate([self.numbers, begin + np.arange(piece.samples)])
+        self.seconds = np.concatenate([self.seconds, piece.time])
+        self.tests = np.concatenate([self.tests, speakers(verdicts)])
         if self.severity is not None and fault.any():
             fault = self._counted(fault, by, self.severity)
         instants = None

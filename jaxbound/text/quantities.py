@@ -1,6 +1,7 @@
 """Numbers as people read them: factors, shares and spans of time."""
 
 import math
+from collections.abc import Mapping
 
 __all__ = [
     "decimal",
@@ -9,6 +10,7 @@ __all__ = [
     "finite",
     "most_percent",
     "percent",
+    "plain",
     "rough_duration",
     "three_digits",
     "times",
@@ -64,6 +66,26 @@ def finite(x: float) -> float | None:
     if not math.isfinite(x):
         return None
     return float(x)
+
+
+def plain(value: object) -> object:
+    """Return a value as JSON has it: fields by their names, None for a number that is not finite.
+
+    Example:
+        >>> plain({"sizes": (1.5, math.inf)})
+        {'sizes': [1.5, None]}
+    """
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if hasattr(value, "_asdict"):
+        value = value._asdict()
+    if isinstance(value, Mapping):
+        return dict(zip(value, map(plain, value.values()), strict=True))
+    if isinstance(value, list | tuple):
+        return list(map(plain, value))
+    if isinstance(value, float):
+        return finite(value)
+    return value
 
 
 def times(x: float) -> str:

@@ -146,13 +146,13 @@ def test_an_operator_acknowledges_while_samples_come(text, place, capsysbinary):
     rule, seen = AlarmRule(latch=True, acknowledged="seen.txt"), place / "seen.txt"
     seen.write_text("")
 
-    def pieces(_):
+    def pieces():
         for k in range(0, 130, 10):
             yield "".join(text[k : k + 10]).encode()
             if k == 110:
                 seen.write_text("soon\n53.5\n")
 
-    assert piped.judge_stream("model.toml", pieces, MethodOptions(), alarm=rule, as_json=True) == 1
+    assert piped.judge_stream("model.toml", pieces(), MethodOptions(), alarm=rule, as_json=True) == 1
     out, err = capsysbinary.readouterr()
     told = [line for line in map(json.loads, out.decode().splitlines()) if "alarm" in line]
     ends = [(line["time"], line["ended"]) for line in told if line["alarm"] == "end"]

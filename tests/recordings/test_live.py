@@ -215,7 +215,7 @@ def test_a_generator_that_fails_says_so_and_what_came_before_is_kept(place):
 
 def pipe_of(readings):
     """Return what arrives of readings, through the thread that waits for them."""
-    return lambda stream: signals.arrivals(readings, signals.Ends(None))
+    return signals.arrivals(readings, signals.Ends(None))
 
 
 class TestWithoutPosix:

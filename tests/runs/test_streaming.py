@@ -18,7 +18,7 @@ from jaxbound.recordings import parquet
 from jaxbound.recordings.parquet import open_parquet
 from jaxbound.recordings.read import read
 from jaxbound.recordings.stillness import Runs, follow_runs
-from jaxbound.runs import judges
+from jaxbound.runs import judges, streaming
 from jaxbound.runs.digest import detect_dataset, digest
 from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.partnotes import read_runs
@@ -236,7 +236,7 @@ def test_windows_of_another_device_are_decided_again_chunk_by_chunk(case, small,
         res := jb.detect(*a, **k),
         res.status.__setitem__(res.status == jb.Status.CONSISTENT, jb.Status.FAULT),
     )[0]
-    monkeypatch.setattr(judges, "detect", detect)
+    monkeypatch.setattr(streaming, "detect", detect)
     with pytest.raises(RuntimeError, match="windows were decided otherwise on the CPU"):
         detect_dataset(r, folder, tmp_path / "wrong")
 
@@ -248,7 +248,9 @@ class TestResume:
         r, folder, whole, _ = case("section 5")
         tested = []
         monkeypatch.setattr(
-            judges, "detect", lambda r, piece, **k: tested.append(piece.samples) or jb.detect(r, piece, **k)
+            streaming,
+            "detect",
+            lambda r, piece, **k: tested.append(piece.samples) or jb.detect(r, piece, **k),
         )
         source, out = open_parquet(folder, r.model), tmp_path / "out"
         for share in np.sort(rng.uniform(0.1, 0.95, 3)):
