@@ -111,16 +111,28 @@ class HostImage:
         lo, hi = (np.where(there, x[order], 0) for x in rows.ends())
         known, slips, missing = rows.known()
         lost = missing & ((K != 0).T.astype(float) @ there[: len(R)] > 0)
-        off = np.zeros((len(R), rows.count), lo.dtype)
-        if slips is not None:
-            off = np.abs(K) @ np.where(missing, 0, slips)
+        off = np.abs(K) @ np.where(missing, 0, slips)
         known, most = np.where(missing, 0, known), int(lost.sum(0).max(initial=0))
         return {"lo": lo, "hi": hi, "there": there, "known": known, "lost": lost, "most": most, "off": off}
 
     def of_windows(self, part: np.ndarray | slice) -> Self:
         """Return the rows of some windows."""
         names = "lo", "hi", "there", "known", "lost", "off", "size", "magnitude", "floor"
-        return replace(self, **{name: getattr(self, name)[..., part] for name in names})
+        fields = {name: getattr(self, name)[..., part] for name in names}
+        return self.with_fields(fields | {"middle": self.middle[..., part]})
+
+    def with_fields(self, given: dict[str, Any]) -> Self:
+        """Return the rows with other fields, or with another `middle` from which unknowns are counted."""
+        middle = given.pop("middle", self.middle)
+        other = replace(self, **given)
+        vars(other)["middle"] = middle
+        return other
+
+    def known_with(self, lost: np.ndarray) -> np.ndarray:
+        """Return the inputs (l, N), those that are lost (n, N) from `known` on."""
+        known = np.concatenate([self.known, np.zeros((1, self.known.shape[1]), self.known.dtype)])
+        np.put_along_axis(known, self.slots, np.take_along_axis(known, self.slots, 0) + lost, 0)
+        return known[:-1]
 
     @property
     def exact(self) -> bool:
@@ -142,12 +154,18 @@ class HostImage:
     @cached_property
     def middle(self) -> np.ndarray:
         """(c + k, N): the middles of rows, 0 without a sample."""
-        return (self.lo + self.hi) // 2 if self.exact else (self.lo + self.hi) / 2
+        return self._half(self.lo + self.hi)
 
     @cached_property
     def radius(self) -> np.ndarray:
         """(c + k, N): the radii of rows, 0 without a sample."""
-        return (self.hi - self.lo) // 2 if self.exact else (self.hi - self.lo) / 2
+        return self._half(self.hi - self.lo)
+
+    def _half(self, x: np.ndarray) -> np.ndarray:
+        """Return half of numbers, which whole ones have."""
+        if self.exact:
+            return np.asarray(x // 2)
+        return np.asarray(x / 2)
 
     @cached_property
     def z(self) -> np.ndarray:
@@ -219,7 +237,7 @@ def _leaked(image: HostImage, h: np.ndarray, reach: np.ndarray) -> np.ndarray:
     rounded = UNIT * np.abs(F) + LEAST * (F != 0)
     through += 4 * (len(h) + 4) * np.einsum("jn,njf->nf", np.abs(h), rounded)
     through += LEAST * np.einsum("jn,njf->nf", h != 0, F != 0)
-    return np.where(through * reach > 0, through * reach, 0).sum(1)
+    return np.asarray(np.where(through * reach > 0, through * reach, 0).sum(1))
 
 
 def explained(image: HostImage, x: np.ndarray) -> np.ndarray:
@@ -227,9 +245,7 @@ def explained(image: HostImage, x: np.ndarray) -> np.ndarray:
     they are taken for, explains.
     """
     c, k = image.R.shape
-    known = np.concatenate([image.known, np.zeros((1, image.known.shape[1]), image.known.dtype)])
-    np.put_along_axis(known, image.slots, np.take_along_axis(known, image.slots, 0) + x[k:], 0)
-    known, inner = known[:-1], image.middle[c:] + x[:k]
+    known, inner = image.known_with(x[k:]), image.middle[c:] + x[:k]
     values = np.concatenate([image.R @ inner + image.K @ known, inner])
     error = np.zeros(values.shape, values.dtype)
     if not image.exact:

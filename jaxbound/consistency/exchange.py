@@ -72,9 +72,7 @@ class ExchangeTest(SignedTest):
     Both verdicts are proofs. Windows that a first, short search leaves open are searched on.
 
     Args:
-        reading: how kernels read a window, with the frame of this search; None: that of the relations. steps,
-            finer: of `separation.separation_search`. frames: exact ones, of windows that lack samples, kept
-            from call to call; None: none yet.
+        steps, finer: of `separation.separation_search`.
     """
 
     threads = by_strips = True
@@ -84,14 +82,11 @@ class ExchangeTest(SignedTest):
         self,
         relations: LinearRelations,
         dtype: DTypeLike,
-        reading: Reading | None = None,
         steps: int | None = None,
         finer: float = 1.0,
     ) -> None:
         super().__init__(relations, "joint", dtype)
         self.finer = finer
-        if reading is not None:
-            self.reading = reading
         self.steps = 2 * len(self.exact_frame.inner) + 6 if steps is None else steps
 
     @property
@@ -195,7 +190,7 @@ class ExchangeTest(SignedTest):
         for finer in FINER:
             if not len(left):
                 break
-            finely = ExchangeTest(self.relations, self.dtype, self.reading, steps, finer)
+            finely = ExchangeTest(self.relations, self.dtype, steps, finer)
             left = again(finely, left)
             left = left[margin[left + self.horizon] == 0]  # what is proved needs no other search
 

@@ -160,12 +160,13 @@ class _Gained(HostImage):
         there = np.tile(self.there.T, 2)
         B = np.where(there[:, :, None], np.concatenate(rows, 1) / unit[:, :, None], 0)
         b = np.concatenate(values).T / unit
+        b = np.concatenate([b, np.zeros((count, B.shape[2]))], 1)
         every = np.concatenate([free, np.zeros((count, moves.sum()), bool)], 1)
         scale = np.ones_like(every, float)
         scale[:, :k] = reach[c:].T
         largest = np.abs(B).max(1)
         scale = np.where(every, 1 / np.where(largest > 0, largest, 1), scale)
-        fit = fitted(B * scale[:, None], b, there, every, TOLD)
+        fit = fitted(B * scale[:, None], b, np.ones_like(b), there, every, TOLD)
         x, h = fit.x * scale, np.where(there, fit.h / unit, 0)
         gains = np.tile(mid[:, None], count)
         gains[moves] += half[moves, None] * x[:, width:].T

@@ -1,8 +1,8 @@
 """Windows that lack samples or inputs, decided in NumPy from the one frame of their relations, and what
 floats leave open, in whole numbers.
 
-**Search.** In units of the radii this is a Chebyshev problem: the least t = max |b - B x|, x = (d, f), over
-the rows that are there. Each f is exchanged for a row that tells it; from there the single exchange of
+**Search.** This is a Chebyshev problem: the least t = max |b - B x| / r, x = (d, f), over the rows that are
+there. Each f is exchanged for a row that tells it; from there the single exchange of
 `sets.strips.separation` goes on, with a B of each window's own. Plain floats, no claim.
 
 **Proof** (`check`). The bound V of an unknown f comes from the rows J that tell f: with P near the inverse of
@@ -17,7 +17,6 @@ than a radius: the next search begins with what the one before found.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from fractions import Fraction
 from math import lcm
 from typing import NamedTuple
@@ -53,16 +52,15 @@ class HolesTest(SignedTest):
     Recordings in float32, too, are worked out in float64.
 
     Args:
-        relations, dtype: as of `ExchangeTest`. reading: how windows are read in float64; None: as the
-            relations do.
+        relations, dtype: as of `ExchangeTest`.
     """
 
     sharded = padded = False
     block = 64
 
-    def __init__(self, relations: LinearRelations, dtype: DTypeLike, reading: Reading | None = None) -> None:
+    def __init__(self, relations: LinearRelations, dtype: DTypeLike) -> None:
         super().__init__(relations, "joint", dtype)
-        self.reading = relations.reading(np.float64) if reading is None else reading
+        self.reading = relations.reading(np.float64)
 
     def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return the margins of blocks of windows."""
@@ -127,62 +125,54 @@ def exact_margins(relations: LinearRelations, reading: Reading, u: np.ndarray, y
 def _decided_exactly(image: HostImage, frame: ExactFrame, dtype: np.dtype) -> np.ndarray:
     """Return the margins (N,) of windows in whole numbers."""
     t, (inside, outside, idle) = np.zeros(image.lo.shape[1]), np.zeros((3, image.lo.shape[1]), bool)
-    left = np.arange(len(t))
-    for _ in range(ROUNDS):
-        shares, top = _in_floats(image)
+    left, c = np.arange(len(t)), len(image.R)
+    for number in range(ROUNDS):
+        top, *shares = _in_floats(image)
         found = _searched(image, *shares)
         x = np.where(np.isfinite(found.x), found.x, 0)
         power = places(x)
-        finer = {name: getattr(image, name) << power for name in ("lo", "hi", "known", "off")}
-        x = whole_floats(x, power) * top
-        inside[left] = explained(replace(image, **finer), x)
-        outside[left] = refuted(image, frame, found.h, found.telling) & ~inside[left]
+        x, finer = whole_floats(x, power) * top, ("lo", "hi", "known", "off", "middle")
+        scaled = image.with_fields({name: getattr(image, name) << power for name in finer})
+        inside[left] |= explained(scaled, x)
+        outside[left] |= refuted(image, frame, found.h, found.telling) & ~inside[left]
         t[left], idle[left] = found.t, found.idle
-        open_ = ~(inside | outside | idle)[left]
-        left, image = left[open_], _moved(image, x >> power).of_windows(open_)
-        if not len(left):
+        open_ = np.flatnonzero(~idle[left] & (~(inside | outside)[left] | (number == 0)))
+        if not len(open_):
             break
+        left, x, image = left[open_], x[:, open_] >> power, image.of_windows(open_)
+        middle = image.middle.copy()
+        middle[c:] += x[: len(middle) - c]
+        image = image.with_fields({"middle": middle, "known": image.known_with(x[len(middle) - c :])})
     return _signed(t, idle, inside, outside, dtype)
 
 
-def _in_floats(image: HostImage) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-    """Return ((z (c, N), radii (c + k, N)), top (N,)) of whole numbers: floats, as shares of one number of
-    each window.
+def _in_floats(image: HostImage) -> tuple[np.ndarray, ...]:
+    """Return (top (N,), values (c + k, N) and radii of rows) of whole numbers: floats, as shares of `top`."""
+    radius, c = image.radius, len(image.R)
+    z = np.where(image.there[:c], image.z, 0)
+    top = np.maximum(np.concatenate([np.abs(z) // image.scale, radius]).max(0), 1)
+    own = np.where(image.there[c:], ((image.lo + image.hi) // 2 - image.middle)[c:], 0)
+    values = np.concatenate([z, image.scale * own]) / (image.scale * top)
+    return top, np.asarray(values, float), np.asarray(radius / top, float)
+
+
+def _searched(image: HostImage, values: np.ndarray | None = None, radius: np.ndarray | None = None) -> _Found:
+    """Return the hints of windows; values, radius: of rows, in other units than those of an image in
+    floats.
     """
-    z, radius = np.abs(image.z) // image.scale, image.radius
-    top = np.maximum(np.concatenate([z, radius]).max(0), 1)
-
-    def shares(values: np.ndarray, over: np.ndarray) -> np.ndarray:
-        return np.asarray(values / over, float)
-
-    return (shares(image.z, top * image.scale), shares(radius, top)), top
-
-
-def _moved(image: HostImage, x: np.ndarray) -> HostImage:
-    """Return whole rows with unknowns without bounds taken for what was found."""
     c, k = image.R.shape
-    lo, hi = image.lo.copy(), image.hi.copy()
-    for ends in (lo, hi):
-        ends[c:] += np.where(image.there[c:], 0, x[:k])
-    known = np.concatenate([image.known, np.zeros((1, image.known.shape[1]), object)])
-    np.put_along_axis(known, image.slots, np.take_along_axis(known, image.slots, 0) + x[k:], 0)
-    return replace(image, lo=lo, hi=hi, known=known[:-1])
-
-
-def _searched(image: HostImage, z: np.ndarray | None = None, radius: np.ndarray | None = None) -> _Found:
-    """Return the hints of windows; z, radius: in other units than those of an image in floats."""
-    c, k = image.R.shape
-    if z is None or radius is None:
-        z, radius = image.z, image.radius
+    if values is None or radius is None:
+        values, radius = np.concatenate([image.z, np.zeros((k, image.lo.shape[1]))]), image.radius
     free, columns = image.free & image.columns.any(1), image.columns
-    # in units of the radii: of unknowns without bounds, of their largest coefficient
-    unit = np.maximum(radius[:c].T, LEAST)
-    bounded = np.concatenate([radius[c:].T, np.ones_like(free[:, k:], float)], 1)
-    largest = np.abs(columns / unit[:, :, None]).max(1)
-    scale = np.where(image.free, 1 / np.where(largest > 0, largest, 1), bounded)
-    B = columns * scale[:, None, :] / unit[:, :, None]
-    fit = fitted(B, z.T / unit, image.there[:c].T, free, TOLD)
-    h = np.where(image.there[:c], fit.h.T / unit.T, 0)
+    radius = np.maximum(radius.T, LEAST)
+    # of unknowns without bounds, in units of their largest coefficient over a radius
+    largest = np.abs(columns / radius[:, :c, None]).max(1)
+    scale = np.where(image.free & (largest > 0), 1 / np.where(largest > 0, largest, 1), 1)
+    lost = np.ones((len(free), free.shape[1] - k))
+    own = np.where(image.free, 1, np.concatenate([radius[:, c:], lost], 1))
+    b, radii = np.concatenate([values.T, 0 * lost], 1), np.concatenate([radius[:, :c], own], 1)
+    fit = fitted(columns * scale[:, None, :], b, radii, image.there[:c].T, free, TOLD)
+    h = np.where(image.there[:c], fit.h.T, 0)
     top = np.abs(h).max(0, initial=0)
     return _Found(fit.t, (fit.x * scale).T, h / np.where(top > 0, top, 1), fit.telling, fit.idle)
 
@@ -208,7 +198,9 @@ def refuted(image: HostImage, frame: ExactFrame, h: np.ndarray, telling: np.ndar
         known = np.where(np.isfinite(h), h, 0)
         outside = contradicted(image, whole_floats(known, places(known)), np.zeros((1, 1))) & ~lacking
     else:
-        reach = _reach(image.hull, telling, free) if lacking.any() else np.zeros((1, 1))
+        reach = np.zeros((1, 1))
+        if lacking.any():
+            reach = _reach(image.hull, telling, free)
         outside = contradicted(image, h, reach)
     for w in np.flatnonzero(lacking & ~outside):
         own = _exactly(image, frame, h[:, w], telling[w], free[w], int(w))
@@ -253,8 +245,11 @@ def _exactly(
         if dot(weights, [coefficient(j, f) for j in rows]):
             return None
     exact = np.zeros(c, image.lo.dtype)
-    common = lcm(*(x.denominator for x in weights))
-    exact[rows] = [int(x * common) if image.exact else float(x) for x in weights]
+    if image.exact:
+        common = lcm(*(x.denominator for x in weights))
+        exact[rows] = [int(x * common) for x in weights]
+    else:
+        exact[rows] = list(map(float, weights))
     return exact
 
 

@@ -17,7 +17,7 @@ the bounds, the smallest normal number, is left out of them: whoever proves FAUL
 
 from fractions import Fraction
 from math import ceil, lcm
-from typing import NamedTuple, TypeAlias
+from typing import ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -59,7 +59,11 @@ class Input(NamedTuple):
 class _Doubles:
     """The arithmetic of rows in float64."""
 
-    exact, kind, slightly, unit = False, np.dtype(np.float64), SLIGHTLY, 1
+    exact: ClassVar[bool] = False
+    kind: ClassVar[type] = float
+    slightly: ClassVar[float] = SLIGHTLY
+    unit: int = 1
+    tiny: float
 
     def __init__(self, y: np.ndarray) -> None:
         self.tiny = float(rounding.tiny(y.dtype))
@@ -86,7 +90,7 @@ class _Whole(_Doubles):
     are missing.
     """
 
-    exact, kind, slightly, tiny = True, np.dtype(object), 1, 0
+    exact, kind, slightly, tiny = True, object, 1, 0
 
     def __init__(self, reading: Reading, model: LinearSystem, u: np.ndarray, y: np.ndarray) -> None:
         known = reading.inputs(u)
@@ -112,11 +116,13 @@ class _Whole(_Doubles):
 
     def times(self, x: Ends, factor: Fraction) -> Ends:
         """Return numbers times a fraction, whose denominator divides them."""
-        return x // factor.denominator * factor.numerator
+        whole: Ends = x // factor.denominator * factor.numerator
+        return whole
 
     def factored(self, x: Ends, factors: np.ndarray) -> Ends:
         """Return numbers times floats."""
-        return x * whole_floats(factors, self._finest) // 2**self._finest
+        whole: np.ndarray = x * whole_floats(factors, self._finest) // 2**self._finest
+        return whole
 
 
 class HostRows:
@@ -153,7 +159,7 @@ class HostRows:
         self._recorded = Fraction(float(RECORDER_ULPS * rounding.unit(y.dtype)))
         self._samples, self._largest = self._in.array(used), self._in.array(_largest(used))
         self._offset = list(map(self._in.number, offsets["y"]))
-        offset = np.array(list(map(self._in.number, offsets["u"])), self._in.kind)
+        offset: np.ndarray = np.array(list(map(self._in.number, offsets["u"])), self._in.kind)
         offset = offset.reshape(-1, *[1] * (y.ndim - 2))
         self._inputs = _moved(self._in.array(inputs), offset)
         self._input_sizes = _largest(inputs) + np.abs(doubles(reading.offset_u)).reshape(offset.shape)
@@ -196,7 +202,8 @@ class HostRows:
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the ends (rows, N) of all rows of windows, NaN of those that are not looked at."""
         window = self._reading.window
-        lo, hi = np.full((2, len(window), self.count), np.nan, self._in.kind)
+        both: np.ndarray = np.full((2, len(window), self.count), np.nan, self._in.kind)
+        lo, hi = both
         kept = np.flatnonzero(window.kept)
         for end, whole in enumerate((lo, hi)):
             samples = whole[: window.readings].reshape(-1, window.outputs, self.count)
@@ -225,14 +232,14 @@ class HostRows:
         shares += [10 * (values.terms + values.size) for values in self._reading.window.sums]
         return ceil(max(shares) * tiny * self.unit)
 
-    def known(self) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
-        """Return (l, N) the inputs of windows, how far they may be off, None: not at all; which are
-        missing.
-        """
-        slips, missing = self._input_slips, np.isnan(self._reading.inputs(self._u))
-        if slips is not None:
-            slips = slips.reshape(-1, self.count)
-        return self._inputs.reshape(-1, self.count), slips, missing.reshape(-1, self.count)
+    def known(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return (l, N) the inputs of windows, how far they may be off, and which are missing."""
+        inputs, missing = self._inputs, np.isnan(self._reading.inputs(self._u))
+        slips: np.ndarray = np.zeros(inputs.shape, self._in.kind)
+        if self._input_slips is not None:
+            slips = self._input_slips
+        known, off, gone = (x.reshape(-1, self.count) for x in (inputs, slips, missing))
+        return known, off, gone
 
     def _cut(self, series: np.ndarray, first: int) -> np.ndarray:
         """Return, of a series over samples, the one of each window that comes so many after its first."""
@@ -268,7 +275,9 @@ class HostRows:
             hi = np.maximum(own.times(hi, wide), own.times(hi, near))
         if self.exact:
             return Series(lo, hi, 0)
-        widest = np.max(rho, 0) if factor is not None else rho
+        widest = rho
+        if factor is not None:
+            widest = np.max(rho, 0)
         most = float(1 / (1 - sigma)) * SLIGHTLY
         return Series(lo, hi, (self._largest[i] + abs(offset) + widest) * most)
 
@@ -286,7 +295,8 @@ class HostRows:
         """Return the runs of a bounded sum, as `Reading.block` has them."""
         r, own, values = self._reading, self._in, self._reading.window.sums[number]
         half: Ends = own.number(float(r.average[number]))
-        mid, reach = np.zeros((), own.kind), np.zeros(())
+        mid: np.ndarray = np.zeros((), own.kind)
+        reach = np.zeros(())
         if values.measured:
             runs = len(self._y) - values.samples + 1
             for i, weights in values.parts:

@@ -6,10 +6,10 @@ sample is in. A radius here is that of the sample alone, which is not above that
 the whole window: what it proves CONSISTENT is.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache, partial
 from operator import mul
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -36,22 +36,18 @@ from jaxbound.sets.strips.projection import (
     forced_outputs,
     projected_margin,
     projection_of,
-    witnessed_margin,
 )
 
 __all__ = [
     "EasyStretches",
     "EasyWindows",
     "Given",
-    "Steps",
     "columns_of",
     "easy_by",
-    "of_witness",
     "projection",
     "rows_of",
 ]
 
-Steps: TypeAlias = Callable[..., tuple[jax.Array, jax.Array]]
 BLOCK = 4096
 COLUMNS = 64
 """Rows of a window up to which a stretch is projected: each is a column, and what compiles grows with the
@@ -108,14 +104,9 @@ class EasyWindows(_Easy):
     threads = True
     block = BLOCK // 4
 
-    @property
-    def steps(self) -> Steps:
-        """The kernel that returns (margins (N,), h (c, N)) of windows."""
-        return _of_windows
-
     def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return (margin, open, h) of windows."""
-        return [(margin, np.asarray(margin) == 0, h) for margin, h in run(self.steps, blocks)]
+        return [(margin, np.asarray(margin) == 0, h) for margin, h in run(_of_windows, blocks)]
 
     def refuted(self, u: np.ndarray, y: np.ndarray, *hints: np.ndarray) -> np.ndarray:
         """Return which windows the combinations of the search contradict: `contradicted_by`."""
@@ -209,34 +200,9 @@ def _stretch_of(reading: Reading, u: jax.Array, y: jax.Array) -> _Stretch:
 
 def columns_of(given: Given, u: jax.Array, y: jax.Array) -> WindowColumns:
     """Return the columns of the windows of a stretch u (N + s, m), y (N + s, p)."""
-    stretch = _stretch_of(given.reading, u, y)
-    middles = [sample.mid for sample in stretch.samples]
-    return _columns(given, stretch, middles, middles)
-
-
-@kernel(wide=True)
-def of_witness(given: Given, u: jax.Array, both: jax.Array) -> jax.Array:
-    """Return margins (N,) of the windows of a stretch u (N + s, m), both (N + s, p + p + g): the samples of
-    outputs, then their true values, in deviations, and the disturbances. Which are taken for what explains a
-    window: > 0 where this is proved, else 0.
-    """
-    reading, inner = given.reading, given.projection.inner
-    y, truth = both[:, : len(reading.noise)], list(both[:, len(reading.noise) :].T)
-    stretch = _stretch_of(reading, u, y)
-    middles = [sample.mid for sample in stretch.samples]
-    off = [true - middle for true, middle in zip(truth, middles, strict=True)]
-    errors = _taken_columns(reading, off, inner, len(stretch.scale))
-    return witnessed_margin(given.projection, _columns(given, stretch, middles, truth), errors)
-
-
-def _columns(
-    given: Given, stretch: _Stretch, outer: Sequence[jax.Array], inner: Sequence[jax.Array]
-) -> WindowColumns:
-    """Return the columns of windows from the series that outer and inner rows read."""
-    reading, projection, count = given.reading, given.projection, len(stretch.scale)
-    numbers = *projection.outer, *projection.inner
-    rows = _taken_columns(reading, outer, projection.outer, count)
-    rows += _taken_columns(reading, inner, projection.inner, count)
+    reading, projection, stretch = given.reading, given.projection, _stretch_of(given.reading, u, y)
+    numbers, count = (*projection.outer, *projection.inner), len(stretch.scale)
+    rows = _taken_columns(reading, [sample.mid for sample in stretch.samples], numbers, count)
     weights = _taken_columns(reading, [sample.weight for sample in stretch.samples], numbers, count)
     mid = _less_forced(given, stretch, rows, numbers)
     return WindowColumns(mid, weights, stretch.scale, stretch.heaviest, stretch.known)
@@ -435,23 +401,16 @@ def easy_by(
     relations: LinearRelations,
     reading: Reading,
     dtype: DTypeLike,
-    windows: type[EasyWindows] = EasyWindows,
-    stretched: Reading | None = None,
 ) -> Easy | None:
-    """Return the tests that settle easy windows by a projection; None where there is none of use.
-
-    Args:
-        windows: the test of those that are gathered. stretched: how stretches are read; None: as windows are.
-    """
-    # where gains are fitted, nothing of a window's own is left in its radii
-    weighted = stretched is None and (bool(np.any(reading.tolerance)) or bool(reading.times))
+    """Return the tests that settle easy windows by a projection; None where there is none of use."""
+    weighted = bool(np.any(reading.tolerance)) or bool(reading.times)
     given = projection(relations, reading, dtype, weighted)
     if given is None:
         return None
     stretches = None
     if len(given.outer) + len(given.inner) <= COLUMNS:
-        stretches = EasyStretches(relations, dtype, given, reading if stretched is None else stretched)
-    return Easy(stretches, windows(relations, dtype, given, reading))
+        stretches = EasyStretches(relations, dtype, given, reading)
+    return Easy(stretches, EasyWindows(relations, dtype, given, reading))
 
 
 def projection(

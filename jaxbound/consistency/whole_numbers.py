@@ -94,7 +94,7 @@ def exact_strips(
             N, object
         )
         width = total(abs(x) * (hi[a] - lo[a]) for a, x in zip(i, h, strict=True))
-        slip = 0 if slips is None else total(2 * abs(x) * slips[b] for b, x in zip(j, k, strict=True))
+        slip = total(2 * abs(x) * slips[b] for b, x in zip(j, k, strict=True))
         silent, floor = missing[j].any(0), 2 * rows.floor() * sum(map(abs, h))
         present = ~(absent[i].any(0) | silent)
         out |= present & (middle - width - slip > floor).astype(bool)

@@ -9,10 +9,11 @@
 | SUM | consecutive samples of outputs, or of disturbances | from a bound on a weighted sum of errors |
 
 A row says where its values stand; the numbers lo and hi belong to samples and bounds. Three evaluators work
-them out: `consistency.reading` in floats inside kernels, `consistency.whole_rows` in whole numbers, and
-`certificates.exact_window` in fractions. What else is known of each sample, as a factor on its bound would
-be, reaches them beside the samples, at the places that a row names. How the plant ties true values together
-is no matter of rows (`window.unknowns`): matrices may change from sample to sample and rows stay.
+them out: `consistency.reading` in floats inside kernels, `consistency.host_rows` in NumPy, in floats or whole
+numbers, and `certificates.exact_window` in fractions. What else is known of each sample, as a factor on its
+bound would be, reaches them beside the samples, at the places that a row names. How the plant ties true
+values together is no matter of rows (`window.unknowns`): matrices may change from sample to sample and rows
+stay.
 
 Rows are time-major: outputs y_k, then y_{k+1}, ..; disturbances w_k .. w_{k+s-1}; then sums, one bound after
 the other. With lags a sum is looked at where it ends at a sample that is looked at; it uses every sample of

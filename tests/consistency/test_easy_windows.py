@@ -184,25 +184,6 @@ def test_a_projection_explains_what_it_calls_consistent_in_exact_arithmetic(case
         assert 0 < Fraction(float(margins(y)[number])) <= 1 - largest_use(case, window, d)
 
 
-@pytest.mark.parametrize("name", [name for name in BY_DAY if name != "gust"])
-def test_a_witness_explains_what_it_calls_consistent_in_exact_arithmetic(name):
-    case = drawn(name)
-    given, s, dtype = easy(case).stretches.constants, case.relations.horizon, case.u.dtype
-    truth = (case.centre - np.array(case.plant.offset_y, float)).astype(dtype)
-
-    def margins(y):
-        both = as_recording(np.concatenate([y, truth], -1))
-        return np.asarray(projection.of_witness(given, as_recording(case.u), both))[:: s + 1]
-
-    y, behind, turned = at_threshold(case, lambda y: margins(y) > 0)
-    assert not margins(behind)[turned].any()
-    for number in np.flatnonzero(turned):
-        ends, _ = case.plant.ends(s, case.u[number], y[number], dtype)
-        known = [Fraction(float(x)) for x in truth[number].ravel()]
-        d = [known[i] - sum(ends[i]) / 2 for i in case.relations.frame.inner]
-        assert 0 < Fraction(float(margins(y)[number])) <= 1 - largest_use(case, exact(case, y, number), d)
-
-
 @pytest.mark.parametrize("kind", ["stretches", "windows"])
 def test_clipped_steps_explain_what_they_call_consistent_in_exact_arithmetic(case, kind):
     given, s = getattr(easy(case), kind).constants, case.relations.horizon

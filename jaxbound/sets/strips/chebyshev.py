@@ -1,8 +1,8 @@
-"""Chebyshev fits side by side, in NumPy: of N problems, the x for which max |b - B x| is smallest.
+"""Chebyshev fits side by side, in NumPy: of N problems, the x for which max |b - B x| / r is smallest.
 
-Each problem has rows and columns of its own: b (c,), B (c, q), and a row of zeros b = 0, B = e_i for each
-unknown x_i that is bounded by 1. It is the search of `separation` where nothing is shared between windows and
-all radii are 1, by the same steps; see there for the source. Problems are the first axis. No claim.
+Each problem has rows and columns of its own: b, r (c,), B (c, q), and a row b = 0, B = e_i with its r for
+each unknown x_i that is bounded. It is the search of `separation` where nothing is shared between windows, by
+the same steps; see there for the source. Problems are the first axis. No claim.
 """
 
 from dataclasses import dataclass
@@ -27,9 +27,9 @@ LEAVE = 8
 class Fit(NamedTuple):
     """The least largest errors of N problems, and where they are reached.
 
-    Fields: t (N,), the largest error; x (N, q); h (N, c), multipliers with |h b| = t (|h| 1 + sum of |h B|_i
-    over bounded x_i) and h B near 0 elsewhere; telling (N, q): the row that tells an unknown without bounds,
-    -1 for none; idle (N,): no row is left that tells anything.
+    Fields: t (N,), the largest error over its radius; x (N, q); h (N, c), multipliers with |h b| = t (|h| r +
+    sum of |h B|_i r_i over bounded x_i) and h B near 0 elsewhere; telling (N, q): the row that tells an
+    unknown without bounds, -1 for none; idle (N,): no row is left that tells anything.
     """
 
     t: np.ndarray
@@ -43,12 +43,14 @@ class Fit(NamedTuple):
 class _Search:
     """The state of some problems.
 
-    Fields: rows (n, c + q, q), values, there (n, c + q): all rows, those of the x_i last; P (n, q, q) is the
-    inverse of the basis S (n, q), row numbers; signs (n, q) of its errors; leader (n,): the row beside it.
+    Fields: rows (n, c + q, q), values, radius, there (n, c + q): all rows, those of the x_i last; P (n, q, q)
+    is the inverse of the basis S (n, q), row numbers; signs (n, q) of its errors; leader (n,): the row beside
+    it.
     """
 
     rows: np.ndarray
     values: np.ndarray
+    radius: np.ndarray
     there: np.ndarray
     P: np.ndarray
     S: np.ndarray
@@ -59,10 +61,14 @@ class _Search:
         """Return the state of some of the problems."""
         return _Search(*(x[some] for x in vars(self).values()))
 
-    def _picked(self, number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return one row of each problem, and its value."""
+    def _picked(self, number: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return one row of each problem, its value and its radius."""
         at = np.arange(len(number))
-        return self.rows[at, number], self.values[at, number]
+        return self.rows[at, number], self.values[at, number], self.radius[at, number]
+
+    def _on_S(self, x: np.ndarray) -> np.ndarray:
+        """Return numbers of rows (n, c + q), of those of the basis."""
+        return np.take_along_axis(x, self.S, 1)
 
     def exchange_free(self, free: np.ndarray, least: float) -> np.ndarray:
         """Exchange each unknown without bounds, where some row has at least this share of its column, for the
@@ -73,14 +79,15 @@ class _Search:
         at, q = np.arange(len(free)), free.shape[1]
         c = self.rows.shape[1] - q
         table, telling = self.rows[:, :c].copy(), np.full(free.shape, -1)
-        size = np.abs(table)
+        size = np.abs(table) / self.radius[:, :c, None]
         largest = size.max(1, initial=0)
+        plain = np.abs(table).max(1, initial=0)
         share = np.where(free & (largest > 0), 1 / np.where(largest > 0, largest, 1), 0)
-        weight = self.there[:, :c, None] * share[:, None, :]
+        weight = (self.there / self.radius)[:, :c, None] * share[:, None, :]
         for _ in range(int(free.sum(1).max(initial=0))):
             np.multiply(np.abs(table, out=size), weight, out=size)
             j, s = np.divmod(size.reshape(len(free), -1).argmax(1), q)
-            pivoted = size[at, j, s] > least
+            pivoted = (size[at, j, s] > 0) & (np.abs(table[at, j, s]) > least * plain[at, s])
             if not pivoted.any():
                 break
             row = table[at, j]
@@ -101,21 +108,22 @@ class _Search:
         chosen = self.S < c
         others[np.nonzero(chosen)[0], self.S[chosen]] = False
         T = self.rows[:, :c] @ self.P
-        on_S = np.take_along_axis(self.values, self.S, 1)
-        own = np.abs(self.values[:, :c] - (T @ on_S[:, :, None])[:, :, 0]) / (1 + np.abs(T).sum(2))
+        away = np.abs(self.values[:, :c] - (T @ self._on_S(self.values)[:, :, None])[:, :, 0])
+        own = away / (self.radius[:, :c] + (np.abs(T) @ self._on_S(self.radius)[:, :, None])[:, :, 0])
         self.leader = np.where(others, own, -1).argmax(1)
         idle = np.asarray(~others.any(1))
         return idle
 
     def reference(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return (T, t, sign of the leader's error, x) of the present references."""
-        row, value = self._picked(self.leader)
+        row, value, radius = self._picked(self.leader)
         T = np.einsum("nj,nji->ni", row, self.P)
-        on_S = np.take_along_axis(self.values, self.S, 1)
+        on_S, radius_S = self._on_S(self.values), self._on_S(self.radius)
         own = value - (T * on_S).sum(1)
-        t = np.abs(own) / (1 + np.abs(T).sum(1))
-        self.signs = np.where(np.abs(T) > CLOSE, -np.sign(own)[:, None] * np.sign(T), self.signs)
-        x = np.einsum("nij,nj->ni", self.P, on_S - self.signs * t[:, None])
+        t = np.abs(own) / (radius + (np.abs(T) * radius_S).sum(1))
+        shares = np.abs(T) * radius_S / radius[:, None]
+        self.signs = np.where(shares > CLOSE, -np.sign(own)[:, None] * np.sign(T), self.signs)
+        x = np.einsum("nij,nj->ni", self.P, on_S - self.signs * t[:, None] * radius_S)
         return T, t, np.sign(own), x
 
     def step(self) -> np.ndarray:
@@ -123,14 +131,19 @@ class _Search:
         at = np.arange(len(self.leader))
         T, t, sign_e, x = self.reference()
         error = self.values - (self.rows @ x[:, :, None])[:, :, 0]
-        size = np.where(self.there, np.abs(error), -1)
+        size = np.where(self.there, np.abs(error) / self.radius, -1)
         w = size.argmax(1)
         worst = size[at, w]
         done = worst <= t + CLOSE * (1 + t)
         sign_w = np.sign(error[at, w])
         T_w = np.einsum("nj,nji->ni", self.rows[at, w], self.P)
-        shares = np.abs(T)
-        change = sign_w[:, None] * T_w * self.signs
+        radius_S, radius_e, radius_w = (
+            self._on_S(self.radius),
+            self.radius[at, self.leader],
+            self.radius[at, w],
+        )
+        shares = np.abs(T) * radius_S / radius_e[:, None]
+        change = sign_w[:, None] * T_w * self.signs * radius_S / radius_w[:, None]
         rate = np.where(change > WORTH * np.abs(change).max(1, keepdims=True), change, 0)
         multiplier = shares / np.where(rate > 0, rate, 1)
         moved = np.abs(shares[:, None] - multiplier[:, :, None] * change[:, None])
@@ -143,7 +156,7 @@ class _Search:
         q = np.where(near, np.abs(T_w), -1).argmax(1)
         swap = (best >= slope / (1 + np.abs(change).sum(1))) & ~done
         T_q, T_wq = T[at, q], T_w[at, q]
-        by_w = np.abs(T_wq) >= np.abs(T_q)
+        by_w = np.abs(T_wq) * radius_e >= np.abs(T_q) * radius_w
         joins = np.where(by_w[:, None], T_w, T)
         joins[at, q] -= 1
         pivot = np.where(by_w, T_wq, T_q)
@@ -164,21 +177,23 @@ class _Search:
         self.P = np.where(good[:, None, None], inverse, self.P)
 
 
-def fitted(B: np.ndarray, b: np.ndarray, there: np.ndarray, free: np.ndarray, least: float) -> Fit:
+def fitted(
+    B: np.ndarray, b: np.ndarray, radius: np.ndarray, there: np.ndarray, free: np.ndarray, least: float
+) -> Fit:
     """Return the Fit of N problems.
 
     Args:
-        B: (N, c, q). b, there: (N, c), the values of rows and which there are. free: (N, q), which unknowns
-            are without bounds; the others are bounded by 1. least: share of its column that a row has to tell
-            an unknown.
+        B: (N, c, q). there: (N, c), which rows there are. b, radius: (N, c + q), the values of rows, then of
+            unknowns, and how far these may be off. free: (N, q), which unknowns are without bounds. least:
+            share of its column that a row has to tell an unknown.
     """
     N, c, q = B.shape
     one = np.broadcast_to(np.eye(q), (N, q, q))
-    values = np.concatenate([np.where(there, b, 0), np.zeros((N, q))], 1)
+    values = np.concatenate([np.where(there, b[:, :c], 0), b[:, c:]], 1)
     S, signs = np.tile(np.arange(c, c + q), (N, 1)), np.ones((N, q))
     rows = np.concatenate([B, one], 1)
     whole = _Search(
-        rows, values, np.concatenate([there, ~free], 1), one.copy(), S, signs, np.zeros(N, np.intp)
+        rows, values, radius, np.concatenate([there, ~free], 1), one.copy(), S, signs, np.zeros(N, np.intp)
     )
     telling = whole.exchange_free(free, least)
     # what no row tells stays where it is

@@ -61,7 +61,6 @@ __all__ = [
     "forced_outputs",
     "projected_margin",
     "projection_of",
-    "witnessed_margin",
 ]
 
 Columns: TypeAlias = Sequence[jax.Array]
@@ -154,35 +153,13 @@ def projected_margin(given: Projection, columns: WindowColumns) -> jax.Array:
 
     A window that lacks a sample of its rows is one of the others.
     """
-    z = _of_columns(given, columns)
-    d = _times(given.step[:, : len(z)], z)
-    return _kept(given, columns, [*_less(z, _times(given.R, d)), *d])
-
-
-def witnessed_margin(given: Projection, columns: WindowColumns, errors: Columns) -> jax.Array:
-    """Return a proved lower bound > 0 of the margin (N,) of windows that known inner rows explain; 0 of all
-    others.
-
-    Args:
-        columns: as for `projected_margin`, but with values of the inner rows, whatever they are, in place of
-            their middles. errors: these values less the middles.
-
-    Encloses: no d is worked out, so that the errors lose less than in `projected_margin`.
-    """
-    return _kept(given, columns, [*_of_columns(given, columns), *errors])
-
-
-def _of_columns(given: Projection, columns: WindowColumns) -> list[jax.Array]:
-    """Return z of windows."""
     c = len(given.outer)
-    return _less(columns.mid[:c], _times(given.R, columns.mid[c:]))
-
-
-def _kept(given: Projection, columns: WindowColumns, errors: Columns) -> jax.Array:
-    """Return the margin (N,) of windows with such errors, the outer rows first."""
+    z = _less(columns.mid[:c], _times(given.R, columns.mid[c:]))
+    d = _times(given.step[:, :c], z)
+    errors = [*_less(z, _times(given.R, d)), *d]
     used = most([jnp.abs(e) * weight for e, weight in zip(errors, columns.weight, strict=True)])
     off = _off(given, given.projected, columns.scale, columns.known)
-    return _explained(used, off * columns.heaviest, jnp.abs(total(errors[len(given.outer) :])))
+    return _explained(used, off * columns.heaviest, jnp.abs(total(d)))
 
 
 def _off(given: Projection, bound: np.ndarray, scale: jax.Array, known: jax.Array) -> jax.Array:

@@ -73,7 +73,7 @@ def _recorded(
         k, each, extra = now
         unknowns = list(each[:p]), list(each[p : 2 * p]), list(each[2 * p :]), extra
         u_now = kernel.recorded_input(u, inputs, k, course)
-        x, y, held, _ = kernel.move(act, plant, unknowns, size, onset, u_now, k, x, held)
+        x, y, held = kernel.move(act, plant, unknowns, size, onset, u_now, k, x, held)
         return (x, held), (jnp.stack([*u_now, zero])[:-1], jnp.stack(y))
 
     start: tuple[list[Array], Array] = [zero] * plant.shape[0], zero

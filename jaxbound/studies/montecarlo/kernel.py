@@ -115,9 +115,9 @@ def move(
     k: Array,
     x: list[Array],
     held: Array,
-) -> tuple[list[Array], list[Array], Array, list[Array]]:
-    """Return (x+, y, held, truth) of step k for N scenarios, with the fault: lists over states and outputs.
-    unknowns: from `unknown_draws`. truth: see `recursion.step`.
+) -> tuple[list[Array], list[Array], Array]:
+    """Return (x+, y, held) of step k for N scenarios, with the fault: lists over states and outputs.
+    unknowns: from `unknown_draws`.
     """
     theta, delta, share, extra = unknowns
     since, stuck = k - onset, held
@@ -146,9 +146,9 @@ def move(
     applied = faulty(u, [jnp.zeros_like(v) for v in u], act.input, 0.0)
     theta = [b * r for b, r in zip(tolerances, theta, strict=True)]
     noise = [b * r for b, r in zip(plant.noise, delta, strict=True)]
-    x, y, truth = recursion.step(plant, x, applied, theta, noise, share)
+    x, y = recursion.step(plant, x, applied, theta, noise, share)
     shown = faulty(y, noise, act.output, jnp.nan)
-    return x, shown, stuck, truth
+    return x, shown, stuck
 
 
 def recorded_input(u: Array | None, inputs: Array, k: Array, course: Course) -> list[Array]:
@@ -199,7 +199,7 @@ def count_block(
         margin = folded_verdict(reading, us[: reading.lags], ys)
         u_now = recorded_input(u, inputs, k, course)
         unknowns = unknown_draws(course, act, plant, pair, numbers, k)
-        x, y, held, _ = move(act, plant, unknowns, size, onset, u_now, k, x, held)
+        x, y, held = move(act, plant, unknowns, size, onset, u_now, k, x, held)
         return (x, [*ys[1:], y], [*us[1:], u_now], held, margin, hits, false, delay), None
 
     start = [zero] * n, [[zero] * p] * (s + 1), [[zero] * m] * (s + 1), zero, zero, none, none, none - 1
@@ -210,23 +210,21 @@ def count_block(
 @partial(jax.jit, static_argnums=0)
 def replay_block(
     course: Course, plant: FloatPlant, act: Act, limits: Array, u: Array | None, key: Array, numbers: Array
-) -> tuple[Array, Array, Array, Array]:
-    """Return the recordings that `count_block` tests: u (N, T, m), y (N, T, p), onset (N,); and the truth (N,
-    T, p + g) behind them, see `recursion.step`.
-    """
+) -> tuple[Array, Array, Array]:
+    """Return the recordings that `count_block` tests: u (N, T, m), y (N, T, p), onset (N,)."""
     pair = key[0], key[1]
     inputs, size, onset = prepared(course, act, limits, pair, numbers)
     zero = jnp.zeros_like(size)
 
     def now(
         carry: tuple[list[Array], Array], k: jax.Array
-    ) -> tuple[tuple[list[Array], Array], tuple[jax.Array, jax.Array, jax.Array]]:
+    ) -> tuple[tuple[list[Array], Array], tuple[jax.Array, jax.Array]]:
         x, held = carry
         u_now = recorded_input(u, inputs, k, course)
         unknowns = unknown_draws(course, act, plant, pair, numbers, k)
-        x, y, held, truth = move(act, plant, unknowns, size, onset, u_now, k, x, held)
-        return (x, held), (jnp.stack([*u_now, zero])[:-1], jnp.stack(y), jnp.stack(truth))
+        x, y, held = move(act, plant, unknowns, size, onset, u_now, k, x, held)
+        return (x, held), (jnp.stack([*u_now, zero])[:-1], jnp.stack(y))
 
     start: tuple[list[Array], Array] = [zero] * plant.shape[0], zero
-    _, (us, ys, true) = jax.lax.scan(now, start, jnp.arange(course.samples, dtype=jnp.int32))
-    return jnp.moveaxis(us, 2, 0), jnp.moveaxis(ys, 2, 0), onset, jnp.moveaxis(true, 2, 0)
+    _, (us, ys) = jax.lax.scan(now, start, jnp.arange(course.samples, dtype=jnp.int32))
+    return jnp.moveaxis(us, 2, 0), jnp.moveaxis(ys, 2, 0), onset

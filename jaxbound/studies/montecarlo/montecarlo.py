@@ -437,10 +437,9 @@ def _counted(
     u: np.ndarray,
     y: np.ndarray,
     onset: np.ndarray,
-    truth: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return (hits, false, delay) of recordings, by `detect`."""
-    return records.count_recordings(setup.relations, act, u, y, onset, setup.method, setup.margins, truth)
+    return records.count_recordings(setup.relations, act, u, y, onset, setup.method, setup.margins)
 
 
 def _counting(setup: _Setup, plant: FloatPlant, devices: tuple[jax.Device, ...]) -> Engine:
@@ -461,15 +460,14 @@ def _writing(setup: _Setup, plant: FloatPlant | None) -> Engine:
     """Return the function that writes scenarios out and gives them to `detect`."""
 
     def written(act: Act, key: np.ndarray, numbers: np.ndarray) -> Counts:
-        truth = None
         if plant is None:
             u, y, onset = records.simulate_block(
                 setup.course, setup.model, act, setup.limits, setup.u, key, numbers
             )
         else:
             found = kernel.replay_block(setup.course, plant, act, setup.limits, setup.u, key, numbers)
-            u, y, onset, truth = (np.asarray(x) for x in found)
-        return *_counted(setup, act, u, y, onset, truth), onset
+            u, y, onset = (np.asarray(x) for x in found)
+        return *_counted(setup, act, u, y, onset), onset
 
     return written
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from jaxbound.consistency.interface import AUTO, Relations
 from jaxbound.consistency.monitorbank import MonitorBank, combined
-from jaxbound.consistency.witness import explained_by
 from jaxbound.diagnosis.detection import detect
 from jaxbound.models.simulate import simulate
 from jaxbound.models.system import LinearSystem
@@ -20,9 +19,6 @@ from jaxbound.random.threefry import Array
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.montecarlo import kernel, scenarios
-
-FEW = 0.25
-"""Share of windows, warm-up included, up to which those that are left are tested one by one."""
 
 __all__ = ["count_recordings", "recording_block", "simulate_block"]
 
@@ -40,17 +36,16 @@ def count_recordings(
     onset: np.ndarray,
     method: str = "joint",
     margins: str = AUTO,
-    truth: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return (hits, false, delay) as `kernel.count_block` does, of recordings u (N, T, m), y (N, T, p) with
-    onsets (N,). margins: as of `detect`. truth: (N, T, p + g), see `kernel.replay_block`. Of a monitor all
-    are (N, 1 + tests): of itself, then of each of its tests.
+    onsets (N,). margins: as of `detect`. Of a monitor all are (N, 1 + tests): of itself, then of each of
+    its tests.
     """
     if not relations.parts:
-        fault = _faulty(relations, u, y, method, margins, truth)
+        fault = _faulty(relations, u, y, method, margins)
         return _counted(relations, act, fault, onset)
     columns = []
-    for fault in _faulty_by_test(cast(MonitorBank, relations), u, y, margins, truth):
+    for fault in _faulty_by_test(cast(MonitorBank, relations), u, y, margins):
         columns.append(_counted(relations, act, fault, onset))
     hits, false, delay = (np.stack(each, 1) for each in zip(*columns, strict=True))
     return hits, false, delay
@@ -71,9 +66,7 @@ def _counted(
     return hits.astype(np.int32), (fault & ~touched).sum(1).astype(np.int32), delay.astype(np.int32)
 
 
-def _faulty_by_test(
-    bank: MonitorBank, u: np.ndarray, y: np.ndarray, margins: str, truth: np.ndarray | None
-) -> list[np.ndarray]:
+def _faulty_by_test(bank: MonitorBank, u: np.ndarray, y: np.ndarray, margins: str) -> list[np.ndarray]:
     """Return which samples (N, T) are FAULT: of a monitor, then of each of its tests."""
     given = Recording.of(bank.model, u, y)
     shape = y.shape[:-1]
@@ -90,7 +83,7 @@ def _faulty_by_test(
         own = bank.seen_by(number, flat, modes)
         if watch.when is None:
             u_own, y_own = own.u.reshape(*shape, own.u.shape[-1]), own.y.reshape(y.shape)
-            fault = _faulty(watch.relations, u_own, y_own, "joint", margins, truth).ravel()
+            fault = _faulty(watch.relations, u_own, y_own, "joint", margins).ravel()
         else:  # each scenario has modes of its own, so that they lie end to end
             res = detect(watch.relations, own.u, own.y, margins=margins, starts=own.starts)
             fault = (res.status == Status.FAULT) & ~np.asarray(own.excluded)
@@ -101,29 +94,9 @@ def _faulty_by_test(
     return [(status == Status.FAULT).reshape(shape) for status in together]
 
 
-def _faulty(
-    relations: Relations,
-    u: np.ndarray,
-    y: np.ndarray,
-    method: str,
-    margins: str,
-    truth: np.ndarray | None,
-) -> np.ndarray:
-    """Return which windows (N, T) are FAULT. A window that the simulated truth is proved to explain is not:
-    few of the others are left where scenarios are healthy.
-    """
-    explained = None
-    if truth is not None:
-        explained = explained_by(relations.test(method, y.dtype), u, y, truth)
-    if explained is None or (~explained).mean() > FEW:
-        return np.asarray(detect(relations, u, y, method, margins=margins).status == Status.FAULT)
-    s, fault = relations.horizon, np.zeros(y.shape[:2], bool)
-    scenario, end = np.nonzero(~explained[:, s:])
-    if len(end):
-        rows = scenario[:, None], end[:, None] + np.arange(s + 1)
-        left = detect(relations, u[rows], y[rows], method, margins=margins)
-        fault[scenario, end + s] = left.status[:, -1] == Status.FAULT
-    return fault
+def _faulty(relations: Relations, u: np.ndarray, y: np.ndarray, method: str, margins: str) -> np.ndarray:
+    """Return which windows (N, T) are FAULT."""
+    return np.asarray(detect(relations, u, y, method, margins=margins).status == Status.FAULT)
 
 
 def simulate_block(

@@ -188,9 +188,8 @@ def step(
     theta: Sequence[Array | None],
     delta: list[Array],
     share: list[Array],
-) -> tuple[list[Array], list[Array], list[Array]]:
-    """Return (x+, y, truth) of one step, lists of arrays over scenarios. truth: the true outputs, in
-    deviations, then the disturbances.
+) -> tuple[list[Array], list[Array]]:
+    """Return (x+, y) of one step, lists of arrays over scenarios.
 
     Args:
         x: n states. applied: m inputs, offset included. theta: p relative errors (None: none). delta: p
@@ -200,11 +199,10 @@ def step(
     inputs = [v - plant.offset_u[i] for i, v in enumerate(applied)]
     half = [0.5 * (plant.hi[j] - plant.lo[j]) for j in range(len(share))]
     w = [jnp.clip(plant.lo[j] + (1 + r) * half[j], plant.lo[j], plant.hi[j]) for j, r in enumerate(share)]
-    y, truth = [], []
+    y = []
     for i in range(plant.shape[2]):
         t = _sum([*_terms(plant.C, zero_C, x, i), *_terms(plant.D, zero_D, inputs, i)], delta[i])
         error = theta[i]
-        truth.append(t)
         y.append((t if error is None else t + error * t) + delta[i] + plant.offset_y[i])
     after = []
     for i in range(plant.shape[0]):
@@ -214,7 +212,7 @@ def step(
             *_terms(plant.G, zero_G, w, i),
         ]
         after.append(_sum(terms, delta[0]))
-    return after, y, [*truth, *w]
+    return after, y
 
 
 def _terms(M: Array, zeros: Zeros, values: Sequence[Array], i: int) -> list[Array]:

@@ -7,12 +7,12 @@ from scipy.optimize import linprog
 from jaxbound.sets.strips.chebyshev import fitted
 
 
-def least(B, b, there, free):
-    """Return the least t with |b - B x| <= t where there are rows, |x_i| <= t where x_i is not free."""
+def least(B, b, radius, there, free):
+    """Return the least t with |b - B x| <= t r where there are rows, |x_i| <= t r_i where x_i is not free."""
     q = B.shape[1]
     rows = np.concatenate([B[there], np.eye(q)[~free]])
     values = np.concatenate([b[there], np.zeros((~free).sum())])
-    ones = np.ones((len(rows), 1))
+    ones = radius[np.r_[there, ~free]][:, None]
     found = linprog(
         [0] * q + [1],
         np.block([[rows, -ones], [-rows, -ones]]),
@@ -26,21 +26,24 @@ def least(B, b, there, free):
 def test_the_largest_error_is_that_of_the_program(c, q, rng):
     B, b = rng.normal(size=(40, c, q)), 3 * rng.normal(size=(40, c))
     there, free = rng.random((40, c)) < 0.9, rng.random((40, q)) < 0.2
-    fit = fitted(B, b, there, free, 1e-9)
+    radius = 10.0 ** rng.uniform(-2, 1, (40, c + q))
+    fit = fitted(B, np.concatenate([b, np.zeros((40, q))], 1), radius, there, free, 1e-9)
     assert not fit.idle.all()
     for n in np.flatnonzero(~fit.idle):
-        np.testing.assert_allclose(fit.t[n], least(B[n], b[n], there[n], free[n]), rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(
+            fit.t[n], least(B[n], b[n], radius[n], there[n], free[n]), rtol=1e-7, atol=1e-9
+        )
         errors = np.r_[np.where(there[n], b[n] - B[n] @ fit.x[n], 0), np.where(free[n], 0, fit.x[n])]
-        np.testing.assert_allclose(np.abs(errors).max(), fit.t[n], rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose((np.abs(errors) / radius[n]).max(), fit.t[n], rtol=1e-7, atol=1e-9)
         through = fit.h[n] @ B[n]
-        width = np.abs(fit.h[n]).sum() + np.abs(np.where(free[n], 0, through)).sum()
+        width = np.abs(fit.h[n]) @ radius[n, :c] + np.abs(np.where(free[n], 0, through)) @ radius[n, c:]
         np.testing.assert_allclose(abs(fit.h[n] @ np.where(there[n], b[n], 0)), fit.t[n] * width, atol=1e-7)
         np.testing.assert_allclose(through[free[n]], 0, atol=1e-7 * max(1, width))
 
 
 def test_without_a_row_beside_those_that_tell_there_is_nothing_to_fit():
     B = np.ones((1, 2, 2)) + np.eye(2)
-    fit = fitted(B, np.ones((1, 2)), np.ones((1, 2), bool), np.ones((1, 2), bool), 1e-9)
+    fit = fitted(B, np.ones((1, 4)), np.ones((1, 4)), np.ones((1, 2), bool), np.ones((1, 2), bool), 1e-9)
     assert fit.idle.all() and (fit.telling >= 0).all()
 
 
@@ -48,5 +51,6 @@ def test_unknowns_that_rows_do_not_tell_apart_are_not_told_by_rounding(rng):
     """Inputs in a gap, of which rows behind it see what is left of two modes: one goes fast."""
     left = np.array([[0.9], [0.1]]) ** np.arange(20)[::-1]
     F, all_rows = rng.normal(size=(50, 12, 2)) @ left, np.ones((50, 12), bool)
-    fit = fitted(F, rng.normal(size=(50, 12)), all_rows, np.ones((50, 20), bool), 1e-9)
+    b = np.concatenate([rng.normal(size=(50, 12)), np.zeros((50, 20))], 1)
+    fit = fitted(F, b, np.ones((50, 32)), all_rows, np.ones((50, 20), bool), 1e-9)
     assert not fit.idle.any() and ((fit.telling >= 0).sum(1) == 2).all()

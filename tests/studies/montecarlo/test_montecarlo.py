@@ -35,7 +35,7 @@ def recordings(res, block=0):
     key = np.array(res.settings["key"][0], np.uint32)
     limits = np.array(res.settings["input range"])
     plant, act = recursion.plant_of(model, room, dtype), scenarios.act_of(trial, model, dtype)
-    u, y, onset, _ = map(np.asarray, kernel.replay_block(course, plant, act, limits, None, key, numbers))
+    u, y, onset = map(np.asarray, kernel.replay_block(course, plant, act, limits, None, key, numbers))
     return u, y, onset, np.asarray(trial.sizes)[numbers % len(trial.sizes)]
 
 

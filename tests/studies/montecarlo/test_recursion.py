@@ -34,7 +34,7 @@ def run(model, rng, vertices, horizon, dtype=np.float64, inputs=1.0):
     def scan(u, theta, delta, shares):
         def now(x, given):
             u, theta, delta, share = given
-            after, y, _ = recursion.step(plant, list(x), list(u), list(theta), list(delta), list(share))
+            after, y = recursion.step(plant, list(x), list(u), list(theta), list(delta), list(share))
             return jnp.stack(after), (x, jnp.stack(y))
 
         return jax.lax.scan(now, jnp.zeros((n, N), dtype), (u, theta, delta, shares))[1]
