@@ -104,7 +104,7 @@ def free_numbers(
         used,
         before=np.array(directions.before),
         after=np.array(directions.after),
-        shown=np.array([any(row) for row in moved]),
+        shown=np.array(list(map(any, moved))),
         first=np.array(all_in_bounds),
     )
 
