@@ -10,8 +10,6 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
-from jaxbound.models.numbers import is_whole
-
 if TYPE_CHECKING:
     from jaxbound.estimation.set_observer import SetObserver, ZonotopeObserver
 
@@ -120,6 +118,8 @@ class Joint(ObserverMethod):
     )
 
     def __post_init__(self) -> None:
+        from jaxbound.models.numbers import is_whole
+
         if not is_whole(self.window) or self.window < SHORTEST or self.window % 2:
             raise ValueError(f"window must be an even number of samples >= 4, not {self.window!r}")
 

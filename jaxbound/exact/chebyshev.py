@@ -7,9 +7,9 @@ Rationals, no rounding.
 **Method** (single exchange; Source: Stiefel 1959, the dual simplex method on references of N + 1 rows, N the
 rank of E). N independent rows S and one more row q determine a circuit h, its ratio t and a point z whose
 errors on these rows are t times their radii. The row that z misses most enters, the one whose multiplier
-first falls to zero leaves. HiGHS says in floats which rows the last reference is likely to have; exact
-integers begin there, usually for a single step, and accept an optimum only if z keeps every row. What floats
-got wrong costs steps, never truth.
+first falls to zero leaves. The same exchanges in floats say which rows the last reference is likely
+to have; exact integers begin there, usually for a single step, and accept an optimum only if z keeps every
+row. What floats got wrong costs steps, never truth.
 """
 
 from collections.abc import Sequence
@@ -27,10 +27,8 @@ __all__ = ["Optimum", "Reference", "chebyshev", "nearest"]
 
 SPREAD = 1e12
 """The largest radius over the smallest one that floats are told of."""
-NUDGE = 1e-6
-"""By which multipliers that are 0 are moved, so that each row of a reference is seen: beyond what HiGHS
-neglects.
-"""
+PATIENCE = 20
+"""Exchanges for each row of a reference after which floats have lost their way; they take 2 to 4."""
 TOLD = 1e-12
 """Share of the largest singular value up to which a direction counts as none."""
 
@@ -126,31 +124,52 @@ def _likely(E: linalg.Rows, b: Sequence[Fraction], r: Sequence[Fraction]) -> tup
     found = nearest(rows[:, :-1], rows[:, -1])
     if found is None:
         return nothing
-    _, h = found
-    return np.argsort(-abs(h), kind="stable").tolist(), np.where(h > 0, 1, -1).tolist()
+    _, h, reference = found
+    others = np.setdiff1d(np.arange(len(b)), reference)
+    return [*reference, *others.tolist()], np.where(h > 0, 1, -1).tolist()
 
 
-def nearest(F: np.ndarray, c: np.ndarray) -> tuple[float, np.ndarray] | None:
-    """Return (t, h): about the least max |c - F z|, and multipliers of the rows that determine it, h F near 0
-    and h c near t |h|; None where floats lose their way.
+def nearest(F: np.ndarray, c: np.ndarray) -> tuple[float, np.ndarray, list[int]] | None:
+    """Return (t, h, rows): about the least max |c - F z|, and multipliers of the rows that determine it, h F
+    near 0 and h c near t |h|; None where numbers overflow.
     """
-    from scipy.optimize import linprog
-
     if not (np.isfinite(F).all() and np.isfinite(c).all()):
         return None
     span, sizes, _ = np.linalg.svd(F, full_matrices=False)
     span = span[:, sizes > TOLD * sizes.max(initial=0)]
     gap = c - span @ (span.T @ c)
-    top = abs(gap).max()
-    if not top > 0:
-        return 0.0, gap
-    nudge = NUDGE * np.random.default_rng(0).uniform(0.5, 1, span.shape[1])
-    rows = np.vstack([np.hstack([span.T, -span.T]), np.ones(2 * len(c))])
-    best = linprog(np.append(-gap, gap) / top, A_eq=rows, b_eq=np.append(nudge, 1), method="highs-ds")
-    if best.status != 0:
-        return None
-    above, below = np.split(best.x, 2)
-    return abs(gap + top * (span @ best.eqlin.marginals[:-1])).max(), above - below
+    N = span.shape[1]
+    if N == len(c) or not abs(gap).max() > 0:
+        return 0.0, np.zeros(len(c)), []
+    S, rest = np.zeros(N, int), span.copy()
+    for k in range(N):  # rows that are far from a sum of those before
+        S[k] = np.argmax((rest**2).sum(1))
+        u = rest[S[k]] / np.linalg.norm(rest[S[k]])
+        rest -= np.outer(rest @ u, u)
+    T, signs, steps = span @ np.linalg.inv(span[S]), np.ones(len(c)), PATIENCE * (N + 1)
+    off = gap - T @ gap[S]
+    off[S] = 0
+    last = np.argmax(abs(off))
+    while True:  # as `_settled`, in floats
+        h = np.zeros(len(c))
+        h[S], h[last] = -T[last], 1
+        h *= np.copysign(1, h @ gap)
+        signs = np.where(h, np.sign(h), signs)
+        t, steps = h @ gap / abs(h).sum(), steps - 1
+        off = gap - T @ (gap[S] - signs[S] * t)
+        worst = np.argmax(abs(off))
+        if abs(off[worst]) <= t * (1 + TOLD) or not steps:
+            return float(abs(off).max()), h, [*S.tolist(), int(last)]
+        signs[worst] = np.sign(off[worst])
+        speed = signs[worst] * signs[S] * T[worst]
+        falls = np.where(speed > TOLD, speed / np.maximum(abs(h[S]), np.finfo(float).tiny), 0)
+        place = np.argmax(falls)
+        if not falls[place]:
+            last = worst
+            continue
+        S[place] = worst
+        T[:, place] /= T[worst, place]
+        T -= np.outer(T[:, place], np.where(np.arange(N) == place, 0, T[worst]))
 
 
 def _settled(b: Sequence[int], r: Sequence[int], start: Reference) -> tuple[Fraction, list[int], Reference]:

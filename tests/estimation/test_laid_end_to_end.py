@@ -12,7 +12,7 @@ from observer_case import inside, recorded, systems
 
 import jaxbound as jb
 from jaxbound.consistency.twice import Doubtful
-from jaxbound.estimation.joint_observer import JointObserver
+from jaxbound.estimation import joint_observer
 from jaxbound.estimation.validation_observer import ValidationObserver
 from jaxbound.recordings.recording import Recording
 
@@ -103,7 +103,7 @@ def test_a_set_that_outlives_a_gap_is_not_believed_twice(monkeypatch):
     """The first decision forgets no gap on purpose: the second one begins behind it, with the samples."""
     u, y, _ = laid_end_to_end(20, 40)
     watch = jb.observer(PLANT, "joint", window=10)
-    monkeypatch.setattr(JointObserver, "_behind_gap", lambda self, state, fresh: state)
+    monkeypatch.setattr(joint_observer, "_believed", lambda state, *sets: state)
     state = watch.init()
     _, samples = watch.side_by_side(state, Recording.of(PLANT, u, y, [20]))
     _, once = watch.found(state, samples)

@@ -115,7 +115,7 @@ def test_a_start_changes_nothing_but_the_work(rng):
 def test_a_bad_search_does_not_spoil_the_optimum(rng, monkeypatch):
     E, b, r = draw(rng, 12, 3)
     expected = chebyshev(E, b, r).t
-    monkeypatch.setattr(module, "nearest", lambda F, c: (0.0, rng.normal(size=len(c))))
+    monkeypatch.setattr(module, "nearest", lambda F, c: (0.0, rng.normal(size=len(c)), [7, 2]))
     best = chebyshev(E, b, r)
     assert_optimal(E, b, r, best)
     assert best.t == expected

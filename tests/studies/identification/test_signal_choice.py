@@ -15,6 +15,7 @@ from jaxbound.studies.identification import structure
 from jaxbound.studies.identification.recipe import Recipe
 from jaxbound.studies.identification.signal_choice import SignalProblem, chosen_signals, products
 from jaxbound.studies.identification.training import Training
+from jaxbound.text.quantities import plain
 
 SHORT = Recipe(order=1, horizon=5)
 
@@ -152,7 +153,7 @@ def test_the_command_writes_the_choice_and_shows_what_was_tried(tables, tmp_path
 
 
 def test_json_has_every_set_that_was_tried(model):
-    found = plain_fit(model, ["a.csv", "b.csv"], "m.toml", [])
+    found = plain(plain_fit(model, ["a.csv", "b.csv"], "m.toml", []))
     assert found["inputs"] == ["valve", "lift", "valve*lift"]
     assert len(found["signals"]) == len(model.check.signals)
     assert sum(one["taken"] for one in found["signals"]) == 2
