@@ -162,9 +162,10 @@ def nearest(F: np.ndarray, c: np.ndarray) -> tuple[float, np.ndarray, list[int]]
             return float(abs(off).max()), h, [*S.tolist(), int(last)]
         signs[worst] = np.sign(off[worst])
         speed = signs[worst] * signs[S] * T[worst]
-        falls = np.where(speed > TOLD, speed / np.maximum(abs(h[S]), np.finfo(float).tiny), 0)
-        place = np.argmax(falls)
-        if not falls[place]:
+        until = np.full(N, np.inf)  # its multiplier is 0
+        np.divide(abs(h[S]), speed, out=until, where=speed > TOLD)
+        place = np.argmin(until)
+        if until[place] == np.inf:
             last = worst
             continue
         S[place] = worst
