@@ -108,7 +108,7 @@ class MethodOptions:
         order, latched, observer: of an observer, see `add_observer`.
         margins: one of MARGINS, see `add_margins`. outside: one of OUTSIDE, see `add_outside`.
         every: see `add_every`; None: that of the model.
-        settings: {field: value} of the observer's own options, see `estimation.method.ShellOption`.
+        settings: {field: value} of the observer's own options, see `estimation.methods.ShellOption`.
     """
 
     method: str = "joint"

@@ -88,6 +88,7 @@ class BisectionTest(WindowTest):
     """
 
     relations: ResidualRelations
+    confirms = True
     block, short = 2**13, 2**8
     padded = sharded = False
     constants = None

@@ -65,6 +65,8 @@ class ConstantTest(SignedTest):
         search: makes the test that is asked of windows left open; its `outputs` are margins.
     """
 
+    confirms = True
+
     def __init__(
         self, relations: LinearRelations, method: str, dtype: DTypeLike, search: Callable[[], WindowTest]
     ) -> None:

@@ -42,6 +42,8 @@ ROUNDS = 3
 """Searches for what whole numbers prove."""
 TOLD = 1e-9
 """Share of its column that a pivot has at least: less tells nothing."""
+LARGEST = 2**1000
+"""Larger multipliers end in no float."""
 FEW, WORK = 24, 2**11
 """Unknowns, and coefficients, with which one combination is worked out in fractions: milliseconds."""
 
@@ -56,6 +58,7 @@ class HolesTest(SignedTest):
     """
 
     sharded = padded = False
+    confirms = True
     block = 64
 
     def __init__(self, relations: LinearRelations, dtype: DTypeLike) -> None:
@@ -223,7 +226,10 @@ def _exactly(
     columns = np.flatnonzero(free)
     inputs = image.slots[:, w]
     live, own = columns[telling[columns] >= 0], telling[columns[telling[columns] >= 0]]
-    others = np.setdiff1d(np.flatnonzero(np.isfinite(h) & (h != 0)), own)
+    there = image.there[:c, w].astype(bool)
+    others = np.setdiff1d(np.flatnonzero(there & np.isfinite(h) & (h != 0)), own)
+    if not there[own].all():
+        return None
     if len(live) > FEW or len(columns) * (len(others) + len(own)) > WORK:
         return None
 
@@ -248,8 +254,10 @@ def _exactly(
     if image.exact:
         common = lcm(*(x.denominator for x in weights))
         exact[rows] = [int(x * common) for x in weights]
-    else:
-        exact[rows] = list(map(float, weights))
+        return exact
+    if max(map(abs, weights), default=0) > LARGEST:
+        return None
+    exact[rows] = list(map(float, weights))
     return exact
 
 

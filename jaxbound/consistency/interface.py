@@ -492,6 +492,8 @@ class WindowTest:
     """An observer in its place does."""
     by_strips: ClassVar[bool] = False
     """Whether margins are those of strips, down which an adversary of a study goes."""
+    confirms: ClassVar[bool] = False
+    """Whether NumPy alone says FAULT, itself or by the hints of `judge`: nobody asks again."""
 
     short: int = 64
     """How many windows are judged at once where there are few."""
@@ -589,7 +591,7 @@ class WindowTest:
 
     def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray | None:
         """Return (N,) bool: which windows contradict their bounds, from all samples u (T, m), y (T, p) and
-        without XLA. None: NumPy alone says FAULT here, itself or by the hints of `judge`.
+        without XLA. None: there is no shorter way than the test's own kernels, evaluated in NumPy.
         """
         return None
 

@@ -73,6 +73,7 @@ class ParametricTest(WindowTest):
     """
 
     relations: PolynomialRelations
+    confirms = True
     sharded = False
     constants = None
 

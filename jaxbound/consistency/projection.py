@@ -75,6 +75,8 @@ class _Easy(SignedTest):
         relations, dtype: as of `ExchangeTest`. given: from `projection`. reading: how windows are read.
     """
 
+    confirms = True
+
     def __init__(
         self, relations: LinearRelations, dtype: DTypeLike, given: Projection, reading: Reading
     ) -> None:

@@ -142,9 +142,12 @@ def host_strips(reading: Reading, exact_h: Matrix, exact_k: Matrix, constant: bo
 
 
 def excludes_0(least: Ends, most: Ends, error: Ends) -> np.ndarray:
-    """Return bool: no sum between these ends is 0, even off by an error; False where one is NaN."""
+    """Return bool: no sum between these ends is 0, even off by an error; False where one is NaN, or so large
+    that floats end.
+    """
     with np.errstate(invalid="ignore"):
-        return np.asarray((least > error) | (most < -error))
+        above, below = (least > error) & (least < np.inf), (most < -error) & (most > -np.inf)
+        return np.asarray(above | below)
 
 
 def _sparse(row: Vector) -> tuple[tuple[int, ...], tuple[float, ...]]:

@@ -8,9 +8,12 @@ A test that searches hands the driver its hints, and each FAULT of a block is pr
 (`WindowTest.refuted`); else the window is left open, and what no later search decides is asked of whole
 numbers (`WindowTest.exactly`). Of a test without hints each FAULT is confirmed once all windows are judged
 (`decided_twice`), by a short way in NumPy with a stated error, then in whole numbers:
-`WindowTest.contradicted`. What bisects boxes proves each FAULT itself, box by box in NumPy.
+`WindowTest.contradicted`; without one its own kernels are evaluated once more, primitive by primitive in
+NumPy. What proves each FAULT itself, as all tests of the package do that search or bisect, says so
+(`WindowTest.confirms`).
 """
 
+from collections.abc import Callable
 from importlib.metadata import version
 
 import jax
@@ -28,18 +31,25 @@ class Doubtful(RuntimeWarning):
     """A proof by XLA is not confirmed outside XLA: the verdict is UNDECIDED."""
 
 
-def decided_twice(test: WindowTest, judged: Judged, u: np.ndarray, y: np.ndarray) -> Judged:
+def decided_twice(
+    test: WindowTest,
+    judged: Judged,
+    u: np.ndarray,
+    y: np.ndarray,
+    contradicted: Callable[[np.ndarray], np.ndarray],
+) -> Judged:
     """Return the verdicts of windows with those FAULT UNDECIDED that a second look does not confirm.
 
     Args:
-        test: the WindowTest. judged: its verdicts. u (T, m), y (T, p): all samples.
+        test: the WindowTest. judged: its verdicts. u (T, m), y (T, p): all samples. contradicted: says of
+            windows, by the samples at which they end, which contradict their bounds, without XLA.
     """
     status = judged.status.reshape(-1)
     if status.max(initial=0) < Status.FAULT:  # of nearly all recordings the maximum alone is asked for
         return judged
     faulty = np.flatnonzero(status == Status.FAULT)
-    proved = test.contradicted(u, y, faulty - test.horizon)
-    if proved is None or proved.all():
+    proved = contradicted(faulty)
+    if proved.all():
         return judged
     judged, doubtful = test.withdrawn(judged, faulty, proved, u, y)
     if doubtful.any():

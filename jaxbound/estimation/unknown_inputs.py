@@ -124,7 +124,7 @@ def unknown_inputs(
         least, most = _ranges(_ways(model, horizon, position, j), recording, share)
         empty = least > most
         least[empty], most[empty] = np.inf, -np.inf
-        at = ..., slice(position, samples[-1] - lag), j
+        at = ..., slice(position, max(position, samples[-1] - lag)), j
         lo[at], hi[at] = least[..., horizon:], most[..., horizon:]
     return UnknownInputs(Interval(lo, hi), horizon, tuple(lags))
 

@@ -63,7 +63,7 @@ class Prior(NamedTuple):
 class Samples(NamedTuple):
     """L samples of windows.
 
-    Fields: mid, rad (L, p, N), v, slip (L, m, N): see `zonotope_steps.Read`; reach (L, n, N): at least |x|.
+    Fields: mid, rad (L, p, N), v, slip (L, m, N): see `piece.Piece`; reach (L, n, N): at least |x|.
     """
 
     mid: np.ndarray

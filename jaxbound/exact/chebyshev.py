@@ -150,6 +150,8 @@ def nearest(F: np.ndarray, c: np.ndarray) -> tuple[float, np.ndarray, list[int]]
     off = gap - T @ gap[S]
     off[S] = 0
     last = np.argmax(abs(off))
+    if not off[last]:
+        return 0.0, off, S.tolist()
     while True:  # as `_settled`, in floats
         h = np.zeros(len(c))
         h[S], h[last] = -T[last], 1
@@ -158,7 +160,7 @@ def nearest(F: np.ndarray, c: np.ndarray) -> tuple[float, np.ndarray, list[int]]
         t, steps = h @ gap / abs(h).sum(), steps - 1
         off = gap - T @ (gap[S] - signs[S] * t)
         worst = np.argmax(abs(off))
-        if abs(off[worst]) <= t * (1 + TOLD) or not steps:
+        if abs(off[worst]) <= t * (1 + TOLD) or worst in (*S, last) or not steps:
             return float(abs(off).max()), h, [*S.tolist(), int(last)]
         signs[worst] = np.sign(off[worst])
         speed = signs[worst] * signs[S] * T[worst]

@@ -85,3 +85,14 @@ def test_means_and_lags_are_rows_like_others(rng):
         host = host_strips(r.reading(np.float64), r.circuits, r.circuits_known)
         found = host.contradicted(u, y, np.arange(396)).any(0)
         assert found.any() and (found == (res.status[4:] == jb.Status.FAULT)).all() and not found[:190].any()
+
+
+def test_multipliers_whose_sums_overflow_prove_nothing(rng):
+    """x = 1, w = 0 explains the window."""
+    model = jb.LinearSystem([[1]], None, [["1e9"], ["1e9"]], noise=["1", "1"], disturbance=([["1"]], "1"))
+    reading = jb.parity_relations(model, 6).reading(np.float64)
+    u, y = np.zeros((6, 0, 1)), np.full((7, 2, 1), 1e9)
+    for _ in range(200):
+        h = 1e299 * rng.normal(size=(len(reading.frame.R), 1))
+        with np.errstate(all="ignore"):
+            assert not contradicted_by(reading, u, y, h).any()

@@ -10,7 +10,7 @@ import pytest
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.consistency import drive
+from jaxbound.consistency import Relations, WindowTest, drive
 from jaxbound.consistency.twice import Doubtful
 from jaxbound.sets.floats import kernel
 from jaxbound.sets.floats.status import Status
@@ -154,3 +154,32 @@ def test_faults_of_faulty_recordings_are_confirmed(name, rng):
         once = jb.detect(relations, u, y, method=method).status
     assert (status == Status.FAULT).any(1).all()
     np.testing.assert_array_equal(status, once)
+
+
+class Jumps(WindowTest):
+    """A test of a user's own, whose compiled kernel calls the first window FAULT."""
+
+    block, short, lags = 64, 64, 2
+
+    def judge(self, run, blocks):
+        out = []
+        for _, y in blocks:
+            margin = 1 - np.abs(y[1, 0] - y[0, 0])
+            if not kernel.is_outside_xla():
+                margin[0] = -1
+            out.append((np.where(margin < 0, Status.FAULT, Status.CONSISTENT).astype(np.int8), margin))
+        return out
+
+
+class OfJumps(Relations):
+    model, horizon, made = jb.LinearSystem([["0.5"]], None, [[1]], noise="0.1"), 1, ("jumps",)
+
+    def test(self, method, dtype, budget=None):
+        return Jumps(self, method, dtype)
+
+
+def test_a_fault_of_a_family_of_a_users_own_is_evaluated_again_in_numpy():
+    y = np.array([[0.0], [0.1], [3.0], [3.1]])
+    with pytest.warns(Doubtful, match="the first of them ends at sample 1: NumPy does not confirm it"):
+        status = jb.detect(OfJumps(), None, y).status
+    assert status.tolist() == [Status.MISSING, Status.UNDECIDED, Status.FAULT, Status.CONSISTENT]

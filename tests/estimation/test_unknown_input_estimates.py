@@ -148,6 +148,14 @@ def test_an_input_that_acts_at_once_has_no_lag():
     )
 
 
+def test_a_recording_shorter_than_the_lag_says_nothing():
+    chain = jb.LinearSystem(
+        [[0, 1, 0], [0, 0, 1], [0, 0, "0.5"]], None, [[1, 0, 0]], noise=1, unknown_inputs=[[0], [0], [1]]
+    )
+    found = jb.unknown_inputs(chain, None, np.zeros((2, 1)), horizon=3)
+    assert np.isinf(found.values.lo).all() and found.values.lo.shape == (2, 1)
+
+
 def test_one_of_two_may_be_known():
     m = jb.LinearSystem([[0.5, 0], [0, 0.2]], None, [[1, 0]], noise=0.1, unknown_inputs=[[1, 0], [0, 1]])
     found = jb.unknown_inputs(m, None, np.zeros((6, 1)))

@@ -150,3 +150,16 @@ def test_radii_beyond_each_other_in_floats_are_left_to_the_exact_steps():
     E = [[Fraction(1)], [Fraction(2)], [Fraction(1)]]
     b, r = [Fraction(0), Fraction(10) ** 300, Fraction(1)], [Fraction(10) ** -9] * 3
     assert_optimal(E, b, r, chebyshev(E, b, r))
+
+
+def test_rows_of_zeros_are_no_rows_of_a_reference(rng):
+    """Where everything fits, floats see the rest of a rounding."""
+    for _ in range(50):
+        rows = [[Fraction(int(x), 7) for x in row] for row in rng.integers(-9, 10, (3, 2))]
+        rows[1] = [Fraction(0)] * 2
+        best = chebyshev(
+            rows, [Fraction(3), Fraction(0), Fraction(3)], [Fraction(1), Fraction(1), Fraction(2)]
+        )
+        assert_optimal(
+            rows, [Fraction(3), Fraction(0), Fraction(3)], [Fraction(1), Fraction(1), Fraction(2)], best
+        )

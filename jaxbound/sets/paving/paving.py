@@ -375,7 +375,8 @@ def _distinct(proofs: Boxes, solutions: str, kernel: Kernel) -> Boxes:
 def _images(kernel: Kernel, m: int, boxes: Boxes) -> Interval:
     """Return the images (N, m) of boxes."""
     if not len(boxes.owner):
-        return Interval(jnp.zeros((0, m)), jnp.zeros((0, m)))
+        none = jnp.zeros((0, m), boxes.lo.dtype)
+        return Interval(none, none)
     ends = in_blocks(kernel, *boxes)
     return Interval(*(jnp.asarray(np.stack(x, 1)) for x in zip(*((x.lo, x.hi) for x in ends), strict=True)))
 

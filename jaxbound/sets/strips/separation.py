@@ -226,6 +226,7 @@ def separation_verdict(
     gamma, _ = rounding.search_error(c, k, frame.K.shape[1], z.dtype)
     residual, width = jnp.abs(_dot(h, z)) / one, _width(frame.R, h, radius) / one
     outside = residual - width > gamma * _dot(jnp.abs(h), magnitude[:c]) + floor
+    outside &= residual < jnp.inf  # a sum that overflows says nothing
     gap = jnp.concatenate([z - product(frame.R, d), d])
     within = (
         jnp.abs(gap) + gamma * magnitude + floor[None] - radius <= 0

@@ -137,7 +137,8 @@ def refutes(c: jax.Array, G: jax.Array, error: jax.Array, h: jax.Array) -> jax.A
     short = residual - (summed(lambda x, e: jnp.abs(x) * e, h, E) + flushed)
     margin = 1 - short / (width + flushed)
     least = jnp.finfo(margin.dtype).eps
-    return jnp.where(short > width, jnp.minimum(margin, -least), jnp.clip(margin, 0, 1))
+    beyond = (short > width) & (residual < jnp.inf)  # a sum that overflows says nothing
+    return jnp.where(beyond, jnp.minimum(margin, -least), jnp.clip(margin, 0, 1))
 
 
 def right_inverse(J: jax.Array, z: jax.Array) -> jax.Array:

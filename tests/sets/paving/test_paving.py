@@ -420,3 +420,9 @@ def test_a_second_call_does_not_trace(options):
     traced = counted.count
     sets.pave(counted, box(lo=(-1, 0)), [3.0, -2.5], **options)
     assert counted.count == traced
+
+
+def test_images_of_no_box_have_the_type_of_the_others():
+    box = sets.interval(np.zeros(1, np.float32), np.ones(1, np.float32))
+    paving = sets.pave(lambda z: z * 2, box, target=[9.0])
+    assert paving.images.lo.shape == (0, 1) and paving.images.lo.dtype == np.float32

@@ -265,3 +265,11 @@ def test_float32_and_uncompiled_code_prove_the_same(rng):
         few = [jnp.asarray(x[..., :4]) for x in (c, G, 0 * c)]
         refuted = np.asarray(varying.strip_margins(*few)) < 0
         assert not (refuted & (double[:4] > 0)).any()
+
+
+def test_a_direction_whose_sum_overflows_refutes_nothing():
+    """0 = c - G 1 / 1.01 is in the set."""
+    c, h = np.full((3, 1), 1e6), np.array([[1.0], [1.0], [-1.0]]) * 1.2e302
+    G = np.repeat(c[:, None] * 1.01 / 10, 10, 1)
+    with np.errstate(over="ignore"):
+        assert not (np.asarray(varying.refutes(c, G, np.zeros((3, 1)), h)) < 0).any()
