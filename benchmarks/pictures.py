@@ -102,7 +102,7 @@ STEPS = (
     ("image", "rows of a window", "z, R, r: samples", "and bounds, NumPy"),
     ("search", "any device or solver", "plain floats,", "nothing is claimed"),
     ("hint", "an array, no more", "multipliers h,", "or unknowns d"),
-    ("check", "one bound of rounding", "from the samples:", "floats or whole numbers"),
+    ("check", "one bound of rounding", "from the samples:", "floats or integers"),
 )
 """(noun, what it is, two lines more) of each box."""
 PROOFS = (
