@@ -492,9 +492,8 @@ class WindowTest:
     """An observer in its place does."""
     by_strips: ClassVar[bool] = False
     """Whether margins are those of strips, down which an adversary of a study goes."""
-    confirms: ClassVar[bool] = False
+    confirms: bool = False
     """Whether NumPy alone says FAULT, itself or by the hints of `judge`: nobody asks again."""
-
     short: int = 64
     """How many windows are judged at once where there are few."""
     easy_first: bool = True

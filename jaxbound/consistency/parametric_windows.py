@@ -179,15 +179,24 @@ class Hints(NamedTuple):
 
 @kernel
 def candidates(
-    reading: PolynomialReading, terms: Polynomials, mid: jax.Array, radius: jax.Array, owner: jax.Array
+    reading: PolynomialReading,
+    terms: Polynomials,
+    boxes: tuple[jax.Array, jax.Array, jax.Array] | None = None,
 ) -> tuple[Polynomials, tuple[jax.Array, jax.Array], Hints]:
-    """Return (Polynomials, (c, G), Hints) of boxes mid +- radius (n, N) of windows `owner`, for `concluded`.
+    """Return (Polynomials, (c, G), Hints) of boxes mid +- radius (n, N) of windows `owner`, for `concluded`;
+    None: of the whole box of each window, of which nothing is gathered and nothing moved.
 
     The image is c + G [-1, 1]^q, up to the error.
     """
     value, error, spread, rad = terms
-    value, rad, error = value[..., owner], rad[..., owner], error[..., owner]
-    c, G = polynomials.image(value, spread, rad, reading.exponents, mid, radius)
+    if boxes is None:
+        c, G = polynomials.image(value, spread, rad, reading.exponents)
+        shape = len(reading.size), value.shape[-1]
+        mid, radius = jnp.zeros(shape, value.dtype), jnp.ones(shape, value.dtype)
+    else:
+        mid, radius, owner = boxes
+        value, rad, error = value[..., owner], rad[..., owner], error[..., owner]
+        c, G = polynomials.image(value, spread, rad, reading.exponents, mid, radius)
     h, z = varying.farthest(c, G, error)
     start = jnp.concatenate([jnp.clip(mid + radius * z[: len(mid)], -1, 1), _noise_part(reading, z)])
     axis = jnp.argmax(polynomials.bends(value, reading.exponents, radius), 0)
@@ -315,21 +324,36 @@ def bisected(
     leaves: list[Leaves] = []
     levels: list[tuple[np.ndarray, np.ndarray]] = []
 
-    def on_boxes(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> tuple[jax.Array, ...]:
-        own, image, hints = candidates(reading, terms, *middle_of(lo, hi), owner)
+    def told(own: Polynomials, image: tuple[jax.Array, jax.Array], hints: Hints) -> tuple[jax.Array, ...]:
         return *concluded(reading, own, image, hints, proved), *hints
 
+    def on_boxes(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> tuple[jax.Array, ...]:
+        return told(*candidates(reading, terms, (*middle_of(lo, hi), owner)))
+
     def judge(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> Verdicts[np.ndarray]:
-        margin, found, h, start, axis = in_blocks(on_boxes, lo, hi, owner, size)
+        if levels:
+            margin, found, h, start, axis = in_blocks(on_boxes, lo, hi, owner, size)
+        else:
+            margin, found, h, start, axis = (
+                np.array(x)[..., :count] for x in told(*candidates(reading, terms))
+            )
         levels.append((margin, start))
         leaves.append(Leaves(owner, lo, hi, h).chosen(margin < 0))
         return Verdicts(~(margin < 0) & ~found, found, (start, start), None, axis)
 
-    *_, cover = explore(judge, -one, one, count, 200, budget, first=True)
-    margin, points = levels[0]
-    points[:, cover.proofs.owner] = cover.proofs.lo
+    if budget == 1:  # of one level nothing is cut
+        lo, hi = (np.repeat(x[:, None], count, 1) for x in (-one, one))
+        now = judge(lo, hi, np.arange(count, dtype=np.int32))
+        status = np.where(now.keep, np.int8(Status.UNDECIDED), np.int8(Status.FAULT))
+        status[now.proved] = Status.CONSISTENT
+        margin, points = levels[0]
+    else:
+        *_, cover = explore(judge, -one, one, count, 200, budget, first=True)
+        margin, points = levels[0]
+        points[:, cover.proofs.owner] = cover.proofs.lo
+        status = cover.status
     every = Leaves(*(np.concatenate(x, -1) for x in zip(*leaves, strict=True)))
-    status = np.where(np.isnan(margin), np.int8(Status.MISSING), cover.status)
+    status = np.where(np.isnan(margin), np.int8(Status.MISSING), status)
     return status, margin, every, points
 
 
