@@ -45,7 +45,8 @@ class HostImage:
     are missing and used by a row that is there; most: of one window at most; off (c, N): how far rows may be
     off since inputs were rounded; size (k, N), magnitude (c, N): what rounding errors of inner rows, and of
     z, are relative to; gamma, floor (N,): of `rounding.search_error`, 0 of whole numbers; left (c, 1): at
-    least what these leave out of the bounds of what a multiplier of 1 weighs.
+    least what these leave out of the bounds of what a multiplier of 1 weighs; start (c + k, N): as of
+    `middle`, or None.
     """
 
     R: np.ndarray
@@ -63,6 +64,7 @@ class HostImage:
     floor: np.ndarray
     scale: int = 1
     left: Ends = 0
+    start: np.ndarray | None = None
 
     @classmethod
     def of(cls, reading: Reading, u: np.ndarray, y: np.ndarray, certain: bool = False) -> Self:
@@ -118,15 +120,8 @@ class HostImage:
     def of_windows(self, part: np.ndarray | slice) -> Self:
         """Return the rows of some windows."""
         names = "lo", "hi", "there", "known", "lost", "off", "size", "magnitude", "floor"
-        fields = {name: getattr(self, name)[..., part] for name in names}
-        return self.with_fields(fields | {"middle": self.middle[..., part]})
-
-    def with_fields(self, given: dict[str, Any]) -> Self:
-        """Return the rows with other fields, or with another `middle` from which unknowns are counted."""
-        middle = given.pop("middle", self.middle)
-        other = replace(self, **given)
-        vars(other)["middle"] = middle
-        return other
+        start = None if self.start is None else self.start[..., part]
+        return replace(self, start=start, **{name: getattr(self, name)[..., part] for name in names})
 
     def known_with(self, lost: np.ndarray) -> np.ndarray:
         """Return the inputs (l, N), those that are lost (n, N) from `known` on."""
@@ -153,7 +148,9 @@ class HostImage:
 
     @cached_property
     def middle(self) -> np.ndarray:
-        """(c + k, N): the middles of rows, 0 without a sample."""
+        """(c + k, N): what unknowns are counted from: the middles of rows, 0 without a sample, or `start`."""
+        if self.start is not None:
+            return self.start
         return self._half(self.lo + self.hi)
 
     @cached_property
@@ -195,6 +192,11 @@ class HostImage:
         """(N, k + n): which columns are unknowns without bounds."""
         c = len(self.R)
         return np.concatenate([~self.there[c:].T, self.slots.T < len(self.lost)], 1)
+
+    @cached_property
+    def acting(self) -> np.ndarray:
+        """(N, k + n): which of these act on an outer row."""
+        return self.free & self.columns.any(1)
 
 
 def contradicted_by(reading: Reading, u: np.ndarray, y: np.ndarray, h: np.ndarray) -> np.ndarray:

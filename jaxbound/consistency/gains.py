@@ -53,7 +53,7 @@ class GainsTest(HolesTest):
     def decided(self, image: HostImage, frame: ExactFrame, dtype: np.dtype) -> np.ndarray:
         """Return the margins (N,) of windows."""
         assert isinstance(image, _Gained)
-        found = image.searched(image.free & image.columns.any(1))
+        found = image.searched(image.acting)
         tolerance = np.asarray(self.reading.tolerance)[:, None]
         inside = explained(image.at(np.clip(found.gains, *image.inner)), found.x)
         open_ = np.flatnonzero(~inside & ~found.idle)

@@ -17,6 +17,7 @@ than a radius: the next search begins with what the one before found.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from fractions import Fraction
 from math import lcm
 from typing import NamedTuple
@@ -134,8 +135,9 @@ def _decided_exactly(image: HostImage, frame: ExactFrame, dtype: np.dtype) -> np
         found = _searched(image, *shares)
         x = np.where(np.isfinite(found.x), found.x, 0)
         power = places(x)
-        x, finer = whole_floats(x, power) * top, ("lo", "hi", "known", "off", "middle")
-        scaled = image.with_fields({name: getattr(image, name) << power for name in finer})
+        x, finer = whole_floats(x, power) * top, ("lo", "hi", "known", "off")
+        shifted = {name: getattr(image, name) << power for name in finer}
+        scaled = replace(image, start=image.middle << power, **shifted)
         inside[left] |= explained(scaled, x)
         outside[left] |= refuted(image, frame, found.h, found.telling) & ~inside[left]
         t[left], idle[left] = found.t, found.idle
@@ -145,7 +147,7 @@ def _decided_exactly(image: HostImage, frame: ExactFrame, dtype: np.dtype) -> np
         left, x, image = left[open_], x[:, open_] >> power, image.of_windows(open_)
         middle = image.middle.copy()
         middle[c:] += x[: len(middle) - c]
-        image = image.with_fields({"middle": middle, "known": image.known_with(x[len(middle) - c :])})
+        image = replace(image, start=middle, known=image.known_with(x[len(middle) - c :]))
     return _signed(t, idle, inside, outside, dtype)
 
 
@@ -166,7 +168,7 @@ def _searched(image: HostImage, values: np.ndarray | None = None, radius: np.nda
     c, k = image.R.shape
     if values is None or radius is None:
         values, radius = np.concatenate([image.z, np.zeros((k, image.lo.shape[1]))]), image.radius
-    free, columns = image.free & image.columns.any(1), image.columns
+    free, columns = image.acting, image.columns
     radius = np.maximum(radius.T, LEAST)
     # of unknowns without bounds, in units of their largest coefficient over a radius
     largest = np.abs(columns / radius[:, :c, None]).max(1)
@@ -195,7 +197,7 @@ def refuted(image: HostImage, frame: ExactFrame, h: np.ndarray, telling: np.ndar
     Args:
         telling: (N, k + n), the outer row that tells each unknown.
     """
-    free = image.free & image.columns.any(1)
+    free = image.acting
     lacking = free.any(1)
     if image.exact:
         known = np.where(np.isfinite(h), h, 0)

@@ -14,7 +14,7 @@ from jaxbound.estimation.zonotope_numbers import free_numbers, numbers
 from jaxbound.estimation.zonotope_steps import Numbers, Start
 from jaxbound.models.intervals import IntervalSystem, as_intervals
 from jaxbound.models.numbers import is_whole
-from jaxbound.models.sensor import RECORDER_ULPS
+from jaxbound.models.sensor import RECORDER_ULPS, true_range
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.unknown_directions import Directions, unknown_directions, with_direct_states
 from jaxbound.recordings.factors import raised
@@ -72,22 +72,20 @@ class ObservedPlant:
         return e, e * (1 + sigma), gamma, floor, unit, tiny, largest_number(self.dtype)
 
     def read(self, u: np.ndarray, y: np.ndarray, slip: np.ndarray, fresh: np.ndarray, unit: float) -> Piece:
-        """Return samples of N recordings as kernels take them, of `sensor.true_value`.
+        """Return samples of N recordings as kernels take them, see `sensor.true_value`.
 
         Args:
             u, slip (T, m + q, N): inputs, q factors on noise behind them, and how far inputs may be off.
             y (T, p, N), fresh (T, N). unit: roundoff of the type in which y was recorded.
         """
         x, m, (e, lift, gamma, floor, own, tiny, most) = self.numbers, self.system.m, self._errors
-        half, y0, u0 = (np.asarray(column)[:, None] for column in (x.tolerance / 2, x.y0, x.u0))
+        sigma, y0, u0 = (np.asarray(column)[:, None] for column in (x.tolerance, x.y0, x.u0))
         factors, u, slip = u[:, m:], u[:, :m], slip[:, :m]
         absent, bound, size = np.isnan(y), self._noise(factors), np.abs(y)
         with np.errstate(all="ignore"):
             rho = bound + RECORDER_ULPS * self.dtype.type(unit) * (size + bound)
             rho = rho + RECORDER_ULPS * own * (size + rho) + tiny
-            d = y - y0
-            above, below = np.abs(d + rho), np.abs(d - rho)
-            mid, rad = e * (d + half * (above - below)), e * (rho + half * (above + below))
+            mid, rad = true_range(y - y0, rho, sigma, e)
             scale = lift * (size + np.abs(y0)) + rad
             gone = absent | ~(scale < most)
             rad = rad + gamma * scale + floor

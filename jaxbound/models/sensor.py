@@ -11,6 +11,7 @@ without cancellation, without a case distinction and differentiable.
 """
 
 from collections.abc import Sequence
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -18,12 +19,24 @@ import numpy as np
 
 from jaxbound.sets.floats import rounding
 
-__all__ = ["RECORDER_ULPS", "input_slip", "largest_error", "lift", "true_value"]
+__all__ = ["RECORDER_ULPS", "input_slip", "largest_error", "lift", "true_range", "true_value"]
 
 RECORDER_ULPS = 4
 """A sample is known to this many unit roundoffs of its float type, times the largest |y| of its signal in the
 window plus noise.
 """
+
+
+Numbers = TypeVar("Numbers", jax.Array, np.ndarray)
+
+
+def true_range(d: Numbers, rho: Numbers, tolerance: Numbers, e: Numbers) -> tuple[Numbers, Numbers]:
+    """Return (middle, radius) of true values whose samples, less the offset, are d, off by at most rho; e = 1
+    / (1 - tolerance^2).
+    """
+    above, below, half = abs(d + rho), abs(d - rho), 0.5 * tolerance
+    # above - below = 2 clip(d, -rho, rho), above + below = 2 max(|d|, rho)
+    return e * (d + half * (above - below)), e * (rho + half * (above + below))
 
 
 def true_value(
@@ -65,11 +78,9 @@ def true_value(
         each = [_rho(noise, resolution, largest)] * len(samples)
     mid, rad, scale = [], [], []
     for gone, y, rho in zip(absent, samples, each, strict=True):
-        d = y - offset
-        above, below, half = abs(d + rho), abs(d - rho), 0.5 * tolerance
-        # above - below = 2 clip(d, -rho, rho), above + below = 2 max(|d|, rho)
-        mid.append(jnp.where(gone, jnp.nan, e * (d + half * (above - below))))
-        rad.append(e * (rho + half * (above + below)))
+        middle, radius = true_range(y - offset, rho, tolerance, e)
+        mid.append(jnp.where(gone, jnp.nan, middle))
+        rad.append(radius)
         size = e * (1 + tolerance) * (abs(y) + abs(offset)) + rad[-1]
         # 0 * inf is NaN in every row of a window with an infinite sample, and NaN is absence, never overflow
         scale.append(jnp.where(gone, jnp.nan, jnp.where(size < jnp.inf, size, jnp.inf)))
