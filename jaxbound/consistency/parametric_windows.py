@@ -179,24 +179,15 @@ class Hints(NamedTuple):
 
 @kernel
 def candidates(
-    reading: PolynomialReading,
-    terms: Polynomials,
-    boxes: tuple[jax.Array, jax.Array, jax.Array] | None = None,
+    reading: PolynomialReading, terms: Polynomials, mid: jax.Array, radius: jax.Array, owner: jax.Array
 ) -> tuple[Polynomials, tuple[jax.Array, jax.Array], Hints]:
-    """Return (Polynomials, (c, G), Hints) of boxes mid +- radius (n, N) of windows `owner`, for `concluded`;
-    None: of the whole box of each window, of which nothing is gathered and nothing moved.
+    """Return (Polynomials, (c, G), Hints) of boxes mid +- radius (n, N) of windows `owner`, for `concluded`.
 
     The image is c + G [-1, 1]^q, up to the error.
     """
     value, error, spread, rad = terms
-    if boxes is None:
-        c, G = polynomials.image(value, spread, rad, reading.exponents)
-        shape = len(reading.size), value.shape[-1]
-        mid, radius = jnp.zeros(shape, value.dtype), jnp.ones(shape, value.dtype)
-    else:
-        mid, radius, owner = boxes
-        value, rad, error = value[..., owner], rad[..., owner], error[..., owner]
-        c, G = polynomials.image(value, spread, rad, reading.exponents, mid, radius)
+    value, rad, error = value[..., owner], rad[..., owner], error[..., owner]
+    c, G = polynomials.image(value, spread, rad, reading.exponents, mid, radius)
     h, z = varying.farthest(c, G, error)
     start = jnp.concatenate([jnp.clip(mid + radius * z[: len(mid)], -1, 1), _noise_part(reading, z)])
     axis = jnp.argmax(polynomials.bends(value, reading.exponents, radius), 0)
@@ -324,19 +315,12 @@ def bisected(
     leaves: list[Leaves] = []
     levels: list[tuple[np.ndarray, np.ndarray]] = []
 
-    def told(own: Polynomials, image: tuple[jax.Array, jax.Array], hints: Hints) -> tuple[jax.Array, ...]:
+    def on_boxes(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> tuple[jax.Array, ...]:
+        own, image, hints = candidates(reading, terms, *middle_of(lo, hi), owner)
         return *concluded(reading, own, image, hints, proved), *hints
 
-    def on_boxes(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> tuple[jax.Array, ...]:
-        return told(*candidates(reading, terms, (*middle_of(lo, hi), owner)))
-
     def judge(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> Verdicts[np.ndarray]:
-        if levels:
-            margin, found, h, start, axis = in_blocks(on_boxes, lo, hi, owner, size)
-        else:
-            margin, found, h, start, axis = (
-                np.array(x)[..., :count] for x in told(*candidates(reading, terms))
-            )
+        margin, found, h, start, axis = in_blocks(on_boxes, lo, hi, owner, size)
         levels.append((margin, start))
         leaves.append(Leaves(owner, lo, hi, h).chosen(margin < 0))
         return Verdicts(~(margin < 0) & ~found, found, (start, start), None, axis)
