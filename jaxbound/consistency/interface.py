@@ -36,6 +36,7 @@ from jaxbound.exact.frames import ExactFrame
 from jaxbound.exact.linalg import Matrix
 from jaxbound.models.region import Departure
 from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.read import recorded
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.sets.floats.probe import where_proofs_hold
@@ -345,7 +346,7 @@ class Relations:
 
         The relations are these. Where signals had no names, they are the same with the names of the samples.
         """
-        return self, Recording.of(self.model, u, y, starts)
+        return self, recorded(self.model, u, y, starts)
 
     def test(self, method: str, dtype: DTypeLike, budget: Budget = None) -> WindowTest | Observer[Any]:
         """Return the test by which a method decides windows of samples in a float dtype; see `detect`.
@@ -818,7 +819,7 @@ class Observer(Relations, Generic[Carry]):
 
     def recording(self, u: object, y: object = None, starts: Starts = ()) -> tuple[Self, Recording]:
         """Return (this observer, the Recording of its signals)."""
-        return self, Recording.of(self.signals, u, y, starts).finite()
+        return self, recorded(self.signals, u, y, starts).finite()
 
     def test(
         self,

@@ -22,6 +22,7 @@ from jaxbound.consistency.interface import (
 )
 from jaxbound.consistency.searched import judging_device
 from jaxbound.diagnosis import isolation, monitored, observed  # noqa: F401 (the Results of their kinds)
+from jaxbound.diagnosis.monitoring import Watchable, watched_by
 from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.models.region import Region
 from jaxbound.recordings.table import Data
@@ -33,7 +34,7 @@ __all__ = ["detect", "margins"]
 
 
 def detect(
-    relations: Relations,
+    relations: Watchable,
     u: Data,
     y: Data = None,
     method: str = "joint",
@@ -46,10 +47,12 @@ def detect(
     """Decide for every window whether any behaviour inside the bounds explains it.
 
     Args:
-        relations: from `parity_relations` or `residual`; a bank from `structured_relations` or `redundancy`,
+        relations: a plant, or the path of its model file, watched by its own `jb.monitor`; or what one test
+            says: from `parity_relations` or `residual`; a bank from `structured_relations` or `redundancy`,
             tested one by one: the Result knows .violated and .candidates; a `jb.monitor`: it has .tests, .by.
         u, y: (..., T, m) inputs and (..., T, p) outputs: arrays, leading axes are recordings of their own; or
-            tables, see `Recording.of`. NaN: a missing sample. y None: u has both; u None: no inputs.
+            tables, see `Recording.of`. NaN: a missing sample. y None: u has both, or is the path of a
+            recording, see `jb.read`; u None: no inputs.
         method: "joint": the exact set of all relations together, FAULT and CONSISTENT are proofs; with
             uncertain parameters some windows stay UNDECIDED. "box": each relation alone; CONSISTENT only of a
             single one.
@@ -68,7 +71,8 @@ def detect(
         CONSISTENT. On a device that nobody examined CONSISTENT is UNDECIDED.
 
     Raises:
-        ValueError: shapes, columns, a sampling period or words that do not fit; an infinite sample.
+        OSError: no such file. ValueError: shapes, columns, a sampling period or words that do not fit; an
+            infinite sample.
         TypeError: no relations; inside jit, vmap or grad. RuntimeError: rounding is not verified.
 
     Source: Adrot, Maquin, Ragot 2000, section 4; exactness of "joint": W box(mu) is a zonotope.
@@ -80,7 +84,7 @@ def detect(
         >>> jb.detect(jb.parity_relations(m), [[0.0], [0.0]], [[0.0, 0.0], [0.5, 0.0]]).status
         array([0, 3], dtype=int8)
     """
-    relations_of(relations, "detect", "detect(parity_relations(model), u, y)")
+    relations = watched_by(relations, "detect", "detect(parity_relations(model), u, y)")
     if isinstance(u, jax.core.Tracer) or isinstance(y, jax.core.Tracer):
         raise TypeError(
             "detect drives compiled kernels from the host and cannot run inside jit, vmap or grad: give it "
@@ -130,7 +134,7 @@ def margins(relations: Relations, u: Data, y: Data = None, starts: Starts = ()) 
     vmap and grad.
 
     Args:
-        relations, u, y, starts: as for `detect`.
+        relations, u, y, starts: as for `detect`; no plant and no monitor.
 
     Returns:
         (..., T): > 0 inside, < 0 outside, NaN where the window has no usable data (the first `horizon`

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from jaxbound.estimation.validation_result import Validation
 from jaxbound.models.multimodel import MultiModel
 from jaxbound.recordings.arrays import floats
+from jaxbound.recordings.read import recorded
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.signals import Signals
 from jaxbound.recordings.table import Data, as_table, is_table
@@ -96,7 +97,7 @@ def _recording_of_parts(model: MultiModel, u: Data, y: Data, starts: ArrayLike) 
             )
         y = floats(y, "y").reshape(*shape[:-2], count * p)
     signals = Signals(model.models[0].inputs, tuple(outputs), {})
-    return Recording.of(signals, u, y, starts, narrow=False)
+    return recorded(signals, u, y, starts, narrow=False)
 
 
 def _agreed(each: np.ndarray) -> np.ndarray:

@@ -29,6 +29,7 @@ from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.numbers import is_whole
 from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.read import recorded
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.table import Data
 from jaxbound.relations.cost import affordable
@@ -111,7 +112,7 @@ def unknown_inputs(
             f"no window of horizon {horizon} determines an unknown input: other unknown inputs or the state "
             f"can do the same"
         )
-    recording = Recording.of(model, u, y, starts).finite()
+    recording = recorded(model, u, y, starts).finite()
     samples, dtype = np.shape(recording.y)[:-1], recording.y.dtype
     lo = np.full((*samples, model.d), -np.inf, dtype)
     hi = np.full((*samples, model.d), np.inf, dtype)

@@ -28,7 +28,7 @@ from jaxbound.estimation.multiple import validate_parts
 from jaxbound.estimation.validation_observer import ValidatedModel, ValidationObserver, left_out
 from jaxbound.estimation.validation_result import Validation
 from jaxbound.models.multimodel import MultiModel
-from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.read import recorded
 from jaxbound.recordings.seams import around
 from jaxbound.recordings.table import Data
 from jaxbound.sets.floats.probe import where_proofs_hold
@@ -93,7 +93,7 @@ def validate(
         validate_one = partial(validate, horizon=horizon, method=method, correction=correction)
         return validate_parts(model, u, y, x0, validate_one, starts)
     observer = ValidationObserver(model, horizon, method, x0, correction)
-    recording = Recording.of(observer.signals, u, y, starts, narrow=False).finite()
+    recording = recorded(observer.signals, u, y, starts, narrow=False).finite()
     *lead, T, _ = recording.y.shape
     inputs, outputs = end_to_end(recording.u), end_to_end(recording.y)
     first = T * np.arange(math.prod(lead))

@@ -9,6 +9,7 @@ from os import PathLike
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.recordings.clockintervals import every_text
 from jaxbound.recordings.csvfiles import CsvFile
@@ -20,9 +21,10 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import FEW, TOLERATED_DT, UNITS, varied_steps
 from jaxbound.recordings.signals import Named, Signals, signals_of
 from jaxbound.recordings.source import KINDS, Source
+from jaxbound.recordings.table import Data
 from jaxbound.text.progress import Progress, in_part, reporter
 
-__all__ = ["kind_of", "open_source", "read", "read_signals"]
+__all__ = ["kind_of", "open_source", "read", "read_signals", "recorded"]
 
 Signal = str | tuple[str, str]
 """A name, or (name, column)."""
@@ -68,6 +70,15 @@ def read(path: object, model: Named, progress: Progress | None = None) -> Record
     """
     report = reporter(progress, "read")
     return open_source(path, model).read(progress=report)
+
+
+def recorded(model: Named, u: Data, y: Data = None, starts: ArrayLike = (), narrow: bool = True) -> Recording:
+    """Return the Recording of the samples that a user gives to a verb, see `Recording.of`; a path is read."""
+    if isinstance(u, str | PathLike):
+        if y is not None:
+            raise ValueError(f"a path holds inputs and outputs: leave y out beside {str(u)!r}")
+        u = read(u, model)
+    return Recording.of(model, u, y, starts, narrow=narrow)
 
 
 def open_source(data: object, model: Named) -> Source:

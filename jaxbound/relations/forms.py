@@ -9,7 +9,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from jaxbound.consistency.interface import Relations, Starts
-from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.read import recorded
 
 __all__ = ["Forms", "forms"]
 
@@ -29,7 +29,7 @@ def forms(
     """Return the Forms (..., T, count) that kernel(reading(dtype), u (T, m), y (T, p)) makes of recordings;
     NaN where there is no window.
     """
-    given = Recording.of(relations.model, u, y, starts)
+    given = recorded(relations.model, u, y, starts)
     # jnp.asarray would compile a copy for each shape
     on_device: tuple[jax.Array, jax.Array] = jax.device_put((given.u, given.y))
     inputs, outputs = on_device

@@ -20,6 +20,7 @@ from jax.typing import ArrayLike, DTypeLike
 from jaxbound.consistency.bisection import BisectionTest, ResidualRelations, flat
 from jaxbound.consistency.interface import Budget, Starts, WindowTest, refuse_options
 from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.read import recorded
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.signals import Signals
 from jaxbound.recordings.table import as_table, is_table
@@ -147,7 +148,7 @@ class Residual(ResidualRelations):
         """
         model = self.model.of(u, y)
         signals = Signals(model.inputs, model.outputs, {})
-        return dataclasses.replace(self, model=model), Recording.of(signals, u, y, starts)
+        return dataclasses.replace(self, model=model), recorded(signals, u, y, starts)
 
     def test(self, method: str, dtype: DTypeLike, budget: Budget = None) -> WindowTest:
         """Return the WindowTest by which a method decides windows; see `detect`.

@@ -8,6 +8,7 @@ import pytest
 from result_case import biased
 
 import jaxbound as jb
+from jaxbound.estimation.validation import validate
 from jaxbound.random.keys import key_of
 from jaxbound.text.warned import warn_once
 
@@ -15,6 +16,63 @@ from jaxbound.text.warned import warn_once
 @pytest.fixture(scope="module")
 def run():
     return biased()[0]
+
+
+@pytest.fixture
+def tank(tmp_path):
+    """Return a plant with two tests, the path of its file, that of a recording and its (u, y)."""
+    tests = [{"name": "jumps", "horizon": 1}, {"name": "drifts", "horizon": 6, "factor": 1.5}]
+    model = jb.LinearSystem(
+        [[0.9]], [[1]], [[1]], noise=0.1, dt=1, inputs="pump", outputs="level", tests=tests
+    )
+    u, y = np.zeros((7, 1)), np.array([[9], [8.1], [7.3], [6.6], [5.9], [5.9], [5.3]])
+    jb.save_model(model, tmp_path / "plant.toml")
+    rows = [f"{k},{a[0]},{b[0]}" for k, (a, b) in enumerate(zip(u, y, strict=True))]
+    (tmp_path / "run.csv").write_text("\n".join(["time,pump,level", *rows, ""]))
+    return model, tmp_path / "plant.toml", tmp_path / "run.csv", (u, y)
+
+
+def test_a_plant_is_watched_by_its_own_monitor_and_a_recording_may_be_a_path(tank):
+    model, file, run, (u, y) = tank
+    wanted = jb.detect(jb.monitor(model), u, y)
+    assert wanted.status.tolist() == [0, 1, 1, 1, 1, 3, 3]
+    for plant in (model, file, str(file)):
+        for recording in ((u, y), (run,), (str(run),), ({"pump": u[:, 0], "level": y[:, 0]},)):
+            result = jb.detect(plant, *recording)
+            np.testing.assert_array_equal(result.status, wanted.status)
+            np.testing.assert_array_equal(result.margin, wanted.margin)
+            assert result.tests["drifts"].status[-1] == jb.Status.FAULT
+    assert jb.detect(model, run).when(6) == 6
+    found = jb.assess(model, [run], [])
+    assert found.score.false == 2 and found.score.healthy == 6
+
+
+def test_every_verb_that_takes_samples_reads_a_path(tank):
+    model, _, run, (u, y) = tank
+    r = jb.parity_relations(model)
+    residual = jb.residual(
+        lambda z, u, y: y[1] - 0.9 * y[0] - z,
+        jb.interval([-0.2], [0.2]),
+        horizon=1,
+        inputs=["pump"],
+        outputs=["level"],
+    )
+    for verb in (
+        lambda *given: jb.detect(jb.observer(model), *given).status,
+        lambda *given: jb.detect(residual, *given).status,
+        lambda *given: jb.margins(r, *given),
+        lambda *given: jb.observe(model, *given).state.lo,
+        lambda *given: validate(model, *given).state.lo,
+        lambda *given: r.external(*given),
+    ):
+        np.testing.assert_array_equal(verb(run), verb(u, y))
+    leaking = jb.LinearSystem([[0.9]], None, [[1]], noise=0.1, dt=1, outputs="level", unknown_inputs=[[-1]])
+    leaks = [jb.unknown_inputs(leaking, *given).values.lo for given in ((run,), (None, y))]
+    np.testing.assert_array_equal(*leaks)
+    with pytest.raises(ValueError, match="a path holds inputs and outputs"):
+        jb.detect(model, run, run)
+    with pytest.raises(FileNotFoundError, match="there is no data file"):
+        jb.detect(model, "nowhere.csv")
 
 
 @pytest.mark.parametrize("kind", [">f8", "<f8"])

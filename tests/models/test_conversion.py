@@ -175,7 +175,8 @@ def test_a_state_space_object_is_a_model_for_a_monitor_and_names_its_door_elsewh
         ):
             jb.LinearSystem(sys, noise=0.1)
         assert monitor(sys).plant.A == as_model(sys).A
-        with pytest.raises(TypeError, match=r"detect\(jaxbound\.monitor\(model\), u, y\)"):
-            detect(sys, [[0.0]] * 3, [[0.0]] * 3)
+        assert detect(sys, [[0.0]] * 3, [[0.0]] * 3).status.tolist() == [0, 1, 1]
+        with pytest.raises(TypeError, match=r"Monitor\(jaxbound\.monitor\(model\)\)"):
+            jb.Monitor(sys)
     with pytest.raises(TypeError, match="a model is a LinearSystem, or a state-space object .*, not dict"):
         monitor({"A": 1})

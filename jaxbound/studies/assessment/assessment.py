@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.consistency.interface import Relations, relations_of
+from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarmrule import rule_of
+from jaxbound.diagnosis.monitoring import Watchable, watched_by
 from jaxbound.diagnosis.result import Result
 from jaxbound.models.arguments import listed_argument
 from jaxbound.models.system import LinearSystem
@@ -145,7 +146,7 @@ class _Judged(NamedTuple):
 
 
 def assess(
-    relations: Relations,
+    relations: Watchable,
     healthy: Sequence[Any],
     faulty: Sequence[Any] = (),
     labels: Sequence[ArrayLike | Sequence[str] | None] | None = None,
@@ -163,8 +164,9 @@ def assess(
     again at their end, count as neither. Shares are of windows, a false alarm begins in a healthy one.
 
     Args:
-        relations: from `parity_relations`, or an observer.
-        healthy, faulty: recordings, each a Recording or a tuple (u, y) or (u, y, starts).
+        relations: as for `detect`.
+        healthy, faulty: recordings, each a path, a Recording or a tuple (u, y) or (u, y,
+            starts).
         labels: of each faulty recording (T,) numbers, 0 for healthy samples, or texts, the name of the faulty
             signal or "" (`truth.HEALTHY_WORDS`); None, or None of a recording: every sample is faulty.
         rules: (k, n), an alarm is on while k of the last n windows are FAULT; the first one makes the curve
@@ -193,7 +195,7 @@ def assess(
         >>> found.marks.at(3.0).caught
         1
     """
-    relations_of(relations, "assess", "assess(parity_relations(model), healthy, faulty)")
+    relations = watched_by(relations, "assess", "assess(parity_relations(model), healthy, faulty)")
     wanted, report = _checked(rules, factors), reporter(progress, "assess")
     healthy = listed_argument("healthy", healthy, "[(u, y)]")
     faulty = listed_argument("faulty", faulty, "[(u, y)]")
