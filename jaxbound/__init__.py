@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from jaxbound.relations.residual import residual
     from jaxbound.runs.cache import use_cache
     from jaxbound.runs.digest import detect_dataset
+    from jaxbound.sets.floats.kernel import compile
     from jaxbound.sets.floats.status import Status
     from jaxbound.sets.inclusion.inclusion import inclusion
     from jaxbound.sets.intervals.interval import interval
@@ -77,6 +78,7 @@ __all__ = [
     "Status",
     "Uncertainty",
     "assess",
+    "compile",
     "detect",
     "detect_dataset",
     "detectable",
@@ -156,6 +158,7 @@ _HOMES = {
     "relations.residual": "residual",
     "runs.cache": "use_cache",
     "runs.digest": "detect_dataset",
+    "sets.floats.kernel": "compile",
     "sets.floats.status": "Status",
     "sets.inclusion.inclusion": "inclusion",
     "sets.intervals.interval": "interval",

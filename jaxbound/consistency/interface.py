@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from functools import cached_property
 from types import MappingProxyType
 from typing import (
@@ -504,6 +504,12 @@ class WindowTest:
         self.relations, self.method, self.dtype = relations, method, np.dtype(dtype)
         self.horizon = relations.horizon
         self.placed: dict[tuple[jax.Device, ...], object] = {}  # `constants` on devices, as `drive` puts them
+
+    @property
+    def kind(self) -> Hashable:
+        """All by which its programs differ from those of other tests: one compilation serves a kind."""
+        numbers = jax.tree.leaves(self.constants)
+        return type(self), self.horizon, self.block, str(self.dtype), tuple(np.shape(x) for x in numbers)
 
     @property
     def constants(self) -> object:

@@ -26,6 +26,7 @@ from jaxbound.diagnosis.monitoring import Watchable, watched_by
 from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.models.region import Region
 from jaxbound.recordings.table import Data
+from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.probe import refuse_unusable
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.progress import reporter
@@ -98,7 +99,8 @@ def detect(
     recording = replace(recording, u=np.asarray(recording.u), y=np.asarray(recording.y))
     test = named.test(method, recording.y.dtype, budget)
     test = with_margins(test, margins, window_count(recording.y.shape[:-1], test.horizon))
-    judged = drive(test, recording, report)
+    with sparing():
+        judged = drive(test, recording, report)
     if (judged.status == Status.UNDECIDED).any():  # an infinite sample cannot come out as anything else
         recording.finite()
     region = Region.of(named)

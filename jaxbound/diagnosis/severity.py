@@ -18,6 +18,7 @@ from jaxbound.consistency.monitorbank import YES, MonitorBank
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.suspects import nameless
 from jaxbound.recordings.recording import NOWHERE, Recording
+from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["MonitorSeverity", "Severity", "fitted", "severity_of"]
@@ -69,7 +70,8 @@ class Severity:
             first, samples = _around(at, self.horizon)
             test = relations.test(self.method, y.dtype)
             assert not test.remembers, "an observer was refused"
-            judged = windows(test, np.asarray(u)[samples], np.asarray(y)[samples], first[1:])
+            with sparing():
+                judged = windows(test, np.asarray(u)[samples], np.asarray(y)[samples], first[1:])
             counts[at] = judged.status[np.searchsorted(samples, at)] == Status.FAULT
         return counts
 

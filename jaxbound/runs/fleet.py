@@ -43,6 +43,7 @@ from jaxbound.runs.endings import ending_hints
 from jaxbound.runs.loop import Quiet, follow
 from jaxbound.runs.relations import is_monitored, relations_by
 from jaxbound.runs.summary import CODES, OUTSIDE, Summary, summarised
+from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.threads import inherited
 from jaxbound.text.objects import readable
 from jaxbound.text.progress import reporter
@@ -492,6 +493,7 @@ def _tried(unit: Unit, work: Callable[[], Done]) -> Done | UnitResult:
         return UnitResult.untested(unit, f"internal error, please report it: {type(e).__name__}: {e}")
 
 
+@sparing(False)  # the same bytes in whatever order units are judged
 def _judge_unit(
     unit: Unit, data: _UnitData, how: _How, known: "_Followed | None"
 ) -> tuple[UnitResult, Detected]:
@@ -526,6 +528,7 @@ _Together = dict[int, _Followed]
 """{id of a recording: its outcome}."""
 
 
+@sparing(False)
 def _side_by_side(read: Sequence[_UnitData], outside: str) -> _Together:
     """Return the outcomes of units that an observer can follow side by side."""
     alike: dict[tuple[object, ...], list[_UnitData]] = {}

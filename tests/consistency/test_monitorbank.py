@@ -215,8 +215,8 @@ def test_a_recording_of_a_batch_has_no_gap_where_the_mode_of_another_changes(mix
 
 def test_a_model_with_tests_and_a_monitor_are_told_which_call_takes_them():
     plant = PLANT.replace(tests=TESTS[:1])
-    with pytest.raises(TypeError, match=r"detect\(jaxbound\.monitor\(model\), u, y\)"):
-        jb.detect(plant, None, [[0.0], [0.0]])
+    with pytest.raises(TypeError, match=r"Monitor\(jaxbound\.monitor\(model\)\)"):
+        jb.Monitor(plant)
     with pytest.raises(TypeError, match=r"margins\(parity_relations\(model\), u, y\)"):
         jb.margins(plant, None, [[0.0], [0.0]])
     with pytest.raises(TypeError, match=r"parameters\(parity_relations\(model\), u, y\)"):

@@ -4,12 +4,18 @@ XLA copies wrongly at times, and no bound on rounding covers that. What proves s
 as a `kernel`, which is `jax.jit` and nothing else until somebody asks `outside_xla`: there the same program
 is evaluated primitive by primitive in NumPy (`numpy_primitives`, `numpy_moves`), from the arrays on the host.
 Nothing fuses, no loop is vectorised, no copy is left out.
+
+Compiling takes seconds, evaluating a program for some thousand windows a tenth of one. So whoever judges few
+windows asks `spared` first, which counts windows and no seconds: the same calls take the same way on every
+machine. Verdicts do not depend on the way; the last digits of margins do.
 """
 
 import contextlib
 import inspect
+import os
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from functools import lru_cache, update_wrapper
 from typing import Any, NamedTuple, overload
 
@@ -21,9 +27,88 @@ from jaxbound.sets.floats.equations import body, dtype_of
 from jaxbound.sets.floats.numpy_moves import MOVED
 from jaxbound.sets.floats.numpy_primitives import COMPUTED
 
-__all__ = ["WIDE", "Kernel", "evaluated", "is_outside_xla", "kernel", "outside_xla"]
+__all__ = [
+    "WIDE",
+    "Kernel",
+    "compile",
+    "evaluated",
+    "is_outside_xla",
+    "is_sparing",
+    "kernel",
+    "outside_xla",
+    "spared",
+    "sparing",
+]
 
 _state = threading.local()
+AUTO, ALWAYS, NEVER = "auto", "always", "never"
+FEW = 2**11
+"""Windows of one kind that NumPy evaluates before XLA compiles their programs."""
+CALL = 2**6
+"""Windows that a call counts for at least: NumPy takes as long for one."""
+_mode = os.environ.get("JAXBOUND_COMPILE", AUTO)
+_evaluated: Counter[Hashable] = Counter()
+
+
+def compile(when: str = AUTO) -> None:
+    """Say when this process compiles the programs by which `detect` judges windows.
+
+    Others are told by the variable `JAXBOUND_COMPILE`. Verdicts do not depend on it, margins by their last
+    digits: NumPy evaluates the same programs under the same bounds of rounding.
+
+    Args:
+        when: "auto": behind some 2 000 windows of one kind, which NumPy evaluates in a tenth of the time of
+            compiling. "always": at once. "never". Monitors and all that is written in parts (pipes, Parquet,
+            fleets, studies, fits) compile at once in any case: their bytes are the same however they are cut.
+
+    Raises:
+        ValueError: another word.
+
+    Example:
+        >>> import jaxbound as jb
+        >>> jb.compile("always")  # a service that is to be fast from its second short recording on
+        >>> jb.compile()
+    """
+    global _mode
+    if when not in (AUTO, ALWAYS, NEVER):
+        raise ValueError(f'when must be "auto", "always" or "never", not {when!r}')
+    _mode = when
+    _evaluated.clear()
+
+
+def is_sparing() -> bool | None:
+    """Say whether this thread may evaluate few windows in NumPy; None where nobody asked for it."""
+    return getattr(_state, "sparing", None)
+
+
+@contextlib.contextmanager
+def sparing(active: bool | None = True) -> Iterator[None]:
+    """Let few windows be evaluated in NumPy, on this thread, until the block ends.
+
+    Args:
+        active: False forbids it to all that is called within; None changes nothing.
+    """
+    before = is_sparing()
+    if before is not False and active is not None:
+        _state.sparing = active
+    try:
+        yield
+    finally:
+        _state.sparing = before
+
+
+def spared(windows: int, kind: Hashable) -> bool:
+    """Return whether so many more windows of a kind are evaluated in NumPy, and count them.
+
+    Raises:
+        ValueError: `JAXBOUND_COMPILE` is no word that `compile` takes.
+    """
+    if _mode not in (AUTO, ALWAYS, NEVER):
+        raise ValueError(f"JAXBOUND_COMPILE must be auto, always or never, not {_mode!r}")
+    if _mode == ALWAYS or not is_sparing():
+        return False
+    _evaluated[kind] += max(windows, CALL)
+    return _mode == NEVER or _evaluated[kind] <= FEW
 
 
 def is_outside_xla() -> bool:

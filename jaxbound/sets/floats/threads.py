@@ -6,7 +6,7 @@ from typing import ParamSpec, TypeVar
 import jax
 import numpy as np
 
-from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
+from jaxbound.sets.floats.kernel import is_outside_xla, is_sparing, outside_xla, sparing
 from jaxbound.sets.floats.probe import is_searching, searching
 
 __all__ = ["has_x64", "inherited"]
@@ -23,7 +23,7 @@ def has_x64() -> bool:
 def inherited(job: Callable[P, T]) -> Callable[P, T]:
     """Return a function that does the job in any thread with the settings of the thread that asks here.
 
-    Settings are x64, `outside_xla` and `searching`; the device is left to the job.
+    Settings are x64, `outside_xla`, `sparing` and `searching`; the device is left to the job.
 
     Example:
         >>> from concurrent.futures import ThreadPoolExecutor
@@ -31,10 +31,10 @@ def inherited(job: Callable[P, T]) -> Callable[P, T]:
         ...     print(threads.submit(inherited(has_x64)).result())
         False
     """
-    wide, outside, searched = has_x64(), is_outside_xla(), is_searching()
+    wide, outside, searched, spares = has_x64(), is_outside_xla(), is_searching(), is_sparing()
 
     def run(*args: P.args, **kwargs: P.kwargs) -> T:
-        with jax.enable_x64(wide), outside_xla(outside), searching(searched):
+        with jax.enable_x64(wide), outside_xla(outside), searching(searched), sparing(spares):
             return job(*args, **kwargs)
 
     return run

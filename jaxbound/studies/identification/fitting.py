@@ -18,6 +18,7 @@ from typing import Unpack
 
 from jaxbound.models.arguments import table_argument
 from jaxbound.recordings.means import with_every
+from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.studies.identification.advice import inputs_at_rest
 from jaxbound.studies.identification.bank import fitted_bank
@@ -43,6 +44,7 @@ __all__ = ["fit"]
 
 
 @where_proofs_hold()
+@sparing(False)
 def fit(
     recordings: object,
     recipe: Recipe | str | PathLike[str] | None = None,

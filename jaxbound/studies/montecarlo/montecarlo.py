@@ -43,6 +43,7 @@ from jaxbound.recordings.expressions import expression
 from jaxbound.recordings.factors import factors_of
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import parity_relations
+from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.floats.threads import inherited
 from jaxbound.sets.strips.strips import UNROLLED
@@ -78,6 +79,7 @@ TOGETHER = 16  # tasks that go to a worker at once
 
 
 @where_proofs_hold()
+@sparing(False)
 def study(
     model: ModelLike,
     faults: str | Fault | Sequence[str | Fault],

@@ -25,6 +25,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.floats.sizes import power
 from jaxbound.studies.tuning.confidence import blocks_of, held_out, risk_of, touched
@@ -94,6 +95,7 @@ def tune(
 
 
 @where_proofs_hold()
+@sparing(False)
 def tune(
     relations: Tunable | MonitorBank,
     healthy: object,

@@ -1,0 +1,101 @@
+"""Few windows are evaluated in NumPy, many are compiled: verdicts do not depend on it."""
+
+import jax
+import numpy as np
+import pytest
+
+import jaxbound as jb
+from benchmarks.same_bits import FAMILIES, recording
+from jaxbound.sets.floats.kernel import FEW, PRIMITIVES, spared, sparing
+
+
+@pytest.fixture(autouse=True)
+def asked():
+    """Judge as users do who said nothing, whatever other tests ask for."""
+    jb.compile()
+    yield
+    jb.compile("always")
+
+
+@pytest.fixture
+def compiled(monkeypatch):
+    """Return the list of programs that are handed to XLA."""
+    names = []
+    jax.monitoring.register_event_duration_secs_listener(
+        lambda event, _, **about: names.append(event) if "backend_compile" in event else None
+    )
+    yield names
+    jax.monitoring.clear_event_listeners()
+
+
+BY_DAY = "short", "averages", "constant tolerance"
+CASES = [(name, np.float64) for name in BY_DAY] + [("short", np.float32)]
+BY_NIGHT = [(name, dtype) for name in FAMILIES for dtype in (np.float64, np.float32)]
+
+
+@pytest.mark.parametrize(
+    ("name", "dtype"),
+    [*CASES, *(pytest.param(*case, marks=pytest.mark.long) for case in BY_NIGHT if case not in CASES)],
+)
+def test_both_ways_say_the_same(name, dtype):
+    make, how = FAMILIES[name]
+    relations = jb.parity_relations(make(), **how)
+    u, y = recording(relations.model, 200, at="vertices", dtype=dtype)
+    few = jb.detect(relations, u, y.astype(dtype), margins="exact")
+    jb.compile("always")
+    many = jb.detect(relations, u, y.astype(dtype), margins="exact")
+    np.testing.assert_array_equal(few.status, many.status)
+    assert (few.status == jb.Status.FAULT).any() or "uncertain" in name
+    close = dict(rtol=1e-9, atol=1e-9) if dtype == np.float64 else dict(rtol=1e-2, atol=1e-2)
+    np.testing.assert_allclose(few.margin, many.margin, **close)
+
+
+def test_the_first_windows_of_a_kind_compile_nothing_and_later_ones_do(compiled):
+    noise = "0.1234567"  # of a shape that no other test has compiled
+    model = jb.LinearSystem(np.diag([0.9, 0.8, 0.7]), np.ones((3, 1)), np.eye(3)[:2] + 0.1, noise=noise)
+    relations, run = jb.parity_relations(model, 3), (np.zeros((700, 1)), np.zeros((700, 2)))
+    first = jb.detect(relations, *run)
+    compiled.clear()
+    for _ in range(FEW // 700 - 1):
+        jb.detect(relations, *run)
+    assert not compiled
+    later = jb.detect(relations, *run)
+    assert compiled
+    np.testing.assert_array_equal(first.status, later.status)
+
+
+def test_never_and_always_mean_it_and_other_words_are_refused(compiled, monkeypatch):
+    model = jb.LinearSystem([[0.9, 0.1], [0, 0.8]], None, [[1, 2], [3, 5], [1, 1]], noise=0.1)
+    relations, y = jb.parity_relations(model, 2), np.zeros((3000, 3))
+    jb.compile("never")
+    jb.detect(relations, None, y)
+    compiled.clear()
+    never = jb.detect(relations, None, y)
+    assert not compiled
+    jb.compile("always")
+    np.testing.assert_array_equal(jb.detect(relations, None, y[:9]).status, never.status[:9])
+    assert compiled
+    with pytest.raises(ValueError, match='must be "auto", "always" or "never", not \'sometimes\''):
+        jb.compile("sometimes")
+    monkeypatch.setattr("jaxbound.sets.floats.kernel._mode", "sometimes")
+    with pytest.raises(ValueError, match="JAXBOUND_COMPILE must be auto, always or never, not 'sometimes'"):
+        jb.detect(relations, None, y[:9])
+
+
+def test_who_forbids_it_forbids_it_to_all_within():
+    assert not spared(1, "asked by nobody")
+    with sparing():
+        assert spared(1, "few") and not spared(FEW, "few") and not spared(1, "few")
+        with sparing(None):
+            assert spared(1, "others")
+        with sparing(False), sparing():
+            assert not spared(1, "others")
+        assert spared(1, "others")
+
+
+def test_a_program_that_numpy_does_not_know_is_compiled(compiled, monkeypatch):
+    for name in ("add", "mul"):
+        monkeypatch.delitem(PRIMITIVES, name)
+    model = jb.LinearSystem([[0.9]], np.ones((1, 5)), [[1], [2], [3], [4]], noise=0.1)
+    status = jb.detect(jb.parity_relations(model), np.zeros((5, 5)), np.zeros((5, 4))).status
+    assert status.tolist() == [1, 1, 1, 1, 1] and compiled
