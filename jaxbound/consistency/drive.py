@@ -29,6 +29,7 @@ from jaxbound.consistency.interface import (
     Run,
     Verdicts,
     WindowTest,
+    window_count,
 )
 from jaxbound.consistency.reading import Block, gather
 from jaxbound.consistency.searched import only_searched
@@ -140,7 +141,7 @@ def windows(
     shape = y.shape[:-1]
     if is_outside_xla():
         return _decided(test, flat_u, flat_y, shape, starts, progress, block)
-    if spared(len(flat_y), test.kind):
+    if spared(window_count(shape, test.horizon), test.kind):
         with outside_xla(), contextlib.suppress(NotImplementedError):  # a primitive that NumPy does not know
             judged = _decided(test, flat_u, flat_y, shape, starts, progress, block)
             left = (judged.status == Status.UNDECIDED) & (judged.margin == 0)

@@ -14,10 +14,11 @@ import numpy as np
 
 from jaxbound.certificates.interface import Judgement
 from jaxbound.consistency.drive import drive
-from jaxbound.consistency.interface import AUTO, EXACT, WindowTest, margins_for, window_count
+from jaxbound.consistency.interface import AUTO, EXACT, margins_for, window_count
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.relations.parity import ParityRelation
+from jaxbound.sets.floats.kernel import outside_xla, spared, sparing
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["unit_hints"]
@@ -167,7 +168,7 @@ def _promising(relations: ParityRelation, converted: np.ndarray, judged: np.ndar
     signals, m = converted[:, stretch[few, None], at], relations.model.m
     u, y = np.split(signals, [m], -1)
     again = Recording(u, y, NOWHERE, relations.model.inputs, relations.model.outputs)
-    status = drive(_test(relations, again), again).status[..., -1]
+    status = _status(relations, again)[..., -1]
     outside: np.ndarray = np.count_nonzero(status != Status.CONSISTENT, axis=1)
     return outside <= room
 
@@ -184,17 +185,18 @@ def _consistent(relations: ParityRelation, signals: np.ndarray, judged: np.ndarr
     for number, counts in enumerate(judged):
         u, y = np.split(signals[:, number], [model.m], -1)
         again = Recording(u, y, _seams(counts, relations.horizon), model.inputs, model.outputs)
-        found[:, number] = drive(_test(relations, again), again).status == Status.CONSISTENT
+        found[:, number] = _status(relations, again) == Status.CONSISTENT
     return found
 
 
-def _test(relations: ParityRelation, given: Recording) -> WindowTest:
-    """Return the test by which `detect` would judge samples, so that nothing is compiled for a hint alone."""
+def _status(relations: ParityRelation, given: Recording) -> np.ndarray:
+    """Return the statuses of windows, as `detect` would judge them: little is compiled for a hint alone."""
     test = relations.test("joint", given.y.dtype)
     count = window_count(given.y.shape[:-1], test.horizon)
     if margins_for(AUTO, count) == EXACT:
-        return test.measured()
-    return test
+        test = test.measured()
+    with sparing(), outside_xla(spared(count, ("hint", test.kind))):
+        return drive(test, given).status
 
 
 def _seams(counts: np.ndarray, horizon: int) -> np.ndarray:

@@ -8,7 +8,6 @@ from jaxbound.diagnosis.monitored import MonitorResult
 from jaxbound.diagnosis.result import Result
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.source import Source
-from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["NOBODY", "REACHES", "Refuted", "Spoken", "refuted_again"]
@@ -41,7 +40,6 @@ class Refuted(NamedTuple):
     part: Recording
 
 
-@sparing(False)
 def refuted_again(observer: Relations, source: Source, k: int, spoken: Spoken = NOBODY) -> Refuted:
     """Return the certificate of sample k, which an observer refuted, and what it rests on.
 
