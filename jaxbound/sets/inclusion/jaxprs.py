@@ -257,16 +257,13 @@ def _moved(eqn, values, absent):
             Interval(jnp.where(jnp.isnan(o.lo), jnp.inf, o.lo), jnp.where(jnp.isnan(o.hi), -jnp.inf, o.hi))
             for o in outs
         ]
+    shown = [_computed(o) if f else o for o, f in zip(outs, floating, strict=True)]
     if not filled and all(a is None for a in absent):
-        return (
-            [_computed(o) if f else o for o, f in zip(outs, floating, strict=True)],
-            [None] * len(outs),
-            True,
-        )
+        return shown, [None] * len(outs), True
     mark = lambda v, a: jnp.zeros_like(v.lo) if a is None else jnp.broadcast_to(a, v.shape).astype(v.dtype)
     marks = [mark(v, a) if i in moved else v for i, (v, a) in enumerate(zip(ready, absent, strict=True))]
     found = [mark != 0 if f else None for mark, f in zip(bind(eqn, *marks), floating, strict=True)]
-    return [_computed(o) if f else o for o, f in zip(outs, floating, strict=True)], found, True
+    return shown, found, True
 
 
 def _as(value, kind):

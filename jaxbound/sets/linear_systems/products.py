@@ -158,7 +158,11 @@ def product(x: Interval, y: Interval) -> Interval:
 
 def extremes(x: Interval, y: Interval) -> tuple[jax.Array, jax.Array]:
     """Return the least and the largest product of the ends."""
-    ends = [a * b for a in (x.lo, x.hi) for b in (y.lo, y.hi)]
+    return _ends([a * b for a in (x.lo, x.hi) for b in (y.lo, y.hi)])
+
+
+def _ends(ends: list[jax.Array]) -> tuple[jax.Array, jax.Array]:
+    """Return the least and the largest of four numbers."""
     least = jnp.minimum(jnp.minimum(ends[0], ends[1]), jnp.minimum(ends[2], ends[3]))
     return least, jnp.maximum(jnp.maximum(ends[0], ends[1]), jnp.maximum(ends[2], ends[3]))
 
@@ -190,9 +194,7 @@ def over(x: Interval, y: Interval) -> Interval:
     """
     sound = _divides(y)
     lo, hi = (jnp.where(sound, end, 1) for end in (y.lo, y.hi))
-    ends = [a / b for a in (x.lo, x.hi) for b in jax.lax.optimization_barrier((lo, hi))]
-    low = jnp.minimum(jnp.minimum(ends[0], ends[1]), jnp.minimum(ends[2], ends[3]))
-    high = jnp.maximum(jnp.maximum(ends[0], ends[1]), jnp.maximum(ends[2], ends[3]))
+    low, high = _ends([a / b for a in (x.lo, x.hi) for b in jax.lax.optimization_barrier((lo, hi))])
     return _closed(jnp.where(sound, low, jnp.nan), jnp.where(sound, high, jnp.nan))
 
 

@@ -21,7 +21,7 @@ from jaxbound.sets.zonotopes import gauges, kernels
 from jaxbound.sets.zonotopes.questions import numbers, traced
 from jaxbound.sets.zonotopes.zonotope import Zonotope, refuse_infinite
 
-__all__ = ["FEW", "by_facets", "exact_strips", "membership", "strips"]
+__all__ = ["FEW", "by_facets", "exact_strips", "exactly", "membership", "strips"]
 
 FEW = 500
 """How many subsets of n - 1 generators are looked through for facets: a second or so in exact numbers."""
@@ -63,29 +63,22 @@ def exact_strips(Z: Zonotope) -> list[tuple[list[Fraction], Fraction]]:
     if isinstance(Z.generators, jax.core.Tracer):
         raise TypeError("strips need concrete generators: build them outside jit, grad and vmap")
     refuse_infinite(center=Z.center, generators=Z.generators)
-    G = _exact(_floats(Z.generators))
+    G = exactly(Z.generators)
     n, q = np.shape(Z.generators)
-    flat = (
-        linalg.left_null_space(G) if q else tuple(tuple(Fraction(i == j) for j in range(n)) for i in range(n))
-    )
-    out: list[tuple[list[Fraction], Fraction]] = []
+    flat = linalg.left_null_space(G) if q else linalg.identity(n)
+    out: list[tuple[Sequence[Fraction], Fraction]] = []
     if q and any(any(row) for row in G):
         kernel = linalg.transpose(linalg.left_null_space(linalg.transpose(G)))  # G kernel = 0
         _price(q, q - len(kernel[0]) if kernel else q)
-        shadows = (
-            circuits(kernel) if kernel else tuple(tuple(Fraction(i == j) for j in range(q)) for i in range(q))
-        )
-        basis, pivots = linalg.row_reduce(
-            [(*row, *(Fraction(i == j) for j in range(n))) for i, row in enumerate(G)]
-        )
+        shadows = circuits(kernel) if kernel else linalg.identity(q)
+        basis, pivots = linalg.row_reduce(linalg.beside(G, linalg.identity(n)))
+        steps = [(p, row[q:]) for p, row in zip(pivots, basis, strict=True) if p < q]
+        turned = linalg.transpose([row for _, row in steps])
         for g in shadows:  # normal' G = g: combine the reduced rows with the entries of g at their pivots
-            normal = [
-                sum((g[p] * row[q + j] for row, p in zip(basis, pivots, strict=True) if p < q), Fraction(0))
-                for j in range(n)
-            ]
+            normal = linalg.multiply(turned, [g[p] for p, _ in steps])
             out.append((normal, sum(map(abs, g), Fraction(0))))
-    out = [([x / s for x in normal], w / s) for normal, w in out if (s := max(map(abs, normal)))]
-    return out + [([x / max(map(abs, normal)) for x in normal], Fraction(0)) for normal in flat]
+    found = [([x / s for x in normal], w / s) for normal, w in out if (s := max(map(abs, normal)))]
+    return found + [([x / max(map(abs, normal)) for x in normal], Fraction(0)) for normal in flat]
 
 
 def _price(q: int, rank: int) -> None:
@@ -96,12 +89,9 @@ def _price(q: int, rank: int) -> None:
     refuse_or_say(seconds, f"strips by {subsets} subsets of {q} generators", do)
 
 
-def _exact(G: np.ndarray) -> list[list[Fraction]]:
-    return [[Fraction(x) for x in row] for row in G.tolist()]
-
-
-def _floats(x: ArrayLike) -> np.ndarray:
-    return np.asarray(x, float)
+def exactly(G: ArrayLike) -> list[list[Fraction]]:
+    """Return the rows of a matrix of floats as Fractions."""
+    return [[Fraction(x) for x in row] for row in np.asarray(G, float).tolist()]
 
 
 def by_facets(outer: Sequence[np.ndarray], inner: Sequence[np.ndarray]) -> tuple[bool, float, np.ndarray]:
@@ -109,10 +99,9 @@ def by_facets(outer: Sequence[np.ndarray], inner: Sequence[np.ndarray]) -> tuple
     numbers.
     """
     (c, G, _, _), (c2, G2, _, _) = outer, inner
-    exact = lambda v: [Fraction(x) for x in v.tolist()]
-    shift = [a - b for a, b in zip(exact(c2), exact(c), strict=True)]
-    columns = [exact(g) for g in G2.T]
-    dot = lambda v, w: sum((a * b for a, b in zip(v, w, strict=True)), Fraction(0))
+    shift = [a - b for a, b in exactly(np.stack([c2, c], 1))]
+    columns = exactly(G2.T)
+    dot = linalg.dot
     worst, direction = Fraction(0), np.zeros(len(c))
     for normal, width in exact_strips(Zonotope(cast(jax.Array, c), cast(jax.Array, G))):
         reach = abs(dot(normal, shift)) + sum((abs(dot(normal, g)) for g in columns), Fraction(0))
@@ -160,12 +149,12 @@ def membership(Z: Zonotope, points: ArrayLike) -> np.ndarray | jax.Array:
     points = np.asarray(points)
     refuse_infinite(center=Z.center, generators=Z.generators, points=points)
     with np.errstate(all="ignore"):
-        away, G = points.astype(float) - _floats(Z.center), _floats(Z.generators)
+        away, G = points.astype(float) - np.asarray(Z.center, float), np.asarray(Z.generators, float)
         if math.comb(G.shape[1], n - 1) > FEW:
             lower, upper, *_ = gauges.bounds(G[None], away[None], tight=True)
             margin = np.where(lower > 1, 1 - lower, np.maximum(1 - upper, 0))[0]
             solid = ((upper > 0) & (upper < np.inf)).all()  # no flat set has such a bound
-            flat = () if solid else linalg.left_null_space(_exact(G))
+            flat = () if solid else linalg.left_null_space(exactly(G))
         else:
             found = exact_strips(Z)
             far, slack = _farthest([[x / width for x in normal] for normal, width in found if width], away)

@@ -5,7 +5,7 @@ taken off.
 numbers; `vertices` and `sample` are for pictures and experiments, and prove nothing.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 from functools import partial
 from itertools import combinations
@@ -21,7 +21,7 @@ from jaxbound.random.keys import key_of
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.zonotopes import kernels
 from jaxbound.sets.zonotopes.constrained import AnySet, parts
-from jaxbound.sets.zonotopes.facets import exact_strips
+from jaxbound.sets.zonotopes.facets import exact_strips, exactly
 from jaxbound.sets.zonotopes.questions import traced
 from jaxbound.sets.zonotopes.zonotope import Zonotope, refuse_infinite
 
@@ -171,7 +171,7 @@ def volume(Z: Zonotope) -> float:
             f"{q} generators in {n} coordinates have {comb(q, n)} determinants, more than {DETERMINANTS}: "
             f"reduce_order first"
         )
-    columns = [linalg.integers([Fraction(float(x)) for x in g]) for g in np.asarray(Z.generators).T]
+    columns = [linalg.integers(g) for g in linalg.transpose(exactly(Z.generators))]
     total = Fraction(0)
     for chosen in combinations(columns, n):
         total += abs(Fraction(linalg.determinant([g for g, _ in chosen]), prod(s for _, s in chosen)))
@@ -261,23 +261,21 @@ def minkowski_difference(Z: Zonotope, Y: Zonotope) -> Zonotope | None:
             f"in {n} dimensions"
         )
     found = exact_strips(Z)
-    H = linalg.transpose([[Fraction(float(x)) for x in row] for row in np.asarray(Y.generators)])
-    along = lambda normal, p: sum((a * b for a, b in zip(normal, p, strict=True)), Fraction(0))
-    left = [(normal, width - sum((abs(along(normal, h)) for h in H), Fraction(0))) for normal, width in found]
+    H = linalg.transpose(exactly(Y.generators))
+    left = [
+        (normal, width - sum((abs(linalg.dot(normal, h)) for h in H), Fraction(0))) for normal, width in found
+    ]
     if any(width < 0 for _, width in left):
         return None
-    middle = [
-        Fraction(float(x)) - Fraction(float(y))
-        for x, y in zip(np.asarray(Z.center), np.asarray(Y.center), strict=True)
-    ]
+    middle = [x - y for x, y in exactly(np.stack([Z.center, Y.center], 1))]
     edges = _edges(left) if n == 2 else _columns(left)
-    return _rounded_inward(middle, edges, left, along, Z.center.dtype)
+    return _rounded_inward(middle, edges, left, Z.center.dtype)
 
 
 def _directions(Z: Zonotope) -> list[tuple[Fraction, ...]]:
     """Return the directions of the generators, each once."""
     refuse_infinite(center=Z.center, generators=Z.generators)
-    columns = [[Fraction(float(x)) for x in g] for g in np.asarray(Z.generators).T]
+    columns = linalg.transpose(exactly(Z.generators))
     return sorted({linalg.primitive(g) for g in columns if any(g)})
 
 
@@ -310,7 +308,6 @@ def _rounded_inward(
     middle: Sequence[Fraction],
     edges: list[list[Fraction]],
     strips: Sequence[tuple[Sequence[Fraction], Fraction]],
-    along: Callable[[Sequence[Fraction], Sequence[Fraction]], Fraction],
     dtype: DTypeLike,
 ) -> Zonotope | None:
     """Return the Zonotope of floats near (middle, edges), shrunk until it lies within the strips; None if no
@@ -318,7 +315,7 @@ def _rounded_inward(
     """
     center = np.array([rounding.fraction_to_float(x, dtype) for x in middle])
     off = [Fraction(float(x)) - y for x, y in zip(center, middle, strict=True)]
-    room = [width - abs(along(normal, off)) for normal, width in strips]
+    room = [width - abs(linalg.dot(normal, off)) for normal, width in strips]
     if any(x < 0 for x in room):
         return None
     shrink = Fraction(1)
@@ -328,10 +325,7 @@ def _rounded_inward(
             .T.astype(dtype)
             .reshape(len(center), -1)
         )
-        taken = [
-            sum((abs(along(normal, [Fraction(float(x)) for x in g])) for g in G.T), Fraction(0))
-            for normal, _ in strips
-        ]
+        taken = [sum((abs(linalg.dot(normal, g)) for g in exactly(G.T)), Fraction(0)) for normal, _ in strips]
         if all(t <= r for t, r in zip(taken, room, strict=True)):
             return Zonotope(jnp.asarray(center), jnp.asarray(G))
         worst = min((r / t for t, r in zip(taken, room, strict=True) if t > r))
