@@ -182,17 +182,10 @@ def _decided(
     return decided_twice(test, judged, u, y, contradicted)
 
 
-def raw_outputs(
-    test: WindowTest,
-    u: Array,
-    y: Array,
-    starts: np.ndarray,
-    progress: Progress | None = None,
-    size: int | None = None,
-) -> list[np.ndarray]:
+def raw_outputs(test: WindowTest, u: Array, y: Array, starts: np.ndarray) -> list[np.ndarray]:
     """Return the `outputs` (..., T) of a test, before a FAULT is confirmed; arguments as of `windows`."""
     flat_u, flat_y = end_to_end(u), end_to_end(y)
-    return _filled(test, flat_u, flat_y, y.shape[:-1], starts, progress, size or test.block)
+    return _filled(test, flat_u, flat_y, y.shape[:-1], starts, None, test.block)
 
 
 def _filled(
