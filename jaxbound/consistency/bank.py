@@ -34,6 +34,8 @@ class BankTest(LinearTest):
         NotImplementedError: constant tolerances. ValueError: too many relations.
     """
 
+    by_kernels = True
+
     gathered = False
 
     def __init__(self, relations: LinearRelations, dtype: DTypeLike) -> None:

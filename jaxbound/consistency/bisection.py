@@ -87,6 +87,8 @@ class BisectionTest(WindowTest):
         ValueError: a budget that is no whole number >= 1.
     """
 
+    by_kernels = True
+
     relations: ResidualRelations
     confirms = True
     block, short = 2**13, 2**8

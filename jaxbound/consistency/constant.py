@@ -65,6 +65,8 @@ class ConstantTest(SignedTest):
         search: makes the test that is asked of windows left open; its `outputs` are margins.
     """
 
+    by_kernels = True
+
     confirms = True
 
     def __init__(

@@ -141,7 +141,7 @@ def windows(
     shape = y.shape[:-1]
     if is_outside_xla():
         return _decided(test, flat_u, flat_y, shape, starts, progress, block)
-    if spared(window_count(shape, test.horizon), test.kind):
+    if test.by_kernels and spared(window_count(shape, test.horizon), test.kind):
         with outside_xla(), contextlib.suppress(NotImplementedError):  # a primitive that NumPy does not know
             judged = _decided(test, flat_u, flat_y, shape, starts, progress, block)
             left = (judged.status == Status.UNDECIDED) & (judged.margin == 0)

@@ -75,6 +75,8 @@ class ExchangeTest(SignedTest):
         steps, finer: of `separation.separation_search`.
     """
 
+    by_kernels = True
+
     threads = confirms = by_strips = True
     short = 16  # the work grows with the block
 

@@ -491,6 +491,8 @@ class WindowTest:
     """Whether several blocks are judged at once: where the host waits between two kernels."""
     remembers: ClassVar[Literal[False]] = False
     """An observer in its place does."""
+    by_kernels: ClassVar[bool] = False
+    """Whether `judge` computes by `kernel`s alone: few windows may then be evaluated in NumPy, seen once."""
     by_strips: ClassVar[bool] = False
     """Whether margins are those of strips, down which an adversary of a study goes."""
     confirms: bool = False
@@ -505,7 +507,7 @@ class WindowTest:
         self.horizon = relations.horizon
         self.placed: dict[tuple[jax.Device, ...], object] = {}  # `constants` on devices, as `drive` puts them
 
-    @property
+    @cached_property
     def kind(self) -> Hashable:
         """All by which its programs differ from those of other tests: one compilation serves a kind."""
         numbers = jax.tree.leaves(self.constants)

@@ -72,6 +72,8 @@ class ParametricTest(WindowTest):
         ValueError: a budget that is no whole number >= 1.
     """
 
+    by_kernels = True
+
     relations: PolynomialRelations
     sharded = False
     constants = None

@@ -32,6 +32,8 @@ class StripsTest(LinearTest):
     ("box").
     """
 
+    by_kernels = True
+
     gathered = False
     by_strips = True
 

@@ -195,7 +195,7 @@ def _status(relations: ParityRelation, given: Recording) -> np.ndarray:
     count = window_count(given.y.shape[:-1], test.horizon)
     if margins_for(AUTO, count) == EXACT:
         test = test.measured()
-    with sparing(), outside_xla(spared(count, ("hint", test.kind))):
+    with sparing(), outside_xla(test.by_kernels and spared(count, ("hint", test.kind))):
         return drive(test, given).status
 
 

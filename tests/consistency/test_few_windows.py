@@ -82,7 +82,7 @@ def test_never_and_always_mean_it_and_other_words_are_refused(compiled, monkeypa
         jb.detect(relations, None, y[:9])
 
 
-def test_who_forbids_it_forbids_it_to_all_within():
+def test_who_forbids_it_forbids_it_to_all_within_and_other_devices_compile(monkeypatch):
     assert not spared(1, "asked by nobody")
     with sparing():
         assert spared(1, "few") and not spared(FEW, "few") and not spared(1, "few")
@@ -91,6 +91,9 @@ def test_who_forbids_it_forbids_it_to_all_within():
         with sparing(False), sparing():
             assert not spared(1, "others")
         assert spared(1, "others")
+        with monkeypatch.context() as m:
+            m.setattr("jaxbound.sets.floats.kernel._platform", lambda: "gpu")
+            assert not spared(1, "others")
 
 
 def test_a_program_that_numpy_does_not_know_is_compiled(compiled, monkeypatch):

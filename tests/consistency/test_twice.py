@@ -178,7 +178,9 @@ class OfJumps(Relations):
         return Jumps(self, method, dtype)
 
 
-def test_a_fault_of_a_family_of_a_users_own_is_evaluated_again_in_numpy():
+@pytest.mark.parametrize("when", ["always", "auto"])
+def test_a_fault_of_a_family_of_a_users_own_is_evaluated_again_in_numpy(when, monkeypatch):
+    monkeypatch.setattr(kernel, "_mode", when)
     y = np.array([[0.0], [0.1], [3.0], [3.1]])
     with pytest.warns(Doubtful, match="the first of them ends at sample 1: NumPy does not confirm it"):
         status = jb.detect(OfJumps(), None, y).status

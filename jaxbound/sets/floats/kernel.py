@@ -60,6 +60,7 @@ def compile(when: str = AUTO) -> None:
         when: "auto": behind some 2 000 windows of one kind, which NumPy evaluates in a tenth of the time of
             compiling. "always": at once. "never". Monitors and all that is written in parts (pipes, Parquet,
             fleets, studies, fits) compile at once in any case: their bytes are the same however they are cut.
+            So does all that goes to another device than a CPU.
 
     Raises:
         ValueError: another word.
@@ -105,7 +106,7 @@ def spared(windows: int, kind: Hashable) -> bool:
     """
     if _mode not in (AUTO, ALWAYS, NEVER):
         raise ValueError(f"JAXBOUND_COMPILE must be auto, always or never, not {_mode!r}")
-    if _mode == ALWAYS or not is_sparing():
+    if _mode == ALWAYS or not is_sparing() or _platform() != "cpu":
         return False
     _evaluated[kind] += max(windows, CALL)
     return _mode == NEVER or _evaluated[kind] <= FEW
