@@ -206,15 +206,16 @@ class TestRefused:
                 lambda: [signals(), signals()],
                 "u is a list of 2, the first a DataFrame of pandas: give one recording at a time",
             ),
-            (
-                lambda: "run.csv",
-                r"u is the text 'run.csv': a file is read first, with jaxbound.read\('run.csv', model\)",
-            ),
         ],
     )
     def test_what_does_not_fit_is_refused_in_a_sentence(self, table, sentence):
         with pytest.raises(ValueError, match=sentence):
             jb.detect(jb.parity_relations(MODEL), table())
+
+    def test_what_takes_no_path_says_who_reads_it(self):
+        sentence = r"u is the text 'run.csv': a file is read first, with jaxbound.read\('run.csv', model\)"
+        with pytest.raises(ValueError, match=sentence):
+            jb.Recording.of(MODEL, "run.csv")
 
     def test_what_a_file_refuses_a_table_refuses(self, tmp_path):
         for rows in ("every second", "reversed", "shuffled"):
