@@ -35,7 +35,8 @@ def watched_by(given: Watchable, verb: str, example: str) -> Relations:
     Raises:
         TypeError: as `relations_of`. OSError, ValueError: as `monitor`.
     """
-    if isinstance(given, LinearSystem | StateSpace | str | PathLike):
+    own = hasattr(given, "recording")  # relations of a user may have matrices, too
+    if not own and isinstance(given, LinearSystem | StateSpace | str | PathLike):
         return monitor(given)
     return relations_of(given, verb, example)
 

@@ -173,6 +173,7 @@ class Jumps(WindowTest):
 
 class OfJumps(Relations):
     model, horizon, made = jb.LinearSystem([["0.5"]], None, [[1]], noise="0.1"), 1, ("jumps",)
+    A = B = C = D = dt = None  # a user may keep matrices there, too: it is no plant
 
     def test(self, method, dtype, budget=None):
         return Jumps(self, method, dtype)
