@@ -35,7 +35,6 @@ class BankTest(LinearTest):
     """
 
     by_kernels = True
-
     gathered = False
 
     def __init__(self, relations: LinearRelations, dtype: DTypeLike) -> None:

@@ -6,8 +6,9 @@ last digits put outside is UNDECIDED.
 """
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import jax
@@ -87,10 +88,8 @@ class BisectionTest(WindowTest):
         ValueError: a budget that is no whole number >= 1.
     """
 
-    by_kernels = True
-
     relations: ResidualRelations
-    confirms = True
+    confirms = by_kernels = True
     block, short = 2**13, 2**8
     padded = sharded = False
     constants = None
@@ -101,6 +100,11 @@ class BisectionTest(WindowTest):
         super().__init__(relations, method, dtype)
         self.budget = BUDGET if budget is None else whole_budget(budget)
         _ = relations.count  # refuses a function that gives nothing to be zero, and signals without names
+
+    @cached_property
+    def kind(self) -> Hashable:
+        """The function, which programs are made for, and their size."""
+        return type(self), self.horizon, self.budget, str(self.dtype), self.relations.f
 
     @property
     def lags(self) -> int:

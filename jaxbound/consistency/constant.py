@@ -65,9 +65,7 @@ class ConstantTest(SignedTest):
         search: makes the test that is asked of windows left open; its `outputs` are margins.
     """
 
-    by_kernels = True
-
-    confirms = True
+    by_kernels = confirms = True
 
     def __init__(
         self, relations: LinearRelations, method: str, dtype: DTypeLike, search: Callable[[], WindowTest]

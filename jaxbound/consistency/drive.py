@@ -36,7 +36,7 @@ from jaxbound.consistency.searched import only_searched
 from jaxbound.consistency.twice import decided_twice, warn_of
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import crossing
-from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla, spared
+from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla, tried_in_numpy
 from jaxbound.sets.floats.probe import default_device, searching, searching_device, usable_devices
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.threads import inherited
@@ -138,17 +138,16 @@ def windows(
         test, progress, size: as for `drive`. u: (..., T, m). y: (..., T, p). starts: of that Recording.
     """
     flat_u, flat_y, block = end_to_end(u), end_to_end(y), size or test.block
-    shape = y.shape[:-1]
+    shape, report = y.shape[:-1], _rising(progress)
+    decided = partial(_decided, test, flat_u, flat_y, shape, starts, report, block)
     if is_outside_xla():
-        return _decided(test, flat_u, flat_y, shape, starts, progress, block)
-    if test.by_kernels and spared(window_count(shape, test.horizon), test.kind):
-        with outside_xla(), contextlib.suppress(NotImplementedError):  # a primitive that NumPy does not know
-            judged = _decided(test, flat_u, flat_y, shape, starts, progress, block)
-            left = (judged.status == Status.UNDECIDED) & (judged.margin == 0)
-            if test.confirms or not left.any():  # what rounding leaves open one way, the other may decide
-                return judged
+        return decided()
+    if test.by_kernels:
+        tried = tried_in_numpy(decided, window_count(shape, test.horizon), test.kind)
+        if tried is not None and (test.confirms or not _left_by_rounding(tried)):
+            return tried
     if not searching_device():
-        return _decided(test, flat_u, flat_y, shape, starts, progress, block)
+        return decided()
 
     def missing(some_u: np.ndarray, some_y: np.ndarray) -> np.ndarray:
         with outside_xla():
@@ -156,10 +155,15 @@ def windows(
         return np.asarray(alone.status[:, -1] == Status.MISSING)
 
     with searching():
-        judged = _decided(test, flat_u, flat_y, shape, starts, progress, block)
+        judged = decided()
         ends = np.ones(shape, bool)
         ends[..., _endless(starts, test.horizon, shape[-1])] = False
         return only_searched(test, judged, flat_u, flat_y, ends.reshape(-1), missing)
+
+
+def _left_by_rounding(judged: Judged) -> bool:
+    """Return whether a window is open within rounding, which another way to compute may decide."""
+    return bool(((judged.status == Status.UNDECIDED) & (judged.margin == 0)).any())
 
 
 def _decided(
@@ -168,11 +172,11 @@ def _decided(
     y: np.ndarray,
     shape: tuple[int, ...],
     starts: np.ndarray,
-    progress: Progress | None,
+    report: Progress,
     size: int,
 ) -> Judged:
     """Return the verdicts (*shape) of samples that are laid end to end, each FAULT decided twice."""
-    judged = test.judged(_filled(test, u, y, shape, starts, progress, size))
+    judged = test.judged(_filled(test, u, y, shape, starts, report, size))
     if test.confirms or is_outside_xla():
         return judged
 
@@ -185,7 +189,7 @@ def _decided(
 def raw_outputs(test: WindowTest, u: Array, y: Array, starts: np.ndarray) -> list[np.ndarray]:
     """Return the `outputs` (..., T) of a test, before a FAULT is confirmed; arguments as of `windows`."""
     flat_u, flat_y = end_to_end(u), end_to_end(y)
-    return _filled(test, flat_u, flat_y, y.shape[:-1], starts, None, test.block)
+    return _filled(test, flat_u, flat_y, y.shape[:-1], starts, reporter(None), test.block)
 
 
 def _filled(
@@ -194,11 +198,11 @@ def _filled(
     y: np.ndarray,
     shape: tuple[int, ...],
     starts: np.ndarray,
-    progress: Progress | None,
+    report: Progress,
     size: int,
 ) -> list[np.ndarray]:
     """Return the `outputs` (*shape) of a test of samples that are laid end to end."""
-    length, report = shape[-1], _rising(progress)
+    length = shape[-1]
     fill = _gathered if test.gathered else _stretches
     outs = fill(test, u, y, length, _endless(starts, test.horizon, length), size, report)
     report(1.0)

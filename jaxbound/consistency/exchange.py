@@ -75,9 +75,7 @@ class ExchangeTest(SignedTest):
         steps, finer: of `separation.separation_search`.
     """
 
-    by_kernels = True
-
-    threads = confirms = by_strips = True
+    threads = confirms = by_kernels = by_strips = True
     short = 16  # the work grows with the block
 
     def __init__(

@@ -12,6 +12,7 @@ import copy
 import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from functools import cached_property
+from os import PathLike
 from types import MappingProxyType
 from typing import (
     TYPE_CHECKING,
@@ -451,21 +452,31 @@ class LinearRelations(Relations):
         raise NotImplementedError
 
 
-def relations_of(given: object, verb: str, example: str, monitors: bool = True) -> Relations:
+def relations_of(
+    given: object,
+    verb: str,
+    example: str,
+    monitors: bool = True,
+    watched: Callable[[Any], Relations] | None = None,
+) -> Relations:
     """Return the relations, or the observer, that a user gives to a verb.
 
     Args:
         verb, example: name of the verb and how it is called, for the sentence that refuses anything else.
-        monitors: whether the verb takes several tests.
+        monitors: whether the verb takes several tests. watched: what makes them of a plant, or of the path of
+            its file; None: the verb takes none.
 
     Raises:
-        TypeError: given is neither.
+        TypeError: given is neither. What `watched` raises.
     """
-    if not isinstance(given, Relations):
-        if monitors and (hasattr(given, "A") or str(given).endswith(".toml")):
-            example = example.replace("parity_relations(model)", "jaxbound.monitor(model)")
-        raise TypeError(f"{verb} needs relations, not {type(given).__name__}: {example}")
-    return given
+    if isinstance(given, Relations):
+        return given
+    is_plant = hasattr(given, "A") or isinstance(given, str | PathLike)
+    if is_plant and watched is not None:
+        return watched(given)
+    if is_plant and monitors:
+        example = example.replace("parity_relations(model)", "jaxbound.monitor(model)")
+    raise TypeError(f"{verb} needs relations, not {type(given).__name__}: {example}")
 
 
 class WindowTest:
@@ -510,8 +521,11 @@ class WindowTest:
     @cached_property
     def kind(self) -> Hashable:
         """All by which its programs differ from those of other tests: one compilation serves a kind."""
-        numbers = jax.tree.leaves(self.constants)
-        return type(self), self.horizon, self.block, str(self.dtype), tuple(np.shape(x) for x in numbers)
+        numbers = self.constants
+        if numbers is None:
+            numbers = self.reading
+        shapes = tuple(np.shape(x) for x in jax.tree.leaves(numbers))
+        return type(self), self.horizon, self.block, str(self.dtype), shapes
 
     @property
     def constants(self) -> object:

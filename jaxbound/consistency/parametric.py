@@ -73,7 +73,6 @@ class ParametricTest(WindowTest):
     """
 
     by_kernels = True
-
     relations: PolynomialRelations
     sharded = False
     constants = None

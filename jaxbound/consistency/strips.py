@@ -32,10 +32,8 @@ class StripsTest(LinearTest):
     ("box").
     """
 
-    by_kernels = True
-
+    by_kernels = by_strips = True
     gathered = False
-    by_strips = True
 
     @property
     def block(self) -> int:

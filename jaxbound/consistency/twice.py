@@ -1,4 +1,4 @@
-"""Every FAULT is decided twice: by XLA, and from the samples in NumPy, before anybody sees it.
+"""Every FAULT by XLA is decided again from the samples, in NumPy, before anybody sees it.
 
 XLA copies wrongly at times: a part of an array from the wrong place, a number that another thread has not
 written yet. No bound on rounding covers that. So a FAULT is only what both say; where NumPy says no, the

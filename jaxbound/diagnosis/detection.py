@@ -22,7 +22,7 @@ from jaxbound.consistency.interface import (
 )
 from jaxbound.consistency.searched import judging_device
 from jaxbound.diagnosis import isolation, monitored, observed  # noqa: F401 (the Results of their kinds)
-from jaxbound.diagnosis.monitoring import Watchable, watched_by
+from jaxbound.diagnosis.monitoring import Watchable, monitor
 from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.models.region import Region
 from jaxbound.recordings.table import Data
@@ -85,7 +85,7 @@ def detect(
         >>> jb.detect(jb.parity_relations(m), [[0.0], [0.0]], [[0.0, 0.0], [0.5, 0.0]]).status
         array([0, 3], dtype=int8)
     """
-    relations = watched_by(relations, "detect", "detect(parity_relations(model), u, y)")
+    relations = relations_of(relations, "detect", "detect(parity_relations(model), u, y)", watched=monitor)
     if isinstance(u, jax.core.Tracer) or isinstance(y, jax.core.Tracer):
         raise TypeError(
             "detect drives compiled kernels from the host and cannot run inside jit, vmap or grad: give it "

@@ -5,13 +5,13 @@ from functools import partial
 from os import PathLike
 from typing import Any, TypeAlias
 
-from jaxbound.consistency.interface import Relations, Watch, relations_of
+from jaxbound.consistency.interface import Relations, Watch
 from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.memory import suggest_lags
 from jaxbound.estimation.methods import OBSERVERS
 from jaxbound.estimation.observer import observer
 from jaxbound.exact.price import SECONDS
-from jaxbound.models.conversion import ModelLike, StateSpace, as_model
+from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.modelfile import load_model
 from jaxbound.models.statedtests import StatedTest, StatedTests
 from jaxbound.models.system import LinearSystem
@@ -20,25 +20,13 @@ from jaxbound.relations.cost import relation_cost
 from jaxbound.relations.parity import parity_relations
 from jaxbound.text.progress import Progress, in_part, reporter
 
-__all__ = ["monitor", "relations_of_test", "watched_by"]
+__all__ = ["Watchable", "monitor", "relations_of_test"]
 
 Watchable: TypeAlias = Relations | ModelLike | str | PathLike[str]
 """What `detect` takes: relations, an observer, a monitor; or a plant, which its own monitor watches."""
 
 HORIZON = 15
 """Of a model that states no windows, where nothing says which would see more."""
-
-
-def watched_by(given: Watchable, verb: str, example: str) -> Relations:
-    """Return the relations that a user gives to a verb; of a plant, or of its file, its monitor.
-
-    Raises:
-        TypeError: as `relations_of`. OSError, ValueError: as `monitor`.
-    """
-    own = hasattr(given, "recording")  # relations of a user may have matrices, too
-    if not own and isinstance(given, LinearSystem | StateSpace | str | PathLike):
-        return monitor(given)
-    return relations_of(given, verb, example)
 
 
 def monitor(

@@ -8,7 +8,7 @@ constant between samples, rounded to nearest floats, and from then on those deci
 import re
 from collections.abc import Sequence
 from fractions import Fraction
-from typing import Any, NoReturn, Protocol, TypeAlias, cast, runtime_checkable
+from typing import Any, NoReturn, Protocol, TypeAlias, cast
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from jaxbound.models.times import refuse_factors
 __all__ = ["ModelLike", "StateSpace", "as_model", "from_control", "from_scipy", "hold"]
 
 
-@runtime_checkable
 class StateSpace(Protocol):
     """A state-space object of python-control or scipy.signal: its matrices, arrays of numbers."""
 

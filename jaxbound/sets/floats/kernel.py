@@ -6,8 +6,8 @@ is evaluated primitive by primitive in NumPy (`numpy_primitives`, `numpy_moves`)
 Nothing fuses, no loop is vectorised, no copy is left out.
 
 Compiling takes seconds, evaluating a program for some thousand windows a tenth of one. So whoever judges few
-windows asks `spared` first, which counts windows and no seconds: the same calls take the same way on every
-machine. Verdicts do not depend on the way; the last digits of margins do.
+windows has them `tried_in_numpy` first, which counts windows and no seconds: the same calls take the same
+way on every machine. Verdicts do not depend on the way; the last digits of exact margins do.
 """
 
 import contextlib
@@ -17,7 +17,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from functools import lru_cache, update_wrapper
-from typing import Any, NamedTuple, overload
+from typing import Any, NamedTuple, TypeVar, overload
 
 import jax
 import numpy as np
@@ -38,8 +38,10 @@ __all__ = [
     "outside_xla",
     "spared",
     "sparing",
+    "tried_in_numpy",
 ]
 
+T = TypeVar("T")
 _state = threading.local()
 AUTO, ALWAYS, NEVER = "auto", "always", "never"
 FEW = 2**11
@@ -53,8 +55,9 @@ _evaluated: Counter[Hashable] = Counter()
 def compile(when: str = AUTO) -> None:
     """Say when this process compiles the programs by which `detect` judges windows.
 
-    Others are told by the variable `JAXBOUND_COMPILE`. Verdicts do not depend on it, margins by their last
-    digits: NumPy evaluates the same programs under the same bounds of rounding.
+    Others are told by the variable `JAXBOUND_COMPILE`. Verdicts do not depend on it, exact margins by their
+    last digits: NumPy evaluates the same programs under the same bounds of rounding. Where bounds of margins
+    will do, NumPy's are exact.
 
     Args:
         when: "auto": behind some 2 000 windows of one kind, which NumPy evaluates in a tenth of the time of
@@ -110,6 +113,16 @@ def spared(windows: int, kind: Hashable) -> bool:
         return False
     _evaluated[kind] += max(windows, CALL)
     return _mode == NEVER or _evaluated[kind] <= FEW
+
+
+def tried_in_numpy(job: Callable[[], T], windows: int, kind: Hashable) -> T | None:
+    """Return the result of a job that judges so many windows, evaluated in NumPy; None where it is to be
+    compiled, or a primitive of it is not written in NumPy.
+    """
+    if spared(windows, kind):
+        with outside_xla(), contextlib.suppress(NotImplementedError):
+            return job()
+    return None
 
 
 def is_outside_xla() -> bool:

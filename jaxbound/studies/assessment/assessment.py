@@ -15,9 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.consistency.interface import Relations
+from jaxbound.consistency.interface import Relations, relations_of
+from jaxbound.diagnosis import monitoring
 from jaxbound.diagnosis.alarmrule import rule_of
-from jaxbound.diagnosis.monitoring import Watchable, watched_by
+from jaxbound.diagnosis.monitoring import Watchable
 from jaxbound.diagnosis.result import Result
 from jaxbound.models.arguments import listed_argument
 from jaxbound.models.system import LinearSystem
@@ -195,7 +196,9 @@ def assess(
         >>> found.marks.at(3.0).caught
         1
     """
-    relations = watched_by(relations, "assess", "assess(parity_relations(model), healthy, faulty)")
+    relations = relations_of(
+        relations, "assess", "assess(parity_relations(model), healthy, faulty)", watched=monitoring.monitor
+    )
     wanted, report = _checked(rules, factors), reporter(progress, "assess")
     healthy = listed_argument("healthy", healthy, "[(u, y)]")
     faulty = listed_argument("faulty", faulty, "[(u, y)]")

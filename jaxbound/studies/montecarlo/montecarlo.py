@@ -79,7 +79,6 @@ TOGETHER = 16  # tasks that go to a worker at once
 
 
 @where_proofs_hold()
-@sparing(False)
 def study(
     model: ModelLike,
     faults: str | Fault | Sequence[str | Fault],
@@ -273,6 +272,7 @@ class _Scenarios:
         """The function that counts a block; made where the work is done."""
         return _engine(self.setup)[0]
 
+    @sparing(False)
     def run(self, task: Task) -> Counts:
         """Return the counts of each scenario of a block: hits, false, delay, onset; judged on the CPU,
         whatever there is beside.
