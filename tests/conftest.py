@@ -48,10 +48,10 @@ def pytest_collection_modifyitems(items):
             item.add_marker(pytest.mark.skip(reason=f"needs {marker.args[0]}, which this system lacks"))
 
 
-@pytest.fixture(scope="session", autouse=True)
+@pytest.fixture(scope="module", autouse=True)
 def as_many_windows():
-    """Have few windows judged as many are, by compiled programs, easy ones first; processes that tests start
-    keep to what users have.
+    """Have few windows judged as many are, by compiled programs, easy ones first, whatever the module before
+    said; processes that tests start keep to what users have.
     """
     from jaxbound.consistency import interface
     from jaxbound.sets.floats import kernel
