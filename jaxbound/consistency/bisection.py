@@ -90,6 +90,7 @@ class BisectionTest(WindowTest):
 
     relations: ResidualRelations
     confirms = by_kernels = True
+    weight = 16
     block, short = 2**13, 2**8
     padded = sharded = False
     constants = None

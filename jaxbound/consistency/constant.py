@@ -72,6 +72,7 @@ class ConstantTest(SignedTest):
     ) -> None:
         super().__init__(relations, method, dtype)
         self._search = search
+        self.weight = 1 + len(self.reading.strips.h) // 8  # one strip after the other
 
     @property
     def block(self) -> int:

@@ -143,7 +143,7 @@ def windows(
     if is_outside_xla():
         return decided()
     if test.by_kernels:
-        tried = tried_in_numpy(decided, window_count(shape, test.horizon), test.kind)
+        tried = tried_in_numpy(decided, window_count(shape, test.horizon) * test.weight, test.kind)
         if tried is not None and (test.confirms or not _left_by_rounding(tried)):
             return tried
     if not searching_device():

@@ -88,6 +88,8 @@ class ExchangeTest(SignedTest):
         super().__init__(relations, "joint", dtype)
         self.finer = finer
         self.steps = 2 * len(self.exact_frame.inner) + 6 if steps is None else steps
+        rows, unknowns = len(self.exact_frame.outer), len(self.exact_frame.inner)
+        self.weight = 1 + rows * unknowns**2 // 2**10  # a step for each unknown, all of them in it
 
     @property
     def exact_frame(self) -> ExactFrame:

@@ -504,6 +504,8 @@ class WindowTest:
     """An observer in its place does."""
     by_kernels: ClassVar[bool] = False
     """Whether `judge` computes by `kernel`s alone: few windows may then be evaluated in NumPy, seen once."""
+    weight: int = 1
+    """How many windows of a small test NumPy evaluates in the time of one of this."""
     by_strips: ClassVar[bool] = False
     """Whether margins are those of strips, down which an adversary of a study goes."""
     confirms: bool = False

@@ -73,6 +73,7 @@ class ParametricTest(WindowTest):
     """
 
     by_kernels = True
+    weight = 16
     relations: PolynomialRelations
     sharded = False
     constants = None

@@ -196,7 +196,7 @@ def _status(relations: ParityRelation, given: Recording) -> np.ndarray:
     if margins_for(AUTO, count) == EXACT:
         test = test.measured()
     with sparing():
-        judged = tried_in_numpy(partial(drive, test, given), count, ("hint", test.kind))
+        judged = tried_in_numpy(partial(drive, test, given), count * test.weight, ("hint", test.kind))
         return (judged or drive(test, given)).status
 
 

@@ -5,9 +5,9 @@ as a `kernel`, which is `jax.jit` and nothing else until somebody asks `outside_
 is evaluated primitive by primitive in NumPy (`numpy_primitives`, `numpy_moves`), from the arrays on the host.
 Nothing fuses, no loop is vectorised, no copy is left out.
 
-Compiling takes seconds, evaluating a program for some thousand windows a tenth of one. So whoever judges few
-windows has them `tried_in_numpy` first, which counts windows and no seconds: the same calls take the same
-way on every machine. Verdicts do not depend on the way; the last digits of exact margins do.
+Compiling takes seconds, evaluating a program for some hundred windows a tenth of one. So whoever judges few
+windows has them `tried_in_numpy` first, which counts work and no seconds: the same calls take the same way
+on every machine. Verdicts do not depend on the way; the last digits of exact margins do.
 """
 
 import contextlib
@@ -44,10 +44,10 @@ __all__ = [
 T = TypeVar("T")
 _state = threading.local()
 AUTO, ALWAYS, NEVER = "auto", "always", "never"
-FEW = 2**11
-"""Windows of one kind that NumPy evaluates before XLA compiles their programs."""
+FEW = 2**13
+"""How much of one kind NumPy evaluates before XLA compiles its programs, in windows of a small test."""
 CALL = 2**6
-"""Windows that a call counts for at least: NumPy takes as long for one."""
+"""What a call counts for at least: NumPy takes as long for one window."""
 _mode = os.environ.get("JAXBOUND_COMPILE", AUTO)
 _evaluated: Counter[Hashable] = Counter()
 
@@ -60,10 +60,11 @@ def compile(when: str = AUTO) -> None:
     will do, NumPy's are exact.
 
     Args:
-        when: "auto": behind some 2 000 windows of one kind, which NumPy evaluates in a tenth of the time of
-            compiling. "always": at once. "never". Monitors and all that is written in parts (pipes, Parquet,
-            fleets, studies, fits) compile at once in any case: their bytes are the same however they are cut.
-            So does all that goes to another device than a CPU.
+        when: "auto": once NumPy took about as long for one kind as compiling takes: behind 8 000 windows of a
+            small test, behind a hundred of one that searches among many disturbances. "always": at once.
+            "never". Monitors and all that is written in parts (pipes, Parquet, fleets, studies, fits) compile
+            at once in any case: their bytes are the same however they are cut. So does all that goes to
+            another device than a CPU.
 
     Raises:
         ValueError: another word.
@@ -101,8 +102,8 @@ def sparing(active: bool | None = True) -> Iterator[None]:
         _state.sparing = before
 
 
-def spared(windows: int, kind: Hashable) -> bool:
-    """Return whether so many more windows of a kind are evaluated in NumPy, and count them.
+def spared(work: int, kind: Hashable) -> bool:
+    """Return whether so much more of a kind is evaluated in NumPy, and count it: in windows of a small test.
 
     Raises:
         ValueError: `JAXBOUND_COMPILE` is no word that `compile` takes.
@@ -111,15 +112,15 @@ def spared(windows: int, kind: Hashable) -> bool:
         raise ValueError(f"JAXBOUND_COMPILE must be auto, always or never, not {_mode!r}")
     if _mode == ALWAYS or not is_sparing() or _platform() != "cpu":
         return False
-    _evaluated[kind] += max(windows, CALL)
+    _evaluated[kind] += max(work, CALL)
     return _mode == NEVER or _evaluated[kind] <= FEW
 
 
-def tried_in_numpy(job: Callable[[], T], windows: int, kind: Hashable) -> T | None:
-    """Return the result of a job that judges so many windows, evaluated in NumPy; None where it is to be
-    compiled, or a primitive of it is not written in NumPy.
+def tried_in_numpy(job: Callable[[], T], work: int, kind: Hashable) -> T | None:
+    """Return the result of a job that is worth so many windows of a small test, evaluated in NumPy; None
+    where it is to be compiled, or a primitive of it is not written in NumPy.
     """
-    if spared(windows, kind):
+    if spared(work, kind):
         with outside_xla(), contextlib.suppress(NotImplementedError):
             return job()
     return None
