@@ -495,7 +495,7 @@ def sizes(text: str) -> "float | dict[str, float]":
 
 def lags(text: str) -> tuple[int, ...]:
     """Return the lags of a window, like 0,1,2,4."""
-    from jaxbound.models.system import whole_lags
+    from jaxbound.models.arguments import whole_lags
 
     try:
         return whole_lags([whole_number(0)(part.strip()) for part in text.split(",")])

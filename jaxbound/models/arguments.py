@@ -1,9 +1,11 @@
 """Arguments of a model that are tables or lists, refused by their names where they are something else."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TypeVar
 
-__all__ = ["listed_argument", "table_argument"]
+from jaxbound.models.numbers import is_whole
+
+__all__ = ["listed_argument", "table_argument", "whole_horizon", "whole_lags"]
 
 Name = TypeVar("Name")
 Value = TypeVar("Value")
@@ -40,3 +42,29 @@ def listed_argument(field: str, given: Iterable[Element], like: str) -> tuple[El
     if isinstance(given, str) or not isinstance(given, Iterable):
         raise ValueError(f"{field} must be a list, like {like}, not {given!r}")
     return tuple(given)
+
+
+def whole_horizon(horizon: object, field: str = "horizon") -> int | None:
+    """Return the horizon of a window, None where none is stated.
+
+    Raises:
+        ValueError: it is no whole number >= 0.
+    """
+    if horizon is None:
+        return None
+    if not is_whole(horizon) or horizon < 0:
+        raise ValueError(f"{field} must be a whole number >= 0, not {horizon!r}")
+    return int(horizon)
+
+
+def whole_lags(lags: Sequence[int], field: str = "lags") -> tuple[int, ...]:
+    """Return the lags of a window in order.
+
+    Raises:
+        ValueError: they are not different whole numbers >= 0, or 0 is not among them.
+    """
+    lags = listed_argument(field, lags, "[0, 1, 4]")
+    whole = all(is_whole(x) and x >= 0 for x in lags)
+    if not whole or len(set(lags)) < len(lags) or 0 not in lags:
+        raise ValueError(f"{field} must be different whole numbers >= 0, 0 among them, not {lags!r}")
+    return tuple(sorted(map(int, lags)))

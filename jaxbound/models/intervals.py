@@ -14,7 +14,7 @@ import numpy as np
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Number, columns_of
 from jaxbound.models.fingerprint import fingerprint
-from jaxbound.models.signals import Each, named
+from jaxbound.models.signals import Each, named, sensors
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.times import refuse_factors
 from jaxbound.sets.floats import rounding
@@ -143,43 +143,25 @@ def interval_system(
         if X.shape != shape:
             raise ValueError(f"{name} must have shape {shape} to fit A, B and C: its shape is {X.shape}")
     m = B.shape[1]
-    noises, tolerances = _upper(_numbers("noise", noise, p)), _upper(_numbers("tolerance", tolerance, p))
-    if (tolerances >= 1).any():
-        raise ValueError("tolerance is relative and must be below 1 (2 % is 0.02)")
+    output_names = named("outputs", outputs, p, "y")
+    bounds = sensors(output_names, tolerance, noise, None, False)
     return IntervalSystem(
         A,
         B,
         C,
         D=_zeros(p, m),
         w=_zeros(n),
-        tolerance=tolerances,
-        noise=noises,
+        tolerance=_upper(bounds.tolerance),
+        noise=_upper(bounds.noise),
         offset={"u": _zeros(m), "y": _zeros(p)},
         inputs=named("inputs", inputs, m, "u"),
-        outputs=named("outputs", outputs, p, "y"),
+        outputs=output_names,
         states=named("states", states, n, "x"),
     )
 
 
 def _zeros(*shape: int) -> Interval:
     return interval(np.zeros(shape))
-
-
-def _numbers(field: str, value: Each, count: int) -> list[Fraction]:
-    """Return a number for each output exactly, checked."""
-    if isinstance(value, str) or np.ndim(np.asarray(value, object)) == 0:
-        stated = [cast("Number", value)] * count
-    else:
-        stated = list(cast("Sequence[Number]", value))
-    if len(stated) != count:
-        raise ValueError(f"{field} needs one number, or one for each of {count} outputs: {len(stated)} given")
-    try:
-        values = [linalg.rational(v) for v in stated]
-    except (ValueError, TypeError) as e:
-        raise ValueError(f"{field}: {e}") from None
-    if any(v < 0 for v in values):
-        raise ValueError(f"{field} must be >= 0: {float(min(values)):g} is not")
-    return values
 
 
 def _entries(name: str, rows: Entries) -> Interval:

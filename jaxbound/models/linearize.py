@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from jaxbound.exact.linalg import Matrix, Number, beside, identity, rational
 from jaxbound.models.discretise import Affine, decimals, held
 from jaxbound.models.remainder import Plane, derivatives, plane
-from jaxbound.models.signals import Each, named
+from jaxbound.models.signals import Each, named, sensors
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.uncertainty import Uncertainty
 from jaxbound.models.unknown import Bounded
@@ -305,11 +305,12 @@ def _measured(
         raise ValueError(f"the outputs at the working point must be numbers, not {there.tolist()}")
     y0 = [rational(float(y)) for y in there]
     g, matrix = _at_zero(_about(h, box, origin, "output", None, []), middles)
-    tolerance = _each("tolerance", bounds.get("tolerance", 0), len(y0))
-    noise = _each("noise", bounds.get("noise", 0), len(y0))
+    outputs = named("outputs", bounds.get("outputs"), len(y0), "y")
+    own = sensors(outputs, bounds.get("tolerance", 0), bounds.get("noise", 0), None, False)
+    noise = list(own.noise)
     left_out = abs(g.constant - np.array(y0, object)) + g.remainder
     for i, reach in enumerate(left_out):  # a sensor multiplies it by 1 + theta
-        noise[i] += _rounded((1 + tolerance[i]) * reach, reach, ceil)
+        noise[i] += _rounded((1 + own.tolerance[i]) * reach, reach, ceil)
     return _Readout(g.change, matrix, y0, noise)
 
 
@@ -353,16 +354,6 @@ def _point(field: str, values: object) -> list[Fraction]:
         return [rational(x) for x in several]
     except ValueError as e:
         raise ValueError(f"{field}: {e}") from None
-
-
-def _each(field: str, value: Each, count: int) -> list[Fraction]:
-    """Return a number for each output."""
-    values = _point(field, value)
-    if len(values) == 1:
-        return values * count
-    if len(values) != count:
-        raise ValueError(f"{field} needs one number, or one for each of {count} outputs: {len(values)} given")
-    return values
 
 
 def _parameters(stated: Mapping[str, Sequence[Number]] | None) -> dict[str, tuple[Fraction, Fraction]]:

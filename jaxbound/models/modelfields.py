@@ -1,16 +1,14 @@
-"""The fields of a model file, in ONE table: where a field stands, how it is called, of what kind it is, and
-where a `LinearSystem` has it.
+"""The fields of a model file, in ONE table: where a field stands, how it is called, and of what kind it is.
 
-A new field is one line of `FIELDS`, read and written from then on. Arguments that several fields make
-together (F and D_v, G and its bounds) are assembled in `model_arguments`.
+A new field is one line of `FIELDS`, checked and spelled from then on; `_stated` takes its value from a
+`LinearSystem`, `model_arguments` gives it to one.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, Protocol
+from typing import Any
 
-from jaxbound.exact.linalg import Matrix
 from jaxbound.models.average import Average
 from jaxbound.models.filevalues import (
     AVERAGES,
@@ -34,7 +32,7 @@ from jaxbound.models.statedtests import stated_tests
 from jaxbound.models.system import LinearSystem, matrices_at_zero
 from jaxbound.models.uncertainty import Uncertainty
 
-__all__ = ["FIELDS", "LISTS", "Entry", "Field", "entries", "field_names", "model_arguments", "value_texts"]
+__all__ = ["FIELDS", "LISTS", "Entry", "field_names", "model_arguments", "value_texts"]
 
 LISTS = ("inputs", "outputs", "disturbances", "uncertainty", "fault")
 """Places of which a file has several, each a table of its own."""
@@ -50,134 +48,6 @@ class Entry:
 
     place: str
     number: int = 0
-
-
-class Home(Protocol):
-    """The place of a field's values in a `LinearSystem`."""
-
-    def collect(self, arguments: dict[str, Any], name: str, place: str, tables: list[Table]) -> None:
-        """Put the values of a field, those of all tables of a place, into the arguments of a LinearSystem."""
-
-    def value(self, model: LinearSystem, name: str, entry: Entry) -> object:
-        """Return the value of a field to write; None: it is left out."""
-
-
-@dataclass(frozen=True)
-class Elsewhere:
-    """The home of a field that `model_arguments` assembles with others: here is only how it is written."""
-
-    written: Callable[[LinearSystem, Entry], object]
-
-    def collect(self, arguments: dict[str, Any], name: str, place: str, tables: list[Table]) -> None:
-        """Leave the values to `model_arguments`."""
-
-    def value(self, model: LinearSystem, name: str, entry: Entry) -> object:
-        """Return the value of a field to write; None: it is left out."""
-        return self.written(model, entry)
-
-
-@dataclass(frozen=True)
-class Argument:
-    """An argument of the same name; unwritten: the value that is left out of a file."""
-
-    unwritten: object = None
-
-    def collect(self, arguments: dict[str, Any], name: str, place: str, tables: list[Table]) -> None:
-        """Put the value of a field into the arguments."""
-        for table in tables:
-            if name in table:
-                arguments[name] = table[name]
-
-    def value(self, model: LinearSystem, name: str, entry: Entry) -> object:
-        """Return the value to write; None: it is left out."""
-        value = getattr(model, name)
-        return None if value == self.unwritten else value
-
-
-@dataclass(frozen=True)
-class BySignal:
-    """An argument that maps names of signals, or of fields above all tables, to values."""
-
-    argument: str
-
-    def collect(self, arguments: dict[str, Any], name: str, place: str, tables: list[Table]) -> None:
-        """Put the values of the signals that have some into the argument."""
-        values = arguments.setdefault(self.argument, {})
-        for table in tables:
-            if name in table:
-                values[table["name"] if place else name] = table[name]
-
-    def value(self, model: LinearSystem, name: str, entry: Entry) -> object:
-        """Return the value of a signal; None: it has none."""
-        key = _signals(model, entry)[entry.number] if entry.place else name
-        return getattr(model, self.argument).get(key)
-
-
-@dataclass(frozen=True)
-class OfEachOutput:
-    """An argument of the same name that has a number for each output, 0 where a file says nothing."""
-
-    def collect(self, arguments: dict[str, Any], name: str, place: str, tables: list[Table]) -> None:
-        """Put the numbers of all outputs into the argument."""
-        if tables:
-            arguments[name] = [table.get(name, 0) for table in tables]
-
-    def value(self, model: LinearSystem, name: str, entry: Entry) -> object:
-        """Return the number of an output; None: it is 0."""
-        return getattr(model, name)[entry.number] or None
-
-
-@dataclass(frozen=True)
-class NoiseOfEachOutput:
-    """The noise of each output, 0 where a file says nothing, and the factors on it."""
-
-    def collect(self, arguments: dict[str, Any], name: str, place: str, tables: list[Table]) -> None:
-        """Put the bounds of all outputs and their factors into the arguments."""
-        bounds, times = [], {}
-        for table in tables:
-            bound = table.get(name, 0)
-            if isinstance(bound, tuple):
-                bound, times[table["name"]] = bound
-            bounds.append(bound)
-        if tables:
-            arguments |= {name: bounds, "times": times}
-
-    def value(self, model: LinearSystem, name: str, entry: Entry) -> object:
-        """Return the bound of an output, with its factor where it has one; None: it is 0."""
-        bound, output = model.noise[entry.number], model.outputs[entry.number]
-        if output in model.times:
-            return bound, model.times[output]
-        return bound or None
-
-
-@dataclass(frozen=True)
-class OffsetOf:
-    """The operating point of inputs ("u") or outputs ("y"), 0 where a file says nothing."""
-
-    side: str
-
-    def collect(self, arguments: dict[str, Any], name: str, place: str, tables: list[Table]) -> None:
-        """Put the numbers of all signals of a side into the argument."""
-        offset = arguments.setdefault("offset", {})
-        if tables:
-            offset[self.side] = [table.get(name, 0) for table in tables]
-
-    def value(self, model: LinearSystem, name: str, entry: Entry) -> object:
-        """Return the number of a signal; None: it is 0."""
-        return model.offset[self.side][entry.number] or None
-
-
-@dataclass(frozen=True)
-class Field:
-    """A field of a model file.
-
-    Fields: place: its table, "" above all tables. name: of the field. kind: of its value. home: of its value.
-    """
-
-    place: str
-    name: str
-    kind: ValueKind
-    home: Home
 
 
 def _read_raw(field: str, where: str, value: object) -> object:
@@ -220,150 +90,56 @@ NAMES = ValueKind(_read_names, lambda names: in_list(map(TEXT.spell, names)))
 STATES = ValueKind(_read_states, _spelled_states)
 
 
-def _period(model: LinearSystem, entry: Entry) -> Fraction:
-    return Fraction(repr(model.dt))
-
-
-def _horizon(model: LinearSystem, entry: Entry) -> int | None:
-    if model.lags is not None:
-        return None  # the largest of the lags says it
-    return model.horizon
-
-
-def _states(model: LinearSystem, entry: Entry) -> list[tuple[str, str | None]]:
-    return [(name, model.units.get(name)) for name in model.states]
-
-
-def _signals(model: LinearSystem, entry: Entry) -> tuple[str, ...]:
-    return {"inputs": model.inputs, "outputs": model.outputs, "states": model.states}[entry.place]
-
-
-def _signal_name(model: LinearSystem, entry: Entry) -> str:
-    return _signals(model, entry)[entry.number]
-
-
-def _averages(model: LinearSystem, entry: Entry) -> list[Average] | None:
-    """Return the averages of an output or of a disturbance, None where there are none."""
-    if entry.place == "disturbances":
-        signal = f"w{entry.number + 1}"
-    else:
-        signal = model.outputs[entry.number]
-    return [average for average in model.averages if average.signal == signal] or None
-
-
-def _disturbance(model: LinearSystem, entry: Entry) -> tuple[Fraction, Fraction]:
-    return model.disturbance[entry.number]
-
-
-def _parameter(name: str, unwritten: object = None) -> Elsewhere:
-    """Return the home of a field of an uncertain parameter."""
-
-    def value(model: LinearSystem, entry: Entry) -> object:
-        stated = getattr(model.uncertainties[entry.number], name)
-        return None if stated == unwritten else stated
-
-    return Elsewhere(value)
-
-
-def _named_fault(name: str) -> Elsewhere:
-    """Return the home of a field of a named fault."""
-
-    def value(model: LinearSystem, entry: Entry) -> object:
-        fault = model.faults[entry.number]
-        if name == "kind" and fault.kind == fault.usual_kind:
-            return None
-        stated: object = getattr(fault, name)
-        if stated == ():  # no states, no coefficients of a parameter
-            return None
-        return stated
-
-    return Elsewhere(value)
-
-
-def _matrix(letter: str) -> Elsewhere:
-    """Return the home of a matrix: in a file it is that at the value 0 of every parameter."""
-
-    def value(model: LinearSystem, entry: Entry) -> Matrix | None:
-        is_written = {
-            "A": model.n,
-            "B": model.n and model.m,
-            "C": model.n,
-            "D": model.has_feedthrough or not model.n,
-        }
-        if not is_written[letter]:
-            return None
-        return matrices_at_zero(model)[letter]
-
-    return Elsewhere(value)
-
-
-def _state_disturbances(model: LinearSystem, entry: Entry) -> Matrix | None:
-    return model.G if model.g else None
-
-
-def _unknown_on_states(model: LinearSystem, entry: Entry) -> Matrix | None:
-    return model.F if model.d else None
-
-
-def _unknown_on_outputs(model: LinearSystem, entry: Entry) -> Matrix | None:
-    return model.D_v if model.has_direct_unknown else None
-
-
-def _unwritten(model: LinearSystem, entry: Entry) -> None:
-    return None
-
-
-FIELDS = (
-    Field("", "name", TEXT, Argument()),
-    Field("", "dt", NUMBER, Elsewhere(_period)),
-    Field("", "every", TEXT, BySignal("columns")),
-    Field("", "horizon", WHOLE, Elsewhere(_horizon)),
-    Field("", "lags", LAGS, Argument()),
-    Field("", "left_out", NUMBER, Argument()),
-    Field("", "time", TEXT, BySignal("columns")),
-    Field("", "where", TEXT, BySignal("columns")),
-    Field("", "constant_tolerance", TRUTH, Argument(unwritten=False)),
-    Field("", "states", STATES, Elsewhere(_states)),
-    Field("", "decouple", NAMES, Elsewhere(_unwritten)),  # the model that is written is decoupled
-    Field("states", "name", TEXT, Elsewhere(_signal_name)),
-    Field("states", "unit", TEXT, BySignal("units")),
-    Field("inputs", "name", TEXT, Elsewhere(_signal_name)),
-    Field("inputs", "unit", TEXT, BySignal("units")),
-    Field("inputs", "column", TEXT, BySignal("columns")),
-    Field("inputs", "offset", NUMBER, OffsetOf("u")),
-    Field("inputs", "range", RANGE, BySignal("ranges")),
-    Field("outputs", "name", TEXT, Elsewhere(_signal_name)),
-    Field("outputs", "unit", TEXT, BySignal("units")),
-    Field("outputs", "column", TEXT, BySignal("columns")),
-    Field("outputs", "offset", NUMBER, OffsetOf("y")),
-    Field("outputs", "tolerance", NUMBER, OfEachOutput()),
-    Field("outputs", "noise", NOISE, NoiseOfEachOutput()),
-    Field("outputs", "resolution", NUMBER, OfEachOutput()),
-    Field("outputs", "averages", AVERAGES, Elsewhere(_averages)),
-    Field("disturbances", "bound", BOUND, Elsewhere(_disturbance)),
-    Field("disturbances", "averages", AVERAGES, Elsewhere(_averages)),
-    Field("uncertainty", "name", TEXT, _parameter("name")),
-    Field("uncertainty", "varying", TRUTH, _parameter("varying", unwritten=True)),
-    Field("uncertainty", "between", RANGE, _parameter("between", unwritten=(-1, 1))),
-    *(Field("uncertainty", letter, MATRIX, _parameter(letter)) for letter in "ABCD"),
-    Field("fault", "name", TEXT, _named_fault("name")),
-    Field("fault", "output", TEXT, _named_fault("output")),
-    Field("fault", "input", TEXT, _named_fault("input")),
-    Field("fault", "states", SHARES, _named_fault("states")),
-    *(Field("fault", letter, MATRIX, _named_fault(letter)) for letter in "ABC"),
-    Field("fault", "kind", TEXT, _named_fault("kind")),
-    Field("fault", "times", TEXT, _named_fault("times")),
-    Field("fault", "sign", TEXT, _named_fault("sign")),
-    Field("fault", "least", NUMBER, _named_fault("least")),
-    Field("fault", "most", NUMBER, _named_fault("most")),
-    Field("fault", "between", RANGE, _named_fault("between")),
-    Field("fault", "unit", TEXT, _named_fault("unit")),
-    *(Field("matrices", letter, MATRIX, _matrix(letter)) for letter in "ABCD"),
-    Field("matrices", "G", MATRIX, Elsewhere(_state_disturbances)),
-    Field("matrices", "F", MATRIX, Elsewhere(_unknown_on_states)),
-    Field("matrices", "D_v", MATRIX, Elsewhere(_unknown_on_outputs)),
-    Field("matrices", "E", MATRIX, Elsewhere(_unwritten)),  # the model that is written is solved for x+
-)
+SIGNAL = {"name": TEXT, "unit": TEXT}
+MATRICES = {"A": MATRIX, "B": MATRIX, "C": MATRIX, "D": MATRIX}
+FIELDS: Mapping[str, Mapping[str, ValueKind]] = {
+    "": {
+        "name": TEXT,
+        "dt": NUMBER,
+        "every": TEXT,
+        "horizon": WHOLE,
+        "lags": LAGS,
+        "left_out": NUMBER,
+        "time": TEXT,
+        "where": TEXT,
+        "constant_tolerance": TRUTH,
+        "states": STATES,
+        "decouple": NAMES,
+    },
+    "states": SIGNAL,
+    "inputs": {**SIGNAL, "column": TEXT, "offset": NUMBER, "range": RANGE},
+    "outputs": {
+        **SIGNAL,
+        "column": TEXT,
+        "offset": NUMBER,
+        "tolerance": NUMBER,
+        "noise": NOISE,
+        "resolution": NUMBER,
+        "averages": AVERAGES,
+    },
+    "disturbances": {"bound": BOUND, "averages": AVERAGES},
+    "uncertainty": {"name": TEXT, "varying": TRUTH, "between": RANGE, **MATRICES},
+    "fault": {
+        "name": TEXT,
+        "output": TEXT,
+        "input": TEXT,
+        "states": SHARES,
+        "A": MATRIX,
+        "B": MATRIX,
+        "C": MATRIX,
+        "kind": TEXT,
+        "times": TEXT,
+        "sign": TEXT,
+        "least": NUMBER,
+        "most": NUMBER,
+        "between": RANGE,
+        "unit": TEXT,
+    },
+    "matrices": {**MATRICES, "G": MATRIX, "F": MATRIX, "D_v": MATRIX, "E": MATRIX},
+}
+"""{table, "" above all tables: {field: kind of its value}}, in the order in which they are written."""
+READ_BY = ("every", "time", "where")
+"""Fields above all tables by which recordings are read."""
 TABLES = (*LISTS, "matrices", "provenance", "fit", "test")  # fit: how it was made, which `fit` reads
 
 
@@ -371,37 +147,87 @@ def field_names(place: str) -> tuple[str, ...]:
     """Return the names that a table of a model file may hold. place: its name, "" above all tables."""
     if place == "provenance":
         return PROVENANCE
-    names = tuple(field.name for field in FIELDS if field.place == place)
+    names = tuple(FIELDS[place])
     if not place:
         return names + TABLES
     return names
 
 
-def entries(model: LinearSystem) -> Iterator[Entry]:
-    """Yield the tables of the file of a model, in their order; its provenance stands behind them."""
-    yield Entry("")
-    counts = {
-        "inputs": model.m,
-        "outputs": model.p,
-        "disturbances": model.g,
-        "uncertainty": len(model.uncertainties),
-        "fault": len(model.faults),
+def value_texts(model: LinearSystem) -> dict[Entry, dict[str, str]]:
+    """Return {table: {field: text of its value}} of the file of a model, in its order; its provenance stands
+    behind them.
+    """
+    whole = {}
+    for place, tables in _stated(model).items():
+        for number, table in enumerate(tables):
+            texts = {}
+            for name, kind in FIELDS[place].items():
+                if table.get(name) is not None:
+                    texts[name] = kind.spell(table[name])
+            whole[Entry(place, number)] = texts
+    return whole
+
+
+def _stated(model: LinearSystem) -> dict[str, list[Table]]:
+    """Return the tables of the file of a model, {place: tables}; a value that is None is left out.
+
+    The model is written decoupled and solved for x+, its matrices at the value 0 of every parameter.
+    """
+    units, columns = model.units, model.columns
+    top = {name: columns.get(name) for name in READ_BY} | {
+        "name": model.name,
+        "dt": Fraction(repr(model.dt)),
+        "horizon": model.horizon,
+        "lags": model.lags,
+        "left_out": model.left_out,
+        "constant_tolerance": model.constant_tolerance or None,
+        "states": [(name, units.get(name)) for name in model.states],
     }
-    for place, count in counts.items():
-        for number in range(count):
-            yield Entry(place, number)
-    yield Entry("matrices")
+    if model.lags is not None:
+        top["horizon"] = None  # the largest of the lags says it
+    tables: dict[str, list[Table]] = {"": [top], "inputs": [], "outputs": []}
+    for place, side in (("inputs", "u"), ("outputs", "y")):
+        for name, offset in zip(getattr(model, place), model.offset[side], strict=True):
+            table = {"name": name, "unit": units.get(name), "column": columns.get(name)}
+            tables[place].append({**table, "offset": offset or None, "range": model.ranges.get(name)})
+    for i, table in enumerate(tables["outputs"]):
+        noise: object = model.noise[i] or None
+        if table["name"] in model.times:
+            noise = model.noise[i], model.times[table["name"]]
+        table |= {"tolerance": model.tolerance[i] or None, "resolution": model.resolution[i] or None}
+        table |= {"noise": noise, "averages": _averages(model, table["name"])}
+    disturbances = enumerate(model.disturbance, 1)
+    tables["disturbances"] = [{"bound": b, "averages": _averages(model, f"w{j}")} for j, b in disturbances]
+    tables["uncertainty"] = [dict(vars(parameter)) for parameter in model.uncertainties]
+    for table in tables["uncertainty"]:
+        if table["varying"]:
+            del table["varying"]
+        if table["between"] == (-1, 1):
+            del table["between"]
+    tables["fault"] = []
+    for fault in model.faults:
+        table = {name: value for name, value in vars(fault).items() if value != ()}
+        if fault.kind == fault.usual_kind:
+            del table["kind"]
+        tables["fault"].append(table)
+    matrices: dict[str, object] = dict(matrices_at_zero(model))
+    written = {
+        "A": model.n,
+        "B": model.n and model.m,
+        "C": model.n,
+        "D": model.has_feedthrough or not model.n,
+        "G": model.g,
+        "F": model.d,
+        "D_v": model.has_direct_unknown,
+    }
+    matrices |= {"G": model.G, "F": model.F, "D_v": model.D_v}
+    tables["matrices"] = [{letter: rows for letter, rows in matrices.items() if written[letter]}]
+    return tables
 
 
-def value_texts(model: LinearSystem, entry: Entry) -> dict[str, str]:
-    """Return {field: text of its value} of the fields of a table that are written."""
-    texts = {}
-    for field in FIELDS:
-        if field.place == entry.place:
-            value = field.home.value(model, field.name, entry)
-            if value is not None:
-                texts[field.name] = field.kind.spell(value)
-    return texts
+def _averages(model: LinearSystem, signal: str) -> list[Average] | None:
+    """Return the averages of an output or of a disturbance, None where there are none."""
+    return [average for average in model.averages if average.signal == signal] or None
 
 
 def model_arguments(document: Table) -> dict[str, Any]:
@@ -417,22 +243,19 @@ def model_arguments(document: Table) -> dict[str, Any]:
     tables = {"matrices": [_read_matrices(document)]}
     if "dt" not in document:
         raise ValueError("dt is missing: the sampling period in seconds")
-    top = {field.name: field for field in FIELDS if not field.place}
-    tables["states"] = top["states"].kind.read("states", "", document.get("states", []))
+    tables["states"] = STATES.read("states", "", document.get("states", []))
     for place in LISTS:
         listed = as_list(place, document.get(place, []))
         tables[place] = [_read_entry(Entry(place, i), table) for i, table in enumerate(listed)]
     _refuse_half_of_a_pair(tables)
-    tables[""] = [
-        {name: top[name].kind.read(name, "", value) for name, value in document.items() if name in top}
-    ]
-    arguments: dict[str, Any] = {}
-    for place in (*LISTS, "states", "matrices", ""):
-        for field in FIELDS:
-            if field.place == place:
-                field.home.collect(arguments, field.name, place, tables[place])
-    arguments |= _assembled(tables) | {"provenance": _read_provenance(document)}
-    return arguments | {"tests": stated_tests(as_list("test", document.get("test", [])))}
+    top = {name: kind.read(name, "", document[name]) for name, kind in FIELDS[""].items() if name in document}
+    arguments = _of_signals(tables) | _assembled(top, tables)
+    arguments["columns"] |= {name: top[name] for name in READ_BY if name in top}
+    for name in ("name", "lags", "left_out", "constant_tolerance"):
+        if name in top:
+            arguments[name] = top[name]
+    tests = stated_tests(as_list("test", document.get("test", [])))
+    return arguments | {"provenance": _read_provenance(document), "tests": tests}
 
 
 def _read_matrices(document: Table) -> Table:
@@ -470,8 +293,7 @@ def _read_entry(entry: Entry, table: object) -> Table:
             raise ValueError(f"{where} needs a bound: a number for |w| <= bound, or [lowest, highest]")
     elif "name" not in table:
         raise ValueError(f"{where} needs a name")
-    kinds = {field.name: field.kind for field in FIELDS if field.place == entry.place}
-    return {name: kinds[name].read(name, where, value) for name, value in table.items()}
+    return {name: FIELDS[entry.place][name].read(name, where, value) for name, value in table.items()}
 
 
 def _refuse_half_of_a_pair(tables: Mapping[str, list[Table]]) -> None:
@@ -490,9 +312,35 @@ def _refuse_half_of_a_pair(tables: Mapping[str, list[Table]]) -> None:
         )
 
 
-def _assembled(tables: Mapping[str, list[Table]]) -> dict[str, Any]:
+def _of_signals(tables: Mapping[str, list[Table]]) -> dict[str, Any]:
+    """Return the arguments that have a value for each signal, 0 where a file says nothing."""
+    inputs, outputs = tables["inputs"], tables["outputs"]
+    arguments: dict[str, Any] = {
+        "units": _by_name([*inputs, *outputs, *tables["states"]], "unit"),
+        "columns": _by_name([*inputs, *outputs], "column"),
+        "ranges": _by_name(inputs, "range"),
+        "offset": {},
+    }
+    for side, signals in (("u", inputs), ("y", outputs)):
+        if signals:
+            arguments["offset"][side] = [signal.get("offset", 0) for signal in signals]
+    if outputs:
+        for bound in ("tolerance", "noise", "resolution"):
+            arguments[bound] = [output.get(bound, 0) for output in outputs]
+        arguments["times"] = {}
+        for i, bound in enumerate(arguments["noise"]):
+            if isinstance(bound, tuple):
+                arguments["noise"][i], arguments["times"][outputs[i]["name"]] = bound
+    return arguments
+
+
+def _by_name(tables: Iterable[Table], field: str) -> dict[str, Any]:
+    """Return {name of a table: value of a field} of those that have it."""
+    return {table["name"]: table[field] for table in tables if field in table}
+
+
+def _assembled(top: Table, tables: Mapping[str, list[Table]]) -> dict[str, Any]:
     """Return the arguments that several fields make together."""
-    (top,) = tables[""]
     (matrices,) = tables["matrices"]
     arguments: Table = {letter: matrices.get(letter) for letter in ("A", "B", "C", "D", "E")}
     arguments |= {"dt": top["dt"], "horizon": top.get("horizon"), "decouple": top.get("decouple", [])}
@@ -506,7 +354,7 @@ def _assembled(tables: Mapping[str, list[Table]]) -> dict[str, Any]:
         arguments["unknown_inputs"] = matrices["F"]
     arguments["uncertainties"] = [Uncertainty(**table) for table in tables["uncertainty"]]
     arguments["faults"] = [NamedFault(**table) for table in tables["fault"]]
-    averages = {table["name"]: table["averages"] for table in tables["outputs"] if "averages" in table}
+    averages = _by_name(tables["outputs"], "averages")
     for i, table in enumerate(tables["disturbances"]):
         if "averages" in table:
             averages[f"w{i + 1}"] = table["averages"]

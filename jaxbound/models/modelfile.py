@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from jaxbound.files.whole import whole
 from jaxbound.models.filevalues import NUMBER, TEXT, number_text
 from jaxbound.models.modelchanges import changes_between, with_changes
-from jaxbound.models.modelfields import LISTS, Entry, entries, model_arguments, value_texts
+from jaxbound.models.modelfields import LISTS, Entry, model_arguments, value_texts
 from jaxbound.models.statedtests import lines_of
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.template import template
@@ -194,12 +194,12 @@ def _with_its_model(base: LinearSystem, test: dict[str, Any], folder: Path) -> d
 def model_text(model: LinearSystem) -> str:
     """Return the TOML text of a model, from which `load_model` reads the very same model."""
     lines: list[str] = []
-    for entry in entries(model):
+    for entry, texts in value_texts(model).items():
         if entry.place in LISTS:
             lines += ["", f"[[{entry.place}]]"]
         elif entry.place:
             lines += ["", f"[{entry.place}]"]
-        for name, text in value_texts(model, entry).items():
+        for name, text in texts.items():
             unit = "  # s" if name == "dt" else ""
             lines.append(f"{name} = {text}{unit}")
     if model.provenance:
@@ -243,8 +243,9 @@ def changed_text(text: str, model: LinearSystem) -> str:
 
 def _change(document: TOMLDocument, before: LinearSystem, after: LinearSystem) -> None:
     """Change the values of a tomlkit document where two models differ."""
-    for entry in entries(after):
-        old, new = value_texts(before, entry), value_texts(after, entry)
+    earlier = value_texts(before)
+    for entry, new in value_texts(after).items():
+        old = earlier.get(entry, {})
         table = _table_of(document, entry)
         for name in dict.fromkeys((*old, *new)):
             if old.get(name) != new.get(name):

@@ -122,7 +122,7 @@ def simulate(
 
     # All is filled up to sizes that serve many simulations, and cut again at the end.
     count, samples = _compiled_sizes(math.prod(batch), T)
-    start = _filled_states(start, count)
+    start = _filled(start[..., None, :], count, 1)[:, 0]
     widths = {
         THETA: model.p,
         NOISE: model.p,
@@ -287,14 +287,6 @@ def _filled(v: Array, count: int, samples: int) -> Array:
     recordings, (T, width) = math.prod(v.shape[:-2]), v.shape[-2:]
     room = (0, count - recordings), (0, samples - T), (0, 0)
     filled: Array = _library(v).pad(v.reshape(recordings, T, width), room)
-    return filled
-
-
-def _filled_states(start: Array, count: int) -> Array:
-    """Return first states (..., n) as (count, n), zeros where there are none."""
-    recordings = math.prod(start.shape[:-1])
-    room = (0, count - recordings), (0, 0)
-    filled: Array = _library(start).pad(start.reshape(recordings, start.shape[-1]), room)
     return filled
 
 

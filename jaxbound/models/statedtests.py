@@ -15,13 +15,12 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from jaxbound.exact.linalg import Number, rational
-from jaxbound.models.arguments import listed_argument
+from jaxbound.models.arguments import listed_argument, whole_horizon, whole_lags
 from jaxbound.models.filevalues import (
     NUMBER,
     TEXT,
     TRUTH,
     Table,
-    as_list,
     as_table,
     in_list,
     known_fields,
@@ -137,13 +136,15 @@ def _read(place: int, table: Table) -> StatedTest:
     looks = [key for key in LOOKS if table.get(key) is not None]
     if len(looks) > 1:
         raise ValueError(f"{where} has {looks[0]} and {looks[1]}: a test looks back in one way")
-    observer = table.get("observer")
+    observer, lags = table.get("observer"), table.get("lags")
+    if lags is not None:
+        lags = whole_lags(lags, f"lags of {where}")
     if observer is not None:
         observer = TEXT.read("observer", where, observer)
     return StatedTest(
         name,
-        _horizon(where, table.get("horizon")),
-        _lags(where, table.get("lags")),
+        whole_horizon(table.get("horizon"), f"horizon of {where}"),
+        lags,
         observer,
         _options(where, table),
         _factor(where, table.get("factor", 1)),
@@ -163,26 +164,6 @@ def _as_in_a_file(value: object) -> object:
     if isinstance(value, np.integer):
         return int(value)
     return value
-
-
-def _horizon(where: str, given: object) -> int | None:
-    if given is None:
-        return None
-    if not is_whole(given) or given < 0:
-        raise ValueError(f"horizon of {where} must be a whole number >= 0, not {given!r}")
-    return int(given)
-
-
-def _lags(where: str, given: object) -> tuple[int, ...] | None:
-    if given is None:
-        return None
-    if isinstance(given, tuple):
-        given = list(given)
-    lags = as_list("lags", given)
-    whole = all(is_whole(x) and x >= 0 for x in lags)
-    if not whole or len(set(lags)) < len(lags) or 0 not in lags:
-        raise ValueError(f"lags of {where} must be different whole numbers >= 0, 0 among them, not {lags!r}")
-    return tuple(sorted(map(int, lags)))
 
 
 def _options(where: str, table: Table) -> tuple[tuple[str, Any], ...]:

@@ -12,10 +12,10 @@ from typing import Any, Generic, NoReturn, TypeVar, overload
 import numpy as np
 
 from jaxbound.exact.linalg import Matrix, MatrixLike, Number, Vector
-from jaxbound.models.arguments import listed_argument
+from jaxbound.models.arguments import whole_horizon, whole_lags
 from jaxbound.models.average import Average, Averaged, averages_of
 from jaxbound.models.named_faults import NamedFault, named_faults
-from jaxbound.models.numbers import is_whole, number
+from jaxbound.models.numbers import number
 from jaxbound.models.plant import Plant, plant, refuse_state_space
 from jaxbound.models.signals import (
     Each,
@@ -35,7 +35,7 @@ from jaxbound.recordings.factors import Factor
 from jaxbound.text.objects import readable
 from jaxbound.text.units import without_unit
 
-__all__ = ["FOR_OBSERVER", "TO_THE_END", "LinearSystem", "matrices_at_zero", "whole_lags"]
+__all__ = ["FOR_OBSERVER", "TO_THE_END", "LinearSystem", "matrices_at_zero"]
 
 FOR_OBSERVER = "for an observer"
 """Words in the provenance of bounds from data that were found for one, not for windows."""
@@ -457,26 +457,12 @@ def _factor(left_out: Number | None) -> Fraction | None:
 
 def _window(horizon: int | None, lags: Sequence[int] | None) -> tuple[int | None, tuple[int, ...] | None]:
     """Return the horizon and the lags of the windows for which bounds were found, checked."""
-    if horizon is not None and (not is_whole(horizon) or horizon < 0):
-        raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
+    horizon = whole_horizon(horizon)
     if lags is None:
-        return (None if horizon is None else int(horizon)), None
+        return horizon, None
     lags = whole_lags(lags)
     if horizon not in (None, lags[-1]):
         raise ValueError(
             f"lags up to {lags[-1]} say by themselves how long a window is: leave the horizon {horizon} out"
         )
     return lags[-1], lags
-
-
-def whole_lags(lags: Sequence[int]) -> tuple[int, ...]:
-    """Return the lags of a window in order.
-
-    Raises:
-        ValueError: they are not different whole numbers >= 0, or 0 is not among them.
-    """
-    lags = listed_argument("lags", lags, "[0, 1, 4]")
-    whole = all(is_whole(x) and x >= 0 for x in lags)
-    if not whole or len(set(lags)) < len(lags) or 0 not in lags:
-        raise ValueError(f"lags must be different whole numbers >= 0, 0 among them, not {tuple(lags)!r}")
-    return tuple(sorted(map(int, lags)))

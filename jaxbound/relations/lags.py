@@ -10,7 +10,8 @@ from fractions import Fraction
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models import window
-from jaxbound.models.system import LinearSystem, whole_lags
+from jaxbound.models.arguments import whole_lags
+from jaxbound.models.system import LinearSystem
 
 __all__ = ["checked_lags", "lagged", "over_all_rows"]
 

@@ -48,12 +48,11 @@ from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.bounds import Bounds, changed_bounds, model_bounds, reading
 from jaxbound.relations.cost import affordable, refuse_many_states
-from jaxbound.relations.forms import Forms, forms
+from jaxbound.relations.forms import Formed, Forms, forms, over_samples
 from jaxbound.relations.lags import checked_lags, lagged, over_all_rows
 from jaxbound.relations.sentence import main_terms, relation_text
 from jaxbound.relations.still import moving
 from jaxbound.relations.uncertain import UncertainRelations, uncertain_relations
-from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.strips.separation import Frame, frame_of
 from jaxbound.sets.strips.strips import Strips, strips_of
 from jaxbound.text.objects import readable
@@ -73,7 +72,7 @@ PRIME = 2**61 - 1
 @readable
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class ParityRelation(LinearRelations):
+class ParityRelation(Formed, LinearRelations):
     """Independent parity relations over a window of horizon + 1 samples. Build it with `parity_relations`.
 
     Fields: bounds {"tolerance": (p,), "noise": (p,)}, and "disturbance": (g, 2) if the model has one (floats,
@@ -209,26 +208,6 @@ class ParityRelation(LinearRelations):
         """
         return dataclasses.replace(self, bounds=changed_bounds(self.model, self.bounds, bounds))
 
-    def external(self, u: object, y: object = None, starts: Starts = ()) -> jax.Array:
-        """Return p_ext (..., T, count), the residuals, NaN where a window is incomplete. Not rounded: for
-        plots and studies.
-
-        Args:
-            u: (..., T, m) inputs (None without inputs). y: (..., T, p) outputs; starts: as for `detect`.
-
-        Source: Adrot 2000, (7), (14).
-        """
-        return self._forms(u, y, starts)[0]
-
-    def internal(self, u: object, y: object = None, starts: Starts = ()) -> Interval:
-        """Return the Interval (..., T, count) that each residual alone may have when the sensors are healthy.
-        Not rounded: for plots.
-
-        Source: Adrot 2000, (9), (15), with mu in [y - t_hi, y - t_lo].
-        """
-        _, lo, hi = self._forms(u, y, starts)
-        return Interval(lo, hi)
-
     def _forms(self, u: object, y: object, starts: Starts) -> Forms:
         return forms(_forms, self, partial(self.reading, method="box"), u, y, starts)
 
@@ -266,13 +245,8 @@ def _forms(reading: Reading, u: jax.Array, y: jax.Array) -> Forms:
         return total(h, samples) - driven, total(h, samples - mid), total(abs(h), rad)
 
     strips = reading.strips
-    external, centre, width = (x.T for x in jax.lax.map(one, (strips.rows, strips.h, strips.k)))
-    return _from(s, external), _from(s, centre - width), _from(s, centre + width)
-
-
-def _from(s: int, x: jax.Array) -> jax.Array:
-    """Return an array over windows as one over samples, NaN before the first window ends."""
-    return jnp.pad(x, ((s, 0), (0, 0)), constant_values=jnp.nan)
+    external, centre, width = jax.lax.map(one, (strips.rows, strips.h, strips.k))
+    return over_samples(external, s), over_samples(centre - width, s), over_samples(centre + width, s)
 
 
 def parity_relations(

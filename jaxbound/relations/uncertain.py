@@ -36,12 +36,11 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import window_rows
 from jaxbound.relations.annihilator import Step, annihilator, generic_rank, rank_over_box
 from jaxbound.relations.bounds import Bounds, changed_bounds, float_bound, model_bounds, reading
-from jaxbound.relations.forms import Forms, forms
+from jaxbound.relations.forms import Formed, Forms, forms, over_samples
 from jaxbound.relations.polynomial import Exponents, PolynomialMatrix, Terms, stacked
 from jaxbound.relations.sentence import few_lines, number_text, row_name, sample_names
 from jaxbound.relations.uncertain_window import Variable, uncertain_window
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.strips.polynomials import closure
 from jaxbound.text.objects import readable
 from jaxbound.text.progress import Progress
@@ -55,7 +54,7 @@ Polynomial: TypeAlias = list[tuple[Exponents, Fraction]]
 @readable
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class UncertainRelations(PolynomialRelations):
+class UncertainRelations(Formed, PolynomialRelations):
     """Parity relations with uncertain parameters over a window of horizon + 1 samples. Build it with
     `parity_relations`.
 
@@ -200,24 +199,6 @@ class UncertainRelations(PolynomialRelations):
         if wider and complete == "proved":
             complete = "sampled"
         return dataclasses.replace(self, bounds=fresh, complete=complete)
-
-    def external(self, u: object, y: object = None, starts: Starts = ()) -> jax.Array:
-        """Return (..., T, count), the residuals at the middle of all bounds, NaN where a window is
-        incomplete. Not rounded: for plots.
-
-        Args:
-            u: (..., T, m) inputs (None without inputs). y: (..., T, p) outputs; starts: as for `detect`.
-        """
-        return self._forms(u, y, starts)[0]
-
-    def internal(self, u: object, y: object = None, starts: Starts = ()) -> Interval:
-        """Return the Interval (..., T, count) that contains each residual alone when the plant is healthy.
-        Not rounded: for plots.
-
-        Every monomial and noise is taken at its worst by itself. Source: Ploix, Adrot 2006, (14).
-        """
-        _, lo, hi = self._forms(u, y, starts)
-        return Interval(lo, hi)
 
     def _forms(self, u: object, y: object, starts: Starts) -> Forms:
         return forms(_forms, self, self.reading, u, y, starts)
@@ -443,7 +424,7 @@ def _forms(reading: PolynomialReading, u: jax.Array, y: jax.Array) -> Forms:
             centre += 0.5 * value[:, a]
         width += half * abs(value[:, a])
     lo, hi = external - centre - width, external - centre + width
-    return _over_samples(external, s), _over_samples(lo, s), _over_samples(hi, s)
+    return over_samples(external, s), over_samples(lo, s), over_samples(hi, s)
 
 
 def _products(coefficients: Array, rows: jax.Array) -> Iterator[jax.Array]:
@@ -451,8 +432,3 @@ def _products(coefficients: Array, rows: jax.Array) -> Iterator[jax.Array]:
     for j, x in enumerate(rows):
         own = coefficients[:, 0, j, None]
         yield jnp.where(own == 0, 0, own * x[None])
-
-
-def _over_samples(x: jax.Array, s: int) -> jax.Array:
-    """Return (count, N) over windows as (N + s, count) over samples, NaN before the first window ends."""
-    return jnp.pad(x.T, ((s, 0), (0, 0)), constant_values=jnp.nan)

@@ -10,10 +10,9 @@ from typing import Any, NamedTuple, TypedDict
 import numpy as np
 
 from jaxbound.estimation.methods import OBSERVERS, ObserverMethod, observer_method
-from jaxbound.models.arguments import listed_argument
+from jaxbound.models.arguments import listed_argument, whole_lags
 from jaxbound.models.faults import Fault
 from jaxbound.models.numbers import is_real, is_whole
-from jaxbound.models.system import whole_lags
 from jaxbound.text.objects import readable
 
 __all__ = [
