@@ -3,9 +3,8 @@
 import math
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
+from itertools import chain
 from typing import Any, TypeAlias
-
-import numpy as np
 
 from jaxbound.certificates.certificate import Certificate
 from jaxbound.certificates.uncertain_certificate import UncertainCertificate
@@ -135,64 +134,50 @@ def _unit(certificate: AnyCertificate, name: str) -> str:
 
 def _sample_table(certificate: AnyCertificate, labels: Sequence[str]) -> list[tuple[str, ...]]:
     """Return the table of the samples: readings, limits of the true values, and parts in the proof."""
-    if certificate.z is not None:
-        return _explained_table(certificate, labels)
-    if isinstance(certificate, UncertainCertificate):
-        return _limits_table(certificate, labels)
-    return _violated_table(certificate, labels)
-
-
-def _limits_table(certificate: UncertainCertificate, labels: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return the readings of the outputs and the limits of their true values."""
     window, model = certificate.window, certificate.window.model
-    rows: list[tuple[str, ...]] = [("time", "signal", "reading", "true value from", "to")]
-    cells = np.ndindex(len(labels), model.p)
-    for (j, i), y, limits in zip(cells, window.y, window.limits, strict=False):
-        rows.append((labels[j], model.outputs[i], _reading(y), *_limits_text(limits, model.offset["y"][i])))
-    return rows
-
-
-def _explained_table(certificate: AnyCertificate, labels: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return all samples, with the true values that explain them."""
-    window, model = certificate.window, certificate.window.model
-    outputs, inputs = certificate.outputs, certificate.inputs
-    assert outputs is not None and inputs is not None, EXPLAINS
-    rows: list[tuple[str, ...]] = [("time", "signal", "reading", "true value from", "to", "explained by")]
+    title, outputs, inputs = _parts(certificate)
+    rows: list[tuple[str, ...]] = [("time", "signal", "reading", "true value from", "to", title)]
     for j, label in enumerate(labels):
         for i, name in enumerate(model.outputs):
             row = j * model.p + i
-            value = six_digits(outputs[j][i])
-            if window.y[row] is None:
-                rows.append((label, name, "missing", "", "", value))
-                continue
-            limits = _limits_text(window.limits[row], model.offset["y"][i])
-            rows.append((label, name, six_digits(window.y[row]), *limits, value))
-        for i, name in enumerate(model.inputs):
-            row = j * model.m + i
-            if row < len(window.u):
-                value = six_digits(inputs[j][i])
-                rows.append((label, name, _reading(window.u[row]), "", "", value))
-    return rows
-
-
-def _violated_table(certificate: Certificate, labels: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return the samples that have a part in the violated relation, with their coefficients in it."""
-    window, model = certificate.window, certificate.window.model
-    rows: list[tuple[str, ...]] = [("time", "signal", "reading", "true value from", "to", "coefficient")]
-    for j, label in enumerate(labels):
-        for i, name in enumerate(model.outputs):
-            row = j * model.p + i
-            if window.y[row] is None:
-                rows.append((label, name, "missing", "", "", ""))
-            elif certificate.h[row]:
+            if outputs[row] is not None:
                 limits = _limits_text(window.limits[row], model.offset["y"][i])
-                coefficient = six_digits(certificate.h[row])
-                rows.append((label, name, six_digits(window.y[row]), *limits, coefficient))
+                rows.append((label, name, _reading(window.y[row]), *limits, outputs[row] or ""))
         for i, name in enumerate(model.inputs):
             row = j * model.m + i
-            if row < len(window.u) and certificate.k[row]:
-                rows.append((label, name, _reading(window.u[row]), "", "", six_digits(-certificate.k[row])))
-    return rows + _bounds_rows(certificate, labels)
+            if row < len(window.u) and inputs[row] is not None:
+                rows.append((label, name, _reading(window.u[row]), "", "", inputs[row] or ""))
+    if isinstance(certificate, Certificate) and certificate.z is None:
+        rows += _bounds_rows(certificate, labels)
+    if title:
+        return rows
+    return [row[:-1] for row in rows]
+
+
+def _parts(certificate: AnyCertificate) -> tuple[str, Sequence[str | None], Sequence[str | None]]:
+    """Return the last column of the table: its title, and a text for each output and each input of each
+    sample; None for a row that is left out.
+    """
+    window = certificate.window
+    if certificate.z is not None:
+        outputs, inputs = certificate.outputs, certificate.inputs
+        assert outputs is not None and inputs is not None, EXPLAINS
+        of_outputs = list(map(six_digits, chain.from_iterable(outputs)))
+        return "explained by", of_outputs, list(map(six_digits, chain.from_iterable(inputs)))
+    if isinstance(certificate, UncertainCertificate):
+        return "", [""] * len(window.y), [None] * len(window.u)
+    coefficients = list(map(_coefficient, certificate.h))
+    for row, reading in enumerate(window.y):
+        if reading is None:
+            coefficients[row] = ""
+    return "coefficient", coefficients, [_coefficient(-x) for x in certificate.k]
+
+
+def _coefficient(x: Fraction) -> str | None:
+    """Return a coefficient, None where it is 0."""
+    if not x:
+        return None
+    return six_digits(x)
 
 
 def _bounds_rows(certificate: Certificate, labels: Sequence[str]) -> list[tuple[str, ...]]:

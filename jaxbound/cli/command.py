@@ -94,8 +94,10 @@ class Parser(argparse.ArgumentParser):
         else:
             self._refuse_unknown_option(words)
         parsed, left = super().parse_known_args(words, namespace)
-        if left and not self.commands:
-            raise Refused(f"{self.prog} has no use for {' '.join(left)}; see {self.prog} --help")
+        if not self.commands:
+            if left:
+                raise Refused(f"{self.prog} has no use for {' '.join(left)}; see {self.prog} --help")
+            parsed.words = words
         return parsed, left
 
     @property

@@ -2,7 +2,6 @@
 
 import re
 import shlex
-from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from jaxbound.cli.evaluation import Evaluation
 from jaxbound.cli.options import WINDOWS
 from jaxbound.cli.terminal import json_text, show, write
+from jaxbound.cli.window import DetectRun
 from jaxbound.diagnosis.observed import shown_name
 from jaxbound.runs.summary import OUTSIDE, Evidence, OfTest, Summary, Window
 from jaxbound.sets.floats.status import Status
@@ -27,12 +27,12 @@ COLOUR = {
 }
 
 
-def conclude(evaluation: Evaluation, data: Path | str, out: Path, as_json: bool = False) -> int:
+def conclude(evaluation: Evaluation, run: DetectRun) -> int:
     """Print the conclusion of an evaluation; return the exit code."""
-    summary = evaluation.summary
-    if as_json:
+    summary, out = evaluation.summary, run.out
+    if run.json:
         seconds = {stage: round(time, 3) for stage, time in evaluation.seconds.items()}
-        plain = summary.plain(data=str(data), seconds=seconds, out=str(out))
+        plain = summary.plain(data=str(run.data), seconds=seconds, out=str(out))
         write(json_text(plain, 2))
         return summary.exit_code
     evidence = cast(Evidence, summary.found)  # a recording was tested

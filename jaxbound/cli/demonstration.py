@@ -14,8 +14,8 @@ import jax
 import numpy as np
 
 from jaxbound.cli.evaluation import FILES_OF_A_WHOLE, evaluate
-from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.terminal import door, progress_bars, show, usable_device
+from jaxbound.cli.window import DetectRun
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.result import Result
 from jaxbound.models.faults import Fault
@@ -223,9 +223,7 @@ def demonstrate(out: Path, runs: int) -> int:
         evaluation = evaluate(
             work,
             step,
-            work / "model.toml",
-            work / "run.csv",
-            MethodOptions(),
+            DetectRun(work / "model.toml", work / "run.csv", out),
             sections=lambda res: sections(work, run, res, rates, false_alarms, clean, runs),
         )
     files = str(out / "model.toml"), str(out / "run.csv")

@@ -1,6 +1,7 @@
 """The command `jaxbound detect`: a recording against a model, with verdicts, a report and an exit code."""
 
 import argparse
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from jaxbound.cli.command import EXIT_CODES, swift_imports
@@ -29,9 +30,11 @@ from jaxbound.cli.terminal import Refused, door, progress_bars
 
 if TYPE_CHECKING:
     from jaxbound.cli.evaluation import Evaluation
+    from jaxbound.cli.window import DetectRun
 
 NAME = "detect"
 HELP = "test a recording against a model and write a report"
+SHARING, ENGINE = ("part", "merge", "overlap"), ("scheduler", "workers")
 VALIDATION = "validation"  # `runs.runfile` has it too, and imports more than a help can wait for
 STDIN = "-"
 EXAMPLES = (
@@ -151,52 +154,34 @@ def run(args: argparse.Namespace) -> int:
     with swift_imports():
         from jaxbound.cli.conclusion import conclude
         from jaxbound.cli.share import judge_share
+        from jaxbound.cli.window import DetectRun
         from jaxbound.recordings.live import LiveSource
         from jaxbound.recordings.read import kind_of
 
     if LiveSource.takes(args.data):
         return _run_live(args)
-    _refuse_incomplete_file_run(args)
+    if args.out is None:
+        raise Refused("the following arguments are required: --out; see jaxbound detect --help")
+    _refuse(args, ("state",), "is for samples that come through a pipe: give - as DATA")
+    refuse_unknown_method(args.method, f"{METHODS}, {OBSERVER}, {VALIDATION}")
     with door(OSError):
         kind = kind_of(args.data)
-    if args.method == VALIDATION and args.outside != OUTSIDE[0]:
-        raise Refused(f"--outside is for other methods: {VALIDATION} does not ask where its inputs lie")
     _refuse_shares(args, kind.parts)
-    _refuse_engine_of_a_whole(args, kind.parts)
+    with door():
+        whole = DetectRun.of(args)
     if args.part is not None:
-        return judge_share(
-            args.model,
-            args.data,
-            args.out,
-            MethodOptions.of(args),
-            args.part,
-            chunk=args.chunk,
-            overlap=args.overlap,
-            as_json=args.json,
-        )
-    if args.chunk is not None and args.method == VALIDATION:
-        raise Refused(f"--chunk is for other methods: {VALIDATION} reads {args.data} as a whole")
-    if args.chunk is not None and not kind.parts:
-        raise Refused(f"--chunk is for Parquet: {args.data} is read as a whole")
+        return judge_share(whole, args.part)
     in_parts = kind.parts and args.method != VALIDATION
-    evaluation = _evaluate_parts(args) if in_parts else _evaluate_whole(args)
-    return conclude(evaluation, args.data, args.out, as_json=args.json)
+    evaluation = _evaluate_parts(whole) if in_parts else _evaluate_whole(whole)
+    return conclude(evaluation, whole)
 
 
 def _run_live(args: argparse.Namespace) -> int:
     """Judge samples as they come, from standard input or a live source; return the exit code."""
-    _refuse_engine(args, "is for Parquet: samples through a pipe are judged as they come")
+    _refuse(args, ENGINE, "is for Parquet: samples through a pipe are judged as they come")
     if args.method == VALIDATION:
         raise Refused(f"{VALIDATION} reads a recording as a whole: give a file instead of {args.data}")
-    options_of_files = {
-        "--chunk": args.chunk is not None,
-        "--part": args.part is not None,
-        "--merge": args.merge,
-        "--overlap": args.overlap is not None,
-    }
-    for option, is_there in options_of_files.items():
-        if is_there:
-            raise Refused(f"{option} is for recordings: give a file instead of {args.data}")
+    _refuse(args, (*SHARING, "chunk"), f"is for recordings: give a file instead of {args.data}")
     with swift_imports():
         from jaxbound.cli.pipe import judge_stream
         from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
@@ -215,100 +200,67 @@ def _run_live(args: argparse.Namespace) -> int:
     )
 
 
-def _evaluate_parts(args: argparse.Namespace) -> "Evaluation":
+def _evaluate_parts(run: "DetectRun") -> "Evaluation":
     """Test a Parquet recording chunk by chunk and write its report."""
     from jaxbound.cli.evaluation import FILES_OF_PARTS, evaluate_parts
     from jaxbound.runs.outputs import output_folder
 
     with (
         door(),
-        output_folder(args.out, FILES_OF_PARTS, (args.model, args.data)) as folder,
+        output_folder(run.out, FILES_OF_PARTS, (run.model, run.data)) as folder,
         progress_bars(("relations", "test", "report")) as step,
     ):
-        return evaluate_parts(
-            folder,
-            step,
-            args.model,
-            args.data,
-            args.out,
-            MethodOptions.of(args),
-            alarm=alarm_rule(args),
-            min_coverage=args.min_coverage,
-            chunk=args.chunk,
-            overlap=args.overlap,
-            merge=args.merge,
-            scheduler=args.scheduler,
-            workers=args.workers,
-        )
+        return evaluate_parts(folder, step, run)
 
 
-def _evaluate_whole(args: argparse.Namespace) -> "Evaluation":
+def _evaluate_whole(run: "DetectRun") -> "Evaluation":
     """Test a recording that is read as a whole and write its report."""
     from jaxbound.cli.evaluation import FILES_OF_A_WHOLE, FORMER, evaluate
     from jaxbound.cli.validation import evaluate_validation
     from jaxbound.recordings.parquet import VERDICTS
     from jaxbound.runs.outputs import output_folder
 
-    validates = args.method == VALIDATION
+    validates = run.options.method == VALIDATION
     method = evaluate_validation if validates else evaluate
     stages = ("read", "test", "report") if validates else ("read", "relations", "test", "report")
-    with door(OSError), output_folder(args.out, FILES_OF_A_WHOLE, (args.model, args.data)) as folder:
+    with door(OSError), output_folder(run.out, FILES_OF_A_WHOLE, (run.model, run.data)) as folder:
         with folder.work() as work, progress_bars(stages) as step:
-            evaluation = method(
-                work,
-                step,
-                args.model,
-                args.data,
-                MethodOptions.of(args),
-                alarm=alarm_rule(args),
-                min_coverage=args.min_coverage,
-            )
+            evaluation = method(work, step, run)
         for name in (VERDICTS, *FORMER):
             folder.remove(name)
     return evaluation
 
 
-def _refuse_incomplete_file_run(args: argparse.Namespace) -> None:
-    """Raise Refused for a file without --out, with --state, or with a method that there is not."""
-    if args.out is None:
-        raise Refused("the following arguments are required: --out; see jaxbound detect --help")
-    if args.state is not None:
-        raise Refused("--state is for samples that come through a pipe: give - as DATA")
-    refuse_unknown_method(args.method, f"{METHODS}, {OBSERVER}, {VALIDATION}")
-
-
 def _refuse_shares(args: argparse.Namespace, has_parts: bool) -> None:
-    """Raise Refused for --part, --merge or --overlap where there are no parts, or none that can be shared."""
-    shared = []
-    if args.part is not None:
-        shared.append("--part")
-    if args.merge:
-        shared.append("--merge")
-    if len(shared) > 1:
+    """Raise Refused for options of Parquet where there are no parts, or none that can be shared.
+
+    Args:
+        has_parts: whether the recording is one of Parquet.
+    """
+    of_parts = *SHARING, "chunk"
+    if args.part is not None and args.merge:
         raise Refused("--merge reports on what --part makes: give one of the two")
-    if args.overlap is not None:
-        shared.append("--overlap")
-    if shared and args.method == VALIDATION:
-        raise Refused(f"{shared[0]} is for other methods: {VALIDATION} reads {args.data} as a whole")
-    if shared and args.method == OBSERVER and args.overlap is None:
-        raise Refused(
-            f"{shared[0]} is for windows: an observer carries what it knows from sample to sample, its work "
-            f"can be shared only where --overlap N lets one begin anew N samples before each part"
+    if args.method == VALIDATION:
+        if args.outside != OUTSIDE[0]:
+            raise Refused(f"--outside is for other methods: {VALIDATION} does not ask where its inputs lie")
+        _refuse(args, of_parts, f"is for other methods: {VALIDATION} reads {args.data} as a whole")
+    if args.method == OBSERVER and args.overlap is None:
+        _refuse(
+            args,
+            SHARING,
+            "is for windows: an observer carries what it knows from sample to sample, its work can be shared "
+            "only where --overlap N lets one begin anew N samples before each part",
         )
-    if shared and not has_parts:
-        raise Refused(f"{shared[0]} is for Parquet: {args.data} is read as a whole")
-
-
-def _refuse_engine_of_a_whole(args: argparse.Namespace, has_parts: bool) -> None:
-    """Raise Refused for --workers or --scheduler where the work cannot be spread, or is spread otherwise."""
+    if not has_parts:
+        _refuse(args, of_parts, f"is for Parquet: {args.data} is read as a whole")
     if args.method == VALIDATION or not has_parts:
-        _refuse_engine(args, f"is for Parquet and other methods: {args.data} is read as a whole")
+        _refuse(args, ENGINE, f"is for Parquet and other methods: {args.data} is read as a whole")
     if args.part is not None or args.merge:
-        _refuse_engine(args, "spreads the work itself: leave out --part and --merge")
+        _refuse(args, ENGINE, "spreads the work itself: leave out --part and --merge")
 
 
-def _refuse_engine(args: argparse.Namespace, why: str) -> None:
-    """Raise Refused if --scheduler or --workers is given. why: the sentence behind the option's name."""
-    for option, value in (("--scheduler", args.scheduler), ("--workers", args.workers)):
-        if value is not None:
-            raise Refused(f"{option} {why}")
+def _refuse(args: argparse.Namespace, names: Sequence[str], why: str) -> None:
+    """Raise Refused if one of these options is given. why: the sentence behind its name."""
+    for name in names:
+        if getattr(args, name) not in (None, False):
+            raise Refused(f"--{name} {why}")

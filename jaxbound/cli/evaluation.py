@@ -5,16 +5,16 @@ A report is written completely or not at all, see `outputs`.
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
 
 from jaxbound.cli.engine import engine
-from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.share import opened
 from jaxbound.cli.terminal import door, usable_device
-from jaxbound.cli.window import method_of, recorded, stated_model, window_relations
-from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
+from jaxbound.cli.window import DetectRun, Step, method_of, recorded, stated_model, window_relations
+from jaxbound.consistency.interface import Relations
+from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import outgrown
 from jaxbound.diagnosis.result import Result
@@ -49,8 +49,6 @@ FILES_OF_PARTS = (VERDICTS, "alarms.csv", *file_names(whole=False), "report.html
 # Pictures of an earlier version, which do not belong to a new report.
 FORMER = ("margin.png", "residuals.png", *(f"output{i}.png" for i in range(1, 13)))
 
-Step = Callable[[str, float], object]
-
 
 @dataclass(frozen=True)
 class Evaluation:
@@ -64,56 +62,31 @@ class Evaluation:
     seconds: dict[str, float]
 
 
-def evaluate_parts(
-    folder: OutputFolder,
-    step: Step,
-    model: Path,
-    data: Path | str,
-    out: Path,
-    options: MethodOptions,
-    *,
-    alarm: AlarmRule = EVERY_FAULT,
-    min_coverage: float = 0.5,
-    chunk: int | None = None,
-    overlap: int | None = None,
-    merge: bool = False,
-    scheduler: str | None = None,
-    workers: int | None = None,
-) -> Evaluation:
-    """Test a Parquet recording chunk by chunk and write everything into a folder.
-
-    Args:
-        folder: of the report, at the path out. step: told of progress. model, data: paths.
-        options: of the test. alarm: the rule of alarms.
-        min_coverage: least share of decided windows.
-        chunk: samples in memory at once. overlap: of an observer, samples before each part. merge: the parts
-        are there, judged before. scheduler, workers: of dask, which then do the work.
-    """
-    source, how = opened(model, data, options, step, overlap, chunk)
-    relations = how.relations
+def evaluate_parts(folder: OutputFolder, step: Step, run: DetectRun) -> Evaluation:
+    """Test a Parquet recording chunk by chunk and write everything into the folder of its report."""
+    source, how = opened(run, step)
+    out, relations = run.out, how.relations
     with door():
-        alarm = fitted(alarm, relations)
+        run = replace(run, alarm=fitted(run.alarm, relations))
     seconds: dict[str, float] = {}
     try:
-        if merge:
+        if run.merge:
             parts = all_parts(how, source, out)
         else:
             progress = lambda share: step("test", share)
-            with engine(scheduler, workers) as client:
+            with engine(run.scheduler, run.workers) as client:
                 parts, seconds = write_parts(how, source, out, progress, client=client)
         start = time.perf_counter()
         with folder.work() as work:
             progress = lambda share: step("report", 0.4 * share)
             sinks = open_sinks(work, whole=False)
-            res = digest(how, source, parts, alarm, work / "alarms.csv", progress, sinks)
+            res = digest(how, source, parts, run.alarm, work / "alarms.csv", progress, sinks)
             sizes = sizes_seen(res, res.alarms)
             reaches = outgrown(source.model, relations)
             hints = dict.fromkeys((*res.hints, *reaches, *ending_hints(res, res.alarms, sizes)))
-            summary = summarised(res, res.alarms, res.label, min_coverage, hints, sizes, bool(reaches))
+            summary = summarised(res, res.alarms, res.label, run.min_coverage, hints, sizes, bool(reaches))
             tested = cast(LinearSystem, relations.model)
-            about = tested, Path(data), source.content, method_of(relations, options)
-            told = relations.horizon, options.observer_options, alarm.names
-            close_all(sinks, Outcome(res.alarms, summary, *about, *told))
+            close_all(sinks, _outcome(run, res.alarms, summary, tested, source.content, relations))
             write_report(
                 work,
                 res,
@@ -141,30 +114,24 @@ def evaluate_parts(
 def evaluate(
     work: Path,
     step: Step,
-    model: Path,
-    data: Path | str,
-    options: MethodOptions,
-    *,
-    alarm: AlarmRule = EVERY_FAULT,
-    min_coverage: float = 0.5,
+    run: DetectRun,
     sections: Callable[[Result], Sequence[tuple[object, ...]]] | None = None,
 ) -> Evaluation:
     """Read a recording as a whole, test it and write everything into a folder.
 
     Args:
-        work: the folder. step: told of progress. model, data: paths. options: of the test.
-        alarm: the rule of alarms. min_coverage: least share of decided windows.
-        sections: more sections of the report, made from the Result.
+        work: the folder. sections: more sections of the report, made from the Result.
     """
     seconds, start = {}, time.perf_counter()
+    options, data = run.options, run.data
     with door():
-        stated = stated_model(model, options.every)
+        stated = stated_model(run.model, options.every)
         source = open_source(data, recorded(stated, options))
         content = source.content  # before it is read, so that what is written meanwhile does not pass for it
         recording = source.read(progress=lambda share: step("read", share))
         tested, relations = window_relations(stated, options, data, recording.samples, step)
         refuse_short(data, recording.samples, relations.horizon)
-        alarm = fitted(alarm, relations)
+        run = replace(run, alarm=fitted(run.alarm, relations))
         seconds["read"], start = time.perf_counter() - start, time.perf_counter()
         usable_device()
 
@@ -180,16 +147,14 @@ def evaluate(
             )
             sinks.add(recording, res)
             step("test", 1.0)
-        alarms = res.alarms(rule=alarm)
+        alarms = res.alarms(rule=run.alarm)
         seconds["test"], start = time.perf_counter() - start, time.perf_counter()
         sizes = sizes_seen(res, alarms)
         # of the model as it is stated: --lags took away the horizon that the bounds were found for
         reaches = outgrown(stated, relations)
         hints = dict.fromkeys((*res.hints, *reaches, *again_hints(res), *ending_hints(res, alarms, sizes)))
-        summary = summarised(res, alarms, recording.label, min_coverage, hints, sizes, bool(reaches))
-        how = method_of(relations, options), relations.horizon, options.observer_options
-        about = tested, Path(data), content, *how
-        sinks.close(Outcome(alarms, summary, *about, alarm.names))
+        summary = summarised(res, alarms, recording.label, run.min_coverage, hints, sizes, bool(reaches))
+        sinks.close(_outcome(run, alarms, summary, tested, content, relations))
         step("report", 0.1)
         write_report(
             work,
@@ -204,3 +169,25 @@ def evaluate(
     step("report", 1.0)
     seconds["report"] = time.perf_counter() - start
     return Evaluation(summary, tested, seconds)
+
+
+def _outcome(
+    run: DetectRun,
+    alarms: Sequence[Alarm],
+    summary: Summary,
+    tested: LinearSystem,
+    content: str | None,
+    relations: Relations,
+) -> Outcome:
+    """Return the Outcome of a run. tested: the model. content: the digest of the recording."""
+    return Outcome(
+        alarms,
+        summary,
+        tested,
+        Path(run.data),
+        content,
+        method_of(relations, run.options),
+        relations.horizon,
+        run.options.observer_options,
+        run.alarm.names,
+    )

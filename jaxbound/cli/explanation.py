@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from jaxbound.certificates.interface import certify
-from jaxbound.cli.evaluation import Step
 from jaxbound.cli.options import OBSERVER
+from jaxbound.cli.window import Step
 from jaxbound.consistency.interface import FAMILIES, MONITOR, Relations
 from jaxbound.diagnosis.hints import outgrown_by
 from jaxbound.models.region import Region

@@ -99,16 +99,27 @@ def run(args: argparse.Namespace) -> int:
         folder.remove(UNITS)  # pages of an earlier run
         try:
             with progress_bars(("units",)) as step, engine(args.scheduler, args.workers) as client:
-                how = args.method, args.horizon, alarm_rule(args), args.min_coverage
-                report, pages = lambda share: step("units", share), UnitPages(work)
-                test = partial(detect_fleet, margins=options.margins, outside=options.outside)
-                more = options.observer_options, client, args.state
-                for result in test(units, *how, report, args.lags, pages if client is None else None, *more):
+                pages = UnitPages(work)
+                test = partial(
+                    detect_fleet,
+                    method=args.method,
+                    horizon=args.horizon,
+                    alarm=alarm_rule(args),
+                    min_coverage=args.min_coverage,
+                    lags=args.lags,
+                    options=options.observer_options,
+                    client=client,
+                    state=args.state,
+                    margins=options.margins,
+                    outside=options.outside,
+                )
+                report = lambda share: step("units", share)
+                for result in test(units, progress=report, page=pages if client is None else None):
                     results.append(result)
                 if client is not None:  # which units get a page is known once all are tested
                     faulty = [r.unit for r in results if r.verdict in SHOWING][:PAGES]
                     pages.number(faulty)
-                    again = test(faulty, *how, None, args.lags, pages, *more) if faulty else ()
+                    again = test(faulty, page=pages) if faulty else ()
                     told = {r.unit.name: r for r in again}
                     results = [told.get(r.unit.name, r) for r in results]
         except KeyboardInterrupt:

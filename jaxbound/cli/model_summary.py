@@ -77,11 +77,8 @@ def _named(model: LinearSystem, relations: ParityRelation | UncertainRelations) 
     readings = model.p * len(relations.lags or range(relations.horizon + 1))
     if readings * len(model.faults) ** 2 > PAIRS:
         return "that would take long; jb.isolability(model, model.faults) does it"
-    window: dict[str, Any] = {"lags": relations.lags}
-    if relations.lags is None:
-        window = {"horizon": relations.horizon}
     try:
-        return isolability(model, model.faults, **window)
+        return isolability(model, model.faults, **relations.span)
     except NotImplementedError as e:
         return str(e)
 

@@ -35,7 +35,6 @@ __all__ = [
     "add_method",
     "add_observer",
     "add_outside",
-    "add_safety",
     "add_windows",
     "alarm_rule",
     "apart",
@@ -374,12 +373,6 @@ def add_force(parser: argparse.ArgumentParser) -> None:
     """Add --force of a command that writes files of any name."""
     about = "replace files that are there; never one that is read"
     parser.add_argument("--force", action="store_true", help=about)
-
-
-def add_safety(parser: argparse.ArgumentParser) -> None:
-    """Add --safety of a command that finds bounds."""
-    about = "factor on the smallest bounds (default: 1.25)"
-    parser.add_argument("--safety", type=decimal, default=1.25, metavar="F", help=about)
 
 
 def add_loudness(parser: argparse.ArgumentParser) -> None:

@@ -4,14 +4,11 @@ each other.
 
 import shlex
 import time
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
-from jaxbound.cli.options import OUTSIDE, MethodOptions
 from jaxbound.cli.terminal import OK, door, json_text, progress_bars, show, usable_device, write
-from jaxbound.cli.window import recorded, stated_model, window_relations
-from jaxbound.consistency.interface import AUTO
+from jaxbound.cli.window import DetectRun, Step, recorded, stated_model, window_relations
 from jaxbound.recordings.parquet import PARTIAL
 from jaxbound.recordings.read import open_source
 from jaxbound.runs.outputs import shared_folder
@@ -23,36 +20,24 @@ from jaxbound.runs.streaming import CHUNK, Asked, part_count, samples_of, write_
 __all__ = ["judge_share", "opened", "same_test"]
 
 
-def judge_share(
-    model: Path,
-    data: Path | str,
-    out: Path,
-    options: MethodOptions,
-    part: tuple[int, int],
-    *,
-    chunk: int | None = None,
-    overlap: int | None = None,
-    as_json: bool = False,
-) -> int:
+def judge_share(run: DetectRun, part: tuple[int, int]) -> int:
     """Test one share of a Parquet recording and say what was written; return the exit code.
 
     Args:
-        model, data, out: paths. options: of the test. part: (i, n), the i-th of n shares.
-        chunk: samples in memory at once. overlap: of an observer, samples before each part. as_json: what was
-            done as JSON on stdout.
+        part: (i, n), the i-th of n shares.
     """
-    name, where, start = "{}/{}".format(*part), out / PARTIAL, time.perf_counter()
+    name, where, start = f"{part[0]}/{part[1]}", run.out / PARTIAL, time.perf_counter()
     with (
         door(),
-        shared_folder(out, (PARTIAL,), (model, data)),
+        shared_folder(run.out, (PARTIAL,), (run.model, run.data)),
         progress_bars(("relations", "test")) as step,
     ):
-        source, how = opened(model, data, options, step, overlap, chunk)
+        source, how = opened(run, step)
         count = part_count(source)
         mine = numbers_of(part, count)
         try:
             progress = lambda share: step("test", share)
-            _, seconds = write_parts(how, source, out, progress, part)
+            _, seconds = write_parts(how, source, run.out, progress, part)
         except KeyboardInterrupt:
             if part_files(where, mine):
                 said = (
@@ -63,20 +48,20 @@ def judge_share(
             raise
     files = part_files(where, mine)
     first, last = samples_of(mine, source)
-    if as_json:
+    if run.json:
         found = {
             "part": name,
             "exit_code": OK,
             "model": source.model.name,
-            "data": str(data),
-            "method": options.method,
+            "data": str(run.data),
+            "method": run.options.method,
             "horizon": how.relations.horizon,
             "samples": source.samples,
             "first_sample": first,
             "last_sample": last,
             "parts": count,
             "files": [str(file) for file in files],
-            "out": str(out),
+            "out": str(run.out),
             "seconds": {k: round(v, 3) for k, v in seconds.items()},
         }
         write(json_text(found, 2))
@@ -86,53 +71,34 @@ def judge_share(
         done = f"there are {count} parts, and none of them is in this share"
     rows = [
         ("seconds", f"{time.perf_counter() - start:.1f}"),
-        ("then", f"{same_test(model, data, out, options, overlap, '--merge')}, once all shares are done"),
+        ("then", f"{same_test(run.words)}, once all shares are done"),
     ]
     show(f"Part {name} is done: {done}", "bold", rows)
     return OK
 
 
-def opened(
-    model: Path,
-    data: Path | str,
-    options: MethodOptions,
-    step: Callable[[str, float], object],
-    overlap: int | None,
-    chunk: int | None,
-) -> tuple[Any, Asked]:
+def opened(run: DetectRun, step: Step) -> tuple[Any, Asked]:
     """Return (Source, its test) of what is to be tested chunk by chunk."""
-    stated = stated_model(model, options.every)
+    options = run.options
+    stated = stated_model(run.model, options.every)
     usable_device()
-    source = open_source(data, recorded(stated, options))
-    _, relations = window_relations(stated, options, data, source.samples, step)
-    kinds = options.margins, options.outside
-    return source, Asked(relations, options.method, *kinds, overlap, chunk or CHUNK)
+    source = open_source(run.data, recorded(stated, options))
+    _, relations = window_relations(stated, options, run.data, source.samples, step)
+    return source, Asked(
+        relations, options.method, options.margins, options.outside, run.overlap, run.chunk or CHUNK
+    )
 
 
-def same_test(
-    model: Path, data: Path | str, out: Path, options: MethodOptions, overlap: int | None, *more: str
-) -> str:
-    """Return the command that makes the same test of the same recording, as the shell reads it."""
-    words: list[object] = ["jaxbound", "detect", model, data, "--out", out]
-    if options.method != "joint":
-        words += ["--method", options.method]
-    if options.lags is not None:
-        words += ["--lags", ",".join(map(str, options.lags))]
-    valued = {
-        "--every": options.every,
-        "--horizon": options.horizon,
-        "--order": options.order,
-        "--observer": options.observer,
-        **options.flags,
-        "--overlap": overlap,
-    }
-    for flag, value in valued.items():
-        if value is not None:
-            words += [flag, value]
-    if options.latched:
-        words.append("--latched")
-    if options.margins != AUTO:
-        words += ["--margins", options.margins]
-    if options.outside != OUTSIDE[0]:
-        words += ["--outside", options.outside]
-    return shlex.join(map(str, (*words, *more)))
+def same_test(words: Sequence[str]) -> str:
+    """Return the command that reports on all shares, as the shell reads it. words: that judged one share."""
+    kept: list[str] = []
+    is_value = False
+    for word in words:
+        name, equals, _ = word.partition("=")
+        if is_value:
+            is_value = False
+        elif len(name) > 2 and "--part".startswith(name):  # argparse takes its beginning for it
+            is_value = not equals
+        else:
+            kept.append(word)
+    return shlex.join(["jaxbound", "detect", *kept, "--merge"])

@@ -27,16 +27,20 @@ def write_study(work: Path, result: StudyResult, seed: int, seconds: float) -> N
     import pyarrow.parquet as pq
 
     counts = study_table(result)
-    write_columns(work / "summary.csv", {name: _column(values, cell) for name, values in counts.items()})
-    summary = {name: _column(values) for name, values in counts.items()}
-    delays = {name: _column(values) for name, values in delay_table(result).items()}
+    write_columns(work / "summary.csv", _columns(counts, cell))
+    summary, delays = _columns(counts), _columns(delay_table(result))
     delays["delay"] = delays["delay"].cast(pa.int64())
     for file, columns in (("summary.parquet", summary), ("delays.parquet", delays)):
         pq.write_table(pa.Table.from_arrays(list(columns.values()), list(columns)), work / file)
     (work / "report.html").write_text(study_page(result, seed, seconds), encoding="utf-8")
 
 
-def _column(values: np.ndarray, written: Callable[[Any], str] = str) -> "pa.Array":
+def _columns(table: dict[str, np.ndarray], written: Callable[[Any], str] = str) -> "dict[str, pa.Array]":
+    """Return the columns of a table as pyarrow arrays."""
+    return {name: _column(values, written) for name, values in table.items()}
+
+
+def _column(values: np.ndarray, written: Callable[[Any], str]) -> "pa.Array":
     """Return numbers, or texts as they are written, as a pyarrow array."""
     if values.dtype != object:
         return to_arrow(values)

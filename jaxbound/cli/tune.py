@@ -12,7 +12,6 @@ from jaxbound.cli.options import (
     add_force,
     add_json,
     add_observer,
-    add_safety,
     add_windows,
     method_name,
     path,
@@ -31,6 +30,7 @@ from jaxbound.cli.terminal import (
     write,
 )
 from jaxbound.text.progress import in_part
+from jaxbound.text.quantities import decimal
 
 if TYPE_CHECKING:
     from jaxbound.studies.tuning.parametrization import Tunable
@@ -106,7 +106,13 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bounds", metavar="A,B", help="which move: noise, tolerance, disturbance, parameters (default: all)"
     )
-    add_safety(parser)
+    parser.add_argument(
+        "--safety",
+        type=decimal,
+        default=1.25,
+        metavar="F",
+        help="factor on the smallest bounds (default: 1.25)",
+    )
     parser.add_argument(
         "--calibrate",
         type=share,
@@ -134,7 +140,6 @@ def run(args: argparse.Namespace) -> int:
             tuned_text,
         )
         from jaxbound.cli.window import recorded, stated_model, window_relations
-        from jaxbound.consistency.monitorbank import MonitorBank
         from jaxbound.files.whole import whole
         from jaxbound.plots.canvas import to_png
         from jaxbound.plots.tune import plot_tuning
@@ -172,30 +177,20 @@ def run(args: argparse.Namespace) -> int:
         records = [(r.u[:, : model.m], r.y, r.starts) for r in healthy]
         notes = refuse_outliers(records, columns, ORDER, 1, lambda: healthy)
         faulty = recordings[len(args.healthy) :] or None
-        tuning: TuneResult | MonitorTuneResult
         if relations.parts:
             _refuse_search(args)
-            tuning = tune(
-                cast("MonitorBank", relations),
-                healthy,
-                faulty,
-                safety=args.safety,
-                calibrate=args.calibrate,
-                progress=lambda share: step("tune", share),
-            )
-        else:
-            tuning = tune(
-                cast("Tunable", relations),  # --method names no other kind
-                healthy,
-                faulty,
-                optimizer(args.optimizer or "adam", steps),
-                steps,
-                bounds=chosen,
-                safety=args.safety,
-                calibrate=args.calibrate,
-                progress=lambda share: step("tune", share),
-                state=state,
-            )
+        tuning: TuneResult | MonitorTuneResult = tune(
+            cast("Tunable", relations),  # or a monitor: --method names no other kind
+            healthy,
+            faulty,
+            optimizer(args.optimizer or "adam", steps),
+            steps,
+            bounds=chosen,
+            safety=args.safety,
+            calibrate=args.calibrate,
+            progress=lambda share: step("tune", share),
+            state=None if relations.parts else state,
+        )
         with whole(args.out) as f:
             f.write(tuned_text(tuning, text))
         if args.plot and isinstance(tuning, TuneResult):

@@ -2,7 +2,7 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn, cast
@@ -11,9 +11,8 @@ import jax
 import numpy as np
 
 from jaxbound.cli.evaluation import Evaluation
-from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.terminal import door, usable_device
-from jaxbound.cli.window import stated_model
+from jaxbound.cli.window import DetectRun, Step, stated_model
 from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
 from jaxbound.diagnosis.alarms import Alarm, group_alarms
@@ -178,20 +177,12 @@ def _blank(x: np.ndarray) -> "pa.Array":
     return to_arrow(np.where(np.isfinite(x), x, np.nan))
 
 
-def evaluate_validation(
-    work: Path,
-    step: Callable[[str, float], object],
-    model: Path,
-    data: Path | str,
-    options: MethodOptions,
-    *,
-    alarm: AlarmRule = EVERY_FAULT,
-    min_coverage: float = 0.5,
-) -> Evaluation:
+def evaluate_validation(work: Path, step: Step, run: DetectRun) -> Evaluation:
     """Read a recording, validate it and write everything into a folder, see `evaluate`."""
     seconds, start = {}, time.perf_counter()
+    options, data = run.options, run.data
     with door():
-        plant = stated_model(model, options.every)
+        plant = stated_model(run.model, options.every)
         source = open_source(data, plant)
         content, recording = source.content, source.read(progress=lambda share: step("read", share))
         if options.lags is not None:
@@ -206,12 +197,12 @@ def evaluate_validation(
         for sink in sinks:
             sink.add(recording, res)
         step("test", 1.0)
-        alarms = res.alarms(alarm, recording.instants)
+        alarms = res.alarms(run.alarm, recording.instants)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
     reaches = outgrown(plant, looks_back="validation")
     sure = (*judging_hints(remembers=True), *bound_hints(plant))
     hints = (*recording.hints, *sure, *reaches, *_assumptions(res, recording))
-    summary = summarised(res, alarms, recording.label, min_coverage, hints, outgrown=bool(reaches))
+    summary = summarised(res, alarms, recording.label, run.min_coverage, hints, outgrown=bool(reaches))
     close_all(sinks, Outcome(alarms, summary, plant, Path(data), content, options.method, horizon))
     write_page(work, res, recording, summary, seconds=seconds, progress=lambda share: step("report", share))
     seconds["report"] = time.perf_counter() - start

@@ -2,11 +2,14 @@
 set observer.
 """
 
-from collections.abc import Callable
+import argparse
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 
-from jaxbound.cli.options import MethodOptions
+from jaxbound.cli.options import MethodOptions, alarm_rule
 from jaxbound.consistency.interface import FAMILIES, MONITOR, Relations
+from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
 from jaxbound.models.modelfile import load_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.testmodels import with_tests
@@ -17,6 +20,8 @@ from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.runs.relations import is_monitored, relations_by
 
 __all__ = [
+    "DetectRun",
+    "Step",
     "method_of",
     "parity_windows",
     "recorded",
@@ -24,6 +29,44 @@ __all__ = [
     "window_relations",
     "windowed",
 ]
+
+
+Step = Callable[[str, float], object]
+"""Told of progress: a stage, and the share of it that is done."""
+
+
+@dataclass(frozen=True)
+class DetectRun:
+    """A recording that is to be tested, as the options of `jaxbound detect` say.
+
+    Fields:
+        model, data: paths. out: folder of the report. options: of the test. alarm: the rule of alarms.
+        min_coverage: least share of decided windows. json: whether the conclusion is JSON.
+        chunk: samples in memory at once. overlap: of an observer, samples before each part. part: (i, n), the
+            i-th of n shares; None: all. merge: the parts are there, judged before. scheduler, workers: of
+            dask, which then do the work. words: of the command line.
+    """
+
+    model: Path
+    data: Path | str
+    out: Path
+    options: MethodOptions = MethodOptions()
+    alarm: AlarmRule = EVERY_FAULT
+    min_coverage: float = 0.5
+    json: bool = False
+    chunk: int | None = None
+    overlap: int | None = None
+    part: tuple[int, int] | None = None
+    merge: bool = False
+    scheduler: str | None = None
+    workers: int | None = None
+    words: Sequence[str] = ()
+
+    @classmethod
+    def of(cls, args: argparse.Namespace) -> "DetectRun":
+        """Return the run of a command line; an option and the field that it sets have one name."""
+        given = vars(args) | {"options": MethodOptions.of(args), "alarm": alarm_rule(args)}
+        return cls(**{f.name: given[f.name] for f in fields(cls)})
 
 
 def windowed(model: LinearSystem, horizon: int | None, lags: tuple[int, ...] | None) -> LinearSystem:
@@ -59,7 +102,7 @@ def window_relations(
     options: MethodOptions,
     source: object,
     samples: int | None,
-    step: Callable[[str, float], object],
+    step: Step,
 ) -> tuple[LinearSystem, Relations]:
     """Return (model, relations) of the windows that a command asks for, or (model, observer) of an observer.
 
@@ -103,7 +146,7 @@ def parity_windows(
     options: MethodOptions,
     source: object,
     samples: int | None,
-    step: Callable[[str, float], object],
+    step: Step,
 ) -> tuple[LinearSystem, ParityRelation | UncertainRelations]:
     """Return (model, parity relations) of the windows that a command asks for; arguments and errors as of
     `window_relations`.

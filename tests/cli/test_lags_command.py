@@ -119,15 +119,12 @@ OBSERVES = "--method observer --observer joint --span 16 --order 5 --horizon 4 -
 @pytest.mark.parametrize("options", ["--lags 0,4", "--method box --horizon 3", OBSERVES])
 def test_the_command_that_reports_on_all_shares_makes_the_same_test(options):
     from jaxbound.cli.main import commands
-    from jaxbound.cli.options import MethodOptions
     from jaxbound.cli.share import same_test
 
     parse = lambda *more: commands()["detect"].parse_args(
         ["m.toml", "d", "--out", "o", *options.split(), *more]
     )
-    args = parse("--part", "1/2")
-    again = same_test(args.model, args.data, args.out, MethodOptions.of(args), args.overlap, "--merge")
-    told = shlex.split(again)
+    told = shlex.split(same_test(parse("--part", "1/2").words))
     assert told[:2] == ["jaxbound", "detect"] and commands()["detect"].parse_args(told[2:]) == parse(
         "--merge"
     )

@@ -206,7 +206,7 @@ def assess(
     if not recordings:
         raise ValueError("there is no recording to assess by: give healthy ones, or faulty ones, or both")
     truths = _truths(recordings, len(healthy), labels)
-    monitor = Monitored(relations, method, "jaxbound")
+    monitor = Monitored(relations, method)
     peers: Sequence[Detector] = ()
     if training is not None:
         peers = _trained(relations, listed_argument("training", training, "[(u, y)]"))

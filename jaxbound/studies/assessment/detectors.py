@@ -33,22 +33,22 @@ class Flags(Protocol):
         """(T,), the factor up to which each window is called faulty, NaN for none; None: not known."""
 
 
-class Detector(Protocol):
-    """One of those that are compared."""
+class Detector:
+    """One of those that are compared.
 
-    @property
-    def name(self) -> str:
-        """Its name in tables."""
+    Fields: name: in tables. note: how it was made, in a sentence.
+    """
 
-    @property
-    def note(self) -> str:
-        """How it was made, in a sentence."""
+    name: str
+    note: str
 
     def flags(self, recording: Recording) -> Flags:
         """Judge a recording."""
+        raise NotImplementedError
 
     def factors(self, wanted: Sequence[float]) -> list[float]:
-        """Return those factors on its bounds that it can be asked for."""
+        """Return those factors on its bounds, or on its threshold, that it can be asked for."""
+        return list(wanted)
 
 
 class Needs(NamedTuple):
@@ -94,25 +94,21 @@ class Verdicts:
         return np.asarray(again.status == Status.FAULT)
 
 
-class Monitored:
+class Monitored(Detector):
     """Relations, or an observer, of jaxbound."""
 
-    def __init__(self, relations: Relations, method: str, name: str) -> None:
-        self.relations, self.method, self.name = relations, method, name
+    def __init__(self, relations: Relations, method: str) -> None:
+        self.relations, self.method, self.name = relations, method, "jaxbound"
         self.by_margin = method in BY_MARGIN and not relations.remembers and bool(relations.bounds)
         self.follows = relations.remembers and relations.untuned is None and not relations.parts
-
-    @property
-    def note(self) -> str:
-        """How factors on its bounds are evaluated."""
+        self.note = "at the bounds as they are: its margins do not say what other bounds would give"
         if self.by_margin:
-            return "at factors other than 1 by exact margins: as computed, not proved"
-        if self.follows:
-            return "an observer follows each recording once a factor"
-        return "at the bounds as they are: its margins do not say what other bounds would give"
+            self.note = "at factors other than 1 by exact margins: as computed, not proved"
+        elif self.follows:
+            self.note = "an observer follows each recording once a factor"
 
     def factors(self, wanted: Sequence[float]) -> list[float]:
-        """Return those factors on its bounds that it can be asked for."""
+        """Return 1 alone where margins do not say what other bounds would give."""
         if self.by_margin or self.follows:
             return list(wanted)
         return [1.0]

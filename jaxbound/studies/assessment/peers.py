@@ -18,7 +18,7 @@ import numpy as np
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import crossing
-from jaxbound.studies.assessment.detectors import Needs
+from jaxbound.studies.assessment.detectors import Detector, Needs
 
 __all__ = ["Cusum", "Forest", "Principal", "Samples", "Threshold", "complete", "peers_of"]
 
@@ -69,12 +69,10 @@ def _training_windows(training: Sequence[Samples], horizon: int) -> np.ndarray:
     return np.concatenate(rows)
 
 
-class OnWindows:
+class OnWindows(Detector):
     """A detector of windows. A subclass states `scores` of rows of numbers; 1 is its threshold."""
 
     horizon: int
-    name: str
-    note: str
 
     def scores(self, rows: np.ndarray) -> np.ndarray:
         """Return (N,) for the rows (N, .) of windows."""
@@ -92,10 +90,6 @@ class OnWindows:
             rows = samples.windows(self.horizon)[known]
             out[self.horizon + np.flatnonzero(known)] = self.scores(rows)
         return out
-
-    def factors(self, wanted: Sequence[float]) -> list[float]:
-        """Return all of them: they are factors on its threshold."""
-        return list(wanted)
 
 
 class Forest(OnWindows):
@@ -203,7 +197,7 @@ class OneStep:
         return np.concatenate([*before, np.ones((n, 1))], 1)
 
 
-class Threshold:
+class Threshold(Detector):
     """A fixed threshold on one-step errors."""
 
     name = "3 sigma"
@@ -217,12 +211,8 @@ class Threshold:
         relative = abs(self._errors.relative(Samples.of(recording)))
         return Needs(relative.max(1) / SIGMAS)
 
-    def factors(self, wanted: Sequence[float]) -> list[float]:
-        """Return all of them."""
-        return list(wanted)
 
-
-class Cusum:
+class Cusum(Detector):
     """Two-sided cumulative sums of one-step errors, begun anew behind gaps and missing samples."""
 
     name = "CUSUM"
@@ -247,10 +237,6 @@ class Cusum:
             down = np.maximum(0, down - error - SLACK)
             out[k] = max(up.max(), down.max()) / LIMIT
         return Needs(out)
-
-    def factors(self, wanted: Sequence[float]) -> list[float]:
-        """Return all of them."""
-        return list(wanted)
 
 
 def peers_of(

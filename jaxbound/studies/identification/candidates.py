@@ -128,7 +128,7 @@ def candidate(problem: FitProblem, records: Records, kind: str) -> Candidate:
     elif kind == "filters":
         spec, spread = realised_filters(records, scales, filters.poles_of(order, horizon), direct)
     else:
-        theta, _ = regression.least_squares(steps, order, direct)
+        theta = regression.least_squares(steps, order, direct)
         if kind == "windows":
             theta, spread = regression.refined(theta, windows, order, direct)
         else:

@@ -1,7 +1,7 @@
 """The test for which a fit finds bounds: windows, or a set observer that follows recordings to their ends."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.observer_sizes import least_seen
+from jaxbound.estimation.methods import ObserverMethod
 from jaxbound.estimation.observer import observer
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.faults import Fault
@@ -107,18 +108,18 @@ class WindowJudge(Judge):
 class ObserverJudge(Judge):
     """A set observer that no healthy sample may contradict.
 
-    Fields: options: keywords of `observer`.
+    Fields: method: of `observer`.
     """
 
-    options: Mapping[str, Any] = field(default_factory=dict)
+    method: ObserverMethod
 
     def least(self, model: LinearSystem) -> int:
         """Return the samples that show the state, and one."""
-        return observer(model, **self.options).horizon + 1
+        return observer(model, method=self.method).horizon + 1
 
     def needs(self, model: LinearSystem, parts: Records) -> list[np.ndarray]:
         """Return the factor of each recording, at all its samples."""
-        watch, needs = observer(model, **self.options), []
+        watch, needs = observer(model, method=self.method), []
 
         def scaled(scale: float) -> SetObserver[Any]:
             return watch.of(model.replace(noise=[scale * float(x) for x in model.noise]))
@@ -132,7 +133,7 @@ class ObserverJudge(Judge):
 
     def shares(self, model: LinearSystem, parts: Records) -> tuple[bool, list[np.ndarray]]:
         """Return (whether no sample is a FAULT, how far each is off, in units of what is allowed)."""
-        watch, holds, used = observer(model, **self.options), True, []
+        watch, holds, used = observer(model, method=self.method), True, []
         for u, y, starts in parts:
             result = detect(watch, _inputs(u), y, starts=starts)
             holds &= not result.counts["FAULT"]

@@ -423,7 +423,7 @@ def _looked(records: Records, marks: Marks, order: int, delay: int) -> _Look | N
     theta_rows = order * (scales.u.size + scales.y.size) + scales.u.size + 1
     if len(steps.y) < 2 * theta_rows:
         return None
-    theta, _ = regression.least_squares(steps, order, direct=True)
+    theta = regression.least_squares(steps, order, direct=True)
     parts = []
     for (u, y, starts), (unknown, _, _), (_, absent) in zip(records, late, marks, strict=True):
         unknown = unknown == 1.0

@@ -65,7 +65,7 @@ def realised_filters(
 
 def realised_static(windows: CompleteWindows, scales: Scales) -> tuple[dict[str, Any], np.ndarray]:
     """Return (arguments of a LinearSystem without states, spread) by least squares of single samples."""
-    theta, _ = regression.least_squares(windows, 0, True)
+    theta = regression.least_squares(windows, 0, True)
     _, _, D, c = regression.coefficients(theta, 0, True, windows.u.shape[2], windows.y.shape[2])
     left = windows.y[:, 0] - windows.u[:, 0] @ np.asarray(D).T - np.asarray(c)
     to_u = scales.y_spread[:, None] / scales.u_spread[None]

@@ -155,22 +155,19 @@ def in_windows(chosen: np.ndarray, horizon: int) -> np.ndarray:
     return np.asarray(before[horizon + 1 :] - before[: -horizon - 1])
 
 
-def least_squares(windows: CompleteWindows, order: int, direct: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return (theta, singular): coefficients ((order (p + m) + direct m + 1), p), one step ahead, and how
-    well the regressors span, (., ).
+def least_squares(windows: CompleteWindows, order: int, direct: bool) -> np.ndarray:
+    """Return theta: coefficients ((order (p + m) + direct m + 1), p), one step ahead.
 
     Args:
         windows: of order + 1 samples. direct: whether u_k acts on y_k.
     """
-    theta, _, _, singular = np.linalg.lstsq(
-        _regressors(windows, order, direct), windows.y[:, order], rcond=1e-9
-    )
-    return theta, singular
+    regressors = _regressors(windows, order, direct)
+    return np.asarray(np.linalg.lstsq(regressors, windows.y[:, order], rcond=1e-9)[0])
 
 
 def step_error(windows: CompleteWindows, order: int, direct: bool) -> float:
     """Return the sum of the squares that `least_squares` leaves of windows of order + 1 samples."""
-    theta, _ = least_squares(windows, order, direct)
+    theta = least_squares(windows, order, direct)
     left = windows.y[:, order] - _regressors(windows, order, direct) @ theta
     return float(np.square(left).sum())
 

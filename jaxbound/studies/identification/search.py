@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
+from operator import attrgetter
 
 import numpy as np
 
@@ -81,7 +82,7 @@ def fitted(
             recipe = recipe.of(one.judged.window, one.judged.method)
             taken = one.trial if one.complete else None
     observer = recipe.observing
-    judge = WindowJudge() if observer is None else ObserverJudge({"method": observer})
+    judge = WindowJudge() if observer is None else ObserverJudge(observer)
     problem = FitProblem.of(training, recipe, judge)
     kinds = _kinds(training, recipe)
     report(0.05)
@@ -144,7 +145,7 @@ def _best(
     for number, kind in enumerate(kinds):
         trials.append(tried(problem, kind))
         step((number + 1) / len(kinds))
-    best = min(trials, key=_blindness)  # the first one of equals
+    best = min(trials, key=attrgetter("blindness"))  # the first one of equals
     if not follow:
         return best, []
     why = hindrance(problem.training)
@@ -155,11 +156,9 @@ def _best(
         return best, [f"{why}: {again}"]
     if follow != AUTO:
         return tried(problem, best.candidate.kind, float(follow)), []
-    return min([best, *(tried(problem, best.candidate.kind, x) for x in WEIGHTS)], key=_blindness), []
-
-
-def _blindness(trial: Trial) -> float:
-    return trial.blindness
+    return min(
+        [best, *(tried(problem, best.candidate.kind, x) for x in WEIGHTS)], key=attrgetter("blindness")
+    ), []
 
 
 def _with_means(problem: FitProblem, trial: Trial, step: Callable[[float], object]) -> Trial:

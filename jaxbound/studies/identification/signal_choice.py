@@ -14,6 +14,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from os import PathLike
 from typing import NamedTuple
 
@@ -196,7 +197,7 @@ def chosen_signals(
                 tries.append(problem.judged(change, names, least)[0])
             except ValueError:  # too few samples for so many coefficients
                 continue
-        tries.sort(key=_blindness)
+        tries.sort(key=attrgetter("blindness"))
         if not tries or tries[0].blindness * ENOUGH > best.blindness:
             return (*every_try, *tries)
         best = tries[0]._replace(taken=True)
@@ -213,7 +214,3 @@ def _droppable(inputs: Sequence[str]) -> Sequence[str]:
 
 def _without(inputs: Sequence[str], name: str) -> tuple[str, ...]:
     return tuple(x for x in inputs if x != name)
-
-
-def _blindness(one: TriedSignals) -> float:
-    return one.blindness

@@ -181,7 +181,7 @@ class _Trained:
         unknowns = order * (steps.y.shape[2] + inputs) + direct * inputs + 1
         if len(steps.y) < 2 * unknowns or not len(windows.y):
             return None
-        theta, _ = regression.least_squares(steps, order, direct)
+        theta = regression.least_squares(steps, order, direct)
         if self.is_refined:
             theta, _ = regression.refined(theta, windows, order, direct)
         return theta

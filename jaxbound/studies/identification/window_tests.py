@@ -8,6 +8,7 @@ are as long share their fits; floats (`gauge`) choose, and the test that is take
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -98,11 +99,7 @@ class TriedTest:
 
 def best_test(tests: Sequence[JudgedTest]) -> JudgedTest:
     """Return the test that sees the smallest errors, the first one of equals."""
-    return min(tests, key=_blindness)
-
-
-def _blindness(test: JudgedTest | TriedTest) -> float:
-    return test.blindness
+    return min(tests, key=attrgetter("blindness"))
 
 
 def best_kind(problem: FitProblem, kinds: Sequence[str]) -> str:
@@ -148,7 +145,7 @@ def tried_tests(
         except ValueError as e:  # too few samples for windows that are so long
             refusal = refusal or e
         if found:
-            tests.append(min(found, key=_blindness))
+            tests.append(min(found, key=attrgetter("blindness")))
         step((number + 1) / len(WINDOWS))
     if not tests:
         raise refusal or ValueError(

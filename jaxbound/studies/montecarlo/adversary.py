@@ -21,7 +21,6 @@ from jaxbound.sets.floats.unrolled import stored
 from jaxbound.sets.strips.separation import Frame, separation_margin
 from jaxbound.sets.strips.strips import strip_margin
 from jaxbound.studies.montecarlo import kernel
-from jaxbound.studies.montecarlo.recursion import FloatPlant
 from jaxbound.studies.montecarlo.scenarios import Act
 
 __all__ = ["attack_block", "worst_factor"]
@@ -32,54 +31,6 @@ Descent: TypeAlias = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
 STEPS = 240
 SHARPEST, BLUNTEST = 0.003, 0.3
 """Temperatures tau at the end and at the beginning, in units of the factor."""
-
-
-def _drawn(
-    course: kernel.Course, act: Act, plant: FloatPlant, key: tuple[Array, Array], numbers: Array
-) -> tuple[jax.Array, Array]:
-    """Return the unknowns (T, 2p + g, N) of scenarios as the uniform study draws them, and the extra draws of
-    a noise fault (T, N).
-    """
-
-    def now(_: None, k: jax.Array) -> tuple[None, tuple[jax.Array, Array]]:
-        theta, delta, share, extra = kernel.unknown_draws(course, act, plant, key, numbers, k)
-        if extra is None:
-            extra = jnp.zeros_like(delta[0])
-        return None, (jnp.stack([*theta, *delta, *share]), extra)
-
-    drawn: tuple[jax.Array, Array]
-    drawn = jax.lax.scan(now, None, jnp.arange(course.samples, dtype=jnp.int32))[1]
-    return drawn
-
-
-def _recorded(
-    course: kernel.Course,
-    act: Act,
-    plant: FloatPlant,
-    inputs: Array,
-    size: Array,
-    onset: Array,
-    u: Array | None,
-    xi: jax.Array,
-    extra: Array,
-) -> tuple[jax.Array, jax.Array]:
-    """Return (u (T, m, N), y (T, p, N)) recorded with the unknowns xi (T, 2p + g, N)."""
-    p, zero = plant.shape[2], jnp.zeros_like(size)
-
-    def now(
-        carry: tuple[list[Array], Array], now: tuple[jax.Array, jax.Array, Array]
-    ) -> tuple[tuple[list[Array], Array], tuple[jax.Array, jax.Array]]:
-        x, held = carry
-        k, each, extra = now
-        unknowns = list(each[:p]), list(each[p : 2 * p]), list(each[2 * p :]), extra
-        u_now = kernel.recorded_input(u, inputs, k, course)
-        x, y, held = kernel.move(act, plant, unknowns, size, onset, u_now, k, x, held)
-        return (x, held), (jnp.stack([*u_now, zero])[:-1], jnp.stack(y))
-
-    start: tuple[list[Array], Array] = [zero] * plant.shape[0], zero
-    samples = jnp.arange(course.samples, dtype=jnp.int32), xi, extra
-    recorded: tuple[jax.Array, jax.Array] = jax.lax.scan(now, start, samples)[1]
-    return recorded
 
 
 def _factors(reading: Reading, u: Array, y: Array) -> jax.Array:
@@ -117,17 +68,9 @@ def worst_factor(reading: Reading, act: Act, onset: Array, u: Array, y: Array) -
     return t, jnp.max(t, 0)
 
 
-@partial(jax.jit, static_argnums=(0, 8))
+@partial(jax.jit, static_argnums=3)
 def attack_block(
-    course: kernel.Course,
-    reading: Reading,
-    plant: FloatPlant,
-    act: Act,
-    limits: Array,
-    u: Array | None,
-    key: Array,
-    numbers: Array,
-    steps: int = STEPS,
+    reading: Reading, scene: kernel.Scene, numbers: Array, steps: int = STEPS
 ) -> tuple[Array, Array, Array]:
     """Return recordings u (N, T, m), y (N, T, p) and onsets (N,) of N scenarios whose unknowns hide the fault
     as well as was found.
@@ -136,12 +79,12 @@ def attack_block(
         as for `kernel.count_block`; the inputs, sizes and onsets are those of the uniform study. steps: of
         the descent.
     """
-    pair = key[0], key[1]
-    inputs, size, onset = kernel.prepared(course, act, limits, pair, numbers)
-    xi, extra = _drawn(course, act, plant, pair, numbers)
+    begun = kernel.prepared(scene, numbers)
+    act, onset = scene.act, begun.onset
+    xi, extra = kernel.drawn(scene, numbers)
 
     def recorded(xi: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return _recorded(course, act, plant, inputs, size, onset, u, xi, extra)
+        return kernel.recorded(scene, begun, xi, extra)
 
     def loss(xi: jax.Array, tau: jax.Array) -> tuple[jax.Array, Array]:
         t, worst = worst_factor(reading, act, onset, *recorded(xi))
@@ -162,8 +105,8 @@ def attack_block(
         xi = jnp.clip(xi - 0.3 * (0.01 / 0.3) ** (1 - left) * speed, -1, 1)
         return (xi, speed, best, least), None
 
-    start = xi, jnp.zeros_like(xi), xi, jnp.full_like(size, jnp.inf)
-    (xi, _, best, least), _ = jax.lax.scan(descend, start, jnp.arange(steps, dtype=size.dtype))
+    start = xi, jnp.zeros_like(xi), xi, jnp.full_like(begun.size, jnp.inf)
+    (xi, _, best, least), _ = jax.lax.scan(descend, start, jnp.arange(steps, dtype=begun.size.dtype))
     _, worst = worst_factor(reading, act, onset, *recorded(xi))
     best = jnp.where((worst < least)[None, None], xi, best)
     us, ys = recorded(best)

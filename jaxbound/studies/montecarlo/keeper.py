@@ -38,7 +38,7 @@ class Keeper:
         self.checkpoint = Checkpoint(self.folder / STATE, identity)
         self.done, self.parts = 0, 0
         self.labels: list[str] = []  # of each row that is not yet written
-        self.pending: list[tuple[np.ndarray, ...]] = []
+        self.pending: list[Mapping[str, np.ndarray]] = []
         self.folder.mkdir(parents=True, exist_ok=True)
         self.begun = self._take_up()
         if rows:
@@ -58,8 +58,7 @@ class Keeper:
             return False
         self.done, self.parts = int(arrays["done"]), int(arrays["parts"])
         for i, tally in enumerate(self.tallies):
-            own = [name for name in arrays if name.startswith(f"{i}.")]
-            tally.load({name.split(".")[1]: arrays[name] for name in own})
+            tally.load({name: arrays[f"{i}.{name}"] for name in tally.arrays()})
         return True
 
     def save(self, done: int) -> None:
@@ -81,20 +80,11 @@ class Keeper:
                 arrays[f"{i}.{name}"] = np.array(counts)
         return arrays
 
-    def add_rows(
-        self,
-        label: str,
-        sizes: np.ndarray,
-        number: np.ndarray,
-        onset: np.ndarray,
-        hits: np.ndarray,
-        false: np.ndarray,
-        delay: np.ndarray,
-    ) -> None:
-        """Keep the rows of single scenarios until the next `save`."""
+    def add_rows(self, label: str, columns: Mapping[str, np.ndarray]) -> None:
+        """Keep the rows of single scenarios until the next `save`. columns: {name: (N,)}, delay the last."""
         if self.rows:
-            self.labels += [label] * len(sizes)
-            self.pending.append((sizes, number, onset, hits, false, delay))
+            self.labels += [label] * len(columns["size"])
+            self.pending.append(columns)
 
     def _next_rows(self) -> Path:
         return self.folder / ROWS / f"part-{self.parts:05d}.parquet"
@@ -104,17 +94,10 @@ class Keeper:
         import pyarrow as pa
         import pyarrow.parquet as pq
 
-        joined = [np.concatenate(parts) for parts in zip(*self.pending, strict=True)]
-        size, scenario, onset, hits, false, delay = joined
-        table = {
-            "fault": pa.array(self.labels).dictionary_encode(),
-            "size": pa.array(size),
-            "scenario": pa.array(scenario),
-            "onset": pa.array(onset),
-            "fault_windows": pa.array(hits),
-            "false_alarms": pa.array(false),
-            "delay": pa.array(delay, mask=delay < 0),
-        }
+        table = {"fault": pa.array(self.labels).dictionary_encode()}
+        for name in self.pending[0]:
+            values = np.concatenate([columns[name] for columns in self.pending])
+            table[name] = pa.array(values, mask=values < 0 if name == "delay" else None)
         with whole(self._next_rows(), links=False) as f:
             pq.write_table(pa.table(table), f)
         self.parts, self.pending, self.labels = self.parts + 1, [], []

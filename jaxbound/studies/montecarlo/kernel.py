@@ -12,9 +12,8 @@ million windows a second and core at 2.5 GHz.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import partial
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -24,18 +23,18 @@ from jaxbound.consistency.folded import folded_verdict
 from jaxbound.consistency.reading import Reading
 from jaxbound.random.threefry import Array
 from jaxbound.studies.montecarlo import draws, recursion, scenarios
-from jaxbound.studies.montecarlo.recursion import FloatPlant
 from jaxbound.studies.montecarlo.scenarios import Act
 
 __all__ = [
     "BLOCK",
+    "Begun",
     "Course",
+    "Scene",
     "count_block",
-    "move",
+    "drawn",
     "prepared",
-    "recorded_input",
+    "recorded",
     "replay_block",
-    "unknown_draws",
 ]
 
 Unknowns = tuple[list[Array], list[Array], list[Array], Array | None]
@@ -58,16 +57,45 @@ class Course:
     vertices: bool
 
 
-def unknown_draws(
-    course: Course, act: Act, plant: FloatPlant, key: tuple[Array, Array], numbers: Array, k: Array
-) -> Unknowns:
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """The numbers that all scenarios of one fault share.
+
+    Fields: plant, act: see `recursion`, `scenarios`. limits: (m, 2) of the inputs. u: None, or (T, m) inputs
+    for all. key: (2,) uint32. course: static.
+    """
+
+    plant: Any
+    act: Act
+    limits: Array
+    u: Array | None
+    key: Array
+    course: Course = field(metadata={"static": True})
+
+    @property
+    def words(self) -> tuple[Array, Array]:
+        """The key as Threefry takes it."""
+        return self.key[0], self.key[1]
+
+
+class Begun(NamedTuple):
+    """Scenarios as they begin: inputs (holds, m, N) of each hold; size, onset (N,) of the fault."""
+
+    inputs: Array
+    size: Array
+    onset: Array
+
+
+def unknown_draws(scene: Scene, numbers: Array, k: Array) -> Unknowns:
     """Return (theta, delta, share, extra) of step k: relative errors (None where there is no tolerance),
     noises, disturbances, fault.
     """
+    act, plant, course = scene.act, scene.plant, scene.course
     p, g = plant.shape[2:]
     count = 2 * p + g + (act.kind == "noise")
     bits = draws.words(
-        key, numbers, draws.STEPS + jnp.asarray(k, jnp.uint32) * np.uint32(-(-count // 2)), count
+        scene.words, numbers, draws.STEPS + jnp.asarray(k, jnp.uint32) * np.uint32(-(-count // 2)), count
     )
     each = [draws.share(b, plant.noise.dtype, course.vertices) for b in bits[: 2 * p + g]]
     extra = None
@@ -77,15 +105,19 @@ def unknown_draws(
     return each[: 2 * p : 2], each[1 : 2 * p : 2], each[2 * p :], extra
 
 
-def levels(course: Course, limits: Array, key: tuple[Array, Array], numbers: Array) -> jax.Array:
-    """Return the inputs of each hold, an array (holds, m, N), uniform within limits (m, 2)."""
+def levels(scene: Scene, numbers: Array) -> jax.Array:
+    """Return the inputs of each hold, an array (holds, m, N), uniform within the limits."""
+    course, limits = scene.course, scene.limits
     calls = -(-len(limits) // 2)
     hold = (
         jnp.arange(-(-course.samples // course.hold) + 1, dtype=jnp.uint32)[:, None]
         + jnp.zeros_like(numbers)[None]
     )
     bits = draws.words(
-        key, jnp.broadcast_to(numbers[None], hold.shape), draws.INPUTS + hold * np.uint32(calls), len(limits)
+        scene.words,
+        jnp.broadcast_to(numbers[None], hold.shape),
+        draws.INPUTS + hold * np.uint32(calls),
+        len(limits),
     )
     if not bits:
         return jnp.zeros((len(hold), 0, len(numbers)), limits.dtype)
@@ -96,29 +128,22 @@ def levels(course: Course, limits: Array, key: tuple[Array, Array], numbers: Arr
     return jnp.stack(out, 1)
 
 
-def prepared(
-    course: Course, act: Act, limits: Array, key: tuple[Array, Array], numbers: Array
-) -> tuple[Array, Array, Array]:
-    """Return (inputs of each hold, sizes, onsets) of scenarios."""
-    (bits,) = draws.words(key, numbers, draws.ONSETS, 1)
+def prepared(scene: Scene, numbers: Array) -> Begun:
+    """Return the inputs, sizes and onsets of scenarios."""
+    act = scene.act
+    (bits,) = draws.words(scene.words, numbers, draws.ONSETS, 1)
     size = act.sizes[numbers % np.uint32(act.sizes.shape[0])]
-    return levels(course, limits, key, numbers), size, (act.first + bits % act.span).astype(jnp.int32)
+    return Begun(levels(scene, numbers), size, (act.first + bits % act.span).astype(jnp.int32))
 
 
 def move(
-    act: Act,
-    plant: FloatPlant,
-    unknowns: Unknowns,
-    size: Array,
-    onset: Array,
-    u: list[Array],
-    k: Array,
-    x: list[Array],
-    held: Array,
-) -> tuple[list[Array], list[Array], Array]:
-    """Return (x+, y, held) of step k for N scenarios, with the fault: lists over states and outputs.
-    unknowns: from `unknown_draws`.
+    scene: Scene, begun: Begun, unknowns: Unknowns, k: Array, x: list[Array], held: Array
+) -> tuple[list[Array], list[Array], list[Array], Array]:
+    """Return (u, x+, y, held) of step k for N scenarios, with the fault: lists over inputs, states and
+    outputs. unknowns: from `unknown_draws`.
     """
+    act, plant, u = scene.act, scene.plant, recorded_input(scene, begun.inputs, k)
+    size, onset = begun.size, begun.onset
     theta, delta, share, extra = unknowns
     since, stuck = k - onset, held
     on = (since >= 0) & (since < act.length)
@@ -148,83 +173,92 @@ def move(
     noise = [b * r for b, r in zip(plant.noise, delta, strict=True)]
     x, y = recursion.step(plant, x, applied, theta, noise, share)
     shown = faulty(y, noise, act.output, jnp.nan)
-    return x, shown, stuck
+    return u, x, shown, stuck
 
 
-def recorded_input(u: Array | None, inputs: Array, k: Array, course: Course) -> list[Array]:
+def recorded_input(scene: Scene, inputs: Array, k: Array) -> list[Array]:
     """Return the m recorded inputs of step k, each (N,): given ones (T, m), or those of the hold."""
+    u = scene.u
     if u is not None:
-        now = u[jnp.minimum(k, course.samples - 1)]
+        now = u[jnp.minimum(k, scene.course.samples - 1)]
         return [jnp.broadcast_to(now[i], inputs.shape[-1:]) for i in range(u.shape[1])]
-    return list(inputs[k // course.hold])
+    return list(inputs[k // scene.course.hold])
 
 
-@partial(jax.jit, static_argnums=0)
-def count_block(
-    course: Course,
-    reading: Reading,
-    plant: FloatPlant,
-    act: Act,
-    limits: Array,
-    u: Array | None,
-    key: Array,
-    numbers: Array,
-) -> tuple[Array, Array, Array, Array]:
+@jax.jit
+def count_block(constants: tuple[Reading, Scene], numbers: Array) -> tuple[Array, Array, Array, Array]:
     """Simulate and test N scenarios.
 
     Args:
-        course: a Course. reading: a Reading with Strips. plant, act: see `recursion`, `scenarios`.
-        limits: (m, 2) of the inputs.
-        u: None, or (T, m) inputs for all. key: (2,) uint32. numbers: (N,) uint32, of the scenarios.
+        constants: a Reading with Strips, and the Scene. numbers: (N,) uint32, theirs.
 
     Returns:
         hits: FAULT windows wholly inside the fault; false: FAULT windows without a faulty sample; delay:
             samples from the onset to the
         end of the first FAULT window that the fault touches, -1 if there is none; onset. All (N,) int32.
     """
-    s, (n, m, p, _) = reading.horizon, plant.shape
-    pair = key[0], key[1]
-    inputs, size, onset = prepared(course, act, limits, pair, numbers)
-    zero = jnp.zeros_like(size)
+    reading, scene = constants
+    s, (n, m, p, _) = reading.horizon, scene.plant.shape
+    begun = prepared(scene, numbers)
+    onset = begun.onset
+    zero = jnp.zeros_like(begun.size)
     none = jnp.zeros_like(onset)
 
     def now(carry: Any, k: jax.Array) -> tuple[Any, None]:
         x, ys, us, held, margin, hits, false, delay = carry
         end = k - 2  # of the window that this margin belongs to
-        fault, stop = (margin < 0) & (end >= s), onset + act.length
+        fault, stop = (margin < 0) & (end >= s), onset + scene.act.length
         touched = (end >= onset) & (end - s < stop)
         hits = hits + (fault & (end - s >= onset) & (end < stop))
         false = false + (fault & ~touched)
         delay = jnp.where(fault & touched & (delay < 0), end - onset, delay)
         margin = folded_verdict(reading, us[: reading.lags], ys)
-        u_now = recorded_input(u, inputs, k, course)
-        unknowns = unknown_draws(course, act, plant, pair, numbers, k)
-        x, y, held = move(act, plant, unknowns, size, onset, u_now, k, x, held)
+        unknowns = unknown_draws(scene, numbers, k)
+        u_now, x, y, held = move(scene, begun, unknowns, k, x, held)
         return (x, [*ys[1:], y], [*us[1:], u_now], held, margin, hits, false, delay), None
 
     start = [zero] * n, [[zero] * p] * (s + 1), [[zero] * m] * (s + 1), zero, zero, none, none, none - 1
-    carry, _ = jax.lax.scan(now, start, jnp.arange(course.samples + 2, dtype=jnp.int32))
+    carry, _ = jax.lax.scan(now, start, jnp.arange(scene.course.samples + 2, dtype=jnp.int32))
     return *carry[-3:], onset
 
 
-@partial(jax.jit, static_argnums=0)
-def replay_block(
-    course: Course, plant: FloatPlant, act: Act, limits: Array, u: Array | None, key: Array, numbers: Array
-) -> tuple[Array, Array, Array]:
-    """Return the recordings that `count_block` tests: u (N, T, m), y (N, T, p), onset (N,)."""
-    pair = key[0], key[1]
-    inputs, size, onset = prepared(course, act, limits, pair, numbers)
-    zero = jnp.zeros_like(size)
+def drawn(scene: Scene, numbers: Array) -> tuple[jax.Array, Array]:
+    """Return the unknowns (T, 2p + g, N) of scenarios, and the extra draws of a noise fault (T, N)."""
+
+    def now(_: None, k: jax.Array) -> tuple[None, tuple[jax.Array, Array]]:
+        theta, delta, share, extra = unknown_draws(scene, numbers, k)
+        if extra is None:
+            extra = jnp.zeros_like(delta[0])
+        return None, (jnp.stack([*theta, *delta, *share]), extra)
+
+    unknowns: tuple[jax.Array, Array]
+    unknowns = jax.lax.scan(now, None, jnp.arange(scene.course.samples, dtype=jnp.int32))[1]
+    return unknowns
+
+
+def recorded(scene: Scene, begun: Begun, xi: jax.Array, extra: Array) -> tuple[jax.Array, jax.Array]:
+    """Return (u (T, m, N), y (T, p, N)) recorded with such unknowns, see `drawn`."""
+    n, _, p, _ = scene.plant.shape
+    zero = jnp.zeros_like(begun.size)
 
     def now(
-        carry: tuple[list[Array], Array], k: jax.Array
+        carry: tuple[list[Array], Array], now: tuple[jax.Array, jax.Array, Array]
     ) -> tuple[tuple[list[Array], Array], tuple[jax.Array, jax.Array]]:
         x, held = carry
-        u_now = recorded_input(u, inputs, k, course)
-        unknowns = unknown_draws(course, act, plant, pair, numbers, k)
-        x, y, held = move(act, plant, unknowns, size, onset, u_now, k, x, held)
-        return (x, held), (jnp.stack([*u_now, zero])[:-1], jnp.stack(y))
+        k, each, extra = now
+        unknowns = list(each[:p]), list(each[p : 2 * p]), list(each[2 * p :]), extra
+        u, x, y, held = move(scene, begun, unknowns, k, x, held)
+        return (x, held), (jnp.stack([*u, zero])[:-1], jnp.stack(y))
 
-    start: tuple[list[Array], Array] = [zero] * plant.shape[0], zero
-    _, (us, ys) = jax.lax.scan(now, start, jnp.arange(course.samples, dtype=jnp.int32))
-    return jnp.moveaxis(us, 2, 0), jnp.moveaxis(ys, 2, 0), onset
+    start: tuple[list[Array], Array] = [zero] * n, zero
+    samples = jnp.arange(scene.course.samples, dtype=jnp.int32), xi, extra
+    signals: tuple[jax.Array, jax.Array] = jax.lax.scan(now, start, samples)[1]
+    return signals
+
+
+@jax.jit
+def replay_block(scene: Scene, numbers: Array) -> tuple[Array, Array, Array]:
+    """Return the recordings that `count_block` tests: u (N, T, m), y (N, T, p), onset (N,)."""
+    begun = prepared(scene, numbers)
+    us, ys = recorded(scene, begun, *drawn(scene, numbers))
+    return jnp.moveaxis(us, 2, 0), jnp.moveaxis(ys, 2, 0), begun.onset

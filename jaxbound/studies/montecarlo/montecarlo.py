@@ -14,7 +14,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import islice
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -37,7 +37,6 @@ from jaxbound.models.numbers import is_real, is_whole
 from jaxbound.models.statedtests import OTHERWISE
 from jaxbound.models.system import LinearSystem
 from jaxbound.random.keys import key_of
-from jaxbound.random.threefry import Array
 from jaxbound.recordings.arrays import inputs_of, refuse_infinite
 from jaxbound.recordings.expressions import expression
 from jaxbound.recordings.factors import factors_of
@@ -50,7 +49,7 @@ from jaxbound.sets.strips.strips import UNROLLED
 from jaxbound.studies.montecarlo import adversary, kernel, records, recursion, scenarios
 from jaxbound.studies.montecarlo.keeper import Keeper
 from jaxbound.studies.montecarlo.recursion import FloatPlant
-from jaxbound.studies.montecarlo.scenarios import Act, Trial
+from jaxbound.studies.montecarlo.scenarios import Act
 from jaxbound.studies.montecarlo.study_result import StudyResult
 from jaxbound.studies.montecarlo.tally import TrialTally
 from jaxbound.text.names import listed
@@ -162,11 +161,13 @@ def study(
     relations = relations.named_like(model)
     if relations.remembers and method == "joint":
         method = relations.methods[0]
-    _check_study(model, relations, n, samples, hold, at, method, confidence)
+    _check_study(model, relations, method)
+    _check_numbers(n, samples, hold, at, confidence)
     dtype = jax.dtypes.canonicalize_dtype(np.float64)
     u, limits, highest = _study_inputs(model, inputs, input_range, dtype)
     samples = samples if u is None else len(u)
-    trials = scenarios.trials(model, faults, sizes, onset, samples, relations, highest)
+    ground = scenarios.Ground(model, relations, samples, highest)
+    trials = ground.trials(faults, sizes, onset)
     if method not in ("joint", MONITOR):  # what is guaranteed is guaranteed of the joint test
         trials = [dataclasses.replace(t, guaranteed=np.nan) for t in trials]
     if n < len(trials):
@@ -174,7 +175,7 @@ def study(
     counts = [n // len(trials) + (i < n % len(trials)) for i in range(len(trials))]
     key = key_of(key)
     words = [np.asarray(_words(key, i)) for i in range(len(trials))]
-    room = _largest_room(model, relations, trials, highest, samples, dtype)
+    room = ground.largest_room(trials, dtype)
     course = kernel.Course(samples, hold, at == "vertices")
     margins = margins_for(AUTO, n * samples)
     setup = _Setup(model, relations, course, at, method, room, u, limits, dtype, margins)
@@ -194,7 +195,9 @@ def study(
         "faults": [[t.label, t.sizes.tolist(), t.onset, t.length] for t in trials],
     }
     names = tuple(relations.parts)
-    columns = [_empty_tallies(trials, samples) for _ in ("all", *names)]
+    columns = []
+    for _ in ("all", *names):
+        columns.append([TrialTally(len(t.sizes), samples) for t in trials])
     keeper = None
     if out is not None:
         mark = identity(relations, plant=model, rows=rows, block=block, **settings)
@@ -212,11 +215,11 @@ def study(
         windows, clean = trial.spans(begun, samples, relations)
         hits, false, delay = (x.reshape(len(x), -1) for x in (hits, false, delay))
         for number, column in enumerate(columns):
-            counted = hits[:, number], false[:, number], delay[:, number]
-            column[i].add(which, *counted, windows, clean)
+            column[i].add(which, hits[:, number], false[:, number], delay[:, number], windows, clean)
         if keeper is not None:
-            of_all = hits[:, 0], false[:, 0], delay[:, 0]
-            keeper.add_rows(trial.label, trial.sizes[which], scenario, begun, *of_all)
+            own = {"size": trial.sizes[which], "scenario": scenario, "onset": begun}
+            own |= {"fault_windows": hits[:, 0], "false_alarms": false[:, 0], "delay": delay[:, 0]}
+            keeper.add_rows(trial.label, own)
 
     _work_off(client, _Scenarios(setup, acts, words, block), tasks, collect, keeper, report)
     tallies, *by_test = columns
@@ -233,11 +236,6 @@ def study(
     )
 
 
-def _empty_tallies(trials: Sequence[Trial], samples: int) -> list[TrialTally]:
-    """Return a TrialTally of each trial, at zero."""
-    return [TrialTally(len(trial.sizes), samples) for trial in trials]
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Setup:
     """The numbers of a study that are the same for all its scenarios; it can be pickled."""
@@ -252,6 +250,16 @@ class _Setup:
     limits: np.ndarray
     dtype: np.dtype
     margins: str
+
+    def scene(self, plant: FloatPlant | LinearSystem, act: Act, key: np.ndarray) -> kernel.Scene:
+        """Return the Scene of one fault. key: its random words."""
+        return kernel.Scene(plant, act, self.limits, self.u, key, self.course)
+
+    def counted(
+        self, act: Act, u: np.ndarray, y: np.ndarray, onset: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return (hits, false, delay) of recordings, by `detect`."""
+        return records.count_recordings(self.relations, act, u, y, onset, self.method, self.margins)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -284,46 +292,23 @@ class _Scenarios:
         return np.asarray(hits), np.asarray(false), np.asarray(delay), np.asarray(onset)
 
 
-def _largest_room(
-    model: LinearSystem,
-    relations: Relations,
-    trials: Sequence[Trial],
-    highest: np.ndarray,
-    samples: int,
-    dtype: np.dtype,
-) -> np.ndarray:
-    """Return the room (p,) for rounding that suffices for every trial."""
-    reach = samples if relations.remembers else relations.horizon
-    rooms = []
-    for trial in trials:
-        largest = scenarios.largest_input(model, trial, highest, samples)
-        rooms.append(recursion.rounding_room(model, reach, largest, samples, dtype))
-    room: np.ndarray = np.max(rooms, 0)
-    return room
-
-
 @jax.jit
 def _words(key: jax.Array, i: int) -> jax.Array:
     """Return (2,) random words for the fault with number i."""
     return jax.random.bits(jax.random.fold_in(key, i), (2,), np.uint32)
 
 
-def _check_study(
-    model: LinearSystem,
-    relations: Relations,
-    n: int,
-    samples: int,
-    hold: int,
-    at: str,
-    method: str,
-    confidence: float,
-) -> None:
-    """Raise TypeError or ValueError for what `study` does not take."""
+def _check_study(model: LinearSystem, relations: Relations, method: str) -> None:
+    """Raise ValueError for relations that `study` does not take."""
     if relations.parts and method != MONITOR:
         raise ValueError(f"method is for one test, and a monitor has tests of its own: leave out {method!r}")
     _refuse_columns(relations)
     if (relations.model.inputs, relations.model.outputs) != (model.inputs, model.outputs):
         raise ValueError("the relations speak of other signals than the model of the study")
+
+
+def _check_numbers(n: int, samples: int, hold: int, at: str, confidence: float) -> None:
+    """Raise ValueError for numbers out of range."""
     for name, value in (("n", n), ("samples", samples), ("hold", hold)):
         if not is_whole(value) or value < 1:
             raise ValueError(f"{name} must be a whole number >= 1, not {value!r}")
@@ -426,22 +411,11 @@ def _attacking(setup: _Setup, plant: FloatPlant) -> Engine:
     test = setup.relations.reading(setup.dtype)
 
     def attacked(act: Act, key: np.ndarray, numbers: np.ndarray) -> Counts:
-        found = adversary.attack_block(setup.course, test, plant, act, setup.limits, setup.u, key, numbers)
+        found = adversary.attack_block(test, setup.scene(plant, act, key), numbers)
         u, y, onset = (np.asarray(x) for x in found)
-        return *_counted(setup, act, u, y, onset), onset
+        return *setup.counted(act, u, y, onset), onset
 
     return attacked
-
-
-def _counted(
-    setup: _Setup,
-    act: Act,
-    u: np.ndarray,
-    y: np.ndarray,
-    onset: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return (hits, false, delay) of recordings, by `detect`."""
-    return records.count_recordings(setup.relations, act, u, y, onset, setup.method, setup.margins)
 
 
 def _counting(setup: _Setup, plant: FloatPlant, devices: tuple[jax.Device, ...]) -> Engine:
@@ -450,8 +424,8 @@ def _counting(setup: _Setup, plant: FloatPlant, devices: tuple[jax.Device, ...])
 
     def counted(act: Act, key: np.ndarray, numbers: np.ndarray) -> Counts:
         blocks = [(part,) for part in np.split(numbers, len(devices))]
-        constants = everywhere((test, plant, act, setup.limits, setup.u, key), devices)
-        found = on_devices(_counter(setup.course), constants, blocks, devices)
+        constants = everywhere((test, setup.scene(plant, act, key)), devices)
+        found = on_devices(kernel.count_block, constants, blocks, devices)
         hits, false, delay, onset = (np.concatenate(parts) for parts in zip(*found, strict=True))
         return hits, false, delay, onset
 
@@ -463,21 +437,13 @@ def _writing(setup: _Setup, plant: FloatPlant | None) -> Engine:
 
     def written(act: Act, key: np.ndarray, numbers: np.ndarray) -> Counts:
         if plant is None:
-            u, y, onset = records.simulate_block(
-                setup.course, setup.model, act, setup.limits, setup.u, key, numbers
-            )
+            u, y, onset = records.simulate_block(setup.scene(setup.model, act, key), numbers)
         else:
-            found = kernel.replay_block(setup.course, plant, act, setup.limits, setup.u, key, numbers)
+            found = kernel.replay_block(setup.scene(plant, act, key), numbers)
             u, y, onset = (np.asarray(x) for x in found)
-        return *_counted(setup, act, u, y, onset), onset
+        return *setup.counted(act, u, y, onset), onset
 
     return written
-
-
-@lru_cache(maxsize=32)
-def _counter(course: kernel.Course) -> Callable[..., tuple[Array, ...]]:
-    """Return `count_block` as a kernel of (everything that is the same for all scenarios, their numbers)."""
-    return lambda constants, numbers: kernel.count_block(course, *constants, numbers)
 
 
 def _work_off(

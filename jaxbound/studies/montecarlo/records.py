@@ -14,7 +14,6 @@ from jaxbound.consistency.interface import AUTO, Relations
 from jaxbound.consistency.monitorbank import MonitorBank, combined
 from jaxbound.diagnosis.detection import detect
 from jaxbound.models.simulate import simulate
-from jaxbound.models.system import LinearSystem
 from jaxbound.random.threefry import Array
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.status import Status
@@ -99,23 +98,15 @@ def _faulty(relations: Relations, u: np.ndarray, y: np.ndarray, method: str, mar
     return np.asarray(detect(relations, u, y, method, margins=margins).status == Status.FAULT)
 
 
-def simulate_block(
-    course: kernel.Course,
-    model: LinearSystem,
-    act: scenarios.Act,
-    limits: np.ndarray,
-    u: np.ndarray | None,
-    key: np.ndarray,
-    numbers: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def simulate_block(scene: kernel.Scene, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return recordings u (N, T, m), y (N, T, p) and onsets (N,) simulated by `simulate`; the unknowns depend
     on the block as a whole.
 
     Args:
-        as for `kernel.replay_block`, with a LinearSystem in place of the plant.
+        scene: with a LinearSystem in place of the plant.
     """
-    pair = key[0], key[1]
-    inputs, size, onset = kernel.prepared(course, act, limits, pair, numbers)
+    inputs, size, onset = kernel.prepared(scene, numbers)
+    course, act, u, model = scene.course, scene.act, scene.u, scene.plant
     T, size, onset = course.samples, size[:, None], onset[:, None]
     if u is not None:
         recorded = np.broadcast_to(np.asarray(u), (len(numbers), *u.shape))
@@ -125,7 +116,7 @@ def simulate_block(
         recorded = np.zeros((len(numbers), T, 0), inputs.dtype)
     since = jnp.arange(T, dtype=jnp.int32)[None] - onset
     on = (since >= 0) & (since < act.length)
-    own = jax.random.fold_in(jax.random.wrap_key_data(jnp.asarray(key)), numbers[0])
+    own = jax.random.fold_in(jax.random.wrap_key_data(jnp.asarray(scene.key)), numbers[0])
     k_run, k_extra = jax.random.split(own)
     extra = jax.random.uniform(k_extra, since.shape, size.dtype, -1, 1)
 

@@ -22,7 +22,7 @@ from jaxbound.random.threefry import Array
 from jaxbound.relations.bounds import model_bounds
 from jaxbound.studies.montecarlo import recursion
 
-__all__ = ["Act", "Trial", "act_of", "changed", "largest_input", "trials"]
+__all__ = ["Act", "Ground", "Trial", "act_of", "changed"]
 
 SIZELESS = ("stuck", "dropout")
 GRID = np.array([0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2])
@@ -139,87 +139,196 @@ def changed(
     return jnp.full_like(value, dropped)
 
 
-def trials(
-    model: LinearSystem,
-    faults: str | Fault | Sequence[str | Fault],
-    sizes: Sequence[float] | dict[str, Sequence[float]] | None,
-    onset: int | tuple[int, int] | None,
-    samples: int,
-    relations: Relations,
-    highest: np.ndarray,
-) -> list[Trial]:
-    """Return a list of Trial, everything checked.
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """The plant, the monitor and the range of a study, whatever the fault.
 
-    Args:
-        model, relations: as of the study. faults: a Fault, a text "signal:kind", a sequence of these, or none
-            for healthy scenarios.
-        sizes: None; a sequence for all faults; {"signal:kind": sequence}. onset: None, a sample, or (lo, hi).
-            samples: of a scenario.
-        highest: (m,) the largest |u - offset|.
-
-    Raises:
-        ValueError: an unknown signal or kind, sizes that no fault takes, onsets outside the scenario.
+    Fields: model, relations: as of the study. samples: of a scenario. highest: (m,) the largest |u - offset|.
     """
-    if samples <= relations.horizon:
-        raise ValueError(
-            f"a scenario of {samples} samples has no window of {relations.horizon + 1}: take more samples"
-        )
-    several: Sequence[str | Fault]
-    if isinstance(faults, str | Fault):
-        several = [faults]
-    else:
-        several = listed_argument("faults", faults, "['T1:bias']")
-    named = [_fault(model, fault) for fault in several]
-    labels = [_label(fault) for fault in named]
-    if not named:
-        return [Trial(None, np.zeros(1), (samples, samples + 1), 1)]
-    if isinstance(sizes, dict) and (extra := sorted(set(sizes) - set(labels))):
-        raise ValueError(f"sizes speak of {', '.join(extra)}, but the faults are {', '.join(labels)}")
-    out = []
-    for fault, stated in zip(named, several, strict=True):
-        own = sizes.get(_label(fault)) if isinstance(sizes, dict) else sizes
-        if own is None and isinstance(stated, Fault) and fault.size:
-            own = (fault.size,)
-        first, stop = _onset(onset, samples)
-        if onset is None and isinstance(stated, Fault):
-            first, stop = fault.start, fault.start + 1
-        if not 0 <= first < stop <= samples:
+
+    model: LinearSystem
+    relations: Relations
+    samples: int
+    highest: np.ndarray
+
+    def trials(
+        self,
+        faults: str | Fault | Sequence[str | Fault],
+        sizes: Sequence[float] | dict[str, Sequence[float]] | None,
+        onset: int | tuple[int, int] | None,
+    ) -> list[Trial]:
+        """Return a list of Trial, everything checked.
+
+        Args:
+            faults: a Fault, a text "signal:kind", a sequence of these, or none for healthy scenarios.
+            sizes: None; a sequence for all faults; {"signal:kind": sequence}. onset: None, a sample, or (lo,
+                hi).
+
+        Raises:
+            ValueError: an unknown signal or kind, sizes that no fault takes, onsets outside the scenario.
+        """
+        samples = self.samples
+        if samples <= self.relations.horizon:
             raise ValueError(
-                f"the fault {_label(fault)} must start at a sample 0 <= k < {samples}, not in "
-                f"{first}..{stop - 1}"
+                f"a scenario of {samples} samples has no window of {self.relations.horizon + 1}: take more "
+                f"samples"
             )
-        length = samples if fault.stop is None else fault.stop - fault.start
-        each = _sizes_of(model, fault, own, relations, highest, samples)
-        sure = guaranteed_size(model, fault, relations, highest, samples, float(np.abs(each).max()))
-        nothing = dataclasses.replace(fault, size=0.0, start=0, stop=None)
-        out.append(Trial(nothing, each, (int(first), int(stop)), int(length), sure))
-    return out
+        several: Sequence[str | Fault]
+        if isinstance(faults, str | Fault):
+            several = [faults]
+        else:
+            several = listed_argument("faults", faults, "['T1:bias']")
+        named = [_fault(self.model, fault) for fault in several]
+        labels = list(map(_label, named))
+        if not named:
+            return [Trial(None, np.zeros(1), (samples, samples + 1), 1)]
+        if isinstance(sizes, dict) and (extra := sorted(set(sizes) - set(labels))):
+            raise ValueError(f"sizes speak of {', '.join(extra)}, but the faults are {', '.join(labels)}")
+        out = []
+        for fault, stated in zip(named, several, strict=True):
+            own = sizes.get(_label(fault)) if isinstance(sizes, dict) else sizes
+            if own is None and isinstance(stated, Fault) and fault.size:
+                own = (fault.size,)
+            first, stop = _onset(onset, samples)
+            if onset is None and isinstance(stated, Fault):
+                first, stop = fault.start, fault.start + 1
+            if not 0 <= first < stop <= samples:
+                raise ValueError(
+                    f"the fault {_label(fault)} must start at a sample 0 <= k < {samples}, not in "
+                    f"{first}..{stop - 1}"
+                )
+            length = samples if fault.stop is None else fault.stop - fault.start
+            each = self._sizes_of(fault, own)
+            sure = self.guaranteed_size(fault, float(np.abs(each).max()))
+            nothing = dataclasses.replace(fault, size=0.0, start=0, stop=None)
+            out.append(Trial(nothing, each, (int(first), int(stop)), int(length), sure))
+        return out
+
+    def _sizes_of(self, fault: Fault, own: Sequence[float] | None) -> np.ndarray:
+        """Return the sizes (S,) of a fault: 0 of one without sizes, those stated, or usual ones."""
+        if fault.kind in SIZELESS:
+            return np.zeros(1)
+        if own is None:
+            return self._usual_sizes(fault)
+        try:
+            each = np.atleast_1d(np.asarray(own, float))
+        except (TypeError, ValueError):
+            raise ValueError(f"sizes must be numbers, like [0.5, 1, 2], not {own!r}") from None
+        if each.ndim != 1 or not each.size or not np.isfinite(each).all():
+            raise ValueError(f"sizes of {_label(fault)} must be finite numbers, not {each.tolist()}")
+        return each
+
+    def largest_input(self, trial: Trial) -> np.ndarray:
+        """Return the largest |v - offset| (m,) that acts on the plant, the fault included."""
+        model, largest = self.model, np.array(self.highest, float)
+        if trial.fault is None or trial.fault.signal not in model.inputs:
+            return largest
+        i, size, kind = model.inputs.index(trial.fault.signal), np.abs(trial.sizes).max(), trial.fault.kind
+        level = abs(float(model.offset["u"][i]))
+        added = {
+            "bias": size,
+            "noise": size,
+            "drift": size * self.samples,
+            "gain": size * (largest[i] + level),
+            "dropout": level,
+        }
+        largest[i] += added.get(kind, 0.0)
+        return largest
+
+    def largest_room(self, trials: Sequence[Trial], dtype: np.dtype) -> np.ndarray:
+        """Return the room (p,) for rounding that suffices for every trial."""
+        reach = self.samples if self.relations.remembers else self.relations.horizon
+        rooms = []
+        for trial in trials:
+            largest = self.largest_input(trial)
+            rooms.append(recursion.rounding_room(self.model, reach, largest, self.samples, dtype))
+        room: np.ndarray = np.max(rooms, 0)
+        return room
+
+    def guaranteed_size(self, fault: Fault, largest: float) -> float:
+        """Return the size of a bias from which on the monitor must see it in every scenario of the study, nan
+        where nothing is known.
+
+        The operating range is what the readings of this study can come to, with a fault of that size.
+        """
+        model, relations, samples = self.model, self.relations, self.samples
+        if relations.parts:
+            sizes = [np.nan]
+            for watch in relations.watches:
+                if watch.when is None:  # others may not watch while the fault acts
+                    own = dataclasses.replace(self, relations=watch.relations)
+                    sizes.append(own.guaranteed_size(fault, largest))
+            return float(np.fmin.reduce(sizes))
+        if fault.kind != "bias" or relations.linear is None:
+            return np.nan
+        monitor = relations.linear.model
+        stated = model_bounds(monitor)
+        if monitor.constant_tolerance or model.d or monitor.factors or model.factors:
+            return np.nan
+        if any(not np.array_equal(relations.bounds[name], stated[name]) for name in stated):
+            return np.nan
+        size = largest
+        before: tuple[float, float] | None = None
+        for _ in range(8):
+            # a larger range may need a larger fault, which makes a larger range: a straight line, or nearly
+            trial = Trial(fault, np.array([size]), (0, 1), samples)
+            _, readings = recursion.reach(model, self.largest_input(trial), samples)
+            readings = np.maximum(readings, 1e-9 * max(float(readings.max(initial=0)), 1e-9))
+            if fault.signal in model.outputs:
+                readings[model.outputs.index(fault.signal)] += size
+            if not np.isfinite(readings).all():
+                return np.nan
+            needed = float(detectable(monitor, fault, operating_range=readings.tolist(), **relations.span))
+            if needed <= size or not np.isfinite(needed):
+                return needed
+            slope = 0.0
+            if before is not None:
+                slope = (needed - before[1]) / (size - before[0])
+            if slope >= 1:
+                return np.inf
+            size, before = 1.0001 * (needed - slope * size) / (1 - slope), (size, needed)
+        return np.inf
+
+    def _usual_sizes(self, fault: Fault) -> np.ndarray:
+        """Return sizes around the one that is guaranteed to be seen as a bias, or around what the bounds
+        allow.
+        """
+        bias, model = Fault(fault.signal), _at_one(self.model)
+        bases = [np.nan]
+        for test in (self.relations.parts or {"": self.relations}).values():
+            plain = dataclasses.replace(self, model=model, relations=_unfactored(test))
+            bases.append(plain._seen_as_bias(bias))
+        base = float(np.fmin.reduce(bases))
+        if fault.signal in model.outputs:
+            i = model.outputs.index(fault.signal)
+            _, readings = recursion.reach(model, np.asarray(self.highest, float), self.samples)
+            level = float(readings[i])
+        else:
+            i = model.inputs.index(fault.signal)
+            level = float(self.highest[i])
+        if not np.isfinite(base) or not base > 0:
+            base = level
+        if fault.kind == "tolerance":
+            least = float(model.tolerance[i])
+            return _rounded(least + (1 - least) * GRID[:10])
+        if fault.kind == "drift":
+            base = base / max(self.samples // 4, 1)
+        elif fault.kind == "gain":
+            base = base / level if level > 0 else 1.0
+        if not np.isfinite(base) or base <= 0:
+            raise ValueError(f"no usual size is known for {_label(fault)}: give sizes")
+        return _rounded(base * GRID)
+
+    def _seen_as_bias(self, bias: Fault) -> float:
+        """Return the size from which on one test sees a bias, nan where nothing is known."""
+        if self.relations.remembers:
+            with suppress(NotImplementedError):
+                return float(detectable(cast(SetObserver[Any], self.relations), bias))
+        return self.guaranteed_size(bias, 0.0)
 
 
 def _label(fault: Fault) -> str:
     return f"{fault.signal}:{fault.kind}"
-
-
-def _sizes_of(
-    model: LinearSystem,
-    fault: Fault,
-    own: Sequence[float] | None,
-    relations: Relations,
-    highest: np.ndarray,
-    samples: int,
-) -> np.ndarray:
-    """Return the sizes (S,) of a fault: 0 of one without sizes, those stated, or usual ones."""
-    if fault.kind in SIZELESS:
-        return np.zeros(1)
-    if own is None:
-        return _usual_sizes(model, fault, relations, highest, samples)
-    try:
-        each = np.atleast_1d(np.asarray(own, float))
-    except (TypeError, ValueError):
-        raise ValueError(f"sizes must be numbers, like [0.5, 1, 2], not {own!r}") from None
-    if each.ndim != 1 or not each.size or not np.isfinite(each).all():
-        raise ValueError(f"sizes of {_label(fault)} must be finite numbers, not {each.tolist()}")
-    return each
 
 
 def _fault(model: LinearSystem, stated: str | Fault) -> Fault:
@@ -254,116 +363,6 @@ def _onset(onset: int | tuple[int, int] | None, samples: int) -> tuple[int, int]
         raise ValueError(f"onset must be a sample, or a pair of them like (50, 100), not {onset!r}")
     first, stop = map(int, cast("tuple[int, int]", onset))
     return first, stop
-
-
-def largest_input(model: LinearSystem, trial: Trial | None, highest: np.ndarray, samples: int) -> np.ndarray:
-    """Return the largest |v - offset| (m,) that acts on the plant, the fault included."""
-    largest = np.array(highest, float)
-    if trial is None or trial.fault is None or trial.fault.signal not in model.inputs:
-        return largest
-    i, size, kind = model.inputs.index(trial.fault.signal), np.abs(trial.sizes).max(), trial.fault.kind
-    level = abs(float(model.offset["u"][i]))
-    added = {
-        "bias": size,
-        "noise": size,
-        "drift": size * samples,
-        "gain": size * (largest[i] + level),
-        "dropout": level,
-    }
-    largest[i] += added.get(kind, 0.0)
-    return largest
-
-
-def guaranteed_size(
-    model: LinearSystem,
-    fault: Fault,
-    relations: Relations,
-    highest: np.ndarray,
-    samples: int,
-    largest: float,
-) -> float:
-    """Return the size of a bias from which on the monitor must see it in every scenario of the study, nan
-    where nothing is known.
-
-    The operating range is what the readings of this study can come to, with a fault of that size.
-    """
-    if relations.parts:
-        sizes = [np.nan]
-        for watch in relations.watches:
-            if watch.when is None:  # others may not watch while the fault acts
-                sizes.append(guaranteed_size(model, fault, watch.relations, highest, samples, largest))
-        return float(np.fmin.reduce(sizes))
-    if fault.kind != "bias" or relations.linear is None:
-        return np.nan
-    monitor = relations.linear.model
-    own = model_bounds(monitor)
-    if monitor.constant_tolerance or model.d or monitor.factors or model.factors:
-        return np.nan
-    if any(not np.array_equal(relations.bounds[name], own[name]) for name in own):
-        return np.nan
-    size = largest
-    before: tuple[float, float] | None = None
-    for _ in range(8):
-        # a larger range may need a larger fault, which makes a larger range: a straight line, or nearly
-        trial = Trial(fault, np.array([size]), (0, 1), samples)
-        _, readings = recursion.reach(model, largest_input(model, trial, highest, samples), samples)
-        readings = np.maximum(readings, 1e-9 * max(float(readings.max(initial=0)), 1e-9))
-        if fault.signal in model.outputs:
-            readings[model.outputs.index(fault.signal)] += size
-        if not np.isfinite(readings).all():
-            return np.nan
-        needed = float(detectable(monitor, fault, operating_range=readings.tolist(), **relations.span))
-        if needed <= size or not np.isfinite(needed):
-            return needed
-        slope = 0.0
-        if before is not None:
-            slope = (needed - before[1]) / (size - before[0])
-        if slope >= 1:
-            return np.inf
-        size, before = 1.0001 * (needed - slope * size) / (1 - slope), (size, needed)
-    return np.inf
-
-
-def _usual_sizes(
-    model: LinearSystem, fault: Fault, relations: Relations, highest: np.ndarray, samples: int
-) -> np.ndarray:
-    """Return sizes around the one that is guaranteed to be seen as a bias, or around what the bounds
-    allow.
-    """
-    bias, plant = Fault(fault.signal), _at_one(model)
-    bases = [np.nan]
-    for test in (relations.parts or {"": relations}).values():
-        bases.append(_seen_by_test(plant, bias, _unfactored(test), highest, samples))
-    base, model = float(np.fmin.reduce(bases)), plant
-    if fault.signal in model.outputs:
-        i = model.outputs.index(fault.signal)
-        _, readings = recursion.reach(model, np.asarray(highest, float), samples)
-        level = float(readings[i])
-    else:
-        i = model.inputs.index(fault.signal)
-        level = float(highest[i])
-    if not np.isfinite(base) or not base > 0:
-        base = level
-    if fault.kind == "tolerance":
-        least = float(model.tolerance[i])
-        return _rounded(least + (1 - least) * GRID[:10])
-    if fault.kind == "drift":
-        base = base / max(samples // 4, 1)
-    elif fault.kind == "gain":
-        base = base / level if level > 0 else 1.0
-    if not np.isfinite(base) or base <= 0:
-        raise ValueError(f"no usual size is known for {fault.signal}:{fault.kind}: give sizes")
-    return _rounded(base * GRID)
-
-
-def _seen_by_test(
-    model: LinearSystem, bias: Fault, relations: Relations, highest: np.ndarray, samples: int
-) -> float:
-    """Return the size from which on one test sees a bias, nan where nothing is known."""
-    if relations.remembers:
-        with suppress(NotImplementedError):
-            return float(detectable(cast(SetObserver[Any], relations), bias))
-    return guaranteed_size(model, bias, relations, highest, samples, 0.0)
 
 
 def _unfactored(relations: Relations) -> Relations:

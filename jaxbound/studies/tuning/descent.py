@@ -18,7 +18,7 @@ step, that is made large:
 
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, TypeAlias, cast
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
@@ -40,6 +40,8 @@ __all__ = [
     "RATE",
     "Faulty",
     "Objective",
+    "Pace",
+    "Seen",
     "default_optimizer",
     "descend",
     "gradient",
@@ -51,8 +53,6 @@ LogFactors: TypeAlias = tuple[jax.Array, tuple[jax.Array, ...]]
 """log t (N,) of windows, and its slopes, arrays (., N) of a row a bound."""
 Faulty: TypeAlias = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
 """u (T, m), y (T, p), ends (blocks, N) of faulty windows, and which of them count."""
-Outside: TypeAlias = tuple[jax.Array, tuple[jax.Array, ...], jax.Array]
-"""`LogFactors` of faulty windows, and which of them count."""
 State: TypeAlias = "tuple[jax.Array, optax.OptState]"
 Best: TypeAlias = tuple[jax.Array, jax.Array]
 """Logarithms of the best values, and what they are chosen by."""
@@ -62,6 +62,23 @@ T = 0.03, 1e-4  # temperature of the maximum, at the first and the last step
 TAU = 0.5, 0.02  # of the step from inside to outside
 RATE = 0.1, 0.0  # of the default optimiser, on logarithms of bounds
 TIE = 0.01  # weight of the width where faulty windows count
+
+
+class Pace(NamedTuple):
+    """Steps in all, steps between two looks at all windows, and the (first, last) factor on what the
+    optimiser says; between them half a period of a cosine.
+    """
+
+    steps: int
+    every: int
+    rate: tuple[float, float]
+
+
+class Seen(NamedTuple):
+    """Windows as a step sees them: `log_factors` of them, and which count, (N,) bool."""
+
+    factors: LogFactors
+    present: jax.Array | np.ndarray
 
 
 @jax.tree_util.register_dataclass
@@ -110,22 +127,17 @@ def default_optimizer() -> "optax.GradientTransformation":
 def descend(
     problem: Objective,
     optimizer: "optax.GradientTransformation",
-    every: int,
-    state: "tuple[jax.Array, optax.OptState]",
+    pace: Pace,
+    state: State,
     first: int,
-    steps: int,
-    rate: tuple[float, float],
-    healthy: tuple[jax.Array, jax.Array],
-    present: np.ndarray,
+    healthy: tuple[jax.Array, jax.Array, np.ndarray],
     faulty: Faulty | None,
-) -> "tuple[tuple[jax.Array, optax.OptState], jax.Array]":
-    """Make `every` steps, as far as there are that many.
+) -> tuple[State, jax.Array]:
+    """Make the steps until the next look at all windows, as far as there are that many.
 
     Args:
         optimizer: an optax.GradientTransformation. state: (z (b,), the logarithms of the
-            values; that of the optimizer). first, steps: number of the first step, and how many there are in
-            all. rate: (first, last) factor on what the optimizer says; between them half a period of a
-            cosine.
+            values; that of the optimizer). first: number of the first step.
         healthy: u (s + 1, m, K), y (s + 1, p, K), the worst windows; present: (K,) bool, False where a column
             only fills up.
         faulty: None, or (u (T, m), y (T, p), ends (blocks, N), present (blocks, N)): one block a step, in
@@ -135,27 +147,26 @@ def descend(
         (state, z): after the steps, and the best values on the way, scaled so that these healthy windows are
         just consistent.
     """
+    u, y, present = healthy
     best = state[0], jnp.full((), jnp.inf, state[0].dtype)
-    for number in range(first, min(first + every, steps)):
-        inside, outside = log_factors(state[0], problem, *healthy), None
+    for number in range(first, min(first + pace.every, pace.steps)):
+        inside, outside = Seen(log_factors(state[0], problem, u, y), present), None
         if faulty is not None:
-            outside = _of_faulty(state[0], problem, faulty, number, len(healthy[1]))
-        share = number / steps
-        state, best = _advance(optimizer, problem, state, best, number, share, rate, inside, present, outside)
+            outside = _of_faulty(state[0], problem, faulty, number, len(y))
+        turn = number, number / pace.steps
+        state, best = _advance(optimizer, problem, (state, best), turn, pace.rate, inside, outside)
     return state, best[0]
 
 
-def _of_faulty(z: jax.Array, problem: Objective, faulty: Faulty, number: int, samples: int) -> Outside:
-    """Return `log_factors` of the block of faulty windows whose turn it is in a step, and which count."""
+def _of_faulty(z: jax.Array, problem: Objective, faulty: Faulty, number: int, samples: int) -> Seen:
+    """Return the block of faulty windows whose turn it is in a step."""
     u, y, ends, real = faulty
     block = number % len(ends)
-    log_t, slopes = log_factors(z, problem, *_taken(u, y, ends[block], samples))
-    return log_t, slopes, real[block]
+    taken_u, taken_y = _taken(u, y, ends[block], samples)
+    return Seen(log_factors(z, problem, taken_u, taken_y), real[block])
 
 
-def log_factors(
-    z: jax.Array, problem: Objective, u: jax.Array, y: jax.Array
-) -> tuple[jax.Array, tuple[jax.Array, ...]]:
+def log_factors(z: jax.Array, problem: Objective, u: jax.Array, y: jax.Array) -> LogFactors:
     """Return log t (N,) of windows u (s + 1, m, N), y (s + 1, p, N) under the values exp(z), and its slopes,
     arrays (., N) of b rows.
 
@@ -198,18 +209,15 @@ def _taken(u: jax.Array, y: jax.Array, ends: jax.Array, samples: int) -> tuple[j
 def _advance(
     optimizer: "optax.GradientTransformation",
     problem: Objective,
-    state: State,
-    best: Best,
-    number: int,
-    share: float,
+    carry: tuple[State, Best],
+    turn: tuple[int, float],
     rate: tuple[float, float],
-    inside: LogFactors,
-    present: jax.Array | np.ndarray,
-    outside: Outside | None,
+    inside: Seen,
+    outside: Seen | None,
 ) -> tuple[State, Best]:
-    """Make one step."""
-    z, inner = state
-    slope, hard, found = gradient(z, problem, share, number, inside, present, outside)
+    """Make one step. turn: its number, and the share of the steps made."""
+    ((z, inner), best), (_, share) = carry, turn
+    slope, hard, found = gradient(z, problem, turn, inside, outside)
     updates, after = optimizer.update(jnp.where(jnp.isfinite(slope), slope, 0), inner, z)
     fall = rate[1] + (rate[0] - rate[1]) * 0.5 * (1 + jnp.cos(jnp.pi * share))
     better = found < best[1]
@@ -220,21 +228,20 @@ def _advance(
 def gradient(
     z: jax.Array,
     problem: Objective,
-    share: float,
-    number: int,
-    inside: LogFactors,
-    present: jax.Array | np.ndarray,
-    outside: Outside | None,
+    turn: tuple[int, float],
+    inside: Seen,
+    outside: Seen | None,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (gradient (b,), logarithm of the factor that these healthy windows need, what the best values
     are chosen by).
 
     Args:
-        share: of the steps made. inside: `log_factors` of healthy windows, present: which count. outside:
-            None, or those of faulty windows, and which count.
+        turn: the number of the step, and the share of the steps made. inside, outside: healthy and faulty
+            windows.
     """
-    needed, across = _scaled(*inside)
-    needed = jnp.where(present, needed, -jnp.inf)
+    number, share = turn
+    needed, across = _scaled(inside.factors)
+    needed = jnp.where(inside.present, needed, -jnp.inf)
     hard, cool = jnp.max(needed), _falling(T, share)
     soft = cool * jax.nn.logsumexp(needed / cool)
     up = across @ jax.nn.softmax(needed / cool)
@@ -242,16 +249,17 @@ def gradient(
     narrow = sizes / jnp.sum(sizes) + up
     if outside is None:
         return narrow, hard, jnp.log(jnp.sum(sizes)) + hard
-    outer, through = _scaled(*outside[:2])
-    tau, real = _falling(TAU, share), outside[2]
+    outer, through = _scaled(outside.factors)
+    tau, real = _falling(TAU, share), outside.present
     beyond = jax.nn.sigmoid((outer - soft - problem.log_safety) / tau)
     rate = jnp.where(real, beyond * (1 - beyond) / tau, 0) / jnp.sum(real)
     later = -jnp.asarray(number, z.dtype)  # blocks differ: the last values are taken
     return TIE * narrow - through @ rate + jnp.sum(rate) * up, hard, later
 
 
-def _scaled(log_t: jax.Array, slopes: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
+def _scaled(factors: LogFactors) -> tuple[jax.Array, jax.Array]:
     """Return the logarithm of the factor on all values that each window needs, and its gradient."""
+    log_t, slopes = factors
     joined = jnp.concatenate(slopes)
     elasticity = jnp.clip(-jnp.sum(joined, 0), 0.05, None)
     return log_t / elasticity, joined / elasticity[None]

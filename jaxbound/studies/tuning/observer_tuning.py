@@ -11,16 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from jaxbound.diagnosis.detection import detect
 from jaxbound.estimation.set_observer import SetObserver
-from jaxbound.models.system import FOR_OBSERVER
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.tuning.confidence import risk_of_recordings
 from jaxbound.studies.tuning.left_out import of_needs
 from jaxbound.studies.tuning.parametrization import model_with, moving, tuned_model
-from jaxbound.studies.tuning.scaling import joined_recordings, refuse_same
-from jaxbound.studies.tuning.tune_result import TuneResult, history_columns
-from jaxbound.studies.tuning.widening import Wider, accepted
+from jaxbound.studies.tuning.scaling import both_recordings
+from jaxbound.studies.tuning.tune_result import TuneResult
+from jaxbound.studies.tuning.widening import Smallest, concluded
 
 __all__ = ["observer_scale", "tuned_observer"]
 
@@ -40,12 +38,7 @@ def tuned_observer(
 ) -> TuneResult:
     """Return the bounds of an observer, all scaled by one factor."""
     moved = moving(watch, bounds)
-    model = tuned_model(watch)
-    good = joined_recordings(model, watch.horizon, healthy)
-    bad = None
-    if faulty is not None:
-        bad = joined_recordings(model, watch.horizon, faulty, "faulty")
-        refuse_same(good, bad)
+    good, bad = both_recordings(tuned_model(watch), watch.horizon, healthy, faulty)
 
     def scaled(scale: float) -> SetObserver[Any]:
         return watch.of(model_with(watch, moved, moved.rounded_up(scale * moved.start), ""))
@@ -56,35 +49,11 @@ def tuned_observer(
         needs.append(observer_scale(scaled, own.u, own.y, own.starts))
         report(0.95 * (number + 1) / len(good.entries))
     scale = max(needs)
-    left = of_needs(needs)
-    wider = Wider.of(watch, left, safety)
-    source = f"fitted to {len(good.y)} healthy samples {FOR_OBSERVER}, {wider.text}"
-    smallest = scale * moved.start
-    new, final, res = accepted(watch, moved, smallest, wider, good, source)
-    faulty_counts = None
-    if bad is not None:
-        faulty_counts = detect(final, bad.u, bad.y, starts=bad.starts).counts
+    risk = risk_of_recordings(np.array(needs) / scale, confidence, safety)
+    found = Smallest(scale * moved.start, scale, of_needs(needs), risk, [])
+    result = concluded(watch, moved, found, safety, good, bad)
     report(1.0)
-    return TuneResult(
-        bounds=final.bounds,
-        smallest=moved.bounds(smallest),
-        scale=scale,
-        factor=wider.factor,
-        safety=safety,
-        left_out=left,
-        start=watch.bounds,
-        margin=res.margin,
-        counts=res.counts,
-        faulty_counts=faulty_counts,
-        risk=risk_of_recordings(np.array(needs) / scale, confidence, safety),
-        history=history_columns([], len(moved.names)),
-        names=moved.names,
-        steps=0,
-        stopped=False,
-        model=new,
-        relations=final,
-        notes=(*moved.notes, *wider.notes),
-    )
+    return result
 
 
 def _follows(watch: SetObserver[Any], u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> bool:

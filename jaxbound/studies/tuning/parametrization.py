@@ -107,8 +107,11 @@ def moving(
             raise ValueError(f"there is no bound {name!r} to move: this model has {', '.join(bounds)}")
     owners = _owners(model)
     fixed: list[float] = []
-    moved: list[_Moved] = []
     still: list[str] = []
+    names: list[str] = []
+    ends: list[_End] = []
+    weighed: list[float] = []
+    most: list[float] = []
     for name, own in bounds.items():
         entries = np.asarray(own, np.float64)
         stated = None
@@ -125,24 +128,25 @@ def moving(
                 still.append(label)
             for end in _ends(entry, name, signal):
                 if end.value > 0:
-                    weight = _weight(end, None if stated is None else stated[i])
-                    most = CEILING if name == "tolerance" else np.inf
-                    moved.append(_Moved(f"{end.side}{label}", end, weight, most, first))
-    if not moved:
+                    names.append(f"{end.side}{label}")
+                    ends.append(end._replace(first=first))
+                    weighed.append(_weight(end, None if stated is None else stated[i]))
+                    most.append(CEILING if name == "tolerance" else np.inf)
+    if not names:
         listed = " and ".join(chosen) or "nothing"
         raise ValueError(
             f"no bound can move: every entry of {listed} is 0, and 0 times a factor stays 0. Start from a "
             f"rough guess > 0"
         )
-    select = np.zeros((len(fixed), len(moved)))
-    for column, one in enumerate(moved):
-        for number, sign in one.end.entries:
-            select[one.first + number, column] = sign
+    select = np.zeros((len(fixed), len(ends)))
+    for column, end in enumerate(ends):
+        for number, sign in end.entries:
+            select[end.first + number, column] = sign
     return Moving(
-        names=tuple(one.name for one in moved),
-        start=np.array([one.end.value for one in moved]),
-        weights=np.array([one.weight for one in moved]),
-        most=np.array([one.most for one in moved]),
+        names=tuple(names),
+        start=np.array([end.value for end in ends]),
+        weights=np.array(weighed),
+        most=np.array(most),
         fixed=np.array(fixed),
         select=select,
         sizes=tuple((name, np.size(own)) for name, own in bounds.items()),
@@ -152,22 +156,13 @@ def moving(
 
 class _End(NamedTuple):
     """A number of a bound: its value; entries: (number, sign) of the entries that it stands for; side: the
-    end of a disturbance, in words.
+    end of a disturbance, in words; first: the number of the first entry among all bounds.
     """
 
     value: float
     entries: tuple[tuple[int, float], ...]
     side: str = ""
-
-
-class _Moved(NamedTuple):
-    """A number that moves: its name, its value, its weight, what it stays below, and its first entry."""
-
-    name: str
-    end: _End
-    weight: float
-    most: float
-    first: int
+    first: int = 0
 
 
 def _chosen(which: str | Iterable[str] | None, bounds: Iterable[str]) -> tuple[str, ...]:

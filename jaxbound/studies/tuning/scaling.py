@@ -26,7 +26,15 @@ from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.tuning.parametrization import Moving
 
-__all__ = ["JoinedRecordings", "factors", "joined_recordings", "refuse_same", "smallest_scale", "worst"]
+__all__ = [
+    "JoinedRecordings",
+    "both_recordings",
+    "factors",
+    "joined_recordings",
+    "refuse_same",
+    "smallest_scale",
+    "worst",
+]
 
 FEW = 16  # worst windows that a test of all adds to those searched
 LEAST, MOST = 1e-12, 1e15  # factors looked at
@@ -129,6 +137,18 @@ def joined_recordings(
             f"shorter horizon"
         )
     return joined
+
+
+def both_recordings(
+    model: LinearSystem, horizon: int, healthy: object, faulty: object
+) -> tuple[JoinedRecordings, JoinedRecordings | None]:
+    """Return healthy recordings and faulty ones, if there are some, which must be others."""
+    good = joined_recordings(model, horizon, healthy)
+    if faulty is None:
+        return good, None
+    bad = joined_recordings(model, horizon, faulty, "faulty")
+    refuse_same(good, bad)
+    return good, bad
 
 
 def refuse_same(good: JoinedRecordings, bad: JoinedRecordings) -> None:

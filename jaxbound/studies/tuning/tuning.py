@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias, cast, overload
 
@@ -16,8 +16,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.consistency.monitorbank import MonitorBank
-from jaxbound.diagnosis.detection import detect
-from jaxbound.diagnosis.result import Result
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.files.checkpoint import Checkpoint
 from jaxbound.models.numbers import is_real, is_whole
@@ -29,21 +27,28 @@ from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.floats.sizes import power
 from jaxbound.studies.tuning.confidence import blocks_of, held_out, risk_of, touched
-from jaxbound.studies.tuning.descent import BLOCK, RATE, Faulty, default_optimizer, descend, objective_of
+from jaxbound.studies.tuning.descent import (
+    BLOCK,
+    RATE,
+    Faulty,
+    Pace,
+    default_optimizer,
+    descend,
+    objective_of,
+)
 from jaxbound.studies.tuning.left_out import factors_left_out
 from jaxbound.studies.tuning.monitor_tuning import MonitorTuneResult, tuned_monitor
 from jaxbound.studies.tuning.observer_tuning import tuned_observer
 from jaxbound.studies.tuning.parametrization import Moving, Tunable, moving
 from jaxbound.studies.tuning.scaling import (
     JoinedRecordings,
+    both_recordings,
     factors,
-    joined_recordings,
-    refuse_same,
     smallest_scale,
     worst,
 )
 from jaxbound.studies.tuning.tune_result import History, TuneResult, history_columns
-from jaxbound.studies.tuning.widening import Wider, accepted, stated_factor
+from jaxbound.studies.tuning.widening import Smallest, concluded, stated_factor
 from jaxbound.text.progress import reporter
 
 if TYPE_CHECKING:
@@ -166,17 +171,9 @@ def tune(
         >>> round(res.scale, 6), res.bounds["noise"], res.counts["FAULT"]
         (2.0, array([0.3001]), 0)
     """
-    _check(
-        relations,
-        steps=steps,
-        safety=safety,
-        calibrate=calibrate,
-        block=block,
-        confidence=confidence,
-        every=every,
-        optimizer=optimizer,
-        state=state,
-    )
+    _check_relations(relations)
+    _check_numbers(steps, safety, calibrate, block, confidence, every)
+    _check_search(optimizer, state)
     report = reporter(progress, "tune")
     if relations.parts:
         for name, given in (
@@ -197,11 +194,7 @@ def tune(
     model, s = relations.model, relations.horizon
     moved = moving(relations, bounds, weights)
     alone = len(moved.names) == 1
-    good = joined_recordings(model, s, healthy)
-    bad = None
-    if faulty is not None:
-        bad = joined_recordings(model, s, faulty, "faulty")
-        refuse_same(good, bad)
+    good, bad = both_recordings(model, s, healthy, faulty)
     gone = good.without(s)
     label, length = blocks_of(gone, s, block)
     if model.constant_tolerance and steps and not alone:
@@ -211,7 +204,8 @@ def tune(
         )
     for_scale = held_out(int(label.max(initial=-1)) + 1, 0 if alone else calibrate)
     unseen = gone | touched(np.isin(label, np.flatnonzero(for_scale)), s)
-    search = _Search(relations, moved, good, unseen, bad, safety, optimizer, steps, every, state)
+    searching = partial(_Search, relations, moved, bad, safety, optimizer, steps, every)
+    search = searching(good, unseen, state)
     if steps and not alone:
         search.run(lambda share: report(0.6 * share))
 
@@ -221,9 +215,7 @@ def tune(
     def direction(number: int, others: JoinedRecordings) -> np.ndarray:
         if search.stopped or not steps or alone:
             return search.best
-        again = _Search(
-            relations, moved, others, others.without(s), bad, safety, optimizer, steps, every, None
-        )
+        again = searching(others, others.without(s), None)
         again.run(lambda share: report(0.6 + 0.3 * (number + share) / len(good.entries)))
         search.stopped = again.stopped
         return again.best
@@ -232,9 +224,6 @@ def tune(
     if stated_factor(relations) is None:
         left = factors_left_out(relations, moved, good, direction)
     report(0.95)
-    wider = Wider.of(relations, left, safety)
-    source = f"fitted to {int((~gone).sum())} healthy windows, {wider.text}"
-    new, final, res = accepted(relations, moved, smallest, wider, good, source)
     moved_kinds = {kind for kind, rows in moved.rows.items() if moved.select[rows].any()}
     risk = risk_of(
         factors(relations.with_bounds(moved.bounds(smallest)), good),
@@ -248,37 +237,11 @@ def tune(
         safety=safety,
         horizon=s,
     )
-    faulty_counts = None
-    if bad is not None:
-        faulty_counts = _counts(detect(final, bad.u, bad.y, starts=bad.starts), bad, s)
+    scale = low * moved.total(search.best) / moved.total(moved.start)
+    found = Smallest(smallest, scale, left, risk, search.history, search.step, search.stopped)
+    result = concluded(relations, moved, found, safety, good, bad)
     report(1.0)
-    return TuneResult(
-        bounds=final.bounds,
-        smallest=moved.bounds(smallest),
-        scale=low * moved.total(search.best) / moved.total(moved.start),
-        factor=wider.factor,
-        safety=safety,
-        left_out=left,
-        start=relations.bounds,
-        margin=res.margin,
-        counts=_counts(res, good, s),
-        faulty_counts=faulty_counts,
-        risk=risk,
-        history=search.columns(),
-        names=moved.names,
-        steps=search.step,
-        stopped=search.stopped,
-        model=new,
-        relations=final,
-        notes=(*moved.notes, *wider.notes, *_vanished(moved, smallest)),
-    )
-
-
-def _counts(res: Result, recordings: JoinedRecordings, horizon: int) -> dict[str, int]:
-    """Return the counts of a result without the samples where no window ends."""
-    counts = dict(res.counts)
-    counts["MISSING"] -= int(recordings.across(horizon).sum())
-    return counts
+    return replace(result, notes=(*result.notes, *_vanished(moved, smallest)))
 
 
 @dataclass(eq=False)
@@ -289,13 +252,13 @@ class _Search:
 
     relations: Windows
     moved: Moving
-    good: JoinedRecordings
-    unseen: np.ndarray
     bad: JoinedRecordings | None
     safety: float
     optimizer: optax.GradientTransformation | None
     steps: int
     every: int
+    good: JoinedRecordings
+    unseen: np.ndarray
     file: str | os.PathLike[str] | None
     step: int = 0
     stopped: bool = False
@@ -314,6 +277,7 @@ class _Search:
         optimizer, rate = default_optimizer(), RATE
         if self.optimizer is not None:
             optimizer, rate = self.optimizer, (1.0, 1.0)
+        pace = Pace(self.steps, self.every, rate)
         dtype, s = self.good.y.dtype, self.relations.horizon
         problem = objective_of(self.relations, self.moved, self.safety, dtype)
         z = _start(self.moved.start, dtype)
@@ -327,20 +291,9 @@ class _Search:
                 carry = _start(self._look(self.moved.start), dtype), carry[1]
             while self.step < self.steps:
                 u, y = self.good.gather(np.resize(self.ends, self.capacity), s)
-                healthy = jax.device_put((np.moveaxis(u, 0, 2), np.moveaxis(y, 0, 2)))
-                present = np.arange(self.capacity) < len(self.ends)
-                carry, best = descend(
-                    problem,
-                    optimizer,
-                    self.every,
-                    carry,
-                    self.step,
-                    self.steps,
-                    rate,
-                    healthy,
-                    present,
-                    faulty,
-                )
+                u, y = jax.device_put((np.moveaxis(u, 0, 2), np.moveaxis(y, 0, 2)))
+                healthy = u, y, np.arange(self.capacity) < len(self.ends)
+                carry, best = descend(problem, optimizer, pace, carry, self.step, healthy, faulty)
                 self.step = min(self.step + self.every, self.steps)
                 self._look(np.exp(np.asarray(best, np.float64)))
                 self._save(carry)
@@ -387,10 +340,6 @@ class _Search:
         blocks: Faulty = jax.device_put((bad.u, bad.y, filled, real))
         return blocks
 
-    def columns(self) -> dict[str, np.ndarray]:
-        """Return the history as arrays."""
-        return history_columns(self.history, len(self.moved.names))
-
     def _identity(self, carry: Carry) -> dict[str, str]:
         """Return the mark that tells this call from others. Of an optimiser nobody can say more than what it
         carries.
@@ -416,7 +365,9 @@ class _Search:
         if self.checkpoint is None:
             return
         arrays = {f"leaf{i}": np.asarray(x) for i, x in enumerate(jax.tree.leaves(carry))}
-        arrays |= {f"history_{name}": x for name, x in self.columns().items()}
+        arrays |= {
+            f"history_{name}": x for name, x in history_columns(self.history, len(self.moved.names)).items()
+        }
         score = np.array(self.score)
         self.checkpoint.save(step=self.step, best=self.best, score=score, ends=self.ends, **arrays)
 
@@ -462,18 +413,8 @@ def _vanished(moved: Moving, values: np.ndarray) -> tuple[str, ...]:
     )
 
 
-def _check(
-    relations: Tunable | MonitorBank,
-    steps: int,
-    safety: float,
-    calibrate: float,
-    block: int | None,
-    confidence: float,
-    every: int,
-    optimizer: object,
-    state: object,
-) -> None:
-    """Raise TypeError or ValueError for what `tune` does not take."""
+def _check_relations(relations: Tunable | MonitorBank) -> None:
+    """Raise TypeError for relations that `tune` does not take."""
     why = getattr(relations, "untuned", "")
     if why is not None:
         raise TypeError(f"tune needs relations from parity_relations, not {type(relations).__name__}{why}")
@@ -481,6 +422,12 @@ def _check(
         raise TypeError(
             "tune needs the observer of a LinearSystem: an interval_system has no bounds to scale"
         )
+
+
+def _check_numbers(
+    steps: int, safety: float, calibrate: float, block: int | None, confidence: float, every: int
+) -> None:
+    """Raise ValueError for numbers out of range."""
     _refuse_below("steps", steps, 0)
     _refuse_below("every", every, 1)
     if block is not None:
@@ -493,6 +440,10 @@ def _check(
         )
     if not (is_real(confidence) and 0 < confidence < 1):
         raise ValueError(f"confidence must lie between 0 and 1, not {confidence!r}")
+
+
+def _check_search(optimizer: object, state: object) -> None:
+    """Raise ValueError for an optimiser or a state that is none."""
     if optimizer is not None and not (hasattr(optimizer, "init") and hasattr(optimizer, "update")):
         raise ValueError(f"optimizer must be one of optax, like optax.adam(0.05), not {optimizer!r}")
     if state is not None and not isinstance(state, str | os.PathLike):

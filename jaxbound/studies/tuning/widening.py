@@ -2,6 +2,7 @@
 by a safety factor, rounded up, and verified by the proved test itself.
 """
 
+import math
 from collections.abc import Sequence
 from decimal import Decimal
 from fractions import Fraction
@@ -11,63 +12,14 @@ import numpy as np
 
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.result import Result
-from jaxbound.models.system import LinearSystem
+from jaxbound.models.system import FOR_OBSERVER, LinearSystem
 from jaxbound.relations.bounds import model_bounds
+from jaxbound.studies.tuning.confidence import Risk
 from jaxbound.studies.tuning.parametrization import Moving, Tunable, model_with, tuned_model
 from jaxbound.studies.tuning.scaling import JoinedRecordings
+from jaxbound.studies.tuning.tune_result import History, TuneResult, history_columns
 
-__all__ = ["Wider", "accepted", "stated", "stated_factor", "widened"]
-
-
-class Wider(NamedTuple):
-    """Factors on the smallest bounds.
-
-    Fields: factor, safety: as of a TuneResult. known: whether something was left out, here or by the fit of
-    the model. notes: sentences.
-    """
-
-    factor: float
-    safety: float
-    known: bool
-    notes: tuple[str, ...]
-
-    @classmethod
-    def of(cls, relations: Tunable, left: Sequence[float], safety: float) -> "Wider":
-        """Return the factors that recordings which were left out ask for."""
-        by_fit = stated_factor(relations)
-        own = [x for x in left if np.isfinite(x)]
-        notes = []
-        if by_fit is not None:
-            notes.append(
-                f"the fit of the model left recordings out, and asked for bounds {by_fit:.3g} times the "
-                f"smallest: so wide they are"
-            )
-        elif not own:
-            notes.append(
-                "there is one recording, or none that can be left out: what another day asks for is unknown; "
-                "give each day as a recording of its own"
-            )
-        elif "model" in tuned_model(relations).provenance:
-            notes.append(
-                "a recording is left out of the bounds alone: the model may have been fitted to it, and then "
-                "another day asks for more than the factor says"
-            )
-        factor = max([1.0, *own]) if by_fit is None else by_fit
-        return cls(factor, safety, bool(own) or by_fit is not None, tuple(notes))
-
-    @property
-    def text(self) -> str:
-        """The factors, for the provenance of bounds."""
-        if not self.known:
-            return f"safety factor {self.safety:g}"
-        return widened(self.factor, self.safety)
-
-    @property
-    def left_out(self) -> Fraction | None:
-        """The factor that a model states."""
-        if not self.known:
-            return None
-        return stated(self.factor)
+__all__ = ["Smallest", "concluded", "stated", "stated_factor", "widened"]
 
 
 def widened(factor: float, safety: float) -> str:
@@ -90,31 +42,107 @@ def stated_factor(relations: Tunable) -> float | None:
     return float(model.left_out)
 
 
-def accepted(
+class Smallest(NamedTuple):
+    """The smallest bounds that explain healthy data. Fields: values (b,), of those that move; others: as of a
+    TuneResult.
+    """
+
+    values: np.ndarray
+    scale: float
+    left_out: tuple[float, ...]
+    risk: Risk
+    history: History
+    steps: int = 0
+    stopped: bool = False
+
+
+def concluded(
     relations: Tunable,
     moved: Moving,
-    smallest: np.ndarray,
-    wider: Wider,
+    found: Smallest,
+    safety: float,
     good: JoinedRecordings,
-    source: str,
-) -> tuple[LinearSystem, Tunable, Result]:
-    """Return a model with the moved bounds, wider than the smallest and rounded up, its relations, and their
-    verdicts on healthy windows, none of which is FAULT.
+    bad: JoinedRecordings | None,
+) -> TuneResult:
+    """Return the result of tuning relations, or an observer, whose smallest bounds are known: wider by the
+    factors and rounded up, so that no healthy window is FAULT.
     """
-    values, extra = smallest * (wider.factor * wider.safety), 1.0
-    while extra <= 2:
+    factor, is_known, notes = _factor(relations, found.left_out)
+    left_out, wide = None, f"safety factor {safety:g}"
+    if is_known:
+        left_out, wide = stated(factor), widened(factor, safety)
+    seen = f"{int((~good.without(relations.horizon)).sum())} healthy windows"
+    if relations.remembers:
+        seen = f"{len(good.y)} healthy samples {FOR_OBSERVER}"
+    values, extra = found.values * (factor * safety), 1.0
+    while True:
         short = moved.rounded_up(values * extra)
-        model = model_with(relations, moved, short, source, wider.left_out)
+        model = model_with(relations, moved, short, f"fitted to {seen}, {wide}", left_out)
         final = _under(relations, moved, model, short)
         res = detect(final, good.u, good.y, starts=good.starts, margins="exact")
         proved = relations.linear is None or not (res.margin <= 0).any()
         if proved and not res.counts["FAULT"]:
-            return model, final, res
+            break
         extra *= 1.001  # only where a search ends early, or the test is not monotone (uncertain parameters)
-    raise ValueError(
-        "the proved test refutes a healthy window even at twice the bounds that it accepted: look at that "
-        "model"
+        if extra > 2:
+            raise ValueError(
+                "the proved test refutes a healthy window even at twice the bounds that it accepted: look at "
+                "that model"
+            )
+    faulty_counts = None
+    if bad is not None:
+        faulty_counts = _counts(detect(final, bad.u, bad.y, starts=bad.starts), bad, relations)
+    return TuneResult(
+        bounds=final.bounds,
+        smallest=moved.bounds(found.values),
+        scale=found.scale,
+        factor=factor,
+        safety=safety,
+        left_out=found.left_out,
+        start=relations.bounds,
+        margin=res.margin,
+        counts=_counts(res, good, relations),
+        faulty_counts=faulty_counts,
+        risk=found.risk,
+        history=history_columns(found.history, len(moved.names)),
+        names=moved.names,
+        steps=found.steps,
+        stopped=found.stopped,
+        model=model,
+        relations=final,
+        notes=(*moved.notes, *notes),
     )
+
+
+def _factor(relations: Tunable, left: Sequence[float]) -> tuple[float, bool, list[str]]:
+    """Return (the factor that recordings which were left out ask for, whether something was left out, here or
+    by the fit of the model, sentences).
+    """
+    by_fit = stated_factor(relations)
+    if by_fit is not None:
+        why = (
+            f"the fit of the model left recordings out, and asked for bounds {by_fit:.3g} times the smallest"
+        )
+        return by_fit, True, [f"{why}: so wide they are"]
+    own = list(filter(math.isfinite, left))
+    if not own:
+        why = "there is one recording, or none that can be left out: what another day asks for is unknown"
+        return 1.0, False, [f"{why}; give each day as a recording of its own"]
+    notes = []
+    if "model" in tuned_model(relations).provenance:
+        notes = [
+            "a recording is left out of the bounds alone: the model may have been fitted to it, and then "
+            "another day asks for more than the factor says"
+        ]
+    return max([1.0, *own]), True, notes
+
+
+def _counts(res: Result, recordings: JoinedRecordings, relations: Tunable) -> dict[str, int]:
+    """Return the counts of a result, of windows without the samples where none ends."""
+    counts = dict(res.counts)
+    if not relations.remembers:
+        counts["MISSING"] -= int(recordings.across(relations.horizon).sum())
+    return counts
 
 
 def _under(relations: Tunable, moved: Moving, model: LinearSystem, short: Sequence[Decimal]) -> Tunable:

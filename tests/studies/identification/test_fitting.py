@@ -71,7 +71,7 @@ class TestRegression:
         u, y = rng.normal(size=(60, 2)), rng.normal(size=(60, 2))
         records = [(u[:25], y[:25], ()), (u[25:], y[25:], ())]
         same = regression.Scales(np.zeros(2), np.ones(2), np.zeros(2), np.ones(2))
-        theta, _ = regression.least_squares(regression.windows_of(records, same, 2), 2, direct)
+        theta = regression.least_squares(regression.windows_of(records, same, 2), 2, direct)
         rows, targets = [], []
         for k in [*range(2, 25), *range(27, 60)]:
             rows.append([*y[k - 1], *y[k - 2], *(u[k] if direct else ()), *u[k - 1], *u[k - 2], 1.0])
@@ -127,7 +127,7 @@ class TestRegression:
         u, y = run(rng, noise=0.3)
         scales = regression.scales_of([(u, y, ())])
         windows = regression.windows_of([(u, y, ())], scales, 8)
-        theta, _ = regression.least_squares(regression.windows_of([(u, y, ())], scales, 2), 2, False)
+        theta = regression.least_squares(regression.windows_of([(u, y, ())], scales, 2), 2, False)
         finer, spread = regression.refined(theta, windows, 2, False)
         assert spread[0] <= regression.window_spread(theta, windows, 2, False)[0]
         assert regression.growth(finer, 2) <= max(1, regression.growth(theta, 2))

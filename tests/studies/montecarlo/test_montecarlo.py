@@ -27,15 +27,15 @@ def recordings(res, block=0):
     """Return the recordings of one block of a study of `simple`, with the onsets and sizes."""
     model, trial = res.model, res.trials[0]
     dtype = np.float64
-    room = recursion.rounding_room(
-        model, res.horizon, scenarios.largest_input(model, trial, np.ones(1), res.samples), res.samples, dtype
-    )
+    ground = scenarios.Ground(model, jb.parity_relations(model), res.samples, np.ones(1))
+    room = ground.largest_room([trial], dtype)
     course = kernel.Course(res.samples, res.settings["hold"], res.at == "vertices")
     numbers = np.arange(block * kernel.BLOCK, (block + 1) * kernel.BLOCK, dtype=np.uint32)
     key = np.array(res.settings["key"][0], np.uint32)
     limits = np.array(res.settings["input range"])
     plant, act = recursion.plant_of(model, room, dtype), scenarios.act_of(trial, model, dtype)
-    u, y, onset = map(np.asarray, kernel.replay_block(course, plant, act, limits, None, key, numbers))
+    scene = kernel.Scene(plant, act, limits, None, key, course)
+    u, y, onset = map(np.asarray, kernel.replay_block(scene, numbers))
     return u, y, onset, np.asarray(trial.sizes)[numbers % len(trial.sizes)]
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import jaxbound as jb
-from jaxbound.studies.montecarlo.scenarios import trials
+from jaxbound.studies.montecarlo.scenarios import Ground
 
 PLANT = jb.LinearSystem(
     [["0.5"]], [[1]], [[1], [1]], noise=[0.1, 0.1], inputs="fan", times={"y1": "0.2 + 3*fan", "y2": "1 + fan"}
@@ -34,7 +34,7 @@ def test_usual_sizes_are_those_where_the_factors_are_one():
     sizes = []
     for model in (PLANT, PLANT.replace(times=None)):
         relations = jb.parity_relations(model, 2)
-        (trial,) = trials(model, "y1:bias", None, None, 24, relations, np.array([1.0]))
+        (trial,) = Ground(model, relations, 24, np.array([1.0])).trials("y1:bias", None, None)
         sizes.append(trial.sizes)
     np.testing.assert_array_equal(*sizes)
 

@@ -11,7 +11,7 @@ import pytest
 import jaxbound as jb
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.tuning import descent, tuning
-from jaxbound.studies.tuning.descent import gradient, log_factors, objective_of
+from jaxbound.studies.tuning.descent import Seen, gradient, log_factors, objective_of
 from jaxbound.studies.tuning.parametrization import moving
 from jaxbound.studies.tuning.scaling import joined_recordings, smallest_scale
 from tests import tuning_case
@@ -117,9 +117,8 @@ def test_gradient_is_that_of_the_proved_scale(plant, s, rng):
     ends = np.flatnonzero(~good.without(s))
     healthy = tuple(jnp.asarray(np.moveaxis(x, 0, 2)) for x in good.gather(ends, s))
     z = jnp.asarray(z)
-    found, hard, _ = gradient(
-        z, problem, 1.0, 0, log_factors(z, problem, *healthy), np.ones(len(ends), bool), None
-    )
+    inside = Seen(log_factors(z, problem, *healthy), np.ones(len(ends), bool))
+    found, hard, _ = gradient(z, problem, (0, 1.0), inside, None)
     h = 1e-6
     quotients = [(value(z + h * e) - value(z - h * e)) / (2 * h) for e in np.eye(len(z))]
     np.testing.assert_allclose(found, quotients, atol=2e-4)
