@@ -36,7 +36,6 @@ from benchmarks.long_windows import FOUR
 from benchmarks.twice import faulty
 from jaxbound.consistency import drive, strips
 from jaxbound.consistency.searched import judging_device
-from jaxbound.diagnosis.spot_checks import decided_again
 from jaxbound.sets.floats import probe
 from jaxbound.sets.floats.examined import MANY, measure
 
@@ -256,8 +255,6 @@ def main():
             )
             found, wrong = judged(r, *(x[:100_000] for x in some))
             figures.stage(f"{name}: to be 0, beside one CPU device", lambda wrong=wrong: wrong)
-            if not probe.searching_device():
-                figures.stage(f"{name}: decided again", lambda found=found: decided_again(found))
             alarms = figures.stage(
                 f"{name}: false alarms at vertices, of {vertices}",
                 lambda kind=kind: false_alarms({"short": r, "long": long}, vertices, kind),

@@ -19,7 +19,6 @@ from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import outgrown
 from jaxbound.diagnosis.result import Result
 from jaxbound.diagnosis.severity import fitted
-from jaxbound.diagnosis.spot_checks import again_hints
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.parquet import PARTIAL, VERDICTS
@@ -152,7 +151,7 @@ def evaluate(
         sizes = sizes_seen(res, alarms)
         # of the model as it is stated: --lags took away the horizon that the bounds were found for
         reaches = outgrown(stated, relations)
-        hints = dict.fromkeys((*res.hints, *reaches, *again_hints(res), *ending_hints(res, alarms, sizes)))
+        hints = dict.fromkeys((*res.hints, *reaches, *ending_hints(res, alarms, sizes)))
         summary = summarised(res, alarms, recording.label, run.min_coverage, hints, sizes, bool(reaches))
         sinks.close(_outcome(run, alarms, summary, tested, content, relations))
         step("report", 0.1)

@@ -26,8 +26,9 @@ from jaxbound.cli.terminal import door, nobody_reads, say, system_trouble, usabl
 from jaxbound.cli.window import stated_model, window_relations
 from jaxbound.consistency.interface import Relations
 from jaxbound.consistency.monitor import Monitor
+from jaxbound.consistency.searched import judging_device
 from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
-from jaxbound.diagnosis.hints import bound_hints, judging_hints, outgrown, unfit_by
+from jaxbound.diagnosis.hints import bound_hints, device_hints, outgrown, unfit_by
 from jaxbound.diagnosis.severity import fitted
 from jaxbound.files.locks import refuse_link
 from jaxbound.models.system import LinearSystem
@@ -233,7 +234,7 @@ class _LiveRun:
         """Begin with nothing judged."""
         self.stream, self.judge, self.lines = stream, judge, lines
         relations = judge.monitor.relations
-        self.hints = [*bound_hints(stated, relations), *judging_hints(relations.remembers)]
+        self.hints = [*bound_hints(stated, relations), *device_hints(judging_device(relations.remembers))]
         self.outgrown = bool(outgrown(stated, relations))
         self.tally = Tally(stream.when, relations.horizon, region=judge.region)
         self.alarms = lines.alarms

@@ -14,9 +14,10 @@ from jaxbound.cli.evaluation import Evaluation
 from jaxbound.cli.terminal import door, usable_device
 from jaxbound.cli.window import DetectRun, Step, stated_model
 from jaxbound.consistency.interface import Relations
+from jaxbound.consistency.searched import judging_device
 from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
 from jaxbound.diagnosis.alarms import Alarm, group_alarms
-from jaxbound.diagnosis.hints import bound_hints, judging_hints, outgrown
+from jaxbound.diagnosis.hints import bound_hints, device_hints, outgrown
 from jaxbound.estimation.validation import Validation, validate
 from jaxbound.estimation.validation_observer import least_horizon
 from jaxbound.models.system import LinearSystem
@@ -200,7 +201,7 @@ def evaluate_validation(work: Path, step: Step, run: DetectRun) -> Evaluation:
         alarms = res.alarms(run.alarm, recording.instants)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
     reaches = outgrown(plant, looks_back="validation")
-    sure = (*judging_hints(remembers=True), *bound_hints(plant))
+    sure = (*device_hints(judging_device(remembers=True)), *bound_hints(plant))
     hints = (*recording.hints, *sure, *reaches, *_assumptions(res, recording))
     summary = summarised(res, alarms, recording.label, run.min_coverage, hints, outgrown=bool(reaches))
     close_all(sinks, Outcome(alarms, summary, plant, Path(data), content, options.method, horizon))

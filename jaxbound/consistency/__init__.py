@@ -2,10 +2,9 @@
 
 from jaxbound.consistency.interface import Judged, Observer, Relations, Verdicts, WindowTest, family
 from jaxbound.consistency.monitor import Monitor, MonitorState, Verdict
-from jaxbound.consistency.monitorbank import BankVerdicts, MonitorBank
+from jaxbound.consistency.monitorbank import MonitorBank
 
 __all__ = [
-    "BankVerdicts",
     "Judged",
     "Monitor",
     "MonitorBank",

@@ -5,10 +5,10 @@ from typing import Any, TypeVar
 import numpy as np
 
 from jaxbound.consistency.bank import HIGH
-from jaxbound.models.region import Departure
+from jaxbound.models.region import Departure, Region
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["CLAIMED", "UNCLAIMED", "refuse_outside", "unclaimed"]
+__all__ = ["CLAIMED", "UNCLAIMED", "placed", "refuse_outside", "unclaimed"]
 
 Claims = TypeVar("Claims", bound=Any)
 """The type of verdicts: a Judged, or those of a monitor with `statuses`."""
@@ -20,6 +20,24 @@ def refuse_outside(outside: str) -> None:
     """Raise ValueError for a word that FAULT outside the region of training cannot be called."""
     if outside not in OUTSIDE:
         raise ValueError(f"outside must be one of {', '.join(OUTSIDE)}, not {outside!r}")
+
+
+def placed(judged: Claims, region: Region | None, u: np.ndarray, outside: str) -> Claims:
+    """Return verdicts (T,) with their departure from the region of training, None where there is none.
+
+    Args:
+        u: (B + T, m), the inputs of the samples, and of so many before them as there are. outside: what FAULT
+            there is called.
+    """
+    if region is None:
+        return judged
+    before = len(u) - len(judged.status)
+    missing = np.concatenate([np.zeros(before, bool), judged.status == Status.MISSING])
+    departure = region.departure(u, missing).cut(slice(before, None))
+    if outside == UNCLAIMED:
+        judged = unclaimed(judged, departure)
+    claims: Claims = judged._replace(departure=departure)
+    return claims
 
 
 def unclaimed(judged: Claims, departure: Departure) -> Claims:

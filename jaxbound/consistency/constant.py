@@ -28,7 +28,7 @@ from jaxbound.consistency.interface import (
     SignedTest,
     WindowTest,
 )
-from jaxbound.consistency.reading import Block, Reading, RowValues, Samples
+from jaxbound.consistency.reading import Block, Reading, RowValues
 from jaxbound.consistency.strips_on_host import host_strips
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
@@ -39,9 +39,7 @@ __all__ = [
     "ConstantTest",
     "GainBounds",
     "gain_bounds",
-    "gain_tolerance",
     "no_derivative",
-    "own_factor",
     "signed",
 ]
 
@@ -150,18 +148,11 @@ def gain_bounds(reading: Reading, xp: ModuleType) -> GainBounds:
     return GainBounds(*(xp.concatenate([x.astype(one.dtype), one]) for x in (*ends, *inner)))
 
 
-def gain_tolerance(reading: Reading, xp: ModuleType) -> Array:
+def _tolerance(reading: Reading) -> jax.Array:
     """Return sigma (g, 1) of each gain, 0 for that of disturbances."""
-    none = xp.zeros(min(1, len(reading.disturbance)), reading.noise.dtype)
-    sigma: Array = xp.concatenate([reading.tolerance, none])[:, None]
+    none = jnp.zeros(min(1, len(reading.disturbance)), reading.noise.dtype)
+    sigma: jax.Array = jnp.concatenate([reading.tolerance, none])[:, None]
     return sigma
-
-
-def own_factor(reading: Reading, g: Samples, xp: ModuleType) -> Samples:
-    """Return the factor on tolerances at which gains g (g, N) are within them."""
-    sigma = gain_tolerance(reading, xp)
-    factor: Samples = xp.max(xp.where(sigma > 0, xp.abs(1 / g - 1) / xp.where(sigma > 0, sigma, 1), 0), 0)
-    return factor
 
 
 def signed(margin: np.ndarray, inside: np.ndarray) -> np.ndarray:
@@ -264,19 +255,15 @@ def _strip(reading: Reading, rows: RowValues, support: jax.Array, h: jax.Array, 
     )
 
 
-def narrowed(
-    lo: Samples, hi: Samples, slope: Samples, least: Samples, xp: ModuleType
-) -> tuple[Samples, Samples, Samples]:
-    """Return boxes lo, hi (g, N) without parts where sum_i g_i slope_i < least, and whether nothing is left;
-    NaN leaves all as it is.
-    """
-    most = xp.maximum(slope * lo, slope * hi)
-    total = xp.sum(most, 0)
-    edge = (least[None] - (total[None] - most)) / slope
-    slip = 8 * np.finfo(edge.dtype).eps * xp.abs(edge)
-    low = xp.where(slope > 0, xp.fmax(lo, edge - slip), lo)
-    high = xp.where(slope < 0, xp.fmin(hi, edge + slip), hi)
-    return low, high, total < least
+def _narrowed(
+    lo: jax.Array, hi: jax.Array, slope: jax.Array, least: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Return boxes lo, hi (g, N) without parts where sum_i g_i slope_i < least; NaN leaves all as it is."""
+    most = jnp.maximum(slope * lo, slope * hi)
+    edge = (least[None] - (jnp.sum(most, 0)[None] - most)) / slope
+    slip = 8 * np.finfo(edge.dtype).eps * jnp.abs(edge)
+    low = jnp.where(slope > 0, jnp.fmax(lo, edge - slip), lo)
+    return low, jnp.where(slope < 0, jnp.fmin(hi, edge + slip), hi)
 
 
 def _best(reading: Reading, strips: _Strips) -> tuple[jax.Array, jax.Array]:
@@ -286,20 +273,22 @@ def _best(reading: Reading, strips: _Strips) -> tuple[jax.Array, jax.Array]:
     Bisection between a factor that some gains reach and one that is taken to be too small: where narrowing
     the gains by it leaves nothing, or the middle of what it leaves does not reach it.
     """
-    sigma = gain_tolerance(reading, jnp)
+    sigma = _tolerance(reading)
+    used = jnp.where(sigma > 0, sigma, 1)
 
     def factor(gains: jax.Array) -> jax.Array:
         def worst(t: jax.Array, strip: _Strips) -> jax.Array:
             off, room = strip.at(gains)
             return jnp.maximum(t, jnp.where(strip.absent, 0, off / room))
 
-        return _fold(worst, own_factor(reading, gains, jnp), strips)
+        own = jnp.max(jnp.where(sigma > 0, jnp.abs(1 / gains - 1) / used, 0), 0)
+        return _fold(worst, own, strips)
 
     def left(t: jax.Array) -> tuple[jax.Array, jax.Array]:
         def narrow(box: tuple[jax.Array, jax.Array], strip: _Strips) -> tuple[jax.Array, jax.Array]:
             lo, hi = box
             for sign in (1, -1):
-                lo, hi, _ = narrowed(lo, hi, t[None] * strip.e + sign * strip.a, sign * strip.b, jnp)
+                lo, hi = _narrowed(lo, hi, t[None] * strip.e + sign * strip.a, sign * strip.b)
             return lo, hi
 
         wide = t[None] * sigma

@@ -6,7 +6,7 @@ again and searched on; those that lack a sample on which the search is built are
 """
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple, Self
 
@@ -29,8 +29,8 @@ from jaxbound.consistency.interface import (
     SignedTest,
 )
 from jaxbound.consistency.projection import easy_by
-from jaxbound.consistency.reading import Block, Reading, RowValues, gather
-from jaxbound.consistency.unproved import unproved_margins
+from jaxbound.consistency.reading import Block, Reading, gather
+from jaxbound.consistency.unproved import over_blocks, unproved_margins
 from jaxbound.consistency.whole_numbers import finite, thin
 from jaxbound.exact.frames import ExactFrame
 from jaxbound.recordings.recording import Recording
@@ -198,7 +198,7 @@ class ExchangeTest(SignedTest):
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""
-        return unproved_margins(self, _given_margins, given, search=_best)
+        return unproved_margins(self, _smooth_margins, given)
 
     def _whole_numbers(self, u: np.ndarray, y: np.ndarray, margin: np.ndarray) -> None:
         """Decide thin windows, and those whose holes floats leave open, in whole numbers, in place."""
@@ -224,53 +224,20 @@ class ExchangeTest(SignedTest):
         return u, self.reading.seen(y)
 
 
-def _given_margins(reading: Reading, u: jax.Array, y: jax.Array, *best: jax.Array) -> jax.Array:
+def _smooth_margins(reading: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
     """Return the unproved margins (T - s,) of one recording u (T, m), y (T, p), differentiable, NaN where
-    data are missing; best: from `_best`.
+    data are missing: those of the combinations that speak most against each window, which are searched for as
+    numbers.
     """
 
-    def of_best(rows: RowValues, best: jax.Array) -> jax.Array:
-        return separation.margin_of(best, rows.mid, rows.rad, rows.known)
+    def margins(u: jax.Array, y: jax.Array) -> jax.Array:
+        rows = reading.block(u, y)
+        still = jax.lax.stop_gradient((reading.frame, rows.mid, rows.rad, rows.known))
+        best = separation.separation_best(*still)
+        return separation.margin_of(jax.lax.stop_gradient(best), rows.mid, rows.rad, rows.known)
 
-    return _over_blocks(of_best, reading, u, y, *best).reshape(-1)[: y.shape[0] - reading.horizon]
-
-
-def _best(reading: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
-    """Return the combinations (blocks, rows + l, N) that speak most against each window: margins and their
-    derivatives follow from them.
-    """
-
-    def best(rows: RowValues) -> jax.Array:
-        return separation.separation_best(reading.frame, rows.mid, rows.rad, rows.known)
-
-    return _over_blocks(best, reading, u, y)
-
-
-def _over_blocks(
-    kernel: Callable[..., jax.Array], reading: Reading, u: jax.Array, y: jax.Array, *more: jax.Array
-) -> jax.Array:
-    """Return the results of kernel(rows, *one of each of more) for all windows of a recording, block after
-    block.
-    """
-    count, size = y.shape[0] - reading.horizon, _block_of(reading.frame)
-    blocks = -(-count // size)
-
-    def filled(x: jax.Array) -> jax.Array:
-        return jnp.pad(x, ((0, blocks * size - count), (0, 0)), mode="edge")
-
-    def taken(x: jax.Array, first: jax.Array, lags: int) -> jax.Array:
-        samples = x[first + jnp.arange(lags)[:, None] + jnp.arange(size)[None]]
-        return jnp.moveaxis(samples, 1, 2)
-
-    u, y = filled(u), filled(y)
-
-    def one_block(given: tuple[jax.Array, ...]) -> jax.Array:
-        first, *rest = given
-        rows = reading.block(taken(u, first, reading.lags), taken(y, first, reading.horizon + 1))
-        return kernel(rows, *rest)
-
-    results: jax.Array = jax.lax.map(one_block, (size * jnp.arange(blocks), *more))
-    return results
+    starts = jnp.arange(len(y) - reading.horizon)
+    return over_blocks(margins, reading, u, y, starts, _block_of(reading.frame))
 
 
 @kernel

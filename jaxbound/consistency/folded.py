@@ -155,9 +155,8 @@ def _rows(reading: Reading, u: Columns, y: Columns) -> list[_Row]:
             continue
         sample, rho = y[row.first][i], errors[i][row.first]
         d = sample - reading.offset_y[i]
-        over = jnp.abs(d) - rho
-        q = jnp.where(over > 0, over, 0)
-        mid, rad = d - shares[i] * _with_sign(q, d), rho + shares[i] * q
+        beyond = jnp.where(d > rho, d - rho, jnp.where(d < -rho, d + rho, 0))
+        mid, rad = d - shares[i] * beyond, rho + shares[i] * jnp.abs(beyond)
         rows.append(_Row(mid, rad, jnp.abs(sample), jnp.abs(reading.offset_y[i]), factors[i]))
     return rows
 
@@ -183,14 +182,6 @@ def _errors(reading: Reading, u: Columns, y: Columns, i: int) -> list[jax.Array]
         return [error(reading.noise[i])] * len(y)
     column = len(reading.offset_u) + reading.times.index(i)
     return [error(reading.noise[i] * jnp.where(jnp.isnan(now[column]), 1, now[column])) for now in u]
-
-
-def _with_sign(size: jax.Array, sign: jax.Array) -> jax.Array:
-    """Return sizes >= 0 with the signs of other numbers."""
-    bits = np.dtype(f"int{8 * size.dtype.itemsize}")
-    first = np.iinfo(bits).min
-    patterns = [jax.lax.bitcast_convert_type(x, bits) for x in (size, sign)]
-    return jax.lax.bitcast_convert_type(patterns[0] | (patterns[1] & first), size.dtype)
 
 
 def _inputs(reading: Reading, u: Columns) -> list[_Row]:

@@ -166,8 +166,9 @@ class Verdicts(Protocol):
 class Judged(NamedTuple):
     """Verdicts (..., T): status, as int8; margin; words, of a bank the packed verdicts of its relations, else
     None; departure: from the region of training, None: it is not known, or not asked for. by: of a monitor
-    the numbers of the tests that speak, -1 where none does, and names of all its tests; statuses,
-    test_margins: (T, tests) of each of them; else None.
+    the numbers of the tests that speak, -1 where none does: of those that prove a FAULT, else of all, that of
+    the least margin; names of all its tests, where they are asked for; statuses, test_margins: (T, tests) of
+    each of them; else None.
     """
 
     status: np.ndarray

@@ -9,6 +9,7 @@ the short ones have 64 and 16. A verdict is a proof with any rounding.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple, TypeAlias, TypeGuard
 
 import jax
@@ -16,7 +17,7 @@ import numpy as np
 from jax.typing import DTypeLike
 from numpy.typing import ArrayLike
 
-from jaxbound.consistency.claims import CLAIMED, UNCLAIMED, refuse_outside, unclaimed
+from jaxbound.consistency.claims import CLAIMED, UNCLAIMED, placed, refuse_outside
 from jaxbound.consistency.drive import windows
 from jaxbound.consistency.interface import (
     EXACT,
@@ -36,7 +37,6 @@ from jaxbound.recordings.seams import TOLERATED_STEP, all_starts
 from jaxbound.recordings.table import one_row
 from jaxbound.recordings.tabletime import unlabelled
 from jaxbound.sets.floats.probe import refuse_unusable
-from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 
 __all__ = ["Monitor", "MonitorState", "PlacedState", "Verdict"]
@@ -288,30 +288,29 @@ class Monitor:
     ) -> tuple[PlacedState, Any]:
         """Return (state, verdicts of a monitor's tests), which claim no FAULT outside the region."""
         carry, judged = tests.followed(state.carry, piece)
-        before, u = len(state.u), np.concatenate([state.u, np.asarray(piece.u, np.float64)])
-        missing = np.concatenate([np.zeros(before, bool), judged.status == Status.MISSING])
-        departure = region.departure(u, missing).cut(slice(before, None))
-        verdicts: Any = unclaimed(judged, departure)
-        return PlacedState(carry, u[len(u) - before :].copy()), verdicts._replace(departure=departure)
+        u = np.concatenate([state.u, np.asarray(piece.u, np.float64)])
+        after = PlacedState(carry, u[len(u) - len(state.u) :].copy())
+        return after, placed(judged, region, u, self.outside)
 
-    def _piece(self, u: object, y: object, starts: Starts) -> _Piece:
+    def _piece(self, u: object, y: object, starts: Starts) -> Recording:
         """Return samples in our dtype, with all that a table tells beside, or refuse them."""
         model = self.relations.model
         plain = not factors_of(model)
         if plain and self._fits(u, model.m) and self._fits(y, model.p) and len(u) == len(y):
             none = isinstance(starts, tuple) and not starts
-            piece = _Piece(u, y, NOWHERE if none else all_starts(starts, len(y)))
+            begins = NOWHERE if none else all_starts(starts, len(y))
+            piece = Recording(u, y, begins, known(model), model.outputs)
         else:
             piece = self._of_table(u, y, starts)
         if np.count_nonzero(np.isinf(piece.u)) or np.count_nonzero(np.isinf(piece.y)):
-            Recording(piece.u, piece.y, piece.starts, known(model), model.outputs).finite()
+            piece.finite()
         return piece
 
     def _fits(self, x: object, channels: int) -> TypeGuard[np.ndarray]:
         """Return whether x is an array as it will be judged: nothing to convert, which takes longest."""
         return type(x) is np.ndarray and x.dtype == self.dtype and x.ndim == 2 and x.shape[1] == channels
 
-    def _of_table(self, u: object, y: object, starts: Starts) -> _Piece:
+    def _of_table(self, u: object, y: object, starts: Starts) -> Recording:
         """Return samples of tables, or of anything else that `Recording.of` takes."""
         model = self.relations.model
         table = Recording.of(model, u, y, starts, regular=False)
@@ -327,28 +326,28 @@ class Monitor:
                 f"a Monitor follows one recording: y must have shape (N, {len(model.outputs)}), not "
                 f"{own_y.shape}"
             )
-        return _Piece(own_u, own_y, table.starts, table)
+        return replace(table, u=own_u, y=own_y)
 
-    def _seams(self, piece: _Piece, time: ArrayLike | None, state: MonitorState) -> tuple[np.ndarray, float]:
+    def _seams(
+        self, piece: Recording, time: ArrayLike | None, state: MonitorState
+    ) -> tuple[np.ndarray, float]:
         """Return the samples that do not follow the one before by their time, and the time of the last one,
         in s.
         """
-        count, table, before = len(piece.y), piece.table, float(state.time)
+        count, before = len(piece.y), float(state.time)
         if not count:
             return NOWHERE, before
         if time is not None:
             return self._seams_at(np.asarray(time, np.float64).reshape(-1), count, before)
-        if table is None:
-            return NOWHERE, before
-        if table.time is None:
+        if piece.time is None:
             # the numbers of later rows go on from here
-            if table.index is not None and unlabelled(table.index) and not state.samples:
+            if piece.index is not None and unlabelled(piece.index) and not state.samples:
                 return NOWHERE, (count - 1) * self._dt
             return NOWHERE, before
-        begin = table.origin + table.time[0]
+        begin = piece.origin + piece.time[0]
         # rows of one table were looked at already
         off = abs(begin - before - self._dt) - np.spacing(abs(begin))
-        return np.zeros(int(off > TOLERATED_STEP * self._dt), np.int64), table.origin + table.time[-1]
+        return np.zeros(int(off > TOLERATED_STEP * self._dt), np.int64), piece.origin + piece.time[-1]
 
     def _seams_at(self, time: np.ndarray, count: int, before: float) -> tuple[np.ndarray, float]:
         """Return the same by the times (N,) of all samples."""
@@ -359,10 +358,9 @@ class Monitor:
         seams[0] &= not np.isnan(before)
         return np.flatnonzero(seams), time[-1]
 
-    def _follows(self, piece: _Piece, begun: np.ndarray, state: MonitorState) -> int:
+    def _follows(self, piece: Recording, begun: np.ndarray, state: MonitorState) -> int:
         """Return how many of the last samples follow each other, at most those that are kept."""
-        table = piece.table
-        if table is not None and table.excluded is not None and table.excluded[-1:].any():
+        if piece.excluded is not None and piece.excluded[-1:].any():
             return 0
         count = len(piece.y)
         follows = count - begun.max() if len(begun) else count + state.follows
@@ -378,20 +376,6 @@ class Monitor:
 
     def _judged(self, u: np.ndarray, judged: Judged, first: int = 0) -> Verdict:
         """Return the verdicts from a sample on, with how far they lie outside the region of training."""
-        if self.region is None:
-            return Verdict(judged.status[first:], judged.margin[first:])
-        departure = self.region.departure(u, judged.status == Status.MISSING)
-        if self.outside == UNCLAIMED:
-            judged = unclaimed(judged, departure)
-        return Verdict(judged.status[first:], judged.margin[first:], departure.cut(slice(first, None)))
-
-
-class _Piece(NamedTuple):
-    """The next samples. Fields: u (N, m), y (N, p); starts; table: the Recording that they came from, None
-    for plain arrays.
-    """
-
-    u: np.ndarray
-    y: np.ndarray
-    starts: np.ndarray
-    table: Recording | None = None
+        judged, new = placed(judged, self.region, u, self.outside), slice(first, None)
+        departure = judged.departure and judged.departure.cut(new)
+        return Verdict(judged.status[new], judged.margin[new], departure)

@@ -31,12 +31,12 @@ from jaxbound.consistency.interface import (
     MONITOR,
     Bounds,
     Budget,
+    Judged,
     Observer,
     Relations,
     Watch,
 )
 from jaxbound.consistency.monitor import Monitor
-from jaxbound.models.region import Departure
 from jaxbound.models.statedtests import OTHERWISE
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.watched import NO, UNKNOWN, YES, modes_at, watched
@@ -47,7 +47,7 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.threads import inherited
 from jaxbound.text.objects import readable
 
-__all__ = ["NO", "UNKNOWN", "YES", "BankState", "BankVerdicts", "MonitorBank", "Watch", "claimed", "combined"]
+__all__ = ["NO", "UNKNOWN", "YES", "BankState", "MonitorBank", "Watch", "claimed", "combined"]
 
 BEFORE = np.int8(-1)
 """In place of NO, YES and UNKNOWN before the first sample."""
@@ -65,23 +65,6 @@ class BankState(NamedTuple):
 
     tests: tuple[Any, ...]
     modes: np.ndarray
-
-
-@readable
-class BankVerdicts(NamedTuple):
-    """Verdicts of a bank: status (T,) int8 and margin (T,), by (T,) int16, the number of the test that
-    speaks, -1 where none does: of those that prove a FAULT, else of all, that of the least margin.
-
-    statuses, margins: (T, tests), of each test. words, departure: as of a Judged.
-    """
-
-    status: np.ndarray
-    margin: np.ndarray
-    by: np.ndarray
-    statuses: np.ndarray
-    margins: np.ndarray
-    words: np.ndarray | None = None
-    departure: Departure | None = None
 
 
 @readable
@@ -255,8 +238,8 @@ class MonitorBank(Observer[BankState]):
             tuple(one.init() for one in self.monitors), np.full(len(self.conditions), BEFORE, np.int8)
         )
 
-    def fold(self, carry: BankState, piece: Recording) -> tuple[BankState, BankVerdicts]:
-        """Take the next samples; return (memory, their BankVerdicts)."""
+    def fold(self, carry: BankState, piece: Recording) -> tuple[BankState, Judged]:
+        """Take the next samples; return (memory, their verdicts, with those of each test)."""
         modes, device = self.modes_of(np.asarray(piece.u)), default_device()
         monitors = self.monitors  # built once, and not by each thread
 
@@ -342,7 +325,7 @@ def combined(
     conditions: Sequence[int],
     modes: np.ndarray,
     complete: bool,
-) -> BankVerdicts:
+) -> Judged:
     """Return the verdicts of a bank from those of its tests.
 
     Args:
@@ -366,7 +349,7 @@ def combined(
         less = rank < least
         by[less], least = i, np.minimum(rank, least)
     counting = _counting(margins, conditions, modes, complete)
-    return BankVerdicts(status, _least(counting), by, statuses, margins)
+    return Judged(status, _least(counting), by=by, statuses=statuses, test_margins=margins)
 
 
 def claimed(statuses: np.ndarray, conditions: Sequence[int], modes: np.ndarray, complete: bool) -> np.ndarray:

@@ -8,6 +8,7 @@ held.
 
 import math
 from collections.abc import Iterable
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +17,7 @@ import numpy as np
 from jaxbound.consistency.interface import Array
 from jaxbound.consistency.parametric_windows import SEARCHED, by_vertices, cases, terms_of
 from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations
-from jaxbound.consistency.unproved import is_traced
+from jaxbound.consistency.unproved import is_traced, over_blocks
 from jaxbound.sets.strips import polynomials, varying
 
 __all__ = ["parametric_margins"]
@@ -39,28 +40,14 @@ def parametric_margins(relations: PolynomialRelations, u: Array, y: Array) -> ja
     for case, own in chosen:
         found: Array | float = 0.0
         if case is not None and len(own):
-            found = _over_blocks(case, jnp.asarray(u), jnp.asarray(y), starts[own])
+            reading = case.reading(y.dtype)
+            smooth = partial(_smooth_margins, reading, by_vertices(case))
+            found = over_blocks(smooth, reading, jnp.asarray(u), jnp.asarray(y), starts[own], SEARCHED)
         out = out.at[starts[own] + s].set(found)
     return out.reshape(shape)
 
 
-def _over_blocks(relations: PolynomialRelations, u: jax.Array, y: jax.Array, starts: np.ndarray) -> jax.Array:
-    """Return the margins of the windows that start at `starts`, in a loop over blocks."""
-    reading, vertices = relations.reading(y.dtype), by_vertices(relations)
-    filled = np.concatenate([starts, np.repeat(starts[:1], -len(starts) % SEARCHED)]).reshape(-1, SEARCHED)
-
-    def taken(x: jax.Array, first: jax.Array, lags: int) -> jax.Array:
-        return jnp.moveaxis(x[first[None] + np.arange(lags)[:, None]], 1, 2)
-
-    def one_block(first: jax.Array) -> jax.Array:
-        windows = taken(u, first, reading.lags), taken(y, first, reading.horizon + 1)
-        return _smooth_margins(reading, *windows, vertices)
-
-    numbers: jax.Array = jax.lax.map(one_block, jnp.asarray(filled))
-    return numbers.reshape(-1)[: len(starts)]
-
-
-def _smooth_margins(reading: PolynomialReading, u: jax.Array, y: jax.Array, vertices: bool) -> jax.Array:
+def _smooth_margins(reading: PolynomialReading, vertices: bool, u: jax.Array, y: jax.Array) -> jax.Array:
     """Return 1 - gauge (N,) of windows u (lags, m, N), y (s + 1, p, N), with derivatives; a missing sample
     that matters gives NaN.
     """

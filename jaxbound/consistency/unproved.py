@@ -3,29 +3,23 @@
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency.drive import raw_outputs
-from jaxbound.consistency.interface import Array, LinearTest
+from jaxbound.consistency.interface import Array, LinearTest, WindowReading
 from jaxbound.consistency.reading import Reading
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.strips.separation import Frame
 from jaxbound.sets.strips.strips import UNROLLED, Strips
 
-__all__ = ["is_traced", "stretch_block", "unproved_margins", "within"]
+__all__ = ["is_traced", "over_blocks", "stretch_block", "unproved_margins", "within"]
 
-Search: TypeAlias = Callable[[Reading, jax.Array, jax.Array], jax.Array]
-
-
-class Smooth(Protocol):
-    """Margins (N,) of the windows of a stretch, to be differentiated."""
-
-    def __call__(self, reading: Reading, u: jax.Array, y: jax.Array, /, *found: jax.Array) -> jax.Array:
-        """Return the margins; found: the result of a search, if there is one."""
+Smooth: TypeAlias = Callable[[Reading, jax.Array, jax.Array], jax.Array]
+"""Margins (N,) of the windows of a stretch (reading, u, y), to be differentiated."""
 
 
 def is_traced(*trees: object) -> bool:
@@ -45,76 +39,50 @@ def stretch_block(reading: Reading) -> int:
     return 2**17  # to start a block takes as long as some 10^4 windows of it; a short recording fills one
 
 
-QUICK = {"xla_cpu_use_fusion_emitters": False}
-"""XLA's former way to write loops for a CPU: a search compiles in half of the time and runs as fast. No proof
-rests on what runs so. jaxlib 0.12 no longer has it; kernels that prove would run up to 44 % slower.
-"""
-
-
-def unproved_margins(
-    test: LinearTest, smooth: Smooth, given: Recording, search: Search | None = None
-) -> jax.Array:
-    """Return the margins (..., T) of windows; see `WindowTest.margins`.
-
-    Args:
-        smooth: of (reading, u (N + s, m), y (N + s, p)), to be differentiated. search: of the same arguments,
-            returns an array that smooth takes last and nothing is differentiated through: compiled alone,
-            once for values and derivatives.
+def unproved_margins(test: LinearTest, smooth: Smooth, given: Recording) -> jax.Array:
+    """Return the margins (..., T) of windows; see `WindowTest.margins`. smooth: of u (N + s, m), y (N + s,
+    p).
     """
     margins: jax.Array
-    reading = test.reading
-    if not is_traced(given.u, given.y, reading):
+    if not is_traced(given.u, given.y, test.reading):
         *_, on_host = raw_outputs(test.measured(), given.u, given.y, given.starts)
         margins = jax.device_put(on_host)
         return margins
-    found = []
-    if search is not None:
-        found.append(_searched(search, reading, given.u, given.y))
-    margins = _whole(smooth, reading, given.u, given.y, _gone(given, test.horizon), *found)
+    margins = _whole(smooth, test.reading, given.u, given.y, _gone(given, test.horizon))
     return margins
 
 
 @partial(jax.jit, static_argnums=0)
-def _whole(
-    kernel: Smooth, reading: Reading, u: jax.Array, y: jax.Array, gone: np.ndarray, *found: jax.Array
-) -> jax.Array:
+def _whole(kernel: Smooth, reading: Reading, u: jax.Array, y: jax.Array, gone: np.ndarray) -> jax.Array:
     """Return the margins (..., T) of recordings u (..., T, m), y (..., T, p), NaN where `gone` (T,): one
     program, none op by op.
     """
     shape = y.shape[:-1]
-    margin = jnp.pad(kernel(reading, *_flat(u, y), *found), (reading.horizon, 0)).reshape(shape)
+    margin = jnp.pad(kernel(reading, *_flat(u, y)), (reading.horizon, 0)).reshape(shape)
     return jnp.where(gone.reshape((1,) * (y.ndim - 2) + gone.shape), jnp.nan, margin)
 
 
-def _searched(search: Search, reading: Reading, u: Array, y: Array) -> jax.Array:
-    """Return the result of a search as constants for a derivative: where jax.grad alone traces, they are
-    numbers.
+def over_blocks(
+    margins: Callable[[jax.Array, jax.Array], jax.Array],
+    reading: WindowReading,
+    u: jax.Array,
+    y: jax.Array,
+    starts: Array,
+    size: int,
+) -> jax.Array:
+    """Return the margins of windows u (lags, m, size), y (s + 1, p, size), of all that start at some samples
+    of u (T, m), y (T, p), block after block.
     """
-    arguments = jax.tree.map(_constant, (reading, u, y))
-    best: jax.Array
-    if is_traced(arguments):
-        best = _alone(search, *arguments)
-        return best
-    try:
-        best = _alone_quickly(search, *arguments)
-    except jax.errors.JaxRuntimeError as refused:
-        if "compile option" not in str(refused):  # of another jaxlib, or another device
-            raise
-        best = _alone(search, *arguments)
-    return best
+    filled = jnp.pad(starts, (0, -len(starts) % size), mode="edge").reshape(-1, size)
 
+    def taken(x: jax.Array, first: jax.Array, lags: int) -> jax.Array:
+        return jnp.moveaxis(x[first[None] + np.arange(lags)[:, None]], 1, 2)
 
-def _constant(x: Array) -> Array:
-    """Return an array through which nothing is differentiated."""
-    return jax.lax.stop_gradient(x) if is_traced(x) else x
+    def one_block(first: jax.Array) -> jax.Array:
+        return margins(taken(u, first, reading.lags), taken(y, first, reading.horizon + 1))
 
-
-def _search_flat(search: Search, reading: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
-    return search(reading, *_flat(u, y))
-
-
-_alone = jax.jit(_search_flat, static_argnums=0)
-_alone_quickly = jax.jit(_search_flat, static_argnums=0, compiler_options=QUICK)  # only as the outermost jit
+    found: jax.Array = jax.lax.map(one_block, filled)
+    return found.reshape(-1)[: len(starts)]
 
 
 def _flat(u: jax.Array, y: jax.Array) -> list[jax.Array]:

@@ -14,10 +14,10 @@ from jaxbound.certificates.interface import WindowCertificate
 from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.causes import Judged, diagnose
-from jaxbound.diagnosis.suspects import UNKNOWN, Suspect
-from jaxbound.diagnosis.watch import NO_DATA, NO_SAMPLE, OTHER, Raised, Seen, alarms_in
+from jaxbound.diagnosis.suspects import Suspect
+from jaxbound.diagnosis.watch import NO_DATA, NO_SAMPLE, Raised, Seen, alarms_in
 from jaxbound.models.named_faults import NamedFault
-from jaxbound.models.region import Departure, Region
+from jaxbound.models.region import Region
 from jaxbound.recordings.sample_axis import Place
 from jaxbound.recordings.timestamps import label_text
 from jaxbound.sets.floats.status import Status
@@ -27,13 +27,10 @@ __all__ = [
     "BEGAN_ANEW",
     "ENDINGS",
     "GAP",
-    "NO_DATA",
     "NO_LONGER",
     "ONSET_LEFT",
-    "OTHER",
     "Alarm",
     "alarms_of",
-    "endings",
     "forgets_after",
     "group_alarms",
 ]
@@ -60,22 +57,6 @@ class Explained(Protocol):
 
     def when(self, k: int) -> object:
         """Return the time of sample k; None: nothing tells it."""
-
-
-class Grouped(Explained, Protocol):
-    """Verdicts that are grouped into alarms, as a Result has them."""
-
-    @property
-    def status(self) -> np.ndarray:
-        """(..., T)."""
-
-    @property
-    def margin(self) -> np.ndarray:
-        """(..., T)."""
-
-    @property
-    def departure(self) -> Departure | None:
-        """(..., T), from the region of training; None: it is not known."""
 
 
 @runtime_checkable
@@ -210,7 +191,7 @@ class Alarm:
 
 
 def group_alarms(
-    result: Grouped,
+    result: Judged,
     rule: AlarmRule,
     horizon: int | None,
     margin: np.ndarray | None = None,
@@ -255,33 +236,31 @@ def _blamed(blame: Blame, recording: tuple[int, ...], sample: int) -> Suspect:
 
 
 def alarms_of(
-    raised: Raised,
+    raised: Sequence[Raised],
     horizon: int | None,
     region: Region | None = None,
     recording: tuple[int, ...] = (),
     result: Explained | None = None,
-    tests: Sequence[str] | None = None,
+    tests: Sequence[str] = (),
 ) -> list[Alarm]:
     """Return the Alarms of those that are over.
 
     Args:
-        horizon: as for `endings`. region: of training; None: there is none. tests: that speak where they are
-            worst; None: there are none.
+        horizon: as for `_ending`. region: of training; None: there is none. tests: that speak where they are
+            worst; empty: there are none.
     """
-    codes = endings(raised.first, raised.last, raised.after, horizon)
-    outside: Sequence[int | None] = [None] * len(codes)
-    words: Sequence[str] = [""] * len(codes)
-    if region is not None:
-        outside = raised.outside.tolist()
-        words = Departure(raised.share, raised.by, raised.reading, region).words()
-    numbers = raised.start, raised.end, raised.windows, raised.depth, raised.worst
-    columns = map(np.ndarray.tolist, (*numbers, codes, raised.suspect, raised.ended))
-    rows = zip(*columns, outside, words, tests or [""] * len(codes), strict=True)
     alarms = []
-    for start, end, windows, depth, worst, code, suspect, ended, count, text, test in rows:
-        names, size, _, cause = suspect or UNKNOWN
-        about = recording, result, ended or ENDINGS[code], count, text, names, size, test, cause
-        alarms.append(Alarm(start, end, windows, depth, worst, *about))
+    for number, one in enumerate(raised):
+        outside, words, test = None, "", ""
+        if region is not None:
+            outside = one.outside
+        if region is not None and one.share > 0:
+            words = region.words(one.by, one.reading)
+        if tests:
+            test = tests[number]
+        ended, (names, size, _, cause) = one.ended or _ending(one, horizon), one.suspect
+        about = recording, result, ended, outside, words, names, size, test, cause
+        alarms.append(Alarm(one.start, one.end, one.windows, one.depth, one.worst, *about))
     return alarms
 
 
@@ -304,19 +283,22 @@ def forgets_after(relations: Relations) -> int | None:
     return relations.horizon
 
 
-def endings(
-    first: int | np.ndarray, last: int | np.ndarray, after: np.ndarray, horizon: int | None
-) -> np.ndarray:
-    """Return for each alarm the number of its entry in ENDINGS.
+def _ending(raised: Raised, horizon: int | None) -> str:
+    """Return why an alarm is over, one of ENDINGS.
 
     Args:
-        first, last: its first and last FAULT window. after: NO_SAMPLE, NO_DATA or OTHER. horizon: of the
-            windows. The onset is no later than `first`, and a window that ends at `first + horizon` or later
-            has no sample before that. None: of an observer, which leaves what it contradicts only to begin
-            anew; LATCHED: only at a gap.
+        horizon: of the windows. The onset is no later than `first`, and a window that ends at `first +
+            horizon` or later has no sample before that. None: of an observer, which leaves what it
+            contradicts only to begin anew; LATCHED: only at a gap.
     """
+    if raised.after == NO_SAMPLE:
+        return ENDINGS[0]
     if horizon is None:
-        return np.where(after == NO_SAMPLE, 0, ENDINGS.index(BEGAN_ANEW))
+        return BEGAN_ANEW
     if horizon == LATCHED:
-        return np.where(after == NO_SAMPLE, 0, ENDINGS.index(GAP))
-    return np.where(after == OTHER, np.where(last - first < horizon, 2, 3), after)
+        return GAP
+    if raised.after == NO_DATA:
+        return ENDINGS[1]
+    if raised.last - raised.first < horizon:
+        return ONSET_LEFT
+    return NO_LONGER

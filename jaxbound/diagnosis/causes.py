@@ -1,9 +1,9 @@
 """The cause of an alarm: the named faults that explain each of some of its windows."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
-from typing import Protocol, TypedDict, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -23,7 +23,7 @@ MOST = 5
 
 @runtime_checkable
 class Judged(Protocol):
-    """Verdicts of a recording whose windows are explained, as a Result has them."""
+    """Verdicts of a recording whose windows are grouped and explained, as a Result has them."""
 
     @property
     def status(self) -> np.ndarray:
@@ -39,6 +39,9 @@ class Judged(Protocol):
 
     def explain(self, at: Place) -> WindowCertificate:
         """Return the certificate of the window that ends at a sample; of a batch `at` is a tuple."""
+
+    def when(self, k: int) -> object:
+        """Return the time of sample k; None: nothing tells it."""
 
 
 def diagnose(
@@ -68,37 +71,25 @@ def diagnose(
             at = (*recording, k)
         return result.explain(at).diagnose(candidates)
 
-    found = one(chosen[0], faults)
+    diagnosis = one(chosen[0], faults)
     for k in chosen[1:]:
-        if not found.explains:
+        if not diagnosis.explains:
             break
-        found = found.and_of(one(k, [weighed.fault for weighed in found.explains]))
-    found = replace(found, of=len(fault), outside=_outside(result.departure, recording, chosen))
-    if found.explains or len(chosen) == 1:
-        return found
-    parts = _parts({k: one(k, faults) for k in sorted(chosen)})
-    return replace(found, windows=tuple(sorted(chosen)), **parts)
-
-
-class _Parts(TypedDict):
-    """Faults that explain some of the windows: `partly` and `ends` of a Diagnosis."""
-
-    partly: dict[str, tuple[int, ...]]
-    ends: dict[str, tuple[FaultSize, FaultSize]]
-
-
-def _parts(each: Mapping[int, Diagnosis]) -> _Parts:
-    """Return the faults that explain some of the windows alone. each: {sample of a window: its Diagnosis}."""
+        diagnosis = diagnosis.and_of(one(k, [weighed.fault for weighed in diagnosis.explains]))
+    diagnosis = replace(diagnosis, of=len(fault), outside=_outside(result.departure, recording, chosen))
+    if diagnosis.explains or len(chosen) == 1:
+        return diagnosis
     partly: dict[str, tuple[int, ...]] = {}
     ends: dict[str, tuple[FaultSize, FaultSize]] = {}
-    for k, diagnosed in each.items():
-        for weighed in diagnosed.explains:
+    for k in sorted(chosen):
+        for weighed in one(k, faults).explains:
             name = weighed.fault.name
             partly[name] = (*partly.get(name, ()), k)
             least, most = ends.get(name, (weighed, weighed))
             ends[name] = min(weighed, least, key=_magnitude), max(weighed, most, key=_magnitude)
     order = sorted(partly, key=lambda name: -len(partly[name]))
-    return {"partly": {name: partly[name] for name in order}, "ends": ends}
+    partly = {name: partly[name] for name in order}
+    return replace(diagnosis, windows=tuple(sorted(chosen)), partly=partly, ends=ends)
 
 
 def _magnitude(weighed: FaultSize) -> Fraction:

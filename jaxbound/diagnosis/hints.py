@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxbound.certificates.interface import Judgement
 from jaxbound.consistency.interface import Relations
-from jaxbound.consistency.searched import NOT_REFUTED, judging_device
+from jaxbound.consistency.searched import NOT_REFUTED
 from jaxbound.diagnosis.region import Outside
 from jaxbound.models.system import FOR_OBSERVER, TO_THE_END, LinearSystem
 from jaxbound.sets.floats.status import Status
@@ -19,7 +19,6 @@ __all__ = [
     "column_unit_hints",
     "device_hints",
     "fit_hints",
-    "judging_hints",
     "never_seen",
     "outgrown",
     "outgrown_by",
@@ -74,7 +73,7 @@ def bound_hints(model: object, relations: Relations | None = None) -> list[str]:
 
 
 def device_hints(device: str) -> tuple[str, ...]:
-    """Return the sentence on a device that may not prove; none of a CPU, or of a device that may.
+    """Return the sentence on the device that judged, and whether it may prove; none of a CPU.
 
     Args:
         device: in the words of `judging_device`.
@@ -87,19 +86,9 @@ def device_hints(device: str) -> tuple[str, ...]:
         )
     if device.startswith("the CPU"):
         return (f"followed on {device}",)
+    if device:
+        return (f"judged on {device}",)
     return ()
-
-
-def judging_hints(remembers: bool) -> tuple[str, ...]:
-    """Return the sentence on the device that judges in this process; none of a CPU.
-
-    Args:
-        remembers: whether an observer, or a validation, judges.
-    """
-    device = judging_device(remembers)
-    if not device:
-        return ()
-    return device_hints(device) or (f"judged on {device}",)
 
 
 def column_unit_hints(model: LinearSystem) -> list[str]:

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.certificates.interface import WindowCertificate
-from jaxbound.consistency.bank import HIGH
 from jaxbound.consistency.interface import Judged
 from jaxbound.diagnosis.detectability import OperatingRange, visible_sizes
 from jaxbound.diagnosis.result import Result, result_of
@@ -71,17 +70,9 @@ class BankResult(Result):
 
         Whichever single fault there is, it is among them: the others are excluded by proof.
         """
-        # a recording has few patterns of violated relations: each is worked out once
-        high = self.words & (self.words << np.uint32(1)) & HIGH
-        patterns, which = np.unique(high.reshape(len(high), -1), axis=1, return_inverse=True)
-        violated = np.zeros((patterns.shape[1], len(self.signatures.relations)), bool)
-        for i in range(violated.shape[1]):
-            word, place = divmod(i, PACKED)
-            violated[:, i] = patterns[word] >> np.uint32(2 * place + 1) & np.uint32(1)
         # a fault is excluded by a violated relation that does not react to it
-        excluded = violated.astype(int) @ (~self.signatures.weak).astype(int) > 0
-        able = ~excluded & violated.any(1, keepdims=True)
-        return np.asarray(able[which.ravel()].reshape(*self.status.shape, -1))
+        excluded = self.violated.astype(np.float32) @ (~self.signatures.weak).astype(np.float32) > 0
+        return np.asarray(~excluded & self.violated.any(-1, keepdims=True))
 
     def names(self, at: Place) -> tuple[str, ...]:
         """Return the names of the candidates of the window that ends at sample `at`, see `Result.explain`."""

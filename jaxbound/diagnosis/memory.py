@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from jaxbound.diagnosis.detectability import OperatingRange, operating_reach, window_shift
-from jaxbound.diagnosis.observer_sizes import STEADY, poles
+from jaxbound.diagnosis.observer_sizes import time_constants
 from jaxbound.exact.linalg import Vector
 from jaxbound.exact.price import SECONDS
 from jaxbound.models import window
@@ -131,19 +131,14 @@ def slowest(model: LinearSystem) -> float:
     """Return the slowest time constant of a plant in samples, inf if it integrates or is unstable, 0 without
     states.
     """
-    worst = max(poles(model), default=0.0)
-    if worst > STEADY:
-        return math.inf
-    if worst == 0:
-        return 0.0
-    return -1 / math.log(worst)
+    return max(time_constants(model), default=0.0)
 
 
 def _span_of(model: LinearSystem) -> int:
     """Return the longest span that is worth a look."""
     memory = slowest(model)
     if math.isinf(memory):
-        memory = max([64.0, *(-1 / math.log(p) for p in poles(model) if 0 < p < STEADY)])
+        memory = max([64.0, *(slow for slow in time_constants(model) if math.isfinite(slow))])
     return min(max(math.ceil(memory), 2 * model.n + 1, SHORTEST), LONGEST)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxbound.certificates.interface import WindowCertificate, nothing_to_explain
 from jaxbound.consistency.interface import EXACT, Judged
-from jaxbound.consistency.monitorbank import BankVerdicts, MonitorBank, combined
+from jaxbound.consistency.monitorbank import MonitorBank, combined
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.result import Result, result_of
@@ -200,6 +200,7 @@ def _(result: MonitorResult) -> list[str]:
 
 
 @result_of.register
-def _(family: MonitorBank, judged: BankVerdicts, result: Result) -> MonitorResult:
-    statuses, margins = judged.statuses, judged.margins
-    return MonitorResult(**vars(result), by=judged.by, statuses=statuses, test_margins=margins)
+def _(family: MonitorBank, judged: Judged, result: Result) -> MonitorResult:
+    statuses, margins, by = judged.statuses, judged.test_margins, judged.by
+    assert statuses is not None and margins is not None and by is not None, "a monitor has tests"
+    return MonitorResult(**vars(result), by=by, statuses=statuses, test_margins=margins)

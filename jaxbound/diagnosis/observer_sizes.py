@@ -18,7 +18,7 @@ from jaxbound.models.faults import Fault
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 
-__all__ = ["STEADY", "least_seen", "poles", "shifts"]
+__all__ = ["least_seen", "shifts", "time_constants"]
 
 LEAST, MOST = 100, 3000
 """Samples before the fault, in which the observer settles, and with it."""
@@ -68,16 +68,18 @@ def shifts(watch: SetObserver[Any], fault: Fault) -> np.ndarray:
 
 def _settled(model: LinearSystem) -> int:
     """Return the samples in which an observer of a plant settles: six of its slowest time constants."""
-    slow = max([-1 / np.log(p) for p in poles(model) if 0 < p < STEADY], default=1.0)
-    return int(np.clip(6 * slow, LEAST, MOST))
+    steady = [slow for slow in time_constants(model) if slow < np.inf]
+    return int(np.clip(6 * max(steady, default=1.0), LEAST, MOST))
 
 
-def poles(model: LinearSystem) -> list[float]:
-    """Return the magnitudes of the poles of a plant."""
+def time_constants(model: LinearSystem) -> list[float]:
+    """Return the time constants of a plant in samples; inf of a pole that integrates or is unstable."""
     if not model.n:
         return []
-    magnitudes: list[float] = np.abs(np.linalg.eigvals(np.array(model.A, float))).tolist()
-    return magnitudes
+    poles = np.abs(np.linalg.eigvals(np.array(model.A, float)))
+    poles = poles[poles > 0]
+    constants: list[float] = np.where(poles > STEADY, np.inf, -1 / np.log(np.minimum(poles, STEADY))).tolist()
+    return constants
 
 
 def _recorded(model: LinearSystem, fault: Fault, course: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -17,7 +17,7 @@ from jaxbound.diagnosis.causes import diagnose
 from jaxbound.diagnosis.hints import bound_hints, device_hints, fit_hints
 from jaxbound.diagnosis.measuring import exact_margins, tightest
 from jaxbound.diagnosis.region import Excursions, Outside
-from jaxbound.diagnosis.severity import fitted, severity_of
+from jaxbound.diagnosis.severity import Severity, fitted
 from jaxbound.diagnosis.suspects import Suspect, nameless, suspect_of
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.models.named_faults import NamedFault
@@ -307,7 +307,7 @@ class Result:
         if rule.least is None:
             return None
         counts = np.zeros(self.status.shape, bool)
-        severity = severity_of(self.relations, self.method, cast(Mapping[str, float], rule.least))
+        severity = Severity(self.relations, self.method, cast(Mapping[str, float], rule.least))
         for at in np.ndindex(counts.shape[:-1]):
             fault = self.status[at] == Status.FAULT
             counts[at] = severity.reached(self.u[at], self.y[at], fault, self._speaking(at))

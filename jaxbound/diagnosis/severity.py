@@ -13,7 +13,7 @@ from typing import cast
 import numpy as np
 
 from jaxbound.consistency.drive import windows
-from jaxbound.consistency.interface import Relations
+from jaxbound.consistency.interface import METHODS, Relations
 from jaxbound.consistency.monitorbank import YES, MonitorBank
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.suspects import nameless
@@ -21,37 +21,35 @@ from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["MonitorSeverity", "Severity", "fitted", "severity_of"]
+__all__ = ["Severity", "fitted"]
 
 
 class Severity:
-    """The test by which FAULT windows of relations count.
+    """The tests by which FAULT windows of relations, or of a monitor, count.
 
     Args:
         relations, method: as tested. least: {output: size}, in units.
+
+    Fields: wider: {number of a test: its relations under a wider bound, one for each size}.
 
     Raises:
         ValueError: relations that do not tell the errors of single sensors.
     """
 
     def __init__(self, relations: Relations, method: str, least: Mapping[str, float]) -> None:
-        self.horizon, self.method = relations.horizon, method
-        refused = (
-            f"a least size of an alarm is for windows of a plant with bounds on its noise, not for "
-            f"{type(relations).__name__}: leave it out, or state windows beside it as a [[test]]"
-        )
-        if relations.remembers or "noise" not in relations.bounds:
-            raise ValueError(refused)
-        self.wider: list[Relations] = []
-        outputs = list(relations.model.outputs)
-        for name, size in least.items():
-            noise = np.array(relations.bounds["noise"], float)
-            own = outputs.index(name)
-            noise[own] = np.nextafter(noise[own] + size, np.inf)
+        self.relations, self.method = relations, method
+        if relations.parts:
+            self.method = METHODS[0]
+        self.wider: dict[int, list[Relations]] = {}
+        for number, watch in enumerate(relations.watches):
             try:
-                self.wider.append(relations.with_bounds({"noise": noise}))
-            except NotImplementedError:
-                raise ValueError(refused) from None
+                self.wider[number] = _wider(watch.relations, least)
+            except ValueError as e:
+                refused = e
+        if not self.wider and relations.parts:
+            raise ValueError(f"no test of this monitor proves a size: {refused}")
+        if not self.wider:
+            raise refused
 
     def reached(
         self, u: np.ndarray, y: np.ndarray, fault: np.ndarray, by: np.ndarray | None = None
@@ -60,73 +58,58 @@ class Severity:
 
         Args:
             u (T, m), y (T, p): samples in which those windows lie as a whole. fault: (T,) bool, the windows
-                that are FAULT. by: see `MonitorSeverity`.
+                that are FAULT. by: (T,), of a monitor the number of the test that speaks.
         """
+        if by is None:
+            return self._reached(0, np.asarray(u), np.asarray(y), fault)
+        bank = cast(MonitorBank, self.relations)
+        modes = bank.modes_of(np.asarray(u))
+        piece = Recording(np.asarray(u), np.asarray(y), NOWHERE)
+        counts = np.zeros(len(fault), bool)
+        for number in self.wider:
+            own = fault & (by == number)
+            condition = bank.conditions_of[number]
+            if condition >= 0:  # of an unknown mode one test alone proves nothing
+                own &= modes[:, condition] == YES
+            if own.any():
+                seen = bank.seen_by(number, piece, modes)
+                counts |= self._reached(number, seen.u, seen.y, own)
+        return counts
+
+    def _reached(self, number: int, u: np.ndarray, y: np.ndarray, fault: np.ndarray) -> np.ndarray:
+        """Return the FAULT windows of one test that count."""
         counts = fault.copy()
-        for relations in self.wider:
+        for relations in self.wider[number]:
             at = np.flatnonzero(counts)
             if not len(at):
                 break
-            first, samples = _around(at, self.horizon)
+            first, samples = _around(at, relations.horizon)
             test = relations.test(self.method, y.dtype)
             assert not test.remembers, "an observer was refused"
             with sparing():
-                judged = windows(test, np.asarray(u)[samples], np.asarray(y)[samples], first[1:])
+                judged = windows(test, u[samples], y[samples], first[1:])
             counts[at] = judged.status[np.searchsorted(samples, at)] == Status.FAULT
         return counts
 
 
-class MonitorSeverity:
-    """The test by which FAULT samples of a monitor count: that of the test that speaks at each.
-
-    Args:
-        bank. least: {output: size}, in units.
-
-    Raises:
-        ValueError: no test of it tells the errors of single sensors.
-    """
-
-    def __init__(self, bank: MonitorBank, least: Mapping[str, float]) -> None:
-        self.bank = bank
-        self.severities: dict[int, Severity] = {}
-        for number, watch in enumerate(bank.watches):
-            try:
-                self.severities[number] = Severity(watch.relations, "joint", least)
-            except ValueError as e:
-                refused = e
-        if not self.severities:
-            raise ValueError(f"no test of this monitor proves a size: {refused}")
-
-    def reached(
-        self, u: np.ndarray, y: np.ndarray, fault: np.ndarray, by: np.ndarray | None = None
-    ) -> np.ndarray:
-        """Return the FAULT samples that count, (T,) bool.
-
-        Args:
-            u, y, fault: as of `Severity.reached`. by: (T,), the number of the test that speaks.
-        """
-        assert by is not None, "a monitor says who speaks"
-        modes = self.bank.modes_of(np.asarray(u))
-        piece = Recording(np.asarray(u), np.asarray(y), NOWHERE)
-        counts = np.zeros(len(fault), bool)
-        for number, severity in self.severities.items():
-            own = fault & (by == number)
-            condition = self.bank.conditions_of[number]
-            if condition >= 0:  # of an unknown mode one test alone proves nothing
-                own &= modes[:, condition] == YES
-            if own.any():
-                seen = self.bank.seen_by(number, piece, modes)
-                counts |= severity.reached(seen.u, seen.y, own)
-        return counts
-
-
-def severity_of(
-    relations: Relations, method: str, least: Mapping[str, float]
-) -> "Severity | MonitorSeverity":
-    """Return the test by which FAULT counts; see `Severity`, of a monitor `MonitorSeverity`."""
-    if relations.parts:
-        return MonitorSeverity(cast(MonitorBank, relations), least)
-    return Severity(relations, method, least)
+def _wider(relations: Relations, least: Mapping[str, float]) -> list[Relations]:
+    """Return relations under the noise bound of each output of least sizes, wider by its size."""
+    refused = (
+        f"a least size of an alarm is for windows of a plant with bounds on its noise, not for "
+        f"{type(relations).__name__}: leave it out, or state windows beside it as a [[test]]"
+    )
+    if relations.remembers or "noise" not in relations.bounds:
+        raise ValueError(refused)
+    outputs, wider = list(relations.model.outputs), []
+    for name, size in least.items():
+        noise = np.array(relations.bounds["noise"], float)
+        own = outputs.index(name)
+        noise[own] = np.nextafter(noise[own] + size, np.inf)
+        try:
+            wider.append(relations.with_bounds({"noise": noise}))
+        except NotImplementedError:
+            raise ValueError(refused) from None
+    return wider
 
 
 def fitted(rule: AlarmRule, relations: Relations) -> AlarmRule:
@@ -140,7 +123,7 @@ def fitted(rule: AlarmRule, relations: Relations) -> AlarmRule:
         raise ValueError(f"these alarms name no suspects: {why}; leave out suspects")
     rule = rule.fitted(relations.model)
     if isinstance(rule.least, Mapping):
-        severity_of(relations, "joint", rule.least)
+        Severity(relations, "joint", rule.least)
     return rule
 
 

@@ -25,10 +25,8 @@ __all__ = ["unit_hints"]
 
 MOST, NEARLY_ALL = 0.5, 0.95
 """Share of FAULT windows that makes us look, share of CONSISTENT ones that makes us speak."""
-STRETCHES, LONG = 4, 64
-"""Parts of the recording that are tested again, and their windows."""
-FEW = 16
-"""Windows by which a conversion is left out before all are tested: more than 5 % of these."""
+FEW, MANY = 16, 256
+"""Windows by which a conversion is left out, and those that are tested again."""
 GROUPS = 40
 """Signals and groups of them that are tried at most."""
 
@@ -102,14 +100,17 @@ def unit_hints(result: Judgement) -> list[str]:
     faulty = float(np.mean(status[tested] == Status.FAULT))
     if faulty <= MOST:
         return []
-    at = _stretches(tested, relations.horizon, len(status))
-    judged = status[at] != Status.MISSING
-    judged[:, : relations.horizon] = False
-    if not judged.any():
-        return []
-    tries, converted = _tried(relations.model, np.concatenate([result.u, result.y], 1)[at], result.y.dtype)
-    share = _shares(relations, converted, judged)
-    best = _best(relations.model, tries, converted, share)
+    signals, tries = np.concatenate([result.u, result.y], 1), _tries(relations.model)
+    many = _spread(tested, MANY)
+    few = _windows(signals, _spread(many, FEW), relations.horizon, tries)
+    # of a wrong one all of the few are outside, which is more than nearly all leaves room for
+    room = (1 - NEARLY_ALL) * len(many)
+    promising = np.flatnonzero(np.count_nonzero(~_consistent(relations, few), axis=1) <= room)
+    share = np.zeros(len(tries))
+    if len(promising):
+        able = [tries[i] for i in promising]
+        share[promising] = _consistent(relations, _windows(signals, many, relations.horizon, able)).mean(1)
+    best = _best(relations.model, tries, few, share)
     if best is None:
         return []
     group, conversion = tries[best]
@@ -117,109 +118,56 @@ def unit_hints(result: Judgement) -> list[str]:
     return [_sentence(names, conversion, float(share[best]), faulty)]
 
 
-def _stretches(tested: np.ndarray, horizon: int, samples: int) -> np.ndarray:
-    """Return the numbers of the samples (stretches, length) that are tested again, around windows with
-    data.
-    """
-    length = min(samples, horizon + LONG)
-    middles = tested[(np.linspace(0, 1, STRETCHES) * (len(tested) - 1)).astype(int)]
-    starts = np.unique(np.clip(middles - length // 2, 0, samples - length))
-    return np.asarray(starts[:, None] + np.arange(length))
+def _spread(numbers: np.ndarray, count: int) -> np.ndarray:
+    """Return so many of some numbers, evenly spread; all where there are fewer."""
+    return np.asarray(numbers[np.unique(np.linspace(0, len(numbers) - 1, count).astype(int))])
 
 
-def _tried(
-    model: LinearSystem, signals: np.ndarray, dtype: np.dtype
-) -> tuple[list[tuple[Group, Conversion]], np.ndarray]:
-    """Return (what is tried, the signals converted by each): each group dead first, then by each conversion
-    that its units allow.
-    """
-    tries = []
-    for group in _exchanges(model):
-        tries.append((group, EXCHANGED))
+def _tries(model: LinearSystem) -> list[tuple[Group, Conversion]]:
+    """Return groups with what is tried on each: dead first, then each conversion that its units allow."""
+    tries = [(group, EXCHANGED) for group in _exchanges(model)]
     for group in _groups(model):
         tries += [(group, DEAD), *((group, conversion) for conversion in _conversions(model, group))]
-    converted = np.stack([_changed(signals, *one) for one in tries]).astype(dtype)
-    return tries, converted
+    return tries
 
 
-def _shares(relations: ParityRelation, converted: np.ndarray, judged: np.ndarray) -> np.ndarray:
-    """Return the share of windows that each conversion makes CONSISTENT; 0 where it is not nearly all.
-
-    Args:
-        converted: (tries, stretches, length, inputs and outputs). judged: (stretches, length) bool, the
-            windows that count.
-    """
-    share = np.zeros(len(converted))
-    promising = np.flatnonzero(_promising(relations, converted, judged))
-    if len(promising):
-        share[promising] = _consistent(relations, converted[promising], judged)[:, judged].mean(1)
-    return np.where(share < NEARLY_ALL, 0.0, share)
+def _windows(
+    signals: np.ndarray, ends: np.ndarray, horizon: int, tries: list[tuple[Group, Conversion]]
+) -> np.ndarray:
+    """Return the windows (tries, N, s + 1, inputs and outputs) that end at some samples, converted."""
+    windows = signals[ends[:, None] + np.arange(-horizon, 1)]
+    return np.stack([_changed(windows, *one) for one in tries])
 
 
-def _promising(relations: ParityRelation, converted: np.ndarray, judged: np.ndarray) -> np.ndarray:
-    """Return which conversions may still make nearly all windows CONSISTENT, by a few of them.
-
-    Of a wrong one all of the few are outside, which is more than nearly all leaves room for.
-    """
-    stretch, end = np.nonzero(judged)
-    room = (1 - NEARLY_ALL) * len(end)
-    few = np.unique(np.linspace(0, len(end) - 1, FEW).astype(int))
-    at = end[few, None] + np.arange(-relations.horizon, 1)
-    signals, m = converted[:, stretch[few, None], at], relations.model.m
-    u, y = np.split(signals, [m], -1)
-    again = Recording(u, y, NOWHERE, relations.model.inputs, relations.model.outputs)
-    status = _status(relations, again)[..., -1]
-    outside: np.ndarray = np.count_nonzero(status != Status.CONSISTENT, axis=1)
-    return outside <= room
-
-
-def _consistent(relations: ParityRelation, signals: np.ndarray, judged: np.ndarray) -> np.ndarray:
-    """Return which windows of signals (tries, stretches, length, inputs and outputs) are CONSISTENT.
-
-    Args:
-        judged: (stretches, length) bool, the windows that count. No other is tested: one that lacks samples
-            would need a frame of its own, in fractions.
+def _consistent(relations: ParityRelation, converted: np.ndarray) -> np.ndarray:
+    """Return which windows (tries, N, s + 1, inputs and outputs) are CONSISTENT, as `detect` would judge
+    them: little is compiled for a hint alone.
     """
     model = relations.model
-    found = np.zeros(signals.shape[:-1], bool)
-    for number, counts in enumerate(judged):
-        u, y = np.split(signals[:, number], [model.m], -1)
-        again = Recording(u, y, _seams(counts, relations.horizon), model.inputs, model.outputs)
-        found[:, number] = _status(relations, again) == Status.CONSISTENT
-    return found
-
-
-def _status(relations: ParityRelation, given: Recording) -> np.ndarray:
-    """Return the statuses of windows, as `detect` would judge them: little is compiled for a hint alone."""
-    test = relations.test("joint", given.y.dtype)
-    count = window_count(given.y.shape[:-1], test.horizon)
+    u, y = np.split(converted, [model.m], -1)
+    given = Recording(u, y, NOWHERE, model.inputs, model.outputs)
+    test = relations.test("joint", y.dtype)
+    count = window_count(y.shape[:-1], test.horizon)
     if margins_for(AUTO, count) == EXACT:
         test = test.measured()
     with sparing():
-        judged = tried_in_numpy(partial(drive, test, given), count * test.weight, ("hint", test.kind))
-        return (judged or drive(test, given)).status
-
-
-def _seams(counts: np.ndarray, horizon: int) -> np.ndarray:
-    """Return seams across which all windows lie that hold a sample of no window that counts."""
-    ahead = np.append(np.cumsum(counts), np.full(horizon, np.count_nonzero(counts)))
-    needed = ahead[horizon:] > ahead[: len(counts)] - counts
-    idle = np.flatnonzero(~needed)
-    both = np.unique([idle, idle + 1])
-    return both[(both > 0) & (both < len(counts))]
+        work = count * test.weight
+        judged = tried_in_numpy(partial(drive, test, given), work, ("hint", test.kind))
+        status = (judged or drive(test, given)).status[..., -1]
+    return np.asarray(status == Status.CONSISTENT)
 
 
 def _best(
     model: LinearSystem,
     tries: list[tuple[Group, Conversion]],
-    converted: np.ndarray,
+    windows: np.ndarray,
     share: np.ndarray,
 ) -> int | None:
     """Return the number of the conversion to speak of: of those that explain most, the one whose outputs are
     nearest to rest; None where none explains enough.
     """
     rest = np.array([*model.offset["u"], *model.offset["y"]], float)
-    level = np.abs(np.nan_to_num(converted - rest))[..., model.m :].mean((1, 2, 3))
+    level = np.abs(np.nan_to_num(windows - rest))[..., model.m :].mean((1, 2, 3))
     dead = {group: x for (group, conversion), x in zip(tries, share, strict=True) if conversion is DEAD}
     for i in np.lexsort((level, -np.round(share, 2))):
         group, conversion = tries[i]

@@ -6,9 +6,9 @@ joins one that is on or was on a moment ago, or ends one as an opposite jump. An
 that had begun, and the stretch that is on with them: what follows begins anew.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import deepcopy
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,11 +37,10 @@ OPPOSITE = "ended by an opposite jump"
 ACKNOWLEDGED = "acknowledged"
 LASTING = "open at the end: nothing speaks for a repair"
 BEGINS, ENDS = "begins", "ends"
+NUMBER = attrgetter("number")
 NO_SAMPLE, NO_DATA, OTHER = range(3)  # what follows an alarm
 Blame = Callable[[int], Suspect]
 """The suspects of the FAULT window that ends at a sample."""
-SAMPLES = "start", "end", "worst", "first", "last", "sure"
-"""Fields of Raised that are numbers of samples."""
 
 
 class Seen(NamedTuple):
@@ -102,93 +101,55 @@ KINDS = bool, float, bool, float, float, float, float  # of the fields of Seen
 
 
 class Raised(NamedTuple):
-    """Alarms, or the stretches that they are made of, arrays (N,).
+    """An alarm, or a stretch that it is made of.
 
-    Fields: number: counted from 1. start, end, windows, depth, worst: as of an Alarm; first, last: the first
-    and last FAULT window that made it. after: what follows it, NO_SAMPLE, NO_DATA or OTHER. sure: the sample
-    at which it is known to be over. outside: how many of its FAULT windows lie outside the region of
-    training; share, by, reading: of the farthest. instant: of its start, see `Seen`. suspect: a Suspect,
-    None: not asked for. ended: why it is over, "" where the rule does not say it.
+    Fields: start, end, windows, depth, worst: as of an Alarm; first, last: the first and last FAULT window
+    that made it. after: what follows it, NO_SAMPLE, NO_DATA or OTHER. sure: the sample at which it is known
+    to be over. outside: how many of its FAULT windows lie outside the region of training; share, by, reading:
+    of the farthest. instant: of its start, see `Seen`. number: counted from 1. suspect: UNKNOWN where it is
+    not asked for. ended: why it is over, "" where the rule does not say it.
     """
 
-    number: np.ndarray
-    start: np.ndarray
-    end: np.ndarray
-    windows: np.ndarray
-    depth: np.ndarray
-    worst: np.ndarray
-    first: np.ndarray
-    last: np.ndarray
-    after: np.ndarray
-    sure: np.ndarray
-    outside: np.ndarray
-    share: np.ndarray
-    by: np.ndarray
-    reading: np.ndarray
-    instant: np.ndarray
-    suspect: np.ndarray
-    ended: np.ndarray
+    start: int
+    end: int
+    windows: int
+    depth: float
+    worst: int
+    first: int
+    last: int
+    after: int
+    sure: int
+    outside: int
+    share: float
+    by: int
+    reading: float
+    instant: float
+    number: int = 0
+    suspect: Suspect = UNKNOWN
+    ended: str = ""
 
     @classmethod
-    def of(cls, memory: list[list[Any]]) -> "Raised":
-        """Return the alarms of a memory."""
-        columns = []
-        for empty, values in zip(NOBODY, memory, strict=True):
-            column = np.zeros(len(values), empty.dtype)
-            for i, value in enumerate(values):
-                column[i] = value
-            columns.append(column)
-        alarms = cls(*columns)
-        for i, suspect in enumerate(alarms.suspect):
-            if suspect is not None:
-                alarms.suspect[i] = Suspect(tuple(suspect[0]), *suspect[1:])
-        return alarms
-
-    def memory(self) -> list[list[Any]]:
-        """Return them as JSON holds them."""
-        return list(map(np.ndarray.tolist, self))
-
-    def cut(self, at: slice | np.ndarray) -> "Raised":
-        """Return some of them."""
-        return Raised(*map(itemgetter(at), self))
-
-    def behind(self, *others: "Raised") -> "Raised":
-        """Return these behind others."""
-        some = [alarms for alarms in (*others, self) if len(alarms.start)]
-        if len(some) < 2:
-            return (*some, NOBODY)[0]
-        return Raised(*map(np.concatenate, zip(*some, strict=True)))
+    def of(cls, memory: Sequence[Any]) -> "Raised":
+        """Return the alarm that a memory, as JSON holds it, has."""
+        *numbers, (names, size, jump, cause), ended = memory
+        return cls._make([*numbers, Suspect(tuple(names), size, jump, cause), ended])
 
     def joined(self, other: "Raised") -> "Raised":
         """Return an alarm with a stretch that came later."""
-        deeper = (other.windows > 0) & ~np.isnan(self.depth)
-        deeper &= np.isnan(other.depth) | (other.depth < self.depth)
-        columns = self._asdict()
-        picked = {("depth", "worst"): deeper, ("share", "by", "reading"): other.share > self.share}
-        picked["last",] = other.windows > 0
-        for names, which in picked.items():
-            for name in names:
-                columns[name] = np.where(which, getattr(other, name), columns[name])
-        columns |= {"windows": self.windows + other.windows, "outside": self.outside + other.outside}
-        return Raised(**columns | {"end": other.end, "after": other.after, "sure": other.sure})
-
-    @property
-    def name(self) -> str:
-        """The first suspect of a single one, "" where there is none."""
-        return (self.suspect[0] or UNKNOWN).first
-
-
-WHOLE, REAL, NAMED = np.zeros(0, np.int64), np.zeros(0), np.zeros(0, object)
-NOBODY = Raised(
-    *(WHOLE, WHOLE, WHOLE, WHOLE, REAL, WHOLE, WHOLE, WHOLE, WHOLE, WHOLE, WHOLE),
-    *(REAL, WHOLE, REAL, REAL, NAMED, NAMED),
-)
-"""No alarm."""
+        both = self._replace(end=other.end, after=other.after, sure=other.sure)
+        both = both._replace(windows=self.windows + other.windows, outside=self.outside + other.outside)
+        if other.share > self.share:
+            both = both._replace(share=other.share, by=other.by, reading=other.reading)
+        if not other.windows:
+            return both
+        if not np.isnan(self.depth) and not other.depth >= self.depth:  # NaN is the deepest
+            both = both._replace(depth=other.depth, worst=other.worst)
+        return both._replace(last=other.last)
 
 
 class Event(NamedTuple):
     """The begin or the end of an alarm. Fields: sample: at which it was known; number: of the alarm; kind:
-    BEGINS or ENDS; alarm: a single one.
+    BEGINS or ENDS.
     """
 
     sample: int
@@ -203,8 +164,8 @@ class Watch:
     Args:
         rule: an AlarmRule that is `fitted`. blame: tells suspects; None: not asked for.
 
-    Fields: samples: how many there were. count: of alarms. began: those that began in the last samples, of
-    which number, start, instant and suspect count.
+    Fields: samples: how many there were. count: of alarms. open: the stretch that is on, None: none. began:
+    those that began in the last samples, of which number, start, instant and suspect count.
     """
 
     def __init__(self, rule: AlarmRule, blame: Blame | None = None) -> None:
@@ -213,18 +174,19 @@ class Watch:
         self.reach = rule.hold + rule.clear
         self.samples = self.count = 0
         self.before = np.zeros(0, bool)  # the last n - 1 entries of `fault`
-        self.open = NOBODY  # the stretch that is on
+        self.open: Raised | None = None
         self.tail = NOTHING  # the last sample at which it was on, counted, and those behind it
         self.repairs = False
         self.alarms: dict[str, Raised] = {}  # by suspect, of a rule that names them; without windows at first
-        self.began, self.over = NOBODY, NOBODY
+        self.began: list[Raised] = []
+        self.over: list[Raised] = []
 
-    def add(self, seen: Seen) -> Raised:
+    def add(self, seen: Seen) -> list[Raised]:
         """Take the next samples; return the alarms that are over by them, in the order in which it is
         known.
         """
         begin, low = self.samples, 0
-        self.began = NOBODY
+        self.began = []
         for instant, known, stop in self._acknowledgements(seen):
             self._take(seen.cut(low, stop))
             self._acknowledge(instant, begin + known)
@@ -254,62 +216,61 @@ class Watch:
 
         Whoever does it twice ends nothing more: an alarm that begins behind it began later.
         """
-        acknowledged = [name for name, alarm in self.alarms.items() if alarm.instant[0] <= instant]
+        acknowledged = [name for name, alarm in self.alarms.items() if alarm.instant <= instant]
         for name in acknowledged:
             if self._is_on(name):
                 self._take(NOTHING, known)
             if name in self.alarms:  # not ended by an opposite jump just now
                 self._end_now(name, ACKNOWLEDGED, known)
-        if acknowledged and not len(self.open.start):
+        if acknowledged and self.open is None:
             self.before = np.zeros(len(self.before), bool)
 
     @property
     def is_quiet(self) -> bool:
         """Whether no alarm is on, and none of the last flags counts for one."""
-        return not (len(self.open.start) or self.alarms or self.before.any())
+        return self.open is None and not self.alarms and not self.before.any()
 
     def _is_on(self, name: str) -> bool:
         """Whether the stretch that is on is one of a suspect."""
-        return len(self.open.start) > 0 and self.open.name == name
+        return self.open is not None and self.open.suspect.first == name
 
     def _take(self, seen: Seen, sure: int | None = None) -> None:
         """Take samples between acknowledgements. sure: the stretch that is on is known to be over there."""
-        is_on, before = len(self.open.start), self.open
+        before = self.open
         if self.is_quiet and not seen.fault.any():
             self.skip(len(seen.fault))
             return
         everything, offset = seen.behind(self.tail), self.samples - len(self.tail.fault)
-        alarms, left = self._stretches(everything, seen.fault, sure)
-        if len(alarms.start):
-            alarms = alarms._replace(**{name: getattr(alarms, name) + offset for name in SAMPLES})
-        if is_on:
-            alarms = alarms.cut(slice(1, None)).behind(before.joined(alarms.cut(slice(0, 1))))
-        if sure is not None:
-            alarms.sure[:] = sure
+        alarms, left = self._stretches(everything, seen.fault, offset, sure)
+        if before is not None:
+            alarms[0] = before.joined(alarms[0])
         self.samples += len(seen.fault)
         flags = np.concatenate([self.before, seen.fault])
         self.before = flags[max(len(flags) - self.rule.n + 1, 0) :]
-        self.open, self.tail, count = NOBODY, NOTHING, len(alarms.start)
+        self.open, self.tail, count = None, NOTHING, len(alarms)
         if left is not None:
             self.tail, count = everything.cut(left).counted(), count - 1
+        begun = int(before is not None)
         if self.rule.names:
-            self._follow(alarms, is_on, count)
+            self._follow(alarms, begun, count)
         else:
-            fresh = alarms.number[is_on:]
-            fresh[:] = self.count + 1 + np.arange(len(fresh))
-            self.count += len(fresh)
-            self.began = alarms.cut(slice(is_on, None)).behind(self.began)
-            self.over = alarms.cut(slice(0, count)).behind(self.over)
-        self.open = alarms.cut(slice(count, None))
+            self.count += len(alarms) - begun
+            self.began += alarms[begun:]
+            self.over += alarms[:count]
+        if left is not None:
+            self.open = alarms[-1]
         if sure is None:
             self._sweep(self.samples)
 
-    def _stretches(self, seen: Seen, new: np.ndarray, sure: int | None) -> tuple[Raised, int | None]:
-        """Return (the stretches of samples, the first being the rest of the one that is on; the number of the
-        last sample at which the last stretch was on, None: it is over).
+    def _stretches(
+        self, seen: Seen, new: np.ndarray, offset: int, sure: int | None
+    ) -> tuple[list[Raised], int | None]:
+        """Return (the stretches of samples, the first being the rest of the one that is on; which of the
+        samples is the last at which the last stretch was on, None: it is over).
 
         Args:
-            seen: samples from the tail on. new: the flags of those behind it.
+            seen: samples from the tail on, `offset` the number of the first. new: the flags of those behind
+                it.
         """
         k, n = self.rule.k, self.rule.n
         tail = len(seen.fault) - len(new)
@@ -319,7 +280,7 @@ class Watch:
         if tail:
             on = np.append(0, on)
         if not len(on):
-            return NOBODY, None
+            return [], None
         breaks = np.flatnonzero(np.diff(on) > self.reach)  # quiet samples between two: their distance - 1
         starts, until = on[np.append(0, breaks + 1)], on[np.append(breaks, len(on) - 1)]
         ends, left = np.minimum(until + self.rule.hold, len(seen.fault) - 1), None
@@ -342,120 +303,116 @@ class Watch:
         # of all FAULT windows: the rule counts some that an alarm begins after
         made = np.append(np.flatnonzero(flags) + tail - n, len(seen.fault))
         after = np.append(np.where(seen.missing, NO_DATA, OTHER), NO_SAMPLE)
-        alarms = Raised(
-            number=np.zeros(len(starts), np.int64),
-            start=starts,
-            end=ends,
-            windows=np.add.reduceat(fault.astype(np.int64), first),
-            depth=seen.margin[worst],
-            worst=worst,
-            first=made[np.searchsorted(made, starts - n + 1)],
-            last=np.maximum.reduceat(np.where(fault, at, -1), first),
-            after=after[ends + 1],
-            sure=until + self.reach,
-            outside=np.add.reduceat((share > 0).astype(np.int64), first),
-            share=seen.share[farthest],
-            by=seen.by[farthest].astype(np.int64),
-            reading=seen.reading[farthest],
-            instant=seen.instant[starts],
-            suspect=np.full(len(starts), None, object),
-            ended=np.full(len(starts), "", object),
+        known = until + self.reach + offset
+        if sure is not None:
+            known = np.full(len(starts), sure)
+        columns = (
+            starts + offset,
+            ends + offset,
+            np.add.reduceat(fault.astype(np.int64), first),
+            seen.margin[worst],
+            worst + offset,
+            made[np.searchsorted(made, starts - n + 1)] + offset,
+            np.maximum.reduceat(np.where(fault, at, -1), first) + offset,
+            after[ends + 1],
+            known,
+            np.add.reduceat((share > 0).astype(np.int64), first),
+            seen.share[farthest],
+            seen.by[farthest].astype(np.int64),
+            seen.reading[farthest],
+            seen.instant[starts],
+            self.count + np.arange(len(starts)) + (not tail),
         )
-        return alarms, left
+        return [Raised(*row) for row in zip(*map(np.ndarray.tolist, columns), strict=True)], left
 
-    def _follow(self, alarms: Raised, begun: int, over: int) -> None:
+    def _follow(self, alarms: list[Raised], begun: int, over: int) -> None:
         """Give stretches to the alarms of their suspects. begun: how many began before; over: how many are
         over.
         """
-        for i in range(len(alarms.start)):
-            stretch = alarms.cut(slice(i, i + 1))
+        for i in range(len(alarms)):
             if i >= begun:
-                self._begin(stretch)
+                alarms[i] = self._begin(alarms[i])
             if i < over:
-                self._close(stretch)
+                self._close(alarms[i])
 
-    def _begin(self, stretch: Raised) -> None:
-        """Ask for the suspect of a stretch, and begin its alarm where none is on."""
-        at = int(stretch.start[0])
-        self._sweep(at)
+    def _begin(self, stretch: Raised) -> Raised:
+        """Begin the alarm of a stretch where none of its suspect is on; return the stretch with it."""
+        self._sweep(stretch.start)
         self.repairs = False
         if self.blame is not None:
-            stretch.suspect[0] = self.blame(at)
-        alarm = self.alarms.get(stretch.name)
-        if alarm is not None:
-            self.repairs = (stretch.suspect[0] or UNKNOWN).ends(alarm.suspect[0] or UNKNOWN)
-            return
+            stretch = stretch._replace(suspect=self.blame(stretch.start))
+        name = stretch.suspect.first
+        if name in self.alarms:
+            self.repairs = stretch.suspect.ends(self.alarms[name].suspect)
+            return stretch
         self.count += 1
-        number, none = np.array([self.count]), np.zeros(1, np.int64)
-        self.alarms[stretch.name] = stretch._replace(number=number, windows=none)
-        self.began = self.alarms[stretch.name].behind(self.began)
+        self.alarms[name] = stretch._replace(number=self.count, windows=0)
+        self.began.append(self.alarms[name])
+        return stretch
 
     def _close(self, stretch: Raised) -> None:
         """Give a stretch that is over to its alarm."""
-        alarm = self.alarms[stretch.name]
-        if alarm.windows[0]:
+        name = stretch.suspect.first
+        alarm = self.alarms[name]
+        if alarm.windows:
             alarm = alarm.joined(stretch)
         else:
             alarm = stretch._replace(number=alarm.number, instant=alarm.instant)
-        self.alarms[stretch.name] = alarm
+        self.alarms[name] = alarm
         if self.rule.latch and self._repaired(stretch, alarm):
-            self._end(alarm.name, int(stretch.sure[0]), f"{OPPOSITE} of {alarm.name}")
+            self._end(name, stretch.sure, f"{OPPOSITE} of {name}")
 
     def _repaired(self, stretch: Raised, alarm: Raised) -> bool:
         """Whether a stretch shows the opposite of the jump that an alarm began with, first or last."""
         if self.repairs:
             return True
-        first, last = alarm.suspect[0] or UNKNOWN, int(stretch.last[0])
-        if self.blame is None or not first.jump or last == stretch.start[0]:
+        if self.blame is None or not alarm.suspect.jump or stretch.last == stretch.start:
             return False
-        return self.blame(last).ends(first)
+        return self.blame(stretch.last).ends(alarm.suspect)
 
     def _sweep(self, sample: int) -> None:
         """End the alarms that nothing from a sample on can join any more."""
         if self.rule.latch:
             return
         for name, alarm in list(self.alarms.items()):
-            last = int(alarm.end[0]) + int(self.rule.merge)
+            last = alarm.end + int(self.rule.merge)
             if not self._is_on(name) and sample > last:
-                self._end(name, max(int(alarm.sure[0]), last))
+                self._end(name, max(alarm.sure, last))
 
     def _end(self, name: str, sample: int, why: str = "") -> None:
         """End an alarm, as is known at a sample."""
-        about = {"sure": np.array([sample]), "ended": np.array([why], object)}
-        self.over = self.alarms.pop(name)._replace(**about).behind(self.over)
+        self.over.append(self.alarms.pop(name)._replace(sure=sample, ended=why))
 
     def _end_now(self, name: str, why: str, sample: int) -> None:
         """End an alarm at the last sample."""
-        self.alarms[name] = self.alarms[name]._replace(end=np.array([self.samples - 1]))
+        self.alarms[name] = self.alarms[name]._replace(end=self.samples - 1)
         self._end(name, sample, why)
 
-    def finish(self) -> Raised:
+    def finish(self) -> list[Raised]:
         """Close the alarms that are on at the end of the recording; return them."""
-        last, self.began = self.samples - 1, NOBODY
-        if len(self.open.start):
+        last, self.began = self.samples - 1, []
+        if self.open is not None:
             self._take(NOTHING, last)
         for name, alarm in list(self.alarms.items()):
             if not self.rule.latch:
                 self._end(name, last)
-            elif alarm.after[0] == NO_SAMPLE:
+            elif alarm.after == NO_SAMPLE:
                 self._end_now(name, "", last)
             else:
                 self._end_now(name, LASTING, last)
         return self._told()
 
-    def events(self, over: Raised) -> list[Event]:
+    def events(self, over: Sequence[Raised]) -> list[Event]:
         """Return the begins and the ends of alarms in the last samples, in order. over: those that end."""
-        events = []
-        for kind, alarms, samples in ((BEGINS, self.began, self.began.start), (ENDS, over, over.sure)):
-            for i, number in enumerate(alarms.number.tolist()):
-                events.append(Event(int(samples[i]), number, kind, alarms.cut(slice(i, i + 1))))
+        events = [Event(alarm.start, alarm.number, BEGINS, alarm) for alarm in self.began]
+        events += [Event(alarm.sure, alarm.number, ENDS, alarm) for alarm in over]
         return sorted(events, key=lambda event: event[:3])
 
-    def pending(self) -> Raised:
-        """Return the alarms that are on, as they would end if the recording ended here."""
+    def pending(self) -> list[Raised]:
+        """Return the alarms that are on, as they would end if the recording ended here, the first first."""
         twin = Watch(self.rule)
         vars(twin).update(deepcopy(vars(self) | {"blame": None}), blame=self.blame)
-        return twin.finish()
+        return sorted(twin.finish(), key=NUMBER)
 
     def memory(self) -> dict[str, Any]:
         """Return the state, as JSON holds it."""
@@ -464,9 +421,9 @@ class Watch:
             "count": self.count,
             "before": self.before.tolist(),
             "tail": list(map(np.ndarray.tolist, self.tail)),
-            "open": self.open.memory(),
+            "open": self.open,
             "repairs": self.repairs,
-            "alarms": {name: alarm.memory() for name, alarm in self.alarms.items()},
+            "alarms": dict(self.alarms),
         }
 
     def resume(self, memory: dict[str, Any]) -> None:
@@ -474,20 +431,18 @@ class Watch:
         self.samples, self.count, self.repairs = memory["samples"], memory["count"], memory["repairs"]
         self.before = np.array(memory["before"], bool)
         self.tail = Seen(*map(np.array, memory["tail"], KINDS))
-        self.open = Raised.of(memory["open"])
+        self.open = None
+        if memory["open"] is not None:
+            self.open = Raised.of(memory["open"])
         self.alarms = {name: Raised.of(alarm) for name, alarm in memory["alarms"].items()}
 
-    def _told(self) -> Raised:
+    def _told(self) -> list[Raised]:
         """Return the alarms that are over since the last call."""
-        over, self.over = self.over, NOBODY
-        if not len(over.start):
-            return NOBODY
-        return over.cut(np.argsort(over.sure, kind="stable"))
+        over, self.over = self.over, []
+        return sorted(over, key=attrgetter("sure"))
 
 
-def alarms_in(rule: AlarmRule, seen: Seen, blame: Blame | None = None) -> Raised:
+def alarms_in(rule: AlarmRule, seen: Seen, blame: Blame | None = None) -> list[Raised]:
     """Return the alarms of a whole recording, in the order in which they begin. blame: see `Watch`."""
     watch = Watch(rule, blame)
-    over = watch.add(seen)
-    over = watch.finish().behind(over)
-    return over.cut(np.argsort(over.number))
+    return sorted([*watch.add(seen), *watch.finish()], key=NUMBER)

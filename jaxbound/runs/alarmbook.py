@@ -8,12 +8,12 @@ import numpy as np
 from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.alarms import Alarm
-from jaxbound.diagnosis.watch import NOBODY, Raised
+from jaxbound.diagnosis.watch import NUMBER, Raised
 from jaxbound.recordings.columns import write_columns
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.sink import Verdicts
-from jaxbound.runs.watching import Watching
+from jaxbound.runs.watching import Watching, places_of
 
 __all__ = ["AlarmBook"]
 
@@ -42,7 +42,8 @@ class AlarmBook(Watching):
     ) -> None:
         super().__init__(rule, relations, method, source.dt)
         self.source, self.path, self.mark = source, path, mark
-        self.over, self.total = NOBODY, 0
+        self.over: list[Raised] = []
+        self.total = 0
         self.kept: list[tuple[Alarm, list[float]]] = []
         self.earliest: list[tuple[Alarm, list[float]]] = []
 
@@ -57,30 +58,31 @@ class AlarmBook(Watching):
         """
         over = self.follow(piece, verdicts)
         if self.rule.names:
-            self.over = over.behind(self.over)
+            self.over += over
         else:
             self._write(over)
         self.forget(self.over)
 
     def close(self) -> None:
         """Write the alarms that are left."""
-        over = self.watch.finish().behind(self.over)
-        if self.rule.names or len(over.start):
-            self._write(over.cut(np.argsort(over.number)))
+        over = [*self.over, *self.watch.finish()]
+        if self.rule.names or over:
+            self._write(sorted(over, key=NUMBER))
 
-    def _write(self, over: Raised) -> None:
+    def _write(self, over: list[Raised]) -> None:
         """Count and write alarms that are over, and keep the deepest."""
         alarms = self.alarms_of(over)
         if self.path is not None:
             write_columns(self.path, self.columns(alarms), append=self.total > 0)
         self.total += len(alarms)
         self.count(alarms, self.ended)
-        seconds = np.stack([self.at(samples)[1] for samples in (over.start, over.end, over.worst)], 1)
+        places = places_of(over)
+        seconds = self.at(places.ravel())[1].reshape(-1, 3)
         fresh = list(zip(alarms, seconds.tolist(), strict=True))
         # the first of all is kept too, however shallow: sentences name it
         self.earliest = self.earliest or fresh[:1]
         self.kept = sorted([*self.kept, *fresh], key=lambda pair: pair[0].depth)[:DEEPEST]
-        self.mark(over.worst)
+        self.mark(places[:, 2])
 
     def alarms(self) -> tuple[list[Alarm], dict[int, float]]:
         """Return ([Alarm], {sample: seconds}) of the first and the deepest in order of time."""

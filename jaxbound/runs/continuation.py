@@ -13,7 +13,7 @@ from dataclasses import replace
 from hashlib import blake2b
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import jax
 import numpy as np
@@ -28,7 +28,6 @@ from jaxbound.consistency.interface import (
     window_count,
     with_margins,
 )
-from jaxbound.consistency.monitorbank import BankVerdicts
 from jaxbound.consistency.searched import judging_device
 from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.estimation.observation import CarriedState
@@ -251,19 +250,18 @@ def _edge(relations: Relations, recording: Recording) -> int:
 
 def _judged(pieces: Sequence[Verdicts], known: int) -> Judged:
     """Return the verdicts of an observer on pieces as those of one, without any on the first `known`
-    samples; of a monitor its BankVerdicts.
+    samples.
     """
     status = np.concatenate([piece.status for piece in pieces], -1)
     margin = np.concatenate([piece.margin for piece in pieces], -1)
     status[..., :known], margin[..., :known] = Status.MISSING, np.nan
-    banks = [piece for piece in pieces if isinstance(piece, BankVerdicts)]
-    if not banks:
-        return Judged(status, margin)
-    by = np.concatenate([piece.by for piece in banks])
-    statuses = np.concatenate([piece.statuses for piece in banks])
-    margins = np.concatenate([piece.margins for piece in banks])
+    judged = Judged(status, margin)
+    if getattr(pieces[0], "by", None) is None:
+        return judged
+    names = "by", "statuses", "test_margins"
+    by, statuses, margins = (np.concatenate([getattr(piece, name) for piece in pieces]) for name in names)
     by[:known], statuses[:known], margins[:known] = -1, Status.MISSING, np.nan
-    return cast(Judged, BankVerdicts(status, margin, by, statuses, margins))  # `result_of` tells them apart
+    return judged._replace(by=by, statuses=statuses, test_margins=margins)
 
 
 def joined_carries(observer: SetObserver[State], carries: Sequence[State]) -> State:

@@ -18,11 +18,10 @@ from jaxbound.consistency.interface import AUTO, BOUNDS, EXACT, Relations
 from jaxbound.diagnosis.alarmrule import RuleLike, rule_of
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detection import detect
-from jaxbound.diagnosis.hints import bound_hints, unfit_by
+from jaxbound.diagnosis.hints import bound_hints, device_hints, unfit_by
 from jaxbound.diagnosis.region import Outside
 from jaxbound.diagnosis.result import Result
 from jaxbound.diagnosis.severity import fitted
-from jaxbound.diagnosis.spot_checks import again_said
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.models.region import Region
 from jaxbound.plots.plot import plot
@@ -44,7 +43,7 @@ from jaxbound.runs.contradiction import REACHES, refuted_again
 from jaxbound.runs.judges import as_judged
 from jaxbound.runs.loop import Quiet, Taker, follow
 from jaxbound.runs.outputs import output_folder, shared_folder
-from jaxbound.runs.partnotes import read_again, read_by_test, read_extremes, read_runs
+from jaxbound.runs.partnotes import read_by_test, read_devices, read_extremes, read_runs
 from jaxbound.runs.parts import forget_parts, part_files, verdicts_of
 from jaxbound.runs.shares import check_share, numbers_of
 from jaxbound.runs.sink import Sink, Verdicts
@@ -400,8 +399,8 @@ def digest(
         raise ValueError(f"{source.path}: {sentence}")
     about = _about_signals(digested, folder)
     hints = [*source.hints, *seam_hints(ticking.clock, digested.label, source.row), *about.hints]
-    for devices, count in read_again(part_files(folder)).items():
-        hints += again_said(devices, count)
+    for device in read_devices(part_files(folder)):
+        hints += device_hints(device)
     hints += bound_hints(relations.model, relations)
     hints += unfit_by(relations, digested.counts, (worst or (0, np.nan))[1], digested.beyond)
     hints += _wrong_units(digested)

@@ -26,7 +26,6 @@ from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import outgrown
 from jaxbound.diagnosis.result import Result
-from jaxbound.diagnosis.spot_checks import again_hints
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.modelfile import load_model
 from jaxbound.models.system import LinearSystem
@@ -517,7 +516,7 @@ def _judge_unit(
         rule = replace(rule, acknowledged=unit.acknowledged)
     alarms = res.alarms(rule=rule)
     res, reaches = replace(res, recorded=recording.hints), outgrown(model, relations)
-    hints = dict.fromkeys((*res.hints, *again_hints(res), *reaches, *ending_hints(res, alarms)))
+    hints = dict.fromkeys((*res.hints, *reaches, *ending_hints(res, alarms)))
     summary = summarised(res, alarms, recording.label, how.min_coverage, hints, outgrown=bool(reaches))
     return UnitResult(unit, summary), (res, recording, alarms)
 

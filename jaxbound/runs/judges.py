@@ -3,19 +3,16 @@
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Generic, TypeVar
+from typing import ClassVar, Generic, TypeVar
 
 import jax
 import numpy as np
 
-from jaxbound.consistency.claims import CLAIMED, UNCLAIMED, unclaimed
+from jaxbound.consistency.claims import CLAIMED, placed
 from jaxbound.consistency.interface import Judged, Observer, Relations
 from jaxbound.consistency.interface import Verdicts as OfObserver
 from jaxbound.consistency.monitor import Monitor
-from jaxbound.consistency.monitorbank import BankVerdicts
-from jaxbound.consistency.searched import NOT_REFUTED, judging_device
 from jaxbound.diagnosis.result import Result
-from jaxbound.diagnosis.spot_checks import COUNT, decided_again, judged_elsewhere
 from jaxbound.files.checkpoint import as_texts, from_texts
 from jaxbound.models.region import Region
 from jaxbound.recordings.factors import known
@@ -23,7 +20,6 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.runs.loop import Laps, Memory
 from jaxbound.runs.sink import Verdicts
 from jaxbound.sets.floats.kernel import sparing
-from jaxbound.sets.floats.status import Status
 
 __all__ = ["Carried", "Live", "Numbered", "Windows", "as_judged"]
 
@@ -37,22 +33,18 @@ State = TypeVar("State")
 class Windows:
     """The judge of the windows that end in a piece; they reach back into the piece before.
 
-    Fields: overlap: so many samples of it are needed. begins: and of those before the first piece. again:
-    {devices: number of windows that were decided again on the CPU} since somebody took it; none where CPUs
-    judge.
+    Fields: overlap: so many samples of it are needed. begins: and of those before the first piece.
 
     Args:
-        test: of a Recording. horizon: of its windows. samples: of the whole recording, over which those that
-            are decided again are spread. done: so many of them are judged already. laps: gets the seconds of
-            the stage "transfer".
+        test: of a Recording. horizon: of its windows. done: so many samples are judged already. laps: gets
+            the seconds of the stage "transfer".
     """
 
-    def __init__(
-        self, test: Callable[[Recording], Result], horizon: int, samples: int, done: int, laps: Laps
-    ) -> None:
-        self.test, self.samples, self.done = test, samples, done
+    remembers: ClassVar[bool] = False
+
+    def __init__(self, test: Callable[[Recording], Result], horizon: int, done: int, laps: Laps) -> None:
+        self.test, self.done = test, done
         self.overlap = self.begins = horizon
-        self.again: dict[str, int] = {}
         self.laps = laps
 
     def __call__(self, piece: Numbered) -> Iterator[tuple[Recording, Verdicts]]:
@@ -60,12 +52,6 @@ class Windows:
         first, recording = piece
         with sparing(False):  # the same bytes however the recording is cut
             result = self.test(on_device(recording, self.laps))
-        if devices := judged_elsewhere():
-            share = -(-COUNT * recording.samples // self.samples)
-            count = 0
-            if NOT_REFUTED not in devices:
-                count = decided_again(result, share, seed=first)
-            self.again[devices] = self.again.get(devices, 0) + count
         fresh = slice(self.done - first, recording.samples)
         self.done = first + recording.samples
         departure = result.departure
@@ -89,6 +75,7 @@ class Carried(Generic[State]):
             the first piece; None: it goes on with the carry. outside: as of `detect`.
     """
 
+    remembers: ClassVar[bool] = True
     overlap: int = 1
 
     def __init__(
@@ -103,7 +90,6 @@ class Carried(Generic[State]):
     ) -> None:
         self.observer, self.carry, self.size, self.done, self.warm = observer, carry, size, done, warm
         self.begins = max(warm or 0, self.overlap)
-        self.again: dict[str, int] = {}  # none are decided again: they rest on all samples before
         self.laps, self.outside, self.region = laps, outside, Region.of(observer)
         if self.region is not None:
             self.overlap = max(self.overlap, self.region.horizon)
@@ -111,8 +97,6 @@ class Carried(Generic[State]):
 
     def __call__(self, piece: Numbered) -> Iterator[tuple[Recording, Verdicts]]:
         """Judge the samples that are new in a piece, those of each part by themselves."""
-        if device := judging_device(remembers=True):
-            self.again[device] = 0
         first, recording = piece
         _, given = self.observer.recording(on_device(recording, self.laps))
         stop = first + recording.samples
@@ -127,7 +111,7 @@ class Carried(Generic[State]):
             verdicts = _judged(self.observer, found)
             before = max(begin - first - self.overlap, 0)  # windows of the first sample reach back so far
             u = np.asarray(recording.u)[before : end - first]
-            verdicts = _placed(verdicts, self.region, u, self.outside)
+            verdicts = placed(verdicts, self.region, u, self.outside)
             yield recording.cut(begin - first, end - first), verdicts
 
     def memory(self) -> Memory:
@@ -137,33 +121,9 @@ class Carried(Generic[State]):
 
 def _judged(relations: Relations, verdicts: OfObserver) -> Judged:
     """Return the verdicts of an observer, of a monitor with the tests that speak."""
-    status, margin = np.asarray(verdicts.status), np.asarray(verdicts.margin)
-    if isinstance(verdicts, BankVerdicts):
-        return Judged(
-            status,
-            margin,
-            by=np.asarray(verdicts.by),
-            names=tuple(relations.parts),
-            statuses=verdicts.statuses,
-            test_margins=verdicts.margins,
-        )
-    return Judged(status, margin)
-
-
-def _placed(judged: Judged, region: Region | None, u: np.ndarray, outside: str) -> Judged:
-    """Return verdicts of an observer with their departure from the region of training.
-
-    Args:
-        u: (N, m), the samples of the verdicts, and one before them where there is one. outside: of `detect`.
-    """
-    if region is None:
-        return judged
-    before = len(u) - len(judged.status)
-    missing = np.concatenate([np.zeros(before, bool), judged.status == Status.MISSING])
-    departure = region.departure(u, missing).cut(slice(before, None))
-    if outside == UNCLAIMED:
-        judged = unclaimed(judged, departure)
-    return judged._replace(departure=departure)
+    if isinstance(verdicts, Judged):
+        return verdicts._replace(names=tuple(relations.parts))
+    return Judged(np.asarray(verdicts.status), np.asarray(verdicts.margin))
 
 
 class Live:
@@ -194,7 +154,7 @@ class Live:
             if self.monitor.relations.remembers:
                 u = np.concatenate([self.last, recording.u])
                 judged = _judged(self.monitor.relations, verdicts)
-                verdicts = _placed(judged, self.region, u, self.outside)
+                verdicts = placed(judged, self.region, u, self.outside)
                 self.last = u[-len(self.last) :]
             yield recording, verdicts
 

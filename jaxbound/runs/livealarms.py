@@ -12,7 +12,6 @@ import numpy as np
 from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.alarms import Alarm
-from jaxbound.diagnosis.suspects import UNKNOWN
 from jaxbound.diagnosis.watch import BEGINS, Event
 from jaxbound.files.checkpoint import as_texts, from_texts
 from jaxbound.recordings.columns import header_line, moments, write_rows
@@ -83,7 +82,7 @@ class LiveAlarms(Watching):
             return
         for event in self.watch.events(over):
             self.notices.append((event.sample - begin, self._notice(event)))
-        if len(over.start):
+        if over:
             alarms = self.alarms_of(over)
             self.count(alarms, self.ended)
             self.rows = self.written_rows(alarms)
@@ -116,8 +115,7 @@ class LiveAlarms(Watching):
 
     def pending(self) -> list[Alarm]:
         """Return the alarms that are on, as they would end if the stream ended here, the first first."""
-        on = self.watch.pending()
-        return self.alarms_of(on.cut(np.argsort(on.number)))
+        return self.alarms_of(self.watch.pending())
 
     def counted(self) -> tuple[int, dict[str, int]]:
         """Return (number of alarms, {why one is over: how many}) if the stream ended here."""
@@ -138,24 +136,24 @@ class LiveAlarms(Watching):
     def _notice(self, event: Event) -> dict[str, Any]:
         """Return the notice of the begin or the end of an alarm."""
         raised = event.alarm
-        names, _, _, cause = raised.suspect[0] or UNKNOWN
+        names, _, _, cause = raised.suspect
         suspect = {}
         if self.rule.names:
             suspect = {"suspect": (*names, None)[0]}
         if self.causes:
             suspect["cause"] = cause or None
         if event.kind == BEGINS:
-            told = {"alarm": "begin", "number": event.number, "sample": int(raised.start[0])}
+            told = {"alarm": "begin", "number": event.number, "sample": raised.start}
             told |= {"time": self._text(raised.start), **suspect}
             if self.relations.parts:
-                told["test"] = self.tests[np.searchsorted(self.numbers, raised.start[0])] or None
+                told["test"] = self.tests[np.searchsorted(self.numbers, raised.start)] or None
             return told
-        (alarm,) = self.alarms_of(raised)
+        (alarm,) = self.alarms_of([raised])
         told = {"alarm": "end", "number": event.number, "sample": alarm.end}
         told |= {"time": self._text(raised.end), **suspect}
         return told | {"windows": alarm.windows, "depth": alarm.depth, "ended": alarm.ended}
 
-    def _text(self, samples: np.ndarray) -> str:
-        """Return the time of one sample as it is written."""
-        text: str = self.at(samples)[0][0].as_py()
+    def _text(self, sample: int) -> str:
+        """Return the time of a sample as it is written."""
+        text: str = self.at(np.array([sample]))[0][0].as_py()
         return text

@@ -1,8 +1,7 @@
-"""The metadata of a part of the verdicts: runs and extremes of signals, numbers of windows judged again."""
+"""The metadata of a part of the verdicts: runs and extremes of signals, the device that judged."""
 
 import base64
 import json
-from collections import Counter
 from collections.abc import Iterable
 from dataclasses import asdict
 from functools import reduce
@@ -20,19 +19,19 @@ from jaxbound.recordings.stillness import Run, Runs, follow_runs, joined_runs
 from jaxbound.runs.testcounts import CountsByTest
 
 __all__ = [
-    "AGAIN",
+    "DEVICE",
     "EXTREMES",
     "RUNS",
     "TESTS",
     "Noted",
-    "read_again",
+    "read_devices",
     "read_by_test",
     "read_extremes",
     "read_runs",
 ]
 
 NONE = '{"bin": 0, "low": [], "high": []}'  # an earlier jaxbound noted no extremes
-RUNS, EXTREMES, AGAIN, TESTS = b"runs", b"extremes", b"again", b"tests"
+RUNS, EXTREMES, DEVICE, TESTS = b"runs", b"extremes", b"device", b"tests"
 
 
 class Noted:
@@ -114,14 +113,10 @@ def _take_extremes(whole: np.ndarray, first: int, texts: list[str], extreme: np.
         whole[i, here] = extreme(whole[i, here], x)
 
 
-def read_again(parts: Iterable[Path]) -> dict[str, int]:
-    """Return {devices that judged: how many of their windows were decided again on the CPU}; see
-    `diagnosis.spot_checks`.
-    """
-    counts: Counter[str] = Counter()
-    for metadata in map(_metadata, parts):
-        counts.update(json.loads(metadata.get(AGAIN, "{}")))
-    return dict(counts)
+def read_devices(parts: Iterable[Path]) -> list[str]:
+    """Return the devices that judged, as `judging_device` names them, each once; none where CPUs did."""
+    devices = {metadata.get(DEVICE, b"").decode() for metadata in map(_metadata, parts)}
+    return sorted(devices - {""})
 
 
 def read_by_test(parts: Iterable[Path], bank: Relations) -> CountsByTest:

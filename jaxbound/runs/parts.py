@@ -12,11 +12,12 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Protocol, cast
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, cast
 
 import numpy as np
 
 from jaxbound.consistency.interface import Judged, Relations
+from jaxbound.consistency.searched import judging_device
 from jaxbound.diagnosis.result import suspected
 from jaxbound.files.checkpoint import refuse_other
 from jaxbound.files.whole import UNFINISHED, whole
@@ -26,7 +27,7 @@ from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.parquetfiles import Damage
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.loop import Memory, Quiet
-from jaxbound.runs.partnotes import AGAIN, RUNS, TESTS, Noted
+from jaxbound.runs.partnotes import DEVICE, RUNS, TESTS, Noted
 from jaxbound.runs.sink import Verdicts
 from jaxbound.runs.testcounts import CountsByTest
 from jaxbound.runs.verdictfiles import outside_columns
@@ -53,12 +54,9 @@ OURS = re.compile(rf"part-\d{{5,}}\.parquet|\.part-\d{{5,}}\.parquet{UNFINISHED}
 
 
 class Carrier(Protocol):
-    """The judge whose verdicts go into parts.
+    """The judge whose verdicts go into parts. Fields: remembers: whether it is an observer."""
 
-    Fields: again: {devices: windows that were decided again}, to be taken.
-    """
-
-    again: dict[str, int]
+    remembers: ClassVar[bool]
 
     def memory(self) -> Memory:
         """Return its carry, None if it has none."""
@@ -168,7 +166,7 @@ class Parts(Quiet):
         self.done += len(rows.status)
 
     def _metadata(self, number: int, signals: np.ndarray) -> dict[bytes, str]:
-        """Return the metadata of the next part, and take what the judge decided again."""
+        """Return the metadata of the next part."""
         about = self.about.of(self.done, signals) | {IDENTITY: json.dumps(self.notes[number])}
         carry = self.judge.memory()
         if carry is not None:
@@ -176,9 +174,8 @@ class Parts(Quiet):
         if self.bank is not None and self.counted is not None:
             about[TESTS] = json.dumps(self.counted.memory())
             self.counted = CountsByTest(self.bank)
-        if self.judge.again:
-            about[AGAIN] = json.dumps(self.judge.again)
-            self.judge.again.clear()
+        if device := judging_device(self.judge.remembers):
+            about[DEVICE] = device
         return about
 
 

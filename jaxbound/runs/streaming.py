@@ -300,7 +300,7 @@ class _Judging:
         """Return the judge of the samples from a part on."""
         done, asked = part * self.size, self.asked
         if not asked.relations.remembers:
-            return Windows(asked.detect, asked.relations.horizon, self.source.samples, done, laps)
+            return Windows(asked.detect, asked.relations.horizon, done, laps)
         observer = asked.test_of(self.source)
         assert observer.remembers, "what remembers is an observer"
         carry = observer.init()

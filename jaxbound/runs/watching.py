@@ -9,9 +9,9 @@ from jaxbound.consistency.interface import Relations
 from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.alarms import Alarm, alarms_of, forgets_after
-from jaxbound.diagnosis.severity import MonitorSeverity, Severity, severity_of
+from jaxbound.diagnosis.severity import Severity
 from jaxbound.diagnosis.suspects import UNKNOWN, Suspect, nameless, suspect_of_window, tells_causes
-from jaxbound.diagnosis.watch import NOBODY, Raised, Seen, Watch
+from jaxbound.diagnosis.watch import Raised, Seen, Watch
 from jaxbound.models.region import Region
 from jaxbound.recordings.columns import to_arrow
 from jaxbound.recordings.recording import NOWHERE, Recording
@@ -23,7 +23,7 @@ from jaxbound.sets.floats.status import Status
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = ["Watching"]
+__all__ = ["Watching", "places_of"]
 
 
 class Watching(Quiet):
@@ -53,9 +53,9 @@ class Watching(Quiet):
         self.first = -self.keep  # number of the first of them
         if rule.names and not nameless(relations):
             self.watch.blame = self._blame
-        self.severity: Severity | MonitorSeverity | None = None
+        self.severity: Severity | None = None
         if rule.least is not None:
-            self.severity = severity_of(relations, method, cast(Mapping[str, float], rule.least))
+            self.severity = Severity(relations, method, cast(Mapping[str, float], rule.least))
         self.numbers: np.ndarray = np.zeros(0, np.int64)
         self.seconds: np.ndarray = np.zeros(0)
         self.tests, self.written = np.zeros(0, object), to_arrow(self.seconds)
@@ -74,7 +74,7 @@ class Watching(Quiet):
         """Whether it asks for samples."""
         return self.watch.blame is not None or self.severity is not None
 
-    def follow(self, piece: Recording, verdicts: Verdicts) -> Raised:
+    def follow(self, piece: Recording, verdicts: Verdicts) -> list[Raised]:
         """Take the next verdicts; return the alarms that are over."""
         import pyarrow as pa
 
@@ -85,7 +85,7 @@ class Watching(Quiet):
             self.first = begin - self.keep
         if not fault.any() and self.watch.is_quiet:
             self.watch.skip(len(fault))
-            return NOBODY
+            return []
         written = self.shown(piece)
         if len(self.numbers):
             written = pa.concat_arrays([self.written, written])
@@ -106,22 +106,24 @@ class Watching(Quiet):
         places = np.searchsorted(self.numbers, samples)
         return self.written.take(to_arrow(places)), self.seconds[places]
 
-    def forget(self, over: Raised = NOBODY) -> None:
+    def forget(self, over: Sequence[Raised] = ()) -> None:
         """Forget the times of samples that no alarm that is on, and none of those that are over, needs."""
         if not len(self.numbers):
             return
         last = np.arange(self.watch.samples - max(len(self.watch.tail.fault), 1), self.watch.samples)
         if self.watch.is_quiet:
             last = last[:0]
-        on = NOBODY.behind(over, self.watch.open, *self.watch.alarms.values())
-        needed = np.unique(np.concatenate([last, on.start, on.worst, on.end]))
+        on = [*over, *self.watch.alarms.values()]
+        if self.watch.open is not None:
+            on.append(self.watch.open)
+        needed = np.unique(np.concatenate([last, places_of(on).ravel()]))
         places = np.searchsorted(self.numbers, needed)
         self.written, self.numbers = self.written.take(to_arrow(places)), self.numbers[places]
         self.seconds, self.tests = self.seconds[places], self.tests[places]
 
-    def alarms_of(self, over: Raised) -> list[Alarm]:
+    def alarms_of(self, over: Sequence[Raised]) -> list[Alarm]:
         """Return the Alarms of those that are over."""
-        tests = self.tests[np.searchsorted(self.numbers, over.worst)]
+        tests = self.tests[np.searchsorted(self.numbers, places_of(over)[:, 2])]
         return alarms_of(over, self.horizon, self.region, tests=tests.tolist())
 
     def count(self, alarms: Sequence[Alarm], ended: dict[str, int]) -> None:
@@ -161,9 +163,7 @@ class Watching(Quiet):
         numbers = [list(self.relations.parts).index(name) for name in told.names]
         return np.asarray(np.array([-1, *numbers], np.int16)[told.by + 1])
 
-    def _counted(
-        self, fault: np.ndarray, by: np.ndarray | None, severity: Severity | MonitorSeverity
-    ) -> np.ndarray:
+    def _counted(self, fault: np.ndarray, by: np.ndarray | None, severity: Severity) -> np.ndarray:
         """Return the FAULT windows that count."""
         at = np.flatnonzero(fault)
         first, stop, begin = int(at[0]), int(at[-1]) + 1, self.watch.samples
@@ -189,6 +189,12 @@ class Watching(Quiet):
         u, y = (np.asarray(x) for x in self.samples(sample - relations.horizon, sample + 1))
         seen = bank.seen_by(number, Recording(u, y, NOWHERE), bank.modes_of(u))
         return suspect_of_window(relations, "joint", seen.u, seen.y)
+
+
+def places_of(alarms: Sequence[Raised]) -> np.ndarray:
+    """Return (N, 3), the first, the last and the worst sample of each alarm."""
+    places = [(alarm.start, alarm.end, alarm.worst) for alarm in alarms]
+    return np.array(places, np.int64).reshape(-1, 3)
 
 
 def speakers(verdicts: Verdicts) -> np.ndarray:

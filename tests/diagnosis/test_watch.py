@@ -1,7 +1,6 @@
 """Alarms by a rule, as verdicts come: compared with a walk through the samples, one by one."""
 
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -55,19 +54,10 @@ def alarms(watch, pieces):
         again = Watch(watch.rule, watch.blame)
         again.resume(json.loads(json.dumps(watch.memory())))
         watch = again
-        events += each(watch, watch.add(piece))
-    events += each(watch, watch.finish())
+        events += watch.events(watch.add(piece))
+    events += watch.events(watch.finish())
     over = [event.alarm for event in events if event.kind == ENDS]
     return sorted(over, key=lambda alarm: alarm.number), events
-
-
-def each(watch, over):
-    """Return the events of the last samples, with alarms whose fields are no arrays."""
-    events = []
-    for event in watch.events(over):
-        fields = {name: x.tolist()[0] for name, x in event.alarm._asdict().items()}
-        events.append(event._replace(alarm=SimpleNamespace(**fields)))
-    return events
 
 
 def cut(rng, fault, margin):
@@ -151,9 +141,9 @@ def test_suspects_are_asked_for_at_the_first_and_last_fault_alone():
 def test_pending_alarms_are_told_as_if_the_recording_ended_and_go_on():
     watch = Watch(AlarmRule(latch=True), lambda k: UP)
     watch.add(seen(flags("..F..")))
-    assert (*watch.pending().end, *watch.pending().ended) == (4, LASTING)
+    assert [(alarm.end, alarm.ended) for alarm in watch.pending()] == [(4, LASTING)]
     watch.add(seen(flags("...")))
-    assert watch.pending().end.tolist() == [7]
+    assert [alarm.end for alarm in watch.pending()] == [7]
 
 
 def latched_walk(fault, rule, times):
@@ -200,11 +190,11 @@ def test_a_late_acknowledgement_ends_the_alarms_that_had_begun_by_then_and_no_ot
     watch.add(seen(flags("..F...F.")))
     with file.open("a") as operator:
         operator.write("5, J. Smith\n5")
-    over = watch.add(seen(flags("..."), first=8))
-    assert (*over.sure, over.name, *over.end, *over.ended) == (8, "T1", 7, ACKNOWLEDGED)
+    (over,) = watch.add(seen(flags("..."), first=8))
+    assert (over.sure, over.suspect.first, over.end, over.ended) == (8, "T1", 7, ACKNOWLEDGED)
     with file.open("a") as operator:
         operator.write("0\n")  # the line is complete: 50, which lies ahead
-    assert not len(watch.add(seen(flags("..."), first=11)).end)
+    assert not watch.add(seen(flags("..."), first=11))
 
 
 def test_an_acknowledgement_in_a_stretch_takes_the_jump_back_in_it_for_the_end():

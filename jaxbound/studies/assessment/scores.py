@@ -5,8 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxbound.diagnosis.alarmrule import AlarmRule
-from jaxbound.diagnosis.watch import Seen, alarms_in
 from jaxbound.studies.assessment.truth import FAULTY, HEALTHY, Episode
 
 __all__ = ["Rule", "Score", "Trial", "counted", "in_alarm", "total"]
@@ -90,12 +88,9 @@ def _share(part: float, whole: float) -> float:
 
 def in_alarm(fault: np.ndarray, k: int, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Return ((T,) bool, whether an alarm is on; the sample at which each begins)."""
-    nowhere = np.zeros(len(fault))
-    alarms = alarms_in(AlarmRule(k, n), Seen.of(fault, nowhere, nowhere.astype(bool)))
-    change = np.zeros(len(fault) + 1, int)
-    change[alarms.start] += 1
-    change[alarms.end + 1] -= 1
-    return np.cumsum(change[:-1]) > 0, alarms.start
+    count = np.cumsum(np.concatenate([np.zeros(n, int), fault]))
+    on = count[n:] - count[:-n] >= k
+    return on, np.flatnonzero(on & ~np.append(False, on[:-1]))
 
 
 def counted(fault: np.ndarray, trial: Trial, factor: float, rule: Rule, dt: float | None) -> Score:

@@ -89,6 +89,7 @@ def _faulty_by_test(bank: MonitorBank, u: np.ndarray, y: np.ndarray, margins: st
         statuses.append(np.where(fault, np.int8(Status.FAULT), np.int8(Status.UNDECIDED)))
     every = np.stack(statuses, -1)
     found = combined(every, np.zeros(every.shape), bank.conditions_of, modes, bank.complete)
+    assert found.statuses is not None, "a monitor has tests"
     together = [found.status, *np.moveaxis(found.statuses, -1, 0)]
     return [(status == Status.FAULT).reshape(shape) for status in together]
 
