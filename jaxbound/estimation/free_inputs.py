@@ -15,7 +15,7 @@ from jaxbound.estimation.arrays import Array
 from jaxbound.estimation.set_rounding import SetRounding
 from jaxbound.sets.floats.unrolled import summed
 
-__all__ = ["Free", "Known", "Reading", "known_again"]
+__all__ = ["Free", "Known", "Reading", "known_again", "times"]
 
 
 class Free(NamedTuple):
@@ -94,21 +94,21 @@ def known_again(
     H = jnp.where(taken[None, None], of_way(free.H), 0)
     wide_H = jnp.where(taken[None, None], of_way(free.wide_H), 0)
     values = jnp.abs(mid) + jnp.abs(through) + rad
-    off = _times_vector(wide_M + g.gamma * jnp.abs(M), size)
-    off = off + _times_vector(wide_H + g.gamma * jnp.abs(H), values)
-    r = g.up * (_times_vector(jnp.abs(M), r) + _times_vector(jnp.abs(H), loose) + off) + g.least
-    c = _times_vector(M, c) + _times_vector(H, mid - through)
-    moved = summed(_outer, M, G[:, :-p], axes=(1, 0))
+    off = times(wide_M + g.gamma * jnp.abs(M), size)
+    off = off + times(wide_H + g.gamma * jnp.abs(H), values)
+    r = g.up * (times(jnp.abs(M), r) + times(jnp.abs(H), loose) + off) + g.least
+    c = times(M, c) + times(H, mid - through)
+    moved = times(M, G[:, :-p])
     lost = ~(taken | whole)
     left = there & ~(taken[None] & of_way(free.used)) & ~(lost[None] & free.shown[:, None])
     return Known(c, jnp.concatenate([moved, H * rad[None]], 1), r), left, lost
 
 
-def _times_vector(M: Array, x: Array) -> jax.Array:
-    """Return M x for M (r, n, N), x (n, N), recording by recording."""
-    return summed(_outer, M, x, axes=(1, 0))
+def times(M: Array, X: Array) -> jax.Array:
+    """Return M X for M (r, n, N) or (r, n, 1), X (n, N) or (n, q, N), recording by recording."""
+    return summed(_outer, M, X, axes=(1, 0))
 
 
 def _outer(column: jax.Array, row: jax.Array) -> jax.Array:
-    """Return a column (r, N) times a number (N,), or a row (q, N)."""
+    """Return a column (r, N or 1) times a number (N,), or a row (q, N)."""
     return column[(slice(None), *[None] * (row.ndim - 1))] * row[None]

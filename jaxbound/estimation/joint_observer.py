@@ -23,10 +23,8 @@ import numpy as np
 from jaxbound.estimation import zonotope_steps as steps
 from jaxbound.estimation.arrays import Array
 from jaxbound.estimation.blocks import chosen, in_lanes, repeated
-from jaxbound.estimation.contradictions import ended, fresh_behind, is_first, latched, staying, with_refuted
 from jaxbound.estimation.observed_plant import ObservedPlant
 from jaxbound.estimation.parallelotope import (
-    ROUNDED,
     lasting,
     parallelotope,
     principal,
@@ -197,20 +195,18 @@ class JointObserver(SetObserver[JointState]):
         rows, back = self._directions(number)
         c, G, r, age = map(split_lanes, state.carry[:4])
         mark = parallelotope(back, rows, *template(rows, c, G, r), self.plant.dtype)
-        return _only(np.all(age >= 0, 0), mark)
+        return repeated(_only(np.all(age >= 0, 0), mark), N)
 
     def _first_prior(self, N: int) -> Prior | None:
-        """Return x0 of N recordings, or its box where it has more generators than states."""
+        """Return x0 of N recordings; None where there is none, or it has more generators than states."""
         if self.x0 is None:
             return None
         n = self.plant.system.n
-        center, generators, box = self.x0.padded(n)
-        generators = generators[:, np.abs(generators).any(0)]
-        if generators.shape[1] <= n:
-            sides = np.pad(generators, ((0, 0), (0, n - generators.shape[1])))
-        else:
-            reach = np.abs(generators.astype(np.float64)).sum(1) * ROUNDED
-            sides = np.diag(rounding.round_up(reach, self.plant.dtype))
+        center, generators, box, whole = self.x0.padded(n)
+        sides = generators[:, np.abs(generators).any(0)]
+        if sides.shape[1] > n or not whole:
+            return None
+        sides = np.pad(sides, ((0, 0), (0, n - sides.shape[1])))
 
         def repeated(x: np.ndarray) -> np.ndarray:
             return np.repeat(x[..., None], N, -1)
@@ -239,14 +235,15 @@ class JointObserver(SetObserver[JointState]):
         return state.path._replace(c=c, S=np.zeros_like(state.path.S), r=r)
 
     def _first_path(self, state: JointState) -> Prior:
-        """Return the path where a trajectory begins anywhere in x0."""
-        if self.plant.unknown is not None or self._has_more_bounds:
+        """Return the path where a trajectory begins anywhere in x0, and nowhere else."""
+        if self._first_prior(1) is None or self.plant.unknown is not None or self._has_more_bounds:
             return state.path
         c, S, r, *_ = state.mark
         # sides of a box: a state is compared with each
-        apart = (S == 0) | np.eye(len(S), dtype=bool)[:, :, None]
-        path = Prior(c, S, np.zeros_like(r), *self._no_strips(r.shape[-1]))
-        return _only(_is_known(state.mark) & apart.all((0, 1)), path)
+        sides = np.eye(len(S), dtype=bool)[:, :, None]
+        within = np.where(sides, np.sign(S) * np.maximum(np.abs(S) - r[:, None], 0), S)
+        path = Prior(c, within, np.zeros_like(r), *self._no_strips(r.shape[-1]))
+        return _only(_is_known(state.mark) & ((S == 0) | sides).all((0, 1)), path)
 
     @property
     def _has_more_bounds(self) -> bool:
@@ -284,22 +281,19 @@ class JointObserver(SetObserver[JointState]):
         judged &= np.asarray(found.status) == Status.UNDECIDED
         wrong, margin, states = self._refuted(state, begin, judged, np.asarray(found.states))
         right = self._consistent(state, begin, judged & ~wrong & _is_known(state.path) & (since == 0))
-        wrong = is_first(wrong)
+        wrong &= np.cumsum(wrong, 0) == 1
         # windows behind it speak of samples that are given up
         up_to_it = np.cumsum(wrong, 0) - wrong == 0
         judged, right = judged & up_to_it, right & up_to_it
-        if wrong.any() and self.restart:
-            anew = samples._replace(fresh=fresh_behind(samples.fresh, wrong))
-            after, found = self._followed(before, anew)
-            after = ended(after, wrong[-1])
-        elif wrong.any():
-            # the zonotopes carry on themselves what was refuted before these samples
-            stays = wrong | staying(np.zeros_like(wrong[0]), wrong, samples.fresh)
-            after, found = latched(after, found, stays)
+        if wrong.any():
+            after, found = self._followed(before, samples._replace(refuted=wrong))
         status = np.where(right, np.int8(Status.CONSISTENT), found.status)
-        found = with_refuted(found._replace(status=status), wrong, np.where(judged, margin, np.inf))
+        # the margin of a FAULT is that of the test which found it: another one saw less
+        lower = judged & (margin < found.margin) & (wrong | (found.status != Status.FAULT))
+        margin = np.where(lower, margin, found.margin).astype(found.margin.dtype)
+        found = found._replace(status=status, margin=margin)
         if self.enclosures:
-            narrower = judged[:, None] & (found.age > 0)[:, None]
+            narrower = (judged & ~wrong & (found.age > 0))[:, None]
             states = np.where(narrower, np.minimum(states, found.states), found.states)
             found = found._replace(states=states)
         return self._carried_on(state, after, T), found

@@ -94,7 +94,7 @@ class ObservedPlant:
             off = slip + np.asarray(x.wide_u0)[:, None] + 4 * own * (given + np.abs(u0)) + tiny
         v = np.where(np.isnan(u), 0, u) - u0
         mid, rad, off = np.where(gone, 0, mid), np.where(gone, np.inf, rad), np.where(known[:, None], off, 0)
-        return Piece(mid, rad, v, off, known, fresh)
+        return Piece(mid, rad, v, off, known, fresh, refuted=np.zeros_like(fresh))
 
     def _noise(self, factors: np.ndarray) -> np.ndarray:
         """Return the bounds (p, 1), or (T, p, N), of errors of samples, rounded up to the dtype.

@@ -7,7 +7,6 @@ close the set comes. All of this is a hint: a box is left out where NumPy sees a
 Source: Jaulin, Walter 1993, Set inversion via interval analysis (SIVIA), without its inner boxes.
 """
 
-from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
@@ -18,7 +17,7 @@ from jaxbound.consistency.twice import warn_doubtful
 from jaxbound.sets.paving.frontier import Verdicts, explore
 from jaxbound.text.progress import Progress
 
-__all__ = ["ENDED", "FOUND", "STOPPED", "Explored", "explored"]
+__all__ = ["ENDED", "FOUND", "STOPPED", "Search"]
 
 FOUND, ENDED, STOPPED = "found", "budget ended", "interrupted"
 """How a search ends: with boxes as small as was asked, after so many boxes, or by the user."""
@@ -40,37 +39,45 @@ Closest = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """(window (N,), margin (N,), h (r, N), lean (n, N)) of boxes: the window that is closest to refuting each."""
 
 
-@dataclass(frozen=True, eq=False)
-class Explored:
-    """The end of a search.
+class Search:
+    """A search for the boxes that no window refutes, and its end.
+
+    Args:
+        test: the windows. precision: boxes with no edge beyond this share of the hull of what is left are not
+            cut.
 
     Fields: lo, hi (n, N): boxes left; refuted (W,): boxes that each window refuted; evaluated: boxes judged;
-    status: one of FOUND, ENDED, STOPPED.
+    status: one of FOUND, ENDED, STOPPED; level; cut: how many boxes the last level cut; ends: of the hull of
+    those that are cut no more.
     """
 
-    lo: np.ndarray
-    hi: np.ndarray
-    refuted: np.ndarray
-    evaluated: int
-    status: str
+    def __init__(self, test: ParameterBoxes, precision: float) -> None:
+        self.test, self.precision = test, precision
+        self.refuted = np.zeros(test.count, np.int64)
+        self.level = self.cut = self.evaluated = 0
+        self.ends = np.full_like(test.lo, np.inf), np.full_like(test.lo, -np.inf)
+        self.status = STOPPED
 
+    def run(self, budget: int, progress: Progress) -> None:
+        """Search until boxes are small enough, `budget` boxes are judged, or the user interrupts.
 
-@dataclass
-class _Search:
-    """The state of a search: the windows, how often each refuted a box, the level, how many boxes it cut, the
-    ends of those that are cut no more.
-    """
-
-    test: ParameterBoxes
-    precision: float
-    refuted: np.ndarray = field(init=False)
-    level: int = 0
-    cut: int = 0
-    ends: tuple[np.ndarray, np.ndarray] = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.refuted = np.zeros(self.test.count, np.int64)
-        self.ends = np.full_like(self.test.lo, np.inf), np.full_like(self.test.lo, -np.inf)
+        Args:
+            progress: called with the share of the budget spent, and 1 at the end.
+        """
+        test = self.test
+        try:
+            for cover in explore(self.judge, test.lo, test.hi, 1, 2**30, budget):
+                boxes, self.evaluated = cover.boxes, int(cover.evaluated[0])
+                progress(min(1.0, self.evaluated / budget))
+            if test.count > LOOKED and len(boxes.owner):
+                boxes = boxes.chosen(self.left(boxes.lo, boxes.hi, np.arange(test.count))[0])
+            self.status = FOUND
+            if self.cut:
+                self.status = ENDED
+        except KeyboardInterrupt:
+            pass
+        self.lo, self.hi = boxes.lo, boxes.hi
+        progress(1.0)
 
     def judge(self, lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> Verdicts[np.ndarray]:
         """Return the Verdicts on the boxes of a level, by all windows or some spread over the recording."""
@@ -157,32 +164,9 @@ class _Search:
         axis[inside] = -1
         ended = axis < 0
         if ended.any():
-            self.ends = (
-                np.minimum(self.ends[0], lo[:, ended].min(1)),
-                np.maximum(self.ends[1], hi[:, ended].max(1)),
-            )
+            least, most = self.ends
+            self.ends = np.minimum(least, lo[:, ended].min(1)), np.maximum(most, hi[:, ended].max(1))
         return axis
-
-
-def explored(test: ParameterBoxes, precision: float, budget: int, progress: Progress) -> Explored:
-    """Return the Explored of a test: the boxes that no window refutes.
-
-    Args:
-        precision: boxes with no edge beyond this share of the hull of what is left are not cut. budget: boxes
-            that are judged. progress: called with the share of the budget spent, and 1 at the end.
-    """
-    search, evaluated = _Search(test, precision), 0
-    try:
-        for cover in explore(search.judge, test.lo, test.hi, 1, 2**30, budget):
-            boxes, evaluated = cover.boxes, int(cover.evaluated[0])
-            progress(min(1.0, evaluated / budget))
-        status = ENDED if search.cut else FOUND
-        if test.count > LOOKED and len(boxes.owner):
-            boxes = boxes.chosen(search.left(boxes.lo, boxes.hi, np.arange(test.count))[0])
-    except KeyboardInterrupt:
-        status = STOPPED
-    progress(1.0)
-    return Explored(boxes.lo, boxes.hi, search.refuted, evaluated, status)
 
 
 def _corners(q: int) -> np.ndarray:

@@ -14,7 +14,7 @@ from jaxbound.consistency.bisection import span
 from jaxbound.consistency.interface import Observer, Relations, relations_of
 from jaxbound.consistency.parameter_boxes import ParameterBoxes, PolynomialBoxes
 from jaxbound.consistency.parameter_residual import ResidualBoxes
-from jaxbound.estimation.parameter_search import explored
+from jaxbound.estimation.parameter_search import Search
 from jaxbound.estimation.parameter_set import EMPTY, NAMED, ParameterSet
 from jaxbound.models.numbers import is_whole
 from jaxbound.recordings.recording import Recording
@@ -103,7 +103,8 @@ def parameters(
         )
     recording = replace(recording, u=np.asarray(recording.u), y=np.asarray(recording.y)).finite()
     test, ends = _boxes(named, recording, constant)
-    search = explored(test, float(precision), int(budget), report)
+    search = Search(test, float(precision))
+    search.run(int(budget), report)
     lo, hi = test.units(search.lo, search.hi)
     status = search.status
     if not len(lo):

@@ -14,7 +14,7 @@ class Piece(NamedTuple):
 
     Fields: mid, rad (T, p, N): of the outputs, radius infinite where there is none; v, slip (T, m, N): inputs
     less their offset, and by which they may be off; known (T, N): whether every input is there; fresh (T, N):
-    whether it does not follow the sample before.
+    whether it does not follow the sample before; refuted (T, N): whether an exact test contradicts it.
     """
 
     mid: np.ndarray
@@ -23,6 +23,7 @@ class Piece(NamedTuple):
     slip: np.ndarray
     known: np.ndarray
     fresh: np.ndarray
+    refuted: np.ndarray
 
     def cut(self, first: int, stop: int) -> Piece:
         """Return some of the samples."""

@@ -11,10 +11,10 @@ encloses states as well, is another value (`dataclasses.replace`) that shares th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, Self
 
 import jax
 import numpy as np
@@ -30,7 +30,6 @@ from jaxbound.estimation.lanes import emptied, joined
 from jaxbound.estimation.observation import Observation, State
 from jaxbound.estimation.observed_plant import ObservedModel, ObservedPlant, observed_plant
 from jaxbound.estimation.piece import Piece
-from jaxbound.estimation.second_look import doubtful
 from jaxbound.estimation.short_proof import ObservedResult, short_proof
 from jaxbound.estimation.zonotope_numbers import ROUNDED, FirstSet
 from jaxbound.models.sensor import input_slip
@@ -39,7 +38,7 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.signals import SignalModel, signals_of
 from jaxbound.relations.bounds import Bounds, model_bounds
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.floats.kernel import is_outside_xla
+from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
@@ -61,11 +60,11 @@ EVEN = 8
 not matter.
 """
 BESIDE = 128
-"""Recordings side by side where many are evaluated in NumPy."""
+"""Recordings, or stretches of them, side by side where many are evaluated in NumPy."""
+LENGTHS = (4, 16, 64, 256, 1024)
+"""Samples before a FAULT that are followed once more."""
 PIECE = 16
 """Samples that the kernel is compiled for."""
-
-Tree = TypeVar("Tree")
 
 
 @readable
@@ -128,7 +127,7 @@ class SetObserver(Observer[State], Generic[State]):
         """(n, 2) lowest and highest of each first state that x0 allows, rounded outward; None without x0."""
         if self.x0 is None:
             return None
-        center, generators, box = (np.asarray(x, np.float64) for x in self.x0)
+        center, generators, box = (np.asarray(x, np.float64) for x in self.x0[:3])
         reach = (np.abs(generators).sum(1) + box) * ROUNDED
         return np.stack([np.nextafter(center - reach, -np.inf), np.nextafter(center + reach, np.inf)], 1)
 
@@ -196,7 +195,7 @@ class SetObserver(Observer[State], Generic[State]):
         sizes = n, int(self.order * n), self.plant.system.p, self.plant.system.m, self.plant.past
         carry = steps.unknown(sizes, self.weights.astype(self.plant.dtype))
         if self.x0 is not None:
-            c, G, r = (np.repeat(x[..., None], sets, -1) for x in self.x0.padded(n))
+            c, G, r = (np.repeat(x[..., None], sets, -1) for x in self.x0.padded(n)[:3])
             G = np.pad(G, [(0, 0), (0, sizes[1] - G.shape[1]), (0, 0)])
             carry = carry._replace(c=c, G=G, r=r, age=np.zeros_like(carry.age))
         return ObserverState(carry, np.int64(0))
@@ -212,7 +211,7 @@ class SetObserver(Observer[State], Generic[State]):
         state, found = self.found(carry, samples)
         fault = np.asarray(found.status) == Status.FAULT
         if fault.any() and not is_outside_xla():
-            gone = doubtful(self, carry, samples, fault)
+            gone = self._doubtful(carry, samples, fault)
             if gone.any():
                 warn_doubtful(
                     f"{gone.sum()} samples are FAULT by an observer in XLA, the first of them is sample "
@@ -224,6 +223,77 @@ class SetObserver(Observer[State], Generic[State]):
                 nothing: Any = replace(self, x0=None, begun=None).begin()  # a NamedTuple
                 state = nothing._replace(samples=state.samples)
         return state, self._verdicts(found, lead, len(samples.fresh), carry)
+
+    def _doubtful(self, carry: State, samples: Piece, fault: np.ndarray) -> np.ndarray:
+        """Return (T, N) bool: which of the FAULTs (T, N) are not proved outside XLA, see `consistency.twice`.
+
+        The last samples before a FAULT are followed once more, the kernels evaluated in NumPy: 4 of them,
+        then 16, 64, 256, 1024, as far back as it began, knowing nothing of the state before. A contradiction
+        among them stands. What is left is followed from where the observer began: behind a gap, or behind a
+        FAULT, again knowing nothing, so that no set of before a gap is believed twice; of more than 1024
+        samples XLA follows the first. Only a FAULT that rests on samples of a piece before, which nobody
+        keeps, begins with the set that was carried to there.
+        """
+        anew, first = samples.fresh.copy(), fault
+        if self.restart:
+            anew[1:] |= fault[:-1]
+        else:  # of a FAULT that stays, the first
+            first = fault & ~_staying(self._refuted_before(carry), fault, samples.fresh)
+        begins = np.maximum.accumulate(np.where(anew, np.arange(len(fault))[:, None], 0))
+        ends = np.argwhere(first)
+        rounds = [(len(fault), 1)]
+        if self.plant.start is not None:  # samples show the state
+            rounds = [*((length, BESIDE) for length in LENGTHS), *rounds]
+        for length, beside in rounds:
+            begin, gone = np.maximum(begins[tuple(ends.T)], ends[:, 0] - length + 1), np.ones(len(ends), bool)
+            for part in range(0, len(ends), beside):
+                some = slice(part, part + beside)
+                gone[some] = ~self._again(carry, samples, begin[some], ends[some])
+            ends = ends[gone]
+        gone = np.zeros(fault.shape, bool)
+        gone[tuple(ends.T)] = True
+        if not self.restart:  # a FAULT that stays goes as a whole
+            gone |= _staying(np.zeros_like(fault[0]), gone, samples.fresh | ~fault)
+        return gone
+
+    def _refuted_before(self, carry: State) -> np.ndarray:
+        """Return (N,) bool: which recordings any of their sets refuted before."""
+        empty = np.asarray(carry.carry.empty).reshape(len(self.weights), -1)
+        return np.asarray(empty.any(0))
+
+    def _again(self, carry: State, samples: Piece, begin: np.ndarray, ends: np.ndarray) -> np.ndarray:
+        """Return (K,) bool: which FAULTs the samples from begin (K,) on show. ends (K, 2): their samples, and
+        their recordings.
+        """
+        last, numbers = ends.T
+        rows = np.minimum(begin + np.arange((last - begin).max() + 1)[:, None], last)
+        some = jax.tree.map(lambda x: np.moveaxis(np.moveaxis(x, -1, 1)[rows, numbers], 1, -1), samples)
+        some.fresh[0] |= begin > 0  # what is carried to the first sample of all is the only set believed
+        own: Any = self._of_recordings(carry, numbers)  # a NamedTuple, whatever fields a method has
+        if len(begin) == 1:  # windows begin where they began
+            own = own._replace(samples=carry.samples + begin[0])
+        state: State = own
+        near = max(0, len(rows) - LENGTHS[-1])
+        if near:
+            state, _ = self.found(state, some.cut(0, near))
+        with outside_xla():
+            _, found = self.found(state, some.cut(near, len(rows)))
+        shown = np.asarray(found.status) == Status.FAULT
+        return np.asarray((shown & (begin + np.arange(near, len(rows))[:, None] <= last)).any(0))
+
+    def _of_recordings(self, carry: State, numbers: np.ndarray) -> State:
+        """Return the carry of some recordings; one of a single recording is that of all."""
+        count = carry.carry.age.shape[-1] // len(self.weights)
+
+        def own(x: Array) -> np.ndarray:
+            x = np.asarray(x)
+            if not x.ndim:
+                return x
+            places = np.arange(x.shape[-1]).reshape(-1, count)[:, numbers % count]
+            return x[..., places.ravel()]
+
+        some: State = jax.tree.map(own, carry)
+        return some
 
     def enclosed(self, recording: Recording) -> Observation | Judged:
         """Return the verdicts of `fold` on a recording, decided once: FAULTs are proved already."""
@@ -250,8 +320,6 @@ class SetObserver(Observer[State], Generic[State]):
             raise ValueError(f"this observer follows {followed} recordings, y holds {count}")
 
         def time_first(x: np.ndarray) -> np.ndarray:
-            if count == 1:
-                return x.reshape(T, -1, 1).astype(self.plant.dtype)
             return np.moveaxis(x.reshape(count, T, x.shape[-1]), 0, -1).astype(self.plant.dtype)
 
         fresh = np.zeros((T, count), bool)
@@ -276,7 +344,7 @@ class SetObserver(Observer[State], Generic[State]):
             return self._block(chosen(carry, own), chosen(samples, block))
 
         def together(places: np.ndarray) -> Callable[..., np.ndarray]:
-            return lambda *parts: np.take(_one_behind_the_other(parts, -1), places, -1)
+            return lambda *parts: np.take(np.concatenate(parts, -1), places, -1)
 
         place = (number // room * lanes + lane) * room + number % room
         carries, founds = zip(*in_blocks(job, count, room), strict=True)
@@ -310,7 +378,8 @@ class SetObserver(Observer[State], Generic[State]):
                 nothing = np.zeros((PIECE, 0, *verdicts.margin.shape[1:]), verdicts.margin.dtype)
                 verdicts = verdicts._replace(states=nothing, outputs=nothing)
             parts.append(verdicts)
-        return carry, _fetched(parts, T)
+        # fetched when all are under way: the host prepares one while another is worked out
+        return carry, jax.tree.map(lambda *pieces: np.concatenate(pieces)[:T], *parts)
 
     def _verdicts(
         self, found: steps.Found, lead: tuple[int, ...], T: int, before: State
@@ -322,11 +391,8 @@ class SetObserver(Observer[State], Generic[State]):
         """
 
         def shaped(x: Array) -> np.ndarray:
-            x = np.asarray(x)
-            rest = x.shape[1:-1]
-            if x.shape[-1] > 1:
-                x = np.moveaxis(x, -1, 0)
-            return x.reshape(*lead, T, *rest)
+            x = np.moveaxis(np.asarray(x), -1, 0)
+            return x.reshape(*lead, T, *x.shape[2:])
 
         status, margin, age = shaped(found.status), shaped(found.margin), shaped(found.age)
         if not self.enclosures:
@@ -334,8 +400,7 @@ class SetObserver(Observer[State], Generic[State]):
         since = np.where(age > 0, int(before.samples) + np.arange(T) - age + 1, -1)
         refuted: np.ndarray | None = None
         if not self.restart:
-            empty = np.asarray(before.carry.empty).reshape(len(self.weights), -1)
-            refuted = np.asarray(empty.any(0))
+            refuted = self._refuted_before(before)
         found = emptied(found, refuted)
         n, p = self.plant.system.n, self.plant.system.p
         state = _interval(shaped(found.states), n)
@@ -363,20 +428,15 @@ class ZonotopeObserver(SetObserver[ObserverState]):
         return self._first_state
 
 
-def _fetched(parts: Sequence[Tree], T: int) -> Tree:
-    """Return the arrays of T samples, on the host, from those of pieces.
-
-    They are fetched when all pieces are under way: the host prepares one while another is worked out.
+def _staying(before: np.ndarray, wrong: np.ndarray, fresh: np.ndarray) -> np.ndarray:
+    """Return (T, N): where a FAULT of an earlier sample, or of the piece before (N,), still stays; a gap ends
+    it.
     """
-    whole: Tree = jax.tree.map(lambda *pieces: _one_behind_the_other(pieces, 0)[:T], *parts)
-    return whole
-
-
-def _one_behind_the_other(parts: Sequence[Array], axis: int) -> np.ndarray:
-    """Return the arrays as one on the host; of one part no copy is made."""
-    if len(parts) == 1:
-        return np.asarray(parts[0])
-    return np.concatenate([np.asarray(x) for x in parts], axis)
+    behind, stays = np.zeros_like(wrong), before
+    for k in range(len(wrong)):
+        behind[k] = stays & ~fresh[k]
+        stays = behind[k] | wrong[k]
+    return behind
 
 
 def _interval(ends: np.ndarray, width: int) -> Interval:

@@ -139,12 +139,10 @@ def _positions(model: LinearSystem, horizon: int | None) -> tuple[int, list[int 
             raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
         affordable(model, int(horizon))
         return int(horizon), _determined(model, int(horizon))
-    longest = _determined(model, model.n + 1)
-    wanted = [place is not None for place in longest]
-    for s in range(model.n + 2):
-        if [place is not None for place in _determined(model, s)] == wanted:
-            return s + 1, _determined(model, s + 1)
-    return model.n + 1, longest
+    s, never = 0, _determined(model, model.n + 1).count(None)
+    while _determined(model, s).count(None) > never:  # longer windows determine what shorter ones do
+        s += 1
+    return s + 1, _determined(model, s + 1)
 
 
 def _determined(model: LinearSystem, s: int) -> list[int | None]:

@@ -16,20 +16,16 @@ Source: Alhaj-Dibo, Maquin, Ragot 2004.
 
 from __future__ import annotations
 
-import math
 from functools import partial
 
-import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.consistency.drive import end_to_end
 from jaxbound.estimation.multiple import validate_parts
-from jaxbound.estimation.validation_observer import ValidatedModel, ValidationObserver, left_out
+from jaxbound.estimation.validation_observer import ValidatedModel, ValidationObserver
 from jaxbound.estimation.validation_result import Validation
 from jaxbound.models.multimodel import MultiModel
 from jaxbound.recordings.read import recorded
-from jaxbound.recordings.seams import around
 from jaxbound.recordings.table import Data
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.intervals.interval import Interval
@@ -93,28 +89,11 @@ def validate(
         validate_one = partial(validate, horizon=horizon, method=method, correction=correction)
         return validate_parts(model, u, y, x0, validate_one, starts)
     observer = ValidationObserver(model, horizon, method, x0, correction)
-    recording = recorded(observer.signals, u, y, starts, narrow=False).finite()
-    *lead, T, _ = recording.y.shape
-    inputs, outputs = end_to_end(recording.u), end_to_end(recording.y)
-    first = T * np.arange(math.prod(lead))
-    excluded = recording.excluded
-    if excluded is not None:
-        excluded = np.tile(excluded, len(first))
-    gone = left_out(inputs, outputs, excluded)
-    seams = (first[:, None] + recording.starts).ravel()
-    begins = np.union1d(first, np.concatenate([seams, around(gone)])).astype(int)
-    known = np.isin(begins, first) & ~gone[begins] & observer.informed
-    start = observer.x0
-    if start is not None:
-        each = jax.tree.map(
-            lambda x: np.broadcast_to(x, (*lead, x.shape[-1])).reshape(-1, x.shape[-1]), start
-        )
-        start = each[~gone[first]]
-    found, _ = observer.in_pieces(inputs, outputs, begins, known, start)
+    recording = recorded(observer.signals, u, y, starts, narrow=False)
+    _, found = observer.fold(observer.init(), recording)
     if not np.isfinite(found.state.lo).any():
         raise ValueError(
             f"no stretch of {observer.horizon + 1} complete samples in a row: choose a shorter horizon, or a "
             f"recording with fewer gaps"
         )
-    shaped: Validation = jax.tree.map(lambda x: x.reshape(*lead, T, *x.shape[1:]), found)
-    return shaped
+    return found

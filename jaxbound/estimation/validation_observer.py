@@ -2,11 +2,13 @@
 before ended.
 """
 
-from typing import NamedTuple, TypeAlias
+import math
+from typing import ClassVar, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
 
+from jaxbound.consistency.drive import end_to_end
 from jaxbound.consistency.interface import Observer
 from jaxbound.estimation.validation_result import Validation
 from jaxbound.estimation.validation_slide import HostCarry, Slide, Stretch
@@ -22,7 +24,7 @@ from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.intervals.interval import Interval, interval
 from jaxbound.text.objects import readable
 
-__all__ = ["ValidatedModel", "ValidationObserver", "ValidationState", "least_horizon", "left_out"]
+__all__ = ["ValidatedModel", "ValidationObserver", "ValidationState", "least_horizon"]
 
 ValidatedModel: TypeAlias = LinearSystem | IntervalSystem | MultiModel
 SHORTEST = 16
@@ -72,6 +74,7 @@ class ValidationObserver(Observer[ValidationState]):
         [False, True]
     """
 
+    batched: ClassVar[bool] = True
     horizon: int
     model: SignalModel
 
@@ -105,51 +108,61 @@ class ValidationObserver(Observer[ValidationState]):
         return ValidationState(np.zeros((0, m.m), m.A.dtype), np.zeros((0, m.p), m.A.dtype), None, True)
 
     def fold(self, carry: ValidationState, piece: Recording) -> tuple[ValidationState, Validation]:
-        """Take the next samples (T, .) of a recording; return (carry, Validation of these samples).
+        """Take the next samples (T, .) of a recording, or recordings (..., T, .) that begin side by side;
+        return (carry, Validation of these samples).
 
         Raises:
-            ValueError: another type or shape than that of one recording, inputs that are missing.
+            ValueError: another type or shape than that of one recording, inputs that are missing, first
+                windows that do not bound the state.
         """
         piece.finite()
         # as recorded: what was rounded away, or is narrowed, counts
-        u, y, old, s = np.asarray(piece.u), np.asarray(piece.y), len(carry.y), self.horizon
+        *lead, T, _ = np.shape(piece.y)
+        u, y, old, s = end_to_end(piece.u), end_to_end(piece.y), len(carry.y), self.horizon
         if old and carry.y.dtype != y.dtype:
             raise ValueError(
                 f"y is in {y.dtype}, the samples before are in {carry.y.dtype}: a recording has one type"
             )
-        if y.ndim != 2:
+        if old and lead:
             raise ValueError(
-                f"an observer follows one recording: y must have shape (T, {y.shape[-1]}), not {y.shape}"
+                f"an observer goes on with one recording: y must have shape (T, {y.shape[-1]}), not "
+                f"{np.shape(piece.y)}"
             )
-        gone = np.concatenate([np.zeros(old, bool), left_out(u, y, piece.excluded)])
+        count, m = math.prod(lead), self._slide.m
+        gone = np.concatenate([np.zeros(old, bool), _left_out(u, y, piece.excluded)])
         u = np.concatenate([carry.u.astype(u.dtype), u])
         y = np.concatenate([carry.y.astype(y.dtype), y])
-        begins = np.union1d([0], np.concatenate([piece.starts + old, around(gone)])).astype(int)
-        known = np.zeros(len(begins), bool)
-        known[0] = carry.first and self.informed and not gone[:1].any()
-        whole, after = self.in_pieces(u, y, begins, known, self.x0, carry.after, old)
+        first = T * np.arange(count)
+        seams = (old + first[:, None] + piece.starts).ravel()
+        begins = np.unique(np.concatenate([first, seams, around(gone)])).astype(int)
+        known = np.isin(begins, first) & ~np.append(gone, False)[begins] & self.informed & carry.first
+        start = self.x0
+        if start is not None:
+            own = np.minimum(begins // max(T, 1), count - 1)
+            start = jax.tree.map(lambda x: np.broadcast_to(x, (*lead, m.n)).reshape(-1, m.n)[own], start)
+        whole, after = self._in_pieces(u, y, begins, start, known, carry.after, old)
         waits = after is None and bool(known[-1])
         keep = int(begins[-1])
         if not waits:
             keep = max(len(y) - 2 * s, keep)
-        judged: Validation = jax.tree.map(lambda x: x[old:], whole)
+        judged: Validation = jax.tree.map(lambda x: x[old:].reshape(*lead, T, *x.shape[1:]), whole)
         return ValidationState(u[keep:], y[keep:], after, waits), judged
 
-    def in_pieces(
+    def _in_pieces(
         self,
         u: np.ndarray,
         y: np.ndarray,
         begins: np.ndarray,
+        start: Interval | None,
         known: np.ndarray,
-        x0: Interval | None,
-        before: HostCarry | None = None,
-        old: int = 0,
+        before: HostCarry | None,
+        old: int,
     ) -> tuple[Validation, HostCarry | None]:
         """Validate pieces that follow each other, those of one length side by side.
 
         Args:
             u: (T, m). y: (T, p), as recorded. begins: the first sample of each piece, 0 that of the first.
-            known: whether x0 speaks of it; x0: Interval (n,), or (number of these, n).
+            start: Interval (pieces, n), believed of the pieces that are `known`.
             before: of the first piece the carry behind so many `old` samples.
 
         Returns:
@@ -160,7 +173,7 @@ class ValidationObserver(Observer[ValidationState]):
         whole = np.cumsum(np.append(0, ~np.isnan(y).any(-1)))
         complete = np.append(np.flatnonzero(whole[s + 1 :] - whole[: -s - 1] == s + 1), T)
         at = np.where(known, begins, complete[np.searchsorted(complete, begins)])
-        fits, kinds = at + s < stops, known.astype(int)
+        fits, kinds = at + s < stops, known.astype(int)  # 2: goes on
         if before is not None:
             at[0], kinds[0], fits[0] = 0, 2, stops[0] > old
         lengths = np.maximum(list(map(power, (stops - at).tolist())), SHORTEST)
@@ -176,23 +189,22 @@ class ValidationObserver(Observer[ValidationState]):
             rows = np.minimum(rows, stops[chosen, None] - 1)
             samples = np.where(inside[..., None], y[rows], np.nan).astype(m.A.dtype)
             stretch = Stretch(u[rows], samples, y.dtype, (stops - at)[chosen], s)
-            if kind == 1:
-                each = jax.tree.map(lambda x: np.broadcast_to(x, (known.sum(), m.n)), x0)
-                stretch = stretch._replace(start=each[(np.cumsum(known) - 1)[chosen]])
+            if kind == 1 and start is not None:
+                stretch = stretch._replace(start=start[chosen])
             if kind == 2:
                 stretch = stretch._replace(first=old, before=before)
             behind, of_pieces, wrong = self._slide(stretch)
-            for i, piece in enumerate(chosen):
-                span = slice(at[piece] + stretch.first, stops[piece])
-                part = slice(stretch.first, stops[piece] - at[piece])
-                ends_found[span], blamed[span], tested[span] = of_pieces[i, part], wrong[i, part], True
+            judged = inside & (np.arange(length) >= stretch.first)
+            places = rows[judged]
+            ends_found[places], blamed[places], tested[places] = of_pieces[judged], wrong[judged], True
             if chosen[-1] == len(begins) - 1:
                 after = jax.tree.map(lambda x: x[-1:], behind)
         return self._slide.validation(y, tested, ends_found, blamed), after
 
 
-def left_out(u: np.ndarray, y: np.ndarray, excluded: np.ndarray | None) -> np.ndarray:
-    """Return (T,) bool: the samples of which nothing is known; they are like a gap.
+def _left_out(u: np.ndarray, y: np.ndarray, excluded: np.ndarray | None) -> np.ndarray:
+    """Return (T,) bool: the samples of which nothing is known; they are like a gap. excluded: of each of some
+    recordings that are laid end to end.
 
     Raises:
         ValueError: inputs that are missing beside a sample.
@@ -200,7 +212,7 @@ def left_out(u: np.ndarray, y: np.ndarray, excluded: np.ndarray | None) -> np.nd
     lacking = np.isnan(u).any(-1)
     gone = lacking & np.isnan(y).all(-1)
     if excluded is not None:
-        gone |= excluded
+        gone |= np.resize(excluded, len(gone))
     if (lacking & ~gone).any():
         raise ValueError(f"validation needs every input: {int(np.isnan(u).sum())} samples of u are missing")
     return np.asarray(gone)

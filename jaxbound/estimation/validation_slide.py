@@ -14,10 +14,10 @@ import numpy as np
 from jaxbound.estimation.blocks import in_blocks
 from jaxbound.estimation.validation_result import Validation
 from jaxbound.estimation.validation_windows import (
-    Opening,
     Slid,
     ValidationCarry,
     ValidationSamples,
+    begun,
     slide,
     weighted,
 )
@@ -103,10 +103,8 @@ class Slide:
         return prepare(self.M, self.m.p * (self.s + 1) - self.m.n + 1)
 
     @cached_property
-    def first_window(self) -> Prepared | None:
-        """The rows of a first window of which nothing is known, None where they are not always the same."""
-        if self.method != "joint" or self.several is not None:
-            return None
+    def first_window(self) -> Prepared:
+        """The rows of a first window of which nothing is known, where they are always the same."""
         return _first_window(self.M, self.m.p)
 
     def __call__(self, stretch: Stretch) -> Slid[np.ndarray]:
@@ -119,10 +117,12 @@ class Slide:
         samples, start = self._samples(stretch), self._start(stretch.start)
 
         def job(chosen: np.ndarray) -> Slid[np.ndarray]:
-            known = Opening(stretch.before, start)
-            some, opening = jax.tree.map(lambda a: np.moveaxis(a[chosen], 0, -1), (samples, known))
+            given = samples, start, stretch.before
+            some, first_state, carry = jax.tree.map(lambda a: np.moveaxis(a[chosen], 0, -1), given)
+            if carry is None:
+                carry = self._begun(some, first_state)
             last = int(stretch.stops.max())
-            carries, ends_found, blamed = self._decided(some, opening, stretch.first, last)
+            carries, ends_found, blamed = self._decided(some, carry, stretch.first, last)
             behind = jax.tree.map(lambda a: a[stretch.stops[chosen], ..., np.arange(len(chosen))], carries)
             return behind, np.moveaxis(ends_found, -1, 0), np.moveaxis(blamed, -1, 0)
 
@@ -156,17 +156,13 @@ class Slide:
         status = np.where(~tested | (absent.all(-1) & ~contradicted), Status.MISSING, status).astype(np.int8)
         return Validation(state, output, residual, blamed[:, :p], corrected, status)
 
-    def _decided(
-        self, samples: _HostSamples, opening: Opening[np.ndarray], first: int, stop: int
-    ) -> Slid[np.ndarray]:
+    def _decided(self, samples: _HostSamples, carry: HostCarry, first: int, stop: int) -> Slid[np.ndarray]:
         """Return the carries, ends and blame of `slide` for a block of recordings.
 
         A window that is FAULT is worked out again outside XLA, from its samples and the box that the windows
         before gave: nobody is blamed where that finds no contradiction.
         """
-        if opening.before is None and opening.start is None:
-            opening = opening._replace(systems=self._opening_systems(samples))
-        carries, ends_found, blamed = self._slid(samples, opening, first, stop)
+        carries, ends_found, blamed = self._slid(samples, carry, first, stop)
         at, recordings = np.nonzero(blamed[:, -1])
         if self.centre or is_outside_xla() or not len(at):
             return carries, ends_found, blamed
@@ -177,7 +173,7 @@ class Slide:
             lanes = recordings[chosen]
             windows = jax.tree.map(lambda x: np.moveaxis(x[rows[:, chosen], ..., lanes], 1, -1), samples)
             entered = jax.tree.map(lambda x: np.moveaxis(x[at[chosen], ..., lanes], 0, -1), carries)
-            _, _, wrong = self._slid(windows, Opening(entered), self.s, self.s + 1)
+            _, _, wrong = self._slid(windows, entered, self.s, self.s + 1)
             return np.transpose(wrong[self.s])
 
         with outside_xla():
@@ -185,21 +181,31 @@ class Slide:
         again[at, :, recordings] = np.concatenate(blocks)[: len(at)]
         return carries, ends_found, blamed & again & again[:, -1:]
 
-    def _slid(
-        self, samples: _HostSamples, opening: Opening[np.ndarray], first: int, stop: int
-    ) -> Slid[np.ndarray]:
+    def _slid(self, samples: _HostSamples, carry: HostCarry, first: int, stop: int) -> Slid[np.ndarray]:
         """Return the arrays of `slide` on the host."""
         M, how = jnp.asarray(ends(self.M)), (self.s, self.method, self.centre)
-        out = slide(self.plant, M, self.systems, samples, opening, first, stop, *how)
+        out = slide(self.plant, M, self.systems, samples, carry, first, stop, *how)
         arrays: Slid[np.ndarray] = jax.tree.map(np.asarray, out)
         return arrays
 
-    def _opening_systems(self, block: _HostSamples) -> Prepared | None:
-        """Return the rows of the first windows of a block as one system, of "joint"; else None."""
-        if self.method != "joint" or block.weight is None:
-            return self.first_window
-        M, weight = jnp.asarray(ends(self.M)), jnp.asarray(np.moveaxis(block.weight[: self.s + 1], 1, 0))
-        return _first_window(interval_of(np.asarray(weighted(M, weight, self.m.p))), self.m.p)
+    def _begun(self, block: _HostSamples, start: np.ndarray | None) -> HostCarry:
+        """Return the carry before the first windows of a block, from ends (2, n, N) of the first states or
+        from these windows.
+        """
+        samples: _HostSamples = jax.tree.map(lambda x: x[: self.s + 1], block)
+        systems = None
+        if start is None and samples.weight is not None:
+            systems = self._weighted_window(samples.weight)
+        elif start is None and self.method == "joint":
+            systems = self.first_window
+        with outside_xla():
+            carry: HostCarry = begun(self.plant, systems, start, samples, self.s, self.centre)
+        return carry
+
+    def _weighted_window(self, weight: np.ndarray) -> Prepared:
+        """Return the rows of first windows as one system for each recording."""
+        M = weighted(jnp.asarray(ends(self.M)), jnp.asarray(np.moveaxis(weight, 1, 0)), self.m.p)
+        return _first_window(interval_of(np.asarray(M)), self.m.p)
 
     def _samples(self, stretch: Stretch) -> _HostSamples:
         """Return the arrays of a stretch, recordings on the first axis."""

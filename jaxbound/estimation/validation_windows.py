@@ -18,7 +18,7 @@ from jaxbound.sets.linear_systems.ends import added, interval_of, negative, none
 from jaxbound.sets.linear_systems.fixed_systems import Prepared, solutions
 from jaxbound.sets.linear_systems.hull import tighten
 
-__all__ = ["Opening", "Slid", "ValidationCarry", "ValidationPlant", "ValidationSamples", "slide", "weighted"]
+__all__ = ["Slid", "ValidationCarry", "ValidationPlant", "ValidationSamples", "begun", "slide", "weighted"]
 
 STEPS = 20
 """Exchanges at most for one bound of the joint method, beside six for each unknown."""
@@ -42,18 +42,6 @@ class ValidationCarry(NamedTuple, Generic[Numbers]):
     X: Numbers
     gone: Numbers
     moved: Numbers | None
-
-
-class Opening(NamedTuple, Generic[Numbers]):
-    """All that is known before the first window of N recordings; nothing: it comes from that window.
-
-    Fields: before: the carry of the windows before. start: ends (2, n, N) that hold the first state. systems:
-    for "joint" the rows of the first window as one system, perhaps without the newest samples.
-    """
-
-    before: ValidationCarry[Numbers] | None = None
-    start: Numbers | None = None
-    systems: Prepared | None = None
 
 
 class ValidationSamples(NamedTuple, Generic[Numbers]):
@@ -83,8 +71,9 @@ class _Signalled(NamedTuple):
     through: jax.Array
 
 
-def _signalled(plant: ValidationPlant, u: jax.Array, y: jax.Array, error: jax.Array) -> _Signalled:
-    """Return the signals that samples show. u: ends (2, T, m, N). y, error: (T, p, N)."""
+def _signalled(plant: ValidationPlant, samples: ValidationSamples[jax.Array]) -> _Signalled:
+    """Return the signals that samples show."""
+    u, y = jnp.moveaxis(samples.u, 1, 0), samples.y
     absent = jnp.isnan(y)
     v = subtracted(u, _along(plant, "u0"))
     nothing = jnp.zeros((2, 1, 1, 1), y.dtype)
@@ -100,7 +89,9 @@ def _signalled(plant: ValidationPlant, u: jax.Array, y: jax.Array, error: jax.Ar
 
     through = on_inputs("D")
     point = jnp.where(absent, 0, y)[None] * jnp.asarray([-1, 1], y.dtype)[:, None, None, None]
-    seen = product(added(subtracted(point, _along(plant, "y0")), error[None]), _along(plant, "factor"))
+    seen = product(
+        added(subtracted(point, _along(plant, "y0")), samples.error[None]), _along(plant, "factor")
+    )
     pushed = drive = added(on_inputs("B"), _along(plant, "w"))
     if "H" in plant:
         pushed = added(on_inputs("H"), _along(plant, "d"))
@@ -114,19 +105,30 @@ def _along(plant: ValidationPlant, name: str) -> jax.Array:
     return plant[name][:, None, :, None]
 
 
-def _begun(
-    plant: ValidationPlant, known: _Signalled, opening: Opening[jax.Array], s: int, centre: bool
+@kernel(static_argnames=("s", "centre"))
+def begun(
+    plant: ValidationPlant,
+    systems: Prepared | None,
+    start: jax.Array | None,
+    samples: ValidationSamples[jax.Array],
+    s: int,
+    centre: bool,
 ) -> ValidationCarry[jax.Array]:
-    """Return the carry before the first window. known: of s + 1 samples at least."""
+    """Return the carry before the first window of N recordings, of which samples are s + 1 at least.
+
+    Args:
+        start: ends (2, n, N) that hold the first state, or None. systems: for "joint", where there is no
+            start, the rows of the first window as one system, perhaps without the newest samples.
+    """
+    known = _signalled(plant, samples)
     gone, moved = known.absent[:s], None
     if centre:
         moved = known.seen[:, :s]
-    if opening.start is not None:
-        return ValidationCarry(_states_from(plant, known, opening.start, s), gone, moved)
-    if opening.systems is not None:
-        seen = known.seen[:, : s + 1]
-        right = jnp.concatenate([_rows(negative(known.pushed[:, :s])), _rows(seen)], 1)
-        X = solutions(opening.systems, interval_of(right[:, : opening.systems.C.shape[2]]))[:, 0]
+    if start is not None:
+        return ValidationCarry(_states_from(plant, known, start, s), gone, moved)
+    if systems is not None:
+        right = jnp.concatenate([_rows(negative(known.pushed[:, :s])), _rows(known.seen[:, : s + 1])], 1)
+        X = solutions(systems, interval_of(right[:, : systems.C.shape[2]]))[:, 0]
     else:
         X = jnp.full((2, (s + 1) * plant["A"].shape[1], gone.shape[-1]), jnp.inf, known.seen.dtype)
     return ValidationCarry(X, gone, moved)
@@ -152,7 +154,7 @@ def slide(
     M: jax.Array,
     systems: Prepared | None,
     samples: ValidationSamples[jax.Array],
-    opening: Opening[jax.Array],
+    carry: ValidationCarry[jax.Array],
     first: int,
     stop: int,
     s: int,
@@ -163,7 +165,7 @@ def slide(
 
     Args:
         M: ends (2, r, (s+1) n, 1), see `intervals.stacked`. systems: the square systems of M for
-            "sequential".
+            "sequential". carry: before the first window.
         centre: whether a faulty sample is moved to the middle of what it should have shown, and taken for
             sound: nothing is proved then.
 
@@ -173,7 +175,7 @@ def slide(
         bool: the faulty sensors, and whether the samples contradict the model. Infinite and False before the
         first window and from stop on.
     """
-    signals = _signalled(plant, jnp.moveaxis(samples.u, 1, 0), samples.y, samples.error)
+    signals = _signalled(plant, samples)
     weight = None
     if samples.weight is not None:
         weight = jnp.moveaxis(samples.weight, 1, 0)
@@ -228,9 +230,6 @@ def slide(
         carry = ValidationCarry(X, gone[1:], moved)
         return carry, (_put(carries, k + 1, carry), ends_of_all.at[k].set(out), blamed.at[k].set(wrong))
 
-    carry = opening.before
-    if carry is None:
-        carry = _begun(plant, signals, opening, s, centre)
     carries = jax.tree.map(lambda x: jnp.zeros((T + 1, *x.shape), x.dtype), carry)
     ends_of_all = jnp.full((T, 2, n + 3 * p, N), jnp.inf, signals.seen.dtype)
     blamed = jnp.zeros((T, p + 1, N), bool)

@@ -27,12 +27,14 @@ ROUNDED = 1 + 1e-9
 class FirstSet(NamedTuple):
     """A set {center + generators xi + diag(box) eta}, |xi|, |eta| <= 1, that holds the first state.
 
-    Fields: center (n,), generators (n, q), box (n,).
+    Fields: center (n,), generators (n, q), box (n,): what rounding took off; whole: whether it is no larger
+    than what was given, but for the box.
     """
 
     center: np.ndarray
     generators: np.ndarray
     box: np.ndarray
+    whole: bool
 
     def padded(self, n: int) -> "FirstSet":
         """Return the set with zeros for further states, n in all."""
@@ -41,6 +43,7 @@ class FirstSet(NamedTuple):
             np.pad(self.center, (0, more)),
             np.pad(self.generators, ((0, more), (0, 0))),
             np.pad(self.box, (0, more)),
+            self.whole,
         )
 
 
@@ -135,7 +138,7 @@ def first_set(x0: Interval | Zonotope, n: int, order: float, dtype: np.dtype) ->
     off = np.abs(center - center.astype(dtype)) + np.abs(generators - generators.astype(dtype)).sum(1)
     fewer = reduce_order(near, order)
     box = rounding.round_up(off * ROUNDED, dtype)
-    return FirstSet(np.asarray(fewer.center), np.asarray(fewer.generators), box)
+    return FirstSet(np.asarray(fewer.center), np.asarray(fewer.generators), box, fewer is near)
 
 
 def _narrowed(mid: np.ndarray, away: np.ndarray, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:

@@ -30,7 +30,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.estimation.arrays import Array
-from jaxbound.estimation.free_inputs import Free, Known, Reading, known_again
+from jaxbound.estimation.free_inputs import Free, Known, Reading, known_again, times
 from jaxbound.estimation.piece import Piece
 from jaxbound.estimation.set_rounding import SetRounding, set_rounding
 from jaxbound.sets.floats.kernel import kernel
@@ -264,7 +264,7 @@ def _sample(
             wrong |= tested & (jnp.abs(far) > g.up * bound)
         return _met(plant, g, carry.weight, sets, shown, (e, s, tested), i, q), ratio, wrong
 
-    begin = _Sets(*prior, before.size), jnp.zeros(N, dtype), jnp.zeros(N, bool)
+    begin = _Sets(*prior, before.size), jnp.zeros(N, dtype), now.refuted
     after, ratio, wrong = jax.lax.fori_loop(0, p, meet, begin)
     bounded = jnp.all(after.size <= g.most, 0)
     looked = alive & jnp.any(there, 0)
@@ -427,15 +427,10 @@ def _rounding(plant: Numbers, G: Array, more: int = 0) -> SetRounding:
 
 
 def _map(M: Array, X: Array) -> jax.Array:
-    """Return M X for M (r, n), X (n, N)."""
+    """Return M X for M (r, n), X (n, N) or (n, q, N)."""
     if not len(X):
         return jnp.zeros((len(M), X.shape[1]), X.dtype)
-    return summed(_outer, M, X, axes=(1, 0))
-
-
-def _outer(column: jax.Array, row: jax.Array) -> jax.Array:
-    """Return a column (r,) times a row (.., N)."""
-    return column[(slice(None), *[None] * row.ndim)] * row[None]
+    return times(M[..., None], X)
 
 
 def _step_of_time(plant: Numbers, carry: ZonotopeCarry, size: jax.Array, now: Piece) -> ZonotopeCarry:
@@ -453,7 +448,7 @@ def _step_of_time(plant: Numbers, carry: ZonotopeCarry, size: jax.Array, now: Pi
     )
     r = g.up * (_map(A, r) + off + (plant.wide_w + g.gamma * jnp.abs(plant.w))[:, None]) + g.least
     c = _map(plant.A, c) + _map(plant.B, now.v) + plant.w[:, None]
-    moved = summed(_outer, plant.A, G, axes=(1, 0))
+    moved = _map(plant.A, G)
     G = jnp.concatenate([moved, jnp.broadcast_to(plant.W[:, :, None], (*plant.W.shape, N))], 1)
     G, r, reach = _reduced(G, r, q, g)
     bounded = jnp.all(jnp.abs(c) + g.up * reach + r <= g.most, 0)

@@ -101,6 +101,16 @@ def test_five_thousand_cases_near_the_boundary(rng):
     assert refuted > 1000 and proved >= 0.97 * refuted
 
 
+@pytest.mark.parametrize("order", [1, 20])
+def test_a_first_set_of_many_generators_makes_no_behaviour_consistent_that_begins_beside_it(order):
+    """Samples say that both states are at least .6, the set that their sum is at most 1.1."""
+    model = jb.LinearSystem([[1, 0], [0, 1]], None, [[1, 0], [0, 1]], noise="0.3")
+    first = zonotope([0, 0], [[0.5, 0.5, 0.05], [0.5, -0.5, 0.05]])
+    options = {"x0": first, "method": "joint", "window": 4, "order": order, "weight": 1000.0}
+    status = jb.observe(model, None, np.full((8, 2), 0.9), **options).status
+    assert not (status == jb.Status.CONSISTENT).any()
+
+
 def test_consistent_is_a_trajectory_through_all_samples(rng):
     """Where it is said a program over all samples has a solution; healthy recordings mostly have it, also
     beyond the first window.
