@@ -48,16 +48,42 @@ def pytest_collection_modifyitems(items):
             item.add_marker(pytest.mark.skip(reason=f"needs {marker.args[0]}, which this system lacks"))
 
 
+IN_NUMPY = {
+    "alarmrule",
+    "certificate",
+    "company",
+    "constant_certificate",
+    "families",
+    "holes",
+    "isolation",
+    "lags",
+    "long_window",
+    "narrowed_inputs",
+    "recorded_type",
+    "still_disturbances",
+    "uncertain_margins",
+    "uncertain_shapes",
+    "uncertain_windows",
+    "unit_hints",
+    "unknown_inputs",
+    "welcome",
+    "windows_times",
+}
+"""Files of tests that took two thirds of their time for compiling, and ask nothing of a compiler."""
+
+
 @pytest.fixture(scope="module", autouse=True)
-def as_many_windows():
-    """Have few windows judged as many are, by compiled programs, easy ones first, whatever the module before
-    said; processes that tests start keep to what users have.
+def as_many_windows(request):
+    """Have few windows judged as many are, by compiled programs or by the same in NumPy, easy ones first,
+    whatever the module before said; processes that tests start keep to what users have.
     """
     from jaxbound.consistency import interface
     from jaxbound.sets.floats import kernel
 
     interface.MANY = 1
     kernel.compile("always")
+    with kernel.outside_xla(request.path.stem.removeprefix("test_") in IN_NUMPY):
+        yield
 
 
 MAPPINGS = 40_000
