@@ -50,6 +50,7 @@ def pytest_collection_modifyitems(items):
 
 IN_NUMPY = {
     "alarmrule",
+    "averages",
     "certificate",
     "company",
     "constant_certificate",
@@ -66,6 +67,7 @@ IN_NUMPY = {
     "uncertain_windows",
     "unit_hints",
     "unknown_inputs",
+    "weighted_windows",
     "welcome",
     "windows_times",
 }
@@ -83,6 +85,15 @@ def as_many_windows(request):
     interface.MANY = 1
     kernel.compile("always")
     with kernel.outside_xla(request.path.stem.removeprefix("test_") in IN_NUMPY):
+        yield
+
+
+@pytest.fixture
+def by_xla():
+    """Have a test of such a file compile all the same."""
+    from jaxbound.sets.floats import kernel
+
+    with kernel.outside_xla(False):
         yield
 
 

@@ -3,8 +3,6 @@
 import ast
 from pathlib import Path
 
-import pytest
-
 TESTS = Path(__file__).parent
 BY_DAY = {
     "certificates/test_outside_checkers": {
@@ -201,13 +199,13 @@ def functions_of(path):
 FILES = {str(p.relative_to(TESTS).with_suffix("")): functions_of(p) for p in sorted(TESTS.rglob("test_*.py"))}
 
 
-@pytest.mark.parametrize("file", FILES)
-def test_every_long_test_has_a_small_one_by_day(file):
-    long = {name for name, function in FILES[file].items() if "long" in marks(function)}
-    stated = BY_DAY.get(file, {})
-    assert long <= set(stated), f"say in BY_DAY which test guards the same by day: {long - set(stated)}"
-    assert set(stated) <= set(FILES[file])
-    for sibling in stated.values():
-        place, _, name = sibling.rpartition("::")
-        function = FILES[place or file][name]
-        assert not marks(function), f"{sibling} is left out of the default suite, too"
+def test_every_long_test_has_a_small_one_by_day():
+    for file, functions in FILES.items():
+        long = {name for name, function in functions.items() if "long" in marks(function)}
+        stated = BY_DAY.get(file, {})
+        assert long <= set(stated), f"say in BY_DAY which test of {file} guards the same by day"
+        assert set(stated) <= set(functions)
+        for sibling in stated.values():
+            place, _, name = sibling.rpartition("::")
+            function = FILES[place or file][name]
+            assert not marks(function), f"{sibling} is left out of the default suite, too"
