@@ -86,10 +86,10 @@ def lying(share=0.2, seed=0):
             return out
         return lies.about((args, kwargs), out)
 
-    def on_devices(program, constants, blocks, devices):
+    def on_devices(program, constants, blocks, devices, axis=0):
         _within.spread = True
         try:
-            found = spread(program, constants, blocks, devices)
+            found = spread(program, constants, blocks, devices, axis)
         finally:
             _within.spread = False
         if _proves() or kernel.is_outside_xla():

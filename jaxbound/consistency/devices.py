@@ -18,16 +18,14 @@ from jaxbound.sets.floats.probe import default_device
 
 __all__ = ["everywhere", "on_devices"]
 
-AXIS = "devices"
-EACH = PartitionSpec(AXIS)  # type: ignore[no-untyped-call]  # JAX has no types for it
-EVERY = PartitionSpec()  # type: ignore[no-untyped-call]
+AXIS = "windows"
 T = TypeVar("T")
 
 
 def everywhere(constants: T, devices: Sequence[jax.Device]) -> T:
     """Return a PyTree of arrays placed on each of the devices, as `on_devices` takes it."""
     if len(devices) > 1:
-        where: NamedSharding | jax.Device | None = NamedSharding(_mesh(devices), EVERY)
+        where: NamedSharding | jax.Device | None = NamedSharding(_mesh(devices), _spec(0))
     elif default_device() is None:  # not committed to a device: JAX still chooses
         where = None
     else:
@@ -37,13 +35,19 @@ def everywhere(constants: T, devices: Sequence[jax.Device]) -> T:
 
 
 def on_devices(
-    kernel: Callable[..., T], constants: object, blocks: Sequence[Arrays], devices: Sequence[jax.Device]
+    kernel: Callable[..., T],
+    constants: object,
+    blocks: Sequence[Arrays],
+    devices: Sequence[jax.Device],
+    axis: int = 0,
 ) -> list[T]:
     """Start a kernel on blocks of windows, one a device.
 
     Args:
-        kernel: a jitted function of (constants, *block) that returns arrays. constants: from `everywhere`.
-        blocks: tuples of arrays of the same shapes, at most one a device.
+        kernel: a jitted function of (constants, *block) that returns arrays with one entry a window.
+            constants: from `everywhere`.
+        blocks: tuples of arrays of the same shapes, at most one a device. axis: 0 or -1, that of the windows
+            in all arrays.
 
     Returns:
         [the kernel's result] for each block, on its device, as soon as the work is under way.
@@ -53,45 +57,64 @@ def on_devices(
     mesh, count = _mesh(devices), len(blocks)
     # devices without work repeat the last block: nobody waits for them longer
     filled = [*blocks, *[blocks[-1]] * (len(devices) - count)]
-    stacked = [_stacked(parts, mesh) for parts in zip(*filled, strict=True)]
+    stacked = [_stacked(parts, mesh, axis) for parts in zip(*filled, strict=True)]
     together = _on_mesh
     if getattr(kernel, "wide", False):
         together = _wide_on_mesh
-    out, tree = jax.tree.flatten(together(kernel, mesh, constants, *stacked))
+    out, tree = jax.tree.flatten(together(kernel, mesh, axis, constants, *stacked))
     of_device = []
     for x in out:
-        of_device.append({shard.device: shard.data[0] for shard in x.addressable_shards})
+        of_device.append({shard.device: shard.data for shard in x.addressable_shards})
     results = []
     for device in devices[:count]:
         results.append(jax.tree.unflatten(tree, [parts[device] for parts in of_device]))
     return results
 
 
-def _all(kernel: Callable[..., T], mesh: Mesh, constants: object, *stacked: jax.Array) -> T:
-    """Run a kernel on blocks (devices, ...), each on its device; return the results (devices, ...)."""
+def _all(kernel: Callable[..., T], mesh: Mesh, axis: int, constants: object, *stacked: jax.Array) -> T:
+    """Run a kernel on blocks that are stacked along an axis, a block on each device."""
 
-    def alone(constants: object, *blocks: jax.Array) -> T:
-        result = kernel(constants, *(x[0] for x in blocks))
-        own: T = jax.tree.map(lambda x: x[None], result)
-        return own
+    def spec(x: jax.Array | jax.ShapeDtypeStruct) -> PartitionSpec:
+        return _spec(x.ndim, axis)
 
-    specs = (EVERY, *[EACH] * len(stacked))
-    together: T = jax.shard_map(alone, mesh=mesh, in_specs=specs, out_specs=EACH, check_vma=False)(
-        constants, *stacked
+    blocks = []
+    for x in stacked:
+        shape = list(x.shape)
+        shape[axis] //= mesh.size
+        blocks.append(jax.ShapeDtypeStruct(shape, x.dtype))  # type: ignore[no-untyped-call]  # of JAX
+    result = jax.eval_shape(kernel, constants, *blocks)
+    alone = jax.shard_map(
+        kernel,
+        mesh=mesh,
+        in_specs=(_spec(0), *map(spec, stacked)),
+        out_specs=jax.tree.map(spec, result),
+        check_vma=False,
     )
+    together: T = alone(constants, *stacked)
     return together
 
 
-_on_mesh = jax.jit(_all, static_argnums=(0, 1))
-_wide_on_mesh = jax.jit(_all, static_argnums=(0, 1), compiler_options=WIDE)
+_on_mesh = jax.jit(_all, static_argnums=(0, 1, 2))
+_wide_on_mesh = jax.jit(_all, static_argnums=(0, 1, 2), compiler_options=WIDE)
 
 
-def _stacked(parts: Sequence[Array], mesh: Mesh) -> jax.Array:
-    """Return the array (devices, ...) whose parts lie on one device each; only that part is sent to it."""
+def _stacked(parts: Sequence[Array], mesh: Mesh, axis: int) -> jax.Array:
+    """Return the array whose parts along an axis lie on one device each; only that part is sent to it."""
     devices = list(mesh.devices.flat)
-    placed = jax.device_put([part[None] for part in parts], devices)
-    shape = len(devices), *parts[0].shape
-    return jax.make_array_from_single_device_arrays(shape, NamedSharding(mesh, EACH), placed)
+    shape = list(parts[0].shape)
+    shape[axis] *= len(devices)
+    placed = jax.device_put(list(parts), devices)
+    return jax.make_array_from_single_device_arrays(
+        tuple(shape), NamedSharding(mesh, _spec(len(shape), axis)), placed
+    )
+
+
+def _spec(ndim: int, axis: int = 0) -> PartitionSpec:
+    """Return the sharding of arrays of so many dimensions along an axis; 0: whole on each device."""
+    names: list[str | None] = [None] * ndim
+    if ndim:
+        names[axis] = AXIS
+    return PartitionSpec(*names)  # type: ignore[no-untyped-call]  # JAX has no types for it
 
 
 def _mesh(devices: Sequence[jax.Device]) -> Mesh:

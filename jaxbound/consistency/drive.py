@@ -9,7 +9,7 @@ import contextlib
 import math
 import os
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -236,11 +236,11 @@ def _contradicted(
     return refuted
 
 
-def _runner(test: WindowTest, devices: Devices) -> Run:
-    """Return the function that runs kernels of a test on blocks, one a device."""
+def _runner(test: WindowTest, devices: Devices, axis: int) -> Run:
+    """Return the function that runs kernels of a test on blocks, one a device; axis: of the windows."""
 
     def run(kernel: Callable[..., T], blocks: Sequence[Arrays]) -> list[T]:
-        return on_devices(kernel, _placed(test, devices), blocks, devices)
+        return on_devices(kernel, _placed(test, devices), blocks, devices, axis)
 
     return run
 
@@ -284,7 +284,7 @@ def _stretches(
     devices = usable_devices()
     if len(firsts) < 2:
         devices = devices[:1]
-    run = _runner(test, devices)
+    run = _runner(test, devices, 0)
     pending: deque[tuple[range, Sequence[Arrays]]] = deque()
 
     def collect(chosen: range, judged: Sequence[Arrays]) -> None:
@@ -441,8 +441,9 @@ class _Gathering:
         together = size * len(devices) if test.sharded else size
         groups = [starts[i : i + together] for i in range(0, len(starts), together)]
         workers = self._workers(devices)
-        judged: Iterable[list[Part]] = map(partial(self._judge, devices=devices), groups)
-        if workers > 1 and len(groups) > 1 and not is_outside_xla():
+        if workers == 1 or len(groups) < 2 or is_outside_xla():
+            judged = self._in_turn(groups, devices)
+        else:
             judged = self._on_threads(groups, devices, workers)
         left, finished = [NOWHERE], 0
         for parts in judged:
@@ -460,8 +461,17 @@ class _Gathering:
             return 1
         return len(devices)
 
+    def _in_turn(self, groups: list[np.ndarray], devices: Devices) -> Iterator[list[Part]]:
+        """Yield the parts of each group; the next groups are gathered while one is under way."""
+        pending: deque[list[Part]] = deque()
+        for group in groups:
+            pending.append(self._judge(group, devices))
+            if len(pending) >= AHEAD:
+                yield pending.popleft()
+        yield from pending
+
     def _on_threads(self, groups: list[np.ndarray], devices: Devices, workers: int) -> Iterator[list[Part]]:
-        """Yield the parts of each group from threads: compiled code runs outside the interpreter's lock."""
+        """Yield the same from threads: compiled code runs outside the interpreter's lock."""
         default = default_device()
 
         def judge(number: int, group: np.ndarray) -> list[Part]:
@@ -477,7 +487,7 @@ class _Gathering:
     def _judge(self, group: np.ndarray, devices: Devices) -> list[Part]:
         """Return the parts of a group, a block each."""
         test, size = self.test, self.size
-        run = _runner(test, devices)
+        run = _runner(test, devices, -1)
         parts = [group[i : i + size] for i in range(0, len(group), size)]
         blocks: list[Block] = []
         for part in parts:
