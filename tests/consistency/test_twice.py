@@ -148,7 +148,7 @@ def test_faults_of_faulty_recordings_are_confirmed(name, rng):
             lambda self, part, block, judged: judged[: len(self.filling.outs) + 1],
         )
         patch.setattr(
-            "jaxbound.estimation.set_observer.doubtful",
+            "jaxbound.estimation.set_observer.SetObserver._doubtful",
             lambda watch, carry, samples, fault: np.zeros_like(fault),
         )
         once = jb.detect(relations, u, y, method=method).status
