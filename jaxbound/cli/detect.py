@@ -262,5 +262,6 @@ def _refuse_shares(args: argparse.Namespace, has_parts: bool) -> None:
 def _refuse(args: argparse.Namespace, names: Sequence[str], why: str) -> None:
     """Raise Refused if one of these options is given. why: the sentence behind its name."""
     for name in names:
-        if getattr(args, name) not in (None, False):
+        value = getattr(args, name)
+        if value is not None and value is not False:  # 0 is a value
             raise Refused(f"--{name} {why}")

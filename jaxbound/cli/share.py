@@ -93,7 +93,10 @@ def same_test(words: Sequence[str]) -> str:
     """Return the command that reports on all shares, as the shell reads it. words: that judged one share."""
     kept: list[str] = []
     is_value = False
-    for word in words:
+    for number, word in enumerate(words):
+        if word == "--" and not is_value:
+            kept += words[number:]
+            break
         name, equals, _ = word.partition("=")
         if is_value:
             is_value = False
@@ -101,4 +104,4 @@ def same_test(words: Sequence[str]) -> str:
             is_value = not equals
         else:
             kept.append(word)
-    return shlex.join(["jaxbound", "detect", *kept, "--merge"])
+    return shlex.join(["jaxbound", "detect", "--merge", *kept])

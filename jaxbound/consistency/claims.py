@@ -11,7 +11,7 @@ from jaxbound.sets.floats.status import Status
 __all__ = ["CLAIMED", "UNCLAIMED", "placed", "refuse_outside", "unclaimed"]
 
 Claims = TypeVar("Claims", bound=Any)
-"""The type of verdicts: a Judged, or those of a monitor with `statuses`."""
+"""The type of verdicts: a Judged, or what one test of many says of a bank."""
 OUTSIDE = CLAIMED, UNCLAIMED = "fault", "undecided"
 """What FAULT outside the region of training is called."""
 

@@ -241,7 +241,9 @@ class JointObserver(SetObserver[JointState]):
         c, S, r, *_ = state.mark
         # sides of a box: a state is compared with each
         sides = np.eye(len(S), dtype=bool)[:, :, None]
-        within = np.where(sides, np.sign(S) * np.maximum(np.abs(S) - r[:, None], 0), S)
+        inner = np.nextafter(np.abs(S).astype(np.float64) - r[:, None], -np.inf)
+        inner = rounding.round_down(np.maximum(inner, 0), self.plant.dtype)
+        within = np.where(sides, np.sign(S) * inner, S)
         path = Prior(c, within, np.zeros_like(r), *self._no_strips(r.shape[-1]))
         return _only(_is_known(state.mark) & ((S == 0) | sides).all((0, 1)), path)
 

@@ -3,7 +3,7 @@ before ended.
 """
 
 import math
-from typing import ClassVar, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import jax
 import numpy as np
@@ -74,7 +74,6 @@ class ValidationObserver(Observer[ValidationState]):
         [False, True]
     """
 
-    batched: ClassVar[bool] = True
     horizon: int
     model: SignalModel
 
@@ -108,12 +107,12 @@ class ValidationObserver(Observer[ValidationState]):
         return ValidationState(np.zeros((0, m.m), m.A.dtype), np.zeros((0, m.p), m.A.dtype), None, True)
 
     def fold(self, carry: ValidationState, piece: Recording) -> tuple[ValidationState, Validation]:
-        """Take the next samples (T, .) of a recording, or recordings (..., T, .) that begin side by side;
-        return (carry, Validation of these samples).
+        """Take the next samples (T, .) of a recording, or recordings (..., T, .) that begin side by side, of
+        which nothing is carried on; return (carry, Validation of these samples).
 
         Raises:
-            ValueError: another type or shape than that of one recording, inputs that are missing, first
-                windows that do not bound the state.
+            ValueError: another type than that of the samples before, several recordings behind samples of
+                one, inputs that are missing, first windows that do not bound the state.
         """
         piece.finite()
         # as recorded: what was rounded away, or is narrowed, counts
@@ -134,10 +133,10 @@ class ValidationObserver(Observer[ValidationState]):
         y = np.concatenate([carry.y.astype(y.dtype), y])
         first = T * np.arange(count)
         seams = (old + first[:, None] + piece.starts).ravel()
-        begins = np.unique(np.concatenate([first, seams, around(gone)])).astype(int)
+        begins = np.unique(np.concatenate([[0], first, seams, around(gone)])).astype(int)
         known = np.isin(begins, first) & ~np.append(gone, False)[begins] & self.informed & carry.first
         start = self.x0
-        if start is not None:
+        if start is not None and count:
             own = np.minimum(begins // max(T, 1), count - 1)
             start = jax.tree.map(lambda x: np.broadcast_to(x, (*lead, m.n)).reshape(-1, m.n)[own], start)
         whole, after = self._in_pieces(u, y, begins, start, known, carry.after, old)
@@ -146,6 +145,8 @@ class ValidationObserver(Observer[ValidationState]):
         if not waits:
             keep = max(len(y) - 2 * s, keep)
         judged: Validation = jax.tree.map(lambda x: x[old:].reshape(*lead, T, *x.shape[1:]), whole)
+        if lead:
+            return self.init()._replace(first=False), judged
         return ValidationState(u[keep:], y[keep:], after, waits), judged
 
     def _in_pieces(

@@ -66,5 +66,5 @@ def whole_lags(lags: Sequence[int], field: str = "lags") -> tuple[int, ...]:
     lags = listed_argument(field, lags, "[0, 1, 4]")
     whole = all(is_whole(x) and x >= 0 for x in lags)
     if not whole or len(set(lags)) < len(lags) or 0 not in lags:
-        raise ValueError(f"{field} must be different whole numbers >= 0, 0 among them, not {lags!r}")
+        raise ValueError(f"{field} must be different whole numbers >= 0, 0 among them, not {list(lags)!r}")
     return tuple(sorted(map(int, lags)))

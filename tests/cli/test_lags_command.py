@@ -122,9 +122,10 @@ def test_the_command_that_reports_on_all_shares_makes_the_same_test(options):
     from jaxbound.cli.share import same_test
 
     parse = lambda *more: commands()["detect"].parse_args(
-        ["m.toml", "d", "--out", "o", *options.split(), *more]
+        [*more, "m.toml", "d", "--out", "o", *options.split()]
     )
     told = shlex.split(same_test(parse("--part", "1/2").words))
+    assert same_test(["--part", "1/2", "--", "-m", "--part"]) == "jaxbound detect --merge -- -m --part"
     assert told[:2] == ["jaxbound", "detect"] and commands()["detect"].parse_args(told[2:]) == parse(
         "--merge"
     )

@@ -301,6 +301,10 @@ BAD_USAGE = {
     "sizes with an underscore": ([*DETECT, "--least", "1_0"], "--least needs a size > 0"),
     "coverage of 2": ([*DETECT, "--min-coverage", "2"], "--min-coverage needs a share"),
     "chunks of CSV": ([*DETECT, "--chunk", "9"], "--chunk is for Parquet: good.csv is read as a whole"),
+    "no overlap of CSV": (
+        [*DETECT, "--overlap", "0"],
+        "--overlap is for Parquet: good.csv is read as a whole",
+    ),
     "chunk of nothing": ([*DETECT, "--chunk", "0"], "--chunk needs a whole number >= 1"),
     "unknown option": (
         [*DETECT, "--speed", "9"],

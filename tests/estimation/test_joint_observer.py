@@ -3,6 +3,7 @@ rounding included.
 """
 
 import json
+from fractions import Fraction
 
 import jax
 import numpy as np
@@ -99,6 +100,22 @@ def test_five_thousand_cases_near_the_boundary(rng):
     proved, refuted, tried = np.sum([near_the_boundary(rng, 250, 12, seed) for seed in range(20)], 0)
     print(f"{proved} of {refuted} contradictions proved, of {tried} recordings")
     assert refuted > 1000 and proved >= 0.97 * refuted
+
+
+def test_the_set_in_which_a_trajectory_begins_lies_in_x0_in_float32_too(rng):
+    model = jb.LinearSystem([["0.5"]], None, [[1]], noise="0.3")
+    out = 0
+    for center, radius in rng.uniform(1, 200, (50, 2)):
+        first = zonotope([center], [[radius]])
+        with jax.enable_x64(False):
+            observer = jb.observer(model, x0=first, method="joint", window=4)
+            begun = observer.init()
+            path = observer._first_path(begun._replace(mark=observer._mark(begun, 0)))
+        assert path.c.dtype == np.float32
+        (c,), ((side,),) = np.float64(path.c[..., 0]), np.float64(path.S[..., 0])
+        out += Fraction(c) + abs(Fraction(side)) > Fraction(center) + Fraction(radius)
+        out += Fraction(c) - abs(Fraction(side)) < Fraction(center) - Fraction(radius)
+    assert out == 0
 
 
 @pytest.mark.parametrize("order", [1, 20])

@@ -167,3 +167,17 @@ def test_a_monitor_whose_observer_knows_a_first_state_knows_it_of_each_recording
     u, y = np.ones((3, 6, 1)), np.full((3, 6, 2), 5.0)
     u[:2], y[:2] = (x[:6] for x in recorded(rng))
     assert (jb.detect(bank, u, y).status[:, 0] == jb.detect(observer, u, y).status[:, 0]).all()
+
+
+def test_behind_a_batch_nothing_is_known_and_an_empty_one_is_refused_in_a_sentence(rng):
+    u, y = recorded(rng)
+    observer = ValidationObserver(MODEL)
+    carry, _ = observer.fold(observer.init(), Recording.of(observer.signals, u[:8], y[:8]))
+    batch = np.stack([u] * 3), np.stack([y] * 3)
+    going_on, alone = (jb.detect(observer.continued(carry), *given) for given in (batch, (u, y)))
+    np.testing.assert_array_equal(going_on.status, [alone.status] * 3)
+    behind, _ = observer.fold(observer.init(), Recording.of(observer.signals, *batch))
+    _, fresh = observer.fold(behind, Recording.of(observer.signals, u, y))
+    agree(fresh, observer.fold(observer.init(), Recording.of(observer.signals, u, y))[1])
+    with pytest.raises(ValueError, match="no stretch of 2 complete samples"):
+        jb.validate(MODEL, np.ones((0, 8, 1)), np.ones((0, 8, 2)))

@@ -76,15 +76,21 @@ def attack_block(
     as well as was found.
 
     Args:
-        as for `kernel.count_block`; the inputs, sizes and onsets are those of the uniform study. steps: of
-        the descent.
+        reading: with Strips. scene, numbers: as of `kernel.count_block`; inputs, sizes and onsets are those
+            of the uniform study. steps: of the descent.
     """
     begun = kernel.prepared(scene, numbers)
     act, onset = scene.act, begun.onset
     xi, extra = kernel.drawn(scene, numbers)
 
+    p = scene.plant.shape[2]
+
     def recorded(xi: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return kernel.recorded(scene, begun, xi, extra)
+        def at(k: jax.Array) -> kernel.Unknowns:
+            now = xi[k]
+            return list(now[:p]), list(now[p : 2 * p]), list(now[2 * p :]), extra[k]
+
+        return kernel.recorded(scene, begun, at)
 
     def loss(xi: jax.Array, tau: jax.Array) -> tuple[jax.Array, Array]:
         t, worst = worst_factor(reading, act, onset, *recorded(xi))

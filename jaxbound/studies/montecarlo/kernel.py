@@ -11,8 +11,9 @@ and some 170 on floats for a sample and its window; with vectors of 256 bits and
 million windows a second and core at 2.5 GHz.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -88,8 +89,8 @@ class Begun(NamedTuple):
 
 
 def unknown_draws(scene: Scene, numbers: Array, k: Array) -> Unknowns:
-    """Return (theta, delta, share, extra) of step k: relative errors (None where there is no tolerance),
-    noises, disturbances, fault.
+    """Return (theta, delta, share, extra) of step k: relative errors, noises,
+    disturbances, fault.
     """
     act, plant, course = scene.act, scene.plant, scene.course
     p, g = plant.shape[2:]
@@ -236,23 +237,22 @@ def drawn(scene: Scene, numbers: Array) -> tuple[jax.Array, Array]:
     return unknowns
 
 
-def recorded(scene: Scene, begun: Begun, xi: jax.Array, extra: Array) -> tuple[jax.Array, jax.Array]:
-    """Return (u (T, m, N), y (T, p, N)) recorded with such unknowns, see `drawn`."""
-    n, _, p, _ = scene.plant.shape
+def recorded(
+    scene: Scene, begun: Begun, unknowns: Callable[[jax.Array], Unknowns]
+) -> tuple[jax.Array, jax.Array]:
+    """Return (u (T, m, N), y (T, p, N)) recorded with the unknowns of each step k."""
     zero = jnp.zeros_like(begun.size)
 
     def now(
-        carry: tuple[list[Array], Array], now: tuple[jax.Array, jax.Array, Array]
+        carry: tuple[list[Array], Array], k: jax.Array
     ) -> tuple[tuple[list[Array], Array], tuple[jax.Array, jax.Array]]:
         x, held = carry
-        k, each, extra = now
-        unknowns = list(each[:p]), list(each[p : 2 * p]), list(each[2 * p :]), extra
-        u, x, y, held = move(scene, begun, unknowns, k, x, held)
+        u, x, y, held = move(scene, begun, unknowns(k), k, x, held)
         return (x, held), (jnp.stack([*u, zero])[:-1], jnp.stack(y))
 
-    start: tuple[list[Array], Array] = [zero] * n, zero
-    samples = jnp.arange(scene.course.samples, dtype=jnp.int32), xi, extra
-    signals: tuple[jax.Array, jax.Array] = jax.lax.scan(now, start, samples)[1]
+    start: tuple[list[Array], Array] = [zero] * scene.plant.shape[0], zero
+    steps = jnp.arange(scene.course.samples, dtype=jnp.int32)
+    signals: tuple[jax.Array, jax.Array] = jax.lax.scan(now, start, steps)[1]
     return signals
 
 
@@ -260,5 +260,5 @@ def recorded(scene: Scene, begun: Begun, xi: jax.Array, extra: Array) -> tuple[j
 def replay_block(scene: Scene, numbers: Array) -> tuple[Array, Array, Array]:
     """Return the recordings that `count_block` tests: u (N, T, m), y (N, T, p), onset (N,)."""
     begun = prepared(scene, numbers)
-    us, ys = recorded(scene, begun, *drawn(scene, numbers))
+    us, ys = recorded(scene, begun, partial(unknown_draws, scene, numbers))
     return jnp.moveaxis(us, 2, 0), jnp.moveaxis(ys, 2, 0), begun.onset

@@ -138,8 +138,8 @@ def descend(
     Args:
         optimizer: an optax.GradientTransformation. state: (z (b,), the logarithms of the
             values; that of the optimizer). first: number of the first step.
-        healthy: u (s + 1, m, K), y (s + 1, p, K), the worst windows; present: (K,) bool, False where a column
-            only fills up.
+        healthy: (u (s + 1, m, K), y (s + 1, p, K), present (K,)): the worst windows; present is False where
+            a column only fills up.
         faulty: None, or (u (T, m), y (T, p), ends (blocks, N), present (blocks, N)): one block a step, in
             turn.
 
