@@ -328,7 +328,7 @@ class TestCommand:
         assert said.startswith(
             "Part 2/3 is done: the verdicts of samples 2048 to 4095 are in out/verdicts.partial\n"
         )
-        assert "jaxbound detect model.toml run --out out --horizon 2 --merge" in said
+        assert "jaxbound detect --merge model.toml run --out out --horizon 2" in said
 
     def test_a_share_of_nothing_is_done(self, place, capsys):
         assert main.main([*DETECT, "out", "--part", "1/7"]) == 0
