@@ -169,8 +169,8 @@ def run(args: argparse.Namespace) -> int:
     _refuse_shares(args, kind.parts)
     with door():
         whole = DetectRun.of(args)
-    if args.part is not None:
-        return judge_share(whole, args.part)
+    if whole.part is not None:
+        return judge_share(whole, whole.part)
     in_parts = kind.parts and args.method != VALIDATION
     evaluation = _evaluate_parts(whole) if in_parts else _evaluate_whole(whole)
     return conclude(evaluation, whole)

@@ -254,8 +254,8 @@ def alarms_of(
         outside, words, test = None, "", ""
         if region is not None:
             outside = one.outside
-        if region is not None and one.share > 0:
-            words = region.words(one.by, one.reading)
+            if one.share > 0:
+                words = region.words(one.by, one.reading)
         if tests:
             test = tests[number]
         ended, (names, size, _, cause) = one.ended or _ending(one, horizon), one.suspect

@@ -31,6 +31,7 @@ __all__ = [
     "Seen",
     "Watch",
     "alarms_in",
+    "often",
 ]
 
 OPPOSITE = "ended by an opposite jump"
@@ -275,8 +276,7 @@ class Watch:
         k, n = self.rule.k, self.rule.n
         tail = len(seen.fault) - len(new)
         flags = np.concatenate([np.zeros(n - len(self.before), bool), self.before, new])
-        count = np.cumsum(flags)
-        on = np.flatnonzero(count[n:] - count[:-n] >= k) + tail
+        on = np.flatnonzero(often(flags, k, n)) + tail
         if tail:
             on = np.append(0, on)
         if not len(on):
@@ -440,6 +440,12 @@ class Watch:
         """Return the alarms that are over since the last call."""
         over, self.over = self.over, []
         return sorted(over, key=attrgetter("sure"))
+
+
+def often(flags: np.ndarray, k: int, n: int) -> np.ndarray:
+    """Return (T,) bool: whether k of the last n flags are set. flags: (n + T,), n of samples before."""
+    count = np.cumsum(flags)
+    return np.asarray(count[n:] - count[:-n] >= k)
 
 
 def alarms_in(rule: AlarmRule, seen: Seen, blame: Blame | None = None) -> list[Raised]:

@@ -12,8 +12,8 @@ from jaxbound.estimation.set_rounding import largest_number
 from jaxbound.estimation.zonotope_begin import least_horizon, price, zonotope_begin
 from jaxbound.estimation.zonotope_numbers import free_numbers, numbers
 from jaxbound.estimation.zonotope_steps import Numbers, Start
+from jaxbound.models.arguments import whole_horizon
 from jaxbound.models.intervals import IntervalSystem, as_intervals
-from jaxbound.models.numbers import is_whole
 from jaxbound.models.sensor import RECORDER_ULPS, true_range
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.unknown_directions import Directions, unknown_directions, with_direct_states
@@ -136,10 +136,8 @@ def observed_plant(model: ObservedModel, horizon: int | None, has_first: bool) -
     unknown = None
     if isinstance(model, LinearSystem) and linear is not None and model.d:
         unknown = unknown_directions(linear)
-    if horizon is not None and (not is_whole(horizon) or horizon < 0):
-        raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
-    price(system.n, system.p, horizon)
-    h = horizon
+    h = whole_horizon(horizon)
+    price(system.n, system.p, h)
     if h is None:
         h = least_horizon(linear, system, unknown)
         if h is not None and h * system.p > system.n:  # more than the least that was priced

@@ -26,8 +26,8 @@ from jaxbound.exact import linalg
 from jaxbound.exact.circuits import circuits
 from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models import window
+from jaxbound.models.arguments import whole_horizon
 from jaxbound.models.conversion import ModelLike, as_model
-from jaxbound.models.numbers import is_whole
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.read import recorded
 from jaxbound.recordings.recording import Recording
@@ -134,11 +134,10 @@ def _positions(model: LinearSystem, horizon: int | None) -> tuple[int, list[int 
     """Return (horizon, for each unknown input the last sample of a window at which it is determined, or
     None).
     """
+    horizon = whole_horizon(horizon)
     if horizon is not None:
-        if not is_whole(horizon) or horizon < 0:
-            raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
-        affordable(model, int(horizon))
-        return int(horizon), _determined(model, int(horizon))
+        affordable(model, horizon)
+        return horizon, _determined(model, horizon)
     s, never = 0, _determined(model, model.n + 1).count(None)
     while _determined(model, s).count(None) > never:  # longer windows determine what shorter ones do
         s += 1

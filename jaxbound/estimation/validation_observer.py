@@ -133,20 +133,20 @@ class ValidationObserver(Observer[ValidationState]):
         y = np.concatenate([carry.y.astype(y.dtype), y])
         first = T * np.arange(count)
         seams = (old + first[:, None] + piece.starts).ravel()
-        begins = np.unique(np.concatenate([[0], first, seams, around(gone)])).astype(int)
+        begins = np.unique(np.concatenate([first, seams, around(gone)])).astype(int)
         known = np.isin(begins, first) & ~np.append(gone, False)[begins] & self.informed & carry.first
         start = self.x0
         if start is not None and count:
             own = np.minimum(begins // max(T, 1), count - 1)
             start = jax.tree.map(lambda x: np.broadcast_to(x, (*lead, m.n)).reshape(-1, m.n)[own], start)
         whole, after = self._in_pieces(u, y, begins, start, known, carry.after, old)
+        judged: Validation = jax.tree.map(lambda x: x[old:].reshape(*lead, T, *x.shape[1:]), whole)
+        if lead:
+            return self.init()._replace(first=False), judged
         waits = after is None and bool(known[-1])
         keep = int(begins[-1])
         if not waits:
             keep = max(len(y) - 2 * s, keep)
-        judged: Validation = jax.tree.map(lambda x: x[old:].reshape(*lead, T, *x.shape[1:]), whole)
-        if lead:
-            return self.init()._replace(first=False), judged
         return ValidationState(u[keep:], y[keep:], after, waits), judged
 
     def _in_pieces(

@@ -44,6 +44,7 @@ from jaxbound.exact.circuits import circuits
 from jaxbound.exact.frames import ExactFrame, frame
 from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models import window
+from jaxbound.models.arguments import whole_horizon
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.bounds import Bounds, changed_bounds, model_bounds, reading
@@ -298,11 +299,9 @@ def parity_relations(
         horizon = lags[-1]
     if horizon is None:
         horizon = model.horizon
+    horizon = whole_horizon(horizon)
     if horizon is None:
         horizon = _smallest_useful_horizon(model)
-    if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 0:
-        raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
-    horizon = int(horizon)
     affordable(model, horizon)
     if model.uncertainties:
         if form != "first":

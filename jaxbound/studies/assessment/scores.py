@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxbound.diagnosis.watch import often
 from jaxbound.studies.assessment.truth import FAULTY, HEALTHY, Episode
 
 __all__ = ["Rule", "Score", "Trial", "counted", "in_alarm", "total"]
@@ -88,8 +89,7 @@ def _share(part: float, whole: float) -> float:
 
 def in_alarm(fault: np.ndarray, k: int, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Return ((T,) bool, whether an alarm is on; the sample at which each begins)."""
-    count = np.cumsum(np.concatenate([np.zeros(n, int), fault]))
-    on = count[n:] - count[:-n] >= k
+    on = often(np.append(np.zeros(n, bool), fault), k, n)
     return on, np.flatnonzero(on & ~np.append(False, on[:-1]))
 
 

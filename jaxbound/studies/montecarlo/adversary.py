@@ -82,7 +82,6 @@ def attack_block(
     begun = kernel.prepared(scene, numbers)
     act, onset = scene.act, begun.onset
     xi, extra = kernel.drawn(scene, numbers)
-
     p = scene.plant.shape[2]
 
     def recorded(xi: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -89,9 +89,7 @@ class Begun(NamedTuple):
 
 
 def unknown_draws(scene: Scene, numbers: Array, k: Array) -> Unknowns:
-    """Return (theta, delta, share, extra) of step k: relative errors, noises,
-    disturbances, fault.
-    """
+    """Return (theta, delta, share, extra) of step k: relative errors, noises, disturbances, fault."""
     act, plant, course = scene.act, scene.plant, scene.course
     p, g = plant.shape[2:]
     count = 2 * p + g + (act.kind == "noise")

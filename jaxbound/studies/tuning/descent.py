@@ -216,7 +216,8 @@ def _advance(
     outside: Seen | None,
 ) -> tuple[State, Best]:
     """Make one step. turn: its number, and the share of the steps made."""
-    ((z, inner), best), (_, share) = carry, turn
+    (z, inner), best = carry
+    _, share = turn
     slope, hard, found = gradient(z, problem, turn, inside, outside)
     updates, after = optimizer.update(jnp.where(jnp.isfinite(slope), slope, 0), inner, z)
     fall = rate[1] + (rate[0] - rate[1]) * 0.5 * (1 + jnp.cos(jnp.pi * share))
