@@ -3,7 +3,7 @@ PYTHON ?= python3
 # where this is set, every process compiles every file again: a tenth of what the tests take
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test slow long lowest newest upcoming nightly lint docs bench clean
+.PHONY: demo test long lowest newest upcoming nightly lint docs bench clean
 
 demo: .venv/installed
 	.venv/bin/jaxbound demo --out demo-report
@@ -12,9 +12,6 @@ demo: .venv/installed
 # what they compile, and none waits for the last file
 test: .venv/tested
 	.venv/bin/python -m pytest -n auto --dist worksteal
-
-slow: .venv/tested
-	.venv/bin/python -m pytest -n auto --dist worksteal -m slow
 
 long: .venv/tested
 	.venv/bin/python -m pytest -n auto --dist loadfile -m long $(WHERE)
@@ -28,7 +25,7 @@ newest:
 upcoming:
 	.ci/versions upcoming
 
-nightly: test slow long lowest newest
+nightly: test long lowest newest
 
 lint: .venv/tested
 	.venv/bin/pip install --quiet --editable ".[dev]"

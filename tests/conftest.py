@@ -1,5 +1,6 @@
 """One place for what every test needs: float64, strict promotion, the shared golden values and recordings."""
 
+import contextlib
 import gc
 import json
 import os
@@ -18,8 +19,7 @@ SHARED = Path(os.environ.get("JAXBOUND_SHARED", Path(__file__).resolve().parents
 
 
 def pytest_configure(config):
-    """Keep compiled kernels beside pytest's own cache: two workers, and the slow tests after the others,
-    compile each once.
+    """Keep compiled kernels beside pytest's own cache: two workers compile each once.
 
     Hypothesis draws from the test's name too, but for JAXBOUND_SEED=fresh.
     """
@@ -39,8 +39,19 @@ def pytest_configure(config):
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
 
 
+BY_NIGHT = Path(__file__).with_name("by_night.txt")
+"""Names of tests that take seconds, beside a smaller case of the same; `.ci/night.py` writes it."""
+
+
+@pytest.hookimpl(tryfirst=True)  # before -m asks for marks
 def pytest_collection_modifyitems(items):
-    """Skip, where the system is not POSIX, the tests marked `posix("what they need")`."""
+    """Leave to the night what `by_night.txt` names. Skip, where the system is not POSIX, the tests marked
+    `posix("what they need")`.
+    """
+    by_night = set(BY_NIGHT.read_text().splitlines())
+    for item in items:
+        if item.nodeid in by_night:
+            item.add_marker("long")
     if os.name == "posix":
         return
     for item in items:
@@ -48,53 +59,68 @@ def pytest_collection_modifyitems(items):
             item.add_marker(pytest.mark.skip(reason=f"needs {marker.args[0]}, which this system lacks"))
 
 
-IN_NUMPY = {
-    "alarmrule",
-    "averages",
-    "certificate",
-    "company",
-    "constant_certificate",
-    "families",
-    "holes",
-    "isolation",
-    "lags",
-    "long_window",
-    "narrowed_inputs",
-    "recorded_type",
-    "still_disturbances",
-    "uncertain_margins",
-    "uncertain_shapes",
-    "uncertain_windows",
-    "unit_hints",
-    "unknown_inputs",
-    "weighted_windows",
-    "welcome",
-    "windows_times",
-}
-"""Files of tests that took two thirds of their time for compiling, and ask nothing of a compiler."""
+def _spent():
+    return sum(os.times()[:4])
+
+
+BEGUN = pytest.StashKey[float]()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    """Remember how much of the processor was taken before a test, by the processes that it waited for too."""
+    item.stash[BEGUN] = _spent()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_makereport(item, call):
+    """Note what a test took."""
+    if call.when == "teardown":
+        item.user_properties.append(("seconds", round(_spent() - item.stash[BEGUN], 2)))
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    """Show how much of the processor the tests of each room took, and keep it beside pytest's own cache."""
+    reports = [
+        r for found in terminalreporter.stats.values() for r in found if getattr(r, "when", "") == "teardown"
+    ]
+    seconds = {report.nodeid: dict(report.user_properties).get("seconds", 0) for report in reports}
+    if hasattr(config, "cache"):
+        config.cache.set("seconds", seconds)
+    rooms = {}
+    for name, taken in seconds.items():
+        rooms.setdefault("/".join(name.split("::")[0].split("/")[:-1]), []).append(taken)
+    terminalreporter.write_line("CPU seconds, tests, and what the longest one took:")
+    for room, taken in sorted(rooms.items(), key=lambda item: -sum(item[1])):
+        terminalreporter.write_line(f"{sum(taken):8.1f} {len(taken):5d} {max(taken):6.1f}  {room}")
 
 
 @pytest.fixture(scope="module", autouse=True)
-def as_many_windows(request):
-    """Have few windows judged as many are, by compiled programs or by the same in NumPy, easy ones first,
-    whatever the module before said; processes that tests start keep to what users have.
+def in_numpy(request):
+    """Have NumPy evaluate all kernels, but in files that are marked `compiled`. Processes that
+    tests start keep to what users have.
     """
-    from jaxbound.consistency import interface
     from jaxbound.sets.floats import kernel
 
-    interface.MANY = 1
-    kernel.compile("always")
-    with kernel.outside_xla(request.path.stem.removeprefix("test_") in IN_NUMPY):
+    kernel.compile("always")  # what is not evaluated, whatever the module before said
+    with kernel.outside_xla(request.node.get_closest_marker("compiled") is None):
+        yield
+
+
+@pytest.fixture(autouse=True)
+def compiled(request):
+    """Have XLA compile the kernels of a single test that is marked so."""
+    from jaxbound.sets.floats import kernel
+
+    alone = any(mark.name == "compiled" for mark in request.node.own_markers)
+    with kernel.outside_xla(False) if alone else contextlib.nullcontext():
         yield
 
 
 @pytest.fixture
-def by_xla():
-    """Have a test of such a file compile all the same."""
-    from jaxbound.sets.floats import kernel
-
-    with kernel.outside_xla(False):
-        yield
+def many(monkeypatch):
+    """Judge few windows as many are: easy ones first."""
+    monkeypatch.setattr("jaxbound.consistency.interface.MANY", 1)
 
 
 MAPPINGS = 40_000

@@ -78,7 +78,6 @@ def test_peers_are_present_or_said_to_be_absent():
     assert all("pip install" in why for why in absent.values())
 
 
-@pytest.mark.slow
 def test_figures_are_drawn(tmp_path):
     pytest.importorskip("matplotlib")
     fewer = RESULTS | {"sweeps": {"horizon": RESULTS["sweeps"]["horizon"]}}

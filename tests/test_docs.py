@@ -127,7 +127,7 @@ def test_every_entry_of_a_list_of_fields_is_a_field(docstrings):
     assert not wrong
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_sections_taken_from_the_readme_are_there")
 def test_pages_build_without_a_warning(tmp_path):
     for package in ("properdocs", "material", "mkdocstrings"):
         pytest.importorskip(package)
@@ -307,13 +307,11 @@ def laboratory(tmp_path_factory):
     return place
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("page", ["README.md", "docs/start.md"])
 def test_every_command_of_the_first_pages_runs_in_an_empty_folder(page, empty):
     follow(ROOT / page, empty)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "page", [p.name for p in PAGES if p.name not in RUN_ELSEWHERE and any(run for *_, run in blocks(p))]
 )

@@ -336,7 +336,7 @@ def test_options_of_any_size_are_refused_in_a_sentence(here, capsys):
     assert refused(capsys, ["\x1b[2J" * 1000]) == 2
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_model_files_with_any_field_of_any_type_give_a_page_or_a_sentence")
 def test_many_more_model_files_and_recordings_give_a_page_or_a_sentence(here, capsys, request):
     draw = random.Random(zlib.crc32(request.node.name.encode()))
     for text in models(draw.random(), 3000):

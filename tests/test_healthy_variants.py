@@ -179,7 +179,7 @@ def test_no_healthy_recording_is_faulty_and_none_loses_rows(bench):
     run(bench, range(63))
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_no_healthy_recording_is_faulty_and_none_loses_rows")
 def test_no_healthy_recording_of_many_is_faulty_and_none_loses_rows(bench):
     run(bench, range(1000, 3250))
 

@@ -10,16 +10,9 @@ from nbclient import NotebookClient
 import jaxbound as jb
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
-AT_NIGHT = "multiple_models", "million_scenarios"
-"""Which take as long as all others."""
 
 
-def mark(name):
-    """Return when a notebook is run: in CI, or at night."""
-    return pytest.mark.long if name in AT_NIGHT else pytest.mark.slow
-
-
-@pytest.mark.parametrize("path", [pytest.param(p, id=p.stem, marks=mark(p.stem)) for p in NOTEBOOKS])
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the notebook machinery, not of the notebook
 def test_notebook_runs(path, kernels):
     NotebookClient(

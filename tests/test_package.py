@@ -64,16 +64,14 @@ def test_continuous_integration_calls_what_is_there():
 
 
 def test_every_mark_that_leaves_tests_out_runs_in_a_scheduled_job():
-    """Slow tests in .ci/run, long ones at night, in shares that together leave none out."""
+    """Long tests run at night, in shares that together leave none out."""
     nightly = (ROOT / ".github" / "workflows" / "nightly.yml").read_text()
     assert "schedule:" in nightly and "make long WHERE=" in nightly
-    run = (ROOT / ".ci" / "run").read_text()
-    assert re.search(r"^export PYTEST_ADDOPTS=.* -m 'not long'\"$.*^make test$", run, re.M | re.S)
     folders, ignored = (set(re.findall(pattern, nightly)) for pattern in (r" (tests/\w+)", r"=(tests/\w+)"))
     assert folders == ignored and all((ROOT / folder).is_dir() for folder in folders)
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     left_out = re.findall(r"not (\w+)", project["tool"]["pytest"]["ini_options"]["addopts"])
-    assert left_out == ["slow", "long"]
+    assert left_out == ["long"]
 
 
 def test_what_builds_the_package_is_there_for_its_tests():

@@ -141,7 +141,6 @@ def test_it_is_an_estimator(estimator, check):
     _run(estimator, check)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("estimator, check", list(checks()))
 @pytest.mark.filterwarnings("ignore")  # of scikit-learn's own checks
 def test_scikit_learns_checks_pass_but_for_those_that_cannot(estimator, check):

@@ -183,7 +183,6 @@ def test_the_certificate_agrees_with_the_verdict_under_disturbance(rng):
             assert c.status == c.proves == status and float(c.factor) == pytest.approx(1 - margin, rel=1e-9)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["disturbance"])
 def test_the_certificate_agrees_with_the_verdict_of_a_long_window(name, rng):
     """A search may stop at a relation that proves the verdict before it has the tightest one: its factor is a

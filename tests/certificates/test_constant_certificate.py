@@ -34,11 +34,11 @@ def recording(rng, model, count=40, size=10.0):
     "change",
     [
         {},
-        pytest.param(dict(tolerance=["1/50", 0]), marks=pytest.mark.slow),
-        pytest.param(dict(disturbance=([[0], [1]], "1/10"), resolution=0.01), marks=pytest.mark.slow),
+        pytest.param(dict(tolerance=["1/50", 0]), marks=pytest.mark.long),
+        pytest.param(dict(disturbance=([[0], [1]], "1/10"), resolution=0.01), marks=pytest.mark.long),
     ],
 )
-@pytest.mark.parametrize("s", [1, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("s", [1, pytest.param(3, marks=pytest.mark.long)])
 def test_a_verdict_on_constant_gains_is_proved_by_fractions_whatever_it_is(rng, s, change):
     model = paper(constant_tolerance=True, **change)
     u, y = recording(rng, model)

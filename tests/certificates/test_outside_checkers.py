@@ -34,7 +34,7 @@ from jaxbound.cli.main import main
 FOLDER = Path(jaxbound.certificates.checker.__file__).parent
 VERDICTS = [(kind, fault) for kind in KINDS for fault in ((True,) if kind in OBSERVED else (True, False))]
 HUGE = "observer, 513 samples"
-SHORT = [pytest.param(*x, marks=pytest.mark.slow) if x[0] == HUGE else x for x in VERDICTS]
+SHORT = [pytest.param(*x, marks=pytest.mark.long) if x[0] == HUGE else x for x in VERDICTS]
 SEARCHED = ("long", "six states", "disturbance", "leak", "unknown inputs", *UNSURE, *OBSERVED)
 MANY = {HUGE: 1} | dict.fromkeys(SEARCHED, 20)
 OFTEN = 100
@@ -79,7 +79,7 @@ def test_a_certificate_is_confirmed_by_two_checkers_and_refused_when_it_is_forge
         assert refused(wrong, found.given), what
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_a_certificate_is_confirmed_by_two_checkers_and_refused_when_it_is_forged")
 @pytest.mark.parametrize("kind, fault", VERDICTS)
 def test_certificates_are_confirmed_and_a_thousand_forged_ones_of_each_kind_refused(kind, fault, vipr, rng):
     count, verdicts = MANY.get(kind, OFTEN), VERDICTS.count((kind, True)) + VERDICTS.count((kind, False))

@@ -93,7 +93,7 @@ def test_verdicts_of_one_and_many_parameters_are_confirmed_and_a_wrong_digit_is_
         check_round_trips(rng, res, count, status)
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_the_witness_is_within_the_users_bounds")
 def test_a_witness_settles_windows_whose_relations_are_not_proved_to_say_all(rng):
     res = detected(rng, "n3p2_inv3_h3")
     assert res.counts["CONSISTENT"] == 0

@@ -14,6 +14,8 @@ from jaxbound.cli import evaluation, main
 from jaxbound.cli.pipe import judge_stream
 from jaxbound.consistency.searched import NOT_REFUTED
 
+pytestmark = pytest.mark.compiled
+
 FOLLOWED = "followed on the CPU, since what an observer carries has to be proved, and NVIDIA 99.0 was"
 
 
@@ -59,7 +61,7 @@ def test_without_a_fault_the_evidence_is_too_little(place, capsys, monkeypatch):
     assert "Too little evidence: only 0 of" in shown and NOT_REFUTED in shown
 
 
-@pytest.mark.parametrize("method", ["observer", pytest.param("validation", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("method", ["observer", pytest.param("validation", marks=pytest.mark.long)])
 def test_what_carries_a_set_is_followed_on_the_cpu(place, method, capsys, monkeypatch):
     monkeypatch.setattr(evaluation, "write_report", lambda *args, **options: None)
     data = "run" if method == "observer" else "run.csv"

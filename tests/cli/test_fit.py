@@ -98,7 +98,6 @@ def test_time_stamps_without_separators_are_no_seconds(place, capsys):
     assert jb.load_model("tank.toml").dt == 3600.0, "it was 10000"
 
 
-@pytest.mark.slow
 def test_fit_writes_bounds_of_means(place, capsys):
     assert main.main([*FIT, "--average", "4", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
@@ -109,7 +108,6 @@ def test_fit_writes_bounds_of_means(place, capsys):
     assert "mean of 4 samples of lift within" in capsys.readouterr().out
 
 
-@pytest.mark.slow
 def test_fit_and_detect_agree_and_draw(place, capsys):
     assert main.main([*FIT, "--plot", "fit.png"]) == 0
     assert (place / "fit.png").read_bytes().startswith(b"\x89PNG")

@@ -371,7 +371,6 @@ observer = "zonotope"
 """
 
 
-@pytest.mark.slow
 def test_the_test_that_a_run_names_is_the_one_that_is_explained(tmp_path, capsys):
     """A level creeps for 190 samples, then jumps: who remembers all of it is off by more than a window, who
     begins 64 samples earlier by less.

@@ -642,8 +642,8 @@ class TestSecondRecording:
         assert whole == "" and pipe(text, state=place / "state")[0] == 3
 
 
+@pytest.mark.compiled
 @pytest.mark.posix("signals between processes")
-@pytest.mark.slow
 def test_live_in_another_process_killed_and_stopped(samples, place, kernels):
     """Verdicts come while the pipe is open; kill -9 and SIGTERM leave a file that the next process
     completes.

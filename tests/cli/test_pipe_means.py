@@ -14,8 +14,6 @@ from jaxbound.cli import pipe as piped
 from jaxbound.runs import journal
 from jaxbound.sets.floats.status import Status
 
-pytestmark = pytest.mark.slow
-
 
 @pytest.mark.parametrize("kill", [False, True])
 def test_verdicts_of_a_pipe_are_those_of_the_file(tmp_path, monkeypatch, rng, kill):

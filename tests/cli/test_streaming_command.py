@@ -24,6 +24,8 @@ from jaxbound.runs import streaming
 from jaxbound.runs.parts import part_files
 from jaxbound.runs.streaming import Asked, write_parts
 
+pytestmark = pytest.mark.compiled
+
 
 @pytest.fixture
 def place(tmp_path, monkeypatch, tmp_path_factory):
@@ -212,7 +214,7 @@ class TestCommand:
 
 
 @pytest.mark.posix("signals between processes, and /proc")
-@pytest.mark.long
+@pytest.mark.long(by_day="test_interrupted_is_130_and_says_how_to_go_on")
 def test_killed_at_half_and_resumed_in_little_memory(tmp_path):
     """3 million samples in another process: killed without a warning, run again, the verdicts of one piece,
     less than 1 GB.

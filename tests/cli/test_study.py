@@ -84,7 +84,6 @@ def test_a_study_writes_tables_and_a_page_and_prints_what_it_found(model, tmp_pa
     assert summary.detected.tolist() == expected.tallies[0].detected.tolist()
 
 
-@pytest.mark.slow
 def test_an_interrupted_command_goes_on_and_says_so(model, tmp_path, capsys, monkeypatch):
     out, whole = tmp_path / "out", tmp_path / "whole"
     monkeypatch.setattr(montecarlo, "EVERY", 0.0)

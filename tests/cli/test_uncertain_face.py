@@ -29,7 +29,6 @@ def test_info_lists_parameters_and_relations(path, capsys):
     )
 
 
-@pytest.mark.slow
 def test_a_report_shows_parameters_and_residuals_and_explain_proves_them(path, tmp_path, rng, capsys):
     u, x, y = rng.uniform(0, 2, (60, 1)), np.zeros(2), np.where(np.arange(60) == 30, 50.0, 0.0)
     for k in range(60):

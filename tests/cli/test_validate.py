@@ -167,7 +167,6 @@ def test_other_commands_name_what_they_can_do(place, capsys, tmp_path):
     )
 
 
-@pytest.mark.slow
 def test_a_recording_from_the_shell(place, capsys, tmp_path):
     """One compiled shape for all: no fault is 0, a fault is 1, the columns are those of the library, no
     certificate is invented.

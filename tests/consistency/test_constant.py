@@ -85,7 +85,7 @@ def test_the_verdicts_are_those_of_the_linear_program_in_states_and_gains(rng, s
     assert (status != Status.UNDECIDED).mean() >= 0.99
 
 
-@pytest.mark.parametrize("s", [1, pytest.param(4, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("s", [1, pytest.param(4, marks=pytest.mark.long)])
 def test_no_window_that_a_grid_of_gains_explains_is_a_fault(rng, s):
     u, y = draw(rng, s, 200, 2.0, spoiled=1.0)
     r = jb.parity_relations(paper(), horizon=s)
@@ -102,7 +102,7 @@ def test_no_window_that_a_grid_of_gains_explains_is_a_fault(rng, s):
     assert (status == Status.FAULT).any()
 
 
-@pytest.mark.parametrize(("s", "at"), [(1, "vertices"), pytest.param(4, "uniform", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("s", "at"), [(1, "vertices"), pytest.param(4, "uniform", marks=pytest.mark.long)])
 def test_a_healthy_recording_with_one_theta_an_output_is_never_a_fault(rng, s, at):
     m = model(resolution=0.001)
     u = np.repeat(rng.uniform(-1, 1, (40, 1)), 50, 0) * 10
@@ -118,7 +118,6 @@ def test_a_healthy_recording_with_one_theta_an_output_is_never_a_fault(rng, s, a
     )
 
 
-@pytest.mark.slow
 def test_a_constant_theta_explains_less_than_one_drawn_anew(rng):
     u, y = draw(rng, 1, 500, 30.0)
     anew, _ = verdicts(u, y, paper())
@@ -128,7 +127,7 @@ def test_a_constant_theta_explains_less_than_one_drawn_anew(rng):
     assert (status[alone == Status.FAULT] == Status.FAULT).all() and not (alone == Status.CONSISTENT).any()
 
 
-@pytest.mark.parametrize("s", [1, pytest.param(4, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("s", [1, pytest.param(4, marks=pytest.mark.long)])
 def test_the_margin_is_the_factor_at_which_the_program_changes_its_mind(rng, s):
     u, y = draw(rng, s, 40, 2.0)
     status, margin = verdicts(u, y)
@@ -158,8 +157,7 @@ def test_missing_samples_are_left_out_and_a_missing_input_may_be_anything(rng):
     assert (nothing == Status.MISSING).all() and np.isnan(margin).all()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("dtype", [np.float32, pytest.param(np.float64, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("dtype", [np.float32, pytest.param(np.float64, marks=pytest.mark.long)])
 def test_readings_exactly_at_their_bounds_are_never_a_fault(rng, dtype):
     s, count = 1, 2000
     O, H = forms(s)

@@ -41,9 +41,9 @@ def on_eight_devices(block, samples, counts, cases):
     [
         ("1,8", ["one sensor"]),
         ("1,8", ["lying, one sensor"]),
-        pytest.param("1,2,8", ["lying, bank"], marks=pytest.mark.slow),
+        pytest.param("1,2,8", ["lying, bank"], marks=pytest.mark.long),
         pytest.param("1,2,8", ["lying, long windows"], marks=pytest.mark.long),
-        pytest.param("1,2,8", ["joint", "bank"], marks=pytest.mark.slow),
+        pytest.param("1,2,8", ["joint", "bank"], marks=pytest.mark.long),
         pytest.param(
             "1,2,4,8",
             ["joint", "margins", "bank", "box", "batch", "float32"],

@@ -26,7 +26,7 @@ def key(rng):
     "name, horizon, count",
     [
         *CASES,
-        *(pytest.param(*case, MANY, marks=pytest.mark.slow) for case in FULL),
+        *(pytest.param(*case, MANY, marks=pytest.mark.long) for case in FULL),
         *(pytest.param(*case, MANY, marks=pytest.mark.long) for case in LONG),
     ],
 )
@@ -61,7 +61,7 @@ def test_the_strips_are_all_vectors_of_minimal_support(G, counts):
         assert len(found) == count and found == {normal(h) for h in Plant(**numbers).circuits(s)}
 
 
-@pytest.mark.parametrize("horizon", [2, pytest.param(6, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("horizon", [2, pytest.param(6, marks=pytest.mark.long)])
 def test_a_missing_output_gives_the_verdict_of_the_program_without_its_row(horizon, rng):
     rows = 2 * (horizon + 1)
     r, oracle, u, y = prepared(GUST, horizon, rows * 30, rng)
@@ -90,7 +90,6 @@ def test_a_disturbance_of_bound_zero_is_none(rng):
     np.testing.assert_allclose(without.margin, still.margin, rtol=1e-9, atol=1e-10)
 
 
-@pytest.mark.slow
 def test_a_disturbance_of_bound_zero_never_gives_another_verdict_in_a_long_window(rng):
     """It may leave one undecided: a search has no use for radii of 0, and nothing lies inside them."""
     without, still = zero_disturbance(6, rng)
@@ -107,7 +106,6 @@ def test_a_fault_free_recording_needs_the_disturbance_to_be_consistent(rng):
     assert jb.detect(jb.parity_relations(paper(disturbance=([[0], [1]], 1.0)), 2), u, y).counts["FAULT"] == 0
 
 
-@pytest.mark.slow
 def test_a_leak_only_takes(rng):
     """[0, w] is no |w| / 2 around zero: what pushes is a fault at once."""
     still = np.zeros((9, 1))
@@ -129,7 +127,7 @@ def test_a_leak_only_takes(rng):
     [
         ("gust", 2, np.float64),
         pytest.param("gust", 6, np.float64, marks=pytest.mark.long),
-        pytest.param("leak", 2, np.float32, marks=pytest.mark.slow),
+        pytest.param("leak", 2, np.float32, marks=pytest.mark.long),
         pytest.param("gust", 6, np.float32, marks=pytest.mark.long),
     ],
 )
@@ -149,7 +147,7 @@ def test_fault_free_windows_raise_no_fault(name, horizon, dtype, at, shared, rng
         ("gust", 2, np.float64, 1e-9),
         ("gust", 6, np.float64, 1e-9),
         ("gust", 2, np.float32, 1e-3),
-        pytest.param("gust", 6, np.float32, 1e-2, marks=pytest.mark.slow),
+        pytest.param("gust", 6, np.float32, 1e-2, marks=pytest.mark.long),
     ],
 )
 def test_verdicts_are_sharp(name, horizon, dtype, step, shared, rng):

@@ -79,7 +79,7 @@ def test_joint_verdict_of_the_paper_equals_the_linear_program(horizon, rng):
 @pytest.mark.parametrize(
     "horizon",
     [
-        *(pytest.param(s, marks=pytest.mark.slow) for s in (1,)),
+        *(pytest.param(s, marks=pytest.mark.long) for s in (1,)),
         *(pytest.param(s, marks=pytest.mark.long) for s in (2, 3, 4)),
     ],
 )
@@ -97,7 +97,7 @@ def test_joint_verdict_of_other_models_equals_the_linear_program(name, horizon, 
 
 @pytest.mark.parametrize(
     "horizon",
-    [pytest.param(2, marks=pytest.mark.slow), *(pytest.param(s, marks=pytest.mark.long) for s in (1, 3))],
+    [pytest.param(2, marks=pytest.mark.long), *(pytest.param(s, marks=pytest.mark.long) for s in (1, 3))],
 )
 @pytest.mark.parametrize("name", [name for name in MODELS if name != "paper"])
 def test_joint_verdict_of_other_models_equals_the_linear_program_ten_thousand_times(name, horizon, rng):

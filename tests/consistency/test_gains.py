@@ -122,7 +122,7 @@ def test_certificates_are_checked_by_fractions_alone(kind):
     certificates_hold(detected(kind)[2])
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_verdicts_are_those_of_a_linear_program")
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_healthy_window_is_a_fault(kind, dtype, module_seed):

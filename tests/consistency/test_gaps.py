@@ -10,6 +10,8 @@ from jaxbound.consistency.drive import drive
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import crossing
 
+pytestmark = pytest.mark.compiled
+
 
 def simulated(rng, u):
     """Return healthy outputs of the paper's system, its errors just inside their bounds."""

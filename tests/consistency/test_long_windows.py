@@ -22,7 +22,7 @@ LONG = [("section 5", 20), ("tclab", 15), ("six states", 10)]
 FULL = [
     pytest.param(*case, n, marks=mark)
     for case in LONG
-    for n, mark in ((1000, pytest.mark.slow), (10_000, pytest.mark.long))
+    for n, mark in ((1000, pytest.mark.long), (10_000, pytest.mark.long))
 ]
 
 
@@ -61,7 +61,7 @@ def test_margins_say_what_detect_says(rng):
     )
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="diagnosis/test_uncertain_margins::test_margins_change_with_bounds_and_data")
 def test_gradients_of_margins_are_those_of_finite_differences(rng):
     r, u = jb.parity_relations(paper(), 20), rng.uniform(-1, 1, (60, 1))
     y = np.array(jb.simulate(paper(), u, jax.random.key(int(rng.integers(2**31)))).y) + 0.3 * rng.normal(
@@ -191,7 +191,7 @@ def test_fault_free_windows_raise_no_fault(dtype, at, rng):
 
 
 @pytest.mark.parametrize(
-    "dtype, step", [(np.float64, 1e-9), pytest.param(np.float32, 1e-2, marks=pytest.mark.slow)]
+    "dtype, step", [(np.float64, 1e-9), pytest.param(np.float32, 1e-2, marks=pytest.mark.long)]
 )
 def test_verdicts_are_sharp(dtype, step, rng):
     """Outside the boundary by `step` is FAULT, inside CONSISTENT; the boundary is the program's, not ours."""
@@ -294,7 +294,7 @@ def test_many_missing_outputs_give_the_verdict_of_the_program_without_them(name,
     "name, horizon, gone",
     [
         ("section 5", 20, [7]),
-        pytest.param("section 5", 20, [0, 6, 7, 19], marks=pytest.mark.slow),
+        pytest.param("section 5", 20, [0, 6, 7, 19], marks=pytest.mark.long),
         pytest.param("tclab", 15, [2, 14], marks=pytest.mark.long),
     ],
 )

@@ -24,7 +24,7 @@ def prepared(name, horizon, count, rng):
     "horizon, count",
     [
         *((s, 200) for s in (1, 2, 3, 4)),
-        *(pytest.param(s, 1800, marks=pytest.mark.slow) for s in (1, 2, 3, 4)),
+        *(pytest.param(s, 1800, marks=pytest.mark.long) for s in (1, 2, 3, 4)),
     ],
 )
 def test_one_missing_output_gives_the_verdict_of_the_program_without_its_row(horizon, count, rng):

@@ -62,7 +62,7 @@ CASES = {
         ("box", float),
         ("one sample", float),
         *(
-            pytest.param(name, dtype, marks=pytest.mark.slow)
+            pytest.param(name, dtype, marks=pytest.mark.long)
             for name, dtype in (
                 ("section 5", np.float32),
                 ("box", np.float32),
@@ -93,7 +93,6 @@ def test_steps_and_bursts_equal_detect_bit_by_bit(rng, name, dtype):
     assert state.samples == 700 and state.follows == r.horizon
 
 
-@pytest.mark.slow
 def test_the_exchange_search_too(rng):
     r = jb.parity_relations(paper(), 20)
     u, y = recording(rng, r.model, 1600, spread=1.03)
@@ -105,7 +104,6 @@ def test_the_exchange_search_too(rng):
     assert {jb.Status.CONSISTENT, jb.Status.FAULT} < set(res.status.tolist())
 
 
-@pytest.mark.slow
 def test_the_exchange_search_with_missing_samples(rng):
     r = jb.parity_relations(paper(), 20)
     u, y = recording(rng, r.model, 90)
@@ -199,7 +197,7 @@ def test_a_second_step_does_not_compile(rng):
     [
         dict(constant_tolerance=True),
         pytest.param(
-            dict(uncertainties=[jb.Uncertainty("a", A=[[0.01, 0], [0, 0]])]), marks=pytest.mark.slow
+            dict(uncertainties=[jb.Uncertainty("a", A=[[0.01, 0], [0, 0]])]), marks=pytest.mark.long
         ),
     ],
     ids=["constant tolerance", "uncertain"],

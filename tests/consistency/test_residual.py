@@ -36,7 +36,7 @@ def windows(rng, count):
     return u, y
 
 
-@pytest.mark.parametrize("count", [60, pytest.param(250, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [60, pytest.param(250, marks=pytest.mark.long)])
 def test_every_verdict_agrees_with_the_exact_one(rng, count):
     u, y = windows(rng, count)
     status = jb.detect(jb.residual(growth, BOX, 1), u, y).status
@@ -53,7 +53,6 @@ def test_every_verdict_agrees_with_the_exact_one(rng, count):
     )
 
 
-@pytest.mark.slow
 def test_unknowns_at_their_bounds_raise_no_fault(rng):
     y, u = np.empty((4, 60, 1)), rng.uniform(-0.02, 0.02, (4, 60, 1))
     y[:, 0, 0] = rng.uniform(0.2, 0.8, 4)
@@ -67,7 +66,7 @@ def test_unknowns_at_their_bounds_raise_no_fault(rng):
 
 
 @pytest.mark.parametrize(
-    "s, T", [pytest.param(1, 60, marks=pytest.mark.slow), pytest.param(2, 400, marks=pytest.mark.long)]
+    "s, T", [pytest.param(1, 60, marks=pytest.mark.long), pytest.param(2, 400, marks=pytest.mark.long)]
 )
 def test_it_agrees_with_the_joint_test_of_a_linear_model(rng, s, T):
     model = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1)
@@ -82,7 +81,6 @@ def test_it_agrees_with_the_joint_test_of_a_linear_model(rng, s, T):
     assert (own.status == Status.FAULT).any() and (own.status == Status.CONSISTENT).any()
 
 
-@pytest.mark.slow
 def test_a_missing_sample_makes_its_windows_missing_and_a_batch_equals_its_recordings(rng):
     u, y = windows(rng, 60)
     y[20], u[40] = np.nan, np.nan
@@ -93,7 +91,6 @@ def test_a_missing_sample_makes_its_windows_missing_and_a_batch_equals_its_recor
     assert (both[0] == alone).all() and (both[1] == jb.detect(r, u, y + 0.01).status).all()
 
 
-@pytest.mark.slow
 def test_float32_recordings_are_judged_as_recorded(rng):
     u, y = (x.astype(np.float32) for x in windows(rng, 200))
     result = jb.detect(jb.residual(growth, BOX, 1), u, y)
@@ -120,7 +117,6 @@ def test_explain_shows_unknowns_that_explain_a_window_or_how_many_boxes_exclude_
         result.explain(0)
 
 
-@pytest.mark.slow
 def test_constant_parameters_are_one_value_over_the_window(rng):
     f = lambda z, u, y: [y[k + 1, 0] - (1 + z[0]) * y[k, 0] for k in range(2)]
     box = jb.interval([-0.5], [0.5])

@@ -31,7 +31,7 @@ FAMILIES = RELATIONS | {
 MANY = "strips", "float32", "bank", "long", "lags"
 WINDOWS = [name for name in FAMILIES if name not in OBSERVERS]
 BY_DAY = [name for name in WINDOWS if name not in ("disturbed", "residual")]
-BY_DAY += [pytest.param(name, marks=pytest.mark.slow) for name in ("disturbed", "residual")]
+BY_DAY += [pytest.param(name, marks=pytest.mark.long) for name in ("disturbed", "residual")]
 
 
 def drift(z, u, y):
@@ -109,7 +109,7 @@ def test_a_device_cannot_hide_that_data_are_missing_nor_make_them_missing(rng):
     assert whole.any() and not (status[whole] == Status.MISSING).any()
 
 
-SLOWLY_COMPILED = [pytest.param(name, marks=pytest.mark.slow) for name in OBSERVERS[1:]]
+SLOWLY_COMPILED = [pytest.param(name, marks=pytest.mark.long) for name in OBSERVERS[1:]]
 
 
 @pytest.mark.parametrize("name", [OBSERVERS[0], *SLOWLY_COMPILED])
@@ -225,7 +225,7 @@ def test_a_thread_searches_where_the_thread_that_asks_does():
     assert not probe.is_searching()
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_a_lying_device_makes_no_verdict")
 @pytest.mark.parametrize("name", WINDOWS)
 def test_no_lie_makes_a_fault_of_a_million_windows(name, rng):
     """Two thousand where a lie costs milliseconds: a search that goes on, kernels evaluated in NumPy."""

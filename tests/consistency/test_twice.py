@@ -116,7 +116,6 @@ def test_no_corruption_makes_a_fault(name, rng, corrupted):
     assert faults == 0
 
 
-@pytest.mark.slow
 def test_no_corruption_makes_a_fault_of_a_million_windows(rng, corrupted):
     total = changed = 0
     for name, recordings in (("strips", 700), ("bank", 300), ("float32", 100)):

@@ -2,7 +2,6 @@
 
 import jax
 import numpy as np
-import pytest
 from uncertain_systems import EXAMPLE, entry
 
 import jaxbound as jb
@@ -29,7 +28,6 @@ def test_a_static_model_is_decided_as_the_parameter_allows(rng):
     assert 0.2 < (room < 0).mean() < 0.8 and (status[clear & (room > 0)] != Status.UNDECIDED).mean() > 0.99
 
 
-@pytest.mark.slow
 def test_a_state_that_no_output_shows_changes_no_verdict(rng):
     parameters = lambda n: [
         jb.Uncertainty("th", A=entry((n, n), (0, 0, 0.1))),

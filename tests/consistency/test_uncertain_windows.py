@@ -26,7 +26,7 @@ GOLDEN = (
 long = lambda *x: pytest.param(*x, marks=pytest.mark.long)
 
 
-@pytest.mark.parametrize("name", ["n2p1_Btwo_h3", pytest.param("n3p2_mixed3_h3", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["n2p1_Btwo_h3", pytest.param("n3p2_mixed3_h3", marks=pytest.mark.long)])
 def test_healthy_windows_are_never_faulty(rng, name):
     r = relations(name)
     for at in ("uniform", "vertices"):
@@ -230,7 +230,6 @@ def test_another_pattern_of_missing_samples_compiles_nothing(rng):
     assert found == [] and (more.status[3:] != Status.MISSING).all()
 
 
-@pytest.mark.slow
 def test_patterns_in_one_shape_have_the_verdicts_that_each_has_in_its_own(rng, monkeypatch):
     r, u, y = lossy(rng, 200, 0.04)
     together = jb.detect(r, u, y)

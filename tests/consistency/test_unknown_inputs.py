@@ -68,7 +68,7 @@ def test_relations_annihilate_state_and_unknown_inputs(name, form):
     "name, count",
     [
         *((name, 300) for name in list(PLANTS)[:2]),
-        *(pytest.param(n, 300, marks=pytest.mark.slow) for n in list(PLANTS)[2:4]),
+        *(pytest.param(n, 300, marks=pytest.mark.long) for n in list(PLANTS)[2:4]),
         *(pytest.param(name, 1500, marks=pytest.mark.long) for name in PLANTS),
     ],
 )
@@ -96,7 +96,7 @@ def test_with_gaps_the_verdict_is_that_of_the_program_without_the_row(name, rng)
     [
         (1e6, 400),
         pytest.param(1.0, 4000, marks=pytest.mark.long),
-        pytest.param(1e6, 4000, marks=pytest.mark.slow),
+        pytest.param(1e6, 4000, marks=pytest.mark.long),
     ],
 )
 def test_no_unknown_input_raises_an_alarm_and_a_bias_does(size, T):
@@ -114,7 +114,6 @@ def test_no_unknown_input_raises_an_alarm_and_a_bias_does(size, T):
     assert jb.detect(r, u, ill.y).status[T // 4] == Status.FAULT
 
 
-@pytest.mark.slow
 def test_an_unknown_input_is_drawn_where_none_is_given():
     m = paper(unknown_inputs=[[0], [1]])
     t = jb.simulate(m, np.zeros((3, 500, 1)), jax.random.key(0))

@@ -8,7 +8,7 @@ from systems import paper
 import jaxbound as jb
 
 
-@pytest.mark.parametrize("horizon", [1, pytest.param(8, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("horizon", [1, pytest.param(8, marks=pytest.mark.long)])
 def test_a_gradient_of_margins_is_few_programs(horizon, rng, caplog):
     """What is not in one of them is done operation by operation, each compiled alone."""
     r = jb.parity_relations(paper(), horizon)

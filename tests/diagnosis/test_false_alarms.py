@@ -35,7 +35,7 @@ def new_key(rng):
     [
         (np.float64, "vertices"),
         *(
-            pytest.param(d, at, marks=pytest.mark.slow)
+            pytest.param(d, at, marks=pytest.mark.long)
             for d, at in ((np.float64, "uniform"), (np.float32, "vertices"), (np.float32, "uniform"))
         ),
     ],
@@ -142,8 +142,8 @@ def test_large_levels_raise_no_fault_and_still_show_a_gross_one(case, dtype, rng
     [
         ("paper", 2),
         ("offsets", 1),
-        pytest.param("paper", 1, marks=pytest.mark.slow),
-        pytest.param("three states", 2, marks=pytest.mark.slow),
+        pytest.param("paper", 1, marks=pytest.mark.long),
+        pytest.param("three states", 2, marks=pytest.mark.long),
     ],
 )
 def test_verdicts_are_sharp(name, horizon, dtype, rng):

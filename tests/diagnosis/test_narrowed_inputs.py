@@ -45,7 +45,6 @@ def growth(z, u, y):
     return y[1, 0] - 0.5 * y[0, 0] - (u[0, 0] - LEVEL) - z[0]
 
 
-@pytest.mark.slow
 def test_a_residual_does_not_take_narrowed_inputs_as_exact():
     no_fault(lambda u, y: jb.detect(jb.residual(growth, jb.interval([-1e-4], [1e-4]), 1), u, y).status)
 
@@ -77,7 +76,6 @@ def test_a_monitor_does_not_take_narrowed_inputs_as_exact():
     no_fault(judge)
 
 
-@pytest.mark.slow
 def test_validate_does_not_take_narrowed_inputs_as_exact():
     no_fault(lambda u, y: jb.validate(jb.LinearSystem(**TWICE), u, y).status, outputs=2)
 

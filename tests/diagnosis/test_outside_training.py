@@ -22,6 +22,8 @@ from jaxbound.runs.digest import detect_dataset
 from jaxbound.runs.judges import Live
 from jaxbound.runs.summary import summarised
 
+pytestmark = pytest.mark.compiled
+
 SEEN = {"u1": (-0.5, 0.5)}
 
 

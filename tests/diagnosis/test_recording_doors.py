@@ -389,7 +389,6 @@ def test_simulate_takes_inputs_by_name():
     np.testing.assert_array_equal(jb.simulate(model, table, key).u, both)
 
 
-@pytest.mark.slow
 def test_a_study_takes_inputs_by_name():
     u, _, _ = course()
     model = plant(inputs=["valve", "heat"], B=[[0, 1], [1, 0]])

@@ -10,6 +10,8 @@ from systems import paper
 import jaxbound as jb
 from jaxbound.sets.floats.status import Status
 
+pytestmark = pytest.mark.compiled
+
 RUNS, SAMPLES = 3000, 201
 FAULTS = {
     "A": jb.Fault("y2", "tolerance", 0.16, 20, 60),

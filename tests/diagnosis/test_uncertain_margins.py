@@ -60,13 +60,12 @@ def test_margins_of_several_relations_are_those_of_detect(rng, name, changes):
     check_margins(*noisy(rng, name, **changes))
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_margins_change_with_bounds_and_data")
 def test_margins_of_several_relations_change_with_bounds_and_data(rng):
     r, u, y = noisy(rng, "n3p2_mixed3_h3", noise=[0.02, 0.05])
     check_slopes(rng, r, u[0], y[0], np.r_[50:53])
 
 
-@pytest.mark.slow
 def test_margins_are_those_of_detect_with_lost_samples_too(rng):
     r, u, y = noisy(rng, "n2p1_paper_h3", noise=0.01)
     y[0, 30] = np.nan

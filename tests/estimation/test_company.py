@@ -83,7 +83,6 @@ def test_enclosures_are_the_same_beside_others(method, recordings):
         same((a[:3], b[2]), (b, c))
 
 
-@pytest.mark.slow  # kernels of one more plant
 @pytest.mark.parametrize("method", METHODS)
 def test_outputs_that_are_met_one_after_the_other_are_the_same_beside_others(method, rng):
     u = rng.normal(size=(COUNT, 20, 1))

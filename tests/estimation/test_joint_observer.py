@@ -37,23 +37,19 @@ def test_it_proves_what_programs_over_all_samples_refute_and_nothing_else():
     assert possible >= 10 and proved >= 0.9 * possible
 
 
-def test_the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault(rng):
-    """An unstable plant in float64 at its vertices, a stable one in float32 with x64 off."""
-    assert fault_free(rng, (8, 3), 24, 30, **JOINT) == 2 * 24 * 30
+@pytest.mark.parametrize("plant", [8, 3, 0, 1, 2])
+def test_the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault(rng, plant):
+    """An unstable plant in float64 at its vertices, a stable one in float32 with x64 off, a stable one in float64,
+    an integrating one in float32, an unstable one within.
+    """
+    assert fault_free(rng, [plant], 24, 30, **JOINT) == 24 * 30
 
 
-@pytest.mark.slow
-def test_fault_free_recordings_of_other_plants(rng):
-    """A stable plant in float64 at its vertices, an integrating one in float32, an unstable one within."""
-    assert fault_free(rng, range(3), 24, 30, **JOINT) == 3 * 24 * 30
-
-
-@pytest.mark.long
+@pytest.mark.long(by_day="test_the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault")
 def test_two_hundred_thousand_fault_free_samples(rng):
     assert fault_free(rng, range(96), 64, 40, **JOINT) > 200_000
 
 
-@pytest.mark.slow
 def test_widths_of_a_published_demonstration_are_the_exact_ones(shared, rng):
     """ZETA's demo_linear_estimation, drawn anew: windows of 8 samples beside linear programs over all 31."""
     case = json.loads(shared("external/set_estimation.json").read_text())["zeta_linear_estimation"]
@@ -95,7 +91,7 @@ def test_what_is_proved_near_the_boundary_is_refuted_by_programs(rng):
     assert 5 < refuted < 19 and proved >= 0.95 * refuted
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_it_proves_what_programs_over_all_samples_refute_and_nothing_else")
 def test_five_thousand_cases_near_the_boundary(rng):
     proved, refuted, tried = np.sum([near_the_boundary(rng, 250, 12, seed) for seed in range(20)], 0)
     print(f"{proved} of {refuted} contradictions proved, of {tried} recordings")

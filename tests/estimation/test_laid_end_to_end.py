@@ -16,6 +16,8 @@ from jaxbound.estimation import joint_observer
 from jaxbound.estimation.validation_observer import ValidationObserver
 from jaxbound.recordings.recording import Recording
 
+pytestmark = pytest.mark.compiled
+
 PLANT = jb.LinearSystem([["0.999"]], [[1]], [[1]], noise="0.1", dt=1, inputs="u", outputs="y")
 JUMPS = Fraction("0.2"), Fraction("0.3"), Fraction(50)
 """Of the state behind the gap: the small ones are explained by wrong sets, which then lose the state."""
@@ -229,7 +231,7 @@ def test_random_plants_laid_end_to_end(rng):
     assert many_laid_end_to_end(rng, (0, 5), 24, 4, method="joint", window=8, order=6) > 24 * 20
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_random_plants_laid_end_to_end")
 def test_a_hundred_thousand_samples_laid_end_to_end(rng):
     joint = many_laid_end_to_end(rng, range(48), 64, 4, method="joint", window=8, order=6)
     others = [many_laid_end_to_end(rng, range(48), 32, 16, method=m) for m in ("zonotope", "strips")]

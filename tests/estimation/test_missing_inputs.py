@@ -22,7 +22,7 @@ PLANT = jb.LinearSystem(
 )
 GAIN = jb.Uncertainty("gain", D=[[1]], between=("-0.5", "0.5"))
 MISSING = (12, 20, 29)
-OTHERS = [pytest.param(method, marks=pytest.mark.slow) for method in ("strips", "joint")]
+OTHERS = [pytest.param(method, marks=pytest.mark.long) for method in ("strips", "joint")]
 
 
 def exact_run(model, gain):

@@ -142,7 +142,6 @@ def test_parts_are_weighed_and_the_verdict_is_the_worst(rng):
     np.testing.assert_array_equal(out.state.lo, np.concatenate([first.state.lo, second.state.lo], -1))
 
 
-@pytest.mark.slow
 def test_two_small_models(rng):
     """One compiled shape for all claims: fault-free, located, found too when the sensor is lost, weights that
     are less certain.
@@ -189,7 +188,7 @@ def test_two_small_models(rng):
     assert jb.validate(m, u, shown, x0=box(2)).faulty.any()  # models that claim to be exact blame a sensor
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_parts_are_weighed_and_the_verdict_is_the_worst")
 def test_partial_outputs_of_two_small_models(rng):
     m, T, stretches = small(partial=True), 60, ((10, 20), (35, 45))
     u = rng.uniform(0, 1, (8, T, 1))
@@ -214,7 +213,7 @@ def fits_the_state(m, u, x, y):
     )
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_parts_are_weighed_and_the_verdict_is_the_worst")
 @pytest.mark.parametrize(("s", "count"), [(1, 64), (3, 8)])
 def test_the_paper_s_scenario_from_the_mixture_alone(rng, s, count):
     m = paper()
@@ -247,7 +246,7 @@ def test_the_paper_s_scenario_from_the_mixture_alone(rng, s, count):
             )
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_parts_are_weighed_and_the_verdict_is_the_worst")
 def test_the_paper_s_scenario_where_partial_outputs_are_measured(rng):
     m = paper(partial=True)
     u = rng.uniform(-2, 1, (64, 100, 1))
@@ -265,7 +264,7 @@ def test_the_paper_s_scenario_where_partial_outputs_are_measured(rng):
         assert (blamed == truth).all() and inside(found, x)[:, 1:].all()
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_parts_are_weighed_and_the_verdict_is_the_worst")
 def test_a_plant_that_is_off_needs_uncertain_models(rng):
     m, u = paper(), rng.uniform(-2, 1, (16, 100, 1))
     off = jb.MultiModel(

@@ -14,6 +14,8 @@ from jaxbound.estimation import zonotope_steps
 from jaxbound.estimation.methods import OBSERVERS
 from jaxbound.recordings.recording import Recording
 
+pytestmark = pytest.mark.compiled
+
 METHODS = tuple(OBSERVERS)
 """How an observer may carry its set."""
 
@@ -117,13 +119,13 @@ def fault_free(rng, seeds, N, T, method, dtype=np.float64, sets=SETS):
 
 
 @pytest.mark.parametrize(
-    "method", [METHODS[0], *(pytest.param(one, marks=pytest.mark.slow) for one in METHODS[1:])]
+    "method", [METHODS[0], *(pytest.param(one, marks=pytest.mark.long) for one in METHODS[1:])]
 )
 def test_the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault(rng, method):
     assert fault_free(rng, range(6), 32, 60, method) > 15_000
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault")
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 @pytest.mark.parametrize("method", METHODS)
 def test_two_million_fault_free_samples(rng, method, dtype):

@@ -131,6 +131,6 @@ def test_draws_that_keep_averages_are_never_a_fault():
     assert fault_free([3], 24, 40) == 24 * 40
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_draws_that_keep_averages_are_never_a_fault")
 def test_many_draws_that_keep_averages_are_never_a_fault():
     assert fault_free(range(30), 64, 60) > 100_000

@@ -67,7 +67,7 @@ def tightened():
     "module, name, call, least",
     [
         (zonotope_steps, "follow", observed("zonotope"), 1),
-        pytest.param(hull, "tighten", tightened, 5, marks=pytest.mark.slow),
+        pytest.param(hull, "tighten", tightened, 5, marks=pytest.mark.long),
     ],
     ids=["zonotope", "hull"],
 )

@@ -26,7 +26,7 @@ def plant(gain, unsure, direct):
 
 @pytest.mark.parametrize("direct", [False, True])
 @pytest.mark.parametrize(
-    "options", [{}, pytest.param({"method": "joint", "window": 4}, marks=pytest.mark.slow)], ids=len
+    "options", [{}, pytest.param({"method": "joint", "window": 4}, marks=pytest.mark.long)], ids=len
 )
 def test_an_uncertain_gain_multiplies_what_rounding_took_from_an_input(options, direct):
     found = jb.detect(jb.observer(plant(0, 1, direct), **options), *recording(direct))

@@ -142,7 +142,7 @@ def test_an_enclosure_holds_what_linear_programs_with_free_inputs_allow(name):
 
 @pytest.mark.parametrize(
     "name",
-    ["tank", pytest.param("masses", marks=pytest.mark.slow), pytest.param("gauge", marks=pytest.mark.slow)],
+    ["tank", pytest.param("masses", marks=pytest.mark.long), pytest.param("gauge", marks=pytest.mark.long)],
 )
 def test_every_proof_of_a_fault_is_one_of_a_linear_program(name):
     """Near the boundary: jumps of a sensor from far below to far above what can be proved."""
@@ -162,7 +162,7 @@ def test_every_proof_of_a_fault_is_one_of_a_linear_program(name):
     assert possible >= 6 and proved >= 0.7 * possible
 
 
-@pytest.mark.parametrize("name", ["tank", pytest.param("gauge", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["tank", pytest.param("gauge", marks=pytest.mark.long)])
 def test_joint_observers_prove_nearly_what_programs_with_free_inputs_refute_and_nothing_else(name):
     model, N, T = SYSTEMS[name], 8, 24
     u, x, y = recorded(model, T, 11, N)
@@ -250,7 +250,7 @@ def test_the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault():
     assert known > 0.9 * samples > 1500, "what encloses nothing proves nothing"
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault")
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_half_a_million_fault_free_samples(rng, dtype):
     with jax.enable_x64(dtype == np.float64):
@@ -262,7 +262,7 @@ def test_half_a_million_fault_free_samples(rng, dtype):
     assert samples > 500_000 and known > 0.3 * samples
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault")
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_fifty_thousand_fault_free_samples_of_joint_observers(rng, dtype):
     with jax.enable_x64(dtype == np.float64):
@@ -356,7 +356,6 @@ def test_a_contradiction_of_many_samples_is_one_relation_that_fractions_replay(n
         certify(about, u[0], healthy)
 
 
-@pytest.mark.slow
 def test_an_unknown_input_that_is_made_a_state_is_enclosed_one_sample_later(rng):
     d, u = 1000 * rng.normal(size=(60, 1)), rng.normal(size=(60, 1))
     found = jb.simulate(TANK, u, jax.random.key(1), unknown_input=d, at="vertices")

@@ -50,7 +50,6 @@ def recordings(window):
     return u, y
 
 
-@pytest.mark.slow
 def test_validation_of_the_golden_window_is_as_wide_as_recomputed(golden):
     window = golden["p4_golden_window"]
     u, y = recordings(window)
@@ -77,7 +76,6 @@ def test_a_fault_in_the_golden_window_is_found_as_recomputed(golden):
         assert found.faulty[0, 2].tolist() == [True, False] and found.status[0, 2] == jb.Status.FAULT
 
 
-@pytest.mark.slow
 def test_what_a_fault_inside_the_first_window_does(rng):
     """The newest samples of the first window are tested against its older ones; older ones are taken for
     sound: nothing finds them.
@@ -119,7 +117,6 @@ def test_several_sensors_fail_at_once_and_one_for_long(rng, N, T, method):
         assert spread.max() < size
 
 
-@pytest.mark.slow
 def test_the_exact_hull_of_a_published_record_is_found(shared):
     """Eight set observers are printed; the best two equal the hull by linear programs. So does a window of
     three samples.

@@ -53,7 +53,7 @@ def test_a_recording_is_judged_alike_in_any_company_and_nothing_is_traced_again(
         np.testing.assert_array_equal(a[2:13], b)
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_fault_free_recordings_give_no_alarm")
 @pytest.mark.parametrize("kind", ["steps", "random"])
 @pytest.mark.parametrize("method", ["joint", "sequential"])
 def test_a_million_fault_free_windows_give_no_alarm(rng, method, kind):
@@ -107,7 +107,7 @@ def three_sensors(rng, count, T=60):
     return model, u, x, x + 0.05 * edge(x.shape)
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_fault_free_recordings_give_no_alarm")
 def test_gaps_and_two_of_three_sensors_at_once_with_a_disturbance_of_one_direction(rng):
     model, u, x, y = three_sensors(rng, 32)
     gaps = y.copy()

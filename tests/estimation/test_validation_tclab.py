@@ -42,7 +42,7 @@ def validate(model, u, y):
     return jb.validate(model, u, y, horizon=4, x0=jb.interval(y[:, 0] - NOISE, y[:, 0] + NOISE))
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="estimation/test_validation::test_the_paper_s_system")
 def test_enclosures_hold_on_the_unseen_run_and_a_bias_is_located_and_corrected(plant):
     model, u, y = plant
     onsets = np.arange(20, 190, 10)

@@ -40,7 +40,7 @@ def test_bounds_are_kept_exactly(bound, pairs):
 
 
 @pytest.mark.parametrize("at", ["uniform", "vertices"])
-@pytest.mark.parametrize("dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.long)])
 def test_a_simulation_is_the_exact_trajectory_of_the_disturbances_that_it_drew(at, dtype, rng):
     spec = MODELS["paper"] | PAIR
     plant, u = Plant(**spec), rng.uniform(-1, 1, (25, 1)).astype(dtype)

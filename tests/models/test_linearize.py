@@ -124,7 +124,6 @@ def test_matrices_are_those_of_the_slopes_held_over_a_step(two_tanks):
     )
 
 
-@pytest.mark.slow
 def test_a_healthy_plant_is_never_faulty_and_a_leak_is_seen(rng):
     m = linearize(
         tanks, LEVELS, FLOW, 2.0, region=region_of(0.2), noise=0.001, disturbance=([[1], [0]], [(0, 0)])
@@ -164,7 +163,6 @@ def uncertain():
     )
 
 
-@pytest.mark.slow
 def test_parameters_become_uncertainties_in_their_own_units(uncertain, rng):
     (v,) = uncertain.uncertainties
     assert v.name == "UA" and v.between == (Fraction(1, 5), Fraction(1, 4)) and not v.varying
@@ -178,7 +176,6 @@ def test_parameters_become_uncertainties_in_their_own_units(uncertain, rng):
     assert curved / 2 < hi < 3 * curved and -hi <= lo < 0
 
 
-@pytest.mark.slow
 def test_a_discrete_model_keeps_its_own_steps(rng):
     f = lambda x, u: jnp.array([0.9 * x[0] - 0.1 * x[0] * x[0] + u[0]])
     m = linearize(f, [1.0], [0.2], region={"x": 0.5, "u": 0.1}, continuous=False)
@@ -188,7 +185,6 @@ def test_a_discrete_model_keeps_its_own_steps(rng):
     assert m.A == ((Fraction(7, 10),),) and inside(w, m) and hi - lo < 1.02 * 0.1 * 0.5**2
 
 
-@pytest.mark.slow
 def test_a_curved_output_widens_the_noise():
     h = lambda x, u: jnp.array([x[0], x[0] * x[0]])
     f = lambda x, u: jnp.array([-x[0]])
@@ -219,7 +215,6 @@ def test_bad_input_is_told(change, sentence):
         linearize(f, given.pop("x0"), given.pop("u0"), **given)
 
 
-@pytest.mark.slow
 def test_reactor_and_pendulum_obey_their_models(rng):
     region = {"x": [(0.4, 0.6), (3.4, 3.6)], "u": [(2.9, 3.1)]}
     m = linearize(reactor, [0.5, 3.5], [3.0], 0.05, region=region)
@@ -261,7 +256,6 @@ def test_exponential_and_its_integral_enclose(scale, rng):
     assert (bound > integral * (1 - 1e-4)).all() and (bound.max() < 1.05 * integral.max() or scale > 5)
 
 
-@pytest.mark.slow
 def test_a_kink_is_enclosed_with_all_its_slopes(rng):
     found = plane(lambda x: jnp.abs(x) + jnp.sin(3 * x), [Fraction(-1)], [Fraction(2)])
     x = rng.uniform(-1, 2, 5000)
@@ -270,7 +264,7 @@ def test_a_kink_is_enclosed_with_all_its_slopes(rng):
     assert lo <= r.min() and r.max() <= hi and hi - lo < 1.01 * np.ptp(r)
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_every_step_inside_the_region_obeys_the_model")
 @pytest.mark.parametrize("case", range(9))
 def test_random_plants_obey_their_models_about_any_point(case, rng):
     n, m, q = 1 + case % 3, case % 2, (case // 3) % 3

@@ -82,7 +82,7 @@ TWO_STATES = (
 KINDS = (("uniform", np.float64), ("vertices", np.float64), ("vertices", np.float32))
 CASES = [(name, at, dtype) for name in TWO_STATES for at, dtype in KINDS]
 CASES += [("offsets", "vertices", np.float64), ("no input", "vertices", np.float64)]
-CASES += [pytest.param("three states", "uniform", np.float32, marks=pytest.mark.slow)]
+CASES += [pytest.param("three states", "uniform", np.float32, marks=pytest.mark.long)]
 
 
 def worst_error(plant, x0, t):
@@ -123,7 +123,6 @@ def test_samples_stay_exact_when_the_model_is_a_constant_of_a_compiled_function(
     )
 
 
-@pytest.mark.slow
 def test_samples_stay_exact_in_a_large_batch(rng):
     plant, u = Plant(**HARD["far offset"]), inputs("far offset", LARGE, rng)
     t = jb.simulate(build("far offset"), u, key(rng))

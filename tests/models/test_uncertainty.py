@@ -122,7 +122,7 @@ def test_a_block_of_a_file_that_means_nothing_is_refused(block, message, tmp_pat
         jb.load_model(path)
 
 
-@pytest.mark.parametrize("at", [pytest.param("uniform", marks=pytest.mark.slow), "vertices"])
+@pytest.mark.parametrize("at", [pytest.param("uniform", marks=pytest.mark.long), "vertices"])
 def test_parameters_are_drawn_within_the_box_each_as_it_varies(at):
     m = model("n2p1_paper_h3")
     drawn = np.asarray(jb.simulate(m, np.zeros((20, 100, 1)), jax.random.key(3), at=at).parameters)
@@ -131,7 +131,6 @@ def test_parameters_are_drawn_within_the_box_each_as_it_varies(at):
     assert np.ptp(drawn[:, 0, 1]) > 1 and (at == "uniform" or (abs(drawn) == 1).all())
 
 
-@pytest.mark.slow
 def test_a_simulation_is_the_exact_trajectory_to_the_last_digit(rng):
     name = "n3p2_mixed3_h3"
     matrices, parameters, _ = SYSTEMS[name]

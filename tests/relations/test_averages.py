@@ -44,7 +44,7 @@ CASES = {
     "lags": (dict(averages={"y1": {3: 0.2}, "w1": [([1, -1], 0.1)]}, disturbance=WALK), dict(lags=(0, 1, 6))),
 }
 SAMPLES, RUNS = 60, (8, 300, 1)
-SLOW = pytest.mark.slow  # one more search compiled each
+SLOW = pytest.mark.long  # one more search compiled each
 
 
 @cache
@@ -142,7 +142,8 @@ def test_verdicts_and_the_size_of_margins_are_those_of_a_linear_program(kind):
 
 
 @pytest.mark.parametrize("kind", ["disturbed", pytest.param("lags", marks=SLOW)])
-@pytest.mark.usefixtures("by_xla")
+@pytest.mark.compiled
+@pytest.mark.usefixtures("many")
 def test_windows_that_are_settled_first_have_margins_that_a_linear_program_confirms(kind):
     u, y, exact = detected(kind)
     r = relations(kind)
@@ -278,13 +279,13 @@ def compared(rng, models, each=12):
     return windows, broken, faults
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_verdicts_and_the_size_of_margins_are_those_of_a_linear_program")
 def test_random_models_agree_with_linear_programs(rng):
     windows, broken, faults = compared(rng, 6, 20)
     assert windows >= 60 and broken and 0.1 * windows < faults < 0.95 * windows
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_verdicts_and_the_size_of_margins_are_those_of_a_linear_program")
 def test_many_random_models_agree_with_linear_programs(rng):
     windows, broken, faults = compared(rng, 150, 20)
     assert windows >= 2000 and broken > 100 and 0.1 * windows < faults < 0.95 * windows

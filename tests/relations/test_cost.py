@@ -2,7 +2,6 @@
 made.
 """
 
-import time
 from fractions import Fraction
 
 import numpy as np
@@ -94,14 +93,13 @@ def test_what_takes_more_than_a_minute_is_said_first():
     refuse_or_say(50, "strips", "ask")
 
 
-@pytest.mark.slow
-def test_an_observer_of_24_states_is_made_in_seconds(rng):
-    """A left inverse by one elimination, and what acts at each step from the step behind it: minutes
-    before.
+def test_an_observer_of_many_states_is_made_in_few_calls(rng):
+    """A left inverse by one elimination, and what acts at each step from the step behind it: 24 states took
+    minutes before.
     """
-    start = time.process_time()
-    watch = jb.observer(dense(24, 2, rng))
-    assert watch.horizon == 11 and time.process_time() - start < 30
+    with at_most(MANY // 10):
+        watch = jb.observer(dense(12, 2, rng))
+    assert watch.horizon == 5
 
 
 def test_code_that_calls_more_than_it_may_is_stopped():

@@ -195,7 +195,7 @@ def degrees_by_flint(plant, longest):
     return [h for h in range(longest + 1) for _ in range(null[h + 2] - 2 * null[h + 1] + null[h])]
 
 
-@pytest.mark.parametrize("count, largest", [(60, 5), pytest.param(500, 10, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count, largest", [(60, 5), pytest.param(500, 10, marks=pytest.mark.long)])
 def test_degrees_of_random_systems_are_exact_and_the_elimination_agrees_or_says_why_not(count, largest, rng):
     agreed = refused = 0
     for i in range(count):

@@ -99,7 +99,7 @@ def image(r, u, y, how="compiled"):
         return tuple(map(np.asarray, both(r.reading(y.dtype), jax.numpy.asarray(u), jax.numpy.asarray(y))))
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_image_is_the_exact_zonotope_within_its_error")
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_image_out_of_jit_is_the_exact_zonotope_within_its_error(dtype, rng):
     check_image(5, dtype, rng, "eager")
@@ -328,7 +328,6 @@ def test_external_is_the_residual_at_the_middle_of_all_bounds(rng):
     assert np.asarray(r.external(np.stack([u, u]), np.stack([y, y]))).shape == (2, 9, 3)
 
 
-@pytest.mark.slow
 def test_healthy_residuals_are_inside_their_internal_forms(rng):
     r = relations("n3p2_mixed3_h3", noise=0.02)
     t = jb.simulate(

@@ -162,7 +162,6 @@ class TestRecorded:
         assert decode(whole["series"]["s1"][1]).max() == 7 and whole["status"].count("3") == len(alarms)
         assert len(found["near"]) == len(found["alarms"]) == len(alarms)
 
-    @pytest.mark.slow
     def test_a_million_rows_and_200_alarms_are_one_megabyte(self, tmp_path):
         T = 1_000_000
         status = np.full(T, CONSISTENT, np.int8)

@@ -13,6 +13,8 @@ from jaxbound.runs.digest import detect_dataset
 from jaxbound.runs.partnotes import read_extremes
 from jaxbound.runs.parts import part_files
 
+pytestmark = pytest.mark.compiled
+
 
 @pytest.fixture(scope="module")
 def found(case, tmp_path_factory):

@@ -24,7 +24,7 @@ from jaxbound.reports.validation import write_page
 from jaxbound.runs.summary import summarised
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(BROWSER is None, reason="no browser on this machine")]
+pytestmark = pytest.mark.skipif(BROWSER is None, reason="no browser on this machine")
 
 
 WATCH = """

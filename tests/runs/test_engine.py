@@ -29,7 +29,7 @@ from jaxbound.runs.parts import part_files
 from jaxbound.workers import engine
 from jaxbound.workers.engine import connected, spread
 
-pytestmark = pytest.mark.usefixtures("small")
+pytestmark = [pytest.mark.usefixtures("small"), pytest.mark.compiled]
 WRITTEN = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d \+0000")  # when a page was written
 
 
@@ -299,7 +299,7 @@ class TestCommand:
 
 
 class TestMany:
-    @pytest.mark.long
+    @pytest.mark.long(by_day="test_a_worker_that_dies_costs_its_task_alone")
     def test_twenty_kills(self, case, one, client, tmp_path, monkeypatch):
         """Workers are killed at random while a recording is judged again and again; each run ends with the
         same bytes.
@@ -324,7 +324,6 @@ class TestMany:
             runs += 1
         assert len(set(killed)) > 10 and runs < 20
 
-    @pytest.mark.slow
     def test_a_scheduler_that_dies_and_the_same_call_with_another(self, case, tmp_path, monkeypatch):
         pytest.importorskip("distributed", reason="dask.distributed is not installed")
         r, folder, _, _ = case("section 5")

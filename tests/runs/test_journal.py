@@ -117,7 +117,7 @@ print(kills)
 
 
 @pytest.mark.posix("forks and kills")
-@pytest.mark.parametrize("seed", [0, *(pytest.param(i, marks=pytest.mark.slow) for i in range(1, 6))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(i, marks=pytest.mark.long) for i in range(1, 6))])
 def test_killed_at_any_time_no_row_is_lost_doubled_or_another(tmp_path, expected, seed):
     """SIGKILL at a time that the seed draws, again and again, until a process comes to the end."""
     place = {"PYTHONPATH": os.pathsep.join(sys.path)}

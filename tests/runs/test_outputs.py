@@ -25,6 +25,8 @@ from jaxbound.cli import evaluation, main, pipe
 from jaxbound.files.checkpoint import Checkpoint
 from jaxbound.runs import fleet, streaming
 
+pytestmark = pytest.mark.compiled
+
 MODEL = "# bounds measured by hand\n"  # a comment that no program would write again
 
 
@@ -636,7 +638,6 @@ class TestSignals:
         assert "the same command goes on from there" in capsys.readouterr().err
         assert main.main([*PARQUET, "--chunk", "1000"]) == 1 and len(calls) < 4 + 7
 
-    @pytest.mark.slow
     def test_killed_without_a_word_and_run_again(self, place, capsys):
         process = subprocess.Popen([sys.executable, "-c", SLOW], cwd=place, stdout=subprocess.PIPE)
         assert process.stdout.read(5) == b"ready"
@@ -659,7 +660,6 @@ class TestSignals:
             "tested_model.toml",
         }
 
-    @pytest.mark.slow
     @pytest.mark.parametrize("number, code", [(signal.SIGTERM, 143), (SIGHUP, 129)])
     def test_from_a_shell(self, place, number, code):
         process = subprocess.Popen(

@@ -25,7 +25,7 @@ from jaxbound.runs.streaming import Asked, write_parts
 COUNT = 6  # parts of the recording
 
 
-pytestmark = pytest.mark.usefixtures("small")
+pytestmark = [pytest.mark.usefixtures("small"), pytest.mark.compiled]
 
 
 def shares(case, out, n, order=None, **options):

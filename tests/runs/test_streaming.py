@@ -27,6 +27,8 @@ from jaxbound.runs.streaming import Asked, publish, write_parts
 from jaxbound.runs.summary import evidence
 from jaxbound.runs.verdictfiles import write_alarms
 
+pytestmark = pytest.mark.compiled
+
 
 def flip(path, at):
     """Turn one bit of a byte over; dates and size stay as they are."""

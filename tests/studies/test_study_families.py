@@ -129,7 +129,6 @@ def test_a_gradient_of_constant_gains_is_refused_with_its_reason():
 SEVERAL = ({"name": "quick", "horizon": 1}, {"name": "slow", "horizon": 2, "factor": 2})
 
 
-@pytest.mark.slow
 def test_a_monitor_sees_a_scenario_when_the_first_of_its_tests_does(tmp_path):
     """Each test alone is counted by the kernel of studies, the monitor by recordings."""
     about = dict(faults="y1:drift", n=60, key=3, sizes=[0.0, 0.03, 0.1], samples=40, onset=20)

@@ -65,7 +65,7 @@ def verbs():
 
 @pytest.mark.parametrize(
     "verb",
-    ["inclusion", "pave", *(pytest.param(v, marks=pytest.mark.slow) for v in ("linearize", "residual"))],
+    ["inclusion", "pave", *(pytest.param(v, marks=pytest.mark.long) for v in ("linearize", "residual"))],
 )
 def test_a_lambda_written_again_compiles_nothing(verb, caplog):
     call = verbs()[verb]

@@ -120,7 +120,7 @@ def test_no_random_composition_misses_its_value(dtype, rng):
     assert compared > 100
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_no_random_composition_misses_its_value")
 @pytest.mark.parametrize("dtype", DTYPES)
 def test_no_composition_of_many_misses_its_value(dtype, rng):
     names = list(UNARY) if dtype == np.float64 else PLAIN

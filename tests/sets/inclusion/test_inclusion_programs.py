@@ -148,8 +148,8 @@ def test_an_empty_box_has_an_empty_image(method):
     "method",
     [
         "natural",
-        pytest.param("mean_value", marks=pytest.mark.slow),
-        pytest.param("best", marks=pytest.mark.slow),
+        pytest.param("mean_value", marks=pytest.mark.long),
+        pytest.param("best", marks=pytest.mark.long),
     ],
 )
 @pytest.mark.parametrize(("lo", "hi"), [(-1, 2), (0, 0), (-600, 700), (-np.inf, 1), (1, np.inf)], ids=str)

@@ -54,7 +54,7 @@ FEW = ("nan_to_num", "isnan", "less", "nansum", "while under vmap")
 
 
 @pytest.mark.parametrize(
-    "names", [FEW, pytest.param(tuple(PROGRAMS), marks=pytest.mark.slow)], ids=["few", "all"]
+    "names", [FEW, pytest.param(tuple(PROGRAMS), marks=pytest.mark.long)], ids=["few", "all"]
 )
 def test_a_program_that_makes_a_number_of_nan_or_loops_under_vmap_is_enclosed(names, rng):
     every = lambda z: {name: PROGRAMS[name](z) for name in names}
@@ -82,7 +82,7 @@ def test_a_box_inside_the_domain_leaves_the_answer_to_nan_questions_sure():
     )
 
 
-@pytest.mark.parametrize("method", ["natural", pytest.param("best", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("method", ["natural", pytest.param("best", marks=pytest.mark.long)])
 def test_no_method_believes_a_derivative_where_nan_is_caught(method):
     found = inclusion(lambda z: jnp.where(jnp.isnan(jnp.sqrt(z[0])), 100.0, z[0]), method)(
         interval([-1.0], [1.0])

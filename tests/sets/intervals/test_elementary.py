@@ -64,7 +64,7 @@ def test_the_value_at_a_point_is_enclosed_within_eight_ulps(rng, op, dtype):
     assert len(ulps) > COUNT / 3 and np.quantile(ulps, 0.99) <= 8 and max(ulps) <= 9.5
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_the_value_at_a_point_is_enclosed_within_eight_ulps")
 @each_op
 @each_dtype
 def test_a_million_points_are_enclosed(rng, op, dtype):

@@ -75,7 +75,7 @@ def test_binary_operations_enclose_on_every_pair_of_corners(dtype):
 
 
 SLOWER = [
-    pytest.param(mode, dtype, marks=pytest.mark.slow)
+    pytest.param(mode, dtype, marks=pytest.mark.long)
     for mode, dtype in (("eager", np.float64), ("jit", np.float32), ("vmap", np.float64))
 ]
 

@@ -43,7 +43,7 @@ EXACT = {**{op: f for op, f in BINARY.items()}, "sum": lambda a, b: a + b}
 
 @each_dtype
 @pytest.mark.parametrize(
-    "run", [pytest.param(lambda f: f, marks=pytest.mark.slow), jax.jit], ids=["eager", "jit"]
+    "run", [pytest.param(lambda f: f, marks=pytest.mark.long), jax.jit], ids=["eager", "jit"]
 )
 def test_operations_on_subnormal_fields_enclose_the_exact_results(rng, dtype, run):
     x, y = drawn(rng, dtype), drawn(rng, dtype)
@@ -117,7 +117,7 @@ def test_precisions_mix_without_losing_a_subnormal_number():
 
 
 @pytest.mark.parametrize(
-    "dtype", [pytest.param(t, marks=[pytest.mark.slow] if t == np.float32 else []) for t in DTYPES]
+    "dtype", [pytest.param(t, marks=[pytest.mark.long] if t == np.float32 else []) for t in DTYPES]
 )
 def test_a_bound_that_is_nan_bounds_nothing(dtype):
     x, one = (

@@ -231,7 +231,7 @@ def in_float32(cases, arguments):
 
 
 IN_FLOAT32 = [
-    pytest.param(op, marks=[] if op in ("add", "mul", "div", "sqr", "exp") else pytest.mark.slow)
+    pytest.param(op, marks=[] if op in ("add", "mul", "div", "sqr", "exp") else pytest.mark.long)
     for op in SETS
 ]
 

@@ -28,7 +28,7 @@ def vertex(rng, X):
     return np.where(rng.random(X.shape) < 0.5, np.asarray(X.lo), np.asarray(X.hi)).astype(float)
 
 
-@pytest.mark.parametrize("dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.long)])
 def test_exact_solutions_of_vertex_systems_are_enclosed(rng, dtype):
     n, count, N = 4, 3, 64
     M = interval_matrix(rng, n + count - 1, n, dtype)
@@ -46,7 +46,6 @@ def test_exact_solutions_of_vertex_systems_are_enclosed(rng, dtype):
             assert Fraction(float(box.lo[system, i, k])) <= x[i] <= Fraction(float(box.hi[system, i, k]))
 
 
-@pytest.mark.slow
 def test_what_is_not_regular_is_answered_by_everything(rng):
     M = jb.interval(np.array([[1.0, 1.0], [1.0, 1.0]]))
     box = solve(prepare(M[..., None]), jb.interval(np.ones((2, 5))))

@@ -65,13 +65,12 @@ def test_published_2x2_systems_are_reproduced(published):
     assert sum(_compare(_of_size(published, 2), method, "midpoint") for method in ("gauss", "hbr")) == 8
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("method", ["krawczyk", "gauss_seidel", "hull"])
 def test_published_2x2_systems_are_no_wider_by_the_slower_methods(published, method):
     assert _compare(_of_size(published, 2), method, "midpoint") == (method != "hull") * 4
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_published_2x2_systems_are_reproduced")
 @pytest.mark.parametrize("precondition", ["midpoint", "none"])
 @pytest.mark.parametrize("n", [2, 3, 4])
 def test_all_published_systems_are_reproduced(published, n, precondition):
@@ -81,7 +80,6 @@ def test_all_published_systems_are_reproduced(published, n, precondition):
     assert compared >= {2: 10, 3: 3, 4: 2}[n]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "methods",
     [{"gauss": "G", "hbr": "HBR"}, {"gauss_seidel": "GS", "krawczyk": "K"}],
@@ -182,7 +180,7 @@ def test_solutions_at_every_combination_of_ends_are_enclosed(rng):
         assert _vertex_misses(M, h, solve_interval(M, h, method).x) == 0
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_random_systems_are_enclosed")
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 @pytest.mark.parametrize("n", range(2, 13))
 def test_twenty_thousand_random_systems_are_enclosed(rng, dtype, n):
@@ -221,7 +219,6 @@ def test_many_systems_are_solved_like_few_and_stay_in_order(rng):
     np.testing.assert_allclose(few.x.lo, many.x.lo[across], rtol=1e-12)
 
 
-@pytest.mark.slow
 def test_a_matrix_that_all_systems_share_is_prepared_once_and_gives_the_same(rng):
     M, h = _random_systems(rng, 2 * BLOCK + 5, 2)
     shared = solve_interval(M[3], h, "hbr")
@@ -242,7 +239,6 @@ def test_a_matrix_that_may_be_singular_gets_a_status_and_no_box():
     _check_singular(["gauss", "hbr"])
 
 
-@pytest.mark.slow
 def test_a_matrix_that_may_be_singular_gets_a_status_and_no_box_by_the_slower_methods():
     _check_singular(["krawczyk", "hull"])
 
@@ -276,7 +272,7 @@ def test_more_rows_than_unknowns_hold_at_once_and_a_contradiction_is_a_proof(rng
     assert (solve_interval(M, shifted, "gauss").status == Solvability.INFEASIBLE).mean() > 0.8
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_more_rows_than_unknowns_hold_at_once_and_a_contradiction_is_a_proof")
 def test_the_hull_of_more_rows_than_unknowns_is_narrower(rng):
     M, right, x, shifted = _overdetermined(rng)
     found = solve_interval(M, right, "hull")
@@ -302,7 +298,7 @@ def test_a_second_call_does_not_trace(rng):
     assert _solve._cache_size() == before
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_random_systems_are_enclosed")
 def test_eager_boxes_hold_the_solutions(rng):
     M, h = _random_systems(rng, 3, 2)
     with jax.disable_jit():

@@ -65,7 +65,6 @@ def test_a_solution_on_the_edge_of_the_box_is_not_claimed_from_outside():
         assert jb.pave(f, interval([0.0, 0.0], [inside, 3.0]), [2.0, 0.0]).status == want
 
 
-@pytest.mark.slow
 def test_a_variable_of_no_width_is_a_constant():
     f = lambda z: [z[0] * z[1]]
     found = jb.pave(f, interval([0.5, 0.0], [0.5, 1.0]), [[0.25], [0.75]])
@@ -87,7 +86,6 @@ def test_a_false_derivative_rule_is_not_believed():
     assert found.status.tolist() == [Status.FAULT, Status.CONSISTENT]
 
 
-@pytest.mark.slow
 def test_kinks_are_no_obstacle():
     found = jb.pave(
         lambda z: [jnp.abs(z[0]) + jnp.maximum(z[1], 0.3), z[0] + z[1]],

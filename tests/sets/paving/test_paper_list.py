@@ -67,7 +67,7 @@ def paper_algorithm(target, y, threshold):
     return not waiting, evaluated
 
 
-@pytest.mark.parametrize("q", [2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("q", [2, pytest.param(3, marks=pytest.mark.long)])
 def test_boxes_are_those_of_the_papers_list_one_window_at_a_time(q, rng):
     (u, y), (more_u, more_y) = outside(rng, 22), windows(2, rng)
     u, y = np.concatenate([u, more_u]), np.concatenate([y, more_y])

@@ -86,7 +86,7 @@ def test_both_solutions_of_the_figure_are_proved_in_fewer_boxes_than_the_paper_n
 
 
 @pytest.mark.parametrize(
-    "cut", ["smear", *(pytest.param(c, marks=pytest.mark.slow) for c in ("alternate", "widest"))]
+    "cut", ["smear", *(pytest.param(c, marks=pytest.mark.long) for c in ("alternate", "widest"))]
 )
 def test_a_thousand_random_targets_get_the_answer_of_the_exact_solver(rng, cut):
     count = 1000 if cut == "smear" else 200
@@ -152,8 +152,8 @@ def quadratic(z, c, A, B):
 @pytest.mark.parametrize(
     ("m", "n", "dtype"),
     [
-        pytest.param(1, 2, np.float32, marks=pytest.mark.slow),
-        pytest.param(2, 2, np.float64, marks=pytest.mark.slow),
+        pytest.param(1, 2, np.float32, marks=pytest.mark.long),
+        pytest.param(2, 2, np.float64, marks=pytest.mark.long),
         *(pytest.param(m, n, np.float64, marks=pytest.mark.long) for m, n in ((1, 2), (2, 3))),
     ],
 )
@@ -172,7 +172,6 @@ def test_what_a_point_of_the_box_gives_is_never_a_fault_and_mostly_proved(rng, m
     assert not (found.status == Status.FAULT).any() and (found.status == Status.CONSISTENT).mean() > 0.5
 
 
-@pytest.mark.slow
 def test_a_surplus_variable_leaves_a_witness_over_which_the_equation_changes_sign(rng):
     f = lambda z: z[0] * z[1] + z[2] ** 2
     targets = np.r_[rng.uniform(-0.9, 1.8, 40), [2.01, 3.0, -1.01]][:, None]
@@ -192,7 +191,6 @@ def test_a_surplus_variable_leaves_a_witness_over_which_the_equation_changes_sig
         )
 
 
-@pytest.mark.slow
 def test_a_jump_that_skips_the_target_proves_nothing():
     f = lambda z: jnp.where(z[0] > 0.1, z[0] + 1, z[0] - 1)
     found = jb.pave(f, interval([-1.0], [1.0]), [[0.1], [-1.5], [1.5], [3.0]])
@@ -209,7 +207,6 @@ def test_where_the_function_has_no_value_there_is_no_solution():
     ]  # the last needs z2 > 1, or z1 < 0
 
 
-@pytest.mark.slow
 def test_more_equations_than_unknowns_are_only_excluded():
     f = lambda z: [z[0] + z[1], z[0] - z[1], z[0] * z[1]]
     found = jb.pave(f, interval([0.0, 0.0], [1.0, 1.0]), [[0.75, 0.25, 0.125], [0.75, 0.25, 0.126]])

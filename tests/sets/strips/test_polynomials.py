@@ -97,7 +97,6 @@ def test_slopes_are_the_derivatives_and_bend_bounds_their_change(rng):
                 assert abs(slope[i][j] - there[i][j]) <= far * Fraction(float(bend[i, k]))
 
 
-@pytest.mark.slow
 def test_a_multiaffine_range_is_that_of_its_vertices(rng):
     value, spread, rad, error = draw(rng, PLAIN, count=12)
     value[:, 0] *= 4

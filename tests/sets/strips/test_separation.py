@@ -133,7 +133,7 @@ def run(case, dtype, steps=60, change=None):
     return np.asarray(out), np.asarray(settled), h, d
 
 
-@pytest.mark.parametrize("dtype", [DTYPES[0], pytest.param(DTYPES[1], marks=pytest.mark.slow)])
+@pytest.mark.parametrize("dtype", [DTYPES[0], pytest.param(DTYPES[1], marks=pytest.mark.long)])
 def test_windows_exactly_on_the_boundary_are_never_fault(dtype, rng):
     for _ in range(10):
         case = Case(rng, dtype=dtype)
@@ -146,7 +146,7 @@ def test_windows_exactly_on_the_boundary_are_never_fault(dtype, rng):
 
 
 @pytest.mark.parametrize(
-    "dtype, push", [(np.float64, 1e-9), pytest.param(np.float32, 1e-2, marks=pytest.mark.slow)]
+    "dtype, push", [(np.float64, 1e-9), pytest.param(np.float32, 1e-2, marks=pytest.mark.long)]
 )
 def test_every_verdict_near_the_boundary_is_proved_and_sharp(dtype, push, rng):
     faults = explained = 0
@@ -225,7 +225,6 @@ def test_margins_and_verdicts_say_the_same(rng):
     np.testing.assert_allclose(out, margin(frame, mid, rad, known), rtol=1e-12, atol=1e-13)
 
 
-@pytest.mark.slow
 def test_gradients_are_those_of_finite_differences(rng):
     case = Case(rng, rng.uniform(-0.9, 3, N), jitter=0.3)
     frame, mid, rad, *_, known, _ = case.floats(np.float64)
@@ -242,7 +241,7 @@ def test_gradients_are_those_of_finite_differences(rng):
             np.testing.assert_allclose(np.sum(got[part][i]), difference, rtol=1e-5, atol=1e-5)
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_every_verdict_near_the_boundary_is_proved_and_sharp")
 def test_the_proofs_say_the_same_eagerly(rng):
     case = Case(rng, rng.choice([-1e-3, 1e-3, 1.0], N))
     frame, mid, rad, scale, known, known_scale = case.floats(np.float64)

@@ -116,13 +116,13 @@ def check_against_programs(rng, r, q, count):
     return int((margin < 0).sum()), int((margin > 0).sum())
 
 
-@pytest.mark.parametrize("r", [2, *(pytest.param(r, marks=pytest.mark.slow) for r in (1, 3))])
+@pytest.mark.parametrize("r", [2, *(pytest.param(r, marks=pytest.mark.long) for r in (1, 3))])
 def test_margins_have_the_sign_and_size_of_linear_programs(rng, r):
     outside, inside = check_against_programs(rng, r, COLUMNS[r], 300)
     assert outside > 10 and inside > 30
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_margins_have_the_sign_and_size_of_linear_programs")
 @pytest.mark.parametrize(("r", "q"), [(1, 20), (2, 20), (3, 12), (4, 20), (5, 20)])
 def test_margins_have_the_sign_of_linear_programs_on_20000_zonotopes(rng, r, q):
     for fewest in (5, 10):
@@ -135,7 +135,7 @@ def test_margins_have_the_sign_of_linear_programs_on_20000_zonotopes(rng, r, q):
 
 
 @pytest.mark.parametrize(
-    "r", [2, pytest.param(3, marks=pytest.mark.slow), pytest.param(4, marks=pytest.mark.long)]
+    "r", [2, pytest.param(3, marks=pytest.mark.long), pytest.param(4, marks=pytest.mark.long)]
 )
 def test_a_set_whose_boundary_goes_through_0_is_never_refuted_nor_held(rng, r):
     """Integers: c = -G z with z at the vertex that h selects is exactly on the boundary; a hair further is
@@ -158,7 +158,7 @@ def test_a_set_whose_boundary_goes_through_0_is_never_refuted_nor_held(rng, r):
     assert not (outside[real] > 0).any() and (outside[real] < 0).mean() > 0.9
 
 
-@pytest.mark.parametrize("r", [2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("r", [2, pytest.param(3, marks=pytest.mark.long)])
 def test_errors_of_the_entries_count(rng, r):
     """A set that holds 0 for some entries within their errors is never refuted: here c is moved out by all
     that the errors allow.
@@ -188,7 +188,6 @@ def test_a_refuting_direction_is_a_proof_in_exact_rationals(rng):
         assert abs(dot(c[k])) > sum(abs(dot(column)) for column in G[k].T)
 
 
-@pytest.mark.slow
 def test_naive_strips_miss_what_rank_aware_ones_see(rng):
     """Six generators in a plane of R^3 (golden "Degeneracy"): all normals of pairs are the plane's, which
     says nothing within it.
@@ -249,7 +248,7 @@ def test_many_windows_with_numbers_that_say_nothing_prove_nothing(rng, bad):
     assert np.array_equal(np.delete(margin, at), np.delete(usual, at))
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_margins_have_the_sign_and_size_of_linear_programs")
 def test_float32_and_uncompiled_code_prove_the_same(rng):
     c, G = (x.astype(np.float32) for x in columns_first(*draw(rng, 2, COLUMNS[2], 64)))
     single, double = (

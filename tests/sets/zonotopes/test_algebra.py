@@ -17,7 +17,7 @@ from jaxbound.sets import ConstrainedZonotope, Interval, Zonotope
 SHAPES = [(2, 0), (3, 7)]
 DTYPES = [np.float64, np.float32]
 CASES = [("eager", np.float64), ("jit", np.float64), ("vmap", np.float64), ("vmap", np.float32)]
-CASES += [pytest.param(way, np.float32, marks=pytest.mark.slow) for way in ("eager", "jit")]
+CASES += [pytest.param(way, np.float32, marks=pytest.mark.long) for way in ("eager", "jit")]
 every_way = pytest.mark.parametrize(
     ("way", "dtype"), CASES
 )  # compiling is what takes time: `test_algebra_many` has more shapes
@@ -484,7 +484,7 @@ ONE = np.ones((1, 1))
         lambda: sets.intersection(WIDE, NARROW).constraints[0, 1:],
         lambda: sets.interval_hull(Zonotope(WIDE.center, NARROW.generators)).hi,
         *(
-            pytest.param(f, marks=pytest.mark.slow)
+            pytest.param(f, marks=pytest.mark.long)
             for f in (
                 lambda: sets.linear_map(ONE.astype(np.float32), WIDE, np.zeros(1, np.float32)).generators[0],
                 lambda: sets.scale(NARROW, np.float64(1.0)).generators[0],

@@ -297,7 +297,7 @@ CHECKS |= {f"reduce_order {m}": reductions(m) for m in ("girard", "combastel", "
 @pytest.mark.parametrize(
     "how",
     [
-        pytest.param(FEW, id="few", marks=pytest.mark.slow),
+        pytest.param(FEW, id="few", marks=pytest.mark.long),
         pytest.param(MANY, id="many", marks=pytest.mark.long),
     ],
 )

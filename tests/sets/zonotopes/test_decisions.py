@@ -44,7 +44,7 @@ def test_points_of_sets_with_many_rows_are_decided_as_by_linear_programs(rng):
     assert wrong_and_open(rng, [(70, 90)], ["general", "repeated"], 2, 2) == (0, 0)
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_points_near_and_far_from_the_boundary_are_decided_as_by_linear_programs")
 def test_ten_thousand_points_are_decided_as_by_linear_programs(rng):
     wrong, left = wrong_and_open(
         rng, [(1, 3), (2, 5), (3, 8), (5, 9), (12, 24), (20, 40), (50, 100)], KINDS, 40, 9
@@ -81,7 +81,7 @@ def test_constrained_zonotopes_are_empty_where_linear_programs_say_so(rng):
     assert empty_and_open(rng, [(3, 12, 4), (20, 60, 20)], 12) == (0, 0)
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_constrained_zonotopes_are_empty_where_linear_programs_say_so")
 def test_five_thousand_constrained_zonotopes_are_empty_where_linear_programs_say_so(rng):
     wrong, left = empty_and_open(rng, [(2, 6, 1), (3, 12, 4), (20, 60, 20)], 1700)
     print(f"5100 constrained zonotopes: {wrong} wrong, {left} open")

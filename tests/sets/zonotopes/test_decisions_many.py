@@ -99,20 +99,23 @@ def inclusions_wrong_and_open(rng, sizes, kinds, count):
     return wrong, left
 
 
-@pytest.mark.slow
 def test_some_pairs_and_inclusions_are_decided_as_by_linear_programs_and_exact_numbers(rng):
     assert meets_wrong_and_open(rng, [(2, 5)], KINDS, 6) == (0, 0)
     assert inclusions_wrong_and_open(rng, [(2, 5)], ["general", "integer"], 6) == (0, 0)
 
 
-@pytest.mark.long
+@pytest.mark.long(
+    by_day="sets/zonotopes/test_decisions::test_two_sets_meet_where_a_linear_program_says_so_and_are_separated_where_not"
+)
 def test_ten_thousand_pairs_of_sets_are_decided_as_by_linear_programs(rng):
     wrong, left = meets_wrong_and_open(rng, [(1, 3), (2, 5), (3, 8), (5, 9), (12, 24)], KINDS, 500)
     print(f"10000 pairs: {wrong} wrong, {left} open")
     assert wrong == 0 and left <= 10
 
 
-@pytest.mark.long
+@pytest.mark.long(
+    by_day="sets/zonotopes/test_decisions::test_a_zonotope_shrunk_is_held_and_one_that_reaches_out_is_not"
+)
 def test_ten_thousand_inclusions_are_decided_as_by_linear_programs_and_exact_numbers(rng):
     wrong, left = inclusions_wrong_and_open(rng, [(1, 3), (2, 5), (3, 7), (5, 9)], KINDS, 625)
     print(f"10000 inclusions: {wrong} wrong, {left} open where the condition for YES holds")

@@ -184,7 +184,7 @@ def test_some_random_sets_are_as_in_exact_numbers(check, rng):
     assert total >= 100 and wrong == 0
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_some_random_sets_are_as_in_exact_numbers")
 @pytest.mark.parametrize("check", CHECKS, ids=lambda f: f.__name__)
 def test_ten_thousand_random_sets_are_as_in_exact_numbers(check, rng):
     total, wrong = check(rng, 1)

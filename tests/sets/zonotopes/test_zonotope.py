@@ -250,7 +250,6 @@ def test_support_is_an_upper_bound_and_tight(rng, mode, dtype):
         assert exact <= value and Fraction(value) - exact <= 40 * Fraction(float(np.finfo(dtype).eps)) * size
 
 
-@pytest.mark.slow
 def test_support_bounds_a_direction_that_the_dtype_cannot_hold():
     Z = factory(np.array([3.0], np.float32), np.array([[5.0]], np.float32))
     for d in (0.1, 0.3, -0.7):

@@ -118,7 +118,7 @@ def test_published_supports_are_bounded_tightly(mode, cases):
 
 
 @pytest.mark.parametrize(
-    "mode", [pytest.param(m, marks=pytest.mark.slow) if m == "jit" else m for m in MODES]
+    "mode", [pytest.param(m, marks=pytest.mark.long) if m == "jit" else m for m in MODES]
 )  # "eager" is compiled too
 def test_published_corners_of_a_set_with_constraints_are_as_far_as_it_reaches(mode, cases):
     (case,) = (c for c in cases["vertices"] if "A" in c)

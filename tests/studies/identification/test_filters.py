@@ -65,7 +65,6 @@ def test_poles_fade_within_the_window(rng):
         assert poles == sorted(poles, reverse=True) and all(0 < a**s <= 0.051 for a in poles)
 
 
-@pytest.mark.slow
 def test_no_state_follows_a_lasting_error(rng):
     """The reason for this kind: a leak that the plant's own slow pole would hide is FAULT in every window."""
     B, D = np.array([[[0.05]], [[0.2]]]), np.array([[0.3]])

@@ -21,6 +21,8 @@ from jaxbound.studies.identification.recipe import recipe_of, recipe_text
 from jaxbound.studies.identification.training import Training
 from jaxbound.studies.identification.trial import Trial
 
+pytestmark = pytest.mark.compiled
+
 A, B, C = [[0.8, 0.15], [-0.1, 0.6]], [[0.5], [0.3]], [[1, 0]]
 
 
@@ -161,7 +163,6 @@ class TestModel:
         assert abs(float(model.A[0][0]) - 0.8) < 0.06 and abs(float(model.B[0][0]) - 0.5) < 0.1
         assert 0.03 < float(model.noise[0]) < 0.05 * 1.25 * 1.5
 
-    @pytest.mark.slow
     def test_second_order_behaviour_is_recovered(self, rng):
         true = jb.LinearSystem(A, B, C)
         u = rng.uniform(-1, 1, (300, 1))
@@ -252,14 +253,12 @@ class TestModel:
         said = f"factor {model.check.factor:.3g} of what was left out, safety factor 1.25"
         assert again.provenance["noise"] == f"fitted to 100 samples in 1 recording, {said}"
 
-    @pytest.mark.slow
     def test_an_input_may_act_at_once(self, rng):
         u = rng.uniform(-1, 1, (120, 1))
         y = 3 * u + rng.uniform(-0.01, 0.01, u.shape)
         slow, quick = (jb.fit((u, y), order=1, horizon=4, direct=d) for d in (False, True))
         assert quick.has_feedthrough and quick.noise[0] < 0.03 < slow.noise[0]
 
-    @pytest.mark.slow
     def test_without_inputs(self, rng):
         x = 5 + 2 * 0.97 ** np.arange(80.0)[:, None]
         model = jb.fit((None, x + rng.uniform(-0.01, 0.01, x.shape)), order=1, horizon=4)
@@ -384,7 +383,7 @@ class TestLeftOut:
 class TestObserver:
     OF = dict(order=1, method="least squares")
 
-    @pytest.mark.parametrize("observer", ["zonotope", pytest.param("joint", marks=pytest.mark.slow)])
+    @pytest.mark.parametrize("observer", ["zonotope", pytest.param("joint", marks=pytest.mark.long)])
     def test_bounds_are_those_at_which_it_follows_every_recording(self, observer, rng):
         records = [run(rng, 60), run(rng, 50, noise=0.08)]
         model = jb.fit(records, **self.OF, observer=observer, safety=1)

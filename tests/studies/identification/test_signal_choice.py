@@ -137,7 +137,6 @@ def test_a_choice_that_cannot_be_made_is_refused(recordings, options, words):
         jb.fit(recordings, **{"inputs": ["u"], "outputs": ["y"], "signals": "auto", **options})
 
 
-@pytest.mark.slow
 def test_the_command_writes_the_choice_and_shows_what_was_tried(tables, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(main, "_configure", lambda: None)
     monkeypatch.chdir(tmp_path)

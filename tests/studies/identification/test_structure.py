@@ -20,7 +20,7 @@ def recorded(order, delay, rng, T=150):
     return u[:, None], (true + rng.uniform(-0.1, 0.1, T))[:, None]
 
 
-@pytest.mark.parametrize("order, delay", [(1, 6), pytest.param(2, 1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("order, delay", [(1, 6), pytest.param(2, 1, marks=pytest.mark.long)])
 def test_order_and_delay_are_found(order, delay, rng):
     records = [recorded(order, delay, rng) for _ in range(3)]
     model = jb.fit(records, order="auto", horizon=15, delay="auto", method="windows")
@@ -84,7 +84,6 @@ def test_what_cannot_be_chosen_is_refused(options, sentence, rng):
         jb.fit(recorded(1, 1, rng, 40), **options)
 
 
-@pytest.mark.slow
 def test_of_fresh_days_fewer_have_a_false_alarm_than_the_promise():
     from benchmarks.tomorrow import trial
 

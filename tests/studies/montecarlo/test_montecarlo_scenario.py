@@ -40,7 +40,7 @@ def standard_error(tally):
     "hold",
     [
         pytest.param(10, marks=pytest.mark.long),
-        pytest.param(20, marks=pytest.mark.slow),
+        pytest.param(20, marks=pytest.mark.long),
         pytest.param(50, marks=pytest.mark.long),
     ],
 )
@@ -61,7 +61,7 @@ def test_rates_are_the_golden_ones(hold, golden, rng):
             assert abs(seen - share) < 4.5 * (share * (1 - share) / expected["runs"]) ** 0.5 + 0.003
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="diagnosis/test_scenario::test_detection_rate_grows_with_the_horizon_as_golden")
 @pytest.mark.parametrize("horizon", [2, 3, 4, 6])
 def test_rates_grow_with_the_horizon_as_golden(horizon, golden, rng):
     """Golden has 1000 runs a horizon; longer windows go through recordings and `detect`."""
@@ -76,7 +76,6 @@ def test_rates_grow_with_the_horizon_as_golden(horizon, golden, rng):
         assert abs(rate - expected[name]) < 4.5 * error * (1 + runs / 1000) ** 0.5
 
 
-@pytest.mark.slow
 def test_an_independent_simulation_and_a_linear_program_find_as_many(rng):
     """One window of each of 3000 recordings of a plain NumPy program, 150 .. 175 samples in, judged by
     HiGHS.
@@ -95,7 +94,6 @@ def test_an_independent_simulation_and_a_linear_program_find_as_many(rng):
     assert abs(rate - expected) < 4.5 * (error**2 + rate * (1 - rate) / runs) ** 0.5
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("name", "at"), [("offsets", "vertices"), ("gust", "uniform")])
 def test_nothing_healthy_is_ever_called_fault(name, at, rng):
     """Before a fault, after it, and without one; an actuator's fault leaves a state that no healthy plant
@@ -108,7 +106,9 @@ def test_nothing_healthy_is_ever_called_fault(name, at, rng):
     assert false == 0 and clean == 8192 * (40 - s + 40 - s) and res.tallies[0].detected[0] > 4000
 
 
-@pytest.mark.long
+@pytest.mark.long(
+    by_day="studies/test_study_families::test_a_study_finds_what_is_large_and_alarms_nobody_else"
+)
 @pytest.mark.parametrize("at", ["uniform", "vertices"])
 def test_no_false_alarm_in_ten_million_healthy_windows(at, rng):
     for name in ("paper", "offsets", "gust", "feedthrough", "three states"):
@@ -124,7 +124,7 @@ def test_no_false_alarm_in_ten_million_healthy_windows(at, rng):
         assert res.false_alarms[0] == 0 and res.false_alarms[1] > 1e7
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="consistency/test_long_windows::test_verdicts_are_sharp")
 def test_a_plain_comparison_would_be_wrong_at_the_vertices(rng):
     """Healthy windows with every unknown at a bound: a plain comparison calls some per cent of them outside,
     the proof none.
@@ -150,7 +150,9 @@ def test_a_plain_comparison_would_be_wrong_at_the_vertices(rng):
     assert not (jb.detect(bare, u, y).status == Status.FAULT).any()
 
 
-@pytest.mark.long
+@pytest.mark.long(
+    by_day="studies/test_study_families::test_a_study_finds_what_is_large_and_alarms_nobody_else"
+)
 def test_every_kind_of_model_and_fault_is_counted_without_a_false_alarm(rng):
     """Long windows, uncertain parameters, unknown inputs, constant gains, sensors without noise: through
     recordings.
@@ -187,7 +189,9 @@ def test_every_kind_of_model_and_fault_is_counted_without_a_false_alarm(rng):
         assert res.false_alarms[0] == 0 and res.tallies[0].detected[0] > 20
 
 
-@pytest.mark.long
+@pytest.mark.long(
+    by_day="studies/montecarlo/test_montecarlo::test_counts_are_those_of_detect_on_the_same_recordings"
+)
 def test_the_same_rates_through_recordings(rng):
     """Both ways of a study on one model: fused, and written out because a resolution stands in for the
     noise.
@@ -250,7 +254,7 @@ def hidden_at(model, size, samples, s):
     return solver.getObjectiveValue()
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="studies/test_study_families::test_an_adversary_says_which_tests_it_knows")
 def test_the_adversary_hides_whatever_a_linear_program_can_hide():
     """A bias from the first sample on, windows of four samples, scenarios of twelve: up to 2 % below the size
     that the program hides.
@@ -283,7 +287,7 @@ def test_the_adversary_hides_whatever_a_linear_program_can_hide():
 @pytest.mark.parametrize(
     "devices",
     [
-        pytest.param(8, marks=pytest.mark.slow),
+        pytest.param(8, marks=pytest.mark.long),
         pytest.param(2, marks=pytest.mark.long),
         pytest.param(4, marks=pytest.mark.long),
     ],
@@ -309,7 +313,6 @@ def test_counts_are_the_same_on_many_devices(devices, kernels):
     assert out == f"{devices} {[{k: x.tolist() for k, x in t.arrays().items()} for t in here.tallies]}\n"
 
 
-@pytest.mark.slow
 def test_an_adversary_hides_every_fault_below_the_guaranteed_size_and_none_above():
     """A window's worth of samples: the guaranteed size is exact then. A longer scenario can only be harder to
     hide in.
@@ -330,7 +333,6 @@ def test_an_adversary_hides_every_fault_below_the_guaranteed_size_and_none_above
     assert abs(res.trials[0].guaranteed / sure - 1) < 1e-9
 
 
-@pytest.mark.slow
 def test_bounds_that_are_not_the_plants_show_as_false_alarms():
     """A monitor that believes in half the noise: the study says how often it is wrong."""
     monitor = jb.parity_relations(simple(noise=0.05))
@@ -338,7 +340,6 @@ def test_bounds_that_are_not_the_plants_show_as_false_alarms():
     assert 0.01 < false / clean < 0.5
 
 
-@pytest.mark.slow
 def test_in_float32_nothing_healthy_is_fault_either(rng):
     """Also where a context of the calling thread says so: the blocks run in other threads."""
     with jax.enable_x64(False):

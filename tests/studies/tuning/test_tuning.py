@@ -21,7 +21,7 @@ from tests.systems import PAPER
 BASE = dict(A=PAPER["A"], B=PAPER["B"], C=PAPER["C"])
 TOLERANT = dict(BASE, tolerance=[0.02, 0.1], noise=[0.1, 0.01])
 BLOWN = dict(BASE, noise=[0.1, 0.01], disturbance=([[1], [0]], [[-0.02, 0.05]]))
-slow = lambda *x: pytest.param(*x, marks=pytest.mark.slow)
+slow = lambda *x: pytest.param(*x, marks=pytest.mark.long)
 long = lambda *x: pytest.param(*x, marks=pytest.mark.long)
 
 
@@ -132,7 +132,6 @@ def healthy_and_faulty(rng, T=400):
     return recordings[:2], recordings[2:]
 
 
-@pytest.mark.slow
 def test_faulty_windows_are_left_outside_and_no_healthy_one(rng):
     good, bad = healthy_and_faulty(rng)
     r = relations(dict(BASE, tolerance=[0.05, 0.05], noise=[0.05, 0.5]), 1)  # noise of y2 far too large
@@ -260,7 +259,6 @@ def test_model_file_holds_the_bounds_rounded_up_and_says_where_they_come_from(rn
     assert all(jb.detect(again, *x).counts["CONSISTENT"] == 149 for x in good)
 
 
-@pytest.mark.slow
 def test_float32_recordings(rng):
     u, y = (x.astype(np.float32) for x in tuning_case.recording(Plant(**TOLERANT), 100, rng))
     res = jb.tune(relations(TOLERANT, 1), (u, y), steps=20)
@@ -270,7 +268,7 @@ def test_float32_recordings(rng):
     assert narrow.scale == pytest.approx(wide.scale, rel=1e-3)
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_smallest_scale_is_that_of_the_linear_programs_and_never_above")
 def test_parameters_move_and_detect_has_the_last_word(rng):
     gain = jb.Uncertainty("gain", C=[[1]], between=(0.9, 1.1))
     m = jb.LinearSystem([[0.9]], [[1]], [[0]], noise=0.02, uncertainties=[gain])

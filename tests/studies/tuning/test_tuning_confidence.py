@@ -91,7 +91,7 @@ def test_statement_says_what_it_rests_on(rng):
 
 @pytest.mark.parametrize(
     "steps, trials",
-    [pytest.param(0, 25, marks=pytest.mark.slow), pytest.param(40, 100, marks=pytest.mark.long)],
+    [pytest.param(0, 25, marks=pytest.mark.long), pytest.param(40, 100, marks=pytest.mark.long)],
 )
 def test_new_blocks_alarm_no_more_often_than_stated(steps, trials, rng):
     r = jb.parity_relations(
