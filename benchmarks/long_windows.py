@@ -12,11 +12,13 @@ import sys
 import time
 from pathlib import Path
 
+import jax
 import numpy as np
 
 import jaxbound as jb
 from benchmarks import opponents, timing
 from jaxbound.consistency import exchange
+from jaxbound.sets.strips.separation import separation_search
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "diagnosis"))
@@ -43,6 +45,12 @@ CASES = {
 }
 
 
+@jax.jit
+def done_after(test, one, u, y, steps):
+    """Return which windows a search of so many steps is done with."""
+    return separation_search(test.frame, exchange.imaged(test, one, u, y), one, steps)[2]
+
+
 def exchanges(relations, u, y):
     """Return the mean and the largest number of exchanges that the first windows take, by bisection on the
     cap.
@@ -56,7 +64,7 @@ def exchanges(relations, u, y):
     low, high = np.zeros(size, int), np.full(size, 400)
     while (high - low > 1).any():
         for cap in np.unique((low + high) // 2):
-            done = np.asarray(exchange.candidates(exchange.Settings(test, int(cap), 1.0), one, *block)[2])
+            done = np.asarray(done_after(test, one, *block, int(cap)))
             high, low = np.where(done, np.minimum(high, cap), high), np.where(done, low, np.maximum(low, cap))
 
     return float(high.mean()), int(high.max())

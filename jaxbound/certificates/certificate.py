@@ -6,7 +6,6 @@ a verdict is proved again from scratch (`exact_window`), by whichever route it w
 certificate is complete in itself: whoever checks it needs fractions, but neither jaxbound nor the recording.
 """
 
-import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +17,13 @@ import numpy as np
 
 from jaxbound.certificates.constant_window import ConstantWindow
 from jaxbound.certificates.diagnosis import Diagnosis, diagnose_window
-from jaxbound.certificates.exact_window import ExactWindow, Explanation, exact_window, rounded_witness
+from jaxbound.certificates.exact_window import (
+    ExactWindow,
+    Explanation,
+    exact_window,
+    rounded_witness,
+    window_of,
+)
 from jaxbound.certificates.fault_size import Scale, SensorError
 from jaxbound.certificates.interface import Index, Sample, WindowCertificate, certify, nothing_to_explain
 from jaxbound.certificates.witness import Numbers, Witnessed, every_sample, rows_of
@@ -278,5 +283,4 @@ def _window(relations: ParityRelation, u: np.ndarray, y: np.ndarray) -> ExactWin
     window = exact_window(relations, u, y)
     if not window.constant:
         return window
-    fields = dataclasses.fields(window)
-    return ConstantWindow(**{field.name: getattr(window, field.name) for field in fields})
+    return window_of(ConstantWindow, relations, u, y)

@@ -67,13 +67,13 @@ class ConstantWindow(ExactWindow):
         """Yield the rows of the module in (z, g)."""
         p, unknowns = self.model.p, self.unknown_columns()
         none: Vector = (ZERO,) * len(self.free)
-        for j, (d, rho) in enumerate(self.readings()):
-            if d is None:
+        for j, ends in enumerate(self.limits[: len(self.y)]):
+            if ends is None:
                 continue
-            i = j % p
-            # 0 <= E z + K U + g (rho - d) and 0 <= g (rho + d) - E z - K U: each is at most 2 reach
-            reach = rho * self._gain_ends(i)[1]
-            for sign, value in ((1, rho - d), (-1, rho + d)):
+            i, (lo, hi) = j % p, ends
+            # 0 <= E z + K U - g lo and 0 <= g hi - E z - K U: each is at most 2 reach
+            reach = (hi - lo) / 2 * self._gain_ends(i)[1]
+            for sign, value in ((1, -lo), (-1, hi)):
                 middle = reach - sign * self.drive[j]
                 if i not in self.free:
                     middle -= value
@@ -91,25 +91,20 @@ class ConstantWindow(ExactWindow):
         """Return (k, residual, width) of a relation h that annihilates E and needs no missing sample, under
         any gains.
         """
-        p, readings = self.model.p, self.readings()
-        low, high = ZERO, ZERO
-        for i in range(p):
-            weights, deviations, errors = [], [], []
-            for x, (d, rho) in zip(h[i : len(self.y) : p], readings[i::p], strict=True):
-                if x and d is not None:
-                    weights.append(x)
-                    deviations.append(d)
-                    errors.append(rho)
-            # g (h d -+ |h| rho): linear in the gain, so extreme at its ends
-            middle, reach = dot(weights, deviations), dot(map(abs, weights), errors)
+        p = self.model.p
+        low, high = [ZERO] * (p + 1), [ZERO] * (p + 1)  # of each output at gain 1, then of all other rows
+        for number, x in enumerate(h):
+            if x:
+                ends = [x * end for end in self.known_limits(number)]
+                i = p
+                if number < len(self.y):
+                    i = number % p
+                low[i], high[i] = low[i] + min(ends), high[i] + max(ends)
+        for i in range(p):  # linear in the gain, so extreme at its ends
             least, most = self._gain_ends(i)
-            low += min(least * (middle - reach), most * (middle - reach))
-            high += max(least * (middle + reach), most * (middle + reach))
-        for number in range(len(self.y), len(h)):
-            lo, hi = self.known_limits(number)
-            x = h[number]
-            low, high = low + min(x * lo, x * hi), high + max(x * lo, x * hi)
-        return self.action(h), (low + high) / 2 - dot(h, self.drive), (high - low) / 2
+            low[i], high[i] = min(least * low[i], most * low[i]), max(least * high[i], most * high[i])
+        least, most = sum(low, ZERO), sum(high, ZERO)
+        return self.action(h), (least + most) / 2 - dot(h, self.drive), (most - least) / 2
 
     def rows_at(self, z: Sequence[Fraction]) -> Vector:
         """Return the true (Y, w) at unknowns (z, gains)."""
@@ -123,10 +118,11 @@ class ConstantWindow(ExactWindow):
     def limits_at(self, z: Sequence[Fraction]) -> list[Ends | None]:
         """Return the limits of each row at unknowns (z, gains)."""
         limits, gains = list(self.limits), self.gains(z)
-        for j, (d, rho) in enumerate(self.readings()):
-            if d is not None:
+        for j, ends in enumerate(limits[: len(self.y)]):
+            if ends is not None:
+                lo, hi = ends
                 g = gains[j % self.model.p]
-                limits[j] = g * (d - rho), g * (d + rho)
+                limits[j] = g * lo, g * hi
         return limits
 
     def explained_by(self, z: Sequence[Fraction]) -> bool:

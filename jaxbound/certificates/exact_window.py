@@ -15,25 +15,29 @@ from copy import copy
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
-from typing import Any, ClassVar, Protocol, Self, TypeAlias
+from itertools import chain
+from typing import ClassVar, Self, TypeAlias, TypeVar
 
 import numpy as np
 
-from jaxbound.certificates.plain import exact_floats, plain_factors
+from jaxbound.certificates.checker.claim import claimed
+from jaxbound.certificates.checker.trajectories import limits as checked_limits
+from jaxbound.certificates.checker.words import Document
+from jaxbound.certificates.plain import exact_floats, plain_factors, plain_model, plain_samples
 from jaxbound.consistency.interface import Bounds
 from jaxbound.exact import linalg
 from jaxbound.exact.chebyshev import Reference, chebyshev
 from jaxbound.exact.linalg import Matrix, Vector, dot
 from jaxbound.models import window
-from jaxbound.models.rows import Row, WindowRows
-from jaxbound.models.sensor import RECORDER_ULPS
+from jaxbound.models.rows import WindowRows
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import window_rows
-from jaxbound.sets.floats import rounding
+from jaxbound.relations.parity import ParityRelation
+from jaxbound.relations.uncertain import UncertainRelations
 
 __all__ = """
-    Ends ExactWindow Explanation exact_samples exact_window known_inputs readable_relation rounded_up
-    rounded_witness shorter stretched unstretched
+    Ends ExactWindow Explanation Stretch exact_window known_inputs readable_relation rounded_up
+    rounded_witness shorter stretched unstretched window_of
 """.split()
 
 ZERO = Fraction(0)
@@ -45,26 +49,27 @@ Ends: TypeAlias = tuple[Fraction, Fraction]
 """(lo, hi) of a number."""
 Samples: TypeAlias = tuple[Fraction | None, ...]
 """Samples of a window, time-major, None where one is missing."""
+W = TypeVar("W", bound="ExactWindow")
 
 
-class Bounded(Protocol):
-    """A stretch of samples and its bounds: relations of certain or uncertain models, or a `Stretch`."""
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Bounds of a model, and perhaps of the first state, over horizon + 1 samples in a row, in the place of
+    relations.
 
-    @property
-    def model(self) -> LinearSystem:
-        """The plant."""
+    Fields: model, without averages or uncertainties; horizon; bounds: as of `parity_relations`; first: ((lo,
+    hi), ..) of the first state, or None; lags: None.
+    """
 
-    @property
-    def horizon(self) -> int:
-        """It has horizon + 1 samples."""
+    model: LinearSystem
+    horizon: int
+    bounds: Bounds
+    first: tuple[Ends, ...] | None = None
+    lags: tuple[int, ...] | None = None
 
-    @property
-    def bounds(self) -> Bounds:
-        """{name: numbers}."""
 
-    @property
-    def lags(self) -> tuple[int, ...] | None:
-        """The samples before its last at which outputs are looked at; None: all of them."""
+Bounded: TypeAlias = ParityRelation | UncertainRelations | Stretch
+"""What a window is cut for: relations, or a stretch in their place."""
 
 
 @dataclass(frozen=True)
@@ -90,32 +95,18 @@ class Explanation:
 class ExactWindow:
     """The samples and bounds of one window, every number a Fraction.
 
-    Fields: model, horizon; u (l,) and y ((s+1)p,): the recorded samples time-major, None where missing;
-    tolerance, noise, resolution (p,); disturbance (g, 2); unit: the roundoff of the recording's float type;
-    floor: its smallest normal number, in every bound; drive: what the inputs that are there make of each row.
-    average (a,): bounds of averages; whole ((s+1)p,): all samples, also those that only averages look at;
-    lags: of the relations. factors ((s+1)p,): on the noise of each sample, 1 where there is none; empty: the
-    model has none. own: (E, K) of its rows, where a parameter is another; None: those of the model. first:
-    bounds of the first state, or None. unweighed: why no fault of it is weighed; "": they are.
+    Fields: model, horizon; claim: all that a certificate of it is about, the samples and bounds
+    (`checker.claim`); whole ((s+1)p,): all samples, also those that nobody looks at, None where missing;
+    lags: of the relations; own: (E, K) of its rows, where a parameter is another, None: those of the model.
+    unweighed: why no fault of it is weighed; "": they are.
     """
 
     model: LinearSystem
     horizon: int
-    u: Samples
-    y: Samples
-    tolerance: Vector
-    noise: Vector
-    resolution: Vector
-    disturbance: tuple[Ends, ...]
-    unit: Fraction
-    floor: Fraction
-    drive: Vector
-    average: Vector = ()
-    whole: Samples = ()
+    claim: Document
+    whole: Samples
     lags: tuple[int, ...] | None = None
-    factors: Vector = ()
     own: tuple[Matrix, Matrix] | None = None
-    first: tuple[Ends, ...] | None = None
     unweighed: ClassVar[str] = ""
 
     def with_limits(self, limits: Iterable[Ends | None]) -> Self:
@@ -126,83 +117,54 @@ class ExactWindow:
 
     def without_input(self, i: int) -> Self:
         """Return the window with every sample of input i missing: whatever the actuator did."""
-        u = list(self.u)
-        u[i :: self.model.m] = [None] * len(u[i :: self.model.m])
-        drive = linalg.multiply(self.forms[1], known_inputs(self.model, u))
-        return replace(self, u=tuple(u), drive=drive)
+        u = [list(row) for row in self.claim["u"]]
+        for row in u:
+            row[i] = None
+        return replace(self, claim=self.claim | {"u": u}).with_limits(self.limits)
 
     @cached_property
     def rows(self) -> WindowRows:
         """The rows of the window: see `models.rows`."""
         return window_rows(self.model, self.horizon, self.lags)
 
-    def readings(self) -> list[tuple[Fraction | None, Fraction]]:
-        """Return (d, rho) of each sample: its deviation from the offset (None where missing) and the largest
-        |delta|.
-        """
-        p, offset = self.model.p, self.model.offset["y"]
-        readings: list[tuple[Fraction | None, Fraction]] = []
-        for j, v in enumerate(self.y):
-            i = j % p
-            rho = self.noise[i] + self.rounded[i] + self.floor
-            if self.factors:
-                rho += (self.factors[j] - 1) * self.noise[i] * (1 + RECORDER_ULPS * self.unit)
-            if v is None:
-                readings.append((None, rho))
-            else:
-                readings.append((v - offset[i], rho))
-        return readings
+    @cached_property
+    def u(self) -> Samples:
+        """The inputs (l,) on which outputs depend, time-major, None where missing."""
+        rows = self.claim["u"][: window.input_lags(self.model, self.horizon)]
+        return tuple(chain.from_iterable(rows))
 
     @cached_property
-    def rounded(self) -> list[Fraction]:
-        """The largest |delta| of each output beyond its noise, where that is times no factor: resolution, and
-        what the recorder rounds away of the largest sample that is looked at.
-        """
-        p = self.model.p
-        largest = [ZERO] * p
-        for j, v in enumerate(self.y):
-            if v is not None:
-                largest[j % p] = max(largest[j % p], abs(v))
-        for row in self.rows.of_sums:
-            if row.seen and row.values.measured:
-                for x in self.rows.terms(row):
-                    largest[x.number] = max(largest[x.number], abs(self.whole[x.row] or ZERO))
-        rounded = []
-        for i, most in enumerate(largest):
-            rounded.append(self.resolution[i] + RECORDER_ULPS * self.unit * (most + self.noise[i]))
-        return rounded
+    def y(self) -> Samples:
+        """The outputs ((s+1)p,) that are looked at, time-major, None where missing."""
+        return tuple(chain.from_iterable(self.claim["y"]))
 
-    def _ends_of_sum(self, row: Row) -> Ends | None:
-        """Return (lo, hi) of a sum, None where a sample of it is missing or it is not looked at.
+    @property
+    def first(self) -> Sequence[Ends] | None:
+        """The bounds of the first state, or None."""
+        return self.claim.get("first_state")
 
-        The bound is one on the sum of noises. What resolution, recorder and an error add to each reading is
-        added by its weight; the floors are for numbers that a kernel rounds to zero on the way.
-        """
-        values, middle = row.values, ZERO
-        rad = self.average[row.number] + 10 * (values.terms + values.size) * self.floor
-        if values.measured:
-            for i, _ in values.parts:
-                rad += values.size_of(i) * self.rounded[i]
-            for x in self.rows.terms(row):
-                reading = self.whole[x.row]
-                if reading is None or not row.seen:
-                    return None
-                middle += x.weight * (reading - self.model.offset["y"][x.number])
-        return middle - rad, middle + rad
+    @cached_property
+    def tolerance(self) -> Vector:
+        """The relative error (p,) of each output."""
+        return tuple(self.claim["tolerance"])
+
+    @cached_property
+    def drive(self) -> Vector:
+        """The part of the inputs that are there in each row."""
+        return linalg.multiply(self.forms[1], known_inputs(self.model, self.u))
 
     @cached_property
     def limits(self) -> list[Ends | None]:
-        """(lo, hi) of each row of (Y, w), in deviations from the offset; None where a sample is missing."""
-        limits: list[Ends | None] = []
-        for j, (d, rho) in enumerate(self.readings()):
-            if d is None:
-                limits.append(None)
-                continue
-            sigma = self.tolerance[j % self.model.p]
-            limits.append((-stretched(rho - d, sigma), stretched(rho + d, sigma)))  # f of the module
-        for _ in range(self.horizon):
-            limits += [(lo - self.floor, hi + self.floor) for lo, hi in self.disturbance]
-        return limits + [self._ends_of_sum(row) for row in self.rows.of_sums]
+        """The ends (lo, hi) of each row of (Y, w), as the checker has them, in deviations from the offset;
+        None where a sample is missing.
+        """
+        ends, limits = checked_limits(self.claim), []
+        for row in self.rows.all[: self.rows.single]:
+            letter = "w"
+            if row.values.measured:
+                letter = "y"
+            limits.append(ends.get(f"{letter}{row.first}_{row.number}"))
+        return limits + [ends.get(f"average{i}") for i in range(len(self.rows.of_sums))]
 
     def known_limits(self, number: int) -> Ends:
         """Return (lo, hi) of a row that has its samples."""
@@ -244,7 +206,7 @@ class ExactWindow:
         """Whether a tolerance keeps one value over the window: then samples together say more than these
         limits (`ConstantWindow`).
         """
-        return self.model.constant_tolerance and any(self.tolerance)
+        return "constant" in self.claim
 
     @property
     def missing_inputs(self) -> tuple[int, ...]:
@@ -322,7 +284,7 @@ def rounded_witness(window: ExactWindow, z: Vector) -> Vector:
     states = window.model.n
     for candidate in shorter(z):
         short = list(candidate)
-        for j, (lo, hi) in enumerate(window.disturbance * window.horizon, states):
+        for j, (lo, hi) in enumerate(window.claim["disturbance"] * window.horizon, states):
             short[j] = max(lo, min(short[j], hi))
         if window.explained_by(short):
             return tuple(short)
@@ -361,45 +323,27 @@ def readable_relation(h: Sequence[Fraction]) -> Vector:
 
 
 def exact_window(relations: Bounded, u: np.ndarray, y: np.ndarray) -> ExactWindow:
-    """Return the ExactWindow of samples u (s+1, m), factors on noise behind them, y (s+1, p). The bounds are
-    those that the kernel takes, to the last bit.
+    """Return the window of samples u (s+1, m), factors on noise behind them, y (s+1, p). The bounds are those
+    that the kernel takes, to the last bit.
     """
-    samples = exact_samples(relations, u, y)
-    K = _forms(relations.model, relations.horizon)[1]
-    return ExactWindow(**samples, drive=linalg.multiply(K, known_inputs(relations.model, samples["u"])))
+    return window_of(ExactWindow, relations, u, y)
 
 
-def exact_samples(relations: Bounded, u: np.ndarray, y: np.ndarray) -> dict[str, Any]:
-    """Return the fields of an ExactWindow, all but what inputs make of each row."""
-    model, s, dtype = relations.model, relations.horizon, y.dtype
-    bounds = {name: np.asarray(value, np.float64) for name, value in relations.bounds.items()}
-    pairs = np.reshape(bounds.get("disturbance", np.zeros((0, 2))), (-1, 2))
-    lowest = _exactly(rounding.round_down(pairs[:, 0], dtype))
-    highest = _exactly(rounding.round_up(pairs[:, 1], dtype))
-    looked_at, m = y, model.m
-    if relations.lags is not None:
-        kept = np.isin(s - np.arange(s + 1), relations.lags)
-        looked_at = np.where(kept[:, None], y, np.nan).astype(dtype)
-    return {
-        "model": model,
-        "horizon": s,
-        "u": exact_floats(u[: window.input_lags(model, s), :m]),
-        "y": exact_floats(looked_at),
-        "tolerance": _exactly(rounding.round_up(bounds["tolerance"], dtype)),
-        "noise": _exactly(rounding.round_up(bounds["noise"], dtype)),
-        "resolution": _exactly(rounding.round_up(list(model.resolution), dtype)),
-        "disturbance": tuple(zip(lowest, highest, strict=True)),
-        "unit": Fraction(float(np.finfo(dtype).eps)) / 2,
-        "floor": Fraction(float(np.finfo(dtype).tiny)),
-        "average": _exactly(rounding.round_up(bounds.get("average", ()), dtype)),
-        "whole": exact_floats(y),
-        "lags": relations.lags,
-        "factors": tuple(x for row in plain_factors(model, u) or () for x in row),
-    }
-
-
-def _exactly(bounds: np.ndarray) -> Vector:
-    return tuple(map(Fraction, bounds.tolist()))
+def window_of(
+    kind: type[W], relations: Bounded, u: np.ndarray, y: np.ndarray, first: Sequence[Ends] | None = None
+) -> W:
+    """Return the same as a kind of window; first: bounds of the first state, or None."""
+    model, bounds = relations.model, relations.bounds
+    plain = plain_model(model)
+    for name in ("tolerance", "noise"):
+        plain[name] = exact_floats(bounds[name])
+    pairs = np.reshape(bounds.get("disturbance", ()), (-1, 2))
+    plain["disturbance"] = plain_samples(pairs)
+    for average, bound in zip(plain["averages"], exact_floats(bounds.get("average", ())), strict=True):
+        average["bound"] = bound
+    inputs, outputs, factors = plain_samples(u[:, : model.m]), plain_samples(y), plain_factors(model, u)
+    claim = claimed(plain, inputs, outputs, str(y.dtype), relations.lags, first, factors)
+    return kind(model, relations.horizon, claim, exact_floats(y), relations.lags)
 
 
 @lru_cache(maxsize=16)

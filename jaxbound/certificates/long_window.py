@@ -24,9 +24,15 @@ from typing import ClassVar, NamedTuple, TypeVar
 import numpy as np
 
 from jaxbound.certificates.certificate import Certificate
-from jaxbound.certificates.exact_window import Ends, ExactWindow, Explanation, exact_samples, known_inputs
+from jaxbound.certificates.exact_window import (
+    Ends,
+    ExactWindow,
+    Explanation,
+    Stretch,
+    known_inputs,
+    window_of,
+)
 from jaxbound.certificates.interface import Index, certify
-from jaxbound.consistency.interface import Bounds
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector, add_multiple, dot, multiply, transpose
 from jaxbound.models.system import LinearSystem
@@ -36,28 +42,12 @@ from jaxbound.relations.sentence import relation_text
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 
-__all__ = ["LongCertificate", "LongWindow", "Stretch", "exceeds", "stretch"]
+__all__ = ["LongCertificate", "LongWindow", "exceeds", "stretch"]
 
 T = TypeVar("T")
 ZERO = Fraction(0)
 DIGITS = 30
 """Bits of a multiplier, beside the largest."""
-
-
-@dataclass(frozen=True, eq=False)
-class Stretch:
-    """Bounds of a model, and perhaps of the first state, over horizon + 1 samples in a row, in the place of
-    relations.
-
-    Fields: model, without averages or uncertainties; horizon; bounds: as of `parity_relations`; first: ((lo,
-    hi), ..) of the first state, or None; lags: None.
-    """
-
-    model: LinearSystem
-    horizon: int
-    bounds: Bounds
-    first: tuple[Ends, ...] | None = None
-    lags: tuple[int, ...] | None = None
 
 
 def stretch(
@@ -232,8 +222,7 @@ def exceeds(about: Stretch, u: np.ndarray, y: np.ndarray) -> float:
 
 
 def _long_window(about: Stretch, u: np.ndarray, y: np.ndarray) -> LongWindow:
-    samples = exact_samples(about, u, y)
-    return LongWindow(**samples, drive=(), first=about.first)
+    return window_of(LongWindow, about, u, y, about.first)
 
 
 def _program(window: LongWindow) -> tuple[float, np.ndarray]:
@@ -251,7 +240,7 @@ def _program(window: LongWindow) -> tuple[float, np.ndarray]:
     n, free, g, every = m.n, (s + 1) * (m.n + m.d), s * m.g, eye_array(s + 1)
     inputs, known = np.zeros((s + 1, m.m)), known_inputs(m, window.u)
     inputs.flat[: len(known)] = list(map(float, known))
-    w_mid, w_rad = _middles(window.disturbance)
+    w_mid, w_rad = _middles(window.claim["disturbance"])
     # disturbances are scaled by their half-widths
     pushed = [csr_array((s * n, 0))] * (not g) + [kron(eye_array(s), G * w_rad)] * (g > 0)
     steps = kron(eye_array(s, s + 1), A) - kron(eye_array(s, s + 1, k=1), np.eye(n))

@@ -17,7 +17,6 @@ import numpy as np
 
 from jaxbound.certificates.exact_window import ExactWindow, Explanation, known_inputs, rounded_witness
 from jaxbound.certificates.fault_size import FaultSize
-from jaxbound.exact import linalg
 from jaxbound.exact.chebyshev import nearest
 from jaxbound.models.named_faults import NamedFault
 from jaxbound.models.window import ParameterForm
@@ -40,8 +39,7 @@ def changed_window(window: ExactWindow, fault: NamedFault, size: Fraction, since
     """Return the window whose parameter is another by a size from a sample on."""
     E, K = ParameterForm(window.model, window.horizon, fault.coefficients, Fraction)(size, since)
     own = tuple(map(tuple, E.tolist())), tuple(map(tuple, K.tolist()))
-    drive = linalg.multiply(own[1], known_inputs(window.model, window.u))
-    return replace(window, own=own, drive=drive).with_limits(window.limits)
+    return replace(window, own=own).with_limits(window.limits)
 
 
 def found_size(

@@ -115,15 +115,15 @@ def _push_of_gain(name: str, window: ExactWindow, since: int, inverted: bool) ->
             f"its gain shows in the bounds on averages of {name}, where it is not followed"
         )
     sigma, offset = window.tolerance[i], model.offset["y"][i]
-    ends = {}
-    for j, (d, rho) in enumerate(window.readings()):
-        if j % model.p != i or j // model.p < since or d is None:
+    push = {}
+    for j, ends in enumerate(window.limits[: len(window.y)]):
+        if j % model.p != i or j // model.p < since or ends is None:
             continue
+        low, high = unstretched(-ends[0], sigma), unstretched(ends[1], sigma)  # rho - d, rho + d
         if inverted:
-            rho = -rho  # |x| = -x
-        y = d + offset
-        ends[j] = Side(offset, rho - y, ZERO, sigma), Side(-offset, rho + y, ZERO, sigma)
-    return ends
+            low, high = -high, -low  # |x| = -x
+        push[j] = Side(offset, low - offset, ZERO, sigma), Side(-offset, high + offset, ZERO, sigma)
+    return push
 
 
 def moves_of(fault: NamedFault, window: ExactWindow, since: int = 0) -> Moves:

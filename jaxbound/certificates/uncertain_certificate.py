@@ -11,8 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property, lru_cache
-from types import MappingProxyType
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -21,12 +20,11 @@ from jaxbound.certificates.exact_window import (
     Ends,
     ExactWindow,
     exact_window,
-    known_inputs,
     rounded_witness,
     shorter,
 )
 from jaxbound.certificates.interface import Index, Sample, WindowCertificate, certify, nothing_to_explain
-from jaxbound.certificates.witness import Numbers, Witnessed, claim_of, every_sample, rows_of
+from jaxbound.certificates.witness import Numbers, Witnessed, every_sample, rows_of
 from jaxbound.consistency import parametric_windows
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Vector
@@ -78,8 +76,6 @@ class UncertainCertificate(Witnessed, WindowCertificate):
     z: Vector | None
     bounds: Vector
     chosen: Vector
-    errors: ClassVar[Mapping[str, Fraction | float]] = MappingProxyType({})
-    candidates: ClassVar[tuple[str, ...]] = ()
 
     @property
     def proves(self) -> Status:
@@ -157,21 +153,13 @@ class UncertainCertificate(Witnessed, WindowCertificate):
         numbers.variables: the parameter and the sample (null: constant) that each variable v is. A polynomial
         is a list of [coefficient, number of a variable, ..], with a variable squared twice.
         """
-        numbers = {**_claim(self.window, self.bounds), "relations": [], "proof": None, "parameters": None}
+        numbers: Numbers = {"relations": [], "proof": None, "parameters": None}
         if self.proof is not None:
             numbers |= {"relations": _shown(self.relations), "proof": self.proof}
         if self.z is not None:
             chosen = self._values()
             numbers["parameters"] = [chosen.get(v, Fraction(0)) for v in _variables(self.relations)]
         return self._document(self.proves, numbers, times, sample)
-
-
-def _claim(window: ExactWindow, bounds: Vector) -> Numbers:
-    """Return the numbers that a proof is about, with bounds of the parameters."""
-    claim = claim_of(window)
-    for parameter, bound in zip(claim["uncertainties"], bounds, strict=True):
-        parameter["bound"] = bound
-    return claim
 
 
 def _shown(r: UncertainRelations) -> list[Numbers]:
@@ -255,7 +243,9 @@ class _Proving:
         self.relations, self.window = relations, exact_window(relations, u, y)
         bounds = rounding.round_up(np.asarray(relations.bounds["parameters"], np.float64), y.dtype)
         self.bounds: Vector = tuple(map(Fraction, bounds.tolist()))
-        claim = _claim(self.window, self.bounds)
+        claim = self.window.claim
+        for parameter, bound in zip(claim["uncertainties"], self.bounds, strict=True):
+            parameter["bound"] = bound
         self.parts: list[Parts] = relations_of(claim, _shown(relations))
         self.numbers, self.box = _numbers(relations), box_of(claim)
         self.size: Vector = tuple(self.box[f"p{k}"][1] for k in self.numbers)
@@ -281,8 +271,7 @@ class _Proving:
             own[n + i] = Fraction(1)
             rows.append(tuple(own))
         K = H + linalg.zeros(g, len(w.u))
-        drive = linalg.multiply(K, known_inputs(model, w.u))
-        return dataclasses.replace(w, own=(tuple(rows), K), drive=drive)
+        return dataclasses.replace(w, own=(tuple(rows), K)).with_limits(w.limits)
 
 
 @lru_cache(maxsize=16)

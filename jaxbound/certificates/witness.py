@@ -6,14 +6,14 @@ from fractions import Fraction
 from functools import cached_property
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
-from jaxbound.certificates.checker.claim import PRECISIONS, claimed, statement
+from jaxbound.certificates.checker.claim import statement
 from jaxbound.certificates.exact_window import ExactWindow
 from jaxbound.certificates.interface import Index, Sample
-from jaxbound.certificates.plain import plain_model, plain_names, plain_sums
+from jaxbound.certificates.plain import plain_names
 from jaxbound.exact.linalg import Matrix, Vector, dot
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["Numbers", "Witnessed", "claim_of", "every_sample", "rows_of", "texts"]
+__all__ = ["Numbers", "Witnessed", "every_sample", "rows_of", "texts"]
 
 Numbers: TypeAlias = dict[str, Any]
 """A tree of Fractions by name."""
@@ -72,7 +72,7 @@ class Witnessed:
         """Return a certificate ready for JSON: the model, samples and bounds, the numbers of the proof, and
         their sum.
         """
-        numbers: Numbers = claim_of(self.window)
+        numbers: Numbers = dict(self.window.claim)
         numbers["witness"] = None
         if self.z is not None:
             numbers["witness"] = self._witness_dict(self.z)
@@ -96,25 +96,13 @@ class Witnessed:
         if gains:
             numbers["gains"] = gains
         numbers["state"] = of.state
-        lowest = [lo for lo, _ in w.disturbance]
+        lowest = [lo for lo, _ in w.claim["disturbance"]]
         numbers["disturbances"] = every_sample(w.horizon, _flat(of.disturbances), lowest)
         nothing = [Fraction(0)] * model.d
         numbers["unknown_inputs"] = every_sample(w.horizon, _flat(of.unknown_inputs), nothing)
         numbers["inputs"] = every_sample(w.horizon, _flat(of.inputs), model.offset["u"])
         numbers["outputs"] = of.outputs
         return numbers
-
-
-def claim_of(w: ExactWindow) -> Numbers:
-    """Return the numbers of a certificate that its proof is about."""
-    plain = plain_model(w.model)
-    for bound in ("tolerance", "noise", "resolution", "disturbance"):
-        plain[bound] = getattr(w, bound)
-    plain["averages"] = plain_sums(w.rows.sums, w.average)
-    (precision,) = (name for name, (unit, _) in PRECISIONS.items() if unit == w.unit)
-    u = every_sample(w.horizon, w.u, [None] * w.model.m)
-    whole, factors = rows_of(w.whole, w.model.p), rows_of(w.factors, w.model.p) or None
-    return claimed(plain, u, whole, precision, w.lags, w.first, factors)
 
 
 def every_sample(horizon: int, values: Sequence[T], last: Sequence[T]) -> tuple[tuple[T, ...], ...]:

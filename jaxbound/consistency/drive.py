@@ -59,33 +59,23 @@ T = TypeVar("T")
 
 
 @overload
-def drive(
-    test: WindowTest, given: Recording, progress: Progress | None = None, size: int | None = None
-) -> Judged: ...
+def drive(test: WindowTest, given: Recording, progress: Progress | None = None) -> Judged: ...
 
 
 @overload
-def drive(
-    test: Observer[Any], given: Recording, progress: Progress | None = None, size: int | None = None
-) -> Any: ...
+def drive(test: Observer[Any], given: Recording, progress: Progress | None = None) -> Any: ...
 
 
-def drive(
-    test: WindowTest | Observer[Any],
-    given: Recording,
-    progress: Progress | None = None,
-    size: int | None = None,
-) -> Verdicts:
+def drive(test: WindowTest | Observer[Any], given: Recording, progress: Progress | None = None) -> Verdicts:
     """Return the verdicts (..., T) of all windows of a recording, or of a batch of one length.
 
     Args:
         test: from `relations.test`, or an Observer, which returns its own verdicts. progress: called with the
             share of the work done.
-        size: windows at once; None: as the test says.
     """
     if test.remembers:
         return _folded(test, given)
-    return windows(test, given.u, given.y, given.starts, progress, size)
+    return windows(test, given.u, given.y, given.starts, progress)
 
 
 def _folded(observer: Observer[Any], given: Recording) -> Verdicts:
@@ -135,7 +125,8 @@ def windows(
     """Return the verdicts that `drive` gives for a Recording of these samples.
 
     Args:
-        test, progress, size: as for `drive`. u: (..., T, m). y: (..., T, p). starts: of that Recording.
+        test, progress: as for `drive`. u: (..., T, m). y: (..., T, p). starts: of that Recording. size:
+            windows at once; None: as the test says.
     """
     flat_u, flat_y, block = end_to_end(u), end_to_end(y), size or test.block
     shape, report = y.shape[:-1], _rising(progress)
@@ -305,7 +296,7 @@ def _stretches(
     for out, (_, nothing) in zip(outs, kinds, strict=True):
         if samples:
             out.reshape(-1, length)[..., endless] = nothing
-    test.settle(u, y, outs, NOWHERE, _left_open, report)
+    test.settle(u, y, outs, NOWHERE, report)
     return outs
 
 
@@ -330,9 +321,6 @@ def _gathered(
         report = partial(in_part, report, EASY, 1 - EASY)
     total, done = max(len(ends), 1), 0
 
-    def again(other: WindowTest, chosen: np.ndarray) -> np.ndarray:
-        return _Gathering(other, filling, other.block, reporter(None)).judge_all(chosen)
-
     for case, starts in test.cases(u, y, ends - s):
         # Nine tenths of the progress of a case go to judging, the rest to settling.
         share = len(starts) / total
@@ -340,7 +328,7 @@ def _gathered(
         own = size if case is test else case.block
         left = _Gathering(case, filling, own, judging).judge_all(starts)
         settling = partial(in_part, report, done / total + 0.9 * share, 0.1 * share)
-        case.settle(u, y, outs, left, again, settling)
+        case.settle(u, y, outs, left, settling)
         done += len(starts)
     _last_look(test, filling, every, size)
     _doubted(test, filling)
@@ -534,11 +522,6 @@ def _placed(test: WindowTest, devices: Devices) -> object:
     if devices not in test.placed:
         test.placed[devices] = everywhere(test.constants, devices)
     return test.placed[devices]
-
-
-def _left_open(test: WindowTest, starts: np.ndarray) -> np.ndarray:
-    """Return the starts of windows that no other test judges: all."""
-    return starts
 
 
 def _padded(x: np.ndarray, first: int, length: int) -> np.ndarray:

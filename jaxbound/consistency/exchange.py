@@ -1,14 +1,14 @@
 """Verdicts for relations whose circuits are too many to enumerate: the exchange search of
 `sets.strips.separation` over blocks of windows.
 
-Windows are gathered into blocks of one fixed size. Those that a first, short search leaves open are gathered
-again and searched on; those that lack a sample on which the search is built are decided in NumPy (`holes`).
+Windows are gathered into blocks of one fixed size. Those that the search leaves open, one in some thousands,
+and those that lack a sample on which it is built, are decided in NumPy (`holes`).
 """
 
 import copy
 from collections.abc import Sequence
 from functools import cached_property
-from typing import NamedTuple, Self
+from typing import Self
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,6 @@ from jax.typing import DTypeLike
 from jaxbound.consistency.check import contradicted_by
 from jaxbound.consistency.holes import HolesTest, exact_margins
 from jaxbound.consistency.interface import (
-    Again,
     Arrays,
     Cases,
     Easy,
@@ -37,57 +36,28 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.strips import separation
 
-__all__ = [
-    "PATIENCE",
-    "ExchangeTest",
-    "Settings",
-    "candidates",
-    "verdicts",
-]
+__all__ = ["ExchangeTest", "candidates", "imaged", "verdicts"]
 
-PATIENCE = 10
-"""Exchanges per inner row after which a search is given up; it takes 2 to 4."""
 LARGE = 2048
 """Numbers of a window that an exchange changes, above which fewer stand side by side."""
 TOUCHED = 2**14
 """Windows at once in which missing samples are looked for."""
-FINER = (1.0, 3e-4, 1e-5, 0.03, 0.0, 0.3, 1e-4, 3e-6, 3e-3)
-"""Searches after which a window stays undecided, see `separation_search`: one in some thousands needs more
-than the first.
-"""
-
-
-class Settings(NamedTuple):
-    """A reading with the frame of a search, how many steps that takes at most, and how fine it is."""
-
-    reading: Reading
-    steps: int
-    finer: float
+TOGETHER = 2**10
+"""Windows that are searched in NumPy at once."""
 
 
 class ExchangeTest(SignedTest):
     """Searches for the combination of relations that speaks most against a window, or the behaviour that
     explains it.
 
-    Both verdicts are proofs. Windows that a first, short search leaves open are searched on.
-
-    Args:
-        steps, finer: of `separation.separation_search`.
+    Both verdicts are proofs. What the search leaves open is searched in NumPy, one window in some thousands.
     """
 
     threads = confirms = by_kernels = by_strips = True
     short = 16  # the work grows with the block
 
-    def __init__(
-        self,
-        relations: LinearRelations,
-        dtype: DTypeLike,
-        steps: int | None = None,
-        finer: float = 1.0,
-    ) -> None:
+    def __init__(self, relations: LinearRelations, dtype: DTypeLike) -> None:
         super().__init__(relations, "joint", dtype)
-        self.finer = finer
-        self.steps = 2 * len(self.exact_frame.inner) + 6 if steps is None else steps
         rows, unknowns = len(self.exact_frame.outer), len(self.exact_frame.inner)
         self.weight = 1 + rows * unknowns**2 // 2**10  # a step for each unknown, all of them in it
 
@@ -97,11 +67,6 @@ class ExchangeTest(SignedTest):
         frame = self.relations.frame
         assert frame is not None
         return frame
-
-    @property
-    def constants(self) -> Settings:
-        """The reading, and how long and how finely to search."""
-        return Settings(self.reading, self.steps, self.finer)
 
     @property
     def block(self) -> int:
@@ -172,29 +137,21 @@ class ExchangeTest(SignedTest):
         """Return which windows the combinations of a search contradict; see `contradicted_by`."""
         return contradicted_by(self.reading, u, y, hints[0])
 
-    def write(self, outs: Sequence[np.ndarray], at: np.ndarray, values: Sequence[np.ndarray]) -> None:
-        """Write margins; a proof stays one."""
-        (margin,), (new,) = outs, values
-        nothing = new == 0
-        if nothing.any():
-            new = np.where(nothing & (abs(margin[at]) > 0), margin[at], new)
-        margin[at] = new
-
-    def settle(
-        self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress
-    ) -> None:
-        """Decide in whole numbers what rounding leaves open far from the boundary; search on for the rest,
-        for longer and more finely.
+    def settle(self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, progress: Progress) -> None:
+        """Decide in whole numbers what rounding leaves open far from the boundary, and in NumPy what the
+        search does.
         """
         (margin,) = outs
         self._whole_numbers(u, y, margin)
-        steps = PATIENCE * (len(self.exact_frame.inner) + 10)
-        for finer in FINER:
-            if not len(left):
-                break
-            finely = ExchangeTest(self.relations, self.dtype, steps, finer)
-            left = again(finely, left)
-            left = left[margin[left + self.horizon] == 0]  # what is proved needs no other search
+        at, found = left + self.horizon, np.zeros(len(left), self.dtype)
+        for first in range(0, len(left), TOGETHER):
+            part = slice(first, first + TOGETHER)
+            windows = gather(u, y, left[part], self.lags, self.horizon)
+            ((found[part],),) = self._holes.judge(None, [windows])
+        found = np.where(found == 0, margin[at], found)
+        open_ = found == 0
+        found[open_] = self.exactly(u, y, left[open_])
+        margin[at] = found
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""
@@ -241,27 +198,26 @@ def _smooth_margins(reading: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
 
 
 @kernel
-def candidates(given: Settings, one: jax.Array, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ...]:
+def candidates(reading: Reading, one: jax.Array, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ...]:
     """Return the combinations (h, d, done) that speak most against each window of a block, and their `Image`;
     nothing is proved yet.
     """
-    image = _imaged(given, one, u, y)
-    return *separation.separation_search(given.reading.frame, image, one, given.steps, given.finer), *image
+    image, steps = imaged(reading, one, u, y), 2 * reading.frame.R.shape[1] + 6
+    return *separation.separation_search(reading.frame, image, one, steps), *image
 
 
-def _imaged(given: Settings, one: jax.Array, u: jax.Array, y: jax.Array) -> separation.Image:
+def imaged(reading: Reading, one: jax.Array, u: jax.Array, y: jax.Array) -> separation.Image:
     """Return the `Image` of the windows of a block."""
-    test = given.reading
-    mid, rad, scale, known, known_scale = (x / one[None] for x in test.block(u, y))
-    return separation.separation_image(test.frame, mid, rad, scale, known, known_scale, test.lift, one)
+    mid, rad, scale, known, known_scale = (x / one[None] for x in reading.block(u, y))
+    return separation.separation_image(reading.frame, mid, rad, scale, known, known_scale, reading.lift, one)
 
 
 @kernel
 def verdicts(
-    given: Settings, one: jax.Array, h: jax.Array, d: jax.Array, done: jax.Array, *image: jax.Array
+    reading: Reading, one: jax.Array, h: jax.Array, d: jax.Array, done: jax.Array, *image: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Return (margin, settled) of the windows of a block, proved from the `candidates` of a search."""
-    return separation.separation_verdict(given.reading.frame, separation.Image(*image), one, h, d, done)
+    return separation.separation_verdict(reading.frame, separation.Image(*image), one, h, d, done)
 
 
 def _block_of(frame: separation.Frame) -> int:

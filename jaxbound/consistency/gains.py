@@ -14,14 +14,16 @@ Source: Adrot, Maquin, Ragot 2000, (7)-(9), with theta constant as in Adrot 1999
 
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import numpy as np
+from jax.typing import DTypeLike
 
-from jaxbound.consistency.check import LEAST, HostImage, explained
-from jaxbound.consistency.constant import gain_bounds, no_derivative, signed
+from jaxbound.consistency.check import LEAST, UNIT, HostImage, explained
 from jaxbound.consistency.holes import TOLD, HolesTest, refuted
+from jaxbound.consistency.host_rows import doubles
+from jaxbound.consistency.interface import LinearRelations
 from jaxbound.consistency.strips_on_host import excludes_0
 from jaxbound.exact.frames import ExactFrame
 from jaxbound.models.rows import Kind
@@ -30,15 +32,27 @@ from jaxbound.sets.strips.chebyshev import fitted
 
 __all__ = ["GainsTest"]
 
+SIZE = 1e-6
+"""The least size of a margin whose sign is proved."""
+Ends: TypeAlias = tuple[np.ndarray, np.ndarray]
+"""(lo, hi) of gains, each (g, 1)."""
+
 
 class GainsTest(HolesTest):
     """Decides windows of sensors whose gains keep one value: FAULT and CONSISTENT are proofs.
 
     The sign of the margin is that of the verdict, its size that of the unknowns and gains that were found: 1
     - t, t not below the true factor.
+
+    Args:
+        relations: with a frame. method, dtype: as of a `WindowTest`.
     """
 
     block = 2**9
+
+    def __init__(self, relations: LinearRelations, method: str, dtype: DTypeLike) -> None:
+        super().__init__(relations, dtype)
+        self.method = method
 
     def image(self, u: np.ndarray, y: np.ndarray) -> "_Gained":
         """Return the rows of windows at gains of 1."""
@@ -46,9 +60,13 @@ class GainsTest(HolesTest):
         rows = HostImage.of(self.reading, u, y, certain=True)
         order = [self.reading.window.all[i] for i in np.concatenate([frame.outer, frame.inner])]
         number = np.array([row.number if row.kind is Kind.READING else outputs for row in order])
-        ends = [np.append(np.asarray(x)[:outputs], 1.0)[:, None] for x in gain_bounds(self.reading, np)]
         own = number == np.arange(outputs + 1)[:, None]
-        return _Gained(**vars(rows), gains=(ends[0], ends[1]), inner=(ends[2], ends[3]), own=own)
+        sigma = np.append(doubles(self.reading.tolerance), 0)[:, None]
+        low, high, fixed = 1 / (1 + sigma), 1 / (1 - sigma), sigma == 0
+        slip = 4 * UNIT
+        around = np.where(fixed, 1, low * (1 - slip)), np.where(fixed, 1, high * (1 + slip))
+        within = np.minimum(low * (1 + slip), 1), np.maximum(high * (1 - slip), 1)
+        return _Gained(**vars(rows), gains=around, inner=within, own=own)
 
     def decided(self, image: HostImage, frame: ExactFrame, dtype: np.dtype) -> np.ndarray:
         """Return the margins (N,) of windows."""
@@ -62,12 +80,15 @@ class GainsTest(HolesTest):
         outside[open_] = refuted(some, frame, found.h[:, open_], found.telling[open_])
         off = np.abs(1 / found.gains[:-1] - 1) / np.where(tolerance > 0, tolerance, np.inf)
         margin = 1 - np.maximum(image.factor(found), off.max(0))
-        margin = np.where(inside | outside, signed(margin, inside), 0)
+        margin = np.where(inside, np.maximum(margin, SIZE), np.where(outside, np.minimum(margin, -SIZE), 0))
         return np.where(found.idle, np.nan, margin).astype(dtype)
 
     def margins(self, given: Recording) -> jax.Array:
         """Raise: the best gains are found by a search that has no derivative."""
-        raise no_derivative()
+        raise NotImplementedError(
+            "margins has no fast path for constant_tolerance, whose gains are searched for: use "
+            "detect(...).margin"
+        )
 
 
 class _Found(NamedTuple):
@@ -86,8 +107,8 @@ class _Gained(HostImage):
     them, the last for rows that have none; own (g, c + k): which rows each multiplies.
     """
 
-    gains: tuple[np.ndarray, np.ndarray]
-    inner: tuple[np.ndarray, np.ndarray]
+    gains: Ends
+    inner: Ends
     own: np.ndarray
 
     @property

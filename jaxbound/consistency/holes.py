@@ -66,8 +66,8 @@ class HolesTest(SignedTest):
         super().__init__(relations, "joint", dtype)
         self.reading = relations.reading(np.float64)
 
-    def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
-        """Return the margins of blocks of windows."""
+    def judge(self, run: Run | None, blocks: Sequence[Block]) -> Sequence[Arrays]:
+        """Return the margins of blocks of windows; without a device."""
         with np.errstate(all="ignore"):
             return [(self._margins(u, y),) for u, y in blocks]
 

@@ -54,7 +54,6 @@ __all__ = [
     "METHODS",
     "MONITOR",
     "OBSERVER",
-    "Again",
     "Arrays",
     "Block",
     "Budget",
@@ -114,8 +113,6 @@ Outs: TypeAlias = Sequence[np.ndarray]
 """Arrays of `Outputs` over all samples."""
 Cases: TypeAlias = Sequence[tuple["WindowTest", np.ndarray]]
 """Tests, each with the starts of the windows that it judges."""
-Again: TypeAlias = Callable[["WindowTest", np.ndarray], np.ndarray]
-"""again(test, starts) judges windows by another test and returns the starts of those that it leaves open."""
 Result = TypeVar("Result", covariant=True)
 
 
@@ -601,16 +598,12 @@ class WindowTest:
         for out, own in zip(outs, values, strict=True):
             out[at] = own
 
-    def settle(
-        self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress
-    ) -> None:
+    def settle(self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, progress: Progress) -> None:
         """Decide windows that were left open, in place.
 
         Args:
             u, y: all samples, end to end. outs: arrays of `outputs` over them. left: starts of the windows
                 left open.
-            again: of (test, starts), judges windows by another test and returns the starts of those it leaves
-                open; all of them where blocks are stretches.
             progress: takes the share done.
         """
 

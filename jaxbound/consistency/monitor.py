@@ -112,8 +112,8 @@ class Monitor:
 
     Bit for bit with strips, and with the exchange search for windows without missing samples; where samples
     are missing in windows that need the search, margins agree to 1e-9. A sample costs about 0.1 ms, an
-    exchange search 0.5 to 1 ms, over missing samples 3 to 6 ms; slow, tens of milliseconds: uncertain
-    parameters, constant_tolerance. The first whole window compiles, and the first burst.
+    exchange search 0.5 to 1 ms, over missing samples 3 to 6 ms; constant_tolerance as these; slow,
+    tens of milliseconds: uncertain parameters. The first whole window compiles, and the first burst.
 
     Raises:
         TypeError: no relations. ValueError: a method or budget that they cannot be tested by;

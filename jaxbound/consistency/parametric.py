@@ -13,7 +13,6 @@ from jax.typing import DTypeLike
 from jaxbound.consistency.bisection import whole_budget
 from jaxbound.consistency.drive import raw_outputs
 from jaxbound.consistency.interface import (
-    Again,
     Array,
     Arrays,
     Budget,
@@ -143,9 +142,7 @@ class ParametricTest(WindowTest):
         status, margin = alone(self.reading, terms_of(self.reading, *samples), self.proved)
         return status, margin
 
-    def settle(
-        self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress
-    ) -> None:
+    def settle(self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, progress: Progress) -> None:
         """Bisect the parameters of windows that were left open."""
         status, margin = outs
         for first in range(0, len(left), SEARCHED):

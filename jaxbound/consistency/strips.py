@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency.folded import folded_verdict, folds, known_columns
-from jaxbound.consistency.interface import Again, Arrays, LinearTest, Outs, Progress, Run
+from jaxbound.consistency.interface import Arrays, LinearTest, Outs, Progress, Run
 from jaxbound.consistency.reading import Block, Reading, gather
 from jaxbound.consistency.strips_on_host import HostStrips, host_strips
 from jaxbound.consistency.unproved import stretch_block, unproved_margins
@@ -44,9 +44,7 @@ class StripsTest(LinearTest):
         """Return (status, margin) of stretches of samples."""
         return run(verdicts, blocks)
 
-    def settle(
-        self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, again: Again, progress: Progress
-    ) -> None:
+    def settle(self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, progress: Progress) -> None:
         """Decide in whole numbers what rounding leaves open far from the boundary."""
         status, margin = outs
         starts = np.flatnonzero((status == UNDECIDED) & (margin == 0)) - self.horizon

@@ -16,10 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxbound.consistency.host_rows import SLIGHTLY, Ends, HostRows, Input, Series
+from jaxbound.consistency.host_rows import Ends, HostRows, Input, Series
 from jaxbound.consistency.reading import Reading, gather
 from jaxbound.exact.linalg import Matrix, Vector
-from jaxbound.models.rows import Kind
 from jaxbound.sets.floats import rounding
 
 __all__ = ["BLOCK", "HostStrips", "excludes_0", "host_strips"]
@@ -43,13 +42,11 @@ class _HostStrip(NamedTuple):
 class HostStrips:
     """Strips and the bounds of a relation in float64, for NumPy. Build it with `host_strips`.
 
-    Fields: strips; reading: in float64; gains: ((lo, hi), ..) of g = 1 / (1 + theta), one an output, where
-    tolerances keep one value over a window: rows are then those of g = 1, and it multiplies their sum.
+    Fields: strips; reading: in float64.
     """
 
     strips: tuple[_HostStrip, ...]
     reading: Reading
-    gains: tuple[tuple[float, float], ...] = ()
 
     def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """Return (strips, N) bool: which strips contradict the windows of u (T, m), y (T, p) that start at
@@ -73,7 +70,7 @@ class HostStrips:
 
     def _of(self, u: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return the same of the windows of one `HostRows`."""
-        rows = HostRows(self.reading, u, y, bool(self.gains))
+        rows = HostRows(self.reading, u, y)
         out = np.empty((len(self.strips), rows.count), bool)
         for own, sums in zip(out, self.sums(rows), strict=True):
             own[:] = excludes_0(*sums)
@@ -88,22 +85,16 @@ class HostStrips:
 
     def _sums(self, strip: _HostStrip, rows: list[Series], inputs: list[Input]) -> tuple[Ends, Ends, Ends]:
         """Return the sums of one strip."""
-        sums: dict[int | None, tuple[Ends, Ends]] = {}
+        least: Ends = 0.0
+        most: Ends = 0.0
         size: Ends = 0.0
         for i, c in zip(strip.rows, strip.h, strict=True):
-            row = self.reading.window.all[i]
-            if not row.seen:
+            if not self.reading.window.all[i].seen:
                 return 0.0, 0.0, np.inf
             lo, hi, own = rows[i]
             if c < 0:
                 lo, hi = hi, lo
-            gain = None
-            if self.gains and row.kind is Kind.READING:
-                gain = row.number
-            below, above = sums.get(gain, (0.0, 0.0))
-            sums[gain] = below + c * lo, above + c * hi
-            size = size + abs(c) * own
-        least, most = self._together(sums)
+            least, most, size = least + c * lo, most + c * hi, size + abs(c) * own
         slip: Ends = 0.0
         for b, c in zip(strip.inputs, strip.k, strict=True):
             value, off, own = inputs[b]
@@ -113,32 +104,15 @@ class HostStrips:
         gamma, floor = rounding.residual_error(terms + 8, np.float64)
         return least, most, slip + (float(gamma) * size + float(floor) * (1 + largest))
 
-    def _together(self, sums: dict[int | None, tuple[Ends, Ends]]) -> tuple[Ends, Ends]:
-        """Return the least and the most of sums, each times any of its gains."""
-        least, most = sums.get(None, (0.0, 0.0))
-        for number, (below, above) in sums.items():
-            if number is None:
-                continue
-            lo, hi = self.gains[number]
-            least = least + np.minimum(lo * below, hi * below)
-            most = most + np.maximum(lo * above, hi * above)
-        return least, most
 
-
-def host_strips(reading: Reading, exact_h: Matrix, exact_k: Matrix, constant: bool = False) -> HostStrips:
-    """Return HostStrips of exact rows h over the rows of a window and k over its inputs.
-
-    Args:
-        reading: of the relations, in float64. constant: whether tolerances keep one value over a window.
+def host_strips(reading: Reading, exact_h: Matrix, exact_k: Matrix) -> HostStrips:
+    """Return HostStrips of exact rows h over the rows of a window and k over its inputs; reading: of the
+    relations, in float64.
     """
     strips = []
     for h, k in zip(exact_h, exact_k, strict=True):
         strips.append(_HostStrip(*_sparse(h), *_sparse(k)))
-    gains = []
-    if constant:
-        for sigma in map(float, reading.tolerance):
-            gains.append((1 / (1 + sigma) * (1 - 1e-15), 1 / (1 - sigma) * SLIGHTLY))
-    return HostStrips(tuple(strips), reading, tuple(gains))
+    return HostStrips(tuple(strips), reading)
 
 
 def excludes_0(least: Ends, most: Ends, error: Ends) -> np.ndarray:

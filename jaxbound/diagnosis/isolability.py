@@ -15,18 +15,19 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, overload
 
+from jaxbound.certificates.checker.claim import claimed
 from jaxbound.certificates.diagnosis import amount
 from jaxbound.certificates.exact_window import Ends, ExactWindow
 from jaxbound.certificates.fault_size import Scale
+from jaxbound.certificates.plain import plain_model
 from jaxbound.certificates.supposed import Moves, moves_of
 from jaxbound.diagnosis.detectability import operating_reach, row_widths
 from jaxbound.exact.chebyshev import chebyshev
-from jaxbound.exact.linalg import Vector, add_multiple, scale
+from jaxbound.exact.linalg import Vector, add_multiple, scale, zeros
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.named_faults import PARAMETER, NamedFault, named_faults
 from jaxbound.models.shared_columns import followers
 from jaxbound.models.system import LinearSystem
-from jaxbound.models.window import input_lags
 from jaxbound.relations.decoupling import Isolability
 from jaxbound.relations.decoupling import isolability as of_signals
 from jaxbound.relations.parity import parity_relations
@@ -227,30 +228,17 @@ def _difference(model: LinearSystem, horizon: int, lags: tuple[int, ...] | None)
     values = []
     for name in model.inputs:
         values.append(max(model.ranges.get(name, (ZERO,)), key=abs))
-    u = tuple(values) * input_lags(model, horizon)
-    nothing: Vector = (ZERO,) * model.p
-    pairs = tuple(model.disturbance)
-    window = ExactWindow(
-        model=model,
-        horizon=horizon,
-        u=u,
-        y=(ZERO,) * (model.p * (horizon + 1)),
-        tolerance=nothing,
-        noise=model.noise,
-        resolution=model.resolution,
-        disturbance=pairs,
-        unit=ZERO,
-        floor=ZERO,
-        drive=(),
-        whole=(ZERO,) * (model.p * (horizon + 1)),
-        lags=lags,
-    )
+    samples, nothing = horizon + 1, [ZERO] * model.p
+    plain = plain_model(model) | {"tolerance": nothing}
+    claim = claimed(plain, [values] * samples, [nothing] * samples, lags=lags)
+    window = ExactWindow(model, horizon, claim, (), lags)
     rows = window.rows
     ends: list[Ends | None] = [None] * len(list(rows))
     widths = row_widths(model, rows, operating_reach(model, None))
     for i in rows.seen:
         ends[i] = -widths[i], widths[i]
-    return replace(window, drive=(ZERO,) * len(ends)).with_limits(ends)
+    E, K = window.forms
+    return replace(window, own=(E, zeros(len(K), len(window.u)))).with_limits(ends)
 
 
 def _showing(healthy: ExactWindow, moves: Moves, x: Fraction) -> ExactWindow:

@@ -10,7 +10,7 @@
 
 A row says where its values stand; the numbers lo and hi belong to samples and bounds. Three evaluators work
 them out: `consistency.reading` in floats inside kernels, `consistency.host_rows` in NumPy, in floats or whole
-numbers, and `certificates.exact_window` in fractions. What else is known of each sample, as a factor on its
+numbers, and `certificates.checker` in fractions. What else is known of each sample, as a factor on its
 bound would be, reaches them beside the samples, at the places that a row names. How the plant ties true
 values together is no matter of rows (`window.unknowns`): matrices may change from sample to sample and rows
 stay.

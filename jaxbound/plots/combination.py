@@ -12,7 +12,6 @@ import numpy as np
 from jaxbound.certificates.certificate import Certificate
 from jaxbound.certificates.exact_window import ExactWindow, exact_window
 from jaxbound.models.rows import Row
-from jaxbound.models.sensor import RECORDER_ULPS
 from jaxbound.models.window import bounded_sums
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.sets.intervals.interval import Interval
@@ -165,7 +164,7 @@ def _samples(window: ExactWindow, u: np.ndarray, y: np.ndarray) -> _Samples:
     """
     every = np.lib.stride_tricks.sliding_window_view(np.asarray(y, float), window.horizon + 1, axis=0)
     every = np.moveaxis(every, 2, 1)  # (N, s + 1, p)
-    noise, tolerance = _floats(window.noise)[None, None], _floats(window.tolerance)
+    noise, tolerance = _floats(window.claim["noise"])[None, None], _floats(window.tolerance)
     if window.model.factors:
         factors = np.ones(np.shape(y))
         for column, factor in enumerate(window.model.factors, window.model.m):
@@ -173,8 +172,8 @@ def _samples(window: ExactWindow, u: np.ndarray, y: np.ndarray) -> _Samples:
         windows = np.lib.stride_tricks.sliding_window_view(factors, window.horizon + 1, axis=0)
         noise = noise * np.moveaxis(windows, 2, 1)
     largest = np.fmax.reduce(abs(every), 1, keepdims=True, initial=0.0)
-    recorded = RECORDER_ULPS * float(window.unit) * (largest + noise) + float(window.floor)
-    error = noise + _floats(window.resolution) + recorded
+    recorded = float(window.claim["recorder"]) * (largest + noise) + float(window.claim["floor"])
+    error = noise + _floats(window.claim["resolution"]) + recorded
 
     def stretched(v: np.ndarray) -> np.ndarray:
         return np.asarray(np.where(v > 0, v / (1 - tolerance), v / (1 + tolerance)))
@@ -205,7 +204,7 @@ def _sum(window: ExactWindow, samples: _Samples, row: Row) -> tuple[np.ndarray |
     for i, weights in values.parts:
         columns = p * (row.first + np.arange(len(weights))) + i
         middle = middle + samples.middle[:, columns] @ _floats(weights)
-        error = samples.half[:, columns[-1]] - float(window.noise[i])
+        error = samples.half[:, columns[-1]] - float(window.claim["noise"][i])
         half = half + float(values.size_of(i)) * error
     return middle, half
 
@@ -213,7 +212,7 @@ def _sum(window: ExactWindow, samples: _Samples, row: Row) -> tuple[np.ndarray |
 def _disturbances(window: ExactWindow) -> tuple[np.ndarray, np.ndarray]:
     """Return (middle, half-width), each (gs,), of the disturbances of a window."""
     g, s = window.model.g, window.horizon
-    ends = np.array([_floats(pair) for pair in window.disturbance]).reshape(g, 2)
+    ends = np.array([_floats(pair) for pair in window.claim["disturbance"]]).reshape(g, 2)
     return np.tile(ends.mean(1), s), np.tile((ends[:, 1] - ends[:, 0]) / 2, s)
 
 

@@ -26,7 +26,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike, DTypeLike
 
-from jaxbound.consistency.constant import ConstantTest
 from jaxbound.consistency.exchange import ExchangeTest
 from jaxbound.consistency.gains import GainsTest
 from jaxbound.consistency.interface import (
@@ -141,10 +140,6 @@ class ParityRelation(Formed, LinearRelations):
             return self
         return dataclasses.replace(self, frame=_frame(self.model, self.horizon, self.lags))
 
-    def _search(self, dtype: DTypeLike) -> GainsTest:
-        """Return the search for gains of these relations."""
-        return GainsTest(self._framed, dtype)
-
     @cached_property
     def _joint(self) -> Strips:
         return strips_of(self.circuits, self.circuits_known)
@@ -187,13 +182,10 @@ class ParityRelation(Formed, LinearRelations):
             return self._moving.test(method, dtype, budget)
         if window.bounded_sums(self.model) and method != "joint":
             raise ValueError(f"averages are tested by method 'joint': {method!r} looks at single samples")
-        constant = self.model.constant_tolerance
+        if self.model.constant_tolerance:
+            return GainsTest(self._framed, method, dtype)
         if method == "joint" and self.frame is not None:
-            if constant:
-                return GainsTest(self, dtype)
             return ExchangeTest(self, dtype)
-        if constant:
-            return ConstantTest(self, method, dtype, partial(self._search, dtype))
         return StripsTest(self, method, dtype)
 
     def with_bounds(self, bounds: Mapping[str, ArrayLike]) -> Self:

@@ -34,7 +34,6 @@ from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations import shift
 from jaxbound.relations.bounds import Bounds
-from jaxbound.relations.elimination import eliminate
 from jaxbound.relations.parity import ParityRelation, stated_relations
 from jaxbound.relations.sentence import few_lines
 from jaxbound.relations.shift import Row
@@ -169,18 +168,18 @@ def redundancy(model: ModelLike, method: str = "window") -> Redundancy:
     Args:
         model: a LinearSystem, unknown inputs included; bounded disturbances are not eliminated. Or what
             `parity_relations` takes.
-        method: "window": relations are looked for among ever longer windows. "elimination": the paper's own,
-            which removes the unknown inputs first and then the state step by step; it needs rank(C F) = rank
-            F and unknown inputs that act on the state only.
+        method: "window": relations are looked for among ever longer windows. "elimination": the same, but
+            refused where the paper's own way does not lead there: it removes the unknown inputs first, which
+            needs rank(C F) = rank F and unknown inputs that act on the state only.
 
     Returns:
-        A Redundancy with the fewest samples in each relation; its degrees are the same for both methods.
+        A Redundancy with the fewest samples in each relation.
 
     Raises:
         ValueError: the elimination does not apply (says why), an unknown method. NotImplementedError: the
             model has uncertainties.
 
-    Source: Ragot 1993, (2)-(20), with the elimination going on until the state is empty.
+    Source: Ragot 1993, (2)-(20).
 
     Example:
         >>> A, B, C = [[0, 0], [0, "1/2"]], [[1], [0]], [[1, 0], [0, 1], [1, 1]]
@@ -195,11 +194,29 @@ def redundancy(model: ModelLike, method: str = "window") -> Redundancy:
         raise ValueError(f"method must be one of {', '.join(METHODS)}, not {method!r}")
     model = as_model(model)
     if method == "elimination" and model.n:
-        rows = eliminate(model)
-    else:
-        rows = basis(model)
-    rows = tuple(sorted(map(shift.presentable, rows), key=shift.degree))
+        _refuse_elimination(model)
+    rows = tuple(sorted(map(shift.presentable, basis(model)), key=shift.degree))
     return Redundancy(model, rows, ((),) * len(rows))
+
+
+def _refuse_elimination(model: LinearSystem) -> None:
+    """Raise ValueError where unknown inputs cannot be removed before the state.
+
+    Source: Ragot 1993, (2)-(12).
+    """
+    if model.has_direct_unknown:
+        raise ValueError(
+            "the elimination is for unknown inputs that act on the state only, and D_v is not zero; use "
+            "method='window'"
+        )
+    if not model.d:
+        return
+    shown, every = linalg.rank(linalg.matmul(model.C, model.F)), linalg.rank(model.F)
+    if shown < every:
+        raise ValueError(
+            f"the elimination needs rank(C F) = rank F, so that each unknown input shows in the next "
+            f"outputs: rank(C F) is {shown}, rank F is {every}; use method='window'"
+        )
 
 
 def basis(model: LinearSystem, F: Matrix | None = None, D_v: Matrix | None = None) -> tuple[Row, ...]:

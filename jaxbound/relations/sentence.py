@@ -11,7 +11,9 @@ from jaxbound.models.window import bounded_sums, window_rows
 
 __all__ = [
     "at_sample",
+    "bracketed",
     "few_lines",
+    "joined",
     "looked_at",
     "main_terms",
     "number_text",
@@ -127,11 +129,27 @@ def relation_text(model: LinearSystem, horizon: int, h: Vector, k: Vector) -> st
 
 def sum_text(terms: Iterable[tuple[Fraction, str]]) -> str:
     """Return a sum of (factor, name) as text."""
+    return joined(((x < 0, _factor(abs(x)) + name) for x, name in terms if x), "- ")
+
+
+def joined(terms: Iterable[tuple[bool, str]], minus: str = "-") -> str:
+    """Return a sum as text, of (whether a term is negative, its size); minus: the sign of the first term."""
     out = ""
-    for x, name in terms:
-        if x:
-            out += _sign(x, first=not out) + _factor(abs(x)) + name
+    for negative, size in terms:
+        if out:
+            out += (" + ", " - ")[negative] + size
+        else:
+            out = negative * minus + size
     return out
+
+
+def bracketed(total: str, terms: int) -> str:
+    """Return a sum of so many terms as a factor in front of a name: in brackets, or nothing for 1."""
+    if total == "1":
+        return ""
+    if terms > 1:
+        return f"({total}) "
+    return f"{total} "
 
 
 def at_sample(name: str, lag: int | None, horizon: int) -> str:
@@ -153,13 +171,6 @@ def row_name(model: LinearSystem, row: Row) -> str:
     if row.kind is Kind.DISTURBANCE:
         return f"w{row.number + 1}"
     return bounded_sums(model)[row.number].text
-
-
-def _sign(x: Fraction, first: bool) -> str:
-    """Return the sign of a term, with its blanks."""
-    if first:
-        return "- " if x < 0 else ""
-    return " - " if x < 0 else " + "
 
 
 def _factor(size: Fraction) -> str:

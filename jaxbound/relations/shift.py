@@ -12,17 +12,14 @@ from typing import TypeAlias
 
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector
+from jaxbound.relations.sentence import bracketed, joined
 
 __all__ = [
     "Polynomial",
     "Row",
-    "add",
-    "apply",
     "at",
     "coefficients",
     "degree",
-    "matmul",
-    "minus_shift",
     "presentable",
     "relation_text",
     "text",
@@ -38,61 +35,6 @@ def trim(a: Sequence[Fraction]) -> Polynomial:
     while n and not a[n - 1]:
         n -= 1
     return tuple(a[:n])
-
-
-def add(a: Polynomial, b: Polynomial) -> Polynomial:
-    """Return a + b.
-
-    Example:
-        >>> text(add((Fraction(1), Fraction(2)), (Fraction(3), Fraction(-2))))
-        '4'
-    """
-    pairs = zip_longest(a, b, fillvalue=Fraction(0))
-    return trim([x + y for x, y in pairs])
-
-
-def mul(a: Polynomial, b: Polynomial) -> Polynomial:
-    """Return a b."""
-    if not a or not b:
-        return ()
-    out = [Fraction(0)] * (len(a) + len(b) - 1)
-    for i, x in enumerate(a):
-        for j, y in enumerate(b):
-            out[i + j] += x * y
-    return trim(out)
-
-
-def matmul(a: Sequence[Row], b: Sequence[Row]) -> tuple[Row, ...]:
-    """Return the product of two matrices of polynomials."""
-    out = []
-    for row in a:
-        total: list[Polynomial] = [()] * len(b[0])
-        for x, other in zip(row, b, strict=True):
-            if x:
-                total = [add(t, mul(x, y)) for t, y in zip(total, other, strict=True)]
-        out.append(tuple(total))
-    return tuple(out)
-
-
-def apply(a: Sequence[Vector], rows: Sequence[Row], width: int) -> tuple[Row, ...]:
-    """Return a rows: numbers a (r, c) times c rows of `width` polynomials."""
-    if not rows:
-        return (((),) * width,) * len(a)
-    polynomials = [tuple(trim((x,)) for x in row) for row in a]
-    return matmul(polynomials, rows)
-
-
-def minus_shift(rows: Sequence[Row], others: Sequence[Row]) -> tuple[Row, ...]:
-    """Return q rows - others."""
-    out = []
-    for row, other in zip(rows, others, strict=True):
-        out.append(tuple(_later(x, y) for x, y in zip(row, other, strict=True)))
-    return tuple(out)
-
-
-def _later(x: Polynomial, y: Polynomial) -> Polynomial:
-    """Return q x - y."""
-    return add(trim((Fraction(0), *x)), tuple(-c for c in y))
 
 
 def degree(row: Row) -> int:
@@ -129,18 +71,8 @@ def text(a: Polynomial) -> str:
         >>> text((Fraction(2), Fraction(-4), Fraction(1, 3)))
         '1/3 q^2 - 4 q + 2'
     """
-    out = ""
-    for j in reversed(range(len(a))):
-        if a[j]:
-            out += _sign(a[j] < 0, first=not out) + _term(abs(a[j]), _power(j))
-    return out or "0"
-
-
-def _sign(negative: bool, first: bool) -> str:
-    """Return the sign of a term, with its blanks."""
-    if first:
-        return "-" if negative else ""
-    return " - " if negative else " + "
+    terms = [(a[j] < 0, _term(abs(a[j]), _power(j))) for j in reversed(range(len(a))) if a[j]]
+    return joined(terms) or "0"
 
 
 def _power(j: int) -> str:
@@ -168,22 +100,12 @@ def relation_text(row: Row, names: Sequence[str]) -> str:
         >>> relation_text(row, ("y1", "y2", "u1"))
         '(q - 2) y1 - 3 q u1 = 0'
     """
-    out = ""
+    terms = []
     for p, name in zip(row, names, strict=True):
         if not p:
             continue
-        sign = _sign(p[-1] < 0, first=not out)
-        if p[-1] < 0:
+        negative = p[-1] < 0
+        if negative:
             p = linalg.scale(p, -1)
-        out += sign + _factor(p) + name
-    return out + " = 0"
-
-
-def _factor(p: Polynomial) -> str:
-    """Return a polynomial as a factor in text, in brackets where it is a sum, nothing for 1."""
-    body = text(p)
-    if body == "1":
-        return ""
-    if sum(map(bool, p)) > 1:
-        return f"({body}) "
-    return f"{body} "
+        terms.append((negative, bracketed(text(p), sum(map(bool, p))) + name))
+    return joined(terms) + " = 0"

@@ -38,7 +38,7 @@ from jaxbound.relations.annihilator import Step, annihilator, generic_rank, rank
 from jaxbound.relations.bounds import Bounds, changed_bounds, float_bound, model_bounds, reading
 from jaxbound.relations.forms import Formed, Forms, forms, over_samples
 from jaxbound.relations.polynomial import Exponents, PolynomialMatrix, Terms, stacked
-from jaxbound.relations.sentence import few_lines, number_text, row_name, sample_names
+from jaxbound.relations.sentence import bracketed, few_lines, joined, number_text, row_name, sample_names
 from jaxbound.relations.uncertain_window import Variable, uncertain_window
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.strips.polynomials import closure
@@ -222,14 +222,12 @@ class UncertainRelations(Formed, PolynomialRelations):
         for name, lag in self.variables:
             names.append(name if lag is None else name + at[lag])
         rows = window_rows(model, self.horizon).all
-        out = ""
+        terms = []
         for row, polynomial in zip(rows, self._polynomials_of(self.N, i), strict=False):
-            out += _term(polynomial, row_name(model, row) + at[row.last], names)
+            terms.append((polynomial, row_name(model, row) + at[row.last]))
         for j, polynomial in enumerate(self._polynomials_of(self.K, i)):
-            out += _term(_negative(polynomial), model.inputs[j % model.m] + at[j // model.m], names)
-        if out.startswith(" + "):
-            return out[3:]
-        return "-" + out[3:]
+            terms.append((_negative(polynomial), model.inputs[j % model.m] + at[j // model.m]))
+        return joined(_term(polynomial, signal, names) for polynomial, signal in terms if polynomial)
 
     def _polynomials_of(self, matrix: PolynomialMatrix, i: int) -> list[Polynomial]:
         """Return [(exponents, coefficient)] of each entry of a row of a matrix."""
@@ -354,19 +352,12 @@ def _place(model: LinearSystem, variables: Sequence[Variable], point: Sequence[F
     return ", ".join(values)
 
 
-def _term(polynomial: Polynomial, signal: str, names: Sequence[str]) -> str:
-    """Return a polynomial times a signal as a term of a sum; nothing for 0."""
-    if not polynomial:
-        return ""
-    sign = " + "
-    if polynomial[0][1] < 0:
-        sign, polynomial = " - ", _negative(polynomial)
-    text = _sum(polynomial, names)
-    if text == "1":
-        return sign + signal
-    if len(polynomial) > 1:
-        text = f"({text})"
-    return f"{sign}{text} {signal}"
+def _term(polynomial: Polynomial, signal: str, names: Sequence[str]) -> tuple[bool, str]:
+    """Return a polynomial times a signal as a term of `joined`."""
+    negative = polynomial[0][1] < 0
+    if negative:
+        polynomial = _negative(polynomial)
+    return negative, bracketed(_sum(polynomial, names), len(polynomial)) + signal
 
 
 def _negative(polynomial: Polynomial) -> Polynomial:
@@ -376,7 +367,7 @@ def _negative(polynomial: Polynomial) -> Polynomial:
 
 def _sum(terms: Polynomial, names: Sequence[str]) -> str:
     """Return a polynomial as text, its first coefficient positive."""
-    out = ""
+    texts = []
     for alpha, x in terms:
         factors = []
         for name, e in zip(names, alpha, strict=True):
@@ -384,9 +375,8 @@ def _sum(terms: Polynomial, names: Sequence[str]) -> str:
                 factors.append(name if e == 1 else f"{name}^{e}")
         if abs(x) != 1 or not factors:
             factors.insert(0, number_text(abs(x)))
-        sign = " - " if x < 0 else " + "
-        out += sign + " ".join(factors)
-    return out[3:]
+        texts.append((x < 0, " ".join(factors)))
+    return joined(texts)
 
 
 def _floats(matrix: PolynomialMatrix, alphas: Sequence[Exponents], dtype: DTypeLike) -> np.ndarray:

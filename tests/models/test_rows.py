@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import jaxbound as jb
-from jaxbound.certificates.exact_window import exact_window
+from jaxbound.certificates.checker.claim import claimed
+from jaxbound.certificates.checker.trajectories import limits as checker_limits
+from jaxbound.certificates.plain import plain_model, plain_samples, plain_sums
 from jaxbound.consistency.host_rows import HostRows
 from jaxbound.models.rows import Kind, WeightedSum
 from jaxbound.models.window import window_rows
@@ -77,20 +79,20 @@ def test_three_evaluators_give_a_sum_of_any_signals_its_limits(name, rng):
     mid, rad, scale, *_ = jax.jit(lambda u, y: reading.block(u, y))(u, y)
     whole = HostRows(reading, u, y, model=relations.model)
     ends = whole.ends()
+    plain = plain_model(relations.model) | {"averages": plain_sums([KINDS[name]], [BOUND])}
     for n in range(WINDOWS):
-        window = exact_window(relations, np.append(u[..., n], [[0]], 0), y[..., n])
-        window = dataclasses.replace(window, average=(BOUND,))
-        window.__dict__["rows"] = rows
+        claim = claimed(plain, plain_samples(np.append(u[..., n], [[0]], 0)), plain_samples(y[..., n]))
+        exact = checker_limits(claim)
         for number, row in enumerate(rows.of_sums, rows.single):
             wanted = limits(rows, row, y[..., n])
             if wanted is None:
                 assert whole.absent()[number, n] and np.isnan(mid[number, n])
-                assert window.limits[number] is None
+                assert f"average{number - rows.single}" not in exact
                 continue
             lo, hi = wanted
             assert tuple(Fraction(int(x[number, n]), whole.unit) for x in ends) == (lo, hi)
-            floor = 10 * (row.values.terms + row.values.size) * window.floor
-            assert window.limits[number] == (lo - floor, hi + floor)
+            floor = 10 * (row.values.terms + row.values.size) * claim["floor"]
+            assert exact[f"average{number - rows.single}"] == (lo - floor, hi + floor)
             slip = 16 * Fraction(1, 2**53) * Fraction(float(scale[number, n]))
             assert abs(Fraction(float(mid[number, n])) - (lo + hi) / 2) <= slip
             assert abs(Fraction(float(rad[number, n])) - (hi - lo) / 2) <= slip

@@ -2,6 +2,7 @@
 python-flint.
 """
 
+import itertools
 import json
 from fractions import Fraction
 
@@ -97,6 +98,19 @@ def test_the_printed_banks_span_the_module(ragot, bank, unknown, rows):
     assert same_module(jb.redundancy(example(ragot, unknown)).rows, printed), bank
 
 
+def product(a, b):
+    """Return the product of two matrices of polynomials in q."""
+    out = []
+    for row in a:
+        total = [[Fraction(0)] * 20 for _ in b[0]]
+        for x, other in zip(row, b, strict=True):
+            for place, y in zip(total, other, strict=True):
+                for (i, one), (j, two) in itertools.product(enumerate(x), enumerate(y)):
+                    place[i + j] += one * two
+        out.append(tuple(map(shift.trim, total)))
+    return tuple(out)
+
+
 def test_combinations_of_the_example(ragot):
     """Golden's corrections: W of the paper and the better one, W M_u, and the stable form of the second W."""
     by_degree = jb.redundancy(example(ragot)).rows
@@ -107,16 +121,16 @@ def test_combinations_of_the_example(ragot):
     zero, one = (), p(1)
     printed = ((one, p(-2, 2), p(4, -4)), (zero, zero, p(-1)), (one, zero, zero))
     better = ((one, p(-2, 2), p(4, -4)), (zero, zero, p(-1)), (zero, one, p(-2)))
-    known = lambda W: tuple(row[4:] for row in shift.matmul(W, M))
+    known = lambda W: tuple(row[4:] for row in product(W, M))
     assert known(printed) == ((zero, zero), (one, zero), (zero, p(-2, 2)))
     assert known(better) == ((zero, zero), (one, zero), (zero, p(-1)))
     names = ("e1", "e2", "e3_improved")
-    assert list(shift.matmul(better, M)) == polynomial_rows(
+    assert list(product(better, M)) == polynomial_rows(
         [ragot["residual_rows_ascending_q_coefs"][name] for name in names]
     )
     stable = ((one, zero, zero), (zero, one, p(-2)), (zero, zero, p(-1)))
     isolating = tuple(
-        tuple(row[i] for i in (0, 1, 4)) for row in shift.matmul(stable, M)
+        tuple(row[i] for i in (0, 1, 4)) for row in product(stable, M)
     )  # outputs 1 and 2 and input 1
     assert isolating == ((p(0, -2, 1), zero, zero), (zero, p(-1, 1), zero), (zero, zero, one))
     assert (
