@@ -165,19 +165,25 @@ def detectable(
             horizon, lags = None, model.lags
     relations = parity_relations(model, horizon, lags=lags)  # says so if there is none
     first = relations.horizon
-    horizons = range(first, first + 1)
+    horizons = [first]
     if horizon is None and relations.lags is None:
-        horizons = range(first + 4 * model.n + 12)
+        shorter = [s for s in range(first) if linalg.left_null_space(window.unbounded(model, s))]
+        horizons = [*shorter, *range(first, first + 4 * model.n + 12)]
+    return _least_size(model, signal, horizons, reach, relations.lags)
+
+
+def _least_size(
+    model: LinearSystem, signal: str, horizons: Sequence[int], reach: Vector, lags: tuple[int, ...] | None
+) -> GuaranteedSize:
+    """Return the GuaranteedSize of the best of some horizons, up to where longer ones see no more."""
     tried: dict[int, float] = {}
     best: tuple[int, Seen] | None = None
     for s in horizons:
-        if s < first and not linalg.left_null_space(window.unbounded(model, s)):
-            continue
         if best is None:
             affordable(model, s)
         elif relation_cost(model, s)[0] > SECONDS:
             break
-        seen = _size(model, signal, s, reach, relations.lags)
+        seen = _size(model, signal, s, reach, lags)
         tried[s] = math.inf
         if seen is not None:
             tried[s] = float(seen[0])
@@ -186,7 +192,7 @@ def detectable(
         if best is not None and s >= best[0] + SETTLED:
             break
     if best is None:
-        return _guaranteed(math.inf, first, "", tried)
+        return _guaranteed(math.inf, horizons[0], "", tried)
     s, (size, h) = best
     return _guaranteed(math.nextafter(float(size), math.inf), s, _text(model, s, h), tried)
 
@@ -340,9 +346,9 @@ def always_seen(
         offset = np.array(model.offset["y"], float)
         deviations = abs(np.asarray(readings, float) - offset)
         reach = np.fmax.reduce(deviations, axis=0, initial=np.finfo(np.float32).tiny).tolist()
-    sizes = {}
+    sizes, most = {}, operating_reach(model, reach)
     for signal in model.outputs + model.inputs:
-        sizes[signal] = float(detectable(model, signal, operating_range=reach, **relations.span))
+        sizes[signal] = float(_least_size(model, signal, [relations.horizon], most, relations.lags))
     return sizes
 
 

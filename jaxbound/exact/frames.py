@@ -77,10 +77,6 @@ class _Row(NamedTuple):
             common = -common
         return cls(tuple(x // common for x in numbers), over // common)
 
-    def size(self, column: int) -> Fraction:
-        """Return the size of an entry."""
-        return Fraction(abs(self.numbers[column]), self.over)
-
     def solved_for(self, column: int) -> Self:
         """Return the row that tells a column by the others, and by the left side of this row in its place."""
         numbers = [-x for x in self.numbers]
@@ -132,9 +128,11 @@ class _Frame:
 
     def largest_entry(self) -> tuple[Fraction, int, int]:
         """Return (size, row, column) of the largest entry of R, the last one of equals."""
-        columns = range(len(self.inner))
-        entries = ((row.size(i), j, i) for j, row in enumerate(self.rows) for i in columns)
-        return max(entries, default=(Fraction(0), 0, 0))
+        k, entries = len(self.inner), [(Fraction(0), 0, 0)]
+        for j, row in enumerate(self.rows):
+            size, i = max(((abs(x), i) for i, x in enumerate(row.numbers[:k])), default=(0, 0))
+            entries.append((Fraction(size, row.over), j, i))
+        return max(entries)
 
     def exchanged(self, j: int, i: int) -> Self:
         """Let outer row j and inner row i change places."""

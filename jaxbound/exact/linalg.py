@@ -7,7 +7,7 @@ window.
 from collections.abc import Callable, Iterable, Sequence
 from decimal import Decimal
 from fractions import Fraction
-from itertools import chain
+from itertools import chain, compress, starmap
 from math import gcd, lcm
 from operator import mul, truth
 from typing import TypeAlias, TypeVar, cast
@@ -181,7 +181,10 @@ def matmul(a: Rows, b: Rows) -> Matrix:
     columns = [integers(c) for c in transpose(b)]
     product = []
     for row, p in map(integers, a):
-        product.append(tuple(Fraction(sum(map(mul, row, column)), p * q) for column, q in columns))
+        there = list(map(truth, row))
+        some = tuple(compress(row, there))
+        sums = ((sum(map(mul, some, compress(column, there))), p * q) for column, q in columns)
+        product.append(tuple(starmap(Fraction, sums)))
     return tuple(product)
 
 

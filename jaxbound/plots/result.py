@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draws_bounds", "drawn_margins", "plot_result"]
+__all__ = ["draws_bounds", "drawn_margins", "plot_result", "timeline_of"]
 
 DRAWN = 2**16
 """Windows up to which a picture has exact margins; of more it has exact ones at FAULT windows alone."""
@@ -34,6 +34,14 @@ def drawn_margins(res: Result) -> np.ndarray:
     return res.exact
 
 
+def timeline_of(res: Result, x: np.ndarray, alarms: Sequence[Alarm]) -> Timeline:
+    """Return the Timeline of a Result with these alarms. x: (T,) its time."""
+    line = Timeline(len(x))
+    line.add(0, x, res.status, drawn_margins(res))
+    line.mark([a.worst for a in alarms])
+    return line
+
+
 @plot.register(Result)
 def plot_result(
     res: Result,
@@ -42,11 +50,8 @@ def plot_result(
     ax: "Axes | None" = None,
 ) -> "Figure | Axes":
     """Draw a Result of one recording: `plot` says what, and takes the same arguments."""
-    x = time_of(res, time)
     if alarms is None:
         alarms = res.alarms()
-    line = Timeline(len(x))
-    line.add(0, x, res.status, drawn_margins(res))
-    line.mark([a.worst for a in alarms])
+    line = timeline_of(res, time_of(res, time), alarms)
     observes = res.relations.observes
     return plot_timeline(line, res.relations.model.name, len(alarms), ax, draws_bounds(res), observes)

@@ -19,14 +19,14 @@ from jaxbound.diagnosis.result import Result
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.system import LinearSystem
 from jaxbound.plots.residuals import distinct_relations
-from jaxbound.plots.result import draws_bounds
+from jaxbound.plots.result import draws_bounds, timeline_of
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.sentence import looked_at
 from jaxbound.reports.causes import Cause, causes_of
-from jaxbound.reports.chart import picture_of
 from jaxbound.reports.chartdata import charts
 from jaxbound.reports.clock import shown_time
 from jaxbound.reports.monitored import monitor_sections
+from jaxbound.reports.overview import overview
 from jaxbound.reports.page import TITLE, render
 from jaxbound.reports.parts import computed, model_values
 from jaxbound.runs.digest import Digest
@@ -133,9 +133,17 @@ def write_report(
 
 def _picture(res: Result | Digest, recording: Recording | Digest, alarms: Sequence[Alarm]) -> bytes:
     """Return the picture of the whole recording for readers without scripts."""
+    relations, bounded = res.relations, res.margins == BOUNDS
     if isinstance(res, Digest):
-        return picture_of(res)
-    return picture_of(res, time=shown_time(cast(Recording, recording), len(res.status)), alarms=alarms)
+        line, count = res.line, res.alarm_count
+    else:
+        line = timeline_of(res, shown_time(cast(Recording, recording), len(res.status)), alarms)
+        count, bounded = len(alarms), draws_bounds(res)
+    name = relations.model.name
+    if bounded:
+        name = f"{name}, above 0 a lower bound"
+    ends = recording.label(0), recording.label(line.samples - 1)
+    return overview(line, name, ends, count, relations.observes)
 
 
 def _has_bands(keys: Iterable[str]) -> bool:

@@ -49,7 +49,7 @@ def _environment() -> "Environment":
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"after": _after, "base64": _base64}
+    environment.filters |= {"after": _after, "embedded": _embedded}
     environment.filters |= {"factor": factor, "main_terms": main_terms, "percent": percent}
     environment.globals |= {"TITLE": TITLE, "source": _source}
     return environment
@@ -73,6 +73,9 @@ def _after(sentence: str, title: str) -> str:
     return plain[:1].upper() + plain[1:]
 
 
-def _base64(data: bytes) -> str:
-    """Return bytes as a data URL writes them."""
-    return base64.b64encode(data).decode()
+def _embedded(picture: bytes) -> str:
+    """Return a picture, PNG or SVG, as a data URL."""
+    kind = "png"
+    if picture.startswith(b"<svg"):
+        kind = "svg+xml"
+    return f"data:image/{kind};base64,{base64.b64encode(picture).decode()}"

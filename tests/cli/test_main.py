@@ -490,6 +490,7 @@ fit = "fit good.csv --inputs u1 --outputs y1,y2 --order 1 --horizon 2 --held-out
 main.main(f"{fit} --out fitted.toml -q".split())
 print(*sys.modules, file=sys.stderr)
 main.main("detect model.toml faulty.csv --out out -q".split())
+print(*sys.modules, file=sys.stderr)
 main.main("detect model.toml faulty.csv --method validation --out validated -q".split())
 print(*sys.modules, file=sys.stderr)
 main.main("study model.toml --faults y1:bias --sizes 1 --n 20 --samples 20 --out study -q".split())
@@ -501,12 +502,13 @@ print(*sys.modules, file=sys.stderr)
         done = subprocess.run(
             [sys.executable, "-c", code], cwd=place, env=settings, capture_output=True, text=True, timeout=300
         )
-        *_, fit, detect, study = (
+        *_, fit, detect, validation, study = (
             {name.partition(".")[0] for name in line.split()} for line in done.stderr.splitlines()
         )
         assert fit.isdisjoint({"pandas", "matplotlib", "scipy", "optax"})
-        # a report has a picture for those without scripts, which matplotlib draws
-        assert detect.isdisjoint({"pandas", "scipy", "optax"})
+        assert detect.isdisjoint({"pandas", "matplotlib", "scipy", "optax"})
+        # the report has a picture for those without scripts, which matplotlib draws
+        assert validation.isdisjoint({"pandas", "scipy", "optax"})
         assert study.isdisjoint({"pandas", "optax"})
         assert all(
             (place / name).exists()

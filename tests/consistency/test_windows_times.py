@@ -128,11 +128,12 @@ def test_samples_one_by_one_give_the_same_verdicts(kind):
         status.append(verdict.status[0])
         margin.append(verdict.margin[0])
     np.testing.assert_array_equal(status, whole.status)
-    np.testing.assert_array_equal(margin, whole.margin)
+    # sums of NumPy end in other digits where windows stand beside each other
+    np.testing.assert_allclose(margin, whole.margin, rtol=1e-12)
     for first in (0, 11):  # and in bursts
         state, verdict = monitor.run(monitor.init(), table.iloc[first:].reset_index(drop=True))
         end = first + relations.horizon
-        np.testing.assert_array_equal(verdict.margin[relations.horizon :], whole.margin[end:])
+        np.testing.assert_allclose(verdict.margin[relations.horizon :], whole.margin[end:], rtol=1e-12)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -7,6 +7,7 @@ import json
 import re
 from datetime import datetime, timedelta
 from pathlib import Path
+from xml.etree import ElementTree
 
 import jax
 import numpy as np
@@ -295,9 +296,11 @@ def test_without_its_script_a_page_shows_one_picture_of_the_whole(page, run):
     plain = re.sub("<script.*?</script>", "", page, flags=re.S)
     worst = min(run[0].alarms(), key=lambda a: a.depth)
     assert f"around alarm {run[0].alarms().index(worst) + 1}: " in plain and 'class="moves" hidden' in plain
-    (picture,) = re.findall(r'<noscript><img alt="([^"]+)" src="data:image/png;base64,([^"]+)">', plain)
+    (picture,) = re.findall(r'<noscript><img alt="([^"]+)" src="data:image/svg.xml;base64,([^"]+)">', plain)
     assert "margin of every window" in picture[0]
-    assert base64.b64decode(picture[1]).startswith(b"\x89PNG") and len(picture[1]) < 80_000
+    drawn = ElementTree.fromstring(base64.b64decode(picture[1]))
+    texts = [text.text for text in drawn.iter("{http://www.w3.org/2000/svg}text")]
+    assert f"{len(run[0].alarms())} alarms" in texts and len(picture[1]) < 80_000
 
 
 def test_a_band_of_which_nothing_is_left_is_not_drawn():

@@ -61,7 +61,7 @@ def compile(when: str = AUTO) -> None:
 
     Args:
         when: "auto": once NumPy took about as long for one kind as compiling takes: behind 8 000 windows of a
-            small test, behind a hundred of one that searches among many disturbances. "always": at once.
+            small test, behind some hundred of one that searches among many disturbances. "always": at once.
             "never". Monitors and all that is written in parts (pipes, Parquet, fleets, studies, fits) compile
             at once in any case: their bytes are the same however they are cut. So does all that goes to
             another device than a CPU.

@@ -140,21 +140,21 @@ def _matrices(model: LinearSystem) -> list[np.ndarray]:
 
 def _over_bounds(model: LinearSystem, count: int, seen: Sequence[int]) -> np.ndarray:
     """Return the rows of windows: each error that is looked at over its bound, and each run of an average."""
-    p, rows = model.p, []
-    for sample in seen:
-        for i, (noise, rounded) in enumerate(zip(model.noise, model.resolution, strict=True)):
-            row = np.zeros((count, p))
-            row[sample, i] = 1 / float(noise + rounded)
-            rows.append(row)
+    p = model.p
+    bounds = [float(noise + rounded) for noise, rounded in zip(model.noise, model.resolution, strict=True)]
+    single = np.zeros((len(seen), p, count, p))
+    for number, sample in enumerate(seen):
+        single[number, :, sample] = np.diag(1 / np.array(bounds))
+    rows = [single.reshape(-1, count * p)]
     for average in model.averages:
         _, i = average.place(model.outputs)
         weights = np.array([float(x) for x in average.weights])
         bound = float(average.bound) + float(model.resolution[i]) * np.abs(weights).sum()
-        for first in range(count - len(weights) + 1):
-            row = np.zeros((count, p))
-            row[first : first + len(weights), i] = weights / bound
-            rows.append(row)
-    return np.stack(rows).reshape(len(rows), -1)
+        runs = np.zeros((count - len(weights) + 1, count, p))
+        for first, run in enumerate(runs):
+            run[first : first + len(weights), i] = weights / bound
+        rows.append(runs.reshape(len(runs), -1))
+    return np.concatenate(rows)
 
 
 def _bracket(e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,8 @@ from jax import lax
 
 from jaxbound.sets.floats.kernel import is_outside_xla, kernel, outside_xla
 
+pytestmark = pytest.mark.compiled
+
 X = np.linspace(-2.5, 3.5, 24).reshape(4, 6)
 I = np.array([3, 0, 2, 7, -1], np.int32)
 Y, SQUARE = jnp.asarray(X), np.arange(4).reshape(1, 2, 2)
